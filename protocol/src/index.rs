@@ -1,0 +1,201 @@
+//! What a dataset holds, decoded from its manifest and pages: chunks, cells, grid points, placements, materials.
+//!
+//! Numbers that name things (`u32`) are positions in the vectors of [`Index`].
+
+use crate::{Aabb, OutputCamera, ViewBasis, mesh::Material};
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+/// A chunk's name: BLAKE3 of its stored bytes.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct ChunkHash(pub [u8; 32]);
+
+impl std::fmt::Display for ChunkHash {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.0.iter().try_for_each(|b| write!(f, "{b:02x}"))
+    }
+}
+impl std::fmt::Debug for ChunkHash {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{self}")
+    }
+}
+
+/// What a chunk holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum ChunkKind {
+    /// A page of the manifest.
+    Page,
+    /// A cell: own clusters and instances.
+    Cell,
+    /// Clusters that several cells share.
+    Bundle,
+    /// Layers of an LDI.
+    Ldi,
+    /// Mip levels of a texture.
+    Texture,
+}
+
+/// A chunk as the dataset stores and sends it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ChunkEntry {
+    /// Its name.
+    pub hash: ChunkHash,
+    /// Stored (compressed) bytes.
+    pub stored_bytes: u32,
+    /// Bytes in memory once decoded, for the cache's accounts.
+    pub decoded_bytes: u32,
+    /// What it holds.
+    pub kind: ChunkKind,
+}
+
+/// The settings of a build that both ends need.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BuildSettings {
+    /// Geometry budget P, triangles per frame.
+    pub budget: u64,
+    /// Optimization budget Popt.
+    pub optimize_budget: u64,
+    /// The picture the dataset is made for.
+    pub camera: OutputCamera,
+    /// Largest sample footprint, output pixels.
+    pub max_footprint_px: f64,
+    /// Free look up and down, degrees.
+    pub pitch_deg: f64,
+    /// LDI samples per output pixel pitch.
+    pub density: f64,
+    /// `lossless`, `high` or `compact`.
+    pub colour: String,
+    /// `paper` or `cells`.
+    pub grid: String,
+    /// Eye height above the floor, or None for the whole box (`--fly`).
+    pub eye_height_m: Option<f64>,
+}
+
+impl BuildSettings {
+    /// Half tangent of the square planning frustum: the larger field of view both ways.
+    pub fn square_half_tan(&self) -> f64 {
+        self.camera.half_tan_x().max(self.camera.half_tan_y())
+    }
+}
+
+/// What is known of the source scene.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SceneInfo {
+    /// File or built-in name.
+    pub name: String,
+    /// Triangles, every instance counted.
+    pub triangles: u64,
+    /// Triangles, each mesh counted once.
+    pub unique_triangles: u64,
+    /// Mesh instances.
+    pub instances: u64,
+    /// World bounds.
+    pub bounds: Aabb,
+}
+
+/// A cell of the octree that holds clusters: the unit of culling and of near geometry.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CellEntry {
+    /// Tight world bounds of everything it draws.
+    pub bounds: Aabb,
+    /// Triangles it draws.
+    pub triangles: u32,
+    /// Its chunk.
+    pub chunk: u32,
+    /// The bundles it refers to, ascending.
+    pub bundles: Vec<u32>,
+    /// The materials it uses, ascending.
+    pub materials: Vec<u32>,
+}
+
+/// One entry of a grid point's list for a pitch band: from `yaw_start_deg` on (to the next entry's start, the last
+/// one to the first's, around the circle), use `placement`, or draw everything when it is None.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AngularRange {
+    /// In [0, 360), ascending within the band.
+    pub yaw_start_deg: f64,
+    /// Position in [`Index::placements`].
+    pub placement: Option<u32>,
+}
+
+/// A grid point.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GridPoint {
+    /// World position.
+    pub position: DVec3,
+    /// 0 for the initial grid; odd and even levels follow different subdivision rules.
+    pub level: u8,
+    /// Certified: no eye of the walk volume farther than this selects the point, metres.
+    pub radius: f64,
+    /// Per pitch band of [`Index::pitch_bands_deg`]; an empty list means: nothing culled in any direction.
+    pub bands: Vec<Vec<AngularRange>>,
+}
+
+/// An image placement: a subset of the cells, replaced by an LDI.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Placement {
+    /// The grid point it belongs to.
+    pub grid_point: u32,
+    /// Orientation of the image plane.
+    pub basis: ViewBasis,
+    /// Distance from the grid point to the image plane along `basis.forward`, metres.
+    pub plane_distance: f64,
+    /// Cells that are not drawn, ascending. All lie wholly beyond the plane.
+    pub culled: Vec<u32>,
+    /// Bound on the footprint of any sample from any eye that may use it, output pixels.
+    pub footprint_px: f64,
+    /// 99th percentile of the stretch along surface tangents over samples and sampled eyes, output pixels; NaN if unknown.
+    pub stretch_p99_px: f64,
+    /// Box of all eyes that may use it.
+    pub users: Aabb,
+    /// Chunks of the LDI: the first layer, then deeper ones. Empty: nothing of the subset can be seen.
+    pub chunks: Vec<u32>,
+    /// Samples per layer.
+    pub samples_by_layer: Vec<u32>,
+}
+
+/// A texture: its size and its chunks, each a range of mip levels, coarse mips first.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TextureEntry {
+    /// Columns of level 0.
+    pub width: u32,
+    /// Rows of level 0.
+    pub height: u32,
+    /// Chunks in the order of sending.
+    pub chunks: Vec<TextureChunk>,
+}
+
+/// A chunk with mip levels `first_level ..= last_level` of a texture.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TextureChunk {
+    /// Position in [`Index::chunks`].
+    pub chunk: u32,
+    /// Finest level in it.
+    pub first_level: u8,
+    /// Coarsest level in it.
+    pub last_level: u8,
+}
+
+/// Everything both ends know about a dataset.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Index {
+    /// The source.
+    pub scene: SceneInfo,
+    /// How it was built.
+    pub settings: BuildSettings,
+    /// All chunks but pages.
+    pub chunks: Vec<ChunkEntry>,
+    /// Cells that hold clusters.
+    pub cells: Vec<CellEntry>,
+    /// Materials.
+    pub materials: Vec<Material>,
+    /// Textures.
+    pub textures: Vec<TextureEntry>,
+    /// Borders of the pitch bands, degrees, ascending: band i spans borders i and i + 1. Empty without grid points.
+    pub pitch_bands_deg: Vec<f64>,
+    /// Grid points. Empty when the whole scene is within the budget from everywhere.
+    pub points: Vec<GridPoint>,
+    /// Placements of all grid points.
+    pub placements: Vec<Placement>,
+}

@@ -1,0 +1,1 @@
+//! Path files: what `ldi-client walk`, `ldi-server render` and `plan` walk along.

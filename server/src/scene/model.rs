@@ -1,0 +1,130 @@
+//! The scene as later stages see it.
+
+use glam::{DAffine3, DVec3, Vec2, Vec3};
+use ldi_protocol::{Aabb, mesh::Material};
+
+/// A static, diffuse scene. Every number is in range and every value finite: importers check this.
+#[derive(Debug, Clone, Default)]
+pub struct Scene {
+    /// File name or built-in name.
+    pub name: String,
+    /// Meshes, each stored once.
+    pub meshes: Vec<Mesh>,
+    /// Where meshes stand.
+    pub instances: Vec<Instance>,
+    /// Materials; primitives refer to them. At least one.
+    pub materials: Vec<Material>,
+    /// Textures; materials refer to them.
+    pub textures: Vec<SceneTexture>,
+    /// Rooms named by the file.
+    pub rooms: Vec<RoomAnnotation>,
+    /// Openings named by the file.
+    pub portals: Vec<PortalAnnotation>,
+    /// What was left out or changed on the way in, for the build report.
+    pub notes: Vec<Note>,
+}
+
+/// Something skipped, and why.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Note {
+    /// What was skipped or changed.
+    pub what: String,
+    /// Why.
+    pub why: String,
+}
+
+/// A mesh: primitives in one space.
+#[derive(Debug, Clone, Default)]
+pub struct Mesh {
+    /// Name in the file, for messages.
+    pub name: String,
+    /// Primitives in file order, so that (mesh, primitive, triangle) names a source triangle.
+    pub primitives: Vec<Primitive>,
+}
+
+/// Triangles of one material.
+#[derive(Debug, Clone, Default)]
+pub struct Primitive {
+    /// Position in [`Scene::materials`].
+    pub material: u32,
+    /// Mesh space, metres.
+    pub positions: Vec<Vec3>,
+    /// Unit normals, one per vertex (made from the triangles where the file has none).
+    pub normals: Vec<Vec3>,
+    /// Texture coordinates, one per vertex, or empty.
+    pub uvs: Vec<Vec2>,
+    /// Linear colour multipliers, one per vertex, or empty.
+    pub colours: Vec<[f32; 3]>,
+    /// Vertex numbers, three per triangle, in file order; strips and fans are unrolled.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// A mesh placed in the world.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Instance {
+    /// Node number in the file (glTF), else the instance's own number.
+    pub node: u32,
+    /// Position in [`Scene::meshes`].
+    pub mesh: u32,
+    /// Placement.
+    pub world_from_mesh: DAffine3,
+}
+
+/// A decoded image, row 0 on top.
+#[derive(Debug, Clone, Default)]
+pub struct SceneTexture {
+    /// Name or number in the file.
+    pub name: String,
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// sRGB colour, linear alpha.
+    pub rgba: Vec<[u8; 4]>,
+}
+
+/// A room that the file names: a convex or box-shaped cell.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct RoomAnnotation {
+    /// Name.
+    pub name: String,
+    /// Bounds in the world.
+    pub bounds: Aabb,
+}
+
+/// An opening that the file names: a convex polygon between two rooms.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct PortalAnnotation {
+    /// Names of the rooms on its two sides.
+    pub rooms: [String; 2],
+    /// Corners in the world, in order.
+    pub corners: Vec<DVec3>,
+}
+
+impl Scene {
+    /// Triangles with every instance counted.
+    pub fn triangles(&self) -> u64 {
+        self.instances.iter().map(|i| self.meshes[i.mesh as usize].triangles()).sum()
+    }
+    /// Triangles with each mesh counted once.
+    pub fn unique_triangles(&self) -> u64 {
+        self.meshes.iter().map(Mesh::triangles).sum()
+    }
+    /// World bounds of all instances.
+    pub fn bounds(&self) -> Aabb {
+        self.instances.iter().fold(Aabb::EMPTY, |b, i| {
+            self.meshes[i.mesh as usize]
+                .primitives
+                .iter()
+                .flat_map(|p| &p.positions)
+                .fold(b, |b, p| b.grown_to(i.world_from_mesh.transform_point3(p.as_dvec3())))
+        })
+    }
+}
+
+impl Mesh {
+    /// Triangles of all primitives.
+    pub fn triangles(&self) -> u64 {
+        self.primitives.iter().map(|p| p.triangles.len() as u64).sum()
+    }
+}
