@@ -1,1 +1,14 @@
-//! x
+//! The client: streams a dataset, draws the near geometry, warps the layered depth images of the rest.
+
+pub mod cache;
+pub mod composite;
+pub mod engine;
+pub mod frame;
+pub mod metrics;
+pub mod near;
+pub mod report;
+pub mod resident;
+pub mod stream;
+#[cfg(test)]
+mod test_support;
+pub mod warp;

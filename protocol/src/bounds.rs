@@ -14,10 +14,7 @@ pub struct Aabb {
 
 impl Aabb {
     /// The box that contains nothing: growing it by a point gives that point.
-    pub const EMPTY: Self = Self {
-        min: DVec3::splat(f64::INFINITY),
-        max: DVec3::splat(f64::NEG_INFINITY),
-    };
+    pub const EMPTY: Self = Self { min: DVec3::splat(f64::INFINITY), max: DVec3::splat(f64::NEG_INFINITY) };
 
     /// The smallest box around `points`.
     pub fn from_points(points: impl IntoIterator<Item = DVec3>) -> Self {

@@ -39,11 +39,7 @@ impl ViewBasis {
         let (sy, cy) = yaw_deg.to_radians().sin_cos();
         let (sp, cp) = pitch_deg.to_radians().sin_cos();
         let ahead = DVec3::new(-sy, 0.0, -cy);
-        Self {
-            right: DVec3::new(cy, 0.0, -sy),
-            up: DVec3::Y * cp - ahead * sp,
-            forward: ahead * cp + DVec3::Y * sp,
-        }
+        Self { right: DVec3::new(cy, 0.0, -sy), up: DVec3::Y * cp - ahead * sp, forward: ahead * cp + DVec3::Y * sp }
     }
 }
 
@@ -75,8 +71,7 @@ impl OutputCamera {
     /// `forward` is 1, so that `eye + t * ray` has eye-space depth t.
     pub fn ray(&self, basis: &ViewBasis, u: f64, v: f64) -> DVec3 {
         let f = self.focal_px();
-        basis.forward
-            + basis.right * ((u - f64::from(self.width) * 0.5) / f)
+        basis.forward + basis.right * ((u - f64::from(self.width) * 0.5) / f)
             - basis.up * ((v - f64::from(self.height) * 0.5) / f)
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Numbers that name things (`u32`) are positions in the vectors of [`Index`].
 
-use crate::{Aabb, OutputCamera, ViewBasis, mesh::Material};
+use crate::{Aabb, OutputCamera, ViewBasis, mesh::Material, volume::WalkVolume};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
@@ -198,4 +198,6 @@ pub struct Index {
     pub points: Vec<GridPoint>,
     /// Placements of all grid points.
     pub placements: Vec<Placement>,
+    /// Where eyes may be: what every promise is made for. None in a dataset that promises nothing of the kind (tests).
+    pub volume: Option<WalkVolume>,
 }

@@ -3,6 +3,10 @@
 //! A sample at pixel centre (u, v) with disparity d lies at X = cop + (x right - y up + forward) / d with
 //! x = (left + u) / pixels_per_unit and y = (top + v) / pixels_per_unit (McMillan's X = C + (u a + v b + c) / d).
 
+mod check;
+
+pub use check::LdiFault;
+
 use crate::ViewBasis;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -119,7 +123,8 @@ impl LdiLayer {
 }
 
 /// A layered depth image. Layer 0 holds the nearest samples as seen from the centre of projection; in a
-/// pixel, deeper layers hold farther samples. Sky is no sample but a bit per pixel: a background pixel
+/// pixel, deeper layers hold farther samples; a deeper layer may repeat a sample of one above it, so that what
+/// continues behind an occluder is linked to what it continues. Layers may skip a pixel. Sky is no sample but a bit per pixel: a background pixel
 /// lies at infinity, so that looking it up needs a rotation only.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ldi {
@@ -137,6 +142,8 @@ pub struct Ldi {
 impl Ldi {
     /// Largest width or height.
     pub const MAX_SIDE: u32 = 16_384;
+    /// Largest number of pixels: 8 MiB of sky bits, and what a builder's buffers may cost.
+    pub const MAX_PIXELS: u64 = 1 << 26;
     /// Largest number of layers.
     pub const MAX_LAYERS: usize = 32;
 

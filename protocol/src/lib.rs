@@ -13,13 +13,18 @@
 
 pub mod bounds;
 pub mod camera;
+pub mod codec;
 pub mod index;
 pub mod ldi;
+pub mod manifest;
 pub mod mesh;
+pub mod need;
 pub mod path;
 pub mod select;
 pub mod shade;
 pub mod texture;
+pub mod volume;
+pub mod wire;
 
 pub use bounds::Aabb;
 pub use camera::{OutputCamera, Pose, ViewBasis};

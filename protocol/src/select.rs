@@ -1,7 +1,15 @@
 //! `select`: from a pose to what is drawn. A pure function over the [`Index`], so that the server plans with
 //! exactly what the client renders with (Aliaga and Lastra 1999, Figure 12).
+//!
+//! Pose -> closest grid point (in the reverse frustum, or anywhere: [`CELLS`]) -> pitch band -> angular range -> placement or none
+//! -> cells in view that the placement does not replace. The build counts for every grid point what these steps can draw for any of
+//! its users; [`draw_list`] keeps the budget for all other poses too.
 
 use crate::{Aabb, Pose, camera::Frustum, index::Index};
+
+/// Value of `BuildSettings::grid` for view cells: the closest grid point counts, wherever it lies. Any other value: the paper's
+/// scheme, the closest one in the reverse frustum.
+pub const CELLS: &str = "cells";
 
 /// What a pose sees.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,10 +46,12 @@ impl DrawFrusta {
 
 /// Selects the grid point and the placement of a pose.
 ///
-/// The grid point is the closest P with `eye in P + forward square frustum(direction)`; ties go to the smaller number.
+/// The grid point is the closest P with `eye in P + forward square frustum(direction)`, or simply the closest one when the dataset was
+/// built with view cells; ties go to the smaller number.
 pub fn select(index: &Index, pose: &Pose) -> Selection {
     let basis = pose.basis();
     let t = index.settings.square_half_tan();
+    let any = index.settings.grid == CELLS;
     let mut best: Option<(f64, u32)> = None;
     for (i, p) in index.points.iter().enumerate() {
         let v = pose.position - p.position;
@@ -50,12 +60,56 @@ pub fn select(index: &Index, pose: &Pose) -> Selection {
             continue;
         }
         let z = v.dot(basis.forward);
-        if z >= 0.0 && v.dot(basis.right).abs() <= t * z && v.dot(basis.up).abs() <= t * z {
+        if any || (z >= 0.0 && v.dot(basis.right).abs() <= t * z && v.dot(basis.up).abs() <= t * z) {
             best = Some((d2, i as u32));
         }
     }
     let grid_point = best.map(|b| b.1);
     Selection { grid_point, placement: grid_point.and_then(|g| placement_of(index, g, pose)) }
+}
+
+/// What to draw as geometry for a pose.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DrawList {
+    /// Grid point and placement.
+    pub selection: Selection,
+    /// Cells to draw, near to far.
+    pub cells: Vec<u32>,
+    /// Triangles in them; never more than the budget.
+    pub triangles: u64,
+    /// Cells in view that were left out, farthest first, because the budget was used up. Always 0 for eyes of the walk volume that look
+    /// within the built range of pitch.
+    pub dropped: u32,
+}
+
+/// The cells that a pose draws: those in view that its placement does not replace. `picture_half_tan`: tangents of half the picture's
+/// horizontal and vertical field of view.
+pub fn draw_list(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> DrawList {
+    let selection = select(index, pose);
+    let culled =
+        selection.placement.and_then(|p| index.placements.get(p as usize)).map_or(&[][..], |p| p.culled.as_slice());
+    let frusta = DrawFrusta::new(index, pose, picture_half_tan);
+    let mut culled = culled.iter().copied().peekable();
+    let mut seen: Vec<(f64, u32)> = Vec::new();
+    let mut triangles = 0;
+    for (cell, entry) in (0u32..).zip(&index.cells) {
+        // Both lists ascend.
+        while culled.next_if(|c| *c < cell).is_some() {}
+        if culled.peek() == Some(&cell) || !frusta.admit(&entry.bounds) {
+            continue;
+        }
+        let apart = pose.position.clamp(entry.bounds.min, entry.bounds.max) - pose.position;
+        seen.push((apart.length_squared(), cell));
+        triangles += u64::from(entry.triangles);
+    }
+    seen.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let mut dropped = 0;
+    while triangles > index.settings.budget {
+        let Some((_, cell)) = seen.pop() else { break };
+        triangles -= u64::from(index.cells[cell as usize].triangles);
+        dropped += 1;
+    }
+    DrawList { selection, cells: seen.into_iter().map(|s| s.1).collect(), triangles, dropped }
 }
 
 /// The placement that a grid point names for the direction of a pose.
@@ -76,4 +130,115 @@ pub fn band_of(borders_deg: &[f64], pitch_deg: f64) -> Option<usize> {
         return None;
     }
     Some(borders_deg.partition_point(|b| *b <= pitch_deg).clamp(1, borders_deg.len() - 1) - 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        OutputCamera, ViewBasis,
+        index::{AngularRange, BuildSettings, CellEntry, GridPoint, Placement, SceneInfo},
+    };
+    use glam::DVec3;
+
+    /// Ten cells of 100 triangles along -Z, one per metre from 2 m on; a grid point at the origin and one behind it; a placement that
+    /// replaces the last five when looking along -Z.
+    fn index(grid: &str, budget: u64) -> Index {
+        let cell = |i: u32| CellEntry {
+            bounds: Aabb::from_points([
+                DVec3::new(-0.2, -0.2, -2.4 - f64::from(i)),
+                DVec3::new(0.2, 0.2, -2.0 - f64::from(i)),
+            ]),
+            triangles: 100,
+            chunk: 0,
+            bundles: vec![],
+            materials: vec![],
+        };
+        let point = |z: f64, placement| GridPoint {
+            position: DVec3::new(0.0, 0.0, z),
+            level: 0,
+            radius: 9.0,
+            bands: vec![vec![
+                AngularRange { yaw_start_deg: 10.0, placement: None },
+                AngularRange { yaw_start_deg: 350.0, placement },
+            ]],
+        };
+        Index {
+            scene: SceneInfo {
+                name: String::new(),
+                triangles: 1000,
+                unique_triangles: 1000,
+                instances: 10,
+                bounds: Aabb::EMPTY,
+            },
+            settings: BuildSettings {
+                budget,
+                optimize_budget: budget,
+                camera: OutputCamera { width: 64, height: 36, fov_deg: 60.0 },
+                max_footprint_px: 2.0,
+                pitch_deg: 30.0,
+                density: 1.0,
+                colour: "high".into(),
+                grid: grid.into(),
+                eye_height_m: None,
+            },
+            chunks: vec![],
+            cells: (0..10).map(cell).collect(),
+            materials: vec![],
+            textures: vec![],
+            pitch_bands_deg: vec![-30.0, 30.0],
+            volume: None,
+            points: vec![point(3.0, None), point(0.0, Some(0)), point(-0.9, None)],
+            placements: vec![Placement {
+                grid_point: 1,
+                basis: ViewBasis::from_yaw_pitch(0.0, 0.0),
+                plane_distance: 6.9,
+                culled: vec![5, 6, 7, 8, 9],
+                footprint_px: 1.5,
+                stretch_p99_px: f64::NAN,
+                users: Aabb::EMPTY,
+                chunks: vec![],
+                samples_by_layer: vec![],
+            }],
+        }
+    }
+
+    fn pose(z: f64, yaw_deg: f64) -> Pose {
+        Pose { position: DVec3::new(0.0, 0.0, z), yaw_deg, pitch_deg: 0.0 }
+    }
+
+    #[test]
+    fn the_paper_takes_the_closest_point_behind_and_cells_the_closest_of_all() {
+        let eye = pose(-0.5, 0.0);
+        assert_eq!(select(&index("paper", 1000), &eye), Selection { grid_point: Some(1), placement: Some(0) });
+        assert_eq!(select(&index(CELLS, 1000), &eye), Selection { grid_point: Some(2), placement: None });
+        assert_eq!(
+            select(&index("paper", 1000), &pose(-0.5, 180.0)).grid_point,
+            Some(2),
+            "turned round, the other one is behind"
+        );
+    }
+
+    #[test]
+    fn what_the_placement_replaces_is_not_drawn() {
+        let list = draw_list(&index("paper", 1000), &pose(-0.5, 0.0), (0.577, 0.32));
+        assert_eq!((list.cells.as_slice(), list.triangles, list.dropped), (&[0, 1, 2, 3, 4][..], 500, 0));
+        let beside = draw_list(&index("paper", 1000), &pose(-0.5, 20.0), (0.577, 0.32));
+        assert_eq!(beside.selection.placement, None, "another angular range");
+        assert_eq!(beside.cells.len(), 10);
+    }
+
+    #[test]
+    fn beyond_the_budget_the_farthest_cells_go() {
+        let list = draw_list(&index("paper", 250), &pose(-0.5, 0.0), (0.577, 0.32));
+        assert_eq!((list.cells.as_slice(), list.triangles, list.dropped), (&[0, 1][..], 200, 3));
+    }
+
+    #[test]
+    fn bands_end_where_the_build_ends() {
+        let borders = [-30.0, 0.0, 30.0];
+        assert_eq!([-30.0, -0.1, 0.0, 30.0].map(|p| band_of(&borders, p)), [Some(0), Some(0), Some(1), Some(1)]);
+        assert_eq!([-30.1, 30.1].map(|p| band_of(&borders, p)), [None, None]);
+        assert_eq!(band_of(&[], 0.0), None);
+    }
 }

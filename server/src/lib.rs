@@ -1,4 +1,16 @@
-//! The server: builds datasets from scenes and serves them. Folders are stages; a module imports only from stages before it.
+//! The server: builds datasets from scenes and serves them.
+//!
+//! Folders are stages; a module imports only from stages before it:
+//! [`scene`] -> [`octree`] -> [`render`] -> [`placement`] -> [`construct`] -> [`pack`] -> [`store`] -> [`serve`];
+//! [`build`] joins them, [`cli`] is the command line.
 
+pub mod build;
+pub mod cli;
+pub mod construct;
 pub mod octree;
+pub mod pack;
+pub mod placement;
+pub mod render;
 pub mod scene;
+pub mod serve;
+pub mod store;

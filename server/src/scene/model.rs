@@ -38,7 +38,8 @@ pub struct Note {
 pub struct Mesh {
     /// Name in the file, for messages.
     pub name: String,
-    /// Primitives in file order, so that (mesh, primitive, triangle) names a source triangle.
+    /// Primitives in file order, so that (mesh, primitive, triangle) names a source triangle. One that was left out
+    /// (points, lines) stays as an empty one.
     pub primitives: Vec<Primitive>,
 }
 
@@ -66,7 +67,8 @@ pub struct Instance {
     pub node: u32,
     /// Position in [`Scene::meshes`].
     pub mesh: u32,
-    /// Placement.
+    /// Placement. It has an inverse. A negative determinant mirrors the mesh and so swaps the front and back of its
+    /// triangles; this matters only where single-sided faces are culled.
     pub world_from_mesh: DAffine3,
 }
 
@@ -123,6 +125,10 @@ impl Scene {
 }
 
 impl Mesh {
+    /// Mesh-space bounds.
+    pub fn bounds(&self) -> Aabb {
+        Aabb::from_points(self.primitives.iter().flat_map(|p| &p.positions).map(|p| p.as_dvec3()))
+    }
     /// Triangles of all primitives.
     pub fn triangles(&self) -> u64 {
         self.primitives.iter().map(|p| p.triangles.len() as u64).sum()

@@ -1,0 +1,133 @@
+//! What is held, in what order it was used, and how many bytes that is. No locks, no decoding.
+
+use super::{Usage, layout::Layout};
+use ldi_protocol::{index::Index, ldi::Ldi, mesh::CellGeometry, texture::Texture};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+    time::Instant,
+};
+
+/// What an object holds.
+#[derive(Debug, Clone, Default)]
+pub(super) enum Value {
+    #[default]
+    Empty,
+    Geometry(Arc<CellGeometry>),
+    Ldi(Arc<Ldi>),
+    /// Deeper layers of an LDI whose first is not there yet, by part.
+    WaitingLayers(Vec<(u8, Vec<u8>)>),
+    Texture(Arc<Texture>),
+}
+
+#[derive(Debug, Default)]
+pub(super) struct Object {
+    pub value: Value,
+    /// Bit per part that is there.
+    pub present: u32,
+    /// Bit per part that a frame has used.
+    pub used: u32,
+    pub bytes: u64,
+    pub tick: u64,
+    pub pinned_in: u64,
+    /// Counts changes, so that a join made outside the lock notices another one.
+    pub version: u64,
+}
+
+#[derive(Debug)]
+pub(super) struct Inner {
+    pub objects: Vec<Object>,
+    /// Objects that hold bytes, least recently used first.
+    pub order: BTreeSet<(u64, u32)>,
+    pub tick: u64,
+    pub usage: Usage,
+    pub damaged: Vec<bool>,
+    pub evicted: Vec<u32>,
+    /// Chunks without room, with the view in which they came.
+    pub refused: BTreeMap<u32, u64>,
+    pub refusals_told: Option<Instant>,
+    pub disconnected: Option<String>,
+}
+
+impl Inner {
+    pub fn holds(&self, layout: &Layout, chunk: u32) -> bool {
+        let parts = layout.parts(chunk);
+        !parts.is_empty() && parts.iter().all(|p| self.objects[p.object as usize].present >> p.part & 1 == 1)
+    }
+
+    /// Moves an object to the young end of the order. Absent ones only take the tick.
+    pub fn use_at(&mut self, number: u32, tick: u64) {
+        let object = &mut self.objects[number as usize];
+        let listed = object.present != 0;
+        let old = std::mem::replace(&mut object.tick, tick);
+        if old != tick {
+            self.order.remove(&(old, number));
+        }
+        if listed {
+            self.order.insert((tick, number));
+        }
+    }
+
+    /// Evicts the least recently used objects until `bytes` fit. False, and nothing evicted, when pinned ones and `keep` leave no room.
+    pub fn make_room(&mut self, layout: &Layout, bytes: u64, keep: u32) -> bool {
+        let mut free = self.usage.cap_bytes - self.usage.bytes;
+        let mut victims = Vec::new();
+        for &(_, number) in &self.order {
+            if free >= bytes {
+                break;
+            }
+            let object = &self.objects[number as usize];
+            if number != keep && object.pinned_in != self.tick {
+                free += object.bytes;
+                victims.push(number);
+            }
+        }
+        if free < bytes {
+            return false;
+        }
+        for number in victims {
+            self.evict(layout, number);
+        }
+        true
+    }
+
+    fn evict(&mut self, layout: &Layout, number: u32) {
+        let object = &mut self.objects[number as usize];
+        self.order.remove(&(object.tick, number));
+        self.usage.bytes -= object.bytes;
+        self.usage.evictions += 1;
+        let chunks = &layout.objects[number as usize].chunks;
+        self.evicted.extend((0..chunks.len()).filter(|p| object.present >> p & 1 == 1).map(|p| chunks[p]));
+        *object =
+            Object { tick: object.tick, pinned_in: object.pinned_in, version: object.version + 1, ..Object::default() };
+    }
+
+    /// See [`super::Cache::check`].
+    pub fn check(&self, layout: &Layout, index: &Index) -> Result<(), String> {
+        let mut sum = 0;
+        for (number, (object, entry)) in (0u32..).zip(self.objects.iter().zip(&layout.objects)) {
+            let bytes: u64 = (0..entry.chunks.len())
+                .filter(|p| object.present >> p & 1 == 1)
+                .map(|p| u64::from(index.chunks[entry.chunks[p] as usize].decoded_bytes))
+                .sum();
+            if bytes != object.bytes {
+                return Err(format!("object {number}: parts {bytes} bytes, account {}", object.bytes));
+            }
+            if self.order.contains(&(object.tick, number)) != (object.present != 0) {
+                return Err(format!("object {number}: present {:b}, order disagrees", object.present));
+            }
+            if matches!(object.value, Value::Empty) != (object.present == 0) {
+                return Err(format!("object {number}: present {:b}, value disagrees", object.present));
+            }
+            sum += bytes;
+        }
+        let held = self.objects.iter().filter(|o| o.present != 0).count();
+        if self.order.len() != held {
+            return Err(format!("{} objects in the order, {held} held", self.order.len()));
+        }
+        if sum != self.usage.bytes || sum > self.usage.cap_bytes {
+            return Err(format!("{sum} bytes held, account {}, cap {}", self.usage.bytes, self.usage.cap_bytes));
+        }
+        Ok(())
+    }
+}

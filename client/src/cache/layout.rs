@@ -1,0 +1,110 @@
+//! Which chunk belongs to which object: an LDI and a texture arrive in several chunks, a cell and a bundle in one.
+
+use ldi_protocol::index::{ChunkKind, Index, TextureChunk};
+use std::collections::BTreeMap;
+
+/// Most chunks of one object: a bit each in a mask. Textures of the largest side have fewer than half of it.
+pub(super) const MAX_PARTS: usize = 32;
+
+/// What an object is.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum ObjectKind {
+    /// The cell with this number.
+    Cell(u32),
+    /// Clusters that cells share.
+    Bundle,
+    /// The LDI of the placement with this number, and perhaps of others.
+    Ldi(u32),
+    /// The texture with this number.
+    Texture(u32),
+}
+
+/// An object: its kind and its chunks, in the order of sending.
+#[derive(Debug)]
+pub(super) struct ObjectEntry {
+    pub kind: ObjectKind,
+    pub chunks: Vec<u32>,
+}
+
+/// A chunk as part of an object.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Part {
+    pub object: u32,
+    pub part: u8,
+}
+
+/// The objects of an index. Numbers are positions in `objects`.
+#[derive(Debug)]
+pub(super) struct Layout {
+    pub objects: Vec<ObjectEntry>,
+    /// Per chunk; equal bytes have one name, so a chunk may be part of several textures.
+    pub parts_of_chunk: Vec<Vec<Part>>,
+    /// Per chunk, for cells and bundles.
+    pub geometry_of_chunk: Vec<Option<u32>>,
+    /// Per texture.
+    pub of_texture: Vec<Option<u32>>,
+    /// Per placement.
+    pub of_placement: Vec<Option<u32>>,
+}
+
+impl Layout {
+    pub fn new(index: &Index) -> Self {
+        let n = index.chunks.len();
+        let mut layout = Self {
+            objects: Vec::new(),
+            parts_of_chunk: vec![Vec::new(); n],
+            geometry_of_chunk: vec![None; n],
+            of_texture: Vec::new(),
+            of_placement: Vec::new(),
+        };
+        for (number, cell) in (0u32..).zip(&index.cells) {
+            let object = layout.add(ObjectKind::Cell(number), vec![cell.chunk]);
+            if let Some(slot) = layout.geometry_of_chunk.get_mut(cell.chunk as usize) {
+                *slot = object;
+            }
+        }
+        for (chunk, entry) in (0u32..).zip(&index.chunks) {
+            if entry.kind == ChunkKind::Bundle {
+                layout.geometry_of_chunk[chunk as usize] = layout.add(ObjectKind::Bundle, vec![chunk]);
+            }
+        }
+        for (number, texture) in (0u32..).zip(&index.textures) {
+            let chunks = texture.chunks.iter().map(|c: &TextureChunk| c.chunk).collect();
+            let object = layout.add(ObjectKind::Texture(number), chunks);
+            layout.of_texture.push(object);
+        }
+        // Placements may share an LDI.
+        let mut by_chunks = BTreeMap::<&[u32], Option<u32>>::new();
+        for (number, placement) in (0u32..).zip(&index.placements) {
+            let object = match by_chunks.get(&placement.chunks[..]) {
+                Some(known) => *known,
+                None => {
+                    let object = layout.add(ObjectKind::Ldi(number), placement.chunks.clone());
+                    by_chunks.insert(&placement.chunks, object);
+                    object
+                }
+            };
+            layout.of_placement.push(object);
+        }
+        layout
+    }
+
+    /// None without chunks, with too many, or with chunks that do not exist.
+    fn add(&mut self, kind: ObjectKind, chunks: Vec<u32>) -> Option<u32> {
+        let known = chunks.iter().all(|c| (*c as usize) < self.parts_of_chunk.len());
+        if chunks.is_empty() || chunks.len() > MAX_PARTS || !known {
+            return None;
+        }
+        let object = self.objects.len() as u32;
+        for (part, chunk) in chunks.iter().enumerate() {
+            self.parts_of_chunk[*chunk as usize].push(Part { object, part: part as u8 });
+        }
+        self.objects.push(ObjectEntry { kind, chunks });
+        Some(object)
+    }
+
+    /// The parts that a chunk is; empty beyond the index.
+    pub fn parts(&self, chunk: u32) -> &[Part] {
+        self.parts_of_chunk.get(chunk as usize).map_or(&[], Vec::as_slice)
+    }
+}

@@ -1,0 +1,364 @@
+//! Decoded objects at hand: what the renderer draws from, bounded in bytes.
+//!
+//! In: chunks as they arrive ([`Cache::insert`], on the decoding threads) and what each view needs ([`Cache::pin`]).
+//! Out: objects to the renderer ([`Resident`]), what is missing, and what was evicted, for the server to know.
+//!
+//! - The unit of arrival is the chunk, the unit of eviction the object: a cell, a bundle, an LDI with all its layers, a texture
+//!   with all its levels. An object is usable as soon as its first chunk is there, and is replaced as a whole when more
+//!   arrives: a frame keeps the one that it holds.
+//! - Accounts are in decoded bytes as the index states them, and never exceed the cap, not even for a moment. Least recently
+//!   used goes first (Aliaga and Lastra 1999, section 6); what the current view needs is pinned and stays. What lies around
+//!   the eye counts as used ([`Cache::touch`]), so that eviction does not undo the server's prefetching.
+//! - A chunk that does not fit beside the pinned ones is refused. The frame is drawn without it and says so.
+
+mod accounts;
+mod decode;
+#[cfg(test)]
+mod fixture;
+mod layout;
+
+use crate::resident::Resident;
+use accounts::{Inner, Object, Value};
+use layout::{Layout, ObjectKind, Part};
+use ldi_protocol::{codec::CodecError, index::Index, ldi::Ldi, mesh::CellGeometry, texture::Texture};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant},
+};
+
+/// A refused chunk is told to the server at most this often: it would be sent again at once.
+const REFUSAL_INTERVAL: Duration = Duration::from_secs(1);
+
+/// A chunk that arrived whole but is no object.
+#[derive(Debug, thiserror::Error)]
+pub enum DecodeError {
+    /// The codec refuses it.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    /// Nothing in the index refers to it.
+    #[error("nothing in the index refers to it")]
+    Unreferenced,
+}
+
+/// What became of a chunk.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Inserted {
+    /// It is at hand now.
+    Held,
+    /// It was there before.
+    Duplicate,
+    /// The pinned objects leave no room for it.
+    NoRoom,
+}
+
+/// The state of the accounts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Usage {
+    /// Decoded bytes held.
+    pub bytes: u64,
+    /// The most that was ever held.
+    pub peak_bytes: u64,
+    /// The cap.
+    pub cap_bytes: u64,
+    /// Objects held.
+    pub objects: usize,
+    /// Objects evicted so far.
+    pub evictions: u64,
+    /// Stored bytes of chunks that a frame has used since they arrived.
+    pub useful_bytes: u64,
+}
+
+/// Why not everything is there.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Incomplete {
+    /// The time is up.
+    #[error("{} chunks did not arrive in time, the first is {:?}", .0.len(), .0.first())]
+    Timeout(Vec<u32>),
+    /// These chunks are damaged on the server; everything else is there.
+    #[error("{} chunks are damaged, the first is {:?}; check the dataset with `ldi-server verify`", .0.len(), .0.first())]
+    Damaged(Vec<u32>),
+    /// One view needs more than the cap.
+    #[error("the view needs more decoded bytes than the cache may hold ({cap_bytes}); raise --cache-bytes")]
+    NoRoom {
+        /// The cap.
+        cap_bytes: u64,
+    },
+    /// The connection is gone.
+    #[error("{0}")]
+    Disconnected(String),
+}
+
+/// See the module. All methods may be called from any thread; none holds the lock while it decodes.
+#[derive(Debug)]
+pub struct Cache {
+    index: Arc<Index>,
+    layout: Layout,
+    inner: Mutex<Inner>,
+    changed: Condvar,
+}
+
+impl Cache {
+    /// An empty cache of at most `cap_bytes` decoded bytes.
+    pub fn new(index: Arc<Index>, cap_bytes: u64) -> Self {
+        let layout = Layout::new(&index);
+        let inner = Inner {
+            objects: layout.objects.iter().map(|_| Object::default()).collect(),
+            order: BTreeSet::new(),
+            tick: 1,
+            usage: Usage { cap_bytes, ..Usage::default() },
+            damaged: vec![false; index.chunks.len()],
+            evicted: Vec::new(),
+            refused: BTreeMap::new(),
+            refusals_told: None,
+            disconnected: None,
+        };
+        Self { index, layout, inner: Mutex::new(inner), changed: Condvar::new() }
+    }
+
+    /// The index whose chunks are held.
+    pub fn index(&self) -> &Arc<Index> {
+        &self.index
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        // Every change is complete before anything can panic.
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Decodes a chunk whose hash was checked and takes it in.
+    ///
+    /// # Errors
+    /// If the bytes are not what the index says of this chunk.
+    pub fn insert(&self, chunk: u32, bytes: &[u8]) -> Result<Inserted, DecodeError> {
+        let parts = self.layout.parts(chunk);
+        if parts.is_empty() {
+            return Err(DecodeError::Unreferenced);
+        }
+        let mut result = Inserted::Duplicate;
+        for part in parts {
+            match self.insert_part(*part, chunk, bytes)? {
+                Inserted::NoRoom => return Ok(Inserted::NoRoom),
+                Inserted::Held => result = Inserted::Held,
+                Inserted::Duplicate => {}
+            }
+        }
+        Ok(result)
+    }
+
+    fn insert_part(&self, part: Part, chunk: u32, bytes: &[u8]) -> Result<Inserted, DecodeError> {
+        let entry = &self.layout.objects[part.object as usize];
+        let levels = match entry.kind {
+            ObjectKind::Texture(t) => Some(decode::texture_levels(&self.index.textures[t as usize], part.part, bytes)?),
+            _ => None,
+        };
+        loop {
+            let (old, version) = {
+                let inner = self.lock();
+                let object = &inner.objects[part.object as usize];
+                if object.present >> part.part & 1 == 1 {
+                    return Ok(Inserted::Duplicate);
+                }
+                (object.value.clone(), object.version)
+            };
+            let new = match (&entry.kind, &levels) {
+                (ObjectKind::Texture(t), Some(levels)) => {
+                    decode::texture(&old, &self.index.textures[*t as usize], levels)
+                }
+                (ObjectKind::Ldi(p), _) => decode::ldi(&self.index, *p, &old, part.part, bytes)?,
+                (ObjectKind::Cell(c), _) => decode::cell(&self.index, *c, bytes)?,
+                (ObjectKind::Bundle | ObjectKind::Texture(_), _) => decode::bundle(&self.index, bytes)?,
+            };
+            if let Some(done) = self.install(part, chunk, new, version) {
+                return Ok(done);
+            }
+        }
+    }
+
+    /// Puts a joined object in place. None when another part was joined meanwhile.
+    fn install(&self, part: Part, chunk: u32, new: Value, version: u64) -> Option<Inserted> {
+        let mut inner = self.lock();
+        if inner.objects[part.object as usize].version != version {
+            return None;
+        }
+        let bytes = u64::from(self.index.chunks[chunk as usize].decoded_bytes);
+        if !inner.make_room(&self.layout, bytes, part.object) {
+            let view = inner.tick;
+            inner.refused.insert(chunk, view);
+            self.changed.notify_all();
+            return Some(Inserted::NoRoom);
+        }
+        let tick = inner.tick;
+        let object = &mut inner.objects[part.object as usize];
+        object.value = new;
+        object.version += 1;
+        object.present |= 1 << part.part;
+        object.bytes += bytes;
+        inner.usage.bytes += bytes;
+        inner.usage.peak_bytes = inner.usage.peak_bytes.max(inner.usage.bytes);
+        inner.use_at(part.object, tick);
+        self.changed.notify_all();
+        Some(Inserted::Held)
+    }
+
+    /// Opens a new view: what it needs is pinned, what the last one needed no longer is.
+    pub fn pin(&self, chunks: impl IntoIterator<Item = u32>) {
+        let mut inner = self.lock();
+        inner.tick += 1;
+        let tick = inner.tick;
+        for chunk in chunks {
+            for part in self.layout.parts(chunk) {
+                let object = &mut inner.objects[part.object as usize];
+                if object.pinned_in != tick {
+                    object.pinned_in = tick;
+                    inner.use_at(part.object, tick);
+                }
+            }
+        }
+    }
+
+    /// Counts what is held of these as used now.
+    pub fn touch(&self, chunks: impl IntoIterator<Item = u32>) {
+        let mut inner = self.lock();
+        let tick = inner.tick;
+        for chunk in chunks {
+            for part in self.layout.parts(chunk) {
+                inner.use_at(part.object, tick);
+            }
+        }
+    }
+
+    /// Whether a chunk is at hand.
+    pub fn holds(&self, chunk: u32) -> bool {
+        self.lock().holds(&self.layout, chunk)
+    }
+
+    /// All chunks at hand, ascending.
+    pub fn held(&self) -> Vec<u32> {
+        let inner = self.lock();
+        (0..self.index.chunks.len() as u32).filter(|c| inner.holds(&self.layout, *c)).collect()
+    }
+
+    /// Those of `chunks` that are not at hand, damaged ones included.
+    pub fn missing(&self, chunks: impl IntoIterator<Item = u32>) -> Vec<u32> {
+        let inner = self.lock();
+        chunks.into_iter().filter(|c| !inner.holds(&self.layout, *c)).collect()
+    }
+
+    /// A chunk came damaged so often that it is given up.
+    pub fn mark_damaged(&self, chunk: u32) {
+        if let Some(flag) = self.lock().damaged.get_mut(chunk as usize) {
+            *flag = true;
+        }
+        self.changed.notify_all();
+    }
+
+    /// Whether a chunk was given up.
+    pub fn is_damaged(&self, chunk: u32) -> bool {
+        self.lock().damaged.get(chunk as usize).copied().unwrap_or(false)
+    }
+
+    /// Nothing will arrive any more. None: a new connection is up.
+    pub fn set_disconnected(&self, reason: Option<String>) {
+        self.lock().disconnected = reason;
+        self.changed.notify_all();
+    }
+
+    /// Waits until all of `chunks` are at hand, or will not come.
+    ///
+    /// # Errors
+    /// [`Incomplete`]; damaged chunks are an error only after everything else has arrived.
+    pub fn wait(&self, chunks: &[u32], timeout: Duration) -> Result<(), Incomplete> {
+        let deadline = Instant::now() + timeout;
+        let mut inner = self.lock();
+        loop {
+            let missing: Vec<u32> = chunks.iter().copied().filter(|c| !inner.holds(&self.layout, *c)).collect();
+            let (damaged, coming): (Vec<u32>, Vec<u32>) =
+                missing.into_iter().partition(|c| inner.damaged.get(*c as usize).copied().unwrap_or(true));
+            if coming.is_empty() {
+                return if damaged.is_empty() { Ok(()) } else { Err(Incomplete::Damaged(damaged)) };
+            }
+            if coming.iter().any(|c| inner.refused.get(c) == Some(&inner.tick)) {
+                return Err(Incomplete::NoRoom { cap_bytes: inner.usage.cap_bytes });
+            }
+            if let Some(reason) = &inner.disconnected {
+                return Err(Incomplete::Disconnected(reason.clone()));
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Err(Incomplete::Timeout(coming));
+            }
+            inner = self.changed.wait_timeout(inner, left).unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    /// Chunks that left since the last call, ascending, for the server to know. Refused ones are told once in a while only.
+    pub fn take_evicted(&self, now: Instant) -> Vec<u32> {
+        let mut inner = self.lock();
+        let mut out = std::mem::take(&mut inner.evicted);
+        if inner.refusals_told.is_none_or(|t| now.duration_since(t) >= REFUSAL_INTERVAL) && !inner.refused.is_empty() {
+            inner.refusals_told = Some(now);
+            out.extend(std::mem::take(&mut inner.refused).into_keys());
+        }
+        out.retain(|c| !inner.holds(&self.layout, *c));
+        out.sort_unstable();
+        out.dedup();
+        out
+    }
+
+    /// The accounts.
+    pub fn usage(&self) -> Usage {
+        let inner = self.lock();
+        Usage { objects: inner.order.len(), ..inner.usage }
+    }
+
+    /// What must hold after every call: accounts equal the sum of what is there, within the cap; the order lists exactly the
+    /// objects that hold something.
+    ///
+    /// # Errors
+    /// The first account that is off.
+    pub fn check(&self) -> Result<(), String> {
+        self.lock().check(&self.layout, &self.index)
+    }
+
+    fn object<T>(&self, number: Option<u32>, pick: impl Fn(&Value) -> Option<T>) -> Option<T> {
+        let number = number?;
+        let mut inner = self.lock();
+        let tick = inner.tick;
+        let object = &mut inner.objects[number as usize];
+        let found = pick(&object.value)?;
+        let fresh = object.present & !object.used;
+        object.used |= fresh;
+        if fresh != 0 {
+            let chunks = &self.layout.objects[number as usize].chunks;
+            inner.usage.useful_bytes += (0..chunks.len())
+                .filter(|p| fresh >> p & 1 == 1)
+                .map(|p| u64::from(self.index.chunks[chunks[p] as usize].stored_bytes))
+                .sum::<u64>();
+        }
+        inner.use_at(number, tick);
+        Some(found)
+    }
+}
+
+impl Resident for Cache {
+    fn cell(&self, cell: u32) -> Option<Arc<CellGeometry>> {
+        self.bundle(self.index.cells.get(cell as usize)?.chunk)
+    }
+    fn bundle(&self, chunk: u32) -> Option<Arc<CellGeometry>> {
+        let number = *self.layout.geometry_of_chunk.get(chunk as usize)?;
+        self.object(number, |v| if let Value::Geometry(g) = v { Some(g.clone()) } else { None })
+    }
+    fn texture(&self, texture: u32) -> Option<Arc<Texture>> {
+        let number = *self.layout.of_texture.get(texture as usize)?;
+        self.object(number, |v| if let Value::Texture(t) = v { Some(t.clone()) } else { None })
+    }
+    fn ldi(&self, placement: u32) -> Option<Arc<Ldi>> {
+        let number = *self.layout.of_placement.get(placement as usize)?;
+        self.object(number, |v| if let Value::Ldi(l) = v { Some(l.clone()) } else { None })
+    }
+}
+
+#[cfg(test)]
+#[path = "cache_test.rs"]
+mod tests;

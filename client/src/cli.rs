@@ -1,0 +1,391 @@
+//! The command line: arguments to a connection and a walk, results to files, errors to exit codes.
+//!
+//! Exit codes: 0 done, 2 wrong usage, 1 a failure that a retry may cure, 42 a permanent one.
+
+use anyhow::Context;
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
+use ldi_client::{
+    engine::{Cull, Feed, Method, Pace, Progress, WalkError, WalkJob, WalkOptions, run},
+    near::MAX_SIDE_PX,
+    report::{DatasetReport, MachineReport, Report, SceneReport},
+    stream::{ConnectConfig, ConnectError, Connection, Fingerprint},
+    warp::{Order, Stamp},
+};
+use ldi_protocol::{path, wire::Picture};
+use std::{
+    io::IsTerminal,
+    path::{Path, PathBuf},
+    process::ExitCode,
+    time::{Duration, Instant},
+};
+
+/// Longest shared secret that is read from a file.
+const MAX_TOKEN_BYTES: u64 = 1024;
+
+/// Walks through large static scenes that a server streams: near geometry is drawn, everything far is warped from layered depth
+/// images.
+#[derive(Parser)]
+#[command(
+    name = "ldi-client",
+    version,
+    after_help = "Example:\n  ldi-client walk 127.0.0.1:4433 --fingerprint HEX --path path.json --size 1280x720 -o frames --report walk.json"
+)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Walk along a path without a window: numbered frames and a report.
+    #[command(after_help = "Examples:\n  \
+        ldi-client walk localhost --fingerprint HEX --path clinic.path.json --size 1280x720 --pace wait --every 200 -o frames --report walk.json\n  \
+        ldi-client walk localhost --fingerprint HEX --path clinic.path.json --size 1280x720 --truth truth -o frames --report walk.json\n\n\
+        Exit codes: 0 done, 2 wrong usage, 1 a retry may help, 42 a retry will not help.")]
+    Walk(Box<WalkArgs>),
+    /// Walk freely, in a window.
+    #[command(after_help = "Example:\n  ldi-client connect localhost --fingerprint HEX")]
+    Connect(ConnectArgs),
+}
+
+#[derive(Args)]
+struct ConnectArgs {
+    /// HOST or HOST:PORT of the server.
+    server: String,
+    /// Fingerprint of the server's certificate, as the server prints it.
+    #[arg(long, value_name = "HEX")]
+    fingerprint: Option<String>,
+}
+
+#[derive(Args)]
+struct WalkArgs {
+    /// HOST or HOST:PORT of the server.
+    server: String,
+    /// Fingerprint of the server's certificate, as the server prints it.
+    #[arg(long, value_name = "HEX")]
+    fingerprint: Option<String>,
+    /// Path file: waypoints or poses.
+    #[arg(long, value_name = "PATH.json")]
+    path: PathBuf,
+    /// Output size in pixels.
+    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    size: (u32, u32),
+    /// Folder of the frames.
+    #[arg(short = 'o', long = "out", value_name = "DIR")]
+    out: PathBuf,
+    /// File of the report.
+    #[arg(long, value_name = "FILE")]
+    report: PathBuf,
+    /// What draws.
+    #[arg(long, value_enum, default_value = "cpu")]
+    renderer: Renderer,
+    /// How what is far is shown.
+    #[arg(long, value_enum, default_value = "auto")]
+    method: Method,
+    /// How a warped sample becomes pixels: 1px, 2x2, 3x3, cross, footprint or quads.
+    #[arg(long, value_name = "NAME", default_value = "quads")]
+    stamp: Stamp,
+    /// Samples per output pixel along each side.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=2), default_value_t = 1)]
+    supersample: u32,
+    /// Which of two samples in a pixel stays: z, the nearer; epipole, the later in occlusion-compatible order.
+    #[arg(long, default_value = "z")]
+    order: Order,
+    /// Reject samples by groups before the warp.
+    #[arg(long, value_enum, default_value = "auto")]
+    cull: Cull,
+    /// Time for a frame, milliseconds; images of a hierarchy are made in what is left of it.
+    #[arg(long, value_name = "MS")]
+    frame_ms: Option<f64>,
+    /// File with the shared secret that the server asks for.
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    /// Folder of true frames to compare with, as `ldi-server render --depth` writes them.
+    #[arg(long, value_name = "DIR")]
+    truth: Option<PathBuf>,
+    /// realtime: all poses when they are due, from what is there; wait: each frame complete, only every Nth pose.
+    #[arg(long, value_enum, default_value = "realtime")]
+    pace: Pace,
+    /// Most decoded bytes that are held [default: 1 GiB].
+    #[arg(long, value_name = "N")]
+    cache_bytes: Option<u64>,
+    /// How far around the eye data is sent ahead of need, metres.
+    #[arg(long, value_name = "M", default_value_t = 10.0)]
+    prefetch_m: f64,
+    /// Save every Nth frame, numbered by the pose's index.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    every: u32,
+    /// Also save what was drawn as geometry, what came from images, and which is which.
+    #[arg(long)]
+    debug_views: bool,
+    /// Frames drawn again with all geometry after the walk, for the speedup; 0 for none.
+    #[arg(long, value_name = "N", default_value_t = 20)]
+    baseline_frames: u32,
+    /// Behave as if this link lay before the server: rate=20mbit,delay=20ms,jitter=5ms,loss=2%,queue=100ms,seed=1.
+    #[arg(long, value_name = "LINK")]
+    link: Option<String>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Renderer {
+    /// The processor.
+    Cpu,
+    /// The graphics card.
+    Gpu,
+}
+
+/// An error with the exit code it means.
+struct Failure {
+    code: u8,
+    error: anyhow::Error,
+}
+
+impl Failure {
+    fn usage(message: impl Into<String>) -> Self {
+        Self { code: 2, error: anyhow::anyhow!(message.into()) }
+    }
+    fn permanent(error: impl Into<anyhow::Error>) -> Self {
+        Self { code: 42, error: error.into() }
+    }
+}
+
+impl From<ConnectError> for Failure {
+    fn from(e: ConnectError) -> Self {
+        Self { code: e.exit_code(), error: e.into() }
+    }
+}
+
+impl From<WalkError> for Failure {
+    fn from(e: WalkError) -> Self {
+        let code = match &e {
+            WalkError::Disconnected { .. } | WalkError::Save(_) | WalkError::Folder { .. } => 1,
+            WalkError::Warp(_) => 2,
+            WalkError::Judge(_) => 42,
+        };
+        Self { code, error: e.into() }
+    }
+}
+
+/// Runs the command line.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let filter =
+        tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn,ldi_client=info".into());
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let done = match cli.command {
+        Command::Walk(args) => walk(&args),
+        Command::Connect(args) => Err(not_there(
+            &format!(
+                "the window (connect {}{})",
+                args.server,
+                if args.fingerprint.is_some() { " --fingerprint" } else { "" }
+            ),
+            "use `ldi-client walk`",
+        )),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("ldi-client: {:#}", failure.error);
+            ExitCode::from(failure.code)
+        }
+    }
+}
+
+fn not_there(what: &str, instead: &str) -> Failure {
+    Failure::usage(format!("not there yet: {what}; {instead}"))
+}
+
+fn parse_size(text: &str) -> Result<(u32, u32), String> {
+    let (w, h) = text.split_once('x').ok_or("give WxH, like 1280x720")?;
+    let side = |s: &str| s.parse::<u32>().ok().filter(|n| (1..=MAX_SIDE_PX / 2).contains(n));
+    side(w).zip(side(h)).ok_or_else(|| format!("width and height lie in 1 ..= {}", MAX_SIDE_PX / 2))
+}
+
+/// Options that later versions will know.
+fn refuse_what_is_not_there(args: &WalkArgs) -> Result<(), Failure> {
+    if args.renderer == Renderer::Gpu {
+        return Err(not_there("--renderer gpu", "use --renderer cpu"));
+    }
+    if matches!(
+        args.method,
+        Method::Texture | Method::Warp1 | Method::Warp2 | Method::Portals | Method::Tree | Method::Cache
+    ) {
+        return Err(not_there("this --method", "use auto, geometry, ldi or grid"));
+    }
+    if args.link.is_some() {
+        return Err(not_there("--link", "walk over the link that there is"));
+    }
+    if args.order == Order::Epipole {
+        return Err(not_there("--order epipole", "use --order z"));
+    }
+    if let Some(ms) = args.frame_ms
+        && !(ms.is_finite() && ms > 0.0)
+    {
+        return Err(Failure::usage("--frame-ms is a positive number of milliseconds"));
+    }
+    if !(args.prefetch_m.is_finite() && args.prefetch_m >= 0.0) {
+        return Err(Failure::usage("--prefetch-m is a number of metres, 0 or more"));
+    }
+    Ok(())
+}
+
+fn walk(args: &WalkArgs) -> Result<(), Failure> {
+    refuse_what_is_not_there(args)?;
+    let text = std::fs::read_to_string(&args.path)
+        .with_context(|| format!("{}: cannot be read", args.path.display()))
+        .map_err(Failure::permanent)?;
+    let path = path::parse(&text).with_context(|| args.path.display().to_string()).map_err(Failure::permanent)?;
+    let token = args.token_file.as_deref().map(read_token).transpose().map_err(Failure::permanent)?;
+    if let Some(truth) = &args.truth
+        && !truth.is_dir()
+    {
+        return Err(Failure::permanent(anyhow::anyhow!(
+            "{}: no folder; render the truth with `ldi-server render`",
+            truth.display()
+        )));
+    }
+    let mut config =
+        ConnectConfig::new(&args.server, Picture { width: args.size.0, height: args.size.1, fov_deg: None });
+    config.fingerprint = args.fingerprint.as_deref().map(str::parse::<Fingerprint>).transpose()?;
+    config.token = token;
+    config.prefetch_m = args.prefetch_m;
+    if let Some(bytes) = args.cache_bytes {
+        config.cache_bytes = bytes;
+    }
+    let connection = Connection::connect(config)?;
+    let options = WalkOptions {
+        width: args.size.0,
+        height: args.size.1,
+        method: args.method,
+        stamp: args.stamp,
+        order: args.order,
+        cull: args.cull,
+        supersample: args.supersample,
+        pace: args.pace,
+        every: args.every as usize,
+        cache_bytes: args.cache_bytes,
+        debug_views: args.debug_views,
+        baseline_frames: args.baseline_frames as usize,
+    };
+    let job = WalkJob { path: &path, options: &options, folder: &args.out, truth: args.truth.as_deref() };
+    let mut show = Show::new();
+    let (summary, frames) = run(&connection, &job, &mut |p| show.frame(p))?;
+    show.done();
+    let index = Feed::index(&connection);
+    let scene = &index.scene;
+    let report = Report {
+        scene: SceneReport {
+            name: scene.name.clone(),
+            triangles: scene.triangles,
+            unique_triangles: scene.unique_triangles,
+            instances: scene.instances,
+            bounds: [scene.bounds.min.to_array(), scene.bounds.max.to_array()],
+        },
+        dataset: DatasetReport {
+            hash: connection.dataset_hash(),
+            budget: index.settings.budget,
+            representations: if index.placements.is_empty() { vec!["geometry"] } else { vec!["geometry", "grid"] },
+        },
+        machine: MachineReport::here(),
+        options: options_as_json(args, &options),
+        summary,
+        frames,
+    };
+    write_report(&args.report, &report).map_err(|error| Failure { code: 1, error })?;
+    let s = &report.summary;
+    println!(
+        "{} frames, {} triangles at most (budget {}), {:.1} ms median{}, {} bytes, {} incomplete; report in {}",
+        s.frames,
+        s.max_triangles,
+        s.budget_triangles,
+        s.frame_ms.p50,
+        s.mean_flip.map_or(String::new(), |f| format!(", mean FLIP {f:.4}")),
+        s.bytes_total,
+        s.frames_incomplete,
+        args.report.display()
+    );
+    Ok(())
+}
+
+/// The walk's settings and the command's other options, as the report shows them.
+fn options_as_json(args: &WalkArgs, options: &WalkOptions) -> serde_json::Value {
+    // Plain data: serialization does not fail.
+    let mut json = serde_json::to_value(options).unwrap_or_default();
+    if let serde_json::Value::Object(map) = &mut json {
+        map.insert("path".into(), args.path.display().to_string().into());
+        map.insert("size".into(), format!("{}x{}", args.size.0, args.size.1).into());
+        map.insert("renderer".into(), "cpu".into());
+        map.insert("truth".into(), args.truth.as_ref().map(|t| t.display().to_string()).into());
+        map.insert("prefetch_m".into(), args.prefetch_m.into());
+        map.insert("frame_ms".into(), args.frame_ms.into());
+        map.insert("server".into(), args.server.clone().into());
+    }
+    json
+}
+
+fn read_token(path: &Path) -> anyhow::Result<String> {
+    let bytes = std::fs::metadata(path).with_context(|| format!("{}: cannot be read", path.display()))?.len();
+    anyhow::ensure!(
+        bytes <= MAX_TOKEN_BYTES,
+        "{}: {bytes} bytes; a token has at most {MAX_TOKEN_BYTES}",
+        path.display()
+    );
+    let token = std::fs::read_to_string(path).with_context(|| format!("{}: cannot be read", path.display()))?;
+    Ok(token.trim().to_owned())
+}
+
+/// Writes beside the target and renames: a report is whole or not there.
+fn write_report(path: &Path, report: &Report) -> anyhow::Result<()> {
+    let text = serde_json::to_string_pretty(report)?;
+    let beside = path.with_extension("tmp");
+    std::fs::write(&beside, text + "\n").with_context(|| format!("{}: cannot be written", beside.display()))?;
+    std::fs::rename(&beside, path).with_context(|| format!("{}: cannot be written", path.display()))
+}
+
+/// Progress: a bar on a terminal, a line every few seconds elsewhere.
+struct Show {
+    bar: Option<ProgressBar>,
+    start: Instant,
+    last_line: Instant,
+}
+
+impl Show {
+    fn new() -> Self {
+        let now = Instant::now();
+        let bar = std::io::stderr().is_terminal().then(|| {
+            let bar = ProgressBar::new(0);
+            if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} frames, {per_sec}, ETA {eta}, {msg}")
+            {
+                bar.set_style(style);
+            }
+            bar
+        });
+        Self { bar, start: now, last_line: now }
+    }
+
+    fn frame(&mut self, p: Progress) {
+        let received = format!("{:.1} MB received, {:.1} ms", p.bytes as f64 * 1e-6, p.frame_ms);
+        match &self.bar {
+            Some(bar) => {
+                bar.set_length(p.total as u64);
+                bar.set_position(p.done as u64);
+                bar.set_message(received);
+            }
+            None if p.done == p.total || self.last_line.elapsed() > Duration::from_secs(5) => {
+                self.last_line = Instant::now();
+                let rate = p.done as f64 / self.start.elapsed().as_secs_f64().max(1e-9);
+                let left_s = (p.total - p.done) as f64 / rate.max(1e-9);
+                eprintln!("{} of {} frames, {rate:.1} per second, {left_s:.0} s left, {received}", p.done, p.total);
+            }
+            None => {}
+        }
+    }
+
+    fn done(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish();
+        }
+    }
+}

@@ -1,0 +1,61 @@
+//! Hole filling by extrapolation.
+//!
+//! In: a merged frame with unpainted pixels. Out: the same with them coloured where a surface is near enough, marked
+//! [`Source::Filled`]. A hole opens where something near moved away from something farther, so what belongs there is
+//! the farther: of the first surfaces met to the left, right, above and below, the one with the smallest disparity is
+//! taken, of equals the closest. Sky is no candidate: the direction is known not to be sky.
+
+use crate::frame::{Frame, Source};
+use rayon::prelude::*;
+
+/// How far a hole looks for a surface, in pixels. Wider holes are missing data rather than a gap between samples;
+/// a colour from farther away would be invented.
+const REACH_PX: usize = 48;
+
+/// Fills what can be filled; returns the number of filled pixels.
+pub fn fill(frame: &mut Frame) -> u64 {
+    let (width, height) = (frame.width as usize, frame.height as usize);
+    let fill_row = |row: usize| {
+        let sources = &frame.source[row * width..(row + 1) * width];
+        let holes = sources.iter().enumerate().filter(|(_, s)| **s == Source::Unpainted);
+        let filled = holes.filter_map(|(column, _)| {
+            let from = find(frame, row, column)?;
+            Some((row * width + column, frame.colour[from], frame.disparity[from]))
+        });
+        filled.collect::<Vec<_>>()
+    };
+    let filled: Vec<Vec<(usize, u32, f32)>> = (0..height).into_par_iter().map(fill_row).collect();
+    let mut count = 0;
+    for (at, colour, disparity) in filled.iter().flatten() {
+        count += 1;
+        frame.colour[*at] = *colour;
+        frame.disparity[*at] = *disparity;
+        frame.source[*at] = Source::Filled;
+    }
+    count
+}
+
+/// The pixel to copy from.
+fn find(frame: &Frame, row: usize, column: usize) -> Option<usize> {
+    let (width, height) = (frame.width as usize, frame.height as usize);
+    let at = row * width + column;
+    let mut best: Option<(f32, usize, usize)> = None;
+    let rooms = [column, width - 1 - column, row, height - 1 - row];
+    for (steps, room) in [-1isize, 1, -(width as isize), width as isize].into_iter().zip(rooms) {
+        for distance in 1..=room.min(REACH_PX) {
+            let other = at.wrapping_add_signed(steps * distance as isize);
+            match frame.source[other] {
+                Source::Unpainted => continue,
+                Source::Near | Source::Far => {
+                    let candidate = (frame.disparity[other], distance, other);
+                    if best.is_none_or(|b| candidate < b) {
+                        best = Some(candidate);
+                    }
+                }
+                Source::Sky | Source::Filled => {}
+            }
+            break;
+        }
+    }
+    best.map(|(_, _, other)| other)
+}

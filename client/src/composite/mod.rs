@@ -1,0 +1,323 @@
+//! The composite: near geometry, warped images and sky become one picture.
+//!
+//! In: a [`Frame`] that the rasterizer has drawn near geometry into, and what stands for everything else
+//! ([`Far`]). Out: the same frame, finished, and [`CompositeStats`].
+//!
+//! 1. **By depth** ([`composite`]): cells that were not culled can lie beside or behind the LDI's samples, so the two are
+//!    merged by disparity. Near geometry wins within one quantization step of the image's disparity codes plus half a
+//!    sample of the far surface's slope, so that surfaces that both hold do not flicker.
+//! 2. **Sky**: a pixel that nothing reached is sky where the LDI knows its direction to be sky. Sky lies at infinity, so
+//!    the lookup is a rotation. Without an LDI nothing was culled, and what is left is sky.
+//! 3. **Fill** (`fill`, optional): remaining holes take the colour of the nearest farther surface and are marked
+//!    [`Source::Filled`].
+//! 4. **Smoothing** (`smooth`, optional): the 3 x 3 kernel of Aliaga and Lastra's system, over far pixels.
+//! 5. **Averaging** ([`downsample`]): a supersampled frame is averaged in linear light.
+//!
+//! All stages run on the current rayon pool by rows; their results do not depend on its size.
+
+mod downsample;
+mod fill;
+mod smooth;
+
+pub use downsample::downsample;
+
+use crate::{
+    frame::{Frame, SKY, Source},
+    warp::FarFrame,
+};
+use ldi_protocol::{OutputCamera, Pose, ldi::Ldi};
+use rayon::prelude::*;
+
+/// What stands for the cells that were not drawn.
+#[derive(Debug, Clone, Copy)]
+pub enum Far<'a> {
+    /// Nothing was culled: what the near geometry leaves is sky.
+    Nothing,
+    /// Something was culled and its image is not there: what the near geometry leaves stays unpainted.
+    Missing,
+    /// A warped image.
+    Image {
+        /// The warp's result.
+        picture: &'a FarFrame,
+        /// The image, for its sky bits, camera and disparity codes.
+        ldi: &'a Ldi,
+    },
+}
+
+/// Settings of the composite.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CompositeOptions {
+    /// Fill holes from the nearest farther surface.
+    pub fill: bool,
+    /// Smooth far pixels with a 3 x 3 kernel.
+    pub smooth: bool,
+}
+
+impl Default for CompositeOptions {
+    fn default() -> Self {
+        Self { fill: true, smooth: false }
+    }
+}
+
+/// Pixels by origin after the composite.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct CompositeStats {
+    /// Pixels of the frame.
+    pub pixels: u64,
+    /// From near geometry.
+    pub near: u64,
+    /// From a warped image.
+    pub far: u64,
+    /// Known sky.
+    pub sky: u64,
+    /// Reached by nothing that is known, before the fill.
+    pub hole_before_fill: u64,
+    /// Filled by extrapolation.
+    pub filled: u64,
+    /// Left unpainted.
+    pub unpainted: u64,
+}
+
+impl CompositeStats {
+    /// A count as a fraction of the pixels.
+    pub fn fraction(&self, count: u64) -> f64 {
+        if self.pixels == 0 { 0.0 } else { count as f64 / self.pixels as f64 }
+    }
+
+    fn add(mut self, other: Self) -> Self {
+        self.pixels += other.pixels;
+        self.near += other.near;
+        self.far += other.far;
+        self.sky += other.sky;
+        self.hole_before_fill += other.hole_before_fill;
+        self.filled += other.filled;
+        self.unpainted += other.unpainted;
+        self
+    }
+}
+
+/// Rows per task: few enough to balance, many enough to cost nothing.
+const ROWS_PER_TASK: usize = 16;
+
+/// Holes are filled while they are less than one pixel in this many: where half the picture is missing, extrapolating it
+/// would cost more than drawing it and show nothing true.
+const FILL_UP_TO: u64 = 2;
+
+/// Merges `far` into `frame`, which holds the near geometry of the same pose and camera.
+///
+/// A far picture of another size than the frame counts as missing.
+pub fn composite(
+    frame: &mut Frame,
+    far: Far<'_>,
+    pose: &Pose,
+    camera: &OutputCamera,
+    options: &CompositeOptions,
+) -> CompositeStats {
+    let far = match far {
+        Far::Image { picture, .. } if (picture.width, picture.height) != (frame.width, frame.height) => Far::Missing,
+        other => other,
+    };
+    let width = frame.width as usize;
+    if width == 0 || frame.is_empty() {
+        return CompositeStats::default();
+    }
+    let merge = match far {
+        Far::Image { picture, ldi } => Some(Merge::new(picture, ldi, pose, camera)),
+        Far::Nothing | Far::Missing => None,
+    };
+    let chunk = width * ROWS_PER_TASK;
+    let mut stats = frame
+        .colour
+        .par_chunks_mut(chunk)
+        .zip(frame.disparity.par_chunks_mut(chunk))
+        .zip(frame.source.par_chunks_mut(chunk))
+        .enumerate()
+        .map(|(task, ((colour, disparity), source))| {
+            let mut stats = CompositeStats::default();
+            let rows = colour.chunks_mut(width).zip(disparity.chunks_mut(width)).zip(source.chunks_mut(width));
+            for (i, ((colour, disparity), source)) in rows.enumerate() {
+                let mut row = Row { colour, disparity, source };
+                if let Some(merge) = &merge {
+                    merge.row(task * ROWS_PER_TASK + i, &mut row, &mut stats);
+                    continue;
+                }
+                if matches!(far, Far::Nothing) {
+                    row.rest_is_sky();
+                }
+                row.count(&mut stats);
+            }
+            stats
+        })
+        .reduce(CompositeStats::default, CompositeStats::add);
+    let worth_filling = stats.hole_before_fill * FILL_UP_TO < stats.pixels;
+    if options.fill && stats.hole_before_fill > 0 && worth_filling && merge.is_some() {
+        stats.filled = fill::fill(frame);
+        stats.unpainted -= stats.filled;
+    }
+    if options.smooth && stats.far > 0 {
+        smooth::smooth(frame);
+    }
+    stats
+}
+
+/// One row of the frame.
+struct Row<'a> {
+    colour: &'a mut [u32],
+    disparity: &'a mut [f32],
+    source: &'a mut [Source],
+}
+
+impl Row<'_> {
+    fn rest_is_sky(&mut self) {
+        for (source, colour) in self.source.iter_mut().zip(&mut *self.colour) {
+            if *source == Source::Unpainted {
+                (*source, *colour) = (Source::Sky, SKY);
+            }
+        }
+    }
+
+    fn count(&self, stats: &mut CompositeStats) {
+        let mut by_source = [0u64; 5];
+        for s in &*self.source {
+            by_source[*s as usize] += 1;
+        }
+        *stats = stats.add(CompositeStats {
+            pixels: self.source.len() as u64,
+            near: by_source[Source::Near as usize],
+            far: by_source[Source::Far as usize],
+            sky: by_source[Source::Sky as usize],
+            hole_before_fill: by_source[Source::Unpainted as usize],
+            filled: by_source[Source::Filled as usize],
+            unpainted: by_source[Source::Unpainted as usize],
+        });
+    }
+}
+
+/// Merges rows of a warped image.
+struct Merge<'a> {
+    picture: &'a FarFrame,
+    ldi: &'a Ldi,
+    /// Directions of output pixels in the LDI's frame, affine in column and row: (right, down, forward) at pixel (0, 0).
+    direction: [f64; 3],
+    per_column: [f64; 3],
+    per_row: [f64; 3],
+    /// Eye's depth in the LDI's frame, m.
+    eye_depth_m: f64,
+}
+
+impl<'a> Merge<'a> {
+    fn new(picture: &'a FarFrame, ldi: &'a Ldi, pose: &Pose, camera: &OutputCamera) -> Self {
+        let basis = pose.basis();
+        let to = &ldi.camera.basis;
+        let local = |w: glam::DVec3| [w.dot(to.right), -w.dot(to.up), w.dot(to.forward)];
+        let at = |u: f64, v: f64| local(camera.ray(&basis, u, v));
+        let (origin, right, below) = (at(0.5, 0.5), at(1.5, 0.5), at(0.5, 1.5));
+        Self {
+            picture,
+            ldi,
+            direction: origin,
+            per_column: std::array::from_fn(|i| right[i] - origin[i]),
+            per_row: std::array::from_fn(|i| below[i] - origin[i]),
+            eye_depth_m: (pose.position - ldi.camera.cop).dot(to.forward),
+        }
+    }
+
+    fn row(&self, row: usize, pixels: &mut Row<'_>, stats: &mut CompositeStats) {
+        let width = pixels.colour.len();
+        let first = row * width;
+        if self.picture.is_untouched() {
+            self.sky_row(row, pixels);
+            pixels.count(stats);
+            return;
+        }
+        let (mut near_count, mut far_count) = (0u32, 0u32);
+        let far = &self.picture.packed[first..first + width];
+        let planes = pixels.colour.iter_mut().zip(&mut *pixels.disparity).zip(&mut *pixels.source);
+        for (column, (packed, ((colour, disparity), source))) in far.iter().zip(planes).enumerate() {
+            let is_near = *source == Source::Near;
+            let Some((far_colour, far_disparity)) = FarFrame::unpack(*packed) else {
+                near_count += u32::from(is_near);
+                continue;
+            };
+            if is_near && (*disparity >= far_disparity || self.near_wins(row, column, *disparity, far_disparity)) {
+                near_count += 1;
+                continue;
+            }
+            far_count += 1;
+            (*colour, *disparity, *source) = (far_colour, far_disparity, Source::Far);
+        }
+        let left = width as u64 - u64::from(near_count + far_count);
+        let sky = if left == 0 { 0 } else { self.sky_row(row, pixels) };
+        *stats = stats.add(CompositeStats {
+            pixels: width as u64,
+            near: u64::from(near_count),
+            far: u64::from(far_count),
+            sky,
+            hole_before_fill: left - sky,
+            filled: 0,
+            unpainted: left - sky,
+        });
+    }
+
+    /// Direction of a pixel's centre in the LDI's frame.
+    fn direction(&self, row: usize, column: usize) -> [f64; 3] {
+        let (row, column) = (row as f64, column as f64);
+        std::array::from_fn(|i| self.direction[i] + self.per_row[i] * row + self.per_column[i] * column)
+    }
+
+    /// Turns unpainted pixels whose directions are known to be sky into sky; returns how many.
+    fn sky_row(&self, row: usize, pixels: &mut Row<'_>) -> u64 {
+        let mut sky = 0;
+        for (column, (source, colour)) in pixels.source.iter_mut().zip(&mut *pixels.colour).enumerate() {
+            if *source == Source::Unpainted && self.is_sky(self.direction(row, column)) {
+                (*source, *colour) = (Source::Sky, SKY);
+                sky += 1;
+            }
+        }
+        sky
+    }
+
+    /// Whether a triangle behind the far surface is as near as the far surface's disparity is known.
+    fn near_wins(&self, row: usize, column: usize, near: f32, far: f32) -> bool {
+        let behind = far - near;
+        let forward = self.direction(row, column)[2];
+        // d2 = d1 / W and W = depth2 / depth1, so that a step in d1 becomes step * d2 * depth1 in d2, and
+        // d2 * depth1 = d2 (eye depth + forward / d2).
+        let step = self.ldi.codes.step * (f64::from(far) * self.eye_depth_m + forward);
+        behind <= step.abs() as f32 || behind <= step.abs() as f32 + 0.5 * self.slope(row, column, far)
+    }
+
+    /// Disparity slope of the far surface per pixel, across plus down. Per axis the smaller one-sided difference: the
+    /// other may cross a silhouette.
+    fn slope(&self, row: usize, column: usize, here: f32) -> f32 {
+        let width = self.picture.width as usize;
+        let at = row * width + column;
+        let difference = |other: Option<usize>| {
+            let other = other.filter(|o| *o < self.picture.packed.len()).and_then(|o| self.picture.get(o));
+            other.map_or(f32::MAX, |(_, d)| (d - here).abs())
+        };
+        let left = difference((column > 0).then(|| at - 1));
+        let right = difference((column + 1 < width).then_some(at + 1));
+        let above = difference(at.checked_sub(width));
+        let below = difference(Some(at + width));
+        let known = |d: f32| if d == f32::MAX { 0.0 } else { d };
+        known(left.min(right)) + known(above.min(below))
+    }
+
+    /// Whether a direction in the LDI's frame is known to be sky. Behind and beside the image it is: what is culled lies
+    /// inside.
+    fn is_sky(&self, [right, down, forward]: [f64; 3]) -> bool {
+        if forward <= 0.0 {
+            return true;
+        }
+        let camera = &self.ldi.camera;
+        let scale = camera.pixels_per_unit / forward;
+        // Saturating conversions: far outside stays outside.
+        let column = (right * scale - f64::from(camera.left)).floor() as i64;
+        let row = (down * scale - f64::from(camera.top)).floor() as i64;
+        self.ldi.is_sky(column, row)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,230 @@
+//! The composite on frames of a few pixels, and against the warp's analytic scenes.
+use super::*;
+use crate::{
+    frame::pack_rgb,
+    warp::{
+        PreparedLdi, WarpOptions,
+        test_scene::{ldi_camera, scene},
+        warp,
+    },
+};
+use glam::DVec3;
+
+const CAMERA: OutputCamera = OutputCamera { width: 160, height: 120, fov_deg: 60.0 };
+
+fn ahead() -> Pose {
+    Pose { position: DVec3::ZERO, yaw_deg: 0.0, pitch_deg: 0.0 }
+}
+
+fn image(name: &str) -> Ldi {
+    scene(name).ldi(ldi_camera(DVec3::ZERO, 320, 240, 90.0), 3)
+}
+
+fn warped(ldi: &Ldi, pose: &Pose) -> FarFrame {
+    let mut picture = FarFrame::new(CAMERA.width, CAMERA.height);
+    warp(&PreparedLdi::new(ldi), pose, &CAMERA, &WarpOptions::default(), &mut picture).unwrap();
+    picture
+}
+
+/// A frame whose left half is a near surface at this disparity.
+fn half_near(disparity: f32) -> Frame {
+    let mut frame = Frame::new(CAMERA.width, CAMERA.height);
+    for at in (0..frame.len()).filter(|at| at % 160 < 80) {
+        frame.colour[at] = pack_rgb([255, 0, 0]);
+        frame.disparity[at] = disparity;
+        frame.source[at] = Source::Near;
+    }
+    frame
+}
+
+fn near_after(ldi: &Ldi, near_disparity: f32, pose: &Pose) -> (Frame, CompositeStats) {
+    with_step(ldi, ldi.codes.step, near_disparity, pose)
+}
+
+/// Composites as if the disparity codes had this step, 1/m.
+fn with_step(ldi: &Ldi, step: f64, near_disparity: f32, pose: &Pose) -> (Frame, CompositeStats) {
+    let picture = warped(ldi, pose);
+    let mut ldi = ldi.clone();
+    ldi.codes.step = step;
+    let ldi = &ldi;
+    let mut frame = half_near(near_disparity);
+    let far = Far::Image { picture: &picture, ldi };
+    let stats = composite(&mut frame, far, pose, &CAMERA, &CompositeOptions::default());
+    (frame, stats)
+}
+
+#[test]
+fn the_nearer_surface_wins_within_the_step() {
+    // The wall is at 10 m; its disparity codes have some step.
+    let ldi = image("frontal");
+    let half = u64::from(CAMERA.width * CAMERA.height) / 2;
+    for (disparity, near_wins) in [(0.2, true), (0.1, true), (0.09992, true), (0.0997, false), (0.05, false)] {
+        let (_, stats) = with_step(&ldi, 1e-4, disparity, &ahead());
+        assert_eq!(stats.near, if near_wins { half } else { 0 }, "near at {disparity}");
+        assert_eq!(stats.near + stats.far, stats.pixels);
+    }
+    // Halfway to the wall the same step is twice as large: 0.2 +- 2e-4.
+    let closer = Pose { position: DVec3::new(0.0, 0.0, -5.0), ..ahead() };
+    for (disparity, near_wins) in [(0.19985, true), (0.1997, false)] {
+        assert_eq!(
+            with_step(&ldi, 1e-4, disparity, &closer).1.near,
+            if near_wins { half } else { 0 },
+            "near at {disparity}"
+        );
+    }
+}
+
+#[test]
+fn slope_gives_half_a_sample_of_tolerance() {
+    let ldi = image("slanted");
+    let pose = ahead();
+    let picture = warped(&ldi, &pose);
+    let at = 60 * 160 + 40;
+    let here = picture.get(at).unwrap().1;
+    let slope = (picture.get(at + 1).unwrap().1 - here).abs();
+    assert!(slope > 1e-5);
+    for (share, near_wins) in [(0.4, true), (0.7, false)] {
+        let (frame, _) = with_step(&ldi, 1e-9, here - share * slope, &pose);
+        assert_eq!(frame.source[at] == Source::Near, near_wins, "{share} of a pixel's slope behind");
+    }
+}
+
+#[test]
+fn sky_is_looked_up_by_rotation() {
+    // Above the horizon there is nothing; turning and moving keeps it that way.
+    let ldi = image("floor");
+    for yaw_deg in [0.0, 8.0, -11.0] {
+        let pose = Pose { position: DVec3::new(0.4, 0.2, -0.3), yaw_deg, pitch_deg: 0.0 };
+        let mut frame = Frame::new(CAMERA.width, CAMERA.height);
+        let picture = warped(&ldi, &pose);
+        let far = Far::Image { picture: &picture, ldi: &ldi };
+        let stats = composite(&mut frame, far, &pose, &CAMERA, &CompositeOptions::default());
+        for at in (0..frame.len()).filter(|at| at / 160 < 59) {
+            assert_eq!((frame.source[at], frame.colour[at]), (Source::Sky, SKY));
+        }
+        assert_eq!(stats.unpainted, 0);
+        assert!(stats.sky >= 160 * 59 && stats.far > 160 * 50);
+    }
+}
+
+#[test]
+fn outside_the_image_is_sky_and_a_missing_image_is_not() {
+    let ldi = image("frontal");
+    let back = Pose { yaw_deg: 180.0, ..ahead() };
+    let (frame, _) = near_after(&ldi, 1.0, &back);
+    assert_eq!(frame.count(Source::Sky), frame.len() / 2);
+    let options = CompositeOptions::default();
+    for (far, source) in [(Far::Nothing, Source::Sky), (Far::Missing, Source::Unpainted)] {
+        let mut frame = half_near(1.0);
+        let stats = composite(&mut frame, far, &ahead(), &CAMERA, &options);
+        assert_eq!(frame.count(source), frame.len() / 2);
+        assert_eq!(stats.unpainted, if source == Source::Sky { 0 } else { frame.len() as u64 / 2 });
+    }
+}
+
+#[test]
+fn holes_take_the_farther_neighbour() {
+    let mut frame = Frame::new(9, 1);
+    let mut put = |at: usize, grey: u8, disparity: f32, source| {
+        frame.colour[at] = pack_rgb([grey; 3]);
+        frame.disparity[at] = disparity;
+        frame.source[at] = source;
+    };
+    put(0, 10, 0.5, Source::Far);
+    put(3, 20, 0.1, Source::Far);
+    put(6, 198, 0.0, Source::Sky);
+    put(8, 30, 0.2, Source::Near);
+    assert_eq!(fill::fill(&mut frame), 5);
+    let grey: Vec<u32> = frame.colour.iter().map(|c| c & 255).collect();
+    // Between 0 and 3 the farther; between 3 and sky the surface; right of the sky the triangle.
+    assert_eq!(grey, [10, 20, 20, 20, 20, 20, 198, 30, 30]);
+    assert_eq!(frame.count(Source::Filled), 5);
+    // Nothing to fill from.
+    assert_eq!(fill::fill(&mut Frame::new(3, 3)), 0);
+}
+
+#[test]
+fn a_hole_behind_a_sphere_is_filled_with_the_wall() {
+    // One layer only, so that the wall behind the sphere is unknown.
+    let s = scene("sphere");
+    let ldi = s.ldi(ldi_camera(DVec3::ZERO, 320, 240, 90.0), 1);
+    let pose = Pose { position: DVec3::new(1.0, 0.0, 0.0), ..ahead() };
+    let picture = warped(&ldi, &pose);
+    let far = Far::Image { picture: &picture, ldi: &ldi };
+    let run = |fill: bool| {
+        let mut frame = Frame::new(CAMERA.width, CAMERA.height);
+        let stats = composite(&mut frame, far, &pose, &CAMERA, &CompositeOptions { fill, smooth: false });
+        (frame, stats)
+    };
+    let (_, without) = run(false);
+    let (frame, with) = run(true);
+    assert!(without.hole_before_fill > 50 && without.unpainted == without.hole_before_fill && without.filled == 0);
+    assert_eq!(
+        (with.hole_before_fill, with.filled, with.unpainted),
+        (without.hole_before_fill, without.hole_before_fill, 0)
+    );
+    for at in (0..frame.len()).filter(|at| frame.source[*at] == Source::Filled) {
+        assert!((frame.disparity[at] - 0.05).abs() < 1e-3, "the wall is at 20 m");
+    }
+}
+
+#[test]
+fn a_picture_that_is_mostly_holes_is_not_invented() {
+    let ldi = image("frontal");
+    let run = |columns: usize| {
+        // The warp reached only the first columns.
+        let mut picture = warped(&ldi, &ahead());
+        picture.packed.iter_mut().enumerate().filter(|(at, _)| at % 160 >= columns).for_each(|(_, p)| *p = 0);
+        let mut frame = Frame::new(CAMERA.width, CAMERA.height);
+        let far = Far::Image { picture: &picture, ldi: &ldi };
+        composite(&mut frame, far, &ahead(), &CAMERA, &CompositeOptions::default())
+    };
+    let (few, many) = (run(130), run(60));
+    assert_eq!((few.filled, few.unpainted), (30 * 120, 0));
+    assert_eq!((many.filled, many.unpainted), (0, 100 * 120));
+}
+
+#[test]
+fn smoothing_keeps_edges_and_flat_colour() {
+    let mut frame = Frame::new(6, 6);
+    for at in 0..36 {
+        let right = at % 6 >= 3;
+        frame.colour[at] = pack_rgb(if right { [200; 3] } else { [20; 3] });
+        frame.disparity[at] = if right { 0.2 } else { 0.1 };
+        frame.source[at] = Source::Far;
+    }
+    let before = frame.clone();
+    smooth::smooth(&mut frame);
+    assert_eq!(frame, before, "different surfaces do not mix");
+    frame.disparity.fill(0.1);
+    smooth::smooth(&mut frame);
+    assert_ne!(frame, before, "one surface does");
+    assert_eq!((frame.colour[0], frame.colour[5]), (before.colour[0], before.colour[5]));
+}
+
+#[test]
+fn downsampling_equals_the_definition() {
+    let mut frame = Frame::new(34, 18);
+    let mut state = 7u32;
+    let mut random = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        state >> 8
+    };
+    for at in 0..frame.len() {
+        frame.colour[at] = if random() % 3 == 0 { 0x10_20_30 } else { random() & 0xff_ffff };
+        frame.disparity[at] = (random() % 1000) as f32 * 1e-3;
+        frame.source[at] =
+            [Source::Sky, Source::Near, Source::Far, Source::Filled, Source::Unpainted][random() as usize % 5];
+    }
+    let (mut fast, mut slow) = (Frame::default(), Frame::default());
+    for factor in [1, 2, 3] {
+        downsample(&frame, factor, &mut fast);
+        frame.resolve(factor, &mut slow);
+        assert_eq!(fast, slow, "factor {factor}");
+    }
+    frame.colour[5] ^= 0x40;
+    downsample(&frame, 2, &mut fast);
+    frame.colour[5] ^= 0x40;
+    frame.resolve(2, &mut slow);
+    assert_ne!(fast, slow);
+}

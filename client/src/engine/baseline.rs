@@ -1,0 +1,71 @@
+//! All geometry at the poses of the walk: what the images are measured against.
+//!
+//! The same rasterizer draws every cell in the frustum, with the same supersampling. Its data comes over the same
+//! connection, after the walk, and is counted apart.
+
+use super::{
+    feed::Feed,
+    options::{Method, WalkOptions},
+    painter::{Painter, view_of},
+    walk::{PATIENCE, WalkError},
+};
+use crate::{
+    cache::Incomplete,
+    frame::Frame,
+    report::{FrameReport, StageMs},
+};
+use glam::DVec3;
+use ldi_protocol::{OutputCamera, Pose};
+use std::collections::BTreeSet;
+
+/// All-geometry frames of some of the walk's poses.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct Baseline {
+    /// Milliseconds of each complete frame.
+    pub all_geometry_ms: Vec<f64>,
+    /// Milliseconds of our frames at the same poses.
+    pub ours_ms: Vec<f64>,
+    /// Stored bytes of all chunks that the frames needed.
+    pub bytes: u64,
+}
+
+/// Draws up to `options.baseline_frames` of the kept frames again with all geometry. Frames that stay incomplete (a cache too
+/// small for them) are left out: they would look fast.
+pub(super) fn measure(
+    feed: &dyn Feed,
+    painter: &mut Painter,
+    kept: &[FrameReport],
+    camera: &OutputCamera,
+    options: &WalkOptions,
+) -> Result<Baseline, WalkError> {
+    let mut out = Baseline::default();
+    let (mut picture, mut chunks) = (Frame::default(), BTreeSet::new());
+    let n = options.baseline_frames.min(kept.len());
+    for i in 0..n {
+        let frame = &kept[i * kept.len() / n];
+        let pose =
+            Pose { position: DVec3::from_array(frame.position), yaw_deg: frame.yaw_deg, pitch_deg: frame.pitch_deg };
+        let mut ms = StageMs::default();
+        let view = view_of(feed.index(), &pose, camera, Method::Geometry, &mut ms);
+        let view_needs = view.needed(feed.index());
+        let needed: Vec<u32> = view_needs.all().collect();
+        chunks.extend(needed.iter().copied());
+        feed.look(&pose, &view_needs);
+        // The server knows nothing of this detour: it would push images.
+        let absent: Vec<u32> = needed.iter().copied().filter(|c| !feed.holds(*c)).collect();
+        feed.ask(&absent);
+        // The walk itself is done, and its report is worth more than this comparison.
+        if let Err(Incomplete::Disconnected(reason)) = feed.wait_for(&needed, PATIENCE) {
+            tracing::warn!("the comparison with all geometry ends early: {reason}");
+            break;
+        }
+        let painted = painter.paint(feed.index(), feed, &view, &pose, camera, options, ms, &mut picture)?;
+        if painted.missing_chunks.is_empty() {
+            out.all_geometry_ms.push(painted.ms.total);
+            out.ours_ms.push(frame.ms.total);
+        }
+    }
+    out.bytes =
+        chunks.iter().filter_map(|c| feed.index().chunks.get(*c as usize)).map(|c| u64::from(c.stored_bytes)).sum();
+    Ok(out)
+}

@@ -1,0 +1,98 @@
+//! Where a walk gets its data: the one door between the engine and the network.
+
+use crate::{
+    cache::Incomplete,
+    resident::Resident,
+    stream::{Connection, Stats},
+};
+use ldi_protocol::{Pose, index::Index, ldi::Ldi, mesh::CellGeometry, need::Needed, texture::Texture};
+use std::{sync::Arc, time::Duration};
+
+/// What came over the line so far.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Traffic {
+    /// Seconds since the start of the connection.
+    pub elapsed_s: f64,
+    /// Bytes received since then, the dataset's index included.
+    pub bytes: u64,
+    /// Bytes that no frame used: prefetched, stale, twice, or damaged.
+    pub wasted_bytes: u64,
+    /// Rate over the busiest seconds, Mbit/s: 99 of 100 seconds were below.
+    pub mbit_per_s_p99_1s: f64,
+    /// Largest sum of decoded bytes that the cache held.
+    pub cache_peak_bytes: u64,
+}
+
+/// A source of chunks: a connection with its cache, or memory in tests.
+pub trait Feed: Resident {
+    /// The dataset's index.
+    fn index(&self) -> &Index;
+
+    /// Name of the dataset: hexadecimal BLAKE3 of its manifest.
+    fn dataset_hash(&self) -> String;
+
+    /// Says where the walker is and what the view needs, so that it stays or is sent; returns at once.
+    fn look(&self, pose: &Pose, needed: &Needed);
+
+    /// Asks for chunks by number; returns at once.
+    fn ask(&self, chunks: &[u32]);
+
+    /// Waits until all of `chunks` are resident, at most `patience`.
+    ///
+    /// # Errors
+    ///
+    /// What is missing and why. Unless the connection is gone, a frame can be drawn without it.
+    fn wait_for(&self, chunks: &[u32], patience: Duration) -> Result<(), Incomplete>;
+
+    /// Whether a chunk is resident, decoded.
+    fn holds(&self, chunk: u32) -> bool;
+
+    /// Counters since the connection was opened.
+    fn traffic(&self) -> Traffic;
+}
+
+impl Resident for Connection {
+    fn cell(&self, cell: u32) -> Option<Arc<CellGeometry>> {
+        self.cache().cell(cell)
+    }
+    fn bundle(&self, chunk: u32) -> Option<Arc<CellGeometry>> {
+        self.cache().bundle(chunk)
+    }
+    fn texture(&self, texture: u32) -> Option<Arc<Texture>> {
+        self.cache().texture(texture)
+    }
+    fn ldi(&self, placement: u32) -> Option<Arc<Ldi>> {
+        self.cache().ldi(placement)
+    }
+}
+
+impl Feed for Connection {
+    fn index(&self) -> &Index {
+        Self::index(self)
+    }
+    fn dataset_hash(&self) -> String {
+        self.dataset().to_string()
+    }
+    fn look(&self, pose: &Pose, needed: &Needed) {
+        Self::look(self, pose, needed);
+    }
+    fn ask(&self, chunks: &[u32]) {
+        self.want(chunks);
+    }
+    fn wait_for(&self, chunks: &[u32], patience: Duration) -> Result<(), Incomplete> {
+        self.wait_until_complete(chunks, patience)
+    }
+    fn holds(&self, chunk: u32) -> bool {
+        self.cache().holds(chunk)
+    }
+    fn traffic(&self) -> Traffic {
+        let Stats { elapsed, bytes_total, wasted_bytes, mbit_per_s_p99_1s, .. } = self.stats();
+        Traffic {
+            elapsed_s: elapsed.as_secs_f64(),
+            bytes: bytes_total,
+            wasted_bytes,
+            mbit_per_s_p99_1s,
+            cache_peak_bytes: self.cache().usage().peak_bytes,
+        }
+    }
+}

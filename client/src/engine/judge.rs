@@ -1,0 +1,201 @@
+//! Frames against the truth that `ldi-server render` made.
+//!
+//! In: a finished frame, and `frame_NNNNN.png` and `frame_NNNNN.f32` of the same pose. Out: PSNR, SSIM, FLIP, and holes. What is absent
+//! is null in the report.
+
+use crate::{
+    frame::{Frame, Source, pack_rgb},
+    metrics::{FlipMap, MetricError, Picture, psnr_db, ssim},
+};
+use std::path::{Path, PathBuf};
+
+/// Largest truth picture that is opened, pixels: more than any output the client can draw.
+const MAX_PIXELS: u64 = 1 << 28;
+
+/// The truth cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum JudgeError {
+    /// No such picture, or no PNG.
+    #[error("{path}: {source}; render the truth with `ldi-server render --path` of the same path, --size and --every")]
+    Picture {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: image::ImageError,
+    },
+    /// The depth file cannot be read.
+    #[error("{path}: {source}")]
+    Depth {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: std::io::Error,
+    },
+    /// The depth file has another length.
+    #[error("{path}: {found} bytes, {expected} expected for the walk's --size; render the truth anew")]
+    DepthLength {
+        /// The file.
+        path: PathBuf,
+        /// Its length.
+        found: u64,
+        /// 4 bytes per pixel.
+        expected: u64,
+    },
+    /// Another size.
+    #[error("{path}: {source}")]
+    Metric {
+        /// The truth's file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: MetricError,
+    },
+}
+
+/// The truth of one pose.
+#[derive(Debug)]
+pub struct Truth {
+    path: PathBuf,
+    picture: Picture,
+    /// Eye-space depth in metres, infinite for sky; None when it was rendered without `--depth`.
+    depth_m: Option<Vec<f32>>,
+}
+
+/// What a frame scores.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Verdict {
+    /// Decibels.
+    pub psnr_db: Option<f64>,
+    /// None for pictures smaller than its window.
+    pub ssim: Option<f64>,
+    /// Mean FLIP.
+    pub flip: Option<f64>,
+    /// Mean FLIP over pixels that came from a warp; None when there is none.
+    pub flip_far: Option<f64>,
+    /// Share of hole pixels.
+    pub hole_fraction: Option<f64>,
+    /// The same in the frame before averaging and filling.
+    pub hole_before_fill: Option<f64>,
+}
+
+impl Truth {
+    /// Reads the truth of pose `index`; None when the folder has no picture of it.
+    pub fn load(folder: &Path, index: usize) -> Result<Option<Self>, JudgeError> {
+        let path = folder.join(format!("frame_{index:05}.png"));
+        if !path.exists() {
+            return Ok(None);
+        }
+        let failed = |source| JudgeError::Picture { path: path.clone(), source };
+        let mut reader = image::ImageReader::open(&path).map_err(|e| failed(e.into()))?;
+        reader.limits({
+            let mut limits = image::Limits::default();
+            limits.max_alloc = Some(MAX_PIXELS * 4);
+            limits
+        });
+        let rgb = reader.decode().map_err(failed)?.into_rgb8();
+        let picture = Picture::new(rgb.width(), rgb.height(), rgb.into_raw())
+            .map_err(|source| JudgeError::Metric { path: path.clone(), source })?;
+        let depth_m = read_depth(&path.with_extension("f32"), &picture)?;
+        Ok(Some(Self { path, picture, depth_m }))
+    }
+
+    /// The picture as a frame whose pixels came from `source`; it has no depth.
+    pub fn into_frame(self, source: Vec<Source>) -> Frame {
+        let (width, height) = self.picture.size();
+        let mut frame = Frame::new(width, height);
+        for (colour, rgb) in frame.colour.iter_mut().zip(self.picture.rgb().chunks_exact(3)) {
+            *colour = pack_rgb([rgb[0], rgb[1], rgb[2]]);
+        }
+        if source.len() == frame.len() {
+            frame.source = source;
+        }
+        frame
+    }
+
+    /// Compares a frame; `full` is the same before averaging, a whole multiple of its size.
+    pub fn judge(&self, frame: &Frame, full: &Frame) -> Result<Verdict, JudgeError> {
+        let failed = |source| JudgeError::Metric { path: self.path.clone(), source };
+        let test = Picture::new(frame.width, frame.height, frame.to_rgb8()).map_err(failed)?;
+        let flip = FlipMap::new(&self.picture, &test).map_err(failed)?;
+        Ok(Verdict {
+            psnr_db: Some(psnr_db(&self.picture, &test).map_err(failed)?),
+            ssim: ssim(&self.picture, &test).map_err(failed)?,
+            flip: Some(flip.mean()),
+            flip_far: flip.mean_where(|i| frame.source[i] == Source::Far),
+            hole_fraction: self.depth_m.as_ref().map(|depth| hole_fraction(frame, depth, frame.width)),
+            hole_before_fill: self.depth_m.as_ref().map(|depth| hole_fraction(full, depth, frame.width)),
+        })
+    }
+}
+
+fn read_depth(path: &Path, picture: &Picture) -> Result<Option<Vec<f32>>, JudgeError> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    let failed = |source| JudgeError::Depth { path: path.to_owned(), source };
+    let expected = 4 * u64::from(picture.size().0) * u64::from(picture.size().1);
+    let found = std::fs::metadata(path).map_err(failed)?.len();
+    if found != expected {
+        return Err(JudgeError::DepthLength { path: path.to_owned(), found, expected });
+    }
+    let bytes = std::fs::read(path).map_err(failed)?;
+    Ok(Some(bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()))
+}
+
+/// Share of pixels where the truth has a surface and the frame shows nothing known: unpainted, sky, or filled.
+fn hole_fraction(frame: &Frame, depth_m: &[f32], truth_width: u32) -> f64 {
+    let factor = (frame.width / truth_width.max(1)).max(1) as usize;
+    let width = frame.width as usize;
+    let holes = frame
+        .source
+        .iter()
+        .enumerate()
+        .filter(|(i, source)| {
+            let truth = (i / width / factor) * truth_width as usize + i % width / factor;
+            matches!(source, Source::Unpainted | Source::Sky | Source::Filled)
+                && depth_m.get(truth).is_some_and(|d| d.is_finite())
+        })
+        .count();
+    holes as f64 / frame.len().max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn holes_are_surfaces_of_the_truth_that_nothing_known_shows() {
+        let mut frame = Frame::new(4, 2);
+        frame.source = vec![
+            Source::Near,
+            Source::Far,
+            Source::Filled,
+            Source::Unpainted,
+            Source::Sky,
+            Source::Sky,
+            Source::Filled,
+            Source::Near,
+        ];
+        let inf = f32::INFINITY;
+        let depth = [1.0, 1.0, 1.0, 1.0, inf, 1.0, inf, inf];
+        assert_eq!(hole_fraction(&frame, &depth, 4), 3.0 / 8.0);
+        // Twice supersampled: each truth pixel stands for four.
+        assert_eq!(hole_fraction(&frame, &[1.0, inf], 2), 2.0 / 8.0);
+    }
+
+    #[test]
+    fn a_truth_of_another_size_is_refused_by_name() {
+        let folder = std::env::temp_dir().join(format!("ldi-judge-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).expect("a folder");
+        let png = folder.join("frame_00003.png");
+        image::save_buffer(&png, &[9; 12 * 11 * 3], 12, 11, image::ColorType::Rgb8).expect("written");
+        assert!(Truth::load(&folder, 2).expect("absent is no error").is_none());
+        let truth = Truth::load(&folder, 3).expect("readable").expect("there");
+        let verdict = truth.judge(&Frame::new(12, 11), &Frame::new(12, 11)).expect("same size");
+        assert!(verdict.psnr_db.is_some_and(|p| p < 10.0) && verdict.hole_fraction.is_none());
+        let other = truth.judge(&Frame::new(11, 12), &Frame::new(11, 12)).expect_err("another size").to_string();
+        assert!(other.contains("frame_00003.png") && other.contains("--size"), "{other}");
+        std::fs::write(folder.join("frame_00003.f32"), [0; 8]).expect("written");
+        assert!(matches!(Truth::load(&folder, 3), Err(JudgeError::DepthLength { found: 8, expected: 528, .. })));
+        std::fs::remove_dir_all(&folder).expect("removed");
+    }
+}

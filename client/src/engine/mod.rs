@@ -1,0 +1,27 @@
+//! The walk: poses along a path, each turned into a frame, judged and reported.
+//!
+//! In: a [`Feed`] (a connection with its cache; memory in tests), a path, options. Out: numbered pictures in a folder and a
+//! [`Report`](crate::report::Report). After Aliaga and Lastra 1999, Figure 12: per frame select the grid point and the
+//! angular range, draw what is not culled, warp the image of what is, compose by depth.
+//!
+//! - [`painter`](Painter): one frame from resident data; never waits.
+//! - `walk`: paces frames, asks the feed for what they need, keeps every Nth.
+//! - `baseline`: the same poses with all geometry, for the speedup.
+//! - `judge`: kept frames against the truth. `save`: pictures on disk.
+
+mod baseline;
+mod feed;
+mod judge;
+mod options;
+mod painter;
+mod save;
+#[cfg(test)]
+mod tests;
+mod walk;
+
+pub use feed::{Feed, Traffic};
+pub use judge::{JudgeError, Truth, Verdict};
+pub use options::{Cull, Method, Pace, WalkOptions};
+pub use painter::{Painted, Painter, View, view_of};
+pub use save::{SaveError, save_debug_views, save_frame};
+pub use walk::{Progress, WalkError, WalkJob, run};

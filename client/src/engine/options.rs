@@ -1,0 +1,91 @@
+//! What a walk is asked to do.
+
+use crate::warp::{Order, Stamp};
+use serde::Serialize;
+
+/// How far geometry is represented.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Method {
+    /// What the dataset offers: images where a placement names one, geometry elsewhere.
+    Auto,
+    /// Draw every cell in the frustum.
+    Geometry,
+    /// Portal textures.
+    Texture,
+    /// One reference image.
+    Warp1,
+    /// The two nearest reference images.
+    Warp2,
+    /// Layered depth images of the grid.
+    Ldi,
+    /// The same.
+    Grid,
+    /// Layered depth images at portals.
+    Portals,
+    /// The tree of layered depth images.
+    Tree,
+    /// Cached images of a hierarchy.
+    Cache,
+}
+
+/// Whether samples that cannot be seen are rejected by groups before the warp.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Cull {
+    /// As it pays; today the same as `on`.
+    Auto,
+    /// Tiles of samples outside the picture are rejected.
+    On,
+    /// Every sample is warped: to measure what culling saves.
+    Off,
+}
+
+/// How the walk treats the network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Pace {
+    /// The walk does not wait: all poses are drawn when they are due from what is there; every Nth is kept.
+    Realtime,
+    /// Each frame complete; only poses 0, N, 2N, ... are drawn.
+    Wait,
+}
+
+/// Settings of a walk.
+#[derive(Debug, Clone, Serialize)]
+pub struct WalkOptions {
+    /// Output columns.
+    pub width: u32,
+    /// Output rows.
+    pub height: u32,
+    /// Representation of what is far.
+    pub method: Method,
+    /// Reconstruction of warped samples.
+    #[serde(serialize_with = "by_name_stamp")]
+    pub stamp: Stamp,
+    /// Visibility among warped samples.
+    #[serde(serialize_with = "by_name_order")]
+    pub order: Order,
+    /// Rejection of samples by groups.
+    pub cull: Cull,
+    /// Samples per output pixel along each side: 1 or 2.
+    pub supersample: u32,
+    /// Pacing.
+    pub pace: Pace,
+    /// Every how many poses a frame is kept.
+    pub every: usize,
+    /// Cap on decoded bytes in the cache; None for the client's default.
+    pub cache_bytes: Option<u64>,
+    /// Write pictures of the parts of each frame.
+    pub debug_views: bool,
+    /// Frames of the all-geometry comparison; 0 skips it.
+    pub baseline_frames: usize,
+}
+
+fn by_name_stamp<S: serde::Serializer>(stamp: &Stamp, s: S) -> Result<S::Ok, S::Error> {
+    s.serialize_str(stamp.name())
+}
+
+fn by_name_order<S: serde::Serializer>(order: &Order, s: S) -> Result<S::Ok, S::Error> {
+    s.serialize_str(order.name())
+}

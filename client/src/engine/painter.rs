@@ -1,0 +1,233 @@
+//! One frame: select, cull, near, warp, composite.
+//!
+//! In: a pose and whatever data is resident. Out: the picture, what was drawn and what was missing, milliseconds per
+//! stage. Nothing here waits: absent data is left out and named.
+
+use super::options::{Cull, Method, WalkOptions};
+use crate::{
+    composite::{CompositeOptions, Far, composite, downsample},
+    frame::{Frame, Source, supersampled},
+    near::Rasterizer,
+    report::StageMs,
+    resident::Resident,
+    warp::{FarFrame, PreparedLdi, WarpError, WarpOptions, WarpStats, warp},
+};
+use ldi_protocol::{
+    OutputCamera, Pose,
+    index::Index,
+    ldi::Ldi,
+    need::{Needed, needed},
+    select::{DrawFrusta, Selection, draw_list, select},
+};
+use std::{sync::Arc, time::Instant};
+
+/// Prepared images that are kept: the current one, and the ones that a walker standing at a border of two or three ranges
+/// goes back and forth between. Each is about three times as large as the decoded image.
+const PREPARED_KEPT: usize = 4;
+
+/// What a pose draws.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct View {
+    /// Grid point and placement.
+    pub selection: Selection,
+    /// Cells to draw, near to far.
+    pub cells: Vec<u32>,
+    /// Cells left out because the budget was used up: 0 wherever the build's promise holds.
+    pub dropped: u32,
+    /// Triangles of all cells in the frustum, drawn or culled.
+    pub triangles_in_frustum: u64,
+}
+
+/// What a frame took and lacked.
+#[derive(Debug, Clone, Default)]
+pub struct Painted {
+    /// Near triangles submitted.
+    pub triangles: u64,
+    /// The warp's figures; None when nothing was warped.
+    pub warp: Option<WarpStats>,
+    /// Chunks that the view needs and that were not resident, finer levels and deeper layers included; ascending.
+    pub missing_chunks: Vec<u32>,
+    /// Time by stage. `total` is without `prepare`.
+    pub ms: StageMs,
+}
+
+/// Draws frames; keeps memory between them.
+#[derive(Debug, Default)]
+pub struct Painter {
+    rasterizer: Rasterizer,
+    far: FarFrame,
+    full: Frame,
+    /// Most recent last.
+    prepared: Vec<(u32, Arc<Ldi>, PreparedLdi)>,
+}
+
+fn ms_since(start: Instant) -> f64 {
+    start.elapsed().as_secs_f64() * 1e3
+}
+
+/// Selects what a pose draws; times go to `ms`.
+pub fn view_of(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method, ms: &mut StageMs) -> View {
+    let half_tan = (camera.half_tan_x(), camera.half_tan_y());
+    let in_frustum = cells_in_frustum(index, pose, half_tan);
+    let triangles_in_frustum = in_frustum.iter().map(|c| u64::from(index.cells[*c as usize].triangles)).sum();
+    if method == Method::Geometry {
+        let start = Instant::now();
+        let cells = near_to_far(index, pose, cells_in_frustum(index, pose, half_tan));
+        ms.cull = ms_since(start);
+        return View {
+            selection: Selection { grid_point: None, placement: None },
+            cells,
+            dropped: 0,
+            triangles_in_frustum,
+        };
+    }
+    // `draw_list` selects as well: its share is measured apart.
+    let start = Instant::now();
+    std::hint::black_box(select(index, pose));
+    ms.select = ms_since(start);
+    let start = Instant::now();
+    let list = draw_list(index, pose, half_tan);
+    ms.cull = (ms_since(start) - ms.select).max(0.0);
+    View { selection: list.selection, cells: list.cells, dropped: list.dropped, triangles_in_frustum }
+}
+
+fn cells_in_frustum(index: &Index, pose: &Pose, half_tan: (f64, f64)) -> Vec<u32> {
+    let frusta = DrawFrusta::new(index, pose, half_tan);
+    (0u32..).zip(&index.cells).filter(|(_, c)| frusta.admit(&c.bounds)).map(|(i, _)| i).collect()
+}
+
+fn near_to_far(index: &Index, pose: &Pose, cells: Vec<u32>) -> Vec<u32> {
+    let mut by_distance: Vec<(f64, u32)> =
+        cells.into_iter().map(|c| (index.cells[c as usize].bounds.distance(pose.position), c)).collect();
+    by_distance.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    by_distance.into_iter().map(|d| d.1).collect()
+}
+
+impl View {
+    /// The chunks that complete the view.
+    pub fn needed(&self, index: &Index) -> Needed {
+        needed(index, self.selection.placement, &self.cells)
+    }
+}
+
+impl Painter {
+    /// Draws a view into `out`, at the camera's size. `holds` tells whether a chunk is resident, decoded.
+    ///
+    /// # Errors
+    ///
+    /// When the options ask for an order that cannot draw the stamp.
+    #[expect(clippy::too_many_arguments, reason = "each is another thing that a frame depends on")]
+    pub fn paint(
+        &mut self,
+        index: &Index,
+        resident: &dyn Resident,
+        view: &View,
+        pose: &Pose,
+        camera: &OutputCamera,
+        options: &WalkOptions,
+        ms: StageMs,
+        out: &mut Frame,
+    ) -> Result<Painted, WarpError> {
+        let full_camera = supersampled(camera, options.supersample);
+        let mut painted = Painted { ms, ..Painted::default() };
+
+        let start = Instant::now();
+        let near = self.rasterizer.draw(index, resident, &view.cells, &full_camera, pose, &mut self.full);
+        painted.ms.near = ms_since(start);
+        painted.triangles = near.triangles;
+        painted.missing_chunks = near.missing_chunks;
+        let absent_levels = |textures: &[u32], first: usize| {
+            let chunks = textures
+                .iter()
+                .filter_map(|t| index.textures.get(*t as usize))
+                .flat_map(move |t| t.chunks.iter().skip(first));
+            chunks.map(|c| c.chunk).collect::<Vec<_>>()
+        };
+        painted.missing_chunks.extend(absent_levels(&near.missing_textures, 0));
+        // Which of the finer levels is absent only the cache knows; the finest certainly is.
+        painted.missing_chunks.extend(
+            near.coarse_textures.iter().filter_map(|t| Some(index.textures.get(*t as usize)?.chunks.last()?.chunk)),
+        );
+
+        let placement = view.selection.placement.and_then(|p| Some((p, index.placements.get(p as usize)?)));
+        let image = placement.filter(|(_, entry)| !entry.chunks.is_empty());
+        let ldi = image.and_then(|(number, _)| resident.ldi(number));
+        if let Some((_, entry)) = image {
+            match &ldi {
+                None => painted.missing_chunks.extend(&entry.chunks),
+                // Two chunks: the first layer, and the rest.
+                Some(ldi) if entry.chunks.len() > 1 && ldi.layers.len() < entry.samples_by_layer.len() => {
+                    painted.missing_chunks.extend(&entry.chunks[1..])
+                }
+                Some(_) => {}
+            }
+        }
+        painted.missing_chunks.sort_unstable();
+        painted.missing_chunks.dedup();
+
+        self.far.reset(full_camera.width, full_camera.height);
+        if let (Some((number, _)), Some(ldi)) = (image, &ldi) {
+            let start = Instant::now();
+            let slot = self.prepare(number, ldi);
+            painted.ms.prepare = if slot.1 { ms_since(start) } else { 0.0 };
+            let warp_options = WarpOptions {
+                stamp: options.stamp,
+                order: options.order,
+                keep_all_tiles: options.cull == Cull::Off,
+                ..WarpOptions::default()
+            };
+            let start = Instant::now();
+            painted.warp = Some(warp(&self.prepared[slot.0].2, pose, &full_camera, &warp_options, &mut self.far)?);
+            painted.ms.warp = ms_since(start);
+        }
+
+        let start = Instant::now();
+        let far = match (&ldi, image) {
+            (Some(ldi), _) => Far::Image { picture: &self.far, ldi },
+            (None, Some(_)) => Far::Missing,
+            // What was dropped may lie anywhere: the rest is not known to be sky.
+            (None, None) if view.dropped > 0 => Far::Missing,
+            (None, None) => Far::Nothing,
+        };
+        composite(&mut self.full, far, pose, &full_camera, &CompositeOptions::default());
+        if options.supersample > 1 {
+            downsample(&self.full, options.supersample, out);
+        } else {
+            out.clone_from(&self.full);
+        }
+        painted.ms.composite = ms_since(start);
+        let m = &mut painted.ms;
+        m.total = m.select + m.cull + m.near + m.warp + m.composite;
+        Ok(painted)
+    }
+
+    /// The last frame before averaging: what the warp and the rasterizer left, pixel by pixel.
+    pub fn full(&self) -> &Frame {
+        &self.full
+    }
+
+    /// Shares of the full frame's pixels that nothing known reached, before and after the fill.
+    pub fn unknown_fractions(&self) -> (f64, f64) {
+        let n = self.full.len().max(1) as f64;
+        let filled = self.full.count(Source::Filled) as f64;
+        let unpainted = self.full.count(Source::Unpainted) as f64;
+        ((filled + unpainted) / n, unpainted / n)
+    }
+
+    /// Lays out an image unless it is laid out already, with the same layers. Returns its slot and whether it was new.
+    fn prepare(&mut self, number: u32, ldi: &Arc<Ldi>) -> (usize, bool) {
+        let found = self.prepared.iter().position(|(n, held, _)| *n == number && Arc::ptr_eq(held, ldi));
+        let entry = match found {
+            Some(at) => self.prepared.remove(at),
+            None => {
+                self.prepared.retain(|(n, ..)| *n != number);
+                if self.prepared.len() >= PREPARED_KEPT {
+                    self.prepared.remove(0);
+                }
+                (number, ldi.clone(), PreparedLdi::new(ldi))
+            }
+        };
+        self.prepared.push(entry);
+        (self.prepared.len() - 1, found.is_none())
+    }
+}

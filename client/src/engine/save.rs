@@ -1,0 +1,88 @@
+//! Pictures on disk: frames, and what they are made of.
+
+use crate::frame::{Frame, Source, unpack_rgb};
+use image::{
+    ExtendedColorType, ImageEncoder,
+    codecs::png::{CompressionType, FilterType, PngEncoder},
+};
+use std::{
+    fs,
+    io::BufWriter,
+    path::{Path, PathBuf},
+};
+
+/// A picture could not be written.
+#[derive(Debug, thiserror::Error)]
+#[error("{path}: {source}; check that the folder is writable and the disk not full")]
+pub struct SaveError {
+    path: PathBuf,
+    source: image::ImageError,
+}
+
+/// Shown where a part of the frame has nothing.
+const NOTHING: [u8; 3] = [24, 24, 28];
+
+/// False colours of `source` views: sky, near, far, filled, unpainted. Chosen to stay apart for colour-blind eyes (Okabe and Ito).
+const SOURCE_COLOURS: [[u8; 3]; 5] = [[198, 214, 235], [230, 159, 0], [0, 114, 178], [204, 121, 167], [213, 94, 0]];
+
+/// Writes RGB bytes as PNG.
+fn save_rgb(path: &Path, width: u32, height: u32, rgb: &[u8]) -> Result<(), SaveError> {
+    let failed = |source: image::ImageError| SaveError { path: path.to_owned(), source };
+    let file = fs::File::create(path).map_err(|e| failed(e.into()))?;
+    // Fast: a walk writes hundreds of them while it runs.
+    PngEncoder::new_with_quality(BufWriter::new(file), CompressionType::Fast, FilterType::Adaptive)
+        .write_image(rgb, width, height, ExtendedColorType::Rgb8)
+        .map_err(failed)
+}
+
+/// Writes `frame_NNNNN.png`.
+pub fn save_frame(folder: &Path, index: usize, frame: &Frame) -> Result<(), SaveError> {
+    save_rgb(&folder.join(format!("frame_{index:05}.png")), frame.width, frame.height, &frame.to_rgb8())
+}
+
+/// Writes `frame_NNNNN.near.png` (what was drawn as geometry), `.far.png` (what came from images) and `.source.png` (which is
+/// which: orange geometry, blue images, pink filled, red unpainted, sky as sky).
+pub fn save_debug_views(folder: &Path, index: usize, frame: &Frame) -> Result<(), SaveError> {
+    let only = |wanted: Source| -> Vec<u8> {
+        let pixels = frame.source.iter().zip(&frame.colour);
+        pixels.flat_map(|(s, c)| if *s == wanted { unpack_rgb(*c) } else { NOTHING }).collect()
+    };
+    let sources: Vec<u8> = frame.source.iter().zip(&frame.colour).flat_map(|(s, c)| tinted(*s, *c)).collect();
+    for (name, rgb) in [("near", only(Source::Near)), ("far", only(Source::Far)), ("source", sources)] {
+        save_rgb(&folder.join(format!("frame_{index:05}.{name}.png")), frame.width, frame.height, &rgb)?;
+    }
+    Ok(())
+}
+
+/// The colour of a source, a third of the way lightened or darkened by the picture, so that shapes stay visible.
+fn tinted(source: Source, colour: u32) -> [u8; 3] {
+    let [r, g, b] = unpack_rgb(colour).map(u32::from);
+    let grey = (r * 299 + g * 587 + b * 114) / 1000;
+    SOURCE_COLOURS[source as usize].map(|c| ((u32::from(c) * 2 + grey) / 3) as u8)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::pack_rgb;
+
+    #[test]
+    fn pictures_come_back_and_views_show_their_part() {
+        let folder = std::env::temp_dir().join(format!("ldi-save-{}", std::process::id()));
+        fs::create_dir_all(&folder).expect("a folder");
+        let mut frame = Frame::new(2, 1);
+        frame.colour = vec![pack_rgb([10, 20, 30]), pack_rgb([200, 100, 50])];
+        frame.source = vec![Source::Near, Source::Far];
+        save_frame(&folder, 7, &frame).expect("written");
+        save_debug_views(&folder, 7, &frame).expect("written");
+        let read = |name: &str| image::open(folder.join(name)).expect("a picture").into_rgb8().into_raw();
+        assert_eq!(read("frame_00007.png"), [10, 20, 30, 200, 100, 50]);
+        assert_eq!(read("frame_00007.near.png"), [10, 20, 30, 24, 24, 28]);
+        assert_eq!(read("frame_00007.far.png"), [24, 24, 28, 200, 100, 50]);
+        let sources = read("frame_00007.source.png");
+        assert!(sources[0] > sources[2] && sources[5] > sources[3], "{sources:?}");
+        let error = save_frame(&folder.join("absent"), 1, &frame).expect_err("no such folder").to_string();
+        assert!(error.contains("frame_00001.png"), "{error}");
+        fs::remove_dir_all(&folder).expect("removed");
+    }
+}

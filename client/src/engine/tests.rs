@@ -1,0 +1,304 @@
+//! Walks through a dataset in memory: no network, no server.
+
+use super::*;
+use crate::{
+    cache::Incomplete,
+    frame::{Frame, Source, unpack_rgb},
+    report::StageMs,
+    resident::Resident,
+    test_support::{Memory, dataset, plain_material, quad_cluster},
+    warp::{Order, Stamp},
+};
+use glam::{DVec3, Vec3};
+use ldi_protocol::{
+    OutputCamera, Pose, ViewBasis,
+    index::{AngularRange, ChunkEntry, ChunkHash, ChunkKind, GridPoint, Index, Placement},
+    ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiCamera, LdiLayer, Segment},
+    mesh::{CellGeometry, Material},
+    need::Needed,
+    path::{self, Walk},
+    texture::Texture,
+};
+use std::{
+    collections::BTreeSet,
+    path::PathBuf,
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+const CAMERA: OutputCamera = OutputCamera { width: 64, height: 48, fov_deg: 60.0 };
+/// Stored bytes of every chunk.
+const CHUNK_BYTES: u64 = 1000;
+
+/// Chunks become resident when they are wanted and waited for.
+struct MemoryFeed {
+    index: Index,
+    memory: Memory,
+    /// Chunks that never arrive.
+    lost: BTreeSet<u32>,
+    /// Chunks that fit; the oldest goes when another comes.
+    room: usize,
+    /// Whether chunks arrive before anyone waits for them.
+    pushes: bool,
+    state: Mutex<(Vec<u32>, u64)>,
+}
+
+impl MemoryFeed {
+    fn new(index: Index, memory: Memory) -> Self {
+        Self { index, memory, lost: BTreeSet::new(), room: 100, pushes: true, state: Mutex::default() }
+    }
+    fn state(&self) -> std::sync::MutexGuard<'_, (Vec<u32>, u64)> {
+        self.state.lock().expect("no test panics while it holds the lock")
+    }
+}
+
+impl Resident for MemoryFeed {
+    fn cell(&self, cell: u32) -> Option<Arc<CellGeometry>> {
+        self.holds(self.index.cells[cell as usize].chunk).then(|| self.memory.cell(cell))?
+    }
+    fn bundle(&self, chunk: u32) -> Option<Arc<CellGeometry>> {
+        self.memory.bundle(chunk)
+    }
+    fn texture(&self, texture: u32) -> Option<Arc<Texture>> {
+        self.memory.texture(texture)
+    }
+    fn ldi(&self, placement: u32) -> Option<Arc<Ldi>> {
+        self.holds(*self.index.placements[placement as usize].chunks.first()?).then(|| self.memory.ldi(placement))?
+    }
+}
+
+impl Feed for MemoryFeed {
+    fn index(&self) -> &Index {
+        &self.index
+    }
+    fn dataset_hash(&self) -> String {
+        "00".repeat(32)
+    }
+    fn look(&self, _: &Pose, needed: &Needed) {
+        if self.pushes {
+            assert_eq!(self.wait_for(&needed.all().collect::<Vec<_>>(), Duration::ZERO), Ok(()));
+        }
+    }
+    fn ask(&self, _: &[u32]) {}
+    fn wait_for(&self, chunks: &[u32], _: Duration) -> Result<(), Incomplete> {
+        let mut state = self.state();
+        for chunk in chunks.iter().filter(|c| !self.lost.contains(c)) {
+            if !state.0.contains(chunk) {
+                state.0.push(*chunk);
+                state.1 += CHUNK_BYTES;
+            }
+        }
+        let surplus = state.0.len().saturating_sub(self.room);
+        state.0.drain(..surplus);
+        Ok(())
+    }
+    fn holds(&self, chunk: u32) -> bool {
+        self.state().0.contains(&chunk)
+    }
+    fn traffic(&self) -> Traffic {
+        Traffic { elapsed_s: 1.0, bytes: self.state().1, wasted_bytes: 0, mbit_per_s_p99_1s: 1.0, cache_peak_bytes: 7 }
+    }
+}
+
+fn quad(z: f32, half: f32, material: u32) -> ldi_protocol::mesh::Cluster {
+    quad_cluster(
+        material,
+        [Vec3::new(-half, -half, z), Vec3::new(half, -half, z), Vec3::new(half, half, z), Vec3::new(-half, half, z)],
+    )
+}
+
+fn coloured(base_colour: [f32; 4]) -> Material {
+    Material { base_colour, ..plain_material() }
+}
+
+/// A red square at 2 m, a green one at 10 m, its image from the origin, and a grid point that uses it when looking along -Z.
+fn scene() -> MemoryFeed {
+    let materials = vec![coloured([1.0, 0.0, 0.0, 1.0]), coloured([0.0, 1.0, 0.0, 1.0])];
+    let (mut index, mut memory) = dataset(CAMERA, materials, vec![quad(-2.0, 0.3, 0), quad(-10.0, 3.0, 1)]);
+    index.settings.budget = 3;
+    let basis = ViewBasis::from_yaw_pitch(0.0, 0.0);
+    // Pixels of the far square: |x| <= 3 at 10 m, 80 per unit: 48 x 48 centred.
+    let camera =
+        LdiCamera { cop: DVec3::ZERO, basis, pixels_per_unit: 80.0, left: -24, top: -24, width: 48, height: 48 };
+    let layer = LdiLayer {
+        segments: (0..48).map(|row| Segment { row, column_base: 0, first: u32::from(row) * 48, count: 48 }).collect(),
+        column: (0..48 * 48).map(|i| (i % 48) as u8).collect(),
+        disparity: vec![1; 48 * 48],
+        rgb: vec![[0, 0, 255]; 48 * 48],
+        links: (0..48 * 48)
+            .map(|i| if i % 48 < 47 { LINK_RIGHT } else { 0 } | if i / 48 < 47 { LINK_DOWN } else { 0 })
+            .collect(),
+    };
+    let ldi = Ldi {
+        camera,
+        codes: DisparityCodes { smallest: 0.1, step: 0.001, largest_code: 2 },
+        layers: vec![layer],
+        sky: vec![0; 48],
+    };
+    memory.ldis.insert(0, Arc::new(ldi));
+    index.chunks.push(ChunkEntry { hash: ChunkHash([9; 32]), stored_bytes: 1, decoded_bytes: 1, kind: ChunkKind::Ldi });
+    for chunk in &mut index.chunks {
+        chunk.stored_bytes = CHUNK_BYTES as u32;
+    }
+    index.pitch_bands_deg = vec![-60.0, 60.0];
+    let range = |yaw_start_deg, placement| AngularRange { yaw_start_deg, placement };
+    index.points.push(GridPoint {
+        position: DVec3::new(0.0, 0.0, 0.5),
+        level: 0,
+        radius: 2.0,
+        bands: vec![vec![range(0.0, Some(0)), range(90.0, None), range(270.0, Some(0))]],
+    });
+    index.placements.push(Placement {
+        grid_point: 0,
+        basis,
+        plane_distance: 5.0,
+        culled: vec![1],
+        footprint_px: 1.5,
+        stretch_p99_px: 1.0,
+        users: index.cells[0].bounds,
+        chunks: vec![2],
+        samples_by_layer: vec![48 * 48],
+    });
+    MemoryFeed::new(index, memory)
+}
+
+fn options(pace: Pace) -> WalkOptions {
+    WalkOptions {
+        width: CAMERA.width,
+        height: CAMERA.height,
+        method: Method::Auto,
+        stamp: Stamp::Quads,
+        order: Order::Z,
+        cull: Cull::Auto,
+        supersample: 1,
+        pace,
+        every: 2,
+        cache_bytes: None,
+        debug_views: true,
+        baseline_frames: 2,
+    }
+}
+
+/// Five poses, a tenth of a metre apart, 10 ms apart.
+fn five_poses() -> Walk {
+    let poses: Vec<String> = (0..5)
+        .map(|i| format!(r#"{{"t":{},"position":[{},0,0],"yaw":0}}"#, f64::from(i) * 0.01, f64::from(i) * 0.1 - 0.2))
+        .collect();
+    path::parse(&format!(r#"{{"poses":[{}]}}"#, poses.join(","))).expect("a path")
+}
+
+fn folder(name: &str) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("ldi-walk-{name}-{}", std::process::id()));
+    // Left over from a run that was killed.
+    let _ = std::fs::remove_dir_all(&folder);
+    folder
+}
+
+fn colour_at(frame: &Frame, x: u32, y: u32) -> [u8; 3] {
+    unpack_rgb(frame.colour[(y * frame.width + x) as usize])
+}
+
+fn paint(feed: &MemoryFeed, pose: &Pose, options: &WalkOptions) -> (Frame, Painted, View) {
+    let mut ms = StageMs::default();
+    let view = view_of(&feed.index, pose, &CAMERA, options.method, &mut ms);
+    feed.wait_for(&view.needed(&feed.index).all().collect::<Vec<_>>(), Duration::ZERO).expect("memory does not fail");
+    let mut frame = Frame::default();
+    let painted =
+        Painter::default().paint(&feed.index, feed, &view, pose, &CAMERA, options, ms, &mut frame).expect("quads by z");
+    (frame, painted, view)
+}
+
+#[test]
+fn near_and_far_come_together() {
+    let feed = scene();
+    let ahead = Pose { position: DVec3::new(0.05, 0.0, 0.0), yaw_deg: 0.0, pitch_deg: 0.0 };
+    for supersample in [1, 2] {
+        let options = WalkOptions { supersample, ..options(Pace::Wait) };
+        let (frame, painted, view) = paint(&feed, &ahead, &options);
+        assert_eq!((frame.width, frame.height), (CAMERA.width, CAMERA.height));
+        assert_eq!((view.selection.placement, &view.cells, view.triangles_in_frustum), (Some(0), &vec![0], 4));
+        assert_eq!((painted.triangles, painted.missing_chunks.len()), (2, 0));
+        // The image is blue where the geometry is green: what is blue came from the warp.
+        assert_eq!(
+            (colour_at(&frame, 31, 24), colour_at(&frame, 18, 24), colour_at(&frame, 2, 2)),
+            ([255, 0, 0], [0, 0, 255], [198, 214, 235])
+        );
+        assert_eq!(frame.count(Source::Unpainted), 0);
+    }
+    let geometry = WalkOptions { method: Method::Geometry, ..options(Pace::Wait) };
+    let (frame, painted, view) = paint(&feed, &ahead, &geometry);
+    assert_eq!((view.selection.placement, view.cells, painted.triangles), (None, vec![0, 1], 4));
+    assert_eq!((colour_at(&frame, 18, 24), painted.warp.is_none()), ([0, 255, 0], true));
+}
+
+#[test]
+fn what_is_absent_is_named_and_not_called_sky() {
+    let mut feed = scene();
+    feed.lost = BTreeSet::from([2]);
+    let ahead = Pose { position: DVec3::ZERO, yaw_deg: 0.0, pitch_deg: 0.0 };
+    let (frame, painted, _) = paint(&feed, &ahead, &options(Pace::Wait));
+    assert_eq!(painted.missing_chunks, vec![2]);
+    assert_eq!(frame.count(Source::Sky), 0);
+    assert!(frame.count(Source::Unpainted) > 1000);
+    let mut feed = scene();
+    feed.lost = BTreeSet::from([0]);
+    let (frame, painted, _) = paint(&feed, &ahead, &options(Pace::Wait));
+    assert_eq!((painted.missing_chunks, frame.count(Source::Near)), (vec![0], 0));
+}
+
+#[test]
+fn a_walk_writes_numbered_frames_and_counts() {
+    let (feed, path) = (scene(), five_poses());
+    for pace in [Pace::Wait, Pace::Realtime] {
+        let folder = folder(if pace == Pace::Wait { "wait" } else { "realtime" });
+        let options = options(pace);
+        // First walk: no truth. Its frames are the truth of the second.
+        let job = WalkJob { path: &path, options: &options, folder: &folder, truth: None };
+        let mut lines = Vec::new();
+        let (summary, frames) = run(&feed, &job, &mut |p| lines.push(p.done)).expect("a walk");
+        assert_eq!(frames.iter().map(|f| f.index).collect::<Vec<_>>(), vec![0, 2, 4]);
+        assert_eq!(lines.len(), if pace == Pace::Wait { 3 } else { 5 });
+        for name in [
+            "frame_00000.png",
+            "frame_00002.png",
+            "frame_00004.near.png",
+            "frame_00004.far.png",
+            "frame_00004.source.png",
+        ] {
+            assert!(folder.join(name).exists(), "{name}");
+        }
+        assert!(!folder.join("frame_00001.png").exists());
+        assert_eq!((summary.frames, summary.budget_violations, summary.max_triangles), (3, 0, 2));
+        assert_eq!((summary.mean_flip, summary.hole_fraction_mean), (None, None));
+        assert_eq!(
+            (summary.cache_peak_bytes, summary.revisit_bytes, summary.all_geometry_bytes),
+            (7, 0, Some(2 * CHUNK_BYTES))
+        );
+        assert!((summary.bytes_per_metre.expect("it moved") - summary.bytes_total as f64 / 0.4).abs() < 1e-6);
+        let truth = folder.with_extension("truth");
+        let job = WalkJob { path: &path, options: &options, folder: &truth, truth: Some(&folder) };
+        let (summary, frames) = run(&feed, &job, &mut |_| {}).expect("a walk");
+        assert_eq!(summary.min_psnr_db, Some(crate::metrics::LARGEST_DB));
+        assert!(frames.iter().all(|f| f.flip.is_some_and(|e| e < 1e-6) && f.method == "grid"));
+        assert!(summary.far_fraction_mean > 0.1 && summary.mean_flip_far.is_some());
+        std::fs::remove_dir_all(&folder).expect("removed");
+        std::fs::remove_dir_all(&truth).expect("removed");
+    }
+}
+
+#[test]
+fn chunks_that_come_again_are_counted() {
+    let mut feed = scene();
+    // Room for one chunk only: each frame drops what the next one needs.
+    (feed.room, feed.pushes) = (1, false);
+    let (path, folder) = (five_poses(), folder("revisit"));
+    let options = WalkOptions { baseline_frames: 0, debug_views: false, ..options(Pace::Wait) };
+    let (summary, _) =
+        run(&feed, &WalkJob { path: &path, options: &options, folder: &folder, truth: None }, &mut |_| {})
+            .expect("a walk");
+    assert_eq!(summary.frames_incomplete, 3);
+    // The first frame has the cell, the second the image in its place, the third the cell again: one that comes back.
+    assert_eq!((summary.revisit_bytes, summary.bytes_total), (CHUNK_BYTES, 4 * CHUNK_BYTES));
+    assert_eq!((summary.ms_full_quality, summary.all_geometry_bytes, summary.speedup), (None, None, None));
+    std::fs::remove_dir_all(&folder).expect("removed");
+}

@@ -1,0 +1,389 @@
+//! The loop over the poses.
+//!
+//! `--pace wait`: for poses 0, N, 2N, ... ask for everything the view needs, wait, draw, judge. `--pace realtime`: every pose is drawn
+//! when it is due, or at once if it is overdue, from what is there; every Nth is kept and judged after the walk, so that
+//! judging does not slow it. Pictures are written by a thread of their own.
+
+use super::{
+    baseline,
+    feed::{Feed, Traffic},
+    judge::{JudgeError, Truth, Verdict},
+    options::{Pace, WalkOptions},
+    painter::{Painted, Painter, View, view_of},
+    save::{SaveError, save_debug_views, save_frame},
+};
+use crate::{
+    cache::Incomplete,
+    frame::{Frame, Source},
+    report::{FrameReport, StageMs, Summary, WalkTotals},
+    warp::{WarpError, WarpStats},
+};
+use ldi_protocol::{OutputCamera, path::Walk};
+use std::{
+    path::{Path, PathBuf},
+    sync::mpsc,
+    time::{Duration, Instant},
+};
+
+/// How long a frame of `--pace wait` waits before it is drawn without the rest: a view of some 20 MB over a slow line of
+/// 2 Mbit/s takes a minute and a half; after twice that something is wrong.
+pub(super) const PATIENCE: Duration = Duration::from_secs(180);
+
+/// A hole share below this and a FLIP of at most [`USEFUL_FLIP`] make a frame useful.
+const USEFUL_HOLES: f64 = 0.01;
+/// See [`USEFUL_HOLES`].
+const USEFUL_FLIP: f64 = 0.25;
+
+/// A walk failed.
+#[derive(Debug, thiserror::Error)]
+pub enum WalkError {
+    /// The connection is gone.
+    #[error("the connection was lost at pose {pose}: {reason}; start the walk again")]
+    Disconnected {
+        /// Position in the path's poses.
+        pose: usize,
+        /// What was seen.
+        reason: String,
+    },
+    /// A picture could not be written.
+    #[error(transparent)]
+    Save(#[from] SaveError),
+    /// The truth cannot be used.
+    #[error(transparent)]
+    Judge(#[from] JudgeError),
+    /// The options contradict each other.
+    #[error(transparent)]
+    Warp(#[from] WarpError),
+    /// The folder of the frames could not be made.
+    #[error("{path}: {source}; give -o a folder that can be written")]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// What is wrong.
+        source: std::io::Error,
+    },
+}
+
+/// What to walk, and where the results go.
+#[derive(Debug, Clone, Copy)]
+pub struct WalkJob<'a> {
+    /// The poses.
+    pub path: &'a Walk,
+    /// How.
+    pub options: &'a WalkOptions,
+    /// Folder of the frames; made if absent.
+    pub folder: &'a Path,
+    /// Folder of the truth.
+    pub truth: Option<&'a Path>,
+}
+
+/// How far the walk is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Progress {
+    /// Frames drawn.
+    pub done: usize,
+    /// Frames to draw.
+    pub total: usize,
+    /// Bytes received.
+    pub bytes: u64,
+    /// Milliseconds of the last frame.
+    pub frame_ms: f64,
+}
+
+/// A kept frame and what the totals need of it.
+struct Kept {
+    report: FrameReport,
+    complete: bool,
+    elapsed_ms: f64,
+    /// Set when the frame is to be judged after the walk.
+    source: Option<Vec<Source>>,
+}
+
+/// A picture on its way to the disk.
+struct Picture {
+    index: usize,
+    frame: Frame,
+}
+
+/// Everything that accumulates while walking.
+struct Walker<'a> {
+    feed: &'a dyn Feed,
+    job: &'a WalkJob<'a>,
+    camera: OutputCamera,
+    painter: Painter,
+    kept: Vec<Kept>,
+    warp_totals: WarpStats,
+    totals: WalkTotals,
+    /// Chunks that were resident for some frame that wanted them.
+    held_before: Vec<bool>,
+}
+
+/// Walks. Returns the summary and the kept frames.
+///
+/// # Errors
+///
+/// When the connection is lost, a picture cannot be written, or the truth does not fit. Missing chunks are no error.
+pub fn run(
+    feed: &dyn Feed,
+    job: &WalkJob<'_>,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<(Summary, Vec<FrameReport>), WalkError> {
+    let folder = job.folder;
+    std::fs::create_dir_all(folder).map_err(|source| WalkError::Folder { path: folder.to_owned(), source })?;
+    let index = feed.index();
+    let mut walker = Walker {
+        feed,
+        job,
+        camera: OutputCamera {
+            width: job.options.width,
+            height: job.options.height,
+            fov_deg: index.settings.camera.fov_deg,
+        },
+        painter: Painter::default(),
+        kept: Vec::new(),
+        warp_totals: WarpStats::default(),
+        totals: WalkTotals {
+            budget_triangles: index.settings.budget,
+            scene_triangles: index.scene.triangles,
+            metres: job.path.poses.windows(2).map(|p| p[0].pose.position.distance(p[1].pose.position)).sum(),
+            ..WalkTotals::default()
+        },
+        held_before: vec![false; index.chunks.len()],
+    };
+    std::thread::scope(|scope| {
+        // A few frames in flight: the disk may hiccup, memory must not grow.
+        let (pictures, queue) = mpsc::sync_channel::<Picture>(4);
+        let writer = scope.spawn(move || write_pictures(&queue, folder, job.options.debug_views));
+        let walked = walker.walk(&pictures, progress);
+        drop(pictures);
+        // A failed write ends the walk too; the write is the reason then.
+        writer.join().unwrap_or(Ok(())).and(walked)
+    })?;
+    let traffic = feed.traffic();
+    let totals = &mut walker.totals;
+    totals.elapsed_s = traffic.elapsed_s;
+    totals.bytes_total = traffic.bytes;
+    totals.wasted_bytes = traffic.wasted_bytes;
+    totals.cache_peak_bytes = traffic.cache_peak_bytes;
+    totals.mbit_per_s_p99_1s = Some(traffic.mbit_per_s_p99_1s);
+    totals.process_peak_rss_bytes = peak_rss_bytes();
+    let stretch = walker.warp_totals.stretch.quantile_px(0.99);
+    totals.stretch_p99_px =
+        (walker.warp_totals.samples_warped > 0).then(|| f64::from(stretch) / f64::from(job.options.supersample));
+    walker.judge_rest()?;
+    walker.first_useful();
+    let frames: Vec<FrameReport> = walker.kept.into_iter().map(|k| k.report).collect();
+    let baseline = baseline::measure(feed, &mut walker.painter, &frames, &walker.camera, job.options)?;
+    let mut totals = walker.totals;
+    totals.all_geometry_bytes = (job.options.baseline_frames > 0).then_some(baseline.bytes);
+    (totals.all_geometry_ms, totals.ours_at_same_poses_ms) = (baseline.all_geometry_ms, baseline.ours_ms);
+    Ok((Summary::new(&frames, &totals), frames))
+}
+
+impl Walker<'_> {
+    fn walk(
+        &mut self,
+        pictures: &mpsc::SyncSender<Picture>,
+        progress: &mut dyn FnMut(Progress),
+    ) -> Result<(), WalkError> {
+        let options = self.job.options;
+        let every = options.every.max(1);
+        let step = if options.pace == Pace::Wait { every } else { 1 };
+        let poses = &self.job.path.poses;
+        let total = poses.len().div_ceil(step);
+        let start = Instant::now();
+        let mut frame = Frame::default();
+        for (done, at) in (0..poses.len()).step_by(step).enumerate() {
+            let (t_s, pose) = (poses[at].t_s, poses[at].pose);
+            if options.pace == Pace::Realtime {
+                let due = Duration::from_secs_f64((t_s - poses[0].t_s).max(0.0));
+                std::thread::sleep(due.saturating_sub(start.elapsed()));
+            }
+            let mut ms = StageMs::default();
+            let view = view_of(self.feed.index(), &pose, &self.camera, options.method, &mut ms);
+            self.ask(&view, at)?;
+            let mut painted = self.painter.paint(
+                self.feed.index(),
+                self.feed,
+                &view,
+                &pose,
+                &self.camera,
+                options,
+                ms,
+                &mut frame,
+            )?;
+            if options.pace == Pace::Realtime {
+                painted.ms.total += painted.ms.prepare;
+            }
+            let traffic = self.feed.traffic();
+            let complete = painted.missing_chunks.is_empty();
+            if complete && self.totals.ms_full_quality.is_none() {
+                self.totals.ms_full_quality = Some(traffic.elapsed_s * 1e3);
+            }
+            self.totals.frames_incomplete += usize::from(!complete);
+            progress(Progress { done: done + 1, total, bytes: traffic.bytes, frame_ms: painted.ms.total });
+            if at % every == 0 {
+                self.keep(at, &view, &painted, &frame, traffic)?;
+                let picture = Picture { index: at, frame: frame.clone() };
+                if pictures.send(picture).is_err() {
+                    // The writer has failed and says why.
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Asks for what a view needs, and for `--pace wait` waits for it.
+    fn ask(&mut self, view: &View, at: usize) -> Result<(), WalkError> {
+        let index = self.feed.index();
+        let view_needs = view.needed(index);
+        let needed: Vec<u32> = view_needs.all().collect();
+        for chunk in &needed {
+            let absent = !self.feed.holds(*chunk);
+            if let (true, Some(true), Some(entry)) =
+                (absent, self.held_before.get(*chunk as usize), index.chunks.get(*chunk as usize))
+            {
+                self.totals.revisit_bytes += u64::from(entry.stored_bytes);
+                // Counted once per loss, not once per frame that waits for it.
+                self.held_before[*chunk as usize] = false;
+            }
+        }
+        self.feed.look(&self.job.path.poses[at].pose, &view_needs);
+        if self.job.options.pace == Pace::Wait {
+            match self.feed.wait_for(&needed, PATIENCE) {
+                Ok(()) => {}
+                Err(Incomplete::Disconnected(reason)) => return Err(WalkError::Disconnected { pose: at, reason }),
+                // The frame is drawn without it and the report says so.
+                Err(incomplete) => tracing::warn!("pose {at}: {incomplete}"),
+            }
+        }
+        for chunk in &needed {
+            if self.feed.holds(*chunk)
+                && let Some(held) = self.held_before.get_mut(*chunk as usize)
+            {
+                *held = true;
+            }
+        }
+        Ok(())
+    }
+
+    fn keep(
+        &mut self,
+        at: usize,
+        view: &View,
+        painted: &Painted,
+        frame: &Frame,
+        traffic: Traffic,
+    ) -> Result<(), WalkError> {
+        let pose = &self.job.path.poses[at];
+        let scale = f64::from(self.job.options.supersample);
+        let verdict = match (self.job.truth, self.job.options.pace) {
+            (Some(folder), Pace::Wait) => match Truth::load(folder, at)? {
+                Some(truth) => truth.judge(frame, self.painter.full())?,
+                None => Verdict::default(),
+            },
+            _ => Verdict::default(),
+        };
+        if let Some(warp) = &painted.warp {
+            self.warp_totals.add(warp);
+        }
+        let (unpainted_fraction, _) = self.painter.unknown_fractions();
+        let share = |source| frame.count(source) as f64 / frame.len().max(1) as f64;
+        let warp = painted.warp.as_ref();
+        let mut report = FrameReport {
+            index: at,
+            t_s: pose.t_s,
+            position: pose.pose.position.to_array(),
+            yaw_deg: pose.pose.yaw_deg,
+            pitch_deg: pose.pose.pitch_deg,
+            method: if warp.is_some() { "grid" } else { "geometry" },
+            grid_point: view.selection.grid_point,
+            placement: view.selection.placement,
+            triangles: painted.triangles,
+            dropped_cells: view.dropped,
+            triangles_in_frustum: view.triangles_in_frustum,
+            samples_warped: warp.map_or(0, |w| w.samples_warped),
+            samples_culled: warp.map_or(0, |w| w.samples_culled),
+            warp_primitives: warp.map_or(0, |w| w.primitives),
+            footprint_max_px: warp.map(|w| f64::from(w.footprint_max_px) / scale),
+            ms: painted.ms,
+            bytes_received: traffic.bytes,
+            missing_chunks: painted.missing_chunks.len(),
+            in_volume: self.feed.index().volume.as_ref().map(|v| v.contains(pose.pose.position)),
+            unpainted_fraction,
+            filled_fraction: share(Source::Filled),
+            far_fraction: share(Source::Far),
+            hole_fraction: None,
+            hole_before_fill: None,
+            psnr_db: None,
+            ssim: None,
+            flip: None,
+            flip_far: None,
+        };
+        report.judged(&verdict);
+        let later = self.job.truth.is_some() && self.job.options.pace == Pace::Realtime;
+        self.kept.push(Kept {
+            report,
+            complete: painted.missing_chunks.is_empty(),
+            elapsed_ms: traffic.elapsed_s * 1e3,
+            source: later.then(|| frame.source.clone()),
+        });
+        Ok(())
+    }
+
+    /// Judges the frames of a walk that did not wait, from the pictures it wrote.
+    fn judge_rest(&mut self) -> Result<(), WalkError> {
+        let Some(folder) = self.job.truth else { return Ok(()) };
+        for kept in &mut self.kept {
+            let Some(source) = kept.source.take() else { continue };
+            let (Some(truth), Some(ours)) =
+                (Truth::load(folder, kept.report.index)?, Truth::load(self.job.folder, kept.report.index)?)
+            else {
+                continue;
+            };
+            let frame = ours.into_frame(source);
+            kept.report.judged(&truth.judge(&frame, &frame)?);
+        }
+        Ok(())
+    }
+
+    /// When the first useful frame stood, among the kept ones. Without truth: the first that lacked nothing.
+    fn first_useful(&mut self) {
+        let useful = |k: &&Kept| match k.report.flip {
+            Some(flip) => flip <= USEFUL_FLIP && k.report.hole_fraction.is_none_or(|h| h < USEFUL_HOLES),
+            None => k.complete,
+        };
+        if let Some(first) = self.kept.iter().find(useful) {
+            self.totals.ms_first_useful_frame = Some(first.elapsed_ms);
+            self.totals.bytes_first_useful_frame = Some(first.report.bytes_received);
+        }
+    }
+}
+
+impl FrameReport {
+    fn judged(&mut self, verdict: &Verdict) {
+        (self.psnr_db, self.ssim) = (verdict.psnr_db, verdict.ssim);
+        (self.flip, self.flip_far) = (verdict.flip, verdict.flip_far);
+        (self.hole_fraction, self.hole_before_fill) = (verdict.hole_fraction, verdict.hole_before_fill);
+    }
+}
+
+/// Writes pictures until the walk drops its end of the queue. The first failure ends it.
+fn write_pictures(queue: &mpsc::Receiver<Picture>, folder: &Path, debug_views: bool) -> Result<(), WalkError> {
+    for Picture { index, frame } in queue {
+        save_frame(folder, index, &frame)?;
+        if debug_views {
+            save_debug_views(folder, index, &frame)?;
+        }
+    }
+    Ok(())
+}
+
+/// Largest resident set of this process, where the system tells (`VmHWM` of Linux).
+fn peak_rss_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let kib: u64 =
+        status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?.trim().trim_end_matches("kB").trim().parse().ok()?;
+    Some(kib * 1024)
+}

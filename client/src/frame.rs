@@ -1,0 +1,218 @@
+//! The picture in the making: colour, disparity and where each pixel came from.
+//!
+//! The rasterizer (`near`) opens the frame, the warp's result is composited into it by disparity, and
+//! [`Frame::resolve`] averages a supersampled frame down to the output's size. Row 0 is on top, pixel centres lie at
+//! +0.5, disparity is 1 / eye-space depth in 1/m: greater is nearer, 0 is nothing or infinitely far.
+
+use ldi_protocol::{
+    OutputCamera,
+    shade::{SKY_SRGB, linear_from_srgb8_table, srgb8_from_linear},
+};
+
+/// What a pixel's colour came from. The numbers are stable: they are what `--debug-views` encodes and what metrics
+/// select by. Later ones are more doubtful, which [`Frame::resolve`] uses to break ties.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+#[repr(u8)]
+pub enum Source {
+    /// Known sky: the direction is known to meet no geometry.
+    Sky = 0,
+    /// A triangle drawn by the rasterizer.
+    Near = 1,
+    /// A sample of a layered depth image, warped.
+    Far = 2,
+    /// Extrapolated from neighbouring pixels: nothing that is known reached it.
+    Filled = 3,
+    /// Nothing reached it, and it was not filled.
+    #[default]
+    Unpainted = 4,
+}
+
+/// Packs 8-bit sRGB as 0x00BBGGRR: in memory the bytes are R, G, B, 0.
+#[inline]
+pub const fn pack_rgb(rgb: [u8; 3]) -> u32 {
+    u32::from_le_bytes([rgb[0], rgb[1], rgb[2], 0])
+}
+
+/// The inverse of [`pack_rgb`].
+#[inline]
+pub const fn unpack_rgb(colour: u32) -> [u8; 3] {
+    let b = colour.to_le_bytes();
+    [b[0], b[1], b[2]]
+}
+
+/// [`SKY_SRGB`], packed: what an unpainted pixel shows too, so that a picture without data is sky and not black.
+pub const SKY: u32 = pack_rgb(SKY_SRGB);
+
+/// A picture with depth. Three planes of `width * height`, row-major.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Frame {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// sRGB by [`pack_rgb`].
+    pub colour: Vec<u32>,
+    /// 1 / eye-space depth at the pixel centre, 1/m; 0 where there is no surface.
+    pub disparity: Vec<f32>,
+    /// Where the colour came from.
+    pub source: Vec<Source>,
+}
+
+impl Frame {
+    /// An unpainted frame.
+    pub fn new(width: u32, height: u32) -> Self {
+        let mut frame = Self::default();
+        frame.reset(width, height);
+        frame
+    }
+
+    /// Makes every pixel unpainted, reusing the planes' memory.
+    pub fn reset(&mut self, width: u32, height: u32) {
+        let n = width as usize * height as usize;
+        (self.width, self.height) = (width, height);
+        self.colour.clear();
+        self.colour.resize(n, SKY);
+        self.disparity.clear();
+        self.disparity.resize(n, 0.0);
+        self.source.clear();
+        self.source.resize(n, Source::Unpainted);
+    }
+
+    /// Number of pixels.
+    pub fn len(&self) -> usize {
+        self.colour.len()
+    }
+
+    /// Whether the frame has no pixel.
+    pub fn is_empty(&self) -> bool {
+        self.colour.is_empty()
+    }
+
+    /// Turns every unpainted pixel into sky: right when everything that could be seen was drawn.
+    pub fn paint_rest_as_sky(&mut self) {
+        for (source, colour) in self.source.iter_mut().zip(&mut self.colour) {
+            if *source == Source::Unpainted {
+                (*source, *colour) = (Source::Sky, SKY);
+            }
+        }
+    }
+
+    /// Pixels from `source`.
+    pub fn count(&self, source: Source) -> usize {
+        self.source.iter().filter(|s| **s == source).count()
+    }
+
+    /// The colours as RGB bytes, row by row.
+    pub fn to_rgb8(&self) -> Vec<u8> {
+        self.colour.iter().flat_map(|c| unpack_rgb(*c)).collect()
+    }
+
+    /// Averages blocks of `factor` x `factor` pixels into `out`, colours in linear light over all of the block.
+    ///
+    /// Disparity is the block's largest (what hides what is decided before, at full resolution); the source is the
+    /// most frequent one, ties going to the more doubtful. A factor of 1 copies.
+    pub fn resolve(&self, factor: u32, out: &mut Self) {
+        if factor <= 1 {
+            out.clone_from(self);
+            return;
+        }
+        let (width, height) = (self.width / factor, self.height / factor);
+        out.reset(width, height);
+        let linear = linear_from_srgb8_table();
+        let scale = 1.0 / (factor * factor) as f32;
+        for row in 0..height {
+            for column in 0..width {
+                let (mut sum, mut nearest, mut votes) = ([0.0f32; 3], 0.0f32, [0u32; 5]);
+                for dy in 0..factor {
+                    let first = ((row * factor + dy) * self.width + column * factor) as usize;
+                    for i in first..first + factor as usize {
+                        for (s, c) in sum.iter_mut().zip(unpack_rgb(self.colour[i])) {
+                            *s += linear[c as usize];
+                        }
+                        nearest = nearest.max(self.disparity[i]);
+                        votes[self.source[i] as usize] += 1;
+                    }
+                }
+                let o = (row * width + column) as usize;
+                out.colour[o] = pack_rgb(sum.map(|s| srgb8_from_linear(s * scale)));
+                out.disparity[o] = nearest;
+                out.source[o] = most_frequent(votes);
+            }
+        }
+    }
+}
+
+/// The source with the most votes; ties go to the later one.
+fn most_frequent(votes: [u32; 5]) -> Source {
+    const ALL: [Source; 5] = [Source::Sky, Source::Near, Source::Far, Source::Filled, Source::Unpainted];
+    let mut best = 0;
+    for (i, n) in votes.iter().enumerate() {
+        if *n >= votes[best] {
+            best = i;
+        }
+    }
+    ALL[best]
+}
+
+/// The camera of a frame rendered at `factor` times the output's resolution: same field of view, more pixels.
+pub fn supersampled(camera: &OutputCamera, factor: u32) -> OutputCamera {
+    OutputCamera { width: camera.width * factor, height: camera.height * factor, fov_deg: camera.fov_deg }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_average_in_linear_light() {
+        let mut f = Frame::new(2, 2);
+        f.colour = vec![pack_rgb([255; 3]), pack_rgb([0; 3]), pack_rgb([255; 3]), pack_rgb([0; 3])];
+        let mut out = Frame::default();
+        f.resolve(2, &mut out);
+        // Half the light is code 188, not 128.
+        assert_eq!(unpack_rgb(out.colour[0]), [188; 3]);
+        assert_eq!(out.len(), 1);
+    }
+
+    #[test]
+    fn resolve_keeps_uniform_colours_and_breaks_ties_doubtfully() {
+        let mut f = Frame::new(4, 2);
+        f.colour.fill(pack_rgb([17, 130, 251]));
+        f.source = vec![
+            Source::Near,
+            Source::Far,
+            Source::Near,
+            Source::Near,
+            Source::Near,
+            Source::Filled,
+            Source::Sky,
+            Source::Near,
+        ];
+        f.disparity = vec![0.1, 0.2, 0.3, 0.0, 0.5, 0.0, 0.0, 0.4];
+        let mut out = Frame::default();
+        f.resolve(2, &mut out);
+        assert_eq!(out.colour, vec![pack_rgb([17, 130, 251]); 2]);
+        assert_eq!(out.source, vec![Source::Near, Source::Near]);
+        assert_eq!(out.disparity, vec![0.5, 0.4]);
+        f.source = vec![
+            Source::Near,
+            Source::Filled,
+            Source::Far,
+            Source::Near,
+            Source::Near,
+            Source::Filled,
+            Source::Far,
+            Source::Sky,
+        ];
+        f.resolve(2, &mut out);
+        assert_eq!(out.source, vec![Source::Filled, Source::Far]);
+    }
+
+    #[test]
+    fn packing_round_trips() {
+        for rgb in [[0, 0, 0], [1, 2, 3], [255, 0, 128]] {
+            assert_eq!(unpack_rgb(pack_rgb(rgb)), rgb);
+        }
+        assert_eq!(pack_rgb([1, 2, 3]).to_le_bytes(), [1, 2, 3, 0]);
+    }
+}

@@ -1,0 +1,44 @@
+//! FLIP: how different two pictures look when one is flipped to the other on a screen (Andersson et al., "FLIP: A Difference
+//! Evaluator for Alternating Images", HPG 2020), by NVIDIA's implementation.
+
+use super::{MetricError, Picture};
+use nv_flip::{FlipImageRgb8, flip};
+
+/// Pixels per degree of the viewer's field: 0.7 m from a 0.7 m wide screen of 3840 pixels, the authors' default.
+pub const PIXELS_PER_DEGREE: f32 = 67.0;
+
+/// The error of each pixel, 0 (alike) to 1.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FlipMap {
+    errors: Vec<f32>,
+}
+
+impl FlipMap {
+    /// Compares `test` with `truth`.
+    pub fn new(truth: &Picture, test: &Picture) -> Result<Self, MetricError> {
+        truth.same_size(test)?;
+        let image = |p: &Picture| FlipImageRgb8::with_data(p.width, p.height, &p.rgb);
+        Ok(Self { errors: flip(image(truth), image(test), PIXELS_PER_DEGREE).to_vec() })
+    }
+
+    /// One error per pixel, row by row.
+    pub fn errors(&self) -> &[f32] {
+        &self.errors
+    }
+
+    /// Mean over all pixels.
+    pub fn mean(&self) -> f64 {
+        self.errors.iter().map(|e| f64::from(*e)).sum::<f64>() / self.errors.len() as f64
+    }
+
+    /// Mean over the pixels whose number satisfies `wanted`; None when there is none.
+    pub fn mean_where(&self, wanted: impl Fn(usize) -> bool) -> Option<f64> {
+        let (sum, n) = self
+            .errors
+            .iter()
+            .enumerate()
+            .filter(|(i, _)| wanted(*i))
+            .fold((0.0, 0u64), |(s, n), (_, e)| (s + f64::from(*e), n + 1));
+        (n > 0).then(|| sum / n as f64)
+    }
+}

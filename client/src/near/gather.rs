@@ -1,0 +1,205 @@
+//! From cells to draws: which clusters are drawn, where, with which material.
+
+use super::{NearStats, alpha::AlphaBlocks};
+use crate::resident::Resident;
+use glam::DAffine3;
+use ldi_protocol::{
+    index::Index,
+    mesh::{Alpha, CellGeometry, Cluster, ClusterRef, MAX_CLUSTER_TRIANGLES, Material},
+    texture::Texture,
+};
+use std::{collections::BTreeMap, ops::Range, sync::Arc};
+
+/// Largest number of draws in a frame: a triangle's number is 24 bits of draw and 8 bits of triangle, and the last is
+/// reserved for "none".
+const MAX_DRAWS: usize = (1 << 24) - 1;
+
+/// A cluster in the world.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Draw {
+    geometry: u32,
+    cluster: u32,
+    /// Placement of the cluster's mesh.
+    pub world_from_mesh: DAffine3,
+}
+
+/// Alpha blocks of the textures in use, kept from frame to frame; made anew when a texture gets finer.
+pub(super) type BlockCache = BTreeMap<u32, (Arc<Texture>, Arc<AlphaBlocks>)>;
+
+/// A texture, with alpha blocks if a mask needs them.
+struct Held {
+    texture: Arc<Texture>,
+    blocks: Option<Arc<AlphaBlocks>>,
+}
+
+/// Everything that one frame draws, held so that the cache cannot take it away.
+pub(super) struct Gathered<'a> {
+    materials: &'a [Material],
+    held: Vec<Arc<CellGeometry>>,
+    textures: BTreeMap<u32, Option<Held>>,
+    /// In the order of the cells.
+    pub draws: Vec<Draw>,
+    /// Counts so far: all but the pixels.
+    pub stats: NearStats,
+}
+
+/// Collects the draws of `cells`.
+pub(super) fn gather<'a>(
+    index: &'a Index,
+    resident: &dyn Resident,
+    cells: &[u32],
+    blocks: &mut BlockCache,
+) -> Gathered<'a> {
+    let mut out = Gathered {
+        materials: &index.materials,
+        held: Vec::new(),
+        textures: BTreeMap::new(),
+        draws: Vec::new(),
+        stats: NearStats::default(),
+    };
+    let mut bundles: BTreeMap<u32, Option<u32>> = BTreeMap::new();
+    for &number in cells {
+        let Some(entry) = index.cells.get(number as usize) else { continue };
+        let Some(geometry) = resident.cell(number) else {
+            out.stats.missing_chunks.push(entry.chunk);
+            continue;
+        };
+        let own = out.hold(geometry.clone());
+        for instance in &geometry.instances {
+            let (held, cluster) = match instance.cluster {
+                ClusterRef::Own(cluster) => (Some(own), cluster),
+                ClusterRef::Shared { chunk, cluster } => {
+                    let held = *bundles.entry(chunk).or_insert_with(|| match resident.bundle(chunk) {
+                        Some(bundle) => Some(out.hold(bundle)),
+                        None => {
+                            out.stats.missing_chunks.push(chunk);
+                            None
+                        }
+                    });
+                    (held, cluster)
+                }
+            };
+            if let Some(held) = held {
+                out.add(held, cluster, instance.world_from_mesh, resident);
+            }
+        }
+    }
+    out.hold_blocks(blocks);
+    let stats = &mut out.stats;
+    stats.missing_chunks.sort_unstable();
+    stats.missing_chunks.dedup();
+    for (number, texture) in &out.textures {
+        match texture.as_ref().map(|t| t.texture.levels.first().is_some_and(Option::is_some)) {
+            None => stats.missing_textures.push(*number),
+            Some(false) => stats.coarse_textures.push(*number),
+            Some(true) => {}
+        }
+    }
+    out
+}
+
+impl<'a> Gathered<'a> {
+    fn hold(&mut self, geometry: Arc<CellGeometry>) -> u32 {
+        self.held.push(geometry);
+        self.held.len() as u32 - 1
+    }
+
+    fn add(&mut self, geometry: u32, cluster: u32, world_from_mesh: DAffine3, resident: &dyn Resident) {
+        let Some(c) = self.held[geometry as usize].clusters.get(cluster as usize) else { return };
+        let Some(material) = self.materials.get(c.material as usize) else { return };
+        if self.draws.len() >= MAX_DRAWS {
+            return;
+        }
+        self.stats.clusters += 1;
+        self.stats.triangles += c.triangles.len().min(MAX_CLUSTER_TRIANGLES) as u64;
+        if let Some(texture) = material.texture {
+            self.textures
+                .entry(texture)
+                .or_insert_with(|| resident.texture(texture).map(|texture| Held { texture, blocks: None }));
+        }
+        self.draws.push(Draw { geometry, cluster, world_from_mesh });
+    }
+
+    /// Finds or makes the alpha blocks of masked textures, and forgets those of textures that are no longer drawn.
+    fn hold_blocks(&mut self, cache: &mut BlockCache) {
+        cache.retain(|number, _| self.textures.contains_key(number));
+        for material in self.materials.iter().filter(|m| matches!(m.alpha, Alpha::Mask(_))) {
+            let Some(number) = material.texture else { continue };
+            let Some(Some(held)) = self.textures.get_mut(&number) else { continue };
+            if held.blocks.is_none() {
+                let known = cache.get(&number).filter(|(texture, _)| Arc::ptr_eq(texture, &held.texture));
+                let blocks =
+                    known.map_or_else(|| Arc::new(AlphaBlocks::new(&held.texture)), |(_, blocks)| blocks.clone());
+                cache.insert(number, (held.texture.clone(), blocks.clone()));
+                held.blocks = Some(blocks);
+            }
+        }
+    }
+
+    /// The cluster of a draw.
+    pub fn cluster(&self, draw: &Draw) -> &Cluster {
+        &self.held[draw.geometry as usize].clusters[draw.cluster as usize]
+    }
+
+    /// The material of a cluster.
+    pub fn material(&self, cluster: &Cluster) -> &'a Material {
+        &self.materials[cluster.material as usize]
+    }
+
+    /// The texture of a material, if it has one and any level of it is here.
+    pub fn texture(&self, material: &Material) -> Option<&Texture> {
+        Some(&*self.textures.get(&material.texture?)?.as_ref()?.texture)
+    }
+
+    /// The alpha blocks of a masked material's texture.
+    pub fn blocks(&self, material: &Material) -> Option<&AlphaBlocks> {
+        self.textures.get(&material.texture?)?.as_ref()?.blocks.as_deref()
+    }
+
+    /// How the alpha of a cluster's material decides: by texel, or for the whole triangle.
+    pub fn mask(&self, cluster: &Cluster) -> Mask {
+        let material = self.material(cluster);
+        match material.alpha {
+            Alpha::Opaque => Mask::Solid,
+            Alpha::Mask(cutoff) if !cluster.uvs.is_empty() && self.texture(material).is_some() => Mask::ByTexel(cutoff),
+            Alpha::Mask(cutoff) if material.base_colour[3] < cutoff => Mask::Nothing,
+            Alpha::Mask(_) => Mask::Solid,
+        }
+    }
+
+    /// Consecutive ranges of draws: about `first` triangles, then twice as many each time up to `largest`.
+    pub fn batches(&self, first: usize, largest: usize) -> Vec<Range<usize>> {
+        self.ranges(0..self.draws.len(), first, largest)
+    }
+
+    /// Cuts a range of draws into consecutive ones with about `triangles` triangles each.
+    pub fn tasks(&self, range: Range<usize>, triangles: usize) -> Vec<Range<usize>> {
+        self.ranges(range, triangles, triangles)
+    }
+
+    fn ranges(&self, range: Range<usize>, first: usize, largest: usize) -> Vec<Range<usize>> {
+        let (mut out, mut start, mut sum, mut wanted) = (Vec::new(), range.start, 0, first);
+        for i in range.clone() {
+            sum += self.cluster(&self.draws[i]).triangles.len();
+            if sum >= wanted {
+                out.push(start..i + 1);
+                (start, sum, wanted) = (i + 1, 0, (2 * wanted).min(largest));
+            }
+        }
+        if start < range.end {
+            out.push(start..range.end);
+        }
+        out
+    }
+}
+
+/// What alpha makes of a material.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Mask {
+    /// Every covered pixel is there.
+    Solid,
+    /// A pixel is there where the texture's alpha times the factor reaches the cutoff.
+    ByTexel(f32),
+    /// No pixel is there.
+    Nothing,
+}

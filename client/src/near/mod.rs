@@ -1,0 +1,149 @@
+//! Near geometry: a software rasterizer for the clusters of the drawn cells.
+//!
+//! In: the cells that `select` leaves to be drawn, near to far, and whatever of them is resident. Out: colour and
+//! disparity of the nearest surface at every pixel centre, [`Source::Near`] where there is one, and how much was drawn.
+//!
+//! # Theory
+//!
+//! Edge functions after Pineda ("A Parallel Algorithm for Polygon Rasterization", SIGGRAPH 1988); attributes by
+//! homogeneous planes after Olano and Greer ("Triangle Scan Conversion using 2D Homogeneous Coordinates", 1997), so
+//! that they are perspective-correct and need no clipping; visibility first and shading after it, once per
+//! visible pixel (Burns and Hunt, "The Visibility Buffer", JCGT 2013). The depth buffer holds disparity: it is linear in the
+//! image and compares directly with the warp's.
+//!
+//! # Practice
+//!
+//! 1. `gather`: cells to draws (cluster, placement), in the order of the cells. What is absent is counted.
+//! 2. `setup`: vertices to eye space in f64, outcodes, clipping at the near plane only, edges and disparity plane of
+//!    each triangle; triangles are listed per band of `raster::BAND_ROWS` rows. Batches bound the memory, and what a batch
+//!    hides of the next ones is rejected here (`horizon`).
+//! 3. `raster`: bands in parallel; within a band triangles come in the order of the draws, those with an alpha test last, so
+//!    that fewer tests are made. The picture does not depend on the number of threads. The first of equally near triangles wins.
+//! 4. `shade`: bands in parallel; colours of the visible pixels.
+//!
+//! Coverage: a pixel belongs to the triangle that contains its centre; on an edge, to the triangle on whose left or top
+//! side the edge lies. Both triangles of an edge evaluate the same expression with opposite signs, so a shared edge
+//! leaves neither gap nor overlap. Vertices are transformed in f64 from exact mesh positions, so that clusters of one mesh
+//! meet bit for bit. Both faces are drawn.
+
+mod alpha;
+mod gather;
+mod horizon;
+mod raster;
+mod setup;
+mod shade;
+#[cfg(test)]
+mod tests;
+
+use crate::{
+    frame::{Frame, Source},
+    resident::Resident,
+};
+use ldi_protocol::{OutputCamera, Pose, index::Index};
+use rayon::prelude::*;
+
+/// Distance of the near plane from the eye along the viewing direction, metres.
+pub const NEAR_PLANE_M: f64 = 0.02;
+
+/// Largest picture side, pixels: the records of the rasterizer keep columns and rows in 16 bits.
+pub const MAX_SIDE_PX: u32 = 16_384;
+
+/// Triangles of the first batch; each is twice as large as the one before, since more is hidden. Smaller: what is near is not
+/// yet complete, and hides little.
+const FIRST_BATCH_TRIANGLES: usize = 1 << 14;
+/// Triangles of the largest batch. More costs memory (about 110 bytes each while visible), fewer costs synchronisation.
+const LARGEST_BATCH_TRIANGLES: usize = 1 << 18;
+/// Triangles per task of a batch: small enough to balance two threads, large enough to hide the task's cost.
+const TASK_TRIANGLES: usize = 1 << 13;
+
+/// What was drawn, and what could not be.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct NearStats {
+    /// Triangles of the drawn clusters, before frustum rejection and clipping.
+    pub triangles: u64,
+    /// Clusters drawn.
+    pub clusters: u64,
+    /// Chunks of cells and bundles that are not resident, ascending, without repetition.
+    pub missing_chunks: Vec<u32>,
+    /// Textures in use of which no level is resident, ascending.
+    pub missing_textures: Vec<u32>,
+    /// Textures in use whose finest level is not resident, ascending: drawn, but coarser than they could be.
+    pub coarse_textures: Vec<u32>,
+}
+
+/// The rasterizer and the memory that it reuses from frame to frame.
+#[derive(Debug, Default)]
+pub struct Rasterizer {
+    ids: Vec<u32>,
+    tasks: Vec<setup::Task>,
+    horizon: horizon::Horizon,
+    blocks: gather::BlockCache,
+}
+
+impl Rasterizer {
+    /// Draws `cells` into `frame`, which it resizes and clears first. Pixels without a triangle stay unpainted.
+    ///
+    /// `cells` are positions in `index.cells`; nearer ones should come first, which saves shading nothing and
+    /// rasterizing little, but decides between coplanar triangles. Cells beyond the index are ignored.
+    pub fn draw(
+        &mut self,
+        index: &Index,
+        resident: &dyn Resident,
+        cells: &[u32],
+        camera: &OutputCamera,
+        pose: &Pose,
+        frame: &mut Frame,
+    ) -> NearStats {
+        frame.reset(camera.width.min(MAX_SIDE_PX), camera.height.min(MAX_SIDE_PX));
+        self.ids.clear();
+        self.ids.resize(frame.len(), setup::NO_TRIANGLE);
+        let scene = gather::gather(index, resident, cells, &mut self.blocks);
+        if frame.is_empty() {
+            return scene.stats;
+        }
+        let view = setup::View::new(camera, pose);
+        let band_pixels = frame.width as usize * raster::BAND_ROWS;
+        self.horizon.reset(view.width, view.height);
+        for batch in scene.batches(FIRST_BATCH_TRIANGLES, LARGEST_BATCH_TRIANGLES) {
+            let tasks = scene.tasks(batch, TASK_TRIANGLES);
+            if self.tasks.len() < tasks.len() {
+                self.tasks.resize_with(tasks.len(), setup::Task::default);
+            }
+            let active = &mut self.tasks[..tasks.len()];
+            let horizon = &self.horizon;
+            active.par_iter_mut().zip(tasks).for_each(|(task, range)| task.fill(&scene, range, &view, horizon));
+            let active = &*active;
+            frame
+                .disparity
+                .par_chunks_mut(band_pixels)
+                .zip(self.ids.par_chunks_mut(band_pixels))
+                .enumerate()
+                .with_max_len(1)
+                .for_each(|(band, (disparity, ids))| {
+                    let mut target = raster::Band::new(band, view.width, disparity, ids);
+                    for masked in [false, true] {
+                        for task in active {
+                            target.draw(task, masked, &scene, &view);
+                        }
+                    }
+                });
+            self.horizon.update(&frame.disparity, view.width);
+        }
+        frame
+            .colour
+            .par_chunks_mut(band_pixels)
+            .zip(frame.source.par_chunks_mut(band_pixels))
+            .zip(self.ids.par_chunks(band_pixels))
+            .enumerate()
+            .with_max_len(1)
+            .for_each(|(band, ((colour, source), ids))| {
+                shade::shade_band(&scene, &view, band * raster::BAND_ROWS, ids, colour);
+                for (s, id) in source.iter_mut().zip(ids) {
+                    if *id != setup::NO_TRIANGLE {
+                        *s = Source::Near;
+                    }
+                }
+            });
+        scene.stats
+    }
+}

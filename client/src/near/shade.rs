@@ -1,0 +1,188 @@
+//! Colours of the visible pixels: attributes by homogeneous planes, textures by mip level, light.
+//!
+//! With p the first corner, e1 and e2 the edges from it and r = (x, y, 1) the eye-space ray of a pixel, the ray meets the
+//! triangle's plane where the second and third barycentric weights are (A . r) / (D . r) and (B . r) / (D . r), with
+//! A = e2 x p, B = p x e1, D = e1 x e2 (Cramer's rule on p + u e1 + v e2 = z r). Linear over linear: perspective-correct,
+//! and differentiable for the mip level.
+
+use super::{
+    alpha::AlphaBlocks,
+    gather::Gathered,
+    setup::{NO_TRIANGLE, View},
+};
+use crate::frame::pack_rgb;
+use glam::{Mat3, Vec2, Vec3};
+use ldi_protocol::{
+    mesh::Wrap,
+    shade::{light, srgb8_from_linear},
+    texture::{Texture, lod_of, sample},
+};
+
+/// Slots of a band's table of attributes; direct-mapped. A triangle spans several rows, and neighbours come back
+/// row after row: 256 slots hold what a row of a dense scene shows.
+const SLOTS: usize = 256;
+
+/// Linear grey shown in place of a texture that is not here at all: sRGB 128.
+const ABSENT_TEXEL: [f32; 3] = [0.216; 3];
+
+/// What a triangle needs to be shaded anywhere.
+#[derive(Clone)]
+pub(super) struct Attributes<'a> {
+    id: u32,
+    a: Vec3,
+    b: Vec3,
+    d: Vec3,
+    /// The colour, where it is the same everywhere.
+    constant: Option<u32>,
+    /// Value at the first corner, differences to the second and to the third.
+    normal: [Vec3; 3],
+    colour: [Vec3; 3],
+    uv: [Vec2; 3],
+    texture: Option<&'a Texture>,
+    blocks: Option<&'a AlphaBlocks>,
+    texture_size: (u32, u32),
+    wrap: [Wrap; 2],
+    alpha: f32,
+    unlit: bool,
+}
+
+/// Corner values as the first one and differences, for `f0 + u f1 + v f2`.
+fn differences<T: Copy + std::ops::Sub<Output = T>>([p, q, r]: [T; 3]) -> [T; 3] {
+    [p, q - p, r - p]
+}
+
+impl<'a> Attributes<'a> {
+    /// Attributes of a triangle by its number; None when the number names none.
+    pub fn new(scene: &'a Gathered<'_>, view: &View, id: u32) -> Option<Self> {
+        let draw = scene.draws.get((id >> 8) as usize)?;
+        let cluster = scene.cluster(draw);
+        let material = scene.material(cluster);
+        let corners = cluster.triangles.get((id & 255) as usize)?.map(usize::from);
+        let to_eye = view.eye_from_mesh(draw);
+        let positions = match corners.map(|c| cluster.positions.get(c)) {
+            [Some(p), Some(q), Some(r)] => [p, q, r].map(|p| to_eye.vertex(cluster.origin, *p)),
+            _ => return None,
+        };
+        let [p, q, r] = positions;
+        // Subtract in f64: edges of small, distant triangles keep their digits.
+        let (e1, e2, p) = ((q - p).as_vec3(), (r - p).as_vec3(), p.as_vec3());
+        let textured = material.texture.filter(|_| !cluster.uvs.is_empty());
+        let factor = Vec3::from_slice(&material.base_colour);
+        let factor = if textured.is_some() && scene.texture(material).is_none() {
+            factor * Vec3::from(ABSENT_TEXEL)
+        } else {
+            factor
+        };
+        let texture = textured.and_then(|_| scene.texture(material));
+        let colour = corners.map(|c| factor * cluster.colours.get(c).map_or(Vec3::ONE, |c| Vec3::from(*c)));
+        // Normals turn by the inverse transpose; its scale is irrelevant.
+        let turn: Mat3 = draw.world_from_mesh.matrix3.inverse().transpose().as_mat3();
+        let normal = corners.map(|c| turn * cluster.normals.get(c).copied().unwrap_or(Vec3::Y));
+        let mut out = Self {
+            id,
+            a: e2.cross(p),
+            b: p.cross(e1),
+            d: e1.cross(e2),
+            constant: None,
+            normal: differences(normal),
+            colour: differences(colour),
+            uv: differences(corners.map(|c| cluster.uvs.get(c).copied().unwrap_or(Vec2::ZERO))),
+            texture,
+            blocks: texture.and_then(|_| scene.blocks(material)),
+            texture_size: texture.and_then(Texture::size).unwrap_or((1, 1)),
+            wrap: material.wrap,
+            alpha: material.base_colour[3],
+            unlit: material.unlit,
+        };
+        let flat = |v: [Vec3; 3]| v[1] == Vec3::ZERO && v[2] == Vec3::ZERO;
+        if texture.is_none() && flat(out.colour) && (material.unlit || flat(out.normal)) {
+            out.constant = Some(out.lit(out.colour[0], out.normal[0]));
+        }
+        Some(out)
+    }
+
+    /// The ray of a pixel centre, component 1 along forward.
+    #[inline]
+    fn ray(view: &View, x: f32, y: f32) -> Vec3 {
+        let s = 1.0 / view.focal_px as f32;
+        Vec3::new((x - view.centre_px[0] as f32) * s, (view.centre_px[1] as f32 - y) * s, 1.0)
+    }
+
+    /// Second and third barycentric weight, and 1 / (D . ray). Held in [0, 1]: the centre may lie a hair outside.
+    #[inline]
+    fn weights(&self, ray: Vec3) -> (f32, f32, f32) {
+        let inverse = 1.0 / self.d.dot(ray);
+        // Not `clamp`: the NaN of an edge-on triangle becomes 0.
+        let hold = |w: f32| if w > 0.0 { w.min(1.0) } else { 0.0 };
+        (hold(self.a.dot(ray) * inverse), hold(self.b.dot(ray) * inverse), inverse)
+    }
+
+    /// Texture coordinates at a pixel centre.
+    pub fn uv_at(&self, view: &View, x: f32, y: f32) -> Vec2 {
+        let (u, v, _) = self.weights(Self::ray(view, x, y));
+        self.uv[0] + self.uv[1] * u + self.uv[2] * v
+    }
+
+    /// Whether texture alpha times factor at a pixel centre reaches the cutoff.
+    pub fn passes(&self, view: &View, x: f32, y: f32, cutoff: f32) -> bool {
+        match (self.texture, self.blocks) {
+            (Some(texture), Some(blocks)) => {
+                blocks.passes(texture, self.uv_at(view, x, y), self.wrap, self.alpha, cutoff)
+            }
+            _ => self.alpha >= cutoff,
+        }
+    }
+
+    /// The colour at a pixel centre.
+    #[inline]
+    fn shade(&self, view: &View, x: f32, y: f32) -> u32 {
+        if let Some(colour) = self.constant {
+            return colour;
+        }
+        let (u, v, inverse) = self.weights(Self::ray(view, x, y));
+        let mut colour = self.colour[0] + self.colour[1] * u + self.colour[2] * v;
+        if let Some(texture) = self.texture {
+            let uv = self.uv[0] + self.uv[1] * u + self.uv[2] * v;
+            // Derivatives of (A . r) / (D . r) by columns and rows.
+            let step = inverse / view.focal_px as f32;
+            let along = |i: usize, sign: f32| {
+                let (du, dv) = (self.a[i] - u * self.d[i], self.b[i] - v * self.d[i]);
+                (self.uv[1] * du + self.uv[2] * dv) * (step * sign)
+            };
+            let lod = lod_of(self.texture_size, along(0, 1.0), along(1, -1.0));
+            colour *= Vec3::from(sample(texture, uv, lod, self.wrap).0);
+        }
+        self.lit(colour, self.normal[0] + self.normal[1] * u + self.normal[2] * v)
+    }
+
+    #[inline]
+    fn lit(&self, colour: Vec3, normal: Vec3) -> u32 {
+        let amount = if self.unlit { 1.0 } else { light(normal.normalize_or_zero().to_array()) };
+        pack_rgb((colour * amount).to_array().map(srgb8_from_linear))
+    }
+}
+
+/// Shades the covered pixels of a band that starts at `first_row`; leaves the others alone.
+pub(super) fn shade_band(scene: &Gathered<'_>, view: &View, first_row: usize, ids: &[u32], colour: &mut [u32]) {
+    let mut slots: Vec<Option<Attributes<'_>>> = vec![None; SLOTS];
+    for (row, (ids, colour)) in ids.chunks(view.width).zip(colour.chunks_mut(view.width)).enumerate() {
+        let y = (first_row + row) as f32 + 0.5;
+        for (column, (id, colour)) in ids.iter().zip(colour).enumerate() {
+            if *id == NO_TRIANGLE {
+                continue;
+            }
+            let slot = &mut slots[slot_of(*id)];
+            if slot.as_ref().is_none_or(|s| s.id != *id) {
+                *slot = Attributes::new(scene, view, *id);
+            }
+            if let Some(attributes) = slot {
+                *colour = attributes.shade(view, column as f32 + 0.5, y);
+            }
+        }
+    }
+}
+
+/// Fibonacci hashing (Knuth 6.4): neighbouring numbers fall into different slots.
+fn slot_of(id: u32) -> usize {
+    (id.wrapping_mul(0x9E37_79B9) >> 24) as usize % SLOTS
+}

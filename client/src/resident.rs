@@ -1,0 +1,16 @@
+//! What the renderer asks of whoever holds the decoded chunks.
+
+use ldi_protocol::{ldi::Ldi, mesh::CellGeometry, texture::Texture};
+use std::sync::Arc;
+
+/// Decoded data that is at hand now. Absent data is None: the frame is drawn without it and says so.
+pub trait Resident: Sync {
+    /// Geometry of a cell.
+    fn cell(&self, cell: u32) -> Option<Arc<CellGeometry>>;
+    /// A bundle of shared clusters, by chunk number.
+    fn bundle(&self, chunk: u32) -> Option<Arc<CellGeometry>>;
+    /// A texture with the mip levels that are there; None when there is none at all.
+    fn texture(&self, texture: u32) -> Option<Arc<Texture>>;
+    /// The LDI of a placement with the layers that are there; None without the first.
+    fn ldi(&self, placement: u32) -> Option<Arc<Ldi>>;
+}

@@ -1,0 +1,73 @@
+//! Why there is no connection, or no longer one.
+
+use ldi_protocol::wire::RefusalCode;
+
+/// Errors of [`super::Connection`].
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ConnectError {
+    /// The address is none, or its name is unknown.
+    #[error("{address}: {reason}; give HOST or HOST:PORT")]
+    Address {
+        /// As given.
+        address: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A fingerprint that is not 64 hexadecimal digits.
+    #[error("\"{0}\" is no fingerprint: 64 hexadecimal digits, as the server prints them")]
+    FingerprintText(String),
+    /// Nobody answers there.
+    #[error("{address} does not answer: {reason}; is the server running, and may UDP pass?")]
+    Unreachable {
+        /// Where.
+        address: String,
+        /// What was seen.
+        reason: String,
+    },
+    /// The server answers, but nobody said which certificate to expect.
+    #[error("unknown server; if it prints fingerprint={fingerprint}, pass --fingerprint {fingerprint}")]
+    UnknownServer {
+        /// Of the certificate that it showed.
+        fingerprint: String,
+    },
+    /// The server shows another certificate than expected.
+    #[error("the server's fingerprint is {found}, expected {expected}: another server, or someone in between")]
+    Fingerprint {
+        /// As given.
+        expected: String,
+        /// As shown.
+        found: String,
+    },
+    /// The server refuses this client.
+    #[error("the server refuses: {message}")]
+    Refused {
+        /// Why.
+        code: RefusalCode,
+        /// In its words.
+        message: String,
+    },
+    /// The server has no room.
+    #[error("the server has no room for another connection; try again later")]
+    Busy,
+    /// The server breaks the protocol or sends a manifest that cannot be used.
+    #[error("the server sends what cannot be used: {0}")]
+    Protocol(String),
+    /// The connection ended.
+    #[error("the connection ended: {0}")]
+    Lost(String),
+    /// This machine cannot open a socket or a thread.
+    #[error("cannot start: {0}")]
+    Local(String),
+}
+
+impl ConnectError {
+    /// The exit code of the command line: 2 for wrong usage, 1 when a retry may help, 42 when not.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Address { .. } | Self::FingerprintText(_) | Self::UnknownServer { .. } => 2,
+            Self::Unreachable { .. } | Self::Busy | Self::Lost(_) | Self::Local(_) => 1,
+            Self::Refused { code: RefusalCode::Busy | RefusalCode::Rate, .. } => 1,
+            Self::Fingerprint { .. } | Self::Refused { .. } | Self::Protocol(_) => 42,
+        }
+    }
+}

@@ -1,0 +1,159 @@
+//! From an address to a connection with a manifest.
+
+use super::{
+    ConnectConfig, ConnectError,
+    receive::{self, Broken},
+    transport,
+    trust::PinnedVerifier,
+};
+use ldi_protocol::{
+    index::{ChunkHash, Index},
+    manifest,
+    wire::{self, ClientMessage, Hello, MAX_ROOT_BYTES, Message, RefusalCode, ServerMessage, StreamKind, Welcome},
+};
+use quinn::{Connection, ConnectionError, Endpoint, RecvStream, SendStream};
+use std::{net::SocketAddr, sync::Arc, time::Duration};
+use tokio::time::timeout;
+
+/// An open connection whose manifest is here.
+pub(super) struct Opened {
+    pub endpoint: Endpoint,
+    pub connection: Connection,
+    pub send: SendStream,
+    pub recv: RecvStream,
+    pub dataset: ChunkHash,
+    pub index: Arc<Index>,
+}
+
+/// Connects to the first address that answers.
+pub(super) async fn open(config: &ConnectConfig) -> Result<Opened, ConnectError> {
+    let mut last = None;
+    for address in transport::resolve(&config.server)? {
+        match dial(config, address).await {
+            Ok((endpoint, connection)) => {
+                return timeout(config.timeout, converse(config, endpoint, connection))
+                    .await
+                    .unwrap_or_else(|_| Err(ConnectError::Lost("the manifest did not come in time".into())));
+            }
+            // Only silence makes another address worth a try.
+            Err(e @ ConnectError::Unreachable { .. }) => last = Some(e),
+            Err(e) => return Err(e),
+        }
+    }
+    Err(last.unwrap_or_else(|| ConnectError::Local("no address".into())))
+}
+
+async fn dial(config: &ConnectConfig, address: SocketAddr) -> Result<(Endpoint, Connection), ConnectError> {
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let verifier = PinnedVerifier::new(config.fingerprint, provider);
+    let endpoint = transport::open(address, verifier.clone())?;
+    let unreachable = |reason: String| ConnectError::Unreachable { address: address.to_string(), reason };
+    let connecting = endpoint.connect(address, "ldi-server").map_err(|e| unreachable(e.to_string()))?;
+    match timeout(config.timeout, connecting).await {
+        Ok(Ok(connection)) => Ok((endpoint, connection)),
+        Ok(Err(e)) => Err(verifier.refusal().unwrap_or_else(|| match e {
+            ConnectionError::ConnectionClosed(c) if c.error_code == quinn::TransportErrorCode::CONNECTION_REFUSED => {
+                ConnectError::Busy
+            }
+            ConnectionError::VersionMismatch => ConnectError::Protocol("another version of QUIC".into()),
+            e => unreachable(e.to_string()),
+        })),
+        Err(_) => Err(unreachable(format!("no answer within {} s", config.timeout.as_secs_f64()))),
+    }
+}
+
+async fn converse(config: &ConnectConfig, endpoint: Endpoint, connection: Connection) -> Result<Opened, ConnectError> {
+    let (mut send, mut recv) = connection.open_bi().await.map_err(|e| lost(&e))?;
+    let hello = ClientMessage::Hello(Hello {
+        version: wire::VERSION,
+        token: config.token.clone(),
+        picture: config.picture,
+        cache_bytes: config.cache_bytes,
+        prefetch_m: config.prefetch_m,
+        name: config.name.clone(),
+    });
+    let hello = wire::encode(&hello).map_err(|e| ConnectError::Local(e.to_string()))?;
+    // A refusal may come before the message is out: then reading says why.
+    let _ = send.write_all(&hello).await;
+    let welcome = match read_message::<ServerMessage>(&mut recv, &connection).await? {
+        ServerMessage::Welcome(w) => w,
+        ServerMessage::Refused { code, message } => return Err(ConnectError::Refused { code, message }),
+        ServerMessage::Unavailable { .. } => return Err(ConnectError::Protocol("no welcome".into())),
+    };
+    let (dataset, index) = fetch_manifest(&welcome, &mut recv, &connection).await?;
+    Ok(Opened { endpoint, connection, send, recv, dataset, index: Arc::new(index) })
+}
+
+async fn fetch_manifest(
+    welcome: &Welcome,
+    recv: &mut RecvStream,
+    connection: &Connection,
+) -> Result<(ChunkHash, Index), ConnectError> {
+    let protocol = |reason: String| ConnectError::Protocol(reason);
+    let bytes = read_frame(recv, connection, MAX_ROOT_BYTES).await?;
+    let root = manifest::decode_root(&bytes).map_err(|e| protocol(e.to_string()))?;
+    if root.hash != welcome.dataset || root.pages.len() != welcome.pages as usize {
+        return Err(protocol("the manifest is not the one announced".into()));
+    }
+    let mut pages = vec![None; root.pages.len()];
+    for _ in 0..pages.len() {
+        let mut stream = connection.accept_uni().await.map_err(|e| lost(&e))?;
+        let page = async {
+            let header = receive::header(&mut stream).await?;
+            let entry = root.pages.get(header.number as usize).filter(|_| header.kind == StreamKind::Page);
+            if entry.is_none_or(|p| p.stored_bytes != header.bytes) {
+                return Err(Broken::Wrong("not a page of the manifest".into()));
+            }
+            Ok((header.number as usize, receive::body(&mut stream, &header).await?))
+        };
+        let (number, body) = page.await.map_err(|e| match connection.close_reason() {
+            Some(reason) => lost(&reason),
+            None => protocol(e.to_string()),
+        })?;
+        pages[number] = Some(body);
+    }
+    let pages: Vec<Vec<u8>> = pages.into_iter().map(Option::unwrap_or_default).collect();
+    let index = manifest::assemble(&root, &pages).map_err(|e| protocol(e.to_string()))?;
+    Ok((root.hash, index))
+}
+
+/// The next frame of the control stream.
+pub(super) async fn read_message<M: Message>(
+    recv: &mut RecvStream,
+    connection: &Connection,
+) -> Result<M, ConnectError> {
+    let body = read_frame(recv, connection, M::LIMIT).await?;
+    wire::decode(&body).map_err(|e| ConnectError::Protocol(e.to_string()))
+}
+
+async fn read_frame(recv: &mut RecvStream, connection: &Connection, limit: usize) -> Result<Vec<u8>, ConnectError> {
+    let mut prefix = [0; 4];
+    let mut body = Vec::new();
+    let read = async {
+        recv.read_exact(&mut prefix).await.map_err(|e| ConnectError::Lost(e.to_string()))?;
+        let length = wire::frame_length(prefix, limit).map_err(|e| ConnectError::Protocol(e.to_string()))?;
+        body.resize(length, 0);
+        recv.read_exact(&mut body).await.map_err(|e| ConnectError::Lost(e.to_string()))
+    };
+    match read.await {
+        Ok(()) => Ok(body),
+        Err(e @ ConnectError::Protocol(_)) => Err(e),
+        // The stream ends a moment before the connection does, and only the connection says why.
+        Err(e) => Err(match timeout(Duration::from_millis(500), connection.closed()).await {
+            Ok(reason) => lost(&reason),
+            Err(_) => e,
+        }),
+    }
+}
+
+/// What the end of a connection means.
+pub(super) fn lost(e: &ConnectionError) -> ConnectError {
+    let ConnectionError::ApplicationClosed(close) = e else { return ConnectError::Lost(e.to_string()) };
+    let message = String::from_utf8_lossy(&close.reason).into_owned();
+    let refusals =
+        [RefusalCode::Token, RefusalCode::Version, RefusalCode::Busy, RefusalCode::Protocol, RefusalCode::Rate];
+    match refusals.into_iter().find(|c| u64::from(*c as u32) == close.error_code.into_inner()) {
+        Some(code) => ConnectError::Refused { code, message },
+        None => ConnectError::Lost(message),
+    }
+}

@@ -1,0 +1,203 @@
+//! The client's end of the wire: connects, says where the eye is, takes chunks in.
+//!
+//! In: poses and needs from the render thread. Out: decoded objects in the [`Cache`], statistics. The render thread never
+//! waits for the network unless it asks to ([`Connection::wait_until_complete`]).
+//!
+//! One named thread runs a small async runtime with all of QUIC; a few more verify hashes and decode. Between them bounded
+//! queues: when decoding falls behind, reading stops, and QUIC's windows stop the server.
+//!
+//! A damaged chunk is asked for again [`MAX_RETRIES`] times, then given up; the walk goes on without it.
+
+mod decoder;
+mod error;
+mod handshake;
+mod receive;
+mod session;
+mod stats;
+mod transport;
+mod trust;
+
+pub use error::ConnectError;
+pub use session::MAX_RETRIES;
+pub use stats::{Arrival, Stats};
+pub use trust::Fingerprint;
+
+use crate::cache::{Cache, Incomplete};
+use ldi_protocol::{
+    Pose,
+    index::{ChunkHash, Index},
+    need::Needed,
+    wire::{Picture, Request},
+};
+use session::{Command, Ready};
+use stats::Collector;
+use std::{
+    sync::Arc,
+    thread::JoinHandle,
+    time::{Duration, Instant},
+};
+use tokio::sync::{mpsc, oneshot, watch};
+
+/// Without progress for this long, what is missing is asked for by number. Shorter: chunks that are only slow come twice.
+const ASK_AFTER: Duration = Duration::from_millis(300);
+
+/// Whom to connect to, and how.
+#[derive(Debug, Clone)]
+pub struct ConnectConfig {
+    /// HOST or HOST:PORT.
+    pub server: String,
+    /// The certificate to expect. None ends in [`ConnectError::UnknownServer`], which names the one found.
+    pub fingerprint: Option<Fingerprint>,
+    /// Shared secret, when the server asks for one.
+    pub token: Option<String>,
+    /// The picture that will be drawn.
+    pub picture: Picture,
+    /// Cap of the cache, decoded bytes.
+    pub cache_bytes: u64,
+    /// How far around the eye the server may push what no view has needed yet, metres; 0 for nothing. Larger: fewer gaps when
+    /// the walk turns or hurries; more bytes that no frame uses.
+    pub prefetch_m: f64,
+    /// Shown on the server's page.
+    pub name: String,
+    /// The cache of an earlier connection: what it holds of the same dataset is not sent again.
+    pub resume: Option<Arc<Cache>>,
+    /// Threads that verify and decode.
+    pub decode_threads: usize,
+    /// Time for connecting and for the manifest.
+    pub timeout: Duration,
+}
+
+impl ConnectConfig {
+    /// The defaults for a server and a picture: 1 GiB of cache, 10 m of prefetch.
+    pub fn new(server: impl Into<String>, picture: Picture) -> Self {
+        let threads = std::thread::available_parallelism().map_or(1, usize::from);
+        Self {
+            server: server.into(),
+            fingerprint: None,
+            token: None,
+            picture,
+            cache_bytes: 1 << 30,
+            prefetch_m: 10.0,
+            name: format!("ldi-client {}", env!("CARGO_PKG_VERSION")),
+            resume: None,
+            // Half: the other half draws.
+            decode_threads: (threads / 2).clamp(1, 4),
+            timeout: Duration::from_secs(10),
+        }
+    }
+}
+
+/// A connection with its threads. Dropping it says goodbye and waits for them.
+#[derive(Debug)]
+pub struct Connection {
+    index: Arc<Index>,
+    dataset: ChunkHash,
+    cache: Arc<Cache>,
+    stats: Arc<Collector>,
+    poses: watch::Sender<Option<Pose>>,
+    commands: mpsc::UnboundedSender<Command>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Connection {
+    /// Connects, and returns when the whole manifest is there.
+    ///
+    /// # Errors
+    /// See [`ConnectError`].
+    pub fn connect(config: ConnectConfig) -> Result<Self, ConnectError> {
+        let stats = Arc::new(Collector::new());
+        let (poses, poses_seen) = watch::channel(None);
+        let (commands, commands_seen) = mpsc::unbounded_channel();
+        let (ready, connected) = std::sync::mpsc::channel();
+        let collector = stats.clone();
+        let thread = std::thread::Builder::new()
+            .name("ldi-stream".into())
+            .spawn(move || session::run(config, collector, poses_seen, commands_seen, &ready))
+            .map_err(|e| ConnectError::Local(e.to_string()))?;
+        let ended = || Err(ConnectError::Local("the streaming thread ended".into()));
+        let Ready { dataset, cache } = connected.recv().unwrap_or_else(|_| ended())?;
+        let index = cache.index().clone();
+        Ok(Self { index, dataset, cache, stats, poses, commands, thread: Some(thread) })
+    }
+
+    /// The dataset's index.
+    pub fn index(&self) -> &Arc<Index> {
+        &self.index
+    }
+    /// The dataset's name.
+    pub fn dataset(&self) -> ChunkHash {
+        self.dataset
+    }
+    /// Decoded objects; implements [`crate::resident::Resident`].
+    pub fn cache(&self) -> &Arc<Cache> {
+        &self.cache
+    }
+
+    /// The eye is here now. The latest wins; a lost one is repeated.
+    pub fn send_pose(&self, pose: &Pose) {
+        self.poses.send_replace(Some(*pose));
+    }
+
+    /// A new frame: pins what it needs and tells the server where the eye is.
+    pub fn look(&self, pose: &Pose, needed: &Needed) {
+        self.cache.pin(needed.all());
+        self.send_pose(pose);
+    }
+
+    /// Asks for chunks by number, before anything else.
+    pub fn want(&self, chunks: &[u32]) {
+        // The thread is gone when the connection is: `wait_until_complete` says so.
+        let _ = self.commands.send(Command::Want(chunks.to_vec()));
+    }
+
+    /// Waits until all of `needed` can be drawn. Call [`Connection::look`] first.
+    ///
+    /// # Errors
+    /// What is missing and why; a frame can still be drawn without it.
+    pub fn wait_until_complete(&self, needed: &[u32], timeout: Duration) -> Result<(), Incomplete> {
+        let deadline = Instant::now() + timeout;
+        loop {
+            let before = self.stats.received();
+            let left = deadline.saturating_duration_since(Instant::now());
+            match self.cache.wait(needed, left.min(ASK_AFTER)) {
+                Err(Incomplete::Timeout(missing)) if left > ASK_AFTER => {
+                    // Keep-alives and poses' acknowledgements are no progress.
+                    if self.stats.received() < before + 4096 {
+                        self.want(&missing);
+                    }
+                }
+                end => return end,
+            }
+        }
+    }
+
+    /// Fetches a chunk's stored bytes by number or name, past the cache: for tools and tests.
+    ///
+    /// # Errors
+    /// If there is no such chunk or the connection ends.
+    pub fn fetch(&self, request: Request) -> Result<(u32, Vec<u8>), ConnectError> {
+        let (answer, answered) = oneshot::channel();
+        let lost = || ConnectError::Lost("the streaming thread ended".into());
+        self.commands.send(Command::Fetch(request, answer)).map_err(|_| lost())?;
+        answered.blocking_recv().unwrap_or_else(|_| Err(lost()))
+    }
+
+    /// The statistics now.
+    pub fn stats(&self) -> Stats {
+        self.stats.snapshot(self.cache.usage().useful_bytes)
+    }
+
+    /// All arrivals so far, in order.
+    pub fn arrivals(&self) -> Vec<Arrival> {
+        self.stats.arrivals()
+    }
+}
+
+impl Drop for Connection {
+    fn drop(&mut self) {
+        let _ = self.commands.send(Command::Close);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}

@@ -1,0 +1,57 @@
+//! Reads one unidirectional stream: a header and the bytes it announces, no more and no fewer.
+
+use ldi_protocol::wire::{StreamHeader, code};
+use quinn::{ReadError, RecvStream, VarInt};
+
+/// Bytes to begin with; more comes as it arrives, so that an announcement alone costs little.
+const FIRST_CAPACITY: usize = 256 * 1024;
+
+/// Why a stream brought nothing.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum Broken {
+    /// The server gave it up, or the connection ended.
+    #[error("broken off after {bytes} bytes")]
+    Off {
+        /// What came.
+        bytes: u64,
+    },
+    /// Not what was announced.
+    #[error("{0}")]
+    Wrong(String),
+}
+
+/// The header.
+pub(super) async fn header(stream: &mut RecvStream) -> Result<StreamHeader, Broken> {
+    let mut bytes = [0; StreamHeader::BYTES];
+    stream.read_exact(&mut bytes).await.map_err(|_| Broken::Off { bytes: 0 })?;
+    StreamHeader::decode(&bytes).map_err(|e| {
+        refuse(stream, code::BAD_STREAM);
+        Broken::Wrong(e.to_string())
+    })
+}
+
+/// The body: exactly `header.bytes`.
+pub(super) async fn body(stream: &mut RecvStream, header: &StreamHeader) -> Result<Vec<u8>, Broken> {
+    let wanted = header.bytes as usize;
+    let mut bytes = Vec::with_capacity(wanted.min(FIRST_CAPACITY));
+    loop {
+        match stream.read_chunk(usize::MAX, true).await {
+            Ok(Some(chunk)) if bytes.len() + chunk.bytes.len() <= wanted => bytes.extend_from_slice(&chunk.bytes),
+            Ok(Some(_)) => {
+                refuse(stream, code::BAD_STREAM);
+                return Err(Broken::Wrong(format!("stream longer than the {wanted} bytes it announces")));
+            }
+            Ok(None) if bytes.len() == wanted => return Ok(bytes),
+            Ok(None) => return Err(Broken::Wrong(format!("{} of {wanted} bytes", bytes.len()))),
+            Err(ReadError::Reset(_) | ReadError::ConnectionLost(_)) => {
+                return Err(Broken::Off { bytes: bytes.len() as u64 });
+            }
+            Err(e) => return Err(Broken::Wrong(e.to_string())),
+        }
+    }
+}
+
+/// Tells the server to stop.
+pub(super) fn refuse(stream: &mut RecvStream, code: u32) {
+    let _ = stream.stop(VarInt::from_u32(code));
+}

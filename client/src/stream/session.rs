@@ -1,0 +1,310 @@
+//! The streaming thread: one loop that owns the control stream, and one task per chunk that arrives.
+
+use super::{
+    ConnectConfig, ConnectError,
+    decoder::{Decoders, Job},
+    handshake::{self, Opened},
+    receive::{self, Broken},
+    stats::{Collector, SAMPLE_EVERY},
+};
+use crate::cache::Cache;
+use glam::DVec3;
+use ldi_protocol::{
+    Pose,
+    index::ChunkHash,
+    need::{PREFETCH_SHARE, Reach, near_to_far},
+    wire::{self, Answer, ClientMessage, MAX_LIST, PoseDatagram, Request, ServerMessage, StreamKind, code},
+};
+use quinn::{Connection, RecvStream, SendStream, VarInt};
+use std::{
+    collections::HashMap,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+use tokio::{
+    sync::{mpsc, oneshot, watch},
+    task::JoinSet,
+    time::{interval, timeout},
+};
+
+/// How often a damaged chunk is asked for again. The wire has checksums, so damage is nearly always on the server's disk.
+pub const MAX_RETRIES: u8 = 2;
+/// A pose is repeated after this time, then after twice as long, and so on up to [`MAX_POSE_INTERVAL`]: datagrams get lost.
+const MIN_POSE_INTERVAL: Duration = Duration::from_millis(50);
+/// See [`MIN_POSE_INTERVAL`].
+const MAX_POSE_INTERVAL: Duration = Duration::from_secs(2);
+/// After this much movement, metres, what lies around the eye is counted as used anew.
+const TOUCH_STEP_M: f64 = 0.5;
+/// Time for the goodbye.
+const GOODBYE: Duration = Duration::from_millis(500);
+
+/// What the render thread wants.
+pub(super) enum Command {
+    Want(Vec<u32>),
+    Fetch(Request, oneshot::Sender<Result<(u32, Vec<u8>), ConnectError>>),
+    Close,
+}
+
+/// The connection is up.
+pub(super) struct Ready {
+    pub dataset: ChunkHash,
+    pub cache: Arc<Cache>,
+}
+
+/// The thread's body. Says once on `ready` how connecting went.
+pub(super) fn run(
+    config: ConnectConfig,
+    stats: Arc<Collector>,
+    poses: watch::Receiver<Option<Pose>>,
+    commands: mpsc::UnboundedReceiver<Command>,
+    ready: &std::sync::mpsc::Sender<Result<Ready, ConnectError>>,
+) {
+    let runtime = match tokio::runtime::Builder::new_current_thread().enable_all().build() {
+        Ok(r) => r,
+        Err(e) => {
+            let _ = ready.send(Err(ConnectError::Local(e.to_string())));
+            return;
+        }
+    };
+    runtime.block_on(async {
+        let opened = match handshake::open(&config).await {
+            Ok(o) => o,
+            Err(e) => {
+                let _ = ready.send(Err(e));
+                return;
+            }
+        };
+        let cache = cache_for(&config, &opened);
+        let (damaged, damage) = mpsc::unbounded_channel();
+        let (decoders, jobs) = match Decoders::start(config.decode_threads, &cache, &stats, &damaged) {
+            Ok(d) => d,
+            Err(e) => {
+                let _ = ready.send(Err(ConnectError::Local(e.to_string())));
+                return;
+            }
+        };
+        stats.watch(opened.connection.clone());
+        cache.set_disconnected(None);
+        let _ = ready.send(Ok(Ready { dataset: opened.dataset, cache: cache.clone() }));
+        let endpoint = opened.endpoint.clone();
+        let session = Session {
+            connection: opened.connection.clone(),
+            send: opened.send,
+            cache: cache.clone(),
+            stats,
+            tries: HashMap::new(),
+            sequence: 0,
+            started: Instant::now(),
+            touched_at: None,
+            prefetch_m: config.prefetch_m,
+        };
+        let end = session.run(opened.recv, poses, commands, damage, jobs).await;
+        let reason = end.map_or_else(|e| e.to_string(), |()| "the connection was closed".into());
+        cache.set_disconnected(Some(reason));
+        opened.connection.close(VarInt::from_u32(code::BYE), b"bye");
+        let _ = timeout(GOODBYE, endpoint.wait_idle()).await;
+        decoders.join();
+    });
+}
+
+/// The cache of an earlier connection when it is of the same dataset, else a new one.
+fn cache_for(config: &ConnectConfig, opened: &Opened) -> Arc<Cache> {
+    match &config.resume {
+        Some(old) if old.index() == &opened.index => old.clone(),
+        _ => Arc::new(Cache::new(opened.index.clone(), config.cache_bytes)),
+    }
+}
+
+struct Session {
+    connection: Connection,
+    send: SendStream,
+    cache: Arc<Cache>,
+    stats: Arc<Collector>,
+    tries: HashMap<u32, u8>,
+    sequence: u32,
+    started: Instant,
+    touched_at: Option<DVec3>,
+    prefetch_m: f64,
+}
+
+impl Session {
+    async fn run(
+        mut self,
+        recv: RecvStream,
+        mut poses: watch::Receiver<Option<Pose>>,
+        mut commands: mpsc::UnboundedReceiver<Command>,
+        mut damage: mpsc::UnboundedReceiver<u32>,
+        jobs: mpsc::Sender<Job>,
+    ) -> Result<(), ConnectError> {
+        self.tell(self.cache.held(), |chunks| ClientMessage::Have { chunks }).await?;
+        let (messages, mut heard) = mpsc::channel(16);
+        let mut tasks = JoinSet::new();
+        tasks.spawn(listen(recv, self.connection.clone(), messages));
+        let mut tick = interval(SAMPLE_EVERY);
+        let mut repeat = MIN_POSE_INTERVAL;
+        let mut repeat_at = tokio::time::Instant::now() + repeat;
+        loop {
+            tokio::select! {
+                stream = self.connection.accept_uni() => {
+                    let stream = stream.map_err(|e| handshake::lost(&e))?;
+                    tasks.spawn(take_in(stream, self.cache.clone(), self.stats.clone(), jobs.clone()));
+                }
+                Ok(()) = poses.changed() => {
+                    let pose = *poses.borrow_and_update();
+                    self.send_pose(pose);
+                    repeat = MIN_POSE_INTERVAL;
+                    repeat_at = tokio::time::Instant::now() + repeat;
+                }
+                () = tokio::time::sleep_until(repeat_at) => {
+                    let pose = *poses.borrow();
+                    self.send_pose(pose);
+                    repeat = (2 * repeat).min(MAX_POSE_INTERVAL);
+                    repeat_at = tokio::time::Instant::now() + repeat;
+                }
+                command = commands.recv() => match command {
+                    Some(Command::Want(chunks)) => self.tell(chunks, |chunks| ClientMessage::Want { chunks }).await?,
+                    Some(Command::Fetch(request, answer)) => {
+                        tasks.spawn(fetch(self.connection.clone(), request, answer));
+                    }
+                    Some(Command::Close) | None => {
+                        if let Ok(bye) = wire::encode(&ClientMessage::Bye) {
+                            let _ = self.send.write_all(&bye).await;
+                        }
+                        return Ok(());
+                    }
+                },
+                Some(message) = heard.recv() => self.hear(message?),
+                Some(chunk) = damage.recv() => self.ask_again(chunk).await?,
+                _ = tick.tick() => self.tick(*poses.borrow()).await?,
+                Some(_) = tasks.join_next() => {}
+            }
+        }
+    }
+
+    fn send_pose(&mut self, pose: Option<Pose>) {
+        let Some(pose) = pose else { return };
+        self.sequence = self.sequence.wrapping_add(1);
+        let sent_us = self.started.elapsed().as_micros() as u64;
+        let datagram = PoseDatagram { sequence: self.sequence, sent_us, pose };
+        // A full buffer drops the oldest pose, which is the right one to lose.
+        if let Err(e) = self.connection.send_datagram(datagram.encode().to_vec().into()) {
+            tracing::debug!("pose: {e}");
+        }
+    }
+
+    /// Sends lists in parts that fit a message.
+    async fn tell(
+        &mut self,
+        chunks: Vec<u32>,
+        message: impl Fn(Vec<u32>) -> ClientMessage,
+    ) -> Result<(), ConnectError> {
+        for part in chunks.chunks(MAX_LIST) {
+            let frame = wire::encode(&message(part.to_vec())).map_err(|e| ConnectError::Protocol(e.to_string()))?;
+            self.send.write_all(&frame).await.map_err(|e| match self.connection.close_reason() {
+                Some(reason) => handshake::lost(&reason),
+                None => ConnectError::Lost(e.to_string()),
+            })?;
+        }
+        Ok(())
+    }
+
+    fn hear(&mut self, message: ServerMessage) {
+        if let ServerMessage::Unavailable { chunks } = message {
+            tracing::warn!("the server cannot read {} chunks, the first is {:?}", chunks.len(), chunks.first());
+            chunks.into_iter().for_each(|c| self.cache.mark_damaged(c));
+        }
+    }
+
+    async fn ask_again(&mut self, chunk: u32) -> Result<(), ConnectError> {
+        let tries = self.tries.entry(chunk).or_default();
+        *tries += 1;
+        if *tries > MAX_RETRIES {
+            tracing::warn!(
+                chunk,
+                "arrived damaged {tries} times and is given up; check the dataset with `ldi-server verify`"
+            );
+            self.cache.mark_damaged(chunk);
+            return Ok(());
+        }
+        tracing::info!(chunk, "arrived damaged, asked for again");
+        self.tell(vec![chunk], |chunks| ClientMessage::Want { chunks }).await
+    }
+
+    async fn tick(&mut self, pose: Option<Pose>) -> Result<(), ConnectError> {
+        self.stats.tick();
+        if let Some(p) = pose
+            && self.prefetch_m > 0.0
+            && self.touched_at.is_none_or(|at| at.distance(p.position) >= TOUCH_STEP_M)
+        {
+            self.touched_at = Some(p.position);
+            let decoded_bytes = (self.cache.usage().cap_bytes as f64 * PREFETCH_SHARE) as u64;
+            let reach = Reach { radius_m: self.prefetch_m, decoded_bytes };
+            self.cache.touch(near_to_far(self.cache.index(), p.position, reach));
+        }
+        let gone = self.cache.take_evicted(Instant::now());
+        self.tell(gone, |chunks| ClientMessage::Drop { chunks }).await
+    }
+}
+
+/// Reads the control stream until it ends.
+async fn listen(mut recv: RecvStream, connection: Connection, out: mpsc::Sender<Result<ServerMessage, ConnectError>>) {
+    loop {
+        let message = handshake::read_message(&mut recv, &connection).await;
+        let last = message.is_err();
+        if out.send(message).await.is_err() || last {
+            return;
+        }
+    }
+}
+
+/// Takes one chunk in and hands it to the decoding threads.
+async fn take_in(mut stream: RecvStream, cache: Arc<Cache>, stats: Arc<Collector>, jobs: mpsc::Sender<Job>) {
+    let taken = async {
+        let header = receive::header(&mut stream).await?;
+        let entry = cache.index().chunks.get(header.number as usize).filter(|_| header.kind == StreamKind::Chunk);
+        if entry.is_none_or(|e| e.stored_bytes != header.bytes) {
+            receive::refuse(&mut stream, code::BAD_STREAM);
+            return Err(Broken::Wrong(format!("chunk {} is not as the index lists it", header.number)));
+        }
+        if cache.holds(header.number) {
+            receive::refuse(&mut stream, code::DUPLICATE);
+            stats.duplicate(0);
+            return Ok(None);
+        }
+        let bytes = receive::body(&mut stream, &header).await?;
+        Ok(Some(Job { chunk: header.number, urgency: header.urgency, bytes }))
+    };
+    match taken.await {
+        Ok(Some(job)) => {
+            let _ = jobs.send(job).await;
+        }
+        Ok(None) => {}
+        Err(Broken::Off { bytes }) => stats.broken_off(bytes),
+        Err(e @ Broken::Wrong(_)) => tracing::warn!("a stream was refused: {e}"),
+    }
+}
+
+/// One request on a stream of its own.
+async fn fetch(
+    connection: Connection,
+    request: Request,
+    answer: oneshot::Sender<Result<(u32, Vec<u8>), ConnectError>>,
+) {
+    let fetched = async {
+        let (mut send, mut recv) = connection.open_bi().await.map_err(|e| handshake::lost(&e))?;
+        let request = wire::encode(&request).map_err(|e| ConnectError::Protocol(e.to_string()))?;
+        send.write_all(&request).await.map_err(|e| ConnectError::Lost(e.to_string()))?;
+        let _ = send.finish();
+        match handshake::read_message::<Answer>(&mut recv, &connection).await? {
+            Answer::Error { message } => Err(ConnectError::Protocol(message)),
+            Answer::Chunk { number, bytes } => {
+                let body = recv.read_to_end(bytes as usize).await.map_err(|e| ConnectError::Lost(e.to_string()))?;
+                if body.len() != bytes as usize {
+                    return Err(ConnectError::Protocol(format!("{} of {bytes} bytes", body.len())));
+                }
+                Ok((number, body))
+            }
+        }
+    };
+    let _ = answer.send(fetched.await);
+}

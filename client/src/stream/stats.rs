@@ -1,0 +1,203 @@
+//! What came over the wire and what it was good for.
+
+use std::{
+    sync::{Mutex, OnceLock, PoisonError},
+    time::{Duration, Instant},
+};
+
+/// How often the wire's byte count is read. Rates over one second are exact to this.
+pub(super) const SAMPLE_EVERY: Duration = Duration::from_millis(100);
+/// Samples kept: 24 hours; then the list stops growing.
+const MAX_SAMPLES: usize = 864_000;
+/// Samples in a one-second window.
+const WINDOW: usize = 10;
+
+/// A chunk's arrival.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Arrival {
+    /// Since the connection began.
+    pub at: Duration,
+    /// Its number.
+    pub chunk: u32,
+    /// Stored bytes.
+    pub bytes: u32,
+    /// Why it was sent.
+    pub urgency: ldi_protocol::wire::Urgency,
+}
+
+/// The state of the statistics.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Stats {
+    /// Since the connection began.
+    pub elapsed: Duration,
+    /// Bytes received on the wire, UDP payload: handshake, pages, chunks, retransmissions and all.
+    pub bytes_total: u64,
+    /// Bytes sent on the wire.
+    pub bytes_sent: u64,
+    /// Stored bytes of chunks received whole, right and for the first time.
+    pub chunk_bytes: u64,
+    /// How many they were.
+    pub chunks: u64,
+    /// Stored bytes received in vain: duplicates, damaged chunks, streams that broke off.
+    pub lost_bytes: u64,
+    /// Chunks whose hash was wrong.
+    pub damaged: u64,
+    /// Chunks that came although they were at hand.
+    pub duplicates: u64,
+    /// Streams that the server gave up.
+    pub broken_off: u64,
+    /// [`Stats::lost_bytes`], and chunks that no frame has used.
+    pub wasted_bytes: u64,
+    /// Mean over the connection.
+    pub mbit_per_s_mean: f64,
+    /// 99th percentile over windows of one second, a new one every tenth.
+    pub mbit_per_s_p99_1s: f64,
+    /// Round trip, milliseconds.
+    pub rtt_ms: f64,
+    /// Packets that the client's own sending lost.
+    pub lost_packets: u64,
+}
+
+#[derive(Debug, Default)]
+struct Inner {
+    stats: Stats,
+    arrivals: Vec<Arrival>,
+    /// Wire bytes at multiples of [`SAMPLE_EVERY`].
+    samples: Vec<u64>,
+}
+
+/// Collects; shared by the tasks and threads of a connection.
+#[derive(Debug)]
+pub(super) struct Collector {
+    start: Instant,
+    /// Once it is open.
+    wire: OnceLock<quinn::Connection>,
+    inner: Mutex<Inner>,
+}
+
+impl Collector {
+    pub fn new() -> Self {
+        Self { start: Instant::now(), wire: OnceLock::new(), inner: Mutex::default() }
+    }
+    fn with<T>(&self, f: impl FnOnce(&mut Inner) -> T) -> T {
+        f(&mut self.inner.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+    pub fn elapsed(&self) -> Duration {
+        self.start.elapsed()
+    }
+    pub fn arrived(&self, chunk: u32, bytes: u32, urgency: ldi_protocol::wire::Urgency) {
+        let at = self.elapsed();
+        self.with(|i| {
+            i.stats.chunks += 1;
+            i.stats.chunk_bytes += u64::from(bytes);
+            if i.arrivals.len() < MAX_SAMPLES {
+                i.arrivals.push(Arrival { at, chunk, bytes, urgency });
+            }
+        });
+    }
+    pub fn duplicate(&self, bytes: u64) {
+        self.with(|i| {
+            i.stats.duplicates += 1;
+            i.stats.lost_bytes += bytes;
+        });
+    }
+    pub fn damaged(&self, bytes: u64) {
+        self.with(|i| {
+            i.stats.damaged += 1;
+            i.stats.lost_bytes += bytes;
+        });
+    }
+    pub fn broken_off(&self, bytes: u64) {
+        self.with(|i| {
+            i.stats.broken_off += 1;
+            i.stats.lost_bytes += bytes;
+        });
+    }
+    /// What counted as arrived was there before, or is no object.
+    pub fn take_back(&self, bytes: u32) {
+        self.with(|i| {
+            i.stats.chunks -= 1;
+            i.stats.chunk_bytes -= u64::from(bytes);
+        });
+    }
+    /// The connection whose bytes are counted.
+    pub fn watch(&self, connection: quinn::Connection) {
+        let _ = self.wire.set(connection);
+    }
+    /// A tenth of a second has passed.
+    pub fn tick(&self) {
+        let bytes = self.received();
+        self.with(|i| {
+            if i.samples.len() < MAX_SAMPLES {
+                i.samples.push(bytes);
+            }
+        });
+    }
+    /// Bytes on the wire so far.
+    pub fn received(&self) -> u64 {
+        self.wire.get().map_or(0, |c| c.stats().udp_rx.bytes)
+    }
+    pub fn arrivals(&self) -> Vec<Arrival> {
+        self.with(|i| i.arrivals.clone())
+    }
+    /// The statistics; `useful_bytes` are stored bytes of chunks that frames used.
+    pub fn snapshot(&self, useful_bytes: u64) -> Stats {
+        let elapsed = self.elapsed();
+        self.with(|i| {
+            let mut s = i.stats.clone();
+            s.elapsed = elapsed;
+            if let Some(wire) = self.wire.get().map(quinn::Connection::stats) {
+                s.bytes_total = wire.udp_rx.bytes;
+                s.bytes_sent = wire.udp_tx.bytes;
+                s.rtt_ms = wire.path.rtt.as_secs_f64() * 1e3;
+                s.lost_packets = wire.path.lost_packets;
+            }
+            s.wasted_bytes = s.chunk_bytes.saturating_sub(useful_bytes) + s.lost_bytes;
+            s.mbit_per_s_mean = s.bytes_total as f64 * 8e-6 / elapsed.as_secs_f64().max(1e-9);
+            s.mbit_per_s_p99_1s = p99_of_windows(&i.samples);
+            s
+        })
+    }
+}
+
+/// 99th percentile (nearest rank) of the rate over all windows of one second, Mbit/s; the whole time when it was shorter.
+fn p99_of_windows(samples: &[u64]) -> f64 {
+    let window = WINDOW.min(samples.len().saturating_sub(1));
+    if window == 0 {
+        return 0.0;
+    }
+    let mut bytes: Vec<u64> = samples.windows(window + 1).map(|w| w[window] - w[0]).collect();
+    bytes.sort_unstable();
+    let rank = (bytes.len() as f64 * 0.99).ceil() as usize;
+    let seconds = window as f64 * SAMPLE_EVERY.as_secs_f64();
+    bytes[rank.clamp(1, bytes.len()) - 1] as f64 * 8e-6 / seconds
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_rate_of_a_steady_stream_and_of_a_burst() {
+        // 125,000 bytes per tenth of a second: 10 Mbit/s.
+        let steady: Vec<u64> = (0..100).map(|i| i * 125_000).collect();
+        assert!((p99_of_windows(&steady) - 10.0).abs() < 1e-9);
+        // One burst of 1 MB within 10 s: 8 Mbit in the ten windows that hold it, of 90.
+        let burst: Vec<u64> = (0..100).map(|i| if i < 50 { 0 } else { 1_000_000 }).collect();
+        assert!((p99_of_windows(&burst) - 8.0).abs() < 1e-9);
+        assert_eq!(p99_of_windows(&[]), 0.0);
+        assert_eq!(p99_of_windows(&[5]), 0.0);
+    }
+
+    #[test]
+    fn waste_is_what_no_frame_used() {
+        use ldi_protocol::wire::Urgency;
+        let c = Collector::new();
+        c.arrived(0, 100, Urgency::Now);
+        c.arrived(1, 50, Urgency::Around);
+        c.broken_off(7);
+        let s = c.snapshot(100);
+        assert_eq!((s.chunk_bytes, s.chunks, s.wasted_bytes), (150, 2, 57));
+        assert_eq!(c.arrivals().len(), 2);
+    }
+}

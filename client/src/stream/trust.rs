@@ -1,0 +1,96 @@
+//! Whom to trust: exactly the certificate whose fingerprint was given, no authority in between.
+
+use super::ConnectError;
+use rustls::{
+    CertificateError, DigitallySignedStruct, Error, SignatureScheme,
+    client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier},
+    crypto::{CryptoProvider, verify_tls12_signature, verify_tls13_signature},
+    pki_types::{CertificateDer, ServerName, UnixTime},
+};
+use std::{
+    str::FromStr,
+    sync::{Arc, OnceLock},
+};
+
+/// BLAKE3 of a server's certificate (DER).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Fingerprint(pub [u8; 32]);
+
+impl FromStr for Fingerprint {
+    type Err = ConnectError;
+    /// 64 hexadecimal digits.
+    fn from_str(text: &str) -> Result<Self, ConnectError> {
+        blake3::Hash::from_hex(text.trim())
+            .map(|h| Self(*h.as_bytes()))
+            .map_err(|_| ConnectError::FingerprintText(text.to_owned()))
+    }
+}
+
+impl std::fmt::Display for Fingerprint {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&blake3::Hash::from_bytes(self.0).to_hex())
+    }
+}
+
+/// Accepts one certificate. The handshake's signature is checked as usual, so that the server must hold its key.
+#[derive(Debug)]
+pub(super) struct PinnedVerifier {
+    expected: Option<Fingerprint>,
+    found: OnceLock<Fingerprint>,
+    provider: Arc<CryptoProvider>,
+}
+
+impl PinnedVerifier {
+    pub fn new(expected: Option<Fingerprint>, provider: Arc<CryptoProvider>) -> Arc<Self> {
+        Arc::new(Self { expected, found: OnceLock::new(), provider })
+    }
+
+    /// Why the certificate was refused, once one was shown.
+    pub fn refusal(&self) -> Option<ConnectError> {
+        let found = *self.found.get()?;
+        match self.expected {
+            None => Some(ConnectError::UnknownServer { fingerprint: found.to_string() }),
+            Some(e) if e != found => {
+                Some(ConnectError::Fingerprint { expected: e.to_string(), found: found.to_string() })
+            }
+            Some(_) => None,
+        }
+    }
+}
+
+impl ServerCertVerifier for PinnedVerifier {
+    fn verify_server_cert(
+        &self,
+        end_entity: &CertificateDer<'_>,
+        _intermediates: &[CertificateDer<'_>],
+        _server_name: &ServerName<'_>,
+        _ocsp_response: &[u8],
+        _now: UnixTime,
+    ) -> Result<ServerCertVerified, Error> {
+        let found = Fingerprint(*blake3::hash(end_entity).as_bytes());
+        let _ = self.found.set(found);
+        if self.expected == Some(found) {
+            return Ok(ServerCertVerified::assertion());
+        }
+        Err(Error::InvalidCertificate(CertificateError::ApplicationVerificationFailure))
+    }
+    fn verify_tls12_signature(
+        &self,
+        message: &[u8],
+        cert: &CertificateDer<'_>,
+        dss: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, Error> {
+        verify_tls12_signature(message, cert, dss, &self.provider.signature_verification_algorithms)
+    }
+    fn verify_tls13_signature(
+        &self,
+        message: &[u8],
+        cert: &CertificateDer<'_>,
+        dss: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, Error> {
+        verify_tls13_signature(message, cert, dss, &self.provider.signature_verification_algorithms)
+    }
+    fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
+        self.provider.signature_verification_algorithms.supported_schemes()
+    }
+}

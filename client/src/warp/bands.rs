@@ -1,0 +1,248 @@
+//! The driver: culls tiles, cuts the output into bands, runs the kernels.
+
+use super::{
+    FarFrame, Order, Stamp, WarpError, WarpMatrix, WarpOptions, WarpStats,
+    lanes::{Lanes, Portable},
+    order::{Epipole, paint_place},
+    prepared::{Part, PreparedLdi, Tile},
+    quads::{Target, draw_tile},
+    stamps::{LARGEST_FOOTPRINT_STAMP, stamp_tile},
+    transform::{Scratch, TileTransform, Window, transform_tile},
+};
+use ldi_protocol::{OutputCamera, Pose};
+use rayon::prelude::*;
+
+/// Bands per thread: one alone would leave a thread waiting for the other's harder half; more repeat the tiles that
+/// straddle borders.
+const BANDS_PER_THREAD: usize = 2;
+
+/// A tile and the output rows that it may reach, `from` inclusive, `to` exclusive.
+pub struct Reach<'a> {
+    /// The part that holds the tile's arrays.
+    pub part: &'a Part,
+    /// The tile.
+    pub tile: &'a Tile,
+    from: u32,
+    to: u32,
+}
+
+/// What all bands share.
+struct Job<'a> {
+    matrix: &'a WarpMatrix,
+    tiles: &'a [Reach<'a>],
+    options: &'a WarpOptions,
+    epipole: Option<Epipole>,
+}
+
+/// Warps an image into `into`, keeping the nearer of what is already there and the image's samples.
+///
+/// With order epipole the image's samples replace what is already there instead. Runs on the current rayon pool; the
+/// result does not depend on the pool's size.
+///
+/// # Errors
+///
+/// When the order cannot draw the stamp.
+pub fn warp(
+    ldi: &PreparedLdi,
+    pose: &Pose,
+    camera: &OutputCamera,
+    options: &WarpOptions,
+    into: &mut FarFrame,
+) -> Result<WarpStats, WarpError> {
+    let epipole = match (options.order, options.stamp) {
+        (Order::Z, _) => None,
+        (Order::Epipole, Stamp::OnePixel | Stamp::TwoByTwo) => Some(Epipole::new(&ldi.camera, pose)),
+        (Order::Epipole, stamp) => return Err(WarpError::OrderWithStamp(stamp)),
+    };
+    Ok(run(ldi, pose, camera, options, epipole, into))
+}
+
+/// Warps in a given order.
+fn run(
+    ldi: &PreparedLdi,
+    pose: &Pose,
+    camera: &OutputCamera,
+    options: &WarpOptions,
+    epipole: Option<Epipole>,
+    into: &mut FarFrame,
+) -> WarpStats {
+    if (into.width, into.height) != (camera.width, camera.height) {
+        into.reset(camera.width, camera.height);
+    }
+    let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
+    let all_rows = (0, into.height);
+    let mut tiles: Vec<Reach<'_>> = ldi
+        .parts
+        .iter()
+        .flat_map(|part| part.tiles.iter().map(move |tile| (part, tile)))
+        .filter_map(|(part, tile)| {
+            let reach = reach(&matrix, tile, into.width, into.height);
+            let (from, to) = if options.keep_all_tiles { Some(all_rows) } else { reach }?;
+            Some(Reach { part, tile, from, to })
+        })
+        .collect();
+    if let Some(epipole) = &epipole {
+        epipole.sort_tiles(&mut tiles);
+    }
+    let samples_warped = tiles.iter().map(|t| u64::from(t.tile.own)).sum();
+    let mut stats = WarpStats {
+        samples: ldi.samples as u64,
+        samples_warped,
+        primitives: match options.stamp {
+            Stamp::Quads => tiles.iter().map(|t| PreparedLdi::quads(t.part, t.tile)).sum(),
+            _ => samples_warped,
+        },
+        samples_culled: ldi.samples as u64 - samples_warped,
+        ..WarpStats::default()
+    };
+    let clear = into.stale;
+    into.stale = false;
+    let width = into.width;
+    let bands = cut(&tiles, into.height, rayon::current_num_threads());
+    let mut jobs = Vec::with_capacity(bands.len());
+    let mut rest = into.packed.as_mut_slice();
+    for (first_row, rows) in bands {
+        let (pixels, later) = rest.split_at_mut(rows as usize * width as usize);
+        rest = later;
+        jobs.push(Target { pixels, window: Window { width, first_row, rows } });
+    }
+    let job = Job { matrix: &matrix, tiles: &tiles, options, epipole };
+    let parts: Vec<WarpStats> = jobs
+        .into_par_iter()
+        .map(|mut target| {
+            if clear {
+                target.pixels.fill(0);
+            }
+            dispatch(&job, &mut target)
+        })
+        .collect();
+    parts.iter().for_each(|p| stats.add(p));
+    stats
+}
+
+/// Warps single pixels to one pose in the order of another: to show that the order matters.
+#[cfg(test)]
+pub fn warp_in_order(ldi: &PreparedLdi, pose: &Pose, order: &Pose, camera: &OutputCamera, into: &mut FarFrame) {
+    let options = WarpOptions { stamp: Stamp::OnePixel, order: Order::Epipole, ..WarpOptions::default() };
+    run(ldi, pose, camera, &options, Some(Epipole::new(&ldi.camera, order)), into);
+}
+
+/// The output rows that a tile may reach; None when it reaches none.
+fn reach(matrix: &WarpMatrix, tile: &Tile, width: u32, height: u32) -> Option<(u32, u32)> {
+    let [u0, v0, u1, v1] = tile.bounds.map(f64::from);
+    let mut low = [f64::MAX; 2];
+    let mut high = [f64::MIN; 2];
+    let mut behind = 0;
+    for d in tile.disparity.map(f64::from) {
+        for v in [v0, v1] {
+            for u in [u0, u1] {
+                let [x, y, w] = matrix.homogeneous(u, v, d);
+                if w <= 0.0 {
+                    behind += 1;
+                    continue;
+                }
+                for (axis, p) in [x / w, y / w].into_iter().enumerate() {
+                    low[axis] = low[axis].min(p);
+                    high[axis] = high[axis].max(p);
+                }
+            }
+        }
+    }
+    match behind {
+        8 => return None,
+        0 => {}
+        _ => return Some((0, height)),
+    }
+    // Stamps reach beyond their samples' cells; the additional pixel covers f32 rounding.
+    let margin = f64::from(LARGEST_FOOTPRINT_STAMP) * 0.5 + 1.0;
+    let [x0, y0] = low.map(|p| p - margin);
+    let [x1, y1] = high.map(|p| p + margin);
+    if x1 < 0.0 || y1 < 0.0 || x0 > f64::from(width) || y0 > f64::from(height) {
+        return None;
+    }
+    // Saturating conversions.
+    Some((y0.floor().max(0.0) as u32, (y1.ceil().max(0.0) as u32).min(height)))
+}
+
+/// Cuts the rows into bands (first row, rows) with about equal numbers of samples.
+fn cut(tiles: &[Reach<'_>], height: u32, threads: usize) -> Vec<(u32, u32)> {
+    let wanted = if threads <= 1 { 1 } else { threads * BANDS_PER_THREAD };
+    let mut weight = vec![0.0f64; height as usize + 1];
+    for t in tiles {
+        // Spread evenly over the tile's rows, as a difference array.
+        let per_row = f64::from(t.tile.own) / f64::from((t.to - t.from).max(1));
+        weight[t.from.min(height) as usize] += per_row;
+        weight[t.to.min(height) as usize] -= per_row;
+    }
+    let (mut rate, mut sum) = (0.0, 0.0);
+    // Empty rows cost their clearing.
+    let cumulative: Vec<f64> = weight[..height as usize]
+        .iter()
+        .map(|w| {
+            rate += w;
+            sum += rate.max(0.0) + 1.0;
+            sum
+        })
+        .collect();
+    let mut bands = Vec::with_capacity(wanted);
+    let mut first = 0;
+    for i in 1..=wanted {
+        let target = sum * i as f64 / wanted as f64;
+        let end = if i == wanted { height } else { cumulative.partition_point(|c| *c < target) as u32 };
+        if end > first {
+            bands.push((first, end - first));
+            first = end;
+        }
+    }
+    bands
+}
+
+/// Runs the best kernels that this machine has.
+fn dispatch(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
+    #[cfg(target_arch = "x86_64")]
+    if !job.options.portable && std::arch::is_x86_feature_detected!("avx2") {
+        // SAFETY: AVX2 was detected. Measured gain over the portable kernels: 3.3-fold with quads, 2.5-fold with 1px.
+        return unsafe { draw_band_avx2(job, target) };
+    }
+    draw_band::<Portable>(job, target)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn draw_band_avx2(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
+    draw_band::<super::lanes::Avx2>(job, target)
+}
+
+#[inline(always)]
+fn draw_band<L: Lanes>(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
+    let mut stats = WarpStats::default();
+    let mut scratches = vec![Scratch::default()];
+    let mut footprint2 = 0.0f32;
+    let window = target.window;
+    let (matrix, stamp) = (job.matrix, job.options.stamp);
+    let reaches = |t: &Reach<'_>| t.to > window.first_row && t.from < window.first_row + window.rows;
+    if let Some(epipole) = &job.epipole {
+        let same_place = |a: &Reach<'_>, b: &Reach<'_>| (a.tile.row, a.tile.column) == (b.tile.row, b.tile.column);
+        for place in job.tiles.chunk_by(same_place).filter(|place| place.iter().any(reaches)) {
+            let largest = paint_place::<L>(target, matrix, epipole, place, stamp, &mut scratches);
+            footprint2 = footprint2.max(largest);
+        }
+        stats.footprint_max_px = footprint2.sqrt();
+        return stats;
+    }
+    let scratch = &mut scratches[0];
+    for t in job.tiles.iter().filter(|t| reaches(t)) {
+        footprint2 = footprint2.max(transform_tile::<L>(matrix, t.part, t.tile, &window, scratch));
+        if stamp == Stamp::Quads {
+            let transform = TileTransform::new(matrix, t.tile);
+            // A tile that straddles bands is counted in its first one.
+            let home = t.from >= window.first_row;
+            let stretch = |side2| stats.stretch.count(side2, home);
+            draw_tile::<L>(target, &transform, t.part, t.tile, scratch, stretch);
+        } else {
+            stamp_tile::<L>(target, t.part, t.tile, scratch, stamp);
+        }
+    }
+    stats.footprint_max_px = footprint2.sqrt();
+    stats
+}

@@ -1,0 +1,68 @@
+//! Debug views: images recoloured by what is to be seen, then warped like any other.
+//!
+//! In: an [`Ldi`]. Out: the same with other colours: [`coloured_by_layer`] shows which layer a pixel came from,
+//! [`coloured_by_footprint`] how large its sample is in the picture, [`coloured_by_links`] where surfaces end.
+
+use super::WarpMatrix;
+use ldi_protocol::{
+    OutputCamera, Pose,
+    ldi::{LINK_DOWN, LINK_RIGHT, Ldi},
+};
+
+/// Colours of layers 0, 1, 2, 3; deeper ones take the last.
+pub const LAYER_COLOURS: [[u8; 3]; 5] = [[200, 200, 200], [230, 159, 0], [0, 158, 115], [0, 114, 178], [213, 94, 0]];
+
+/// The image with its layers in [`LAYER_COLOURS`].
+pub fn coloured_by_layer(ldi: &Ldi) -> Ldi {
+    recoloured(ldi, |layer, _| LAYER_COLOURS[layer.min(LAYER_COLOURS.len() - 1)])
+}
+
+/// The image with its footprints in output pixels as a heat map: dark blue at 0, white at 1, red at 2 and more. Samples behind
+/// the eye are black.
+pub fn coloured_by_footprint(ldi: &Ldi, pose: &Pose, camera: &OutputCamera) -> Ldi {
+    let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
+    recoloured(ldi, |_, s| match matrix.footprint(s.u, s.v, s.disparity) {
+        None => [0; 3],
+        Some(footprint) if footprint <= 1.0 => {
+            let rise = |from: f64| (from + (255.0 - from) * footprint) as u8;
+            [rise(0.0), rise(0.0), rise(128.0)]
+        }
+        Some(footprint) => {
+            let fall = (255.0 * (2.0 - footprint).clamp(0.0, 1.0)) as u8;
+            [255, fall, fall]
+        }
+    })
+}
+
+/// The image with samples that end a surface in red (to the right), green (below) or yellow (both).
+pub fn coloured_by_links(ldi: &Ldi) -> Ldi {
+    let code = |missing: bool| if missing { 255 } else { 40 };
+    recoloured(ldi, |_, s| [code(s.links & LINK_RIGHT == 0), code(s.links & LINK_DOWN == 0), 40])
+}
+
+/// A sample as the colouring sees it; image coordinates of its centre.
+struct Seen {
+    u: f64,
+    v: f64,
+    disparity: f64,
+    links: u8,
+}
+
+fn recoloured(ldi: &Ldi, colour: impl Fn(usize, &Seen) -> [u8; 3]) -> Ldi {
+    let mut out = ldi.clone();
+    for (number, layer) in out.layers.iter_mut().enumerate() {
+        for segment in &layer.segments {
+            let first = segment.first as usize;
+            for i in first..first + usize::from(segment.count) {
+                let seen = Seen {
+                    u: f64::from(segment.column_base) + f64::from(layer.column[i]) + 0.5,
+                    v: f64::from(segment.row) + 0.5,
+                    disparity: ldi.codes.disparity(layer.disparity[i]),
+                    links: layer.links[i],
+                };
+                layer.rgb[i] = colour(number, &seen);
+            }
+        }
+    }
+    out
+}

@@ -1,0 +1,272 @@
+//! The warp: layered depth images to the picture, on the CPU.
+//!
+//! In: a [`PreparedLdi`] (a decoded image laid out in tiles), a pose, the output camera. Out: a [`FarFrame`], colour
+//! and disparity per pixel, and [`WarpStats`].
+//!
+//! **Theory.** McMillan's planar-to-planar warp (`matrix`): (X, Y, W) = P2^-1 P1 (u, v, 1) + d P2^-1 (C1 - C2), projected
+//! to (X/W, Y/W) with disparity d/W. Samples with W <= 0 lie behind the eye and never reach a pixel.
+//! Reconstruction is where quality and time go: [`Stamp::Quads`] joins linked samples to micro-quads (`layout` tells
+//! how they meet, `quads` how they are drawn), the others write fixed sets of pixels (`stamps`).
+//!
+//! **Practice.** Tiles are bounded on the output by their corners and disparities (W is affine in u, v, d; x and y are
+//! monotone in each where W > 0, so that a box's corners bound it) and culled. The output is cut into bands of rows with
+//! about equal numbers of samples; a task owns a band and draws every tile that reaches into it. No two tasks
+//! share a pixel, and a pixel takes a maximum over (disparity, colour): pictures do not depend on the number of
+//! threads, on the order of tiles, nor on whether AVX2 is there. Where disparities tie to the bit, the larger packed colour wins.
+//!
+//! What was changed against the papers: they warp segments in painter's order without a z-buffer; order `epipole`
+//! keeps that for the stamps that are small. Micro-quads need depth: neighbouring quads overlap at folds.
+
+mod bands;
+pub mod debug;
+mod lanes;
+mod layout;
+mod matrix;
+mod order;
+mod prepared;
+mod quads;
+pub mod reference;
+mod stamps;
+#[cfg(test)]
+pub(crate) mod test_scene;
+#[cfg(test)]
+mod tests;
+mod transform;
+
+pub use bands::warp;
+pub use matrix::{WarpMatrix, Warped};
+pub use prepared::PreparedLdi;
+
+use std::{fmt, str::FromStr};
+
+/// How a warped sample becomes pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Stamp {
+    /// The pixel that contains the sample.
+    OnePixel,
+    /// Two by two pixels.
+    TwoByTwo,
+    /// Three by three pixels.
+    ThreeByThree,
+    /// The pixel and its four neighbours.
+    Cross,
+    /// An axis-aligned square as large as the sample's footprint.
+    Footprint,
+    /// Linked neighbours joined to small quads.
+    #[default]
+    Quads,
+}
+
+impl Stamp {
+    /// All stamps, cheapest first.
+    pub const ALL: [Self; 6] =
+        [Self::OnePixel, Self::TwoByTwo, Self::Cross, Self::ThreeByThree, Self::Footprint, Self::Quads];
+
+    /// The name used on the command line and in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::OnePixel => "1px",
+            Self::TwoByTwo => "2x2",
+            Self::ThreeByThree => "3x3",
+            Self::Cross => "cross",
+            Self::Footprint => "footprint",
+            Self::Quads => "quads",
+        }
+    }
+}
+
+impl fmt::Display for Stamp {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Stamp {
+    type Err = WarpError;
+
+    fn from_str(name: &str) -> Result<Self, WarpError> {
+        Self::ALL.into_iter().find(|s| s.name() == name).ok_or_else(|| WarpError::UnknownStamp(name.to_owned()))
+    }
+}
+
+/// How samples that meet in a pixel are ordered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Order {
+    /// The nearest wins, by disparity.
+    #[default]
+    Z,
+    /// Occlusion-compatible order around the epipole; the last wins.
+    Epipole,
+}
+
+impl Order {
+    /// The name used on the command line and in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Z => "z",
+            Self::Epipole => "epipole",
+        }
+    }
+}
+
+impl FromStr for Order {
+    type Err = WarpError;
+
+    fn from_str(name: &str) -> Result<Self, WarpError> {
+        [Self::Z, Self::Epipole]
+            .into_iter()
+            .find(|o| o.name() == name)
+            .ok_or_else(|| WarpError::UnknownOrder(name.to_owned()))
+    }
+}
+
+/// Settings of the warp.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct WarpOptions {
+    /// Reconstruction.
+    pub stamp: Stamp,
+    /// Visibility.
+    pub order: Order,
+    /// Draw also the tiles that cannot reach the picture: to measure what culling saves. The picture is the same.
+    pub keep_all_tiles: bool,
+    /// Use the portable kernels even where better ones are at hand: to compare them. The picture is the same.
+    pub portable: bool,
+}
+
+/// What went wrong in a warp.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum WarpError {
+    /// No such stamp.
+    #[error("unknown stamp `{0}`; use 1px, 2x2, 3x3, cross, footprint or quads")]
+    UnknownStamp(String),
+    /// No such order.
+    #[error("unknown order `{0}`; use z or epipole")]
+    UnknownOrder(String),
+    /// A combination that does not exist.
+    #[error("order epipole cannot draw stamp `{0}`; use it with 1px or 2x2, or use --order z")]
+    OrderWithStamp(Stamp),
+}
+
+/// What a warp did.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WarpStats {
+    /// Samples of the image's layers that are there.
+    pub samples: u64,
+    /// Samples in tiles that were drawn.
+    pub samples_warped: u64,
+    /// Samples in tiles that cannot reach the picture.
+    pub samples_culled: u64,
+    /// Micro-quads and border pieces, or stamps, of the tiles that were drawn.
+    pub primitives: u64,
+    /// Largest footprint of a sample that landed on the picture, output pixels: the largest singular value of
+    /// d(x, y)/d(u, v) at fixed disparity.
+    pub footprint_max_px: f32,
+    /// Longest sides of one quad in eight, counted by size: how much surfaces are stretched.
+    pub stretch: StretchHistogram,
+}
+
+impl WarpStats {
+    /// Adds another image's or band's figures.
+    pub fn add(&mut self, other: &Self) {
+        self.samples += other.samples;
+        self.samples_warped += other.samples_warped;
+        self.samples_culled += other.samples_culled;
+        self.primitives += other.primitives;
+        self.footprint_max_px = self.footprint_max_px.max(other.footprint_max_px);
+        self.stretch.0.iter_mut().zip(other.stretch.0).for_each(|(a, b)| *a += b);
+    }
+}
+
+impl Default for WarpStats {
+    fn default() -> Self {
+        Self {
+            samples: 0,
+            samples_warped: 0,
+            samples_culled: 0,
+            primitives: 0,
+            footprint_max_px: 0.0,
+            stretch: StretchHistogram([0; StretchHistogram::BINS]),
+        }
+    }
+}
+
+/// Counts of quads by their longest side.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StretchHistogram([u32; Self::BINS]);
+
+impl StretchHistogram {
+    /// Bins of an eighth of a pixel; the last takes everything from 32 pixels.
+    const BINS: usize = 257;
+    const PER_PIXEL: f32 = 8.0;
+
+    fn count(&mut self, side2_px: f32, counts: bool) {
+        let bin = (side2_px.sqrt() * Self::PER_PIXEL) as usize;
+        self.0[bin.min(Self::BINS - 1)] += u32::from(counts);
+    }
+
+    /// The side, in pixels, that a fraction `q` of the quads does not exceed, to an eighth of a pixel; 0 without quads.
+    pub fn quantile_px(&self, q: f64) -> f32 {
+        let total: u64 = self.0.iter().map(|n| u64::from(*n)).sum();
+        let wanted = (total as f64 * q).ceil() as u64;
+        let mut seen = 0;
+        for (bin, n) in self.0.iter().enumerate() {
+            seen += u64::from(*n);
+            if seen >= wanted && seen > 0 {
+                return (bin + 1) as f32 / Self::PER_PIXEL;
+            }
+        }
+        0.0
+    }
+}
+
+/// The warped picture: per pixel, disparity in the upper 32 bits (an f32, 1/m, positive, so that its bits order as it
+/// does), colour in the lower ([`crate::frame::pack_rgb`]); 0 where no sample came.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct FarFrame {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Row-major pixels.
+    pub packed: Vec<u64>,
+    /// Whether the pixels hold an older picture that the next warp must clear first.
+    stale: bool,
+}
+
+impl FarFrame {
+    /// An empty picture.
+    pub fn new(width: u32, height: u32) -> Self {
+        let mut frame = Self::default();
+        frame.reset(width, height);
+        frame
+    }
+
+    /// Starts a new picture; the memory is kept, and cleared by the first warp into it.
+    pub fn reset(&mut self, width: u32, height: u32) {
+        (self.width, self.height) = (width, height);
+        self.packed.resize(width as usize * height as usize, 0);
+        self.stale = true;
+    }
+
+    /// Packed colour and disparity of a pixel (1/m); None where no sample came.
+    #[inline]
+    pub fn get(&self, at: usize) -> Option<(u32, f32)> {
+        if self.stale { None } else { Self::unpack(self.packed[at]) }
+    }
+
+    /// Packed colour and disparity (1/m) of an element of `packed`; None where no sample came.
+    #[inline]
+    pub fn unpack(packed: u64) -> Option<(u32, f32)> {
+        (packed != 0).then(|| (packed as u32, f32::from_bits((packed >> 32) as u32)))
+    }
+
+    /// Number of pixels that a sample reached.
+    pub fn painted(&self) -> usize {
+        if self.stale { 0 } else { self.packed.iter().filter(|p| **p != 0).count() }
+    }
+
+    /// Whether nothing was warped since the last reset.
+    pub fn is_untouched(&self) -> bool {
+        self.stale
+    }
+}

@@ -1,0 +1,190 @@
+//! A layered depth image laid out for the warp; made once when the image arrives, used every frame.
+//!
+//! In: a decoded [`Ldi`]. Out: tiles of [`TILE_ROWS`] x [`TILE_COLUMNS`] pixels per layer, each complete in itself: its
+//! samples in structure-of-arrays order with one row and one column of its neighbours' ("halo"), the runs of
+//! micro-quads between samples, and the pieces that border them. A tile is the unit of culling and of threading.
+//! (Segments of one row, the storage order, make poor units: a rotated camera spreads a row over many
+//! output rows.)
+//!
+//! How samples become quads and pieces is told in `layout`.
+
+use super::{
+    lanes::LANES,
+    layout::{Builder, Vertex},
+};
+use ldi_protocol::ldi::{Ldi, LdiCamera};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Rows of a tile. Larger tiles cull worse and straddle more thread bands; smaller ones repeat more halo (17/16).
+pub const TILE_ROWS: usize = 16;
+/// Columns of a tile: several groups of eight, so that runs of quads fill the lanes.
+pub const TILE_COLUMNS: usize = 64;
+/// Samples of a tile with halo, at most; also a bound on tile-local indices.
+pub const TILE_SAMPLES: usize = (TILE_ROWS + 1) * (TILE_COLUMNS + 1);
+/// Outward growth of unlinked borders in LDI pixels. Smaller leaves pinholes where a curved surface changes layers; larger
+/// makes silhouettes grow by as much.
+pub const OVERLAP: f32 = 1.0 / 32.0;
+/// Elements past the end of a part's arrays, so that groups of eight may be read anywhere.
+pub(super) const PADDING: usize = LANES;
+
+/// Consecutive micro-quads of one row: quad k joins samples `top + k`, `top + k + 1`, `bottom + k`, `bottom + k + 1`.
+#[derive(Debug, Clone, Copy)]
+pub struct Run {
+    /// Tile-local number of the first upper left sample.
+    pub top: u16,
+    /// Tile-local number of the first lower left sample.
+    pub bottom: u16,
+    /// Number of quads.
+    pub count: u16,
+}
+
+/// Eight border pieces: quads with corners of their own. Structure of arrays; corner order a, b, e, f.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct PieceGroup {
+    /// Columns relative to the tile's left border, LDI pixels.
+    pub u: [[f32; LANES]; 4],
+    /// Rows relative to the tile's upper border, LDI pixels.
+    pub v: [[f32; LANES]; 4],
+    /// Disparities, 1/m.
+    pub disparity: [[f32; LANES]; 4],
+    /// Packed sRGB.
+    pub colour: [[u32; LANES]; 4],
+}
+
+/// Border pieces in groups of eight; a tile begins a new group.
+#[derive(Debug, Default)]
+pub struct Pieces {
+    /// The groups.
+    pub groups: Vec<PieceGroup>,
+    /// Pieces of the tile being built.
+    count: usize,
+}
+
+/// One tile of one layer; ranges point into its [`Part`].
+#[derive(Debug, Clone)]
+pub struct Tile {
+    /// Column of the tile's left border.
+    pub column: u32,
+    /// Row of the tile's upper border.
+    pub row: u32,
+    /// First sample.
+    pub first: usize,
+    /// Start of each row's samples relative to `first`, halo row and end included.
+    pub row_start: [u16; TILE_ROWS + 2],
+    /// Samples that are not halo.
+    pub own: u32,
+    /// Its quad runs.
+    pub runs: Range<usize>,
+    /// Groups of its border pieces.
+    pub groups: Range<usize>,
+    /// Number of its border pieces; the last group may be incomplete.
+    pub pieces: usize,
+    /// Smallest and largest disparity of all it draws, 1/m.
+    pub disparity: [f32; 2],
+    /// What it draws in LDI pixels of the image: u from, v from, u to, v to.
+    pub bounds: [f32; 4],
+}
+
+/// The tiles of one layer and one row of tiles.
+#[derive(Debug, Default)]
+pub struct Part {
+    /// Layer.
+    pub layer: usize,
+    /// Non-empty tiles, left to right.
+    pub tiles: Vec<Tile>,
+    /// Column within the tile, 0 to [`TILE_COLUMNS`]; the last is halo.
+    pub column: Vec<u8>,
+    /// Disparity, 1/m.
+    pub disparity: Vec<f32>,
+    /// Packed sRGB.
+    pub colour: Vec<u32>,
+    /// Quad runs of all tiles.
+    pub runs: Vec<Run>,
+    /// Border pieces of all tiles.
+    pub pieces: Pieces,
+}
+
+/// See the module.
+#[derive(Debug)]
+pub struct PreparedLdi {
+    /// The image's camera.
+    pub camera: LdiCamera,
+    /// Step of the disparity codes, 1/m: the composite's tolerance.
+    pub disparity_step: f64,
+    /// Parts in order of layer, then row.
+    pub parts: Vec<Part>,
+    /// Samples in all.
+    pub samples: usize,
+}
+
+impl PreparedLdi {
+    /// Lays out all layers that are there. Links to samples that do not exist are ignored.
+    pub fn new(ldi: &Ldi) -> Self {
+        let rows_of_tiles = (ldi.camera.height as usize).div_ceil(TILE_ROWS);
+        let jobs = ldi.layers.len() * rows_of_tiles;
+        let parts = (0..jobs)
+            .into_par_iter()
+            .map(|job| Builder::new(ldi, job / rows_of_tiles, (job % rows_of_tiles) * TILE_ROWS).build())
+            .filter(|part| !part.tiles.is_empty())
+            .collect();
+        Self { camera: ldi.camera, disparity_step: ldi.codes.step, parts, samples: ldi.samples() }
+    }
+
+    /// Micro-quads and border pieces of a tile.
+    pub(super) fn quads(part: &Part, tile: &Tile) -> u64 {
+        let inner: u64 = part.runs[tile.runs.clone()].iter().map(|r| u64::from(r.count)).sum();
+        inner + tile.pieces as u64
+    }
+
+    /// Bytes of the arrays, for the cache's account.
+    pub fn bytes(&self) -> usize {
+        let part = |p: &Part| {
+            p.tiles.len() * size_of::<Tile>()
+                + p.column.len() * 9
+                + p.runs.len() * size_of::<Run>()
+                + p.pieces.groups.len() * size_of::<PieceGroup>()
+        };
+        self.parts.iter().map(part).sum()
+    }
+}
+
+impl Pieces {
+    /// Begins a tile: returns its first group.
+    pub(super) fn begin(&mut self) -> usize {
+        self.count = 0;
+        self.groups.len()
+    }
+
+    /// Pieces since the tile began.
+    pub(super) fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Appends a piece.
+    pub(super) fn push(&mut self, corners: [Vertex; 4]) {
+        let lane = self.count % LANES;
+        if lane == 0 {
+            self.groups.push(PieceGroup::default());
+        }
+        self.count += 1;
+        if let Some(group) = self.groups.last_mut() {
+            for (i, c) in corners.iter().enumerate() {
+                group.u[i][lane] = c.u;
+                group.v[i][lane] = c.v;
+                group.disparity[i][lane] = c.disparity;
+                group.colour[i][lane] = c.colour;
+            }
+        }
+    }
+}
+
+impl Tile {
+    /// Extends the bounds by a corner of what is drawn.
+    pub(super) fn grow(&mut self, u: f32, v: f32, disparity: f32) {
+        let [u0, v0, u1, v1] = &mut self.bounds;
+        (*u0, *v0) = (u0.min(u), v0.min(v));
+        (*u1, *v1) = (u1.max(u), v1.max(v));
+        self.disparity = [self.disparity[0].min(disparity), self.disparity[1].max(disparity)];
+    }
+}

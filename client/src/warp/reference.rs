@@ -1,0 +1,235 @@
+//! The warp, slow and obvious, in f64: what the fast one is judged by.
+//!
+//! In: a decoded image, a pose, the output camera. Out: a [`FarFrame`]. No tiles, no culling, no bands; every
+//! sample, square and pixel is looked at by the rules that `prepared` and `stamps` state, straight from the layers.
+
+use super::{FarFrame, Stamp, WarpMatrix, Warped, prepared::OVERLAP, stamps::LARGEST_FOOTPRINT_STAMP};
+use crate::frame::{pack_rgb, unpack_rgb};
+use ldi_protocol::{
+    OutputCamera, Pose,
+    ldi::{LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer},
+};
+use std::collections::BTreeMap;
+
+/// Warps with any stamp, z-buffered.
+pub fn warp(ldi: &Ldi, pose: &Pose, camera: &OutputCamera, stamp: Stamp) -> FarFrame {
+    let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
+    let mut frame = FarFrame::new(camera.width, camera.height);
+    frame.packed.fill(0);
+    frame.stale = false;
+    for layer in &ldi.layers {
+        let grid = Grid::new(ldi, layer);
+        if stamp == Stamp::Quads {
+            grid.quads(&matrix, &mut frame);
+        } else {
+            grid.samples.iter().for_each(|(at, s)| paint_stamp(&matrix, *at, s, stamp, &mut frame));
+        }
+    }
+    frame
+}
+
+/// A sample by itself.
+#[derive(Debug, Clone, Copy)]
+struct Sample {
+    disparity: f64,
+    colour: u32,
+    links: u8,
+}
+
+/// A layer as a map from (row, column) to samples.
+struct Grid {
+    samples: BTreeMap<(i64, i64), Sample>,
+}
+
+/// A corner of a polygon in LDI pixels.
+#[derive(Debug, Clone, Copy)]
+struct Vertex {
+    u: f64,
+    v: f64,
+    disparity: f64,
+    rgb: [f64; 3],
+}
+
+fn put(frame: &mut FarFrame, column: i64, row: i64, disparity: f64, colour: u32) {
+    if (0..i64::from(frame.width)).contains(&column) && (0..i64::from(frame.height)).contains(&row) {
+        let at = (row * i64::from(frame.width) + column) as usize;
+        let value = u64::from((disparity as f32).to_bits()) << 32 | u64::from(colour);
+        frame.packed[at] = frame.packed[at].max(value);
+    }
+}
+
+fn paint_stamp(matrix: &WarpMatrix, (row, column): (i64, i64), s: &Sample, stamp: Stamp, frame: &mut FarFrame) {
+    let (u, v) = (column as f64 + 0.5, row as f64 + 0.5);
+    let Some(p) = matrix.warp(u, v, s.disparity) else { return };
+    let footprint = matrix.footprint(u, v, s.disparity).unwrap_or(1.0);
+    let side = match stamp {
+        Stamp::OnePixel => 1,
+        Stamp::TwoByTwo => 2,
+        Stamp::ThreeByThree | Stamp::Cross => 3,
+        Stamp::Footprint | Stamp::Quads => footprint.ceil().clamp(1.0, f64::from(LARGEST_FOOTPRINT_STAMP)) as i64,
+    };
+    let offset = 0.5 * (side - 1) as f64;
+    let (left, top) = ((p.x - offset).floor() as i64, (p.y - offset).floor() as i64);
+    for dy in 0..side {
+        for dx in 0..side {
+            if stamp != Stamp::Cross || dx == 1 || dy == 1 {
+                put(frame, left + dx, top + dy, p.disparity, s.colour);
+            }
+        }
+    }
+}
+
+impl Grid {
+    fn new(ldi: &Ldi, layer: &LdiLayer) -> Self {
+        let mut samples = BTreeMap::new();
+        for segment in &layer.segments {
+            let first = segment.first as usize;
+            for i in first..first + usize::from(segment.count) {
+                let column = i64::from(segment.column_base) + i64::from(layer.column[i]);
+                let sample = Sample {
+                    disparity: ldi.codes.disparity(layer.disparity[i]),
+                    colour: pack_rgb(layer.rgb[i]),
+                    links: layer.links[i],
+                };
+                samples.insert((i64::from(segment.row), column), sample);
+            }
+        }
+        Self { samples }
+    }
+
+    /// Whether two neighbours continue one surface; `step` is (0, +-1) or (+-1, 0).
+    fn linked(&self, (r, c): (i64, i64), step: (i64, i64)) -> bool {
+        let other = (r + step.0, c + step.1);
+        let first = (r.min(other.0), c.min(other.1));
+        let bit = if step.0 == 0 { LINK_RIGHT } else { LINK_DOWN };
+        self.samples.contains_key(&(r, c)) && self.samples.contains_key(&other) && self.samples[&first].links & bit != 0
+    }
+
+    /// What lies half a cell from a sample along an axis: (extent, change of disparity, change of squared codes).
+    fn half(&self, at: (i64, i64), step: (i64, i64)) -> (f64, f64, [f64; 3]) {
+        if step == (0, 0) {
+            return (0.0, 0.0, [0.0; 3]);
+        }
+        let here = self.samples[&at];
+        let beside = |s: (i64, i64)| self.samples[&(at.0 + s.0, at.1 + s.1)];
+        let sign = (step.0 + step.1) as f64;
+        if self.linked(at, step) {
+            let other = beside(step);
+            let (a, b) = (unpack_rgb(here.colour).map(f64::from), unpack_rgb(other.colour).map(f64::from));
+            let change = |i: usize| ((a[i] * a[i] + b[i] * b[i]) * 0.5).sqrt() - a[i];
+            return (0.5 * sign, (other.disparity - here.disparity) * 0.5, std::array::from_fn(change));
+        }
+        let extent = 0.5 + f64::from(OVERLAP);
+        let back = (-step.0, -step.1);
+        let slope = if self.linked(at, back) { here.disparity - beside(back).disparity } else { 0.0 };
+        (extent * sign, slope * extent, [0.0; 3])
+    }
+
+    fn vertex(&self, at: (i64, i64), across: i64, down: i64) -> Vertex {
+        let here = self.samples[&at];
+        let (du, slope_u, colour_u) = self.half(at, (0, across));
+        let (dv, slope_v, colour_v) = self.half(at, (down, 0));
+        let own = unpack_rgb(here.colour).map(f64::from);
+        Vertex {
+            u: at.1 as f64 + 0.5 + du,
+            v: at.0 as f64 + 0.5 + dv,
+            disparity: (here.disparity + slope_u + slope_v).max(here.disparity * 0.25),
+            rgb: std::array::from_fn(|i| (own[i] + colour_u[i] + colour_v[i]).clamp(0.0, 255.0)),
+        }
+    }
+
+    fn alone(&self, at: (i64, i64)) -> bool {
+        [(0, 1), (0, -1), (1, 0), (-1, 0)].into_iter().all(|step| !self.linked(at, step))
+    }
+
+    fn quads(&self, matrix: &WarpMatrix, frame: &mut FarFrame) {
+        let mut squares: Vec<(i64, i64)> =
+            self.samples.keys().flat_map(|(r, c)| [(r - 1, c - 1), (r - 1, *c), (*r, c - 1), (*r, *c)]).collect();
+        squares.sort_unstable();
+        squares.dedup();
+        for a in squares {
+            self.square(matrix, a, frame);
+        }
+        for at in self.samples.keys().filter(|at| self.alone(**at)) {
+            let corner = |across, down| self.vertex(*at, across, down);
+            paint_quad(matrix, [corner(-1, -1), corner(1, -1), corner(-1, 1), corner(1, 1)], frame);
+        }
+    }
+
+    /// The square right and below of `a`.
+    fn square(&self, matrix: &WarpMatrix, a: (i64, i64), frame: &mut FarFrame) {
+        let (b, e, f) = ((a.0, a.1 + 1), (a.0 + 1, a.1), (a.0 + 1, a.1 + 1));
+        let (ab, ef) = (self.linked(a, (0, 1)), self.linked(e, (0, 1)));
+        let (ae, bf) = (self.linked(a, (1, 0)), self.linked(b, (1, 0)));
+        let v = |at, across, down| self.vertex(at, across, down);
+        let mut draw = |q: [Vertex; 4]| paint_quad(matrix, q, frame);
+        let mut left: Vec<(i64, i64)> = [a, b, e, f].into_iter().filter(|s| self.samples.contains_key(s)).collect();
+        if ab && ef && ae && bf {
+            draw([v(a, 0, 0), v(b, 0, 0), v(e, 0, 0), v(f, 0, 0)]);
+            return;
+        }
+        if ab || ef {
+            if ab {
+                draw([v(a, 0, 0), v(b, 0, 0), v(a, 0, 1), v(b, 0, 1)]);
+                left.retain(|s| *s != a && *s != b);
+            }
+            if ef {
+                draw([v(e, 0, -1), v(f, 0, -1), v(e, 0, 0), v(f, 0, 0)]);
+                left.retain(|s| *s != e && *s != f);
+            }
+        } else {
+            if ae {
+                draw([v(a, 0, 0), v(a, 1, 0), v(e, 0, 0), v(e, 1, 0)]);
+                left.retain(|s| *s != a && *s != e);
+            }
+            if bf {
+                draw([v(b, -1, 0), v(b, 0, 0), v(f, -1, 0), v(f, 0, 0)]);
+                left.retain(|s| *s != b && *s != f);
+            }
+        }
+        for s in left.into_iter().filter(|s| !self.alone(*s)) {
+            let (x0, x1) = if s.1 == a.1 { (0, 1) } else { (-1, 0) };
+            let (y0, y1) = if s.0 == a.0 { (0, 1) } else { (-1, 0) };
+            draw([v(s, x0, y0), v(s, x1, y0), v(s, x0, y1), v(s, x1, y1)]);
+        }
+    }
+}
+
+/// Paints the pixel centres inside the two triangles of a quad, with bilinear attributes.
+fn paint_quad(matrix: &WarpMatrix, corners: [Vertex; 4], frame: &mut FarFrame) {
+    let warped: Vec<Warped> = corners.iter().filter_map(|c| matrix.warp(c.u, c.v, c.disparity)).collect();
+    let [a, b, e, f] = warped[..] else { return };
+    let bound = |pick: fn(&Warped) -> f64, limit: u32| {
+        let values = [a, b, e, f].map(|p| pick(&p));
+        let low = values.into_iter().fold(f64::MAX, f64::min).floor().max(0.0);
+        let high = values.into_iter().fold(f64::MIN, f64::max).ceil().min(f64::from(limit));
+        (low as i64, high as i64)
+    };
+    let ((x0, x1), (y0, y1)) = (bound(|p| p.x, frame.width), bound(|p| p.y, frame.height));
+    for row in y0..y1 {
+        for column in x0..x1 {
+            let centre = (column as f64 + 0.5, row as f64 + 0.5);
+            let first = locate(centre, a, b, e);
+            let second = locate(centre, f, e, b).map(|(s, t)| (1.0 - s, 1.0 - t));
+            let Some((s, t)) = first.or(second) else { continue };
+            let bilinear = |p: [f64; 4]| {
+                let (top, bottom) = (p[0] + s * (p[1] - p[0]), p[2] + s * (p[3] - p[2]));
+                top + t * (bottom - top)
+            };
+            let disparity = bilinear([a, b, e, f].map(|p| p.disparity));
+            let light = |i: usize| bilinear(corners.map(|c| c.rgb[i] * c.rgb[i])).max(0.0);
+            let rgb = std::array::from_fn(|i| (light(i).sqrt() + 0.5) as u8);
+            put(frame, column, row, disparity, pack_rgb(rgb));
+        }
+    }
+}
+
+/// Coordinates (s, t) of a point in the triangle (p, p + s, p + t); None outside.
+fn locate((x, y): (f64, f64), p: Warped, across: Warped, down: Warped) -> Option<(f64, f64)> {
+    let (ax, ay) = (across.x - p.x, across.y - p.y);
+    let (dx, dy) = (down.x - p.x, down.y - p.y);
+    let (qx, qy) = (x - p.x, y - p.y);
+    let det = ax * dy - ay * dx;
+    let (s, t) = ((qx * dy - qy * dx) / det, (ax * qy - ay * qx) / det);
+    (s >= 0.0 && t >= 0.0 && s + t <= 1.0).then_some((s, t))
+}

@@ -1,0 +1,258 @@
+//! Reading and writing little-endian fields, LEB128 numbers and compressed sections.
+//!
+//! A *section* is `raw length (LEB128) | stored length (LEB128) | stored bytes`. Where the two lengths are equal the bytes
+//! are stored as they are, else they are one zstd frame. The reader is told the largest raw length that makes sense at
+//! this place and refuses a larger one before it allocates. Planes of different statistics go into sections of their
+//! own, since zstd's entropy tables adapt per block and not per byte position.
+
+use super::CodecError;
+use zstd::zstd_safe::CParameter;
+
+/// Sections shorter than this are stored: zstd's frame and tables would cost more than they gain.
+const SMALLEST_COMPRESSED: usize = 24;
+
+/// Appends fields to a chunk.
+pub(crate) struct Writer {
+    /// What was written so far.
+    pub bytes: Vec<u8>,
+    zstd: zstd::bulk::Compressor<'static>,
+    /// Finds only long matches: noise costs its entropy and no more, where the search for short matches (3 to 5 bytes) takes
+    /// chance repetitions for gains. On foliage 4% fewer bytes than `zstd` alone at level 3 and 8% at level 9.
+    zstd_for_noise: zstd::bulk::Compressor<'static>,
+}
+
+impl Writer {
+    /// An empty chunk whose sections are compressed at this zstd level, 1 to 19.
+    pub fn new(level: i32) -> Result<Self, CodecError> {
+        let failed = |e: std::io::Error| CodecError::Compression { field: "compressor", reason: e.to_string() };
+        let zstd = zstd::bulk::Compressor::new(level.clamp(1, 19)).map_err(failed)?;
+        let mut zstd_for_noise = zstd::bulk::Compressor::new(1).map_err(failed)?;
+        zstd_for_noise.set_parameter(CParameter::MinMatch(7)).map_err(failed)?;
+        Ok(Self { bytes: Vec::new(), zstd, zstd_for_noise })
+    }
+    pub fn raw(&mut self, b: &[u8]) {
+        self.bytes.extend_from_slice(b);
+    }
+    pub fn u8(&mut self, v: u8) {
+        self.bytes.push(v);
+    }
+    pub fn u16(&mut self, v: u16) {
+        self.raw(&v.to_le_bytes());
+    }
+    pub fn u32(&mut self, v: u32) {
+        self.raw(&v.to_le_bytes());
+    }
+    pub fn i32(&mut self, v: i32) {
+        self.raw(&v.to_le_bytes());
+    }
+    pub fn f64(&mut self, v: f64) {
+        self.raw(&v.to_le_bytes());
+    }
+    pub fn varint(&mut self, v: u64) {
+        put_varint(&mut self.bytes, v);
+    }
+    /// Appends a section.
+    pub fn section(&mut self, field: &'static str, raw: &[u8]) -> Result<(), CodecError> {
+        self.varint(raw.len() as u64);
+        if raw.len() >= SMALLEST_COMPRESSED {
+            let failed = |e: std::io::Error| CodecError::Compression { field, reason: e.to_string() };
+            let packed = self.zstd.compress(raw).map_err(failed)?;
+            let for_noise = self.zstd_for_noise.compress(raw).map_err(failed)?;
+            let packed = if for_noise.len() < packed.len() { for_noise } else { packed };
+            if packed.len() < raw.len() {
+                self.varint(packed.len() as u64);
+                self.raw(&packed);
+                return Ok(());
+            }
+        }
+        self.varint(raw.len() as u64);
+        self.raw(raw);
+        Ok(())
+    }
+}
+
+/// Reads fields of a chunk in order; every method fails with the field's name instead of reading past the end.
+pub(crate) struct Reader<'a> {
+    rest: &'a [u8],
+    zstd: Option<zstd::bulk::Decompressor<'static>>,
+}
+
+impl<'a> Reader<'a> {
+    pub fn new(bytes: &'a [u8]) -> Self {
+        Self { rest: bytes, zstd: None }
+    }
+    /// Bytes not read yet.
+    pub fn remaining(&self) -> usize {
+        self.rest.len()
+    }
+    /// The next bytes as they are.
+    pub fn take(&mut self, n: usize, field: &'static str) -> Result<&'a [u8], CodecError> {
+        let (head, rest) = self
+            .rest
+            .split_at_checked(n)
+            .ok_or(CodecError::Truncated { field, missing: n.saturating_sub(self.rest.len()) })?;
+        self.rest = rest;
+        Ok(head)
+    }
+    /// A fixed number of bytes.
+    pub fn array<const N: usize>(&mut self, field: &'static str) -> Result<[u8; N], CodecError> {
+        let (head, rest) = self
+            .rest
+            .split_first_chunk::<N>()
+            .ok_or(CodecError::Truncated { field, missing: N.saturating_sub(self.rest.len()) })?;
+        self.rest = rest;
+        Ok(*head)
+    }
+    /// Checks the four bytes that name the kind of data and its version.
+    pub fn magic(&mut self, what: &'static str, magic: [u8; 3], version: u8) -> Result<(), CodecError> {
+        let found = self.array::<4>("magic")?;
+        if found[..3] != magic {
+            return Err(CodecError::Magic { expected: what, found });
+        }
+        if found[3] != version {
+            return Err(CodecError::Version { what, found: found[3].into(), expected: version.into() });
+        }
+        Ok(())
+    }
+    pub fn u8(&mut self, field: &'static str) -> Result<u8, CodecError> {
+        Ok(self.array::<1>(field)?[0])
+    }
+    pub fn u16(&mut self, field: &'static str) -> Result<u16, CodecError> {
+        Ok(u16::from_le_bytes(self.array(field)?))
+    }
+    pub fn u32(&mut self, field: &'static str) -> Result<u32, CodecError> {
+        Ok(u32::from_le_bytes(self.array(field)?))
+    }
+    pub fn i32(&mut self, field: &'static str) -> Result<i32, CodecError> {
+        Ok(i32::from_le_bytes(self.array(field)?))
+    }
+    pub fn f64(&mut self, field: &'static str) -> Result<f64, CodecError> {
+        Ok(f64::from_le_bytes(self.array(field)?))
+    }
+    /// An f64 that must be finite.
+    pub fn finite(&mut self, field: &'static str) -> Result<f64, CodecError> {
+        let v = self.f64(field)?;
+        if v.is_finite() { Ok(v) } else { Err(CodecError::range(field, v, "it must be finite")) }
+    }
+    /// A LEB128 number of at most `max`.
+    pub fn varint(&mut self, field: &'static str, max: u64) -> Result<u64, CodecError> {
+        let mut v = 0u64;
+        for shift in (0..64).step_by(7) {
+            let byte = self.u8(field)?;
+            v |= u64::from(byte & 127) << shift;
+            if byte < 128 {
+                return if v <= max {
+                    Ok(v)
+                } else {
+                    Err(CodecError::range(field, v, "it is larger than this place allows"))
+                };
+            }
+        }
+        Err(CodecError::range(field, "a number of more than 64 bits", "it is larger than this place allows"))
+    }
+    /// A LEB128 number of at most `max`, for counts and positions.
+    pub fn count(&mut self, field: &'static str, max: usize) -> Result<usize, CodecError> {
+        Ok(self.varint(field, max as u64)? as usize)
+    }
+    /// A section of at most `max` raw bytes.
+    pub fn section(&mut self, field: &'static str, max: usize) -> Result<Vec<u8>, CodecError> {
+        let raw_len = self.count(field, max)?;
+        let stored_len = self.count(field, raw_len)?;
+        let stored = self.take(stored_len, field)?;
+        if stored_len == raw_len {
+            return Ok(stored.to_vec());
+        }
+        let failed = |reason: String| CodecError::Compression { field, reason };
+        let zstd = match &mut self.zstd {
+            Some(z) => z,
+            none => none.insert(zstd::bulk::Decompressor::new().map_err(|e| failed(e.to_string()))?),
+        };
+        let raw = zstd.decompress(stored, raw_len).map_err(|e| failed(e.to_string()))?;
+        if raw.len() != raw_len {
+            return Err(failed(format!("{} bytes instead of {raw_len}", raw.len())));
+        }
+        Ok(raw)
+    }
+    /// A section of exactly `len` raw bytes.
+    pub fn section_of(&mut self, field: &'static str, len: usize) -> Result<Vec<u8>, CodecError> {
+        let raw = self.section(field, len)?;
+        if raw.len() == len {
+            Ok(raw)
+        } else {
+            Err(CodecError::mismatch(field, format!("{} bytes, but {len} are needed", raw.len())))
+        }
+    }
+    /// Checks that everything was read.
+    pub fn finish(self, what: &'static str) -> Result<(), CodecError> {
+        if self.rest.is_empty() {
+            Ok(())
+        } else {
+            Err(CodecError::mismatch(what, format!("{} bytes too many at the end", self.rest.len())))
+        }
+    }
+}
+
+/// Appends a LEB128 number: seven bits a byte, low bits first, the high bit set on all bytes but the last.
+pub(crate) fn put_varint(out: &mut Vec<u8>, mut v: u64) {
+    while v >= 128 {
+        out.push(v as u8 | 128);
+        v >>= 7;
+    }
+    out.push(v as u8);
+}
+
+/// Maps small signed numbers to small unsigned ones: 0, -1, 1, -2, ... to 0, 1, 2, 3, ...
+#[inline]
+pub(crate) fn zigzag(v: i64) -> u64 {
+    ((v << 1) ^ (v >> 63)) as u64
+}
+
+/// Inverse of [`zigzag`].
+#[inline]
+pub(crate) fn unzigzag(v: u64) -> i64 {
+    (v >> 1) as i64 ^ -((v & 1) as i64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_and_sections_come_back() {
+        let mut w = Writer::new(3).unwrap();
+        let numbers = [0, 1, 127, 128, 300, u64::from(u32::MAX), u64::MAX];
+        for n in numbers {
+            w.varint(n);
+        }
+        let long: Vec<u8> = (0..5000).map(|i| (i % 7) as u8).collect();
+        for s in [&long[..], &long[..5], &[]] {
+            w.section("s", s).unwrap();
+        }
+        assert!(w.bytes.len() < 300, "the long section must be compressed: {}", w.bytes.len());
+        let mut r = Reader::new(&w.bytes);
+        for n in numbers {
+            assert_eq!(r.varint("n", u64::MAX).unwrap(), n);
+        }
+        assert_eq!(r.section("s", 5000).unwrap(), long);
+        assert_eq!(r.section_of("s", 5).unwrap(), &long[..5]);
+        assert_eq!(r.section("s", 0).unwrap(), &[] as &[u8]);
+        r.finish("test").unwrap();
+    }
+
+    #[test]
+    fn too_large_is_refused_before_it_is_read() {
+        let mut w = Writer::new(3).unwrap();
+        w.section("s", &[7; 1000]).unwrap();
+        assert!(matches!(Reader::new(&w.bytes).section("s", 999), Err(CodecError::Range { field: "s", .. })));
+        let endless = [255u8; 12];
+        assert!(Reader::new(&endless).varint("n", u64::MAX).is_err());
+    }
+
+    #[test]
+    fn zigzag_is_one_to_one() {
+        for v in [0, -1, 1, -2, 2, i64::MAX, i64::MIN] {
+            assert_eq!(unzigzag(zigzag(v)), v);
+        }
+        assert_eq!([0, -1, 1, -2].map(zigzag), [0, 1, 2, 3]);
+    }
+}

@@ -1,0 +1,226 @@
+//! LDI chunks: an [`Ldi`] to two chunks and back.
+//!
+//! The first chunk holds the camera, the disparity codes, the sky bits and layer 0, so that it alone is a useful picture;
+//! the second holds the deeper layers. Per chunk: occupancy ([`runs`](super::runs)), links and disparities
+//! ([`surface`](super::surface)), colours ([`colour`](super::colour)); each stream is a zstd section shared by the chunk's
+//! layers, since deep layers are small. Disparities and links are exact; colours as the [`ColourMode`] says.
+
+use super::{
+    CodecError, ColourMode,
+    bytes::{Reader, Writer},
+    colour,
+    residual::{Decoder, Encoder},
+    runs::{OccupancyWriter, read_occupancy, runs_of_layer, segments_of_runs},
+    surface,
+};
+use crate::{
+    ViewBasis,
+    ldi::{DisparityCodes, Ldi, LdiCamera, LdiLayer},
+};
+use glam::DVec3;
+
+/// Version of both LDI chunks.
+pub const VERSION: u8 = 1;
+/// Most samples in one chunk: bounds what a forged chunk can make a reader allocate, about 150 MB. An LDI of the largest
+/// planned kind (2560 x 1440 at density 2) has 15 million.
+pub const MAX_SAMPLES: usize = 1 << 24;
+
+const FIRST: [u8; 3] = *b"LDF";
+const DEEPER: [u8; 3] = *b"LDD";
+
+/// Encodes camera, codes, sky bits and layer 0. `level` is zstd's, 1 to 19.
+///
+/// # Errors
+/// If the LDI breaks its own rules or is larger than [`Ldi::MAX_SIDE`] or [`MAX_SAMPLES`].
+pub fn encode_first(ldi: &Ldi, mode: ColourMode, level: i32) -> Result<Vec<u8>, CodecError> {
+    let mut w = Writer::new(level)?;
+    w.raw(&FIRST);
+    w.u8(VERSION);
+    let c = &ldi.camera;
+    check_size(c.width, c.height)?;
+    for v in [c.cop, c.basis.right, c.basis.up, c.basis.forward] {
+        v.to_array().into_iter().for_each(|x| w.f64(x));
+    }
+    w.f64(c.pixels_per_unit);
+    w.i32(c.left);
+    w.i32(c.top);
+    w.u32(c.width);
+    w.u32(c.height);
+    w.f64(ldi.codes.smallest);
+    w.f64(ldi.codes.step);
+    w.u16(ldi.codes.largest_code);
+    let sky: Vec<u8> = ldi.sky.iter().flat_map(|word| word.to_le_bytes()).collect();
+    if ldi.sky.len() != ldi.sky_words_per_row() * c.height as usize {
+        return Err(CodecError::mismatch("sky bits", "not one bit per pixel"));
+    }
+    w.section("sky bits", &sky)?;
+    encode_layers(&mut w, ldi, ldi.layers.get(..1).unwrap_or_default(), mode)?;
+    Ok(w.bytes)
+}
+
+/// Encodes the layers behind layer 0; None when there are none. `level` is zstd's, 1 to 19.
+///
+/// # Errors
+/// As [`encode_first`].
+pub fn encode_deeper(ldi: &Ldi, mode: ColourMode, level: i32) -> Result<Option<Vec<u8>>, CodecError> {
+    let layers = ldi.layers.get(1..).unwrap_or_default();
+    if layers.is_empty() {
+        return Ok(None);
+    }
+    let mut w = Writer::new(level)?;
+    w.raw(&DEEPER);
+    w.u8(VERSION);
+    w.u32(ldi.camera.width);
+    w.u32(ldi.camera.height);
+    encode_layers(&mut w, ldi, layers, mode)?;
+    Ok(Some(w.bytes))
+}
+
+/// Decodes a first chunk: an LDI with at most one layer.
+///
+/// # Errors
+/// If anything is missing, out of range or left over.
+pub fn decode_first(bytes: &[u8]) -> Result<Ldi, CodecError> {
+    let mut r = Reader::new(bytes);
+    r.magic("LDI", FIRST, VERSION)?;
+    let mut vector = |field| Ok(DVec3::new(r.finite(field)?, r.finite(field)?, r.finite(field)?));
+    let cop = vector("centre of projection")?;
+    let basis = ViewBasis { right: vector("right")?, up: vector("up")?, forward: vector("forward")? };
+    let camera = LdiCamera {
+        cop,
+        basis,
+        pixels_per_unit: r.finite("pixels per unit")?,
+        left: r.i32("left")?,
+        top: r.i32("top")?,
+        width: r.u32("width")?,
+        height: r.u32("height")?,
+    };
+    check_size(camera.width, camera.height)?;
+    let codes = DisparityCodes {
+        smallest: r.finite("smallest disparity")?,
+        step: r.finite("disparity step")?,
+        largest_code: r.u16("largest disparity code")?,
+    };
+    let words = (camera.width as usize).div_ceil(64) * camera.height as usize;
+    let sky = r.section_of("sky bits", words * 8)?;
+    let sky = sky.as_chunks().0.iter().map(|b| u64::from_le_bytes(*b)).collect();
+    let mut ldi = Ldi { camera, codes, layers: Vec::new(), sky };
+    ldi.layers = decode_layers(&mut r, (camera.width, camera.height), 1)?;
+    r.finish("LDI")?;
+    check(&ldi)?;
+    Ok(ldi)
+}
+
+/// Decodes the deeper layers and appends them to the LDI whose first chunk was decoded before.
+///
+/// # Errors
+/// If the chunk is malformed, belongs to an image of another size, or the LDI has its deeper layers already. Then `ldi` is
+/// as before.
+pub fn decode_deeper(bytes: &[u8], ldi: &mut Ldi) -> Result<(), CodecError> {
+    let mut r = Reader::new(bytes);
+    r.magic("deeper LDI layers", DEEPER, VERSION)?;
+    if (r.u32("width")?, r.u32("height")?) != (ldi.camera.width, ldi.camera.height) {
+        return Err(CodecError::mismatch("width", "the deeper layers belong to another image"));
+    }
+    if ldi.layers.len() != 1 {
+        return Err(CodecError::mismatch(
+            "layers",
+            format!("{} layers are there, not just the first", ldi.layers.len()),
+        ));
+    }
+    let layers = decode_layers(&mut r, (ldi.camera.width, ldi.camera.height), Ldi::MAX_LAYERS - 1)?;
+    r.finish("deeper LDI layers")?;
+    ldi.layers.extend(layers);
+    check(ldi).inspect_err(|_| ldi.layers.truncate(1))
+}
+
+/// Bytes that an LDI takes in memory, for [`crate::index::ChunkEntry::decoded_bytes`]: of the first chunk's part, and of the rest.
+pub fn decoded_bytes(ldi: &Ldi) -> [usize; 2] {
+    let layer = |l: &LdiLayer| l.len() * (1 + 2 + 3 + 1) + size_of_val(&l.segments[..]);
+    let first = ldi.sky.len() * 8 + size_of::<Ldi>() + ldi.layers.first().map_or(0, layer);
+    [first, ldi.layers.iter().skip(1).map(layer).sum()]
+}
+
+/// The sizes that memory depends on; the rest is left to [`Ldi::check`].
+fn check_size(width: u32, height: u32) -> Result<(), CodecError> {
+    for (field, side) in [("width", width), ("height", height)] {
+        if !(1..=Ldi::MAX_SIDE).contains(&side) {
+            return Err(CodecError::range(field, side, "LDIs have 1 to 16384 columns and rows"));
+        }
+    }
+    let pixels = u64::from(width) * u64::from(height);
+    if pixels > Ldi::MAX_PIXELS {
+        return Err(CodecError::range("pixels", pixels, "LDIs have at most 2^26 pixels"));
+    }
+    Ok(())
+}
+
+fn check(ldi: &Ldi) -> Result<(), CodecError> {
+    ldi.check().map_err(|fault| CodecError::mismatch("LDI", fault.to_string()))
+}
+
+fn encode_layers(w: &mut Writer, ldi: &Ldi, layers: &[LdiLayer], mode: ColourMode) -> Result<(), CodecError> {
+    let (width, height) = (ldi.camera.width, ldi.camera.height);
+    let total: usize = layers.iter().map(LdiLayer::len).sum();
+    if total > MAX_SAMPLES || layers.len() > Ldi::MAX_LAYERS {
+        return Err(CodecError::range("samples", total, "a chunk holds at most 2^24 samples in 32 layers"));
+    }
+    let mode = ColourMode::checked(mode.green_step, mode.red_blue_step)?;
+    w.u8(mode.green_step);
+    w.u8(mode.red_blue_step);
+    w.u8(layers.len() as u8);
+    layers.iter().for_each(|l| w.varint(l.len() as u64));
+
+    let walker = colour::Walker::new(mode);
+    let mut occupancy = OccupancyWriter::default();
+    let mut links = surface::LinkEncoder::default();
+    let mut disparities = Encoder::new(surface::STREAMS);
+    let mut colours = Encoder::new(colour::STREAMS);
+    for layer in layers {
+        let runs = runs_of_layer(layer, width, height)?;
+        occupancy.layer(&runs, height);
+        let joined = surface::walk_links(&runs, width, &mut layer.links.clone(), &mut links);
+        surface::walk_disparity(&runs, width, &joined, &mut layer.disparity.clone(), &mut disparities);
+        walker.walk(&runs, width, &mut layer.rgb.clone(), &mut colours);
+    }
+    occupancy.finish(w)?;
+    links.finish(w)?;
+    disparities.finish(w, "disparities")?;
+    colours.finish(w, "colours")
+}
+
+fn decode_layers(r: &mut Reader<'_>, (width, height): (u32, u32), most: usize) -> Result<Vec<LdiLayer>, CodecError> {
+    let mode = ColourMode::checked(r.u8("green step")?, r.u8("red and blue step")?)?;
+    let layers = usize::from(r.u8("layers")?);
+    if layers > most {
+        return Err(CodecError::range("layers", layers, "too many for this chunk"));
+    }
+    let pixels = (width as usize * height as usize).min(MAX_SAMPLES);
+    let counts = (0..layers).map(|_| r.count("samples", pixels)).collect::<Result<Vec<_>, _>>()?;
+    let total: usize = counts.iter().sum();
+    if total > MAX_SAMPLES {
+        return Err(CodecError::range("samples", total, "a chunk holds at most 2^24 samples"));
+    }
+    let occupancy = read_occupancy(r, (width, height), &counts)?;
+    let mut links = surface::LinkDecoder::new(r, total)?;
+    let mut disparities = Decoder::new(r, "disparities", surface::STREAMS, total)?;
+    let mut colours = Decoder::new(r, "colours", colour::STREAMS, total * 3)?;
+    let walker = colour::Walker::new(mode);
+    let mut out = Vec::with_capacity(layers);
+    for (runs, &n) in occupancy.iter().zip(&counts) {
+        let (segments, column) = segments_of_runs(runs, n);
+        let mut layer = LdiLayer { segments, column, disparity: vec![0; n], rgb: vec![[0; 3]; n], links: vec![0; n] };
+        let joined = surface::walk_links(runs, width, &mut layer.links, &mut links);
+        surface::walk_disparity(runs, width, &joined, &mut layer.disparity, &mut disparities);
+        walker.walk(runs, width, &mut layer.rgb, &mut colours);
+        out.push(layer);
+    }
+    links.finish()?;
+    disparities.finish("disparities")?;
+    colours.finish("colours")?;
+    Ok(out)
+}
+
+#[cfg(test)]
+#[path = "ldi_test.rs"]
+mod tests;

@@ -1,0 +1,23 @@
+//! Unit normals as octahedral coordinates (Meyer, Suessmuth, Sussner, Stamminger, Greiner 2010): the sphere is projected
+//! onto the octahedron |x| + |y| + |z| = 1, its lower half unfolded over the corners of the upper half's square.
+
+use glam::Vec3;
+
+/// Largest coordinate: 12 bits with 0 represented exactly, so that axis-aligned normals stay exact.
+const NORMAL_MAX: f32 = 2047.0;
+
+/// Octahedral coordinates of a unit normal, each -2047 to 2047. What is no direction becomes +Y.
+pub(super) fn octahedral(n: Vec3) -> [i64; 2] {
+    let sum = n.abs().element_sum();
+    let n = if sum > 0.0 && sum.is_finite() { n / sum } else { Vec3::Y };
+    let fold = |a: f32, b: f32| if n.z < 0.0 { (1.0 - b.abs()) * if a < 0.0 { -1.0 } else { 1.0 } } else { a };
+    [fold(n.x, n.y), fold(n.y, n.x)].map(|x| (x * NORMAL_MAX).round() as i64)
+}
+
+/// Inverse of [`octahedral`] for any coordinates.
+pub(super) fn normal_of(k: [i64; 2]) -> Vec3 {
+    let [x, y] = k.map(|k| (k as f32 / NORMAL_MAX).clamp(-1.0, 1.0));
+    let z = 1.0 - x.abs() - y.abs();
+    let unfold = |a: f32, b: f32| if z < 0.0 { (1.0 - b.abs()) * if a < 0.0 { -1.0 } else { 1.0 } } else { a };
+    Vec3::new(unfold(x, y), unfold(y, x), z).normalize_or(Vec3::Y)
+}

@@ -1,0 +1,154 @@
+//! Prediction residuals, sorted into streams by context.
+//!
+//! A plane coder predicts each value from decoded neighbours and hands the difference to a [`Coder`], together with a
+//! context: a small number that says how well the prediction is expected to do, again from decoded neighbours only.
+//! Residuals of one context go to one stream, and every stream is a zstd section of its own. So zstd's Huffman tables do
+//! what the conditional coder of JPEG-LS (Weinberger, Seroussi, Sapiro 2000, section III-C) does, at the speed of zstd:
+//! nothing but a table lookup is done per symbol here.
+//!
+//! Encoder and decoder run the same walk; only the coder differs. So they cannot disagree about a prediction.
+//!
+//! With a step q > 1 coding is near-lossless: the residual is divided by q and the value *as decoded* becomes the
+//! neighbour of later ones, so that errors do not add up: each stays within q / 2 (JPEG-LS, section III-F). With step 1
+//! residuals wrap at 256, so that they fit a byte.
+
+use super::{
+    CodecError,
+    bytes::{Reader, Writer, put_varint, unzigzag, zigzag},
+};
+
+/// Either side of the coding of residuals.
+pub(super) trait Coder {
+    /// Codes one 8-bit value: returns the quantized residual and the value as decoded. A decoder ignores `actual`.
+    fn byte<const LOSSLESS: bool>(&mut self, stream: usize, step: i32, predicted: i32, actual: i32) -> (i32, i32);
+    /// Codes one 16-bit value exactly. A decoder ignores `actual`.
+    fn word(&mut self, stream: usize, predicted: u16, actual: u16) -> u16;
+}
+
+/// The value that a quantized residual stands for.
+#[inline]
+fn restored<const LOSSLESS: bool>(step: i32, predicted: i32, q: i32) -> i32 {
+    if LOSSLESS { (predicted + q) & 255 } else { (predicted + q * step).clamp(0, 255) }
+}
+
+/// Residuals of 16-bit values from here on are written out in full: escape byte, then two bytes elsewhere.
+const ESCAPE: u64 = 255;
+
+/// Collects streams.
+pub(super) struct Encoder {
+    streams: Vec<Vec<u8>>,
+    escaped: Vec<u8>,
+}
+
+impl Encoder {
+    pub fn new(streams: usize) -> Self {
+        Self { streams: vec![Vec::new(); streams], escaped: Vec::new() }
+    }
+    /// Writes lengths and sections.
+    pub fn finish(self, w: &mut Writer, field: &'static str) -> Result<(), CodecError> {
+        for s in self.streams.iter().chain([&self.escaped]) {
+            w.section(field, s)?;
+        }
+        Ok(())
+    }
+}
+
+impl Coder for Encoder {
+    #[inline]
+    fn byte<const LOSSLESS: bool>(&mut self, stream: usize, step: i32, predicted: i32, actual: i32) -> (i32, i32) {
+        let r = actual - predicted;
+        let q = if LOSSLESS { i32::from(r as i8) } else { r.signum() * ((r.abs() + (step - 1) / 2) / step) };
+        self.streams[stream].push(zigzag(q.into()) as u8);
+        (q, restored::<LOSSLESS>(step, predicted, q))
+    }
+    #[inline]
+    fn word(&mut self, stream: usize, predicted: u16, actual: u16) -> u16 {
+        let z = zigzag(i64::from(actual.wrapping_sub(predicted) as i16));
+        self.streams[stream].push(z.min(ESCAPE) as u8);
+        if z >= ESCAPE {
+            put_varint(&mut self.escaped, z - ESCAPE);
+        }
+        actual
+    }
+}
+
+/// Gives streams back. Reading past the end of a stream gives zeros and is found by [`Decoder::finish`], so that the inner
+/// loops need no error path.
+pub(super) struct Decoder {
+    bytes: Vec<u8>,
+    /// Per stream, next byte and end in `bytes`; the escapes come last.
+    cursors: Vec<(usize, usize)>,
+}
+
+impl Decoder {
+    /// Reads the sections of `streams` streams that hold `values` residuals altogether.
+    pub fn new(r: &mut Reader<'_>, field: &'static str, streams: usize, values: usize) -> Result<Self, CodecError> {
+        let mut bytes = Vec::new();
+        let mut cursors = Vec::with_capacity(streams + 1);
+        for stream in 0..=streams {
+            // An escaped residual takes at most three bytes.
+            let max = if stream < streams { values - bytes.len() } else { values * 3 };
+            if stream == streams && bytes.len() != values {
+                return Err(CodecError::mismatch(field, format!("{} residuals for {values} values", bytes.len())));
+            }
+            let section = r.section(field, max)?;
+            cursors.push((bytes.len(), bytes.len() + section.len()));
+            if bytes.is_empty() { bytes = section } else { bytes.extend_from_slice(&section) }
+        }
+        Ok(Self { bytes, cursors })
+    }
+    /// Checks that every stream was read to its end and not beyond.
+    pub fn finish(self, field: &'static str) -> Result<(), CodecError> {
+        match self.cursors.iter().position(|(next, end)| next != end) {
+            None => Ok(()),
+            Some(i) => {
+                Err(CodecError::mismatch(field, format!("stream {i} has another length than the values ask for")))
+            }
+        }
+    }
+    #[inline]
+    fn next(&mut self, stream: usize) -> u8 {
+        let cursor = &mut self.cursors[stream];
+        let byte = self.bytes.get(cursor.0).copied().unwrap_or(0);
+        cursor.0 += 1;
+        byte
+    }
+    /// An escaped residual's excess; at most three bytes are looked at.
+    #[cold]
+    fn next_escaped(&mut self) -> u64 {
+        let stream = self.cursors.len() - 1;
+        let mut v = 0;
+        for shift in [0, 7, 14] {
+            let byte = self.next(stream);
+            v |= u64::from(byte & 127) << shift;
+            if byte < 128 {
+                break;
+            }
+        }
+        v
+    }
+}
+
+impl Coder for Decoder {
+    #[inline]
+    fn byte<const LOSSLESS: bool>(&mut self, stream: usize, step: i32, predicted: i32, _: i32) -> (i32, i32) {
+        let q = unzigzag(self.next(stream).into()) as i32;
+        (q, restored::<LOSSLESS>(step, predicted, q))
+    }
+    #[inline]
+    fn word(&mut self, stream: usize, predicted: u16, _: u16) -> u16 {
+        let mut z = u64::from(self.next(stream));
+        if z == ESCAPE {
+            z += self.next_escaped();
+        }
+        predicted.wrapping_add(unzigzag(z) as u16)
+    }
+}
+
+/// Median-edge prediction (LOCO-I): the smaller neighbour at an edge that brightens away from the corner, the larger at one
+/// that darkens, else the plane through the three.
+#[inline]
+pub(super) fn median_edge(left: i32, up: i32, corner: i32) -> i32 {
+    let (low, high) = (left.min(up), left.max(up));
+    (left + up - corner).clamp(low, high)
+}

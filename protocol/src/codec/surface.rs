@@ -1,0 +1,189 @@
+//! Links and disparities of LDI layers.
+//!
+//! Links come first: they tell which neighbours continue the sample's surface, and disparity is affine in the image
+//! on a planar surface (that is why disparity is stored and not depth), so the linked neighbours predict it:
+//!
+//! ```text
+//!   corner -- up          left and up linked:  left + up - corner      (the plane through the three)
+//!     |       |           left only:           left, or 2 left - (left of left) while the run of links goes on
+//!   left -- sample        up only:             up, or 2 up - (above up)
+//!                         neither:             median-edge of whatever is there: a silhouette
+//! ```
+//!
+//! Each case is a context of its own. A link bit can only be set where the neighbour exists, so only those bits are
+//! written, as "broken" bits: almost all are 0. Breaks run along silhouettes, so what the neighbours' links do decides
+//! which of several bit streams a bit goes to (6% fewer bytes on buildings than one stream per direction).
+
+use super::{
+    CodecError,
+    bytes::{Reader, Writer},
+    residual::{Coder, median_edge},
+    runs::Run,
+};
+use crate::ldi::{LINK_DOWN, LINK_RIGHT};
+
+/// The left neighbour exists and is linked to this sample.
+const LEFT: u8 = 1;
+/// The upper neighbour exists and is linked to this sample.
+const UP: u8 = 2;
+/// Left or up is itself linked to the corner sample, so that the three lie on one surface.
+const CORNER: u8 = 4;
+
+/// Streams that [`walk_disparity`] uses.
+pub(super) const STREAMS: usize = 6;
+
+/// Bits packed eight to a byte, first bit lowest.
+#[derive(Default)]
+struct BitWriter {
+    bytes: Vec<u8>,
+    bits: usize,
+}
+
+impl BitWriter {
+    #[inline]
+    fn push(&mut self, bit: bool) {
+        if self.bits.is_multiple_of(8) {
+            self.bytes.push(0);
+        }
+        if let Some(last) = self.bytes.last_mut() {
+            *last |= u8::from(bit) << (self.bits % 8);
+        }
+        self.bits += 1;
+    }
+}
+
+/// Either side of the coding of link bits.
+pub(super) trait LinkCoder {
+    /// Codes whether a link is broken, in the stream of its context.
+    fn broken(&mut self, context: usize, actual: bool) -> bool;
+}
+
+/// Contexts of links to the left: what the row above does at this place (3), and whether the left neighbour goes on upward.
+const LEFT_CONTEXTS: usize = 6;
+/// Contexts of links to the row above: whether the sample is linked to the left, and whether the left and the upper neighbour go on
+/// upward.
+const UP_CONTEXTS: usize = 8;
+
+/// Collects link bits.
+#[derive(Default)]
+pub(super) struct LinkEncoder([BitWriter; LEFT_CONTEXTS + UP_CONTEXTS]);
+
+impl LinkEncoder {
+    /// Writes the sections.
+    pub fn finish(self, w: &mut Writer) -> Result<(), CodecError> {
+        self.0.iter().try_for_each(|bits| w.section("links", &bits.bytes))
+    }
+}
+
+impl LinkCoder for LinkEncoder {
+    #[inline]
+    fn broken(&mut self, context: usize, actual: bool) -> bool {
+        self.0[context].push(actual);
+        actual
+    }
+}
+
+/// Gives link bits back; reading past the end gives zeros and is found by [`LinkDecoder::finish`].
+pub(super) struct LinkDecoder(Vec<(Vec<u8>, usize)>);
+
+impl LinkDecoder {
+    /// Reads the sections of a chunk with this many samples.
+    pub fn new(r: &mut Reader<'_>, samples: usize) -> Result<Self, CodecError> {
+        let max = samples.div_ceil(8);
+        Ok(Self(
+            (0..LEFT_CONTEXTS + UP_CONTEXTS)
+                .map(|_| Ok((r.section("links", max)?, 0)))
+                .collect::<Result<_, CodecError>>()?,
+        ))
+    }
+    /// Checks that all bits were used and none was missing.
+    pub fn finish(self) -> Result<(), CodecError> {
+        match self.0.iter().find(|(bytes, bits)| bytes.len() != bits.div_ceil(8)) {
+            None => Ok(()),
+            Some((bytes, bits)) => Err(CodecError::mismatch("links", format!("{} bytes for {bits} bits", bytes.len()))),
+        }
+    }
+}
+
+impl LinkCoder for LinkDecoder {
+    #[inline]
+    fn broken(&mut self, context: usize, _: bool) -> bool {
+        let (bytes, bits) = &mut self.0[context];
+        let byte = bytes.get(*bits / 8).copied().unwrap_or(0);
+        let bit = byte >> (*bits % 8) & 1;
+        *bits += 1;
+        bit == 1
+    }
+}
+
+/// Codes the links of all samples; a decoder passes zeros. Returns per sample which neighbours its surface continues from.
+pub(super) fn walk_links(runs: &[Run], width: u32, links: &mut [u8], coder: &mut impl LinkCoder) -> Vec<u8> {
+    let mut joined = vec![0u8; links.len()];
+    // Row and number of the last sample seen in each column.
+    let mut last = vec![(u32::MAX, 0u32); width as usize];
+    let mut i = 0;
+    for run in runs {
+        for k in 0..run.count {
+            let above = &mut last[(run.column + k) as usize];
+            let upper = (above.0.wrapping_add(1) == run.row).then_some(above.1 as usize);
+            let left_goes_up = usize::from(k > 0 && joined[i - 1] & UP != 0);
+            let mut j = 0;
+            if k > 0 {
+                let row_above = upper.map_or(0, |a| 1 + usize::from(joined[a] & LEFT != 0));
+                if !coder.broken(2 * row_above + left_goes_up, links[i - 1] & LINK_RIGHT == 0) {
+                    links[i - 1] |= LINK_RIGHT;
+                    j |= LEFT;
+                }
+            }
+            if let Some(a) = upper {
+                let upper_goes_up = usize::from(joined[a] & UP != 0);
+                let context = LEFT_CONTEXTS + usize::from(j) + 2 * left_goes_up + 4 * upper_goes_up;
+                if !coder.broken(context, links[a] & LINK_DOWN == 0) {
+                    links[a] |= LINK_DOWN;
+                    j |= UP;
+                    if j & LEFT != 0 && (joined[a] & LEFT != 0 || joined[i - 1] & UP != 0) {
+                        j |= CORNER;
+                    }
+                }
+            }
+            joined[i] = j;
+            *above = (run.row, i as u32);
+            i += 1;
+        }
+    }
+    joined
+}
+
+/// Codes the disparities of all samples; a decoder passes any values and gets the true ones.
+pub(super) fn walk_disparity(runs: &[Run], width: u32, joined: &[u8], disparity: &mut [u16], coder: &mut impl Coder) {
+    // Per column, the last code seen and the change that led to it along a linked column (0 where it was not linked).
+    let mut above = vec![(0i32, 0i32); width as usize];
+    let mut next = 0;
+    let (mut row, mut left) = (u32::MAX, 0);
+    for run in runs {
+        let columns = run.column as usize..(run.column + run.count) as usize;
+        let mut corner = above[columns.start].0;
+        if run.row != row {
+            left = corner;
+            row = run.row;
+        }
+        let mut left_slope = 0;
+        let samples = next..next + columns.len();
+        next = samples.end;
+        for ((column, value), &j) in columns.zip(&mut disparity[samples.clone()]).zip(&joined[samples]) {
+            let (up, up_slope) = above[column];
+            let (predicted, context) = match j & (LEFT | UP) {
+                0 => (median_edge(left, up, corner), 5),
+                LEFT => (left + left_slope, 3 + usize::from(left_slope != 0)),
+                UP => (up + up_slope, 2),
+                _ if j & CORNER != 0 => (left + up - corner, usize::from(left - corner != 0)),
+                _ => ((left + up + 1) / 2, 2),
+            };
+            *value = coder.word(context, predicted.clamp(0, 65_535) as u16, *value);
+            let here = i32::from(*value);
+            left_slope = if j & LEFT != 0 { here - left } else { 0 };
+            above[column] = (here, if j & UP != 0 { here - up } else { 0 });
+            (corner, left) = (up, here);
+        }
+    }
+}

@@ -1,0 +1,255 @@
+//! Round trips of indices, broken rules, damage.
+
+use super::*;
+use crate::{
+    Aabb, OutputCamera, ViewBasis,
+    index::{AngularRange, CellEntry, ChunkEntry, ChunkKind, GridPoint, Placement, TextureChunk, TextureEntry},
+    mesh::{Alpha, Material, Wrap},
+    volume::WalkVolume,
+};
+use glam::DVec3;
+use proptest::prelude::*;
+
+fn hash(i: usize) -> ChunkHash {
+    ChunkHash(blake3::hash(&i.to_le_bytes()).into())
+}
+
+/// An index with `n` cells, one bundle, one texture of three levels, `n` placements of `n / 2 + 1` points.
+fn index(n: usize) -> Index {
+    let bounds = Aabb { min: DVec3::splat(-1.5), max: DVec3::splat(2.25) };
+    let kind = |i: usize| match i {
+        0 => ChunkKind::Bundle,
+        1 => ChunkKind::Texture,
+        i if i < n + 2 => ChunkKind::Cell,
+        _ => ChunkKind::Ldi,
+    };
+    let chunks = (0..2 + 3 * n)
+        .map(|i| ChunkEntry {
+            hash: hash(i),
+            stored_bytes: 100 + i as u32,
+            decoded_bytes: 1 << (i % 20),
+            kind: kind(i),
+        })
+        .collect();
+    let points = n / 2 + 1;
+    let bands_deg = vec![-60.0, -20.0, 20.0, 60.0];
+    Index {
+        scene: SceneInfo { name: "test".into(), triangles: 7, unique_triangles: 5, instances: 2, bounds },
+        settings: BuildSettings {
+            budget: 1000,
+            optimize_budget: 900,
+            camera: OutputCamera { width: 1280, height: 720, fov_deg: 60.0 },
+            max_footprint_px: 2.0,
+            pitch_deg: 60.0,
+            density: 1.0,
+            colour: "high".into(),
+            grid: "paper".into(),
+            eye_height_m: Some(1.6),
+        },
+        chunks,
+        cells: (0..n)
+            .map(|i| CellEntry {
+                bounds: Aabb {
+                    min: DVec3::splat(f64::from(i as f32 * 0.3 - 2.0)),
+                    max: DVec3::splat(f64::from(i as f32 * 0.3)),
+                },
+                triangles: 17 * i as u32,
+                chunk: 2 + i as u32,
+                bundles: if i % 2 == 0 { vec![0] } else { vec![] },
+                materials: vec![0, 1],
+            })
+            .collect(),
+        materials: vec![
+            Material {
+                base_colour: [0.1, 0.2, 0.3, 1.0],
+                texture: Some(0),
+                alpha: Alpha::Mask(0.5),
+                unlit: false,
+                double_sided: true,
+                wrap: [Wrap::Repeat, Wrap::Clamp],
+            };
+            2
+        ],
+        textures: vec![TextureEntry {
+            width: 4,
+            height: 3,
+            chunks: vec![
+                TextureChunk { chunk: 1, first_level: 1, last_level: 2 },
+                TextureChunk { chunk: 1, first_level: 0, last_level: 0 },
+            ],
+        }],
+        pitch_bands_deg: bands_deg,
+        points: (0..points)
+            .map(|i| GridPoint {
+                position: DVec3::new(i as f64 / 3.0, 1.0, -2.0),
+                level: (i % 3) as u8,
+                radius: 1.0 / 3.0 + i as f64,
+                bands: (0..3)
+                    .map(|b| {
+                        (0..(i + b) % 4)
+                            .map(|k| AngularRange {
+                                yaw_start_deg: k as f64 * 77.7,
+                                placement: (n > 0 && k != 1).then(|| ((i * 5 + k) % n.max(1)) as u32),
+                            })
+                            .collect()
+                    })
+                    .collect(),
+            })
+            .collect(),
+        placements: (0..n)
+            .map(|i| Placement {
+                grid_point: (i % points) as u32,
+                basis: ViewBasis::from_yaw_pitch(i as f64 * 31.0, 10.0),
+                plane_distance: 3.1 + i as f64,
+                culled: (0..n as u32).filter(|c| c % 7 < 4).collect(),
+                footprint_px: 1.7,
+                stretch_p99_px: 0.1 * i as f64,
+                users: bounds,
+                chunks: vec![(2 + n + 2 * i) as u32, (3 + n + 2 * i) as u32],
+                samples_by_layer: vec![100_000, 20_000, 17],
+            })
+            .collect(),
+        volume: WalkVolume::of_box(&bounds).ok(),
+    }
+}
+
+fn decode(e: &Encoded) -> Result<Index, CodecError> {
+    assemble(&decode_root(&e.root)?, &e.pages)
+}
+
+#[test]
+fn an_index_comes_back_exactly() {
+    for n in [0, 1, 3, 2500] {
+        let original = index(n);
+        let encoded = encode(&original).unwrap();
+        assert!(encoded.root.len() < 8000, "{} entries, root of {} bytes", n, encoded.root.len());
+        assert_eq!(decode(&encoded).unwrap(), original);
+        assert_eq!(encode(&original).unwrap(), encoded, "encoding is deterministic");
+    }
+}
+
+#[test]
+fn unknown_stretch_and_no_volume_come_back() {
+    let mut original = index(2);
+    original.placements[1].stretch_p99_px = f64::NAN;
+    original.volume = None;
+    let out = decode(&encode(&original).unwrap()).unwrap();
+    assert!(out.placements[1].stretch_p99_px.is_nan());
+    assert_eq!(out.volume, None);
+}
+
+#[test]
+fn bounds_that_are_not_f32_are_refused() {
+    let mut i = index(2);
+    i.cells[0].bounds.max.x = 0.1;
+    assert!(matches!(encode(&i), Err(CodecError::Range { field: "cell bounds", .. })));
+}
+
+#[test]
+fn every_broken_rule_is_named() {
+    type Break = fn(&mut Index);
+    let breaks: [(&str, Break); 22] = [
+        ("chunk", |i| i.chunks[3].kind = ChunkKind::Page),
+        ("cell", |i| i.cells[1].chunk = 0),
+        ("cell", |i| i.cells[1].chunk = 9999),
+        ("cell", |i| i.cells[0].bundles = vec![2]),
+        ("cell", |i| i.cells[0].materials = vec![1, 0]),
+        ("cell", |i| i.cells[0].materials = vec![2]),
+        ("cell", |i| i.cells[0].bounds.min.x = f64::NAN),
+        ("material", |i| i.materials[0].texture = Some(1)),
+        ("material", |i| i.materials[0].base_colour[2] = f32::INFINITY),
+        ("texture", |i| i.textures[0].width = 0),
+        ("texture", |i| i.textures[0].chunks.truncate(1)),
+        ("texture", |i| i.textures[0].chunks.swap(0, 1)),
+        ("pitch bands", |i| i.pitch_bands_deg.swap(0, 1)),
+        ("grid point", |i| i.points[0].position.y = f64::NAN),
+        ("grid point", |i| i.points[1].bands[1][0].placement = Some(99)),
+        ("grid point", |i| i.points[1].bands[1][0].yaw_start_deg = 360.0),
+        ("grid point", |i| i.points[1].bands[1][1].yaw_start_deg = 0.0),
+        ("placement", |i| i.placements[2].grid_point = 50),
+        ("placement", |i| i.placements[2].culled = vec![3, 3]),
+        ("placement", |i| i.placements[2].culled = vec![5]),
+        ("placement", |i| i.placements[2].basis.up = DVec3::X),
+        ("placement", |i| i.placements[2].chunks = vec![1]),
+    ];
+    validate(&index(5)).unwrap();
+    for (k, (wanted, damage)) in breaks.into_iter().enumerate() {
+        let mut i = index(5);
+        damage(&mut i);
+        match validate(&i) {
+            Err(CodecError::Mismatch { field, .. }) => assert_eq!(field, wanted, "rule {k}"),
+            other => panic!("rule {k}, about a {wanted}: {other:?}"),
+        }
+        assert!(encode(&i).is_err());
+    }
+}
+
+#[test]
+fn every_flipped_bit_of_root_and_pages_is_noticed() {
+    let encoded = encode(&index(4)).unwrap();
+    for at in 0..encoded.root.len() {
+        let mut damaged = encoded.clone();
+        damaged.root[at] ^= 1 << (at % 8);
+        assert!(decode(&damaged).is_err(), "root byte {at}");
+        assert!(decode_root(&encoded.root[..at]).is_err(), "root cut at {at}");
+    }
+    let root = decode_root(&encoded.root).unwrap();
+    for (k, page) in encoded.pages.iter().enumerate() {
+        for at in (0..page.len()).step_by(3) {
+            let mut pages = encoded.pages.clone();
+            pages[k][at] ^= 1 << (at % 8);
+            assert!(assemble(&root, &pages).is_err(), "page {k} byte {at}");
+        }
+    }
+    assert!(assemble(&root, &encoded.pages[1..]).is_err());
+}
+
+/// Damage that the hashes would catch, seen by the decoders alone: never a panic.
+#[test]
+fn forged_pages_never_panic() {
+    let encoded = encode(&index(40)).unwrap();
+    let root = decode_root(&encoded.root).unwrap();
+    let empty = || Index {
+        chunks: vec![],
+        cells: vec![],
+        materials: vec![],
+        textures: vec![],
+        points: vec![],
+        placements: vec![],
+        volume: None,
+        ..index(0)
+    };
+    for (entry, page) in root.pages.iter().zip(&encoded.pages) {
+        for n in 0..page.len() {
+            assert!(pages::decode_into(&mut empty(), entry, &page[..n]).is_err(), "{:?} cut at {n}", entry.kind);
+        }
+        for k in 0..2000usize {
+            let mut damaged = page.clone();
+            damaged[k * 7919 % page.len()] ^= 1 + (k * 31 % 255) as u8;
+            let _ = pages::decode_into(&mut empty(), entry, &damaged);
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn any_ascending_list_comes_back(mut culled in proptest::collection::vec(0u32..3000, 0..400)) {
+        culled.sort_unstable();
+        culled.dedup();
+        let mut original = index(3000);
+        original.placements.truncate(1);
+        original.points.clear();
+        original.points.push(GridPoint { position: DVec3::ZERO, level: 0, radius: 1.0, bands: vec![] });
+        original.placements[0].culled = culled;
+        prop_assert_eq!(decode(&encode(&original).unwrap()).unwrap(), original);
+    }
+    #[test]
+    fn any_bytes_are_survived(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+        let mut root = b"LDM\x01".to_vec();
+        root.extend(bytes);
+        let checksum = blake3::hash(&root);
+        root.extend(checksum.as_bytes());
+        let _ = decode_root(&root);
+    }
+}

@@ -1,0 +1,382 @@
+//! Pages of the manifest: lists of entries, field by field, as zstd sections.
+//!
+//! Floating-point numbers are stored exactly, byte 0 of all of them first, then byte 1 and so on; counts and numbers are
+//! LEB128. Ascending lists (bundles, materials, culled cells) are runs: gap to the run, length of the run less one. Culled
+//! subsets are boxes of Morton-ordered cells, so their runs are long.
+
+use super::{PageEntry, PageKind, VERSION};
+use crate::{
+    Aabb, ViewBasis,
+    codec::{
+        CodecError,
+        bytes::{Reader, Writer, put_varint, unzigzag, zigzag},
+    },
+    index::{
+        AngularRange, CellEntry, ChunkEntry, ChunkHash, ChunkKind, GridPoint, Index, Placement, TextureChunk,
+        TextureEntry,
+    },
+};
+use glam::DVec3;
+use std::ops::Range;
+
+const MAGIC: [u8; 3] = *b"LDP";
+/// Longest section of a page, raw: bounds what a forged page can make a reader allocate.
+const MAX_SECTION: usize = 256 << 20;
+const KINDS: [ChunkKind; 5] = [ChunkKind::Page, ChunkKind::Cell, ChunkKind::Bundle, ChunkKind::Ldi, ChunkKind::Texture];
+
+/// Encodes a range of the entries of one kind.
+pub(super) fn encode(index: &Index, kind: PageKind, range: Range<usize>, level: i32) -> Result<Vec<u8>, CodecError> {
+    let mut w = Writer::new(level)?;
+    w.raw(&MAGIC);
+    w.u8(VERSION);
+    w.u8(kind as u8);
+    w.varint(range.start as u64);
+    w.varint(range.len() as u64);
+    match kind {
+        PageKind::Chunks => put_chunks(&mut w, &index.chunks[range])?,
+        PageKind::Cells => put_cells(&mut w, &index.cells[range])?,
+        PageKind::Materials => put_packed(&mut w, "materials", &index.materials[range])?,
+        PageKind::Textures => put_textures(&mut w, &index.textures[range])?,
+        PageKind::Points => put_points(&mut w, &index.points[range])?,
+        PageKind::Placements => put_placements(&mut w, &index.placements[range])?,
+        PageKind::Volume => put_packed(&mut w, "walk volume", &index.volume)?,
+    }
+    Ok(w.bytes)
+}
+
+/// Decodes a page and appends its entries.
+pub(super) fn decode_into(index: &mut Index, entry: &PageEntry, bytes: &[u8]) -> Result<(), CodecError> {
+    let mut r = Reader::new(bytes);
+    r.magic("manifest page", MAGIC, VERSION)?;
+    let head = (r.u8("page kind")?, r.varint("page first", u64::MAX)?, r.varint("page count", u64::MAX)?);
+    if head != (entry.kind as u8, entry.first.into(), entry.count.into()) {
+        return Err(CodecError::mismatch("page", "it holds other entries than the root lists"));
+    }
+    let n = entry.count as usize;
+    match entry.kind {
+        PageKind::Chunks => index.chunks.extend(take_chunks(&mut r, n)?),
+        PageKind::Cells => index.cells.extend(take_cells(&mut r, n)?),
+        PageKind::Materials => {
+            let materials: Vec<_> = take_packed(&mut r, "materials")?;
+            if materials.len() != n {
+                return Err(CodecError::mismatch("materials", format!("{} instead of {n}", materials.len())));
+            }
+            index.materials.extend(materials);
+        }
+        PageKind::Textures => index.textures.extend(take_textures(&mut r, n)?),
+        PageKind::Points => index.points.extend(take_points(&mut r, n)?),
+        PageKind::Placements => index.placements.extend(take_placements(&mut r, n)?),
+        PageKind::Volume => index.volume = take_packed(&mut r, "walk volume")?,
+    }
+    r.finish("manifest page")
+}
+
+fn put_packed<T: serde::Serialize + ?Sized>(w: &mut Writer, field: &'static str, v: &T) -> Result<(), CodecError> {
+    let bytes = rmp_serde::to_vec(v).map_err(|e| CodecError::mismatch(field, e.to_string()))?;
+    w.section(field, &bytes)
+}
+
+fn take_packed<T: serde::de::DeserializeOwned>(r: &mut Reader<'_>, field: &'static str) -> Result<T, CodecError> {
+    let bytes = r.section(field, MAX_SECTION)?;
+    rmp_serde::from_slice(&bytes).map_err(|e| CodecError::mismatch(field, e.to_string()))
+}
+
+fn put_numbers(w: &mut Writer, field: &'static str, numbers: impl IntoIterator<Item = f64>) -> Result<(), CodecError> {
+    let bytes: Vec<[u8; 8]> = numbers.into_iter().map(f64::to_le_bytes).collect();
+    let planes: Vec<u8> = (0..8).flat_map(|k| bytes.iter().map(move |b| b[k])).collect();
+    w.section(field, &planes)
+}
+
+fn take_numbers(r: &mut Reader<'_>, field: &'static str, n: usize) -> Result<Vec<f64>, CodecError> {
+    if n > MAX_SECTION / 8 {
+        return Err(CodecError::range(field, n, "more than a page may hold"));
+    }
+    let bytes = r.section_of(field, n * 8)?;
+    Ok((0..n).map(|i| f64::from_le_bytes(std::array::from_fn(|k| bytes[k * n + i]))).collect())
+}
+
+/// Numbers of one section of LEB128.
+struct Numbers(Vec<u8>, usize);
+
+impl Numbers {
+    fn take(r: &mut Reader<'_>, field: &'static str) -> Result<Self, CodecError> {
+        Ok(Self(r.section(field, MAX_SECTION)?, 0))
+    }
+    fn next(&mut self, field: &'static str) -> Result<u32, CodecError> {
+        let mut r = Reader::new(&self.0[self.1..]);
+        let v = r.varint(field, u32::MAX.into())?;
+        self.1 = self.0.len() - r.remaining();
+        Ok(v as u32)
+    }
+    /// A count of things that each take at least one more byte here or elsewhere in the page.
+    fn count(&mut self, field: &'static str, max: usize) -> Result<usize, CodecError> {
+        let n = self.next(field)? as usize;
+        if n <= max { Ok(n) } else { Err(CodecError::range(field, n, "more than a page may hold")) }
+    }
+    fn finish(self, field: &'static str) -> Result<(), CodecError> {
+        Reader::new(&self.0[self.1..]).finish(field)
+    }
+}
+
+/// Appends an ascending list as runs.
+fn put_ascending(out: &mut Vec<u8>, list: &[u32]) {
+    let runs: Vec<&[u32]> = list.chunk_by(|a, b| a.checked_add(1) == Some(*b)).collect();
+    put_varint(out, runs.len() as u64);
+    let mut next = 0u64;
+    for run in runs {
+        put_varint(out, u64::from(run[0]) - next);
+        put_varint(out, run.len() as u64 - 1);
+        next = u64::from(run[0]) + run.len() as u64;
+    }
+}
+
+/// Reads an ascending list; `budget` counts down what the page's lists may hold together.
+fn take_ascending(n: &mut Numbers, field: &'static str, budget: &mut usize) -> Result<Vec<u32>, CodecError> {
+    let runs = n.count(field, *budget)?;
+    let mut out = Vec::new();
+    let mut next = 0u64;
+    for _ in 0..runs {
+        let first = next + u64::from(n.next(field)?);
+        let length = n.count(field, budget.saturating_sub(1))? as u64 + 1;
+        if first + length > u64::from(u32::MAX) {
+            return Err(CodecError::range(field, first + length, "numbers have 32 bits"));
+        }
+        *budget = budget.saturating_sub(length as usize);
+        out.extend(first as u32..(first + length) as u32);
+        next = first + length;
+    }
+    Ok(out)
+}
+
+/// Most numbers that the ascending lists of one page expand to: runs make long lists from few bytes.
+const LIST_BUDGET: usize = 1 << 26;
+
+fn put_chunks(w: &mut Writer, chunks: &[ChunkEntry]) -> Result<(), CodecError> {
+    w.section("chunk hashes", chunks.iter().map(|c| c.hash.0).collect::<Vec<_>>().as_flattened())?;
+    let kinds: Vec<u8> = chunks.iter().map(|c| KINDS.iter().position(|k| *k == c.kind).unwrap_or(0) as u8).collect();
+    w.section("chunk kinds", &kinds)?;
+    let mut sizes = Vec::new();
+    for c in chunks {
+        put_varint(&mut sizes, c.stored_bytes.into());
+        put_varint(&mut sizes, c.decoded_bytes.into());
+    }
+    w.section("chunk sizes", &sizes)
+}
+
+fn take_chunks(r: &mut Reader<'_>, n: usize) -> Result<Vec<ChunkEntry>, CodecError> {
+    if n > MAX_SECTION / 32 {
+        return Err(CodecError::range("page count", n, "more than a page may hold"));
+    }
+    let hashes = r.section_of("chunk hashes", n * 32)?;
+    let kinds = r.section_of("chunk kinds", n)?;
+    let mut sizes = Numbers::take(r, "chunk sizes")?;
+    let mut chunks = Vec::with_capacity(n);
+    for (hash, kind) in hashes.as_chunks().0.iter().zip(kinds) {
+        chunks.push(ChunkEntry {
+            hash: ChunkHash(*hash),
+            stored_bytes: sizes.next("chunk sizes")?,
+            decoded_bytes: sizes.next("chunk sizes")?,
+            kind: *KINDS
+                .get(usize::from(kind))
+                .ok_or_else(|| CodecError::range("chunk kind", kind, "there are five kinds"))?,
+        });
+    }
+    sizes.finish("chunk sizes")?;
+    Ok(chunks)
+}
+
+fn put_cells(w: &mut Writer, cells: &[CellEntry]) -> Result<(), CodecError> {
+    let mut planes: Vec<[u8; 4]> = Vec::with_capacity(cells.len() * 6);
+    for k in 0..6 {
+        for c in cells {
+            let exact = [c.bounds.min, c.bounds.max][k / 3][k % 3];
+            let stored = exact as f32;
+            if f64::from(stored) != exact {
+                return Err(CodecError::range("cell bounds", exact, "they must be f32 values"));
+            }
+            planes.push(stored.to_le_bytes());
+        }
+    }
+    let transposed: Vec<u8> = (0..4).flat_map(|b| planes.iter().map(move |p| p[b])).collect();
+    w.section("cell bounds", &transposed)?;
+    let mut numbers = Vec::new();
+    for c in cells {
+        put_varint(&mut numbers, c.triangles.into());
+        put_varint(&mut numbers, c.chunk.into());
+        put_ascending(&mut numbers, &c.bundles);
+        put_ascending(&mut numbers, &c.materials);
+    }
+    w.section("cells", &numbers)
+}
+
+fn take_cells(r: &mut Reader<'_>, n: usize) -> Result<Vec<CellEntry>, CodecError> {
+    if n > MAX_SECTION / 24 {
+        return Err(CodecError::range("page count", n, "more than a page may hold"));
+    }
+    let bytes = r.section_of("cell bounds", n * 24)?;
+    let bound = |k: usize, i: usize| f64::from(f32::from_le_bytes(std::array::from_fn(|b| bytes[(b * 6 + k) * n + i])));
+    let mut numbers = Numbers::take(r, "cells")?;
+    let mut budget = LIST_BUDGET;
+    let mut cells = Vec::with_capacity(n);
+    for i in 0..n {
+        let corner = |k| DVec3::new(bound(k, i), bound(k + 1, i), bound(k + 2, i));
+        cells.push(CellEntry {
+            bounds: Aabb { min: corner(0), max: corner(3) },
+            triangles: numbers.next("cell triangles")?,
+            chunk: numbers.next("cell chunk")?,
+            bundles: take_ascending(&mut numbers, "cell bundles", &mut budget)?,
+            materials: take_ascending(&mut numbers, "cell materials", &mut budget)?,
+        });
+    }
+    numbers.finish("cells")?;
+    Ok(cells)
+}
+
+fn put_textures(w: &mut Writer, textures: &[TextureEntry]) -> Result<(), CodecError> {
+    let mut numbers = Vec::new();
+    for t in textures {
+        put_varint(&mut numbers, t.width.into());
+        put_varint(&mut numbers, t.height.into());
+        put_varint(&mut numbers, t.chunks.len() as u64);
+        for c in &t.chunks {
+            put_varint(&mut numbers, c.chunk.into());
+            put_varint(&mut numbers, c.first_level.into());
+            put_varint(&mut numbers, c.last_level.into());
+        }
+    }
+    w.section("textures", &numbers)
+}
+
+fn take_textures(r: &mut Reader<'_>, n: usize) -> Result<Vec<TextureEntry>, CodecError> {
+    let mut numbers = Numbers::take(r, "textures")?;
+    let mut textures = Vec::new();
+    for _ in 0..n {
+        let (width, height) = (numbers.next("texture width")?, numbers.next("texture height")?);
+        let chunks = (0..numbers.count("texture chunks", 32)?)
+            .map(|_| {
+                Ok(TextureChunk {
+                    chunk: numbers.next("texture chunk")?,
+                    first_level: numbers.count("texture level", 255)? as u8,
+                    last_level: numbers.count("texture level", 255)? as u8,
+                })
+            })
+            .collect::<Result<_, CodecError>>()?;
+        textures.push(TextureEntry { width, height, chunks });
+    }
+    numbers.finish("textures")?;
+    Ok(textures)
+}
+
+fn put_points(w: &mut Writer, points: &[GridPoint]) -> Result<(), CodecError> {
+    put_numbers(
+        w,
+        "point positions",
+        points.iter().flat_map(|p| [p.position.x, p.position.y, p.position.z, p.radius]),
+    )?;
+    let (mut numbers, mut yaws, mut last) = (Vec::new(), Vec::new(), 0i64);
+    for p in points {
+        put_varint(&mut numbers, p.level.into());
+        put_varint(&mut numbers, p.bands.len() as u64);
+        for band in &p.bands {
+            put_varint(&mut numbers, band.len() as u64);
+            for range in band {
+                yaws.push(range.yaw_start_deg);
+                // 0 is no placement; the others are differences to the one before, which is mostly near.
+                put_varint(&mut numbers, range.placement.map_or(0, |k| 1 + zigzag(i64::from(k) - last)));
+                last = range.placement.map_or(last, i64::from);
+            }
+        }
+    }
+    w.section("point bands", &numbers)?;
+    put_numbers(w, "yaw starts", yaws)
+}
+
+fn take_points(r: &mut Reader<'_>, n: usize) -> Result<Vec<GridPoint>, CodecError> {
+    let places = take_numbers(r, "point positions", n * 4)?;
+    let mut numbers = Numbers::take(r, "point bands")?;
+    let (mut points, mut ranges, mut last) = (Vec::with_capacity(n), 0usize, 0i64);
+    for place in places.as_chunks::<4>().0 {
+        let level = numbers.count("point level", 255)? as u8;
+        let bands = (0..numbers.count("bands", 1024)?)
+            .map(|_| {
+                let count = numbers.count("ranges", MAX_SECTION)?;
+                let mut band = Vec::new();
+                for _ in 0..count {
+                    let code = u64::from(numbers.next("range placement")?);
+                    let placement = match code.checked_sub(1).map(|z| last + unzigzag(z)) {
+                        None => None,
+                        Some(k) => Some(
+                            u32::try_from(k)
+                                .map_err(|_| CodecError::range("range placement", k, "it is not negative"))?,
+                        ),
+                    };
+                    last = placement.map_or(last, i64::from);
+                    band.push(AngularRange { yaw_start_deg: 0.0, placement });
+                }
+                ranges += count;
+                Ok(band)
+            })
+            .collect::<Result<_, CodecError>>()?;
+        let [x, y, z, radius] = *place;
+        points.push(GridPoint { position: DVec3::new(x, y, z), level, radius, bands });
+    }
+    numbers.finish("point bands")?;
+    let yaws = take_numbers(r, "yaw starts", ranges)?;
+    points.iter_mut().flat_map(|p| p.bands.iter_mut().flatten()).zip(yaws).for_each(|(r, yaw)| r.yaw_start_deg = yaw);
+    Ok(points)
+}
+
+/// Numbers of a placement: basis, plane distance, footprint, stretch, users.
+const PLACEMENT_NUMBERS: usize = 18;
+
+fn put_placements(w: &mut Writer, placements: &[Placement]) -> Result<(), CodecError> {
+    let numbers_of = |p: &Placement| -> [f64; PLACEMENT_NUMBERS] {
+        let b = [p.basis.right, p.basis.up, p.basis.forward, p.users.min, p.users.max];
+        let rest = [p.plane_distance, p.footprint_px, p.stretch_p99_px];
+        std::array::from_fn(|k| if k < 15 { b[k / 3][k % 3] } else { rest[k - 15] })
+    };
+    // Field by field: like numbers stand beside each other.
+    let rows: Vec<_> = placements.iter().map(numbers_of).collect();
+    put_numbers(w, "placement numbers", (0..PLACEMENT_NUMBERS).flat_map(|k| rows.iter().map(move |row| row[k])))?;
+    let (mut numbers, mut culled) = (Vec::new(), Vec::new());
+    for p in placements {
+        put_varint(&mut numbers, p.grid_point.into());
+        for list in [&p.chunks, &p.samples_by_layer] {
+            put_varint(&mut numbers, list.len() as u64);
+            list.iter().for_each(|&v| put_varint(&mut numbers, v.into()));
+        }
+        put_ascending(&mut culled, &p.culled);
+    }
+    w.section("placements", &numbers)?;
+    w.section("culled cells", &culled)
+}
+
+fn take_placements(r: &mut Reader<'_>, n: usize) -> Result<Vec<Placement>, CodecError> {
+    let values = take_numbers(r, "placement numbers", n * PLACEMENT_NUMBERS)?;
+    let mut numbers = Numbers::take(r, "placements")?;
+    let mut culled = Numbers::take(r, "culled cells")?;
+    let mut budget = LIST_BUDGET;
+    let mut placements = Vec::with_capacity(n);
+    for i in 0..n {
+        let value = |k: usize| values[k * n + i];
+        let vector = |k: usize| DVec3::new(value(3 * k), value(3 * k + 1), value(3 * k + 2));
+        let grid_point = numbers.next("placement point")?;
+        let mut list = |field, max| -> Result<Vec<u32>, CodecError> {
+            (0..numbers.count(field, max)?).map(|_| numbers.next(field)).collect()
+        };
+        placements.push(Placement {
+            grid_point,
+            chunks: list("placement chunks", 255)?,
+            samples_by_layer: list("placement samples", 255)?,
+            basis: ViewBasis { right: vector(0), up: vector(1), forward: vector(2) },
+            users: Aabb { min: vector(3), max: vector(4) },
+            plane_distance: value(15),
+            footprint_px: value(16),
+            stretch_p99_px: value(17),
+            culled: take_ascending(&mut culled, "culled cells", &mut budget)?,
+        });
+    }
+    numbers.finish("placements")?;
+    culled.finish("culled cells")?;
+    Ok(placements)
+}

@@ -1,0 +1,182 @@
+//! The rules of an index. Whatever passes here can be used without looking: every number names something that exists and
+//! every value that arithmetic depends on is finite.
+
+use crate::{
+    Aabb, ViewBasis,
+    codec::{CodecError, texture},
+    index::{BuildSettings, ChunkKind, GridPoint, Index, Placement, TextureEntry},
+    ldi::Ldi,
+    mesh::{Alpha, Material},
+    texture::level_count,
+};
+
+/// Longest chunk, stored or decoded: what a reader may be asked to hold at once.
+const MAX_CHUNK_BYTES: u32 = 1 << 30;
+/// Most levels of grid subdivision.
+const MAX_LEVEL: u8 = 64;
+
+/// Checks an index: chunk, cell, material, texture, point and placement numbers in range and of the right kind; lists
+/// ascending; bounds, bases, radii and distances finite; yaw ranges in [0, 360) and ascending; pitch bands ascending.
+///
+/// # Errors
+/// The first broken rule, with the entry's number.
+pub fn validate(index: &Index) -> Result<(), CodecError> {
+    check_settings(&index.settings)?;
+    let scene = &index.scene.bounds;
+    let finite = scene.min.is_finite() && scene.max.is_finite();
+    if !scene.is_empty() && !finite {
+        return Err(CodecError::mismatch("scene bounds", "they are not finite"));
+    }
+    each("chunk", &index.chunks, |c| {
+        if c.kind == ChunkKind::Page {
+            return Err("pages are not in the chunk table".into());
+        }
+        let most = c.stored_bytes.max(c.decoded_bytes);
+        if most > MAX_CHUNK_BYTES { Err(format!("{most} bytes; chunks have at most 2^30")) } else { Ok(()) }
+    })?;
+    let is = |chunk: u32, kind: ChunkKind| match index.chunks.get(chunk as usize) {
+        Some(c) if c.kind == kind => Ok(()),
+        Some(c) => Err(format!("chunk {chunk} is of kind {:?}, not {kind:?}", c.kind)),
+        None => Err(format!("there is no chunk {chunk}")),
+    };
+    each("material", &index.materials, |m| check_material(m, index.textures.len()))?;
+    each("texture", &index.textures, |t| {
+        check_texture_levels(t)?;
+        t.chunks.iter().try_for_each(|c| is(c.chunk, ChunkKind::Texture))
+    })?;
+    each("cell", &index.cells, |c| {
+        check_box(&c.bounds)?;
+        is(c.chunk, ChunkKind::Cell)?;
+        ascending("bundles", &c.bundles, index.chunks.len())?;
+        c.bundles.iter().try_for_each(|&b| is(b, ChunkKind::Bundle))?;
+        ascending("materials", &c.materials, index.materials.len())
+    })?;
+    let bands = &index.pitch_bands_deg;
+    if bands.len() == 1 || bands.windows(2).any(|w| w[0] >= w[1]) || bands.iter().any(|b| !(-90.0..=90.0).contains(b)) {
+        return Err(CodecError::mismatch("pitch bands", "borders must ascend within -90 to 90 degrees"));
+    }
+    each("grid point", &index.points, |p| check_point(p, bands.len().saturating_sub(1), index.placements.len()))?;
+    each("placement", &index.placements, |p| {
+        check_placement(p, index.points.len(), index.cells.len())?;
+        p.chunks.iter().try_for_each(|&c| is(c, ChunkKind::Ldi))
+    })
+}
+
+/// Runs a check over entries and names the entry in the error.
+fn each<T>(field: &'static str, entries: &[T], check: impl Fn(&T) -> Result<(), String>) -> Result<(), CodecError> {
+    entries
+        .iter()
+        .enumerate()
+        .try_for_each(|(i, e)| check(e).map_err(|reason| CodecError::mismatch(field, format!("number {i}: {reason}"))))
+}
+
+/// Every number is below `limit` and larger than the one before.
+fn ascending(what: &str, list: &[u32], limit: usize) -> Result<(), String> {
+    if list.windows(2).any(|w| w[0] >= w[1]) {
+        return Err(format!("its {what} do not ascend"));
+    }
+    match list.last() {
+        Some(&last) if last as usize >= limit => Err(format!("its {what} include {last}, but there are only {limit}")),
+        _ => Ok(()),
+    }
+}
+
+fn check_box(b: &Aabb) -> Result<(), String> {
+    if b.min.is_finite() && b.max.is_finite() && !b.is_empty() {
+        Ok(())
+    } else {
+        Err("its bounds are empty or not finite".into())
+    }
+}
+
+fn check_settings(s: &BuildSettings) -> Result<(), CodecError> {
+    let positive = |v: f64| v > 0.0 && v.is_finite();
+    let c = &s.camera;
+    let sides = 1..=65_536;
+    let sees = c.fov_deg > 0.0 && c.fov_deg < 180.0;
+    if !sides.contains(&c.width) || !sides.contains(&c.height) || !sees {
+        return Err(CodecError::range(
+            "camera",
+            format!("{c:?}"),
+            "it needs pixels and a field of view below 180 degrees",
+        ));
+    }
+    if !positive(s.max_footprint_px) || !positive(s.density) || !(0.0..=90.0).contains(&s.pitch_deg) {
+        return Err(CodecError::mismatch("settings", "footprint and density must be positive, pitch 0 to 90 degrees"));
+    }
+    if s.eye_height_m.is_some_and(|h| !h.is_finite()) {
+        return Err(CodecError::mismatch("settings", "the eye height is not finite"));
+    }
+    Ok(())
+}
+
+fn check_material(m: &Material, textures: usize) -> Result<(), String> {
+    let cutoff = if let Alpha::Mask(cutoff) = m.alpha { cutoff } else { 0.0 };
+    if !m.base_colour.iter().chain([&cutoff]).all(|x| x.is_finite()) {
+        return Err("its colour or cutoff is not finite".into());
+    }
+    match m.texture {
+        Some(t) if t as usize >= textures => Err(format!("there is no texture {t}")),
+        _ => Ok(()),
+    }
+}
+
+/// A texture's chunks hold every level once, coarse ones first.
+fn check_texture_levels(t: &TextureEntry) -> Result<(), String> {
+    let sides = 1..=texture::MAX_SIDE;
+    if !sides.contains(&t.width) || !sides.contains(&t.height) {
+        return Err(format!("{} x {} texels; sides are 1 to 16384", t.width, t.height));
+    }
+    let mut finest_so_far = level_count(t.width, t.height);
+    for c in &t.chunks {
+        if c.first_level > c.last_level || u32::from(c.last_level) + 1 != finest_so_far {
+            return Err("its chunks do not follow each other from the coarsest level on".into());
+        }
+        finest_so_far = c.first_level.into();
+    }
+    if finest_so_far == 0 { Ok(()) } else { Err("its chunks leave out the finest levels".into()) }
+}
+
+fn check_point(p: &GridPoint, bands: usize, placements: usize) -> Result<(), String> {
+    if !p.position.is_finite() || !p.radius.is_finite() || p.radius < 0.0 || p.level > MAX_LEVEL {
+        return Err("its position, radius or level is out of range".into());
+    }
+    if p.bands.len() > bands {
+        return Err(format!("{} pitch bands, but there are only {bands}", p.bands.len()));
+    }
+    for band in &p.bands {
+        if band.iter().any(|r| !(0.0..360.0).contains(&r.yaw_start_deg)) {
+            return Err("a yaw range starts outside 0 to 360 degrees".into());
+        }
+        if band.windows(2).any(|w| w[0].yaw_start_deg >= w[1].yaw_start_deg) {
+            return Err("its yaw ranges do not ascend".into());
+        }
+        if let Some(k) = band.iter().filter_map(|r| r.placement).find(|&k| k as usize >= placements) {
+            return Err(format!("there is no placement {k}"));
+        }
+    }
+    Ok(())
+}
+
+fn check_placement(p: &Placement, points: usize, cells: usize) -> Result<(), String> {
+    if p.grid_point as usize >= points {
+        return Err(format!("there is no grid point {}", p.grid_point));
+    }
+    check_basis(&p.basis)?;
+    check_box(&p.users)?;
+    if !p.plane_distance.is_finite() || !p.footprint_px.is_finite() || p.stretch_p99_px.is_infinite() {
+        return Err("its plane distance, footprint or stretch is not finite".into());
+    }
+    if p.chunks.len() > 2 || p.samples_by_layer.len() > Ldi::MAX_LAYERS {
+        return Err("more than two chunks or 32 layers".into());
+    }
+    ascending("culled cells", &p.culled, cells)
+}
+
+fn check_basis(b: &ViewBasis) -> Result<(), String> {
+    let off = |v: f64, wanted: f64| (v - wanted).abs() <= 1e-6;
+    let unit =
+        off(b.right.length_squared(), 1.0) && off(b.up.length_squared(), 1.0) && off(b.forward.length_squared(), 1.0);
+    let right_angles = off(b.right.dot(b.up), 0.0) && off(b.up.dot(b.forward), 0.0) && off(b.forward.dot(b.right), 0.0);
+    if unit && right_angles { Ok(()) } else { Err("its basis is not orthonormal".into()) }
+}

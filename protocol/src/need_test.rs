@@ -1,0 +1,151 @@
+//! A row of cells along +X with shared textures and bundles, and two grid points with LDIs.
+
+use super::*;
+use crate::{
+    Aabb, OutputCamera, ViewBasis,
+    index::*,
+    mesh::{Alpha, Material, Wrap},
+};
+use proptest::prelude::*;
+
+const CELLS: usize = 4;
+
+/// Chunks 0..4 cells, 4 bundle, 5 and 6 the levels of texture 0, 7 and 8 the layers of LDI 0, 9 the one layer of LDI 1.
+fn row_of_cells() -> Index {
+    let chunk = |i: usize, kind| ChunkEntry {
+        hash: ChunkHash([i as u8; 32]),
+        stored_bytes: 50,
+        decoded_bytes: 100 + i as u32,
+        kind,
+    };
+    let kinds = [
+        ChunkKind::Cell,
+        ChunkKind::Cell,
+        ChunkKind::Cell,
+        ChunkKind::Cell,
+        ChunkKind::Bundle,
+        ChunkKind::Texture,
+        ChunkKind::Texture,
+        ChunkKind::Ldi,
+        ChunkKind::Ldi,
+        ChunkKind::Ldi,
+    ];
+    let bounds = |i: usize| Aabb {
+        min: DVec3::new(10.0 * i as f64, 0.0, 0.0),
+        max: DVec3::new(10.0 * i as f64 + 1.0, 1.0, 1.0),
+    };
+    let camera = OutputCamera { width: 64, height: 48, fov_deg: 60.0 };
+    let placement = |grid_point, chunks| Placement {
+        grid_point,
+        basis: ViewBasis::from_yaw_pitch(0.0, 0.0),
+        plane_distance: 1.0,
+        culled: vec![],
+        footprint_px: 1.0,
+        stretch_p99_px: f64::NAN,
+        users: bounds(0),
+        chunks,
+        samples_by_layer: vec![],
+    };
+    let point = |x: f64| GridPoint { position: DVec3::new(x, 0.0, 0.0), level: 0, radius: 1.0, bands: vec![] };
+    Index {
+        scene: SceneInfo {
+            name: "row".into(),
+            triangles: 4,
+            unique_triangles: 4,
+            instances: 4,
+            bounds: bounds(0).union(bounds(3)),
+        },
+        settings: BuildSettings {
+            budget: 100,
+            optimize_budget: 90,
+            camera,
+            max_footprint_px: 2.0,
+            pitch_deg: 60.0,
+            density: 1.0,
+            colour: "high".into(),
+            grid: "paper".into(),
+            eye_height_m: None,
+        },
+        chunks: kinds.iter().enumerate().map(|(i, k)| chunk(i, *k)).collect(),
+        cells: (0..CELLS)
+            .map(|i| CellEntry {
+                bounds: bounds(i),
+                triangles: 1,
+                chunk: i as u32,
+                bundles: if i >= 2 { vec![4] } else { vec![] },
+                materials: vec![(i % 2) as u32],
+            })
+            .collect(),
+        materials: (0..2)
+            .map(|i| Material {
+                base_colour: [1.0; 4],
+                texture: (i == 1).then_some(0),
+                alpha: Alpha::Opaque,
+                unlit: false,
+                double_sided: false,
+                wrap: [Wrap::Repeat; 2],
+            })
+            .collect(),
+        textures: vec![TextureEntry {
+            width: 4,
+            height: 4,
+            chunks: vec![
+                TextureChunk { chunk: 5, first_level: 1, last_level: 2 },
+                TextureChunk { chunk: 6, first_level: 0, last_level: 0 },
+            ],
+        }],
+        pitch_bands_deg: vec![-90.0, 90.0],
+        volume: None,
+        points: vec![point(5.0), point(25.0)],
+        placements: vec![placement(0, vec![7, 8]), placement(1, vec![9])],
+    }
+}
+
+#[test]
+fn a_view_takes_the_first_layer_then_cells_near_to_far_then_what_sharpens() {
+    let n = needed(&row_of_cells(), Some(0), &[0, 1, 2, 3]);
+    assert_eq!(n.now, [7, 0, 1, 5, 2, 4, 3]);
+    assert_eq!(n.fine, [8, 6]);
+    // The order of the cells is the caller's, and what nobody refers to stays away.
+    let n = needed(&row_of_cells(), None, &[2, 0]);
+    assert_eq!(n.now, [2, 4, 0]);
+    assert!(n.fine.is_empty());
+}
+
+#[test]
+fn numbers_beyond_the_index_are_left_out() {
+    let n = needed(&row_of_cells(), Some(99), &[77, 1]);
+    assert_eq!(n.now, [1, 5]);
+    assert_eq!(n.fine, [6]);
+}
+
+#[test]
+fn around_the_eye_near_comes_before_far_and_coarse_before_fine() {
+    let index = row_of_cells();
+    let everything = Reach { radius_m: 1e9, decoded_bytes: u64::MAX };
+    let list = near_to_far(&index, DVec3::new(0.5, 0.5, 0.5), everything);
+    // Distances: cell 0 at 0; point 0 at 4.6; cell 1 at 9.5, sharper at 15.2; cell 2 at 19.5; point 1 at 24.5; cell 3 at 29.5.
+    assert_eq!(list, [0, 7, 8, 1, 5, 6, 2, 4, 9, 3]);
+    let near = near_to_far(&index, DVec3::new(0.5, 0.5, 0.5), Reach { radius_m: 5.0, ..everything });
+    assert_eq!(near, [0, 7]);
+}
+
+proptest! {
+    #[test]
+    fn a_smaller_reach_gives_a_prefix(x in -50.0f64..80.0, bytes in 0u64..1500, radius in 0.0f64..60.0) {
+        let index = row_of_cells();
+        let eye = DVec3::new(x, 0.0, 0.0);
+        let all = near_to_far(&index, eye, Reach { radius_m: radius, decoded_bytes: u64::MAX });
+        let some = near_to_far(&index, eye, Reach { radius_m: radius, decoded_bytes: bytes });
+        prop_assert!(all.starts_with(&some));
+        let size = |l: &[u32]| l.iter().map(|c| u64::from(index.chunks[*c as usize].decoded_bytes)).sum::<u64>();
+        prop_assert!(size(&some) <= bytes);
+        if some.len() < all.len() {
+            prop_assert!(size(&all[..some.len() + 1]) > bytes);
+        }
+        let mut unique = all.clone();
+        unique.sort_unstable();
+        unique.dedup();
+        prop_assert_eq!(unique.len(), all.len());
+    }
+}

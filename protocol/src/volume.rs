@@ -1,0 +1,363 @@
+//! The walk volume: where eyes may be. What every promise of a dataset is made for.
+//!
+//! By definition an eye is in the volume if the first surface below it lies between eye height - 0.5 m and eye height + 0.4 m
+//! down and it keeps 0.05 m from surfaces, or, for flying, if it is in the scene's box. What is stored is a superset made of
+//! upright boxes: columns on a square grid, each with runs of layers. The build certifies exactly this superset, so that a pose
+//! for which [`WalkVolume::contains`] holds has every guarantee.
+//!
+//! ```text
+//!   layer  ^          ██    <- run (first, end) of column (i, k)
+//!          |   ████   ██       x in origin.x + i pitch .. + pitch, cut to `bounds`
+//!          |   ████   ██       y in origin.y + first layer_m .. origin.y + end layer_m
+//!          +------------------> column, row-major: k * columns_x + i
+//! ```
+
+use crate::Aabb;
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+/// Upright boxes that together hold every allowed eye. Serialized in a packed form (about two bytes per run).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(into = "Packed", try_from = "Packed")]
+pub struct WalkVolume {
+    /// Horizontal cut and the smallest and largest height in use. Empty when there is no eye.
+    bounds: Aabb,
+    /// Smallest corner of column (0, 0), layer 0.
+    origin: DVec3,
+    /// Edge of a column, metres.
+    pitch_m: f64,
+    /// Height of a layer, metres.
+    layer_m: f64,
+    /// Columns along x and z.
+    columns: [u32; 2],
+    /// Per column the position of its first run, and one more: the number of runs.
+    first_run: Vec<u32>,
+    /// First layer and the one after the last; ascending and disjoint within a column.
+    runs: Vec<[u16; 2]>,
+}
+
+/// Why a stored walk volume was refused.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+#[error("walk volume: {0}; the manifest is damaged, build or fetch the dataset again")]
+pub struct VolumeError(&'static str);
+
+impl WalkVolume {
+    /// Most columns a volume may have: bounds the memory that a manifest can ask for.
+    pub const MAX_COLUMNS: u64 = 1 << 23;
+    /// Most runs of layers.
+    pub const MAX_RUNS: u64 = 1 << 26;
+
+    /// A volume from runs per column (ascending, disjoint, `first < end`), row-major over `columns`. `cut` limits x and z.
+    pub fn new(
+        origin: DVec3,
+        pitch_m: f64,
+        layer_m: f64,
+        columns: [u32; 2],
+        runs_of_column: &[Vec<[u16; 2]>],
+        cut: &Aabb,
+    ) -> Result<Self, VolumeError> {
+        let mut first_run = Vec::with_capacity(runs_of_column.len() + 1);
+        let mut runs = Vec::new();
+        for r in runs_of_column {
+            first_run.push(runs.len() as u32);
+            runs.extend_from_slice(r);
+        }
+        first_run.push(runs.len() as u32);
+        let low = runs.iter().map(|r| r[0]).min().map_or(f64::INFINITY, |l| origin.y + f64::from(l) * layer_m);
+        let high = runs.iter().map(|r| r[1]).max().map_or(f64::NEG_INFINITY, |l| origin.y + f64::from(l) * layer_m);
+        let bounds = Aabb { min: DVec3::new(cut.min.x, low, cut.min.z), max: DVec3::new(cut.max.x, high, cut.max.z) };
+        Self { bounds, origin, pitch_m, layer_m, columns, first_run, runs }.checked()
+    }
+
+    /// The volume that is one box: flying.
+    pub fn of_box(b: &Aabb) -> Result<Self, VolumeError> {
+        const LAYERS: u16 = 1000;
+        let size = b.size();
+        Self::new(
+            b.min,
+            size.x.max(size.z).max(1e-3) * (1.0 + 1e-9),
+            size.y.max(1e-3) / f64::from(LAYERS),
+            [1, 1],
+            &[vec![[0, LAYERS]]],
+            b,
+        )
+    }
+
+    /// Box around all eyes.
+    pub fn bounds(&self) -> &Aabb {
+        &self.bounds
+    }
+
+    /// Whether there is no eye at all.
+    pub fn is_empty(&self) -> bool {
+        self.runs.is_empty()
+    }
+
+    /// Whether an eye may be here.
+    pub fn contains(&self, p: DVec3) -> bool {
+        if !self.bounds.contains(p) {
+            return false;
+        }
+        let d = p - self.origin;
+        let cell = |v: f64, n: u32| ((v / self.pitch_m).floor().max(0.0) as u32).min(n - 1);
+        let (i, k) = (cell(d.x, self.columns[0]), cell(d.z, self.columns[1]));
+        let layer = d.y / self.layer_m;
+        self.runs_of(i, k).iter().any(|r| layer >= f64::from(r[0]) && layer <= f64::from(r[1]))
+    }
+
+    /// The runs of a column.
+    fn runs_of(&self, i: u32, k: u32) -> &[[u16; 2]] {
+        let c = (k * self.columns[0] + i) as usize;
+        &self.runs[self.first_run[c] as usize..self.first_run[c + 1] as usize]
+    }
+
+    /// All boxes, column by column.
+    pub fn boxes(&self) -> impl Iterator<Item = Aabb> + '_ {
+        (0..self.columns[1]).flat_map(move |k| {
+            (0..self.columns[0]).flat_map(move |i| {
+                let x = self.origin.x + f64::from(i) * self.pitch_m;
+                let z = self.origin.z + f64::from(k) * self.pitch_m;
+                self.runs_of(i, k).iter().map(move |r| Aabb {
+                    min: DVec3::new(
+                        x.max(self.bounds.min.x),
+                        self.origin.y + f64::from(r[0]) * self.layer_m,
+                        z.max(self.bounds.min.z),
+                    ),
+                    max: DVec3::new(
+                        (x + self.pitch_m).min(self.bounds.max.x),
+                        self.origin.y + f64::from(r[1]) * self.layer_m,
+                        (z + self.pitch_m).min(self.bounds.max.z),
+                    ),
+                })
+            })
+        })
+    }
+
+    /// Draws points uniformly over the volume.
+    pub fn sampler(&self) -> VolumeSampler {
+        let mut total = 0.0;
+        let (mut boxes, mut cumulated) = (Vec::new(), Vec::new());
+        for b in self.boxes() {
+            total += b.size().max(DVec3::splat(1e-9)).element_product();
+            boxes.push(b);
+            cumulated.push(total);
+        }
+        VolumeSampler { boxes, cumulated }
+    }
+
+    /// Checks what the rest of this file relies on.
+    fn checked(self) -> Result<Self, VolumeError> {
+        let n = u64::from(self.columns[0]) * u64::from(self.columns[1]);
+        let fail = |what| Err(VolumeError(what));
+        if n == 0 || n > Self::MAX_COLUMNS || self.first_run.len() as u64 != n + 1 {
+            return fail("number of columns out of range");
+        }
+        if !(self.pitch_m > 0.0 && self.layer_m > 0.0 && self.pitch_m.is_finite() && self.layer_m.is_finite())
+            || !self.origin.is_finite()
+        {
+            return fail("pitch, layer height or origin out of range");
+        }
+        if self.runs.len() as u64 > Self::MAX_RUNS || self.first_run.last().copied() != Some(self.runs.len() as u32) {
+            return fail("number of runs out of range");
+        }
+        if self.first_run.windows(2).any(|w| w[0] > w[1]) || self.runs.iter().any(|r| r[0] >= r[1]) {
+            return fail("runs out of order");
+        }
+        if !self.runs.is_empty() && !(self.bounds.min.is_finite() && self.bounds.max.is_finite()) {
+            return fail("bounds not finite");
+        }
+        Ok(self)
+    }
+}
+
+/// Draws eyes from a [`WalkVolume`]; see [`WalkVolume::sampler`].
+#[derive(Debug, Clone)]
+pub struct VolumeSampler {
+    boxes: Vec<Aabb>,
+    cumulated: Vec<f64>,
+}
+
+impl VolumeSampler {
+    /// A point from four numbers in [0, 1); None when the volume is empty.
+    pub fn point(&self, uniform: [f64; 4]) -> Option<DVec3> {
+        let total = *self.cumulated.last()?;
+        let at = self.cumulated.partition_point(|c| *c <= uniform[0] * total).min(self.boxes.len() - 1);
+        let b = &self.boxes[at];
+        Some(b.min + b.size() * DVec3::new(uniform[1], uniform[2], uniform[3]))
+    }
+}
+
+/// The stored form: a header and one compressed stream of run-length tokens.
+#[derive(Serialize, Deserialize)]
+struct Packed {
+    bounds: Aabb,
+    origin: DVec3,
+    pitch_m: f64,
+    layer_m: f64,
+    columns: [u32; 2],
+    runs: u64,
+    /// zstd over: per column the number of runs, then per run the gap before it and its length, as LEB128 in three planes.
+    tokens: Vec<u8>,
+}
+
+fn put(out: &mut Vec<u8>, mut v: u32) {
+    while v >= 0x80 {
+        out.push(v as u8 | 0x80);
+        v >>= 7;
+    }
+    out.push(v as u8);
+}
+
+fn take(bytes: &mut &[u8]) -> Option<u32> {
+    let mut v = 0u32;
+    for shift in (0..35).step_by(7) {
+        let (&b, rest) = bytes.split_first()?;
+        *bytes = rest;
+        v |= u32::from(b & 0x7f).checked_shl(shift)?;
+        if b < 0x80 {
+            return Some(v);
+        }
+    }
+    None
+}
+
+impl From<WalkVolume> for Packed {
+    fn from(v: WalkVolume) -> Self {
+        let (mut counts, mut gaps, mut lengths) = (Vec::new(), Vec::new(), Vec::new());
+        for w in v.first_run.windows(2) {
+            put(&mut counts, w[1] - w[0]);
+            let mut at = 0u32;
+            for r in &v.runs[w[0] as usize..w[1] as usize] {
+                put(&mut gaps, u32::from(r[0]) - at);
+                put(&mut lengths, u32::from(r[1] - r[0]));
+                at = u32::from(r[1]);
+            }
+        }
+        let mut raw = counts;
+        raw.extend(gaps);
+        raw.extend(lengths);
+        // Compression into memory cannot fail for want of space; an empty stream is refused on the way back.
+        let tokens = zstd::bulk::compress(&raw, 19).unwrap_or_default();
+        Self {
+            bounds: v.bounds,
+            origin: v.origin,
+            pitch_m: v.pitch_m,
+            layer_m: v.layer_m,
+            columns: v.columns,
+            runs: v.runs.len() as u64,
+            tokens,
+        }
+    }
+}
+
+impl TryFrom<Packed> for WalkVolume {
+    type Error = VolumeError;
+    fn try_from(p: Packed) -> Result<Self, VolumeError> {
+        let n = u64::from(p.columns[0]) * u64::from(p.columns[1]);
+        if n == 0 || n > Self::MAX_COLUMNS || p.runs > Self::MAX_RUNS {
+            return Err(VolumeError("number of columns or runs out of range"));
+        }
+        // A count takes at most 5 bytes, a gap and a length at most 3 each.
+        let raw = zstd::bulk::decompress(&p.tokens, (n * 5 + p.runs * 6) as usize)
+            .map_err(|_| VolumeError("the token stream does not decompress"))?;
+        let short = VolumeError("the token stream ends too early");
+        let mut rest = raw.as_slice();
+        let mut first_run = Vec::with_capacity(n as usize + 1);
+        let mut total = 0u64;
+        for _ in 0..n {
+            first_run.push(total as u32);
+            total += u64::from(take(&mut rest).ok_or(VolumeError("the token stream ends too early"))?);
+            if total > p.runs {
+                return Err(VolumeError("more runs than announced"));
+            }
+        }
+        first_run.push(total as u32);
+        let mut numbers = Vec::with_capacity(2 * total as usize);
+        for _ in 0..2 * total {
+            numbers.push(take(&mut rest).ok_or(VolumeError("the token stream ends too early"))?);
+        }
+        if !rest.is_empty() || total != p.runs {
+            return Err(short);
+        }
+        let mut runs = Vec::with_capacity(total as usize);
+        for w in first_run.windows(2) {
+            let mut at = 0u32;
+            for r in w[0]..w[1] {
+                let first = at.saturating_add(numbers[r as usize]);
+                let end = first.saturating_add(numbers[(u64::from(r) + total) as usize]);
+                let (Ok(first), Ok(end)) = (u16::try_from(first), u16::try_from(end)) else {
+                    return Err(VolumeError("a run lies outside the layers"));
+                };
+                runs.push([first, end]);
+                at = u32::from(end);
+            }
+        }
+        Self {
+            bounds: p.bounds,
+            origin: p.origin,
+            pitch_m: p.pitch_m,
+            layer_m: p.layer_m,
+            columns: p.columns,
+            first_run,
+            runs,
+        }
+        .checked()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn volume(columns: [u32; 2], runs: &[Vec<[u16; 2]>]) -> WalkVolume {
+        let cut = Aabb { min: DVec3::new(-1.0, 0.0, -2.0), max: DVec3::new(9.0, 0.0, 8.0) };
+        WalkVolume::new(DVec3::new(-1.0, 3.0, -2.0), 0.5, 0.1, columns, runs, &cut).unwrap()
+    }
+
+    #[test]
+    fn contains_is_the_union_of_the_boxes() {
+        let v = volume([2, 1], &[vec![[0, 10], [20, 21]], vec![[5, 7]]]);
+        assert!(v.contains(DVec3::new(-0.9, 3.5, -1.9)));
+        assert!(v.contains(DVec3::new(-0.9, 5.05, -1.9)));
+        assert!(!v.contains(DVec3::new(-0.9, 4.5, -1.9)));
+        assert!(!v.contains(DVec3::new(-0.4, 3.1, -1.9)), "second column starts at layer 5");
+        assert!(!v.contains(DVec3::new(-1.1, 3.5, -1.9)), "left of the cut");
+        assert_eq!(v.boxes().count(), 3);
+    }
+
+    #[test]
+    fn a_flying_box_is_one_box() {
+        let b = Aabb { min: DVec3::new(-3.0, 1.0, 2.0), max: DVec3::new(4.0, 2.0, 11.0) };
+        let v = WalkVolume::of_box(&b).unwrap();
+        assert!(v.contains(b.centre()) && v.contains(b.min) && !v.contains(b.max + 0.1));
+    }
+
+    proptest! {
+        #[test]
+        fn packing_loses_nothing(raw in prop::collection::vec(prop::collection::vec((0u16..2000, 1u16..300), 0..4), 6)) {
+            let runs: Vec<Vec<[u16; 2]>> = raw.iter().map(|column| {
+                let mut at = 0;
+                column.iter().map(|(gap, n)| { let f = at + gap; at = f + n; [f, at] }).collect()
+            }).collect();
+            let v = volume([3, 2], &runs);
+            let bytes = rmp_serde::to_vec(&v).unwrap();
+            prop_assert_eq!(&rmp_serde::from_slice::<WalkVolume>(&bytes).unwrap(), &v);
+        }
+
+        #[test]
+        fn samples_lie_inside(u in prop::array::uniform4(0.0f64..1.0)) {
+            let v = volume([2, 1], &[vec![[0, 10], [20, 21]], vec![[5, 7]]]);
+            prop_assert!(v.contains(v.sampler().point(u).unwrap()));
+        }
+
+        #[test]
+        fn damaged_tokens_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+            let packed = Packed {
+                bounds: Aabb::EMPTY, origin: DVec3::ZERO, pitch_m: 1.0, layer_m: 1.0, columns: [3, 3], runs: 4,
+                tokens: zstd::bulk::compress(&bytes, 1).unwrap(),
+            };
+            let _ = WalkVolume::try_from(packed);
+        }
+    }
+}

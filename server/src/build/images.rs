@@ -1,0 +1,230 @@
+//! Constructs, encodes and keeps the images of all placements.
+
+use super::{BuildError, Progress, key};
+use crate::construct::{self, ConstructOptions};
+use crate::pack::PackError;
+use crate::placement::PlacementPlan;
+use crate::render::Caster;
+use crate::scene::Note;
+use crate::store::DatasetWriter;
+use ldi_protocol::codec::{ColourMode, ldi};
+use ldi_protocol::index::{BuildSettings, ChunkEntry, ChunkHash, ChunkKind, Placement};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// zstd level of images: beyond it, time grows faster than bytes shrink.
+const LEVEL: i32 = 6;
+
+/// Figures over all images.
+#[derive(Debug, Clone, Default)]
+pub struct ImageFigures {
+    /// Images that hold something.
+    pub images: u64,
+    /// Images made in this run; the others were kept by one that was stopped.
+    pub made: u64,
+    /// Samples per layer, over all images.
+    pub samples_by_layer: Vec<u64>,
+    /// Hits that no user can see.
+    pub pruned: u64,
+    /// Rays cast.
+    pub rays: u64,
+    /// Wall time of the stage.
+    pub seconds: f64,
+}
+
+/// What is kept of an image besides its chunks.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+struct Kept {
+    samples_by_layer: Vec<u32>,
+    decoded_bytes: [u32; 2],
+    pruned: u64,
+    rays: u64,
+    stretch_p99_px: f64,
+    /// Lengths of the chunks that follow.
+    lengths: Vec<u32>,
+}
+
+/// All images of a build.
+#[derive(Debug, Default)]
+pub struct Images {
+    /// Figures for the report.
+    pub figures: ImageFigures,
+    kept: Vec<(Kept, Vec<Vec<u8>>)>,
+}
+
+/// Makes every image that is not kept yet.
+pub fn construct_all(
+    caster: &Caster,
+    plans: &[PlacementPlan],
+    settings: &BuildSettings,
+    colour: ColourMode,
+    scene_key: &[u8; 32],
+    writer: &DatasetWriter,
+    progress: &dyn Progress,
+) -> Result<Images, BuildError> {
+    let start = std::time::Instant::now();
+    let options = ConstructOptions::new(settings.camera);
+    // One image after the other leaves a core idle whenever one is encoded; rayon balances images and their rows alike.
+    let made: Vec<Result<(Kept, Vec<Vec<u8>>, bool), BuildError>> = plans
+        .par_iter()
+        .with_max_len(1)
+        .enumerate()
+        .map(|(number, plan)| {
+            let key = key::image_key(scene_key, settings, plan);
+            let found = writer.cached(&key).and_then(|bytes| unpack(&bytes));
+            let resumed = found.is_some();
+            let (kept, chunks) = match found {
+                Some(found) => found,
+                None => {
+                    let made = one(caster, plan, &options, colour, number, plans.len())?;
+                    writer.store(&key, &pack(&made))?;
+                    made
+                }
+            };
+            progress.advance(1);
+            Ok((kept, chunks, resumed))
+        })
+        .collect();
+    let mut images = Images::default();
+    for made in made {
+        let (kept, chunks, resumed) = made?;
+        let f = &mut images.figures;
+        f.images += u64::from(!chunks.is_empty());
+        f.made += u64::from(!resumed);
+        f.pruned += kept.pruned;
+        // Rays of an earlier run took no time in this one.
+        f.rays += if resumed { 0 } else { kept.rays };
+        if f.samples_by_layer.len() < kept.samples_by_layer.len() {
+            f.samples_by_layer.resize(kept.samples_by_layer.len(), 0);
+        }
+        f.samples_by_layer.iter_mut().zip(&kept.samples_by_layer).for_each(|(a, b)| *a += u64::from(*b));
+        images.kept.push((kept, chunks));
+    }
+    images.figures.seconds = start.elapsed().as_secs_f64();
+    Ok(images)
+}
+
+fn one(
+    caster: &Caster,
+    plan: &PlacementPlan,
+    options: &ConstructOptions,
+    colour: ColourMode,
+    number: usize,
+    total: usize,
+) -> Result<(Kept, Vec<Vec<u8>>), BuildError> {
+    let made = construct::construct(caster, plan, options).map_err(|source| BuildError::Construct {
+        number,
+        total,
+        source,
+    })?;
+    let mut kept = Kept {
+        samples_by_layer: made.stats.samples_by_layer.clone(),
+        pruned: made.stats.pruned,
+        rays: made.stats.rays.total(),
+        stretch_p99_px: made.stats.stretch_p99_px,
+        ..Kept::default()
+    };
+    if made.ldi.samples() == 0 {
+        return Ok((kept, Vec::new()));
+    }
+    let pack_error = |source| PackError { what: format!("image {number}"), source };
+    let mut chunks = vec![ldi::encode_first(&made.ldi, colour, LEVEL).map_err(pack_error)?];
+    chunks.extend(ldi::encode_deeper(&made.ldi, colour, LEVEL).map_err(pack_error)?);
+    kept.decoded_bytes = ldi::decoded_bytes(&made.ldi).map(|b| u32::try_from(b).unwrap_or(u32::MAX));
+    kept.lengths = chunks.iter().map(|c| c.len() as u32).collect();
+    Ok((kept, chunks))
+}
+
+fn pack((kept, chunks): &(Kept, Vec<Vec<u8>>)) -> Vec<u8> {
+    // Figures that fail to serialize cannot occur: numbers and vectors of them.
+    let head = serde_json::to_vec(kept).unwrap_or_default();
+    let mut out = (head.len() as u32).to_le_bytes().to_vec();
+    out.extend(head);
+    out.extend(chunks.iter().flatten());
+    out
+}
+
+fn unpack(bytes: &[u8]) -> Option<(Kept, Vec<Vec<u8>>)> {
+    let (length, rest) = bytes.split_first_chunk::<4>()?;
+    let (head, mut rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
+    let kept: Kept = serde_json::from_slice(head).ok()?;
+    let mut chunks = Vec::new();
+    for length in &kept.lengths {
+        let (chunk, after) = rest.split_at_checked(*length as usize)?;
+        chunks.push(chunk.to_vec());
+        rest = after;
+    }
+    rest.is_empty().then_some((kept, chunks))
+}
+
+impl Images {
+    /// Entries of all chunks, in order.
+    pub fn entries(&self) -> impl Iterator<Item = ChunkEntry> + '_ {
+        self.kept.iter().flat_map(|(kept, chunks)| {
+            chunks.iter().zip(kept.decoded_bytes).map(|(bytes, decoded_bytes)| ChunkEntry {
+                hash: ChunkHash(*blake3::hash(bytes).as_bytes()),
+                stored_bytes: bytes.len() as u32,
+                decoded_bytes,
+                kind: ChunkKind::Ldi,
+            })
+        })
+    }
+
+    /// Stored bytes of all chunks, in the order of [`Images::entries`].
+    pub fn chunks(&self) -> impl Iterator<Item = &[u8]> {
+        self.kept.iter().flat_map(|k| k.1.iter().map(Vec::as_slice))
+    }
+
+    /// Placements as the index names them.
+    pub fn placements(&self, plans: &[PlacementPlan], first_chunk: u32) -> Vec<Placement> {
+        let mut next = first_chunk;
+        plans
+            .iter()
+            .zip(&self.kept)
+            .map(|(plan, (kept, chunks))| {
+                let first = next;
+                next += chunks.len() as u32;
+                Placement {
+                    grid_point: plan.grid_point,
+                    basis: plan.basis,
+                    plane_distance: plan.plane_distance,
+                    culled: plan.culled.clone(),
+                    footprint_px: plan.footprint_px,
+                    stretch_p99_px: kept.stretch_p99_px,
+                    users: plan.users,
+                    chunks: (first..next).collect(),
+                    samples_by_layer: kept.samples_by_layer.clone(),
+                }
+            })
+            .collect()
+    }
+
+    /// What was left out.
+    pub fn notes(&self, plans: &[PlacementPlan]) -> Vec<Note> {
+        let empty = self.kept.iter().filter(|k| k.1.is_empty()).count();
+        let mut notes = Vec::new();
+        if empty > 0 {
+            notes.push(Note {
+                what: format!("{empty} of {} images", plans.len()),
+                why: "no eye that may use them sees anything of the cells they replace".into(),
+            });
+        }
+        notes
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn kept_work_survives_packing_and_torn_work_is_refused() {
+        let kept = Kept { samples_by_layer: vec![3, 1], lengths: vec![2, 3], rays: 9, ..Kept::default() };
+        let packed = pack(&(kept, vec![vec![1, 2], vec![3, 4, 5]]));
+        let (back, chunks) = unpack(&packed).expect("whole");
+        assert_eq!((back.rays, chunks), (9, vec![vec![1, 2], vec![3, 4, 5]]));
+        for cut in 0..packed.len() {
+            assert!(unpack(&packed[..cut]).is_none(), "cut at {cut}");
+        }
+    }
+}

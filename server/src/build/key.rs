@@ -1,0 +1,56 @@
+//! Names of unfinished work: what an image depends on, hashed, so that a resumed build takes only what is still right.
+
+use crate::placement::PlacementPlan;
+use crate::scene::Scene;
+use ldi_protocol::index::BuildSettings;
+
+/// Raised whenever construction or coding gives other bytes for the same input.
+const VERSION: u32 = 1;
+
+/// Hash of everything in a scene that a picture of it depends on.
+pub fn scene_key(scene: &Scene) -> [u8; 32] {
+    let mut h = blake3::Hasher::new();
+    for p in scene.meshes.iter().flat_map(|m| &m.primitives) {
+        h.update(&p.material.to_le_bytes());
+        for v in p.positions.iter().chain(&p.normals) {
+            v.to_array().iter().for_each(|f| {
+                h.update(&f.to_le_bytes());
+            });
+        }
+        for v in &p.uvs {
+            v.to_array().iter().for_each(|f| {
+                h.update(&f.to_le_bytes());
+            });
+        }
+        for f in p.colours.iter().flatten() {
+            h.update(&f.to_le_bytes());
+        }
+        for i in p.triangles.iter().flatten() {
+            h.update(&i.to_le_bytes());
+        }
+    }
+    for i in &scene.instances {
+        h.update(&i.mesh.to_le_bytes());
+        i.world_from_mesh.to_cols_array().iter().for_each(|f| {
+            h.update(&f.to_le_bytes());
+        });
+    }
+    for t in &scene.textures {
+        h.update(&t.width.to_le_bytes());
+        for texel in &t.rgba {
+            h.update(texel);
+        }
+    }
+    h.update(format!("{:?}", scene.materials).as_bytes());
+    *h.finalize().as_bytes()
+}
+
+/// Key of one image.
+pub fn image_key(scene: &[u8; 32], settings: &BuildSettings, plan: &PlacementPlan) -> [u8; 32] {
+    let mut h = blake3::Hasher::new();
+    h.update(&VERSION.to_le_bytes());
+    h.update(scene);
+    // Debug prints every digit of a float, and every field there is.
+    h.update(format!("{settings:?}{plan:?}").as_bytes());
+    *h.finalize().as_bytes()
+}

@@ -1,0 +1,256 @@
+//! The pipeline: the one place that joins the stages into a dataset.
+//!
+//! ```text
+//! scene -> octree -> placement -> construction ─┐
+//!             └───────────────> pack ───────────┴-> store
+//! ```
+//!
+//! In: a scene's name and settings. Out: a dataset directory and its report. The bytes depend on the input alone, not on the
+//! number of threads. Images, the slow part, are kept as they are finished, so that a stopped build goes on where it was.
+
+mod images;
+mod key;
+mod report;
+
+pub use images::ImageFigures;
+pub use report::report_json;
+
+use crate::construct::ConstructError;
+use crate::octree::{Clusters, Octree};
+use crate::pack::{self, PackError};
+use crate::placement::{self, PlacementError, PlacementStatistics};
+use crate::render::Caster;
+use crate::scene::{self, Note, SceneError};
+use crate::store::{DatasetWriter, StoreError, Written};
+use ldi_protocol::codec::ColourMode;
+use ldi_protocol::index::{BuildSettings, ChunkEntry, ChunkHash, Index, SceneInfo};
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// What to build.
+#[derive(Debug, Clone)]
+pub struct BuildOptions {
+    /// Scene, as [`scene::load`] takes it.
+    pub scene: String,
+    /// Dataset directory.
+    pub output: PathBuf,
+    /// Settings; an `optimize_budget` of 0 stands for the default, P - max(10% of P, 2 x the largest cell).
+    pub settings: BuildSettings,
+    /// Colour coding; `settings.colour` is its name.
+    pub colour: ColourMode,
+}
+
+/// Hears of progress: bars on a terminal, plain lines elsewhere, nothing in tests.
+pub trait Progress: Sync {
+    /// A stage begins with this many steps; 0: unknown.
+    fn stage(&self, name: &str, steps: u64);
+    /// Steps are done.
+    fn advance(&self, steps: u64);
+}
+
+/// Why a dataset could not be built.
+#[derive(Debug, thiserror::Error)]
+pub enum BuildError {
+    /// The scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// Placement.
+    #[error(transparent)]
+    Placement(#[from] PlacementError),
+    /// An image.
+    #[error("image {number} of {total}: {source}")]
+    Construct {
+        /// Its number.
+        number: usize,
+        /// How many there are.
+        total: usize,
+        /// Why.
+        source: ConstructError,
+    },
+    /// Encoding.
+    #[error(transparent)]
+    Pack(#[from] PackError),
+    /// Writing.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+/// What a build found, for its report.
+#[derive(Debug, Clone)]
+pub struct BuildFigures {
+    /// The dataset's index.
+    pub index: Index,
+    /// Cells, their depth, the largest.
+    pub octree: BTreeMap<&'static str, u64>,
+    /// Placement.
+    pub placement: PlacementStatistics,
+    /// Images.
+    pub images: ImageFigures,
+    /// What was skipped or changed.
+    pub notes: Vec<Note>,
+    /// Seconds per stage.
+    pub seconds: Vec<(&'static str, f64)>,
+}
+
+/// A finished dataset.
+#[derive(Debug)]
+pub struct Built {
+    /// What was written.
+    pub written: Written,
+    /// The report, as in the dataset's `report.json`.
+    pub report: serde_json::Value,
+}
+
+/// Builds a dataset.
+///
+/// # Errors
+/// A scene that cannot be read, a budget that cannot be met, or a directory that cannot be written.
+pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, BuildError> {
+    let mut clock = Clock::default();
+    progress.stage("reading the scene", 0);
+    let scene = Arc::new(scene::load(&options.scene)?);
+    clock.lap("scene");
+
+    progress.stage("clusters and octree", 0);
+    let mut settings = options.settings.clone();
+    let clusters = Clusters::build(&scene);
+    let octree = Octree::build(&scene, &clusters, settings.budget);
+    let largest = octree.largest_cell();
+    if settings.optimize_budget == 0 {
+        let slack = (settings.budget / 10).max(2 * u64::from(largest));
+        settings.optimize_budget = settings.budget.saturating_sub(slack).max(1);
+    }
+    clock.lap("octree");
+
+    progress.stage("grid and placement", 0);
+    let plan = placement::plan_placements(&scene, &octree, &settings, &placement::Parameters::default())?;
+    clock.lap("placement");
+
+    progress.stage("near geometry and textures", 0);
+    let geometry = pack::pack_geometry(&scene, &clusters, &octree, 0)?;
+    let textures = pack::pack_textures(&scene, options.colour, geometry.chunks.len() as u32)?;
+    let mut chunks = geometry.chunks;
+    chunks.extend(textures.chunks);
+    clock.lap("pack");
+
+    let writer = DatasetWriter::open(&options.output)?;
+    progress.stage("layered depth images", plan.plans.len() as u64);
+    let (images, caster_seconds) = if plan.plans.is_empty() {
+        (images::Images::default(), 0.0)
+    } else {
+        let start = Instant::now();
+        let caster = Caster::new(Arc::clone(&scene), &clusters, &octree).with_mips();
+        let seconds = start.elapsed().as_secs_f64();
+        (
+            images::construct_all(
+                &caster,
+                &plan.plans,
+                &settings,
+                options.colour,
+                &key::scene_key(&scene),
+                &writer,
+                progress,
+            )?,
+            seconds,
+        )
+    };
+    clock.lap("images");
+
+    progress.stage("writing", 0);
+    let first_image_chunk = chunks.len() as u32;
+    let placements = images.placements(&plan.plans, first_image_chunk);
+    let mut notes = scene.notes.clone();
+    notes.extend(
+        plan.statistics.nothing_to_do.iter().map(|why| Note { what: "grid and images".into(), why: why.clone() }),
+    );
+    notes.extend(images.notes(&plan.plans));
+    let entries = chunks
+        .iter()
+        .map(|c| ChunkEntry {
+            hash: ChunkHash(*blake3::hash(&c.bytes).as_bytes()),
+            stored_bytes: c.bytes.len() as u32,
+            decoded_bytes: u32::try_from(c.decoded_bytes).unwrap_or(u32::MAX),
+            kind: c.kind,
+        })
+        .chain(images.entries())
+        .collect();
+    let index = Index {
+        scene: SceneInfo {
+            name: display_name(&options.scene),
+            triangles: scene.triangles(),
+            unique_triangles: scene.unique_triangles(),
+            instances: scene.instances.len() as u64,
+            bounds: scene.bounds(),
+        },
+        settings,
+        chunks: entries,
+        cells: geometry.cells,
+        materials: scene.materials.clone(),
+        textures: textures.textures,
+        pitch_bands_deg: plan.pitch_bands_deg,
+        points: plan.points,
+        placements,
+        volume: Some(plan.volume),
+    };
+    let mut seconds = clock.laps;
+    seconds.push(("of images: ray caster", caster_seconds));
+    let octree_figures = BTreeMap::from([
+        ("cells", octree.cells.len() as u64),
+        ("depth", u64::from(octree.depth)),
+        ("nodes", u64::from(octree.nodes)),
+        ("largest_cell_triangles", u64::from(largest)),
+        ("clusters", clusters.clusters.len() as u64),
+        ("shared_clusters", geometry.shared_clusters as u64),
+    ]);
+    let image_bytes: Vec<&[u8]> = images.chunks().collect();
+    let ranges = (0..octree.cells.len()).map(|c| octree.ranges(&scene, &clusters, c)).collect::<Vec<_>>();
+    let bytes = |number: u32| {
+        let number = number as usize;
+        Ok(Cow::Borrowed(chunks.get(number).map_or_else(|| image_bytes[number - chunks.len()], |c| &c.bytes)))
+    };
+    let figures = BuildFigures {
+        index,
+        octree: octree_figures,
+        placement: plan.statistics,
+        images: images.figures.clone(),
+        notes,
+        seconds,
+    };
+    let mut report = serde_json::Value::Null;
+    let written = writer.finish(&figures.index, bytes, &ranges, |written| {
+        report = report_json(&figures, written);
+        report.clone()
+    })?;
+    Ok(Built { written, report })
+}
+
+/// The scene's name as reports show it: a file's name without its folder, which is nobody's business.
+fn display_name(spec: &str) -> String {
+    if spec.starts_with("builtin:") {
+        return spec.to_string();
+    }
+    std::path::Path::new(spec).file_name().map_or_else(|| spec.to_string(), |n| n.to_string_lossy().into_owned())
+}
+
+#[derive(Debug)]
+struct Clock {
+    last: Instant,
+    laps: Vec<(&'static str, f64)>,
+}
+
+impl Default for Clock {
+    fn default() -> Self {
+        Self { last: Instant::now(), laps: Vec::new() }
+    }
+}
+
+impl Clock {
+    fn lap(&mut self, stage: &'static str) {
+        let now = Instant::now();
+        self.laps.push((stage, (now - self.last).as_secs_f64()));
+        self.last = now;
+    }
+}

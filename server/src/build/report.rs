@@ -1,0 +1,77 @@
+//! The report of a build, with the fields that others read.
+
+use super::BuildFigures;
+use crate::store::Written;
+use ldi_protocol::index::{ChunkKind, Index};
+use serde_json::{Value, json};
+
+/// The report as JSON.
+pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
+    let index = &f.index;
+    let bytes = |kind: ChunkKind| -> u64 {
+        index.chunks.iter().filter(|c| c.kind == kind).map(|c| u64::from(c.stored_bytes)).sum()
+    };
+    let (ldi, textures) = (bytes(ChunkKind::Ldi), bytes(ChunkKind::Texture));
+    let geometry = bytes(ChunkKind::Cell) + bytes(ChunkKind::Bundle);
+    let samples: u64 = f.images.samples_by_layer.iter().sum();
+    json!({
+        "scene": {
+            "name": index.scene.name,
+            "triangles": index.scene.triangles,
+            "unique_triangles": index.scene.unique_triangles,
+            "instances": index.scene.instances,
+            "bounds": { "min": index.scene.bounds.min.to_array(), "max": index.scene.bounds.max.to_array() },
+        },
+        "options": index.settings,
+        "octree": f.octree,
+        "grid": {
+            "points": index.points.len(),
+            "by_level": f.placement.by_level,
+            "skipped": f.placement.skipped,
+            "spacing_m": f.placement.spacing_m,
+            "paper_radius_m": f.placement.paper_radius_m,
+            "largest_radius_ratio": f.placement.largest_radius_ratio,
+            "rounds": f.placement.rounds,
+        },
+        "placements": index.placements.len(),
+        "ldis": f.images.images,
+        "images_per_grid_point": f.placement.images_per_grid_point,
+        "popt_closeness": {
+            "optimize_budget": index.settings.optimize_budget,
+            "histogram_percent": f.placement.popt_closeness,
+            "within_two_percent": f.placement.within_two_percent,
+        },
+        "samples": { "total": samples, "by_layer": f.images.samples_by_layer, "pruned": f.images.pruned },
+        "bytes": {
+            "total": ldi + geometry + textures + written.manifest_bytes,
+            "ldi": ldi, "geometry": geometry, "textures": textures, "tree": 0, "manifest": written.manifest_bytes,
+        },
+        "bytes_per_sample": if samples > 0 { json!(ldi as f64 / samples as f64) } else { Value::Null },
+        "guarantee": {
+            "budget": index.settings.budget,
+            "max_triangles_found": f.placement.max_triangles,
+            // The certificate covers every pose; its boxes are what was checked.
+            "poses_checked": f.placement.certified_boxes,
+            "max_footprint_px": f.placement.max_footprint_px,
+            "coverage_certified": f.placement.coverage_certified,
+            "stretch_p99_px": largest_stretch(index),
+        },
+        "seconds": f.seconds.iter().map(|(k, v)| ((*k).to_string(), json!(v))).collect::<serde_json::Map<_, _>>(),
+        "placement_seconds": f.placement.seconds,
+        "ldis_per_s": if f.images.seconds > 0.0 { f.images.made as f64 / f.images.seconds } else { 0.0 },
+        "rays_per_s": if f.images.seconds > 0.0 { f.images.rays as f64 / f.images.seconds } else { 0.0 },
+        "peak_rss_bytes": peak_rss_bytes(),
+        "skipped": f.notes,
+    })
+}
+
+fn largest_stretch(index: &Index) -> Option<f64> {
+    index.placements.iter().map(|p| p.stretch_p99_px).filter(|s| s.is_finite()).reduce(f64::max)
+}
+
+/// Largest resident size of this process so far, bytes; None where the system does not tell.
+fn peak_rss_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
+    line.split_whitespace().next()?.parse::<u64>().ok().map(|kb| kb * 1024)
+}

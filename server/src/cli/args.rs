@@ -1,0 +1,242 @@
+//! The command line of `ldi-server`.
+
+use clap::{Args, Parser, Subcommand};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+/// Precomputes layered depth images of big 3D scenes and streams them to walkers on the LAN.
+#[derive(Debug, Parser)]
+#[command(
+    name = "ldi-server",
+    version,
+    about,
+    after_help = "\
+First minute:
+  ldi-server build house.glb -o dataset        precompute (10 to 15 minutes for a building of a million triangles)
+  ldi-server serve dataset                     prints the address and the fingerprint to connect with
+  ldi-client walk 127.0.0.1:4433 --fingerprint HEX --path walk.json --size 1280x720 -o frames --report walk.json
+
+Exit codes: 0 done, 1 failed but a retry may help, 2 wrong usage, 42 failed for good (bad input).
+Logs go to stderr; RUST_LOG=debug shows more."
+)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Write a built-in scene as GLB.
+    #[command(after_help = "Example: ldi-server scene plant --triangles 2000000 --seed 1 -o plant.glb")]
+    Scene(SceneArgs),
+    /// Build a dataset from a scene.
+    #[command(after_help = "\
+Examples:
+  ldi-server build clinic.glb -o clinic.ldi --budget 135000
+  ldi-server build 'builtin:house?triangles=300000&seed=1' -o house.ldi --budget 30000 --report build.json
+A build that was stopped goes on where it was when the same command is given again.")]
+    Build(Box<BuildArgs>),
+    /// Say what is in a dataset, how big it is, what was skipped and why.
+    #[command(after_help = "Example: ldi-server inspect clinic.ldi --json | jq .bytes")]
+    Inspect(InspectArgs),
+    /// Check every hash and every bound of a dataset; with --guarantee, audit both promises over many poses.
+    #[command(after_help = "\
+Examples:
+  ldi-server verify clinic.ldi
+  ldi-server verify clinic.ldi --guarantee --poses 100000 --json audit.json")]
+    Verify(VerifyArgs),
+    /// Say what `select` answers along a path.
+    #[command(after_help = "Example: ldi-server plan clinic.ldi --poses clinic.path.json -o plan.jsonl")]
+    Plan(PlanArgs),
+    /// Render the ground truth along a path by ray casting.
+    #[command(after_help = "\
+Example: ldi-server render clinic.glb --path clinic.path.json --size 1280x720 --samples 16 --depth --every 100 -o truth")]
+    Render(RenderArgs),
+    /// Serve a dataset over QUIC, and its plan over HTTP.
+    #[command(after_help = "Example: ldi-server serve clinic.ldi --listen 0.0.0.0:4433 --http 127.0.0.1:8080")]
+    Serve(ServeArgs),
+}
+
+/// `ldi-server scene`.
+#[derive(Debug, Args)]
+pub struct SceneArgs {
+    /// pipes, house, plant, island or church.
+    pub name: String,
+    /// Triangles to aim at, instances counted.
+    #[arg(long)]
+    pub triangles: Option<u64>,
+    /// Seed of everything random in it.
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// File to write.
+    #[arg(short, long, value_name = "FILE.glb")]
+    pub output: PathBuf,
+}
+
+/// `ldi-server build`.
+#[derive(Debug, Args)]
+pub struct BuildArgs {
+    /// .gltf, .glb, .obj, .ply, or builtin:NAME[?triangles=N&seed=S].
+    pub scene: String,
+    /// Directory to make.
+    #[arg(short, long, value_name = "DATASET")]
+    pub output: PathBuf,
+    /// Geometry budget P, triangles per frame.
+    #[arg(long, default_value_t = 200_000, value_parser = clap::value_parser!(u64).range(1..))]
+    pub budget: u64,
+    /// Optimization budget Popt [default: P - max(10% of P, 2 x the largest pseudo-leaf)].
+    #[arg(long)]
+    pub optimize_budget: Option<u64>,
+    /// LDI samples per output pixel pitch: 1, 1.5 or 2.
+    #[arg(long, default_value_t = 1.0, value_parser = density)]
+    pub density: f64,
+    /// Colour coding of images and textures.
+    #[arg(long, default_value = "high", value_parser = ["lossless", "high", "compact"])]
+    pub colour: String,
+    /// How the eyes are covered.
+    #[arg(long, default_value = "cells", value_parser = ["paper", "cells"])]
+    pub grid: String,
+    /// Horizontal field of view in degrees, at least 54.
+    #[arg(long, default_value_t = 60.0)]
+    pub fov: f64,
+    /// Output size the dataset is made for.
+    #[arg(long, default_value = "1280x720", value_parser = size)]
+    pub size: (u32, u32),
+    /// Largest sample footprint, output pixels.
+    #[arg(long, default_value_t = 2.0)]
+    pub max_footprint: f64,
+    /// Free look up and down, degrees.
+    #[arg(long, default_value_t = 60.0)]
+    pub pitch: f64,
+    /// Walk volume: eyes about this high above any floor, metres.
+    #[arg(long, default_value_t = 1.6, conflicts_with = "fly")]
+    pub eye_height: f64,
+    /// Walk volume: the whole box of the scene.
+    #[arg(long)]
+    pub fly: bool,
+    /// Representations to build.
+    #[arg(long, default_value = "auto", value_delimiter = ',')]
+    pub represent: Vec<String>,
+    /// Threads [default: all cores].
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// Build part I of N only (not there yet).
+    #[arg(long, value_name = "I/N")]
+    pub shard: Option<String>,
+    /// Also write the report here; it is always in the dataset as report.json.
+    #[arg(long)]
+    pub report: Option<PathBuf>,
+}
+
+/// `ldi-server inspect`.
+#[derive(Debug, Args)]
+pub struct InspectArgs {
+    /// Dataset directory.
+    pub dataset: PathBuf,
+    /// JSON, with every cell's bounds, triangles and source ranges.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `ldi-server verify`.
+#[derive(Debug, Args)]
+pub struct VerifyArgs {
+    /// Dataset directory.
+    pub dataset: PathBuf,
+    /// Audit frame cost and footprint by brute force.
+    #[arg(long)]
+    pub guarantee: bool,
+    /// Poses of the audit.
+    #[arg(long, default_value_t = 100_000, requires = "guarantee")]
+    pub poses: u64,
+    /// Seed of the audit's poses.
+    #[arg(long, default_value_t = 1, requires = "guarantee")]
+    pub seed: u64,
+    /// Write the audit here instead of to stdout.
+    #[arg(long, requires = "guarantee")]
+    pub json: Option<PathBuf>,
+}
+
+/// `ldi-server plan`.
+#[derive(Debug, Args)]
+pub struct PlanArgs {
+    /// Dataset directory.
+    pub dataset: PathBuf,
+    /// Path file.
+    #[arg(long, value_name = "PATH.json")]
+    pub poses: PathBuf,
+    /// One JSON object per pose and line.
+    #[arg(short, long, value_name = "PLAN.jsonl")]
+    pub output: PathBuf,
+}
+
+/// `ldi-server render`.
+#[derive(Debug, Args)]
+pub struct RenderArgs {
+    /// Scene, as for `build`.
+    pub scene: String,
+    /// Path file.
+    #[arg(long, value_name = "PATH.json")]
+    pub path: PathBuf,
+    /// Picture size.
+    #[arg(long, value_parser = size)]
+    pub size: (u32, u32),
+    /// Samples per pixel, a square number: a regular grid, box-filtered in linear light; 1 is the pixel centre.
+    #[arg(long, default_value_t = 16)]
+    pub samples: u32,
+    /// Filter textures trilinearly by the ray's footprint.
+    #[arg(long)]
+    pub mips: bool,
+    /// Also write eye-space depth in metres at pixel centres, frame_NNNNN.f32.
+    #[arg(long)]
+    pub depth: bool,
+    /// Horizontal field of view, degrees.
+    #[arg(long, default_value_t = 60.0)]
+    pub fov: f64,
+    /// Render poses 0, N, 2N ...
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
+    pub every: u64,
+    /// Threads [default: all cores].
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// Directory for the frames.
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+}
+
+/// `ldi-server serve`.
+#[derive(Debug, Args)]
+pub struct ServeArgs {
+    /// Dataset directory.
+    pub dataset: PathBuf,
+    /// QUIC address [default: 127.0.0.1:4433]; port 0 picks a free one.
+    #[arg(long)]
+    pub listen: Option<SocketAddr>,
+    /// HTTP address [default: 127.0.0.1:8080]; port 0 picks a free one.
+    #[arg(long)]
+    pub http: Option<SocketAddr>,
+    /// TOML file with the same settings and the limits; options given here win.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    /// File with the token that clients must show.
+    #[arg(long)]
+    pub token_file: Option<PathBuf>,
+}
+
+fn size(s: &str) -> Result<(u32, u32), String> {
+    let wrong = || format!("'{s}' is not a size like 1280x720, with sides from 16 to 8192");
+    let (w, h) = s.split_once('x').ok_or_else(wrong)?;
+    let side = |t: &str| t.parse::<u32>().ok().filter(|n| (16..=8192).contains(n)).ok_or_else(wrong);
+    Ok((side(w)?, side(h)?))
+}
+
+fn density(s: &str) -> Result<f64, String> {
+    match s {
+        "1" | "1.0" => Ok(1.0),
+        "1.5" => Ok(1.5),
+        "2" | "2.0" => Ok(2.0),
+        _ => Err("is 1, 1.5 or 2".into()),
+    }
+}

@@ -1,0 +1,268 @@
+//! What each command does.
+
+use super::Failure;
+use super::args::{BuildArgs, Command, InspectArgs, PlanArgs, RenderArgs, SceneArgs, ServeArgs, VerifyArgs};
+use super::progress::Stderr;
+use crate::build::{self, BuildError, BuildOptions, Progress as _};
+use crate::placement::{self, PlacementError};
+use crate::render::{self, Caster};
+use crate::scene::{self, builtin};
+use crate::serve::{self, ServeConfig, ServeError};
+use crate::store::{self, Dataset};
+use anyhow::{Context as _, anyhow};
+use ldi_protocol::OutputCamera;
+use ldi_protocol::codec::ColourMode;
+use ldi_protocol::index::BuildSettings;
+use ldi_protocol::path::Walk;
+use std::io::{BufWriter, Write as _};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Runs a command.
+pub fn run(command: Command) -> Result<(), Failure> {
+    match command {
+        Command::Scene(a) => write_scene(&a),
+        Command::Build(a) => build_dataset(*a),
+        Command::Inspect(a) => inspect(&a),
+        Command::Verify(a) => verify(&a),
+        Command::Plan(a) => plan(&a),
+        Command::Render(a) => render(&a),
+        Command::Serve(a) => serve(a),
+    }
+}
+
+fn write_scene(a: &SceneArgs) -> Result<(), Failure> {
+    let made = builtin::build(&a.name, a.triangles, a.seed).map_err(Failure::permanent)?;
+    let bytes = scene::glb_write::glb_bytes(&made.scene).map_err(Failure::permanent)?;
+    write_file(&a.output, &bytes)?;
+    let path = a.output.with_extension("path.json");
+    let waypoints: Vec<[f64; 3]> = made.waypoints.iter().map(|w| w.to_array()).collect();
+    let file = serde_json::json!({ "eye_height": 1.6, "waypoints": waypoints, "closed": false });
+    write_file(&path, file.to_string().as_bytes())?;
+    let s = &made.scene;
+    println!(
+        "{}: {} triangles ({} unique), {} instances, {} rooms, {} portals; a walk through it: {}",
+        a.output.display(),
+        s.triangles(),
+        s.unique_triangles(),
+        s.instances.len(),
+        s.rooms.len(),
+        s.portals.len(),
+        path.display()
+    );
+    Ok(())
+}
+
+fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
+    if a.shard.is_some() {
+        return Err(Failure::absent("--shard"));
+    }
+    for r in &a.represent {
+        match r.as_str() {
+            "auto" | "grid" => {}
+            "portals" | "tree" | "cache" => return Err(Failure::absent(&format!("--represent {r}"))),
+            _ => {
+                return Err(Failure::usage(anyhow!(
+                    "--represent: there is no '{r}'; choose auto, grid, portals, tree or cache"
+                )));
+            }
+        }
+    }
+    threads(a.threads)?;
+    let colour = ColourMode::from_name(&a.colour)
+        .ok_or_else(|| Failure::usage(anyhow!("--colour: there is no '{}'", a.colour)))?;
+    if let Some(popt) = a.optimize_budget.filter(|p| *p == 0 || *p > a.budget) {
+        return Err(Failure::usage(anyhow!(
+            "--optimize-budget {popt} must lie between 1 and the budget, {}",
+            a.budget
+        )));
+    }
+    let options = BuildOptions {
+        scene: a.scene,
+        output: a.output,
+        colour,
+        settings: BuildSettings {
+            budget: a.budget,
+            optimize_budget: a.optimize_budget.unwrap_or(0),
+            camera: OutputCamera { width: a.size.0, height: a.size.1, fov_deg: a.fov },
+            max_footprint_px: a.max_footprint,
+            pitch_deg: a.pitch,
+            density: a.density,
+            colour: a.colour,
+            grid: a.grid,
+            eye_height_m: (!a.fly).then_some(a.eye_height),
+        },
+    };
+    let progress = Stderr::default();
+    let built = build::build(&options, &progress).map_err(|e| match e {
+        BuildError::Scene(e) => Failure::of(e.is_permanent(), e),
+        BuildError::Store(e) => Failure::of(e.permanent(), e),
+        BuildError::Placement(e @ (PlacementError::FieldOfView { .. } | PlacementError::Setting { .. })) => {
+            Failure::usage(e)
+        }
+        e => Failure::permanent(e),
+    })?;
+    progress.finish();
+    if let Some(file) = &a.report {
+        write_json(file, &built.report)?;
+    }
+    let r = &built.report;
+    println!(
+        "{}: {} images for {} grid points, {:.1} MB, hash {}",
+        options.output.display(),
+        r["ldis"],
+        r["grid"]["points"],
+        r["bytes"]["total"].as_f64().unwrap_or(0.0) / 1e6,
+        built.written.hash
+    );
+    Ok(())
+}
+
+fn inspect(a: &InspectArgs) -> Result<(), Failure> {
+    let value = store::inspect(&open(&a.dataset)?, a.json).map_err(|e| Failure::of(e.permanent(), e))?;
+    print(&if a.json { format!("{value:#}") } else { store::inspect_text(&value) })
+}
+
+fn verify(a: &VerifyArgs) -> Result<(), Failure> {
+    if !a.guarantee {
+        let found = store::verify(&a.dataset).map_err(|e| Failure::of(e.permanent(), e))?;
+        for f in &found.faults {
+            print(&f.to_string())?;
+        }
+        print(&format!(
+            "{}: {} pages and {} chunks hashed, {} decoded, {} faults",
+            a.dataset.display(),
+            found.pages,
+            found.chunks,
+            found.decoded,
+            found.faults.len()
+        ))?;
+        if found.faults.is_empty() {
+            return Ok(());
+        }
+        return Err(Failure::permanent(anyhow!(
+            "{} faults; build the dataset again, or copy the named files once more",
+            found.faults.len()
+        )));
+    }
+    let dataset = open(&a.dataset)?;
+    let ranges = dataset.source_ranges().map_err(|e| Failure::of(e.permanent(), e))?;
+    let ranges = ranges.ok_or_else(|| {
+        Failure::permanent(anyhow!(
+            "{}: the file `source` is missing, so triangles cannot be counted again",
+            a.dataset.display()
+        ))
+    })?;
+    let counts: Vec<u64> = ranges.iter().map(|cell| cell.iter().map(|r| u64::from(r.count)).sum()).collect();
+    let index = dataset.index();
+    let camera_of = |placement: u32| {
+        let first = *index.placements.get(placement as usize)?.chunks.first()?;
+        ldi_protocol::codec::ldi::decode_first(dataset.chunk(first)?).ok().map(|ldi| ldi.camera)
+    };
+    let report = placement::audit(index, &counts, &camera_of, a.poses, a.seed);
+    let json = serde_json::to_value(&report).map_err(Failure::permanent)?;
+    match &a.json {
+        Some(file) => write_json(file, &json)?,
+        None => print(&serde_json::to_string_pretty(&json).map_err(Failure::permanent)?)?,
+    }
+    if report.violations > 0 {
+        return Err(Failure::permanent(anyhow!("{} of {} poses break a promise", report.violations, report.poses)));
+    }
+    Ok(())
+}
+
+fn plan(a: &PlanArgs) -> Result<(), Failure> {
+    let dataset = open(&a.dataset)?;
+    let walk = read_walk(&a.poses)?;
+    let file = std::fs::File::create(&a.output)
+        .with_context(|| format!("cannot write {}", a.output.display()))
+        .map_err(|e| Failure::of(false, e))?;
+    let mut out = BufWriter::new(file);
+    let mut write = || -> anyhow::Result<()> {
+        for (index, p) in walk.poses.iter().enumerate() {
+            let row = placement::plan_row(dataset.index(), index as u64, &p.pose);
+            serde_json::to_writer(&mut out, &row)?;
+            out.write_all(b"\n")?;
+        }
+        Ok(out.flush()?)
+    };
+    write().with_context(|| a.output.display().to_string()).map_err(|e| Failure::of(false, e))
+}
+
+fn render(a: &RenderArgs) -> Result<(), Failure> {
+    threads(a.threads)?;
+    let options = render::RenderOptions {
+        camera: OutputCamera { width: a.size.0, height: a.size.1, fov_deg: a.fov },
+        samples: a.samples,
+        mips: a.mips,
+        depth: a.depth,
+        every: a.every as usize,
+    };
+    options.check().map_err(Failure::usage)?;
+    let walk = read_walk(&a.path)?;
+    let scene = scene::load(&a.scene).map_err(|e| Failure::of(e.is_permanent(), e))?;
+    std::fs::create_dir_all(&a.output)
+        .with_context(|| format!("cannot make {}", a.output.display()))
+        .map_err(|e| Failure::of(false, e))?;
+    let progress = Stderr::default();
+    let caster = Caster::of_scene(Arc::new(scene), a.mips);
+    progress.stage("rendering", walk.poses.len().div_ceil(options.every) as u64);
+    render::render_path(&caster, &walk, &options, &a.output, &mut |_, _| progress.advance(1))
+        .map_err(|e| Failure::of(false, e))?;
+    progress.finish();
+    Ok(())
+}
+
+fn serve(a: ServeArgs) -> Result<(), Failure> {
+    let mut config = match &a.config {
+        Some(file) => ServeConfig::from_file(file).map_err(Failure::permanent)?,
+        None => ServeConfig::default(),
+    };
+    config.listen = a.listen.unwrap_or(config.listen);
+    config.http = a.http.unwrap_or(config.http);
+    config.token_file = a.token_file.or(config.token_file);
+    let dataset = open(&a.dataset)?;
+    let runtime =
+        tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(|e| Failure::of(false, e))?;
+    runtime.block_on(serve::serve(Arc::new(dataset), config)).map_err(|e| {
+        let retry = matches!(e, ServeError::Bind { .. } | ServeError::Stdout(_));
+        Failure::of(!retry, e)
+    })
+}
+
+fn open(path: &Path) -> Result<Dataset, Failure> {
+    Dataset::open(path).map_err(|e| Failure::of(e.permanent(), e))
+}
+
+fn read_walk(path: &Path) -> Result<Walk, Failure> {
+    let text = std::fs::read_to_string(path)
+        .with_context(|| format!("cannot read {}", path.display()))
+        .map_err(Failure::permanent)?;
+    ldi_protocol::path::parse(&text).with_context(|| path.display().to_string()).map_err(Failure::permanent)
+}
+
+fn threads(n: Option<usize>) -> Result<(), Failure> {
+    match n {
+        None => Ok(()),
+        Some(0) => Err(Failure::usage(anyhow!("--threads 0: at least one is needed"))),
+        Some(n) => rayon::ThreadPoolBuilder::new().num_threads(n).build_global().map_err(|e| Failure::of(false, e)),
+    }
+}
+
+fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    std::fs::write(path, bytes)
+        .with_context(|| format!("cannot write {}", path.display()))
+        .map_err(|e| Failure::of(false, e))
+}
+
+fn write_json(path: &Path, value: &serde_json::Value) -> Result<(), Failure> {
+    write_file(path, format!("{value:#}\n").as_bytes())
+}
+
+/// A line to stdout; a reader that has gone is no failure.
+fn print(text: &str) -> Result<(), Failure> {
+    match writeln!(std::io::stdout().lock(), "{text}") {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(Failure::of(false, e)),
+        _ => Ok(()),
+    }
+}

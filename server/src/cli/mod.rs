@@ -1,0 +1,55 @@
+//! The commands of `ldi-server`: from arguments to stages, from results to stdout, from errors to exit codes.
+
+mod args;
+mod commands;
+mod progress;
+
+use clap::Parser as _;
+use std::process::ExitCode;
+
+/// A command that failed.
+#[derive(Debug)]
+pub struct Failure {
+    kind: Kind,
+    error: anyhow::Error,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Kind {
+    /// The arguments make no sense.
+    Usage = 2,
+    /// A retry may help.
+    Retry = 1,
+    /// It will fail again.
+    Permanent = 42,
+}
+
+impl Failure {
+    fn usage(error: impl Into<anyhow::Error>) -> Self {
+        Self { kind: Kind::Usage, error: error.into() }
+    }
+    fn permanent(error: impl Into<anyhow::Error>) -> Self {
+        Self { kind: Kind::Permanent, error: error.into() }
+    }
+    fn of(permanent: bool, error: impl Into<anyhow::Error>) -> Self {
+        Self { kind: if permanent { Kind::Permanent } else { Kind::Retry }, error: error.into() }
+    }
+    /// Something of the option list that this version does not have.
+    fn absent(what: &str) -> Self {
+        Self::usage(anyhow::anyhow!("{what} is not there yet"))
+    }
+}
+
+/// Runs the command line; returns the exit code.
+pub fn main() -> ExitCode {
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn".into());
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let cli = args::Cli::parse();
+    match commands::run(cli.command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(f) => {
+            eprintln!("ldi-server: {:#}", f.error);
+            ExitCode::from(f.kind as u8)
+        }
+    }
+}

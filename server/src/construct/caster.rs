@@ -1,0 +1,55 @@
+//! What construction needs of a ray caster: rays against the culled subset only, planes, colours.
+//!
+//! A trait, so that the tests can judge construction on analytic scenes in f64, without triangles.
+
+use crate::render::{Caster, CellSet, Hit, Ray, RayFootprint};
+use glam::DVec3;
+
+/// What a surface is like where a ray hit it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Facet {
+    /// Unit normal of the geometry (not interpolated) in the world, of either sign; zero if it has none.
+    pub normal: DVec3,
+    /// Whether its colours are filtered over the pixel by [`SubsetCaster::shade`]: a texture. Else they are those of one point.
+    pub filtered: bool,
+    /// Number of the surface: equal for all hits on one primitive of one instance. Two surfaces may, rarely, share one.
+    pub surface: u32,
+}
+
+/// Casts rays at the culled subset. Cells that are not culled are transparent to it.
+///
+/// Directions have component 1 along the image's forward axis, so a hit's `t` is its depth in metres. A hit's `triangle` names a
+/// plane: hits of one number lie in one plane (analytic scenes: on one smooth patch).
+pub trait SubsetCaster: Sync {
+    /// Whether hits of one `triangle` share one plane; otherwise only one smooth patch.
+    const PLANAR: bool = true;
+    /// The nearest hit of each ray within its `[t_min, t_max]`; both slices have one length.
+    fn trace(&self, rays: &[Ray], hits: &mut [Option<Hit>]);
+    /// The plane and the surface at a hit.
+    fn facet(&self, ray: &Ray, hit: &Hit) -> Facet;
+    /// Colour at a hit in linear light, textures filtered over the pixel.
+    fn shade(&self, ray: &Ray, hit: &Hit, footprint: &RayFootprint) -> [f32; 3];
+}
+
+/// A [`Caster`] that sees only some cells. Made `with_mips`, or textures alias.
+pub(super) struct Subset<'a> {
+    pub caster: &'a Caster,
+    pub cells: CellSet,
+}
+
+impl SubsetCaster for Subset<'_> {
+    fn trace(&self, rays: &[Ray], hits: &mut [Option<Hit>]) {
+        self.caster.trace_batch(rays, &self.cells, hits);
+    }
+
+    fn facet(&self, ray: &Ray, hit: &Hit) -> Facet {
+        let s = self.caster.surface(hit, ray);
+        // Odd multipliers spread (instance, primitive) over 32 bits; two surfaces that collide may be linked over a step.
+        let surface = s.source.instance.wrapping_mul(0x9E37_79B1) ^ s.source.primitive.wrapping_mul(0x85EB_CA6B);
+        Facet { normal: s.geometric_normal, surface, filtered: s.uv != glam::Vec2::ZERO }
+    }
+
+    fn shade(&self, ray: &Ray, hit: &Hit, footprint: &RayFootprint) -> [f32; 3] {
+        self.caster.shade(hit, ray, Some(footprint))
+    }
+}

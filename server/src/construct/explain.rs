@@ -1,0 +1,400 @@
+//! What a construction camera would see that is known already: it need not be traced again.
+//!
+//! The central image knows more than its surfaces: everything in front of them is empty. Draw it as seen from the construction
+//! camera as a closed skin: each sample as the piece of plane in its pixel, each depth edge as the sheet that joins near to far.
+//!
+//! ```text
+//!   C ────────────┐ near surface
+//!        sheet →  │░░░░░░░░░░░░░░ unknown: hidden from C
+//!   ──────────────┴──── far surface
+//!   C' a ray that meets a surface first travelled through known emptiness only: explained.
+//!      a ray that meets a sheet first enters the unknown: it is traced.
+//! ```
+//!
+//! Tracing all of these would be exact and wasteful: mostly the surface or the sky behind the sheet is what is seen. So of each block of
+//! 3 x 3 unexplained pixels the middle one is traced, then, as long as rays bring something new, all around them ([`Unexplained::around`]);
+//! holes whose block's middle is explained are traced at once. Where the middle saw sky, so do the block's holes that nobody asked for.
+//! In later rounds a pixel counts as explained where the surface behind the sheet is one that an earlier construction camera found.
+
+use super::{
+    sample::{Sample, Tolerance},
+    view::{ConstructionCamera, Rig, Window},
+};
+
+/// Cells of curved surfaces do not quite meet; they are drawn larger by this many pixels. Larger hides thin holes,
+/// smaller traces rays into cracks.
+const OVERLAP_PX: f32 = 0.15;
+/// Extent of a cell that is drawn as its bounding box.
+const SMALL_PX: f32 = 2.0;
+/// A sheet begins at the surface's edge: held back by this factor so that the surface wins there.
+const SHEET_BIAS: f32 = 1.0 - 1e-4;
+
+/// What a construction camera knows of its pixels before it traces.
+pub(super) struct Unexplained {
+    /// What to trace first, ascending.
+    pub first: Vec<u32>,
+    /// Row-major; pixels that were handed out are [`State::Explained`].
+    states: Vec<State>,
+    width: usize,
+}
+
+/// Side of the blocks. Larger overlooks thin things behind thin occluders, smaller costs rays.
+const BLOCK: usize = 3;
+
+/// The pixels of the construction camera that have to be traced.
+pub(super) fn unexplained(
+    rig: &Rig,
+    camera: &ConstructionCamera,
+    central: &[Sample],
+    deeper: &[(u32, Sample)],
+    tolerance: &Tolerance,
+) -> Unexplained {
+    let pixels = camera.window.pixels();
+    let mut skin = Skin { rig, camera, front: vec![0; pixels], surfaces: vec![0; pixels] };
+    skin.draw_sky(central);
+    skin.draw_central(central, tolerance);
+    skin.draw_deeper(deeper);
+    let width = camera.window.width as usize;
+    let states: Vec<State> = (0..pixels).map(|p| skin.state(p)).collect();
+    let first = first_pixels(&states, width);
+    let mut found = Unexplained { first, states, width };
+    for pixel in &found.first {
+        found.states[*pixel as usize] = State::Explained;
+    }
+    found
+}
+
+/// The middles of blocks that are unexplained, and the holes of blocks whose middle is explained or outside.
+fn first_pixels(states: &[State], width: usize) -> Vec<u32> {
+    let mut first = Vec::new();
+    for (row, line) in states.chunks_exact(width).enumerate() {
+        let middle_row = row / BLOCK * BLOCK + BLOCK / 2;
+        let middles = states.get(middle_row * width..(middle_row + 1) * width);
+        for (block, cells) in line.chunks(BLOCK).enumerate() {
+            if cells.iter().all(|s| *s == State::Explained) {
+                continue;
+            }
+            let middle_column = block * BLOCK + BLOCK / 2;
+            let open = middles.and_then(|m| m.get(middle_column)).is_some_and(|s| *s != State::Explained);
+            for (k, s) in cells.iter().enumerate() {
+                let column = block * BLOCK + k;
+                let is_middle = row == middle_row && column == middle_column;
+                if *s != State::Explained && is_middle || *s == State::Hole && !open {
+                    first.push((row * width + column) as u32);
+                }
+            }
+        }
+    }
+    first
+}
+
+impl Unexplained {
+    /// The pixels around those that brought something new, ascending; each is handed out once.
+    pub fn around(&mut self, new: &[u32]) -> Vec<u32> {
+        let mut next = Vec::new();
+        for pixel in new {
+            self.take(*pixel, BLOCK - 1, |s| s != State::Explained, &mut next);
+        }
+        next.sort_unstable();
+        next
+    }
+
+    /// The holes never handed out around pixels that saw sky.
+    pub fn holes_around(&mut self, sky: &[u32]) -> Vec<u32> {
+        let mut holes = Vec::new();
+        for pixel in sky {
+            self.take(*pixel, BLOCK / 2, |s| s == State::Hole, &mut holes);
+        }
+        holes
+    }
+
+    fn take(&mut self, pixel: u32, reach: usize, wanted: impl Fn(State) -> bool, out: &mut Vec<u32>) {
+        let height = self.states.len() / self.width;
+        let (row, column) = (pixel as usize / self.width, pixel as usize % self.width);
+        for r in row.saturating_sub(reach)..=(row + reach).min(height - 1) {
+            for c in column.saturating_sub(reach)..=(column + reach).min(self.width - 1) {
+                let i = r * self.width + c;
+                if wanted(self.states[i]) {
+                    self.states[i] = State::Explained;
+                    out.push(i as u32);
+                }
+            }
+        }
+    }
+}
+
+/// What is known of a pixel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum State {
+    /// A known surface or sky is what it sees.
+    Explained,
+    /// It enters the unknown, and no known surface lies beyond.
+    Hole,
+    /// It enters the unknown, and a known surface lies beyond.
+    Doubtful,
+}
+
+/// Depth buffers of the skin. An entry is a disparity's bits (positive floats order like integers) with the lowest bit
+/// replaced by a flag; 0 is nothing.
+struct Skin<'a> {
+    rig: &'a Rig,
+    camera: &'a ConstructionCamera,
+    /// Nearest of the central surfaces, sky (flag 1), and sheets (flag 0).
+    front: Vec<i32>,
+    /// Nearest of all surfaces and sky, flag 1 if a deeper one.
+    surfaces: Vec<i32>,
+}
+
+/// Sky in `surfaces`: farther than any surface, but not nothing; flag 0.
+const SKY_BEHIND: i32 = 2;
+
+/// What is drawn.
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Central,
+    Deeper,
+    Sheet,
+}
+
+/// A corner: pixel coordinates in the camera's window, and disparity from it.
+type Corner = [f32; 3];
+
+impl Skin<'_> {
+    fn state(&self, pixel: usize) -> State {
+        let (front, behind) = (self.front[pixel], self.surfaces[pixel]);
+        if front & 1 == 1 || behind & 1 == 1 {
+            State::Explained
+        } else if behind != 0 {
+            State::Doubtful
+        } else if front != 0 || self.may_enter_window(pixel) {
+            State::Hole
+        } else {
+            State::Explained
+        }
+    }
+
+    /// Whether any point on the pixel's ray beyond the plane projects into the central window; what does not could not be stored.
+    fn may_enter_window(&self, pixel: usize) -> bool {
+        let (u, v) = self.camera.window.centre(pixel);
+        let back = self.camera.shift.reversed();
+        let (un, vn, _) = back.apply(u, v, 1.0 / self.camera.near_m);
+        let w = &self.rig.window;
+        let (l, t) = (f64::from(w.left), f64::from(w.top));
+        let (r, b) = (l + f64::from(w.width), t + f64::from(w.height));
+        !(u.max(un) < l || u.min(un) > r || v.max(vn) < t || v.min(vn) > b)
+    }
+
+    /// Sky keeps its coordinates.
+    fn draw_sky(&mut self, central: &[Sample]) {
+        let (w, c) = (self.rig.window, self.camera.window);
+        // Columns that both windows have.
+        let first = w.left.max(c.left);
+        let count = (w.left + w.width as i32).min(c.left + c.width as i32) - first;
+        if count <= 0 {
+            return;
+        }
+        for v in w.top.max(c.top)..(w.top + w.height as i32).min(c.top + c.height as i32) {
+            let from = (v - w.top) as usize * w.width as usize + (first - w.left) as usize;
+            let to = (v - c.top) as usize * c.width as usize + (first - c.left) as usize;
+            let there = to..to + count as usize;
+            let behind = self.surfaces[there.clone()].iter_mut();
+            for ((s, front), behind) in
+                central[from..from + count as usize].iter().zip(&mut self.front[there]).zip(behind)
+            {
+                if s.disparity == 0.0 {
+                    (*front, *behind) = (1, SKY_BEHIND);
+                }
+            }
+        }
+    }
+
+    fn draw_central(&mut self, central: &[Sample], tolerance: &Tolerance) {
+        let width = self.rig.window.width as usize;
+        for (row, samples) in central.chunks_exact(width).enumerate() {
+            // Cells of one triangle are one strip.
+            let mut start = 0;
+            while start < width {
+                let triangle = samples[start].triangle;
+                let same = |s: &&Sample| s.disparity > 0.0 && s.triangle == triangle;
+                let run = samples[start..].iter().take_while(same).count();
+                if run > 0 {
+                    self.strip(row, start, start + run - 1, &samples[start], &samples[start + run - 1], Kind::Central);
+                }
+                start += run.max(1);
+            }
+            for (column, pair) in samples.windows(2).enumerate() {
+                if torn(&pair[0], &pair[1], 0, tolerance) {
+                    self.sheet(row, column, &pair[0], &pair[1]);
+                }
+            }
+            if let Some(below) = central.get((row + 1) * width..(row + 2) * width) {
+                let pairs = |c: usize| (&samples[c], &below[c]);
+                let mut start = 0;
+                while start < width {
+                    let (a, b) = pairs(start);
+                    if !torn(a, b, 1, tolerance) {
+                        start += 1;
+                        continue;
+                    }
+                    // Sheets between the same two triangles are one.
+                    let alike = |c: &usize| {
+                        let (p, q) = pairs(*c);
+                        p.triangle == a.triangle && q.triangle == b.triangle && torn(p, q, 1, tolerance)
+                    };
+                    let run = (start + 1..width).take_while(alike).count();
+                    let last = start + run;
+                    self.sheet_below(row, start, last, [a, b], [&samples[last], &below[last]]);
+                    start = last + 1;
+                }
+            }
+        }
+    }
+
+    fn draw_deeper(&mut self, deeper: &[(u32, Sample)]) {
+        let width = self.rig.window.width as usize;
+        for (pixel, s) in deeper {
+            let (row, column) = (*pixel as usize / width, *pixel as usize % width);
+            self.strip(row, column, column, s, s, Kind::Deeper);
+        }
+    }
+
+    /// The pieces of plane in the pixels `first ..= last` of a row, whose samples are `a` and `b`.
+    fn strip(&mut self, row: usize, first: usize, last: usize, a: &Sample, b: &Sample, kind: Kind) {
+        let left = |down: f32| bounded(a, -0.5 * a.gradient[0] + down * a.gradient[1]);
+        let right = |down: f32| bounded(b, 0.5 * b.gradient[0] + down * b.gradient[1]);
+        let corners = [
+            self.corner(first, row, left(-0.5)),
+            self.corner(last + 1, row, right(-0.5)),
+            self.corner(last + 1, row + 1, right(0.5)),
+            self.corner(first, row + 1, left(0.5)),
+        ];
+        self.fill(&corners, kind);
+    }
+
+    /// The sheet from pixel `a` to its right neighbour `b`, over their common border.
+    fn sheet(&mut self, row: usize, column: usize, a: &Sample, b: &Sample) {
+        let edge = |s: &Sample, toward: f32, down: f32| bounded(s, toward * s.gradient[0] + down * s.gradient[1]);
+        let corners = [
+            self.corner(column + 1, row, edge(a, 0.5, -0.5)),
+            self.corner(column + 1, row + 1, edge(a, 0.5, 0.5)),
+            self.corner(column + 1, row + 1, edge(b, -0.5, 0.5)),
+            self.corner(column + 1, row, edge(b, -0.5, -0.5)),
+        ];
+        self.fill(&corners, Kind::Sheet);
+    }
+
+    /// The sheet from pixels `first ..= last` of a row to those below; the (upper, lower) samples of both ends.
+    fn sheet_below(&mut self, row: usize, first: usize, last: usize, left: [&Sample; 2], right: [&Sample; 2]) {
+        let edge = |s: &Sample, toward: f32, across: f32| bounded(s, toward * s.gradient[1] + across * s.gradient[0]);
+        let corners = [
+            self.corner(first, row + 1, edge(left[0], 0.5, -0.5)),
+            self.corner(last + 1, row + 1, edge(right[0], 0.5, 0.5)),
+            self.corner(last + 1, row + 1, edge(right[1], -0.5, 0.5)),
+            self.corner(first, row + 1, edge(left[1], -0.5, -0.5)),
+        ];
+        self.fill(&corners, Kind::Sheet);
+    }
+
+    /// Pixel corner (column, row) of the central window at a disparity, in the camera's window.
+    #[inline]
+    fn corner(&self, column: usize, row: usize, disparity: f32) -> Corner {
+        let (w, c) = (&self.rig.window, &self.camera.window);
+        let d = f64::from(disparity).min(1.0 / self.rig.near_m);
+        let (u, v, d) = self.camera.shift.apply(f64::from(w.left) + column as f64, f64::from(w.top) + row as f64, d);
+        [(u - f64::from(c.left)) as f32, (v - f64::from(c.top)) as f32, d as f32]
+    }
+
+    /// Writes the pixel centres inside a quadrilateral, one span per row, disparity linear.
+    fn fill(&mut self, q: &[Corner; 4], kind: Kind) {
+        let Window { width, height, .. } = self.camera.window;
+        let (mut y0, mut y1, mut z0, mut z1) = (q[0][1], q[0][1], q[0][2], q[0][2]);
+        for p in &q[1..] {
+            (y0, y1, z0, z1) = (y0.min(p[1]), y1.max(p[1]), z0.min(p[2]), z1.max(p[2]));
+        }
+        let overlap = if kind == Kind::Sheet { 0.0 } else { OVERLAP_PX };
+        let rows = centres(y0 - overlap, y1 + overlap, height);
+        // A cell of about a pixel is as good as its bounding box, at a quarter of the price; most deeper samples are such.
+        if kind == Kind::Deeper && y1 - y0 <= SMALL_PX {
+            let x0 = q.iter().fold(f32::INFINITY, |m, p| m.min(p[0]));
+            let x1 = q.iter().fold(f32::NEG_INFINITY, |m, p| m.max(p[0]));
+            if x1 - x0 <= SMALL_PX {
+                let columns = centres(x0, x1, width);
+                for row in rows {
+                    let line = row * width as usize;
+                    raise(&mut self.surfaces[line + columns.start..line + columns.end], |_| to_entry(z1, 1));
+                }
+                return;
+            }
+        }
+        // dz/dx and dz/dy of the plane through three corners; flat where they are in line.
+        let [ax, ay, az] = [q[1][0] - q[0][0], q[1][1] - q[0][1], q[1][2] - q[0][2]];
+        let [bx, by, bz] = [q[3][0] - q[0][0], q[3][1] - q[0][1], q[3][2] - q[0][2]];
+        let det = ax * by - ay * bx;
+        let (zx, zy) =
+            if det.abs() > 1e-6 { ((az * by - ay * bz) / det, (ax * bz - az * bx) / det) } else { (0.0, 0.0) };
+        for row in rows {
+            let y = (row as f32 + 0.5).clamp(y0, y1);
+            let (mut x0, mut x1) = (f32::INFINITY, f32::NEG_INFINITY);
+            for i in 0..4 {
+                let (p, r) = (&q[i], &q[(i + 1) & 3]);
+                if (p[1] - y) * (r[1] - y) <= 0.0 {
+                    let dy = r[1] - p[1];
+                    let xs = if dy == 0.0 { [p[0], r[0]] } else { [p[0] + (r[0] - p[0]) * ((y - p[1]) / dy); 2] };
+                    x0 = x0.min(xs[0]).min(xs[1]);
+                    x1 = x1.max(xs[0]).max(xs[1]);
+                }
+            }
+            let columns = centres(x0 - overlap, x1 + overlap, width);
+            let first = columns.start;
+            let span = row * width as usize + columns.start..row * width as usize + columns.end;
+            let z_first = q[0][2] + zy * (y - q[0][1]) + zx * (first as f32 + 0.5 - q[0][0]);
+            let z = |k: usize| (z_first + zx * k as f32).clamp(z0, z1);
+            // One plain loop per kind, so that the compiler may vectorize it.
+            match kind {
+                Kind::Sheet => raise(&mut self.front[span], |k| to_entry(z(k) * SHEET_BIAS, 0)),
+                Kind::Central => {
+                    raise(&mut self.front[span.clone()], |k| to_entry(z(k), 1));
+                    raise(&mut self.surfaces[span], |k| to_entry(z(k), 0));
+                }
+                Kind::Deeper => raise(&mut self.surfaces[span], |k| to_entry(z(k), 1)),
+            }
+        }
+    }
+}
+
+/// Pixels whose centres lie in `from ..= to`, within `0 .. limit`.
+#[inline]
+fn centres(from: f32, to: f32, limit: u32) -> std::ops::Range<usize> {
+    // Casts truncate toward zero, saturate, and make 0 of NaN.
+    let first = (from + 0.5).max(0.0) as usize;
+    let end = ((to + 0.5).max(0.0) as usize).min(limit as usize);
+    first.min(end)..end
+}
+
+/// A positive disparity with a flag in its lowest bit. Signed, as baseline x86-64 compares only signed integers.
+#[inline]
+fn to_entry(z: f32, flag: i32) -> i32 {
+    (z.to_bits() as i32 & !1) | flag
+}
+
+#[inline]
+fn raise(buffer: &mut [i32], entry: impl Fn(usize) -> i32) {
+    for (k, b) in buffer.iter_mut().enumerate() {
+        *b = (*b).max(entry(k));
+    }
+}
+
+/// Whether two neighbours of the central image leave something hidden between them.
+#[inline]
+fn torn(a: &Sample, b: &Sample, axis: usize, tolerance: &Tolerance) -> bool {
+    if a.disparity == 0.0 || b.disparity == 0.0 {
+        return a.disparity != b.disparity;
+    }
+    a.triangle != b.triangle && !tolerance.continuous(a, b, axis)
+}
+
+/// The disparity of a sample's plane elsewhere in its pixel, within reason.
+#[inline]
+fn bounded(s: &Sample, change: f32) -> f32 {
+    (s.disparity + change).clamp(0.25 * s.disparity, 4.0 * s.disparity)
+}

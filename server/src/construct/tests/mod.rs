@@ -1,0 +1,293 @@
+//! Construction judged on analytic scenes: where samples lie, what is missing, what is doubled, what is linked.
+
+mod scenes;
+
+use super::{
+    ConstructError, ConstructOptions, Constructed, construct_subset,
+    view::{Reach, Rig},
+};
+use crate::placement::PlacementPlan;
+use glam::DVec3;
+use ldi_protocol::{
+    Aabb, ViewBasis,
+    ldi::{LINK_DOWN, LINK_RIGHT, Ldi},
+};
+use scenes::{Analytic, GREY, OUTPUT, RED, Random, plan, room};
+
+fn options() -> ConstructOptions {
+    ConstructOptions::new(OUTPUT)
+}
+
+fn made(scene: &Analytic, plan: &PlacementPlan) -> Constructed {
+    let made = construct_subset(scene, plan, &options()).expect("the plan is sound");
+    assert_eq!(made.ldi.check(), Ok(()));
+    made
+}
+
+/// (layer, column, row, disparity, rgb, links) of every sample.
+fn samples(ldi: &Ldi) -> Vec<(usize, i64, i64, f64, [u8; 3], u8)> {
+    let mut all = Vec::new();
+    for (k, l) in ldi.layers.iter().enumerate() {
+        for s in &l.segments {
+            for i in s.first as usize..s.first as usize + usize::from(s.count) {
+                let column = i64::from(s.column_base) + i64::from(l.column[i]);
+                all.push((k, column, i64::from(s.row), ldi.codes.disparity(l.disparity[i]), l.rgb[i], l.links[i]));
+            }
+        }
+    }
+    all
+}
+
+/// Share of random points, seen by random eyes of the users, that have no sample of their plane within one pixel.
+fn hole_fraction(scene: &Analytic, ldi: &Ldi, plan: &PlacementPlan) -> f64 {
+    // An output pixel of parallax for the worst eye.
+    let pixel = 8.0 * Rig::new(plan, &OUTPUT, 1 << 24).expect("sound").step();
+    let mut by_pixel = std::collections::BTreeMap::<(i64, i64), Vec<f64>>::new();
+    for (_, c, r, d, ..) in samples(ldi) {
+        by_pixel.entry((c, r)).or_default().push(d);
+    }
+    let (mut random, mut seen, mut missing) = (Random(7), 0, 0);
+    for _ in 0..20_000 {
+        let eye = random.inside(&plan.users);
+        let range = &plan.directions[0];
+        let basis = ViewBasis::from_yaw_pitch(random.within(range.yaw_deg), random.within(range.pitch_deg));
+        let (u, v) = (random.within([0.0, 160.0]), random.within([0.0, 120.0]));
+        let direction = OUTPUT.ray(&basis, u, v);
+        let Some(&(t, _, n)) = scene.all_hits(eye, direction).first() else { continue };
+        let (u, v, d) = ldi.camera.project(eye + direction * t).expect("before the eye");
+        let inside =
+            u >= 1.0 && v >= 1.0 && u < f64::from(ldi.camera.width - 1) && v < f64::from(ldi.camera.height - 1);
+        if !inside {
+            continue;
+        }
+        seen += 1;
+        let r = ldi.camera.ray(u, v);
+        let slope = |along: DVec3| d * n.dot(along) / (ldi.camera.pixels_per_unit * n.dot(r));
+        let (gu, gv) = (slope(ldi.camera.basis.right), -slope(ldi.camera.basis.up));
+        let (c, r) = (u.floor() as i64, v.floor() as i64);
+        let found = (-1..=1).any(|dy| {
+            (-1..=1).any(|dx| {
+                let at = |k: i64, d: i64| (k + d) as f64 + 0.5;
+                let plane = d + gu * (at(c, dx) - u) + gv * (at(r, dy) - v);
+                let slack = pixel + 0.5 * (gu.abs() + gv.abs());
+                by_pixel.get(&(c + dx, r + dy)).is_some_and(|ds| ds.iter().any(|x| (x - plane).abs() <= slack))
+            })
+        });
+        missing += u32::from(!found);
+    }
+    f64::from(missing) / f64::from(seen)
+}
+
+#[test]
+fn every_sample_lies_on_the_surface() {
+    let (scene, plan) = (room(), plan(9.0, [2.0, 1.0, 2.0]));
+    let ldi = made(&scene, &plan).ldi;
+    assert!(ldi.layers.len() >= 3 && ldi.samples() > 10_000);
+    for (layer, c, r, d, ..) in samples(&ldi) {
+        let direction = ldi.camera.ray(c as f64 + 0.5, r as f64 + 0.5);
+        let error =
+            scene.all_hits(plan.cop, direction).iter().map(|h| (1.0 / h.0 - d).abs()).fold(f64::INFINITY, f64::min);
+        // Half a step of rounding, and f32.
+        assert!(error <= 0.5 * ldi.codes.step + 1e-6 * d, "layer {layer} ({c}, {r}): off by {error}");
+    }
+}
+
+#[test]
+fn what_users_see_is_there_and_one_image_alone_has_holes() {
+    let (scene, wide) = (room(), plan(9.0, [2.0, 1.0, 2.0]));
+    let ldi = made(&scene, &wide).ldi;
+    let holes = hole_fraction(&scene, &ldi, &wide);
+    assert!(holes < 0.003, "{holes}");
+    // Construction cameras for a tiny box of eyes see what the central image sees.
+    let narrow = made(&scene, &plan(9.0, [1e-6; 3])).ldi;
+    let without = hole_fraction(&scene, &narrow, &wide);
+    assert!(without > 0.03, "{without}");
+}
+
+#[test]
+fn a_slanted_plane_is_one_layer() {
+    // From 10 m to 100 m away, seen at 3 degrees and less.
+    let floor = Analytic::default().rect([-200.0, -1.0, -100.0], [400.0, 0.0, 0.0], [0.0, 0.2, 90.0], None, GREY);
+    for scale in [0.5, 1.0, 2.0] {
+        let mut plan = plan(9.0, [2.0, 0.6, 3.0]);
+        plan.pixels_per_unit *= scale;
+        let counts = made(&floor, &plan).stats.samples_by_layer;
+        assert_eq!(counts.len(), 1, "{counts:?}");
+    }
+}
+
+#[test]
+fn links_join_planes_and_creases_but_no_two_surfaces() {
+    let ldi = made(&room(), &plan(9.0, [2.0, 1.0, 2.0])).ldi;
+    let all = samples(&ldi);
+    let at: std::collections::BTreeMap<_, _> = all.iter().map(|s| ((s.0, s.1, s.2), s)).collect();
+    let (mut linked, mut pairs, mut crease) = (0, 0, 0);
+    for s in &all {
+        for (dc, dr, bit) in [(1, 0, LINK_RIGHT), (0, 1, LINK_DOWN)] {
+            let next = at.get(&(s.0, s.1 + dc, s.2 + dr));
+            let joined = s.5 & bit != 0;
+            let Some(next) = next else {
+                assert!(!joined);
+                continue;
+            };
+            // Wall and ball, wall and back wall, ball and back wall lie metres apart.
+            let far = (1.0 / s.3 - 1.0 / next.3).abs() > 1.0;
+            assert!(!(joined && far), "({}, {}) is linked across a depth edge", s.1, s.2);
+            if s.4 == next.4 && !far {
+                pairs += 1;
+                linked += usize::from(joined);
+            } else if !far {
+                crease += usize::from(joined);
+            }
+        }
+    }
+    assert!(linked as f64 > 0.995 * pairs as f64, "{linked} of {pairs}");
+    assert!(crease > 20, "floor and back wall meet: {crease}");
+}
+
+#[test]
+fn a_surface_that_passes_behind_a_post_stays_linked() {
+    // The wall behind the post changes from layer 0 to layer 1; a bridge joins the two.
+    let scene = Analytic::default().rect([-30.0, -20.0, -20.0], [60.0, 0.0, 0.0], [0.0, 40.0, 0.0], None, GREY).rect(
+        [-0.4, -30.0, -10.0],
+        [0.8, 0.0, 0.0],
+        [0.0, 60.0, 0.0],
+        None,
+        RED,
+    );
+    let ldi = made(&scene, &plan(9.0, [3.0, 0.5, 1.0])).ldi;
+    let row = i64::from(ldi.camera.height / 2);
+    let behind: Vec<_> = samples(&ldi).into_iter().filter(|s| s.0 == 1 && s.2 == row).collect();
+    assert!(behind.len() >= 8);
+    assert!(behind.windows(2).all(|w| w[0].1 + 1 == w[1].1 && w[0].5 & LINK_RIGHT != 0), "{behind:?}");
+    let front = samples(&ldi).into_iter().filter(|s| s.0 == 0 && s.2 == row).collect::<Vec<_>>();
+    for end in [behind.first(), behind.last()].into_iter().flatten() {
+        assert!(front.iter().any(|f| f.1 == end.1 && f.3 == end.3), "the bridge repeats a sample of layer 0");
+    }
+}
+
+#[test]
+fn colours_are_averaged_over_the_pixel_where_they_change() {
+    // Two coplanar halves; their border runs through the middle of a pixel.
+    let edge = 0.5 / OUTPUT.focal_px() * 10.0;
+    let scene = Analytic::default()
+        .rect([-20.0, -20.0, -10.0], [20.0 + edge, 0.0, 0.0], [0.0, 40.0, 0.0], None, [1.0, 1.0, 1.0])
+        .rect([edge, -20.0, -10.0], [20.0, 0.0, 0.0], [0.0, 40.0, 0.0], None, [0.0, 0.0, 0.0]);
+    let made = made(&scene, &plan(9.0, [1e-6; 3]));
+    let column = -i64::from(made.ldi.camera.left);
+    for s in samples(&made.ldi) {
+        let expected = match s.1.cmp(&column) {
+            std::cmp::Ordering::Less => 255,
+            std::cmp::Ordering::Equal => 188, // sRGB of one half
+            std::cmp::Ordering::Greater => 0,
+        };
+        assert_eq!(s.4, [expected; 3], "column {} against {column}", s.1);
+    }
+    let border = samples(&made.ldi).iter().filter(|s| s.1 == column || s.1 + 1 == column).count() as u64;
+    assert_eq!(made.stats.rays.colour, border * 4, "only the border's two columns are averaged");
+}
+
+#[test]
+fn sky_is_known_where_some_eye_sees_it() {
+    // A plate in the open: sky all around it, and behind it only where the plate is narrower than the parallax.
+    let scene = Analytic::default().rect([-2.0, -2.0, -10.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0], None, GREY);
+    let ldi = made(&scene, &plan(9.0, [1.0, 0.1, 1.0])).ldi;
+    let at = |x: f64, y: f64| {
+        let f = OUTPUT.focal_px();
+        ldi.is_sky(
+            (x * f).floor() as i64 - i64::from(ldi.camera.left),
+            (y * f).floor() as i64 - i64::from(ldi.camera.top),
+        )
+    };
+    assert!(at(0.5, 0.0) && at(-0.5, 0.0), "beside the plate");
+    assert!(at(0.15, 0.0) && at(-0.15, 0.0), "behind its edge, seen from one metre aside");
+    assert!(!at(0.0, 0.0), "behind its middle");
+}
+
+#[test]
+fn the_same_image_from_any_number_of_threads() {
+    let pool = |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("threads start");
+    let (scene, plan) = (room(), plan(9.0, [2.0, 1.0, 2.0]));
+    let one = pool(1).install(|| made(&scene, &plan).ldi);
+    let many = pool(5).install(|| made(&scene, &plan).ldi);
+    assert!(one == many);
+}
+
+/// The bound on d(output pixel)/d(disparity) against finite differences over random eyes and directions.
+#[test]
+fn no_eye_exceeds_the_parallax_bound() {
+    let plan = plan(9.0, [2.0, 1.0, 3.0]);
+    let rig = Rig::new(&plan, &OUTPUT, 1 << 24).expect("sound");
+    let (mut random, mut largest) = (Random(3), 0.0_f64);
+    let f = OUTPUT.focal_px();
+    for _ in 0..200_000 {
+        let eye = random.inside(&plan.users);
+        let basis = ViewBasis::from_yaw_pitch(random.within([-40.0, 40.0]), random.within([-40.0, 40.0]));
+        let ray = rig.lens.ray(random.within([-1.0, 1.0]) * f, random.within([-0.8, 0.8]) * f);
+        let d = random.within([1e-3, 1.0 / 9.0]);
+        let project = |d: f64| {
+            let e = plan.cop + ray / d - eye;
+            glam::DVec2::new(e.dot(basis.right), e.dot(basis.up)) * f / e.dot(basis.forward)
+        };
+        let at = project(d);
+        if at.x.abs() <= 80.0 && at.y.abs() <= 60.0 && (plan.cop + ray / d - eye).dot(basis.forward) > 0.0 {
+            let h = 1e-6 * d;
+            largest = largest.max((project(d + h) - project(d - h)).length() / (2.0 * h));
+        }
+    }
+    assert!(largest <= rig.parallax_bound, "{largest} > {}", rig.parallax_bound);
+    // And the bound is no more than about twofold, else bits are wasted.
+    assert!(largest > 0.4 * rig.parallax_bound, "{largest} against {}", rig.parallax_bound);
+}
+
+/// What the reach prunes, no user has in a picture.
+#[test]
+fn pruning_loses_nothing_that_a_user_sees() {
+    let mut plan = plan(9.0, [2.0, 1.0, 3.0]);
+    plan.directions[0].yaw_deg = [5.0, 25.0];
+    plan.directions[0].pitch_deg = [-20.0, 10.0];
+    let rig = Rig::new(&plan, &OUTPUT, 1 << 24).expect("sound");
+    let (mut random, mut pruned) = (Random(5), 0);
+    for _ in 0..200_000 {
+        let eye = random.inside(&plan.users);
+        let basis = ViewBasis::from_yaw_pitch(random.within([5.0, 25.0]), random.within([-20.0, 10.0]));
+        let x = eye
+            + OUTPUT.ray(&basis, random.within([0.0, 160.0]), random.within([0.0, 120.0])) * random.within([8.0, 60.0]);
+        let e = rig.lens.in_basis(x - plan.cop);
+        let s = plan.pixels_per_unit / e.z;
+        if e.z >= 9.0 {
+            assert!(rig.in_reach(e.x * s, -e.y * s, 1.0 / e.z));
+        }
+        let far = DVec3::new(random.within([-40.0, 40.0]), random.within([-40.0, 40.0]), random.within([9.0, 40.0]));
+        pruned += u32::from(!rig.in_reach(
+            far.x / far.z * plan.pixels_per_unit,
+            far.y / far.z * plan.pixels_per_unit,
+            1.0 / far.z,
+        ));
+    }
+    assert!(pruned > 20_000, "the test can fail: {pruned} of random points are beyond reach");
+    plan.directions[0].yaw_deg = [0.0, 180.0];
+    assert_eq!(Reach::of(&plan, &OUTPUT).u[0], f64::NEG_INFINITY);
+}
+
+#[test]
+fn an_empty_scene_is_all_sky() {
+    let made = made(&Analytic::default(), &plan(9.0, [1.0; 3]));
+    assert_eq!(made.ldi.samples(), 0);
+    assert_eq!(made.stats.sky_pixels, u64::from(made.ldi.camera.width) * u64::from(made.ldi.camera.height));
+}
+
+#[test]
+fn unusable_plans_are_refused() {
+    let refuse = |change: fn(&mut PlacementPlan)| {
+        let mut plan = plan(9.0, [1.0; 3]);
+        change(&mut plan);
+        construct_subset(&Analytic::default(), &plan, &options()).map(|_| ()).expect_err("refused")
+    };
+    assert!(matches!(refuse(|p| p.window[0] = f64::NAN), ConstructError::Plan { .. }));
+    assert!(matches!(refuse(|p| p.window[1] = p.window[0]), ConstructError::Plan { .. }));
+    assert!(matches!(refuse(|p| p.plane_distance_from_cop = 0.0), ConstructError::Plan { .. }));
+    assert!(matches!(refuse(|p| p.users = Aabb::EMPTY), ConstructError::Plan { .. }));
+    assert!(matches!(refuse(|p| p.window[1] = 1e9), ConstructError::Size { .. }));
+    assert!(matches!(refuse(|p| p.pixels_per_unit = 1e5), ConstructError::Size { .. }));
+}

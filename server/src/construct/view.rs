@@ -1,0 +1,358 @@
+//! Cameras: the central one, the construction cameras around it, and the eyes that will use the image.
+//!
+//! All share one orientation and one scale, so that going from one to another is a translation. In absolute image coordinates
+//! (U, V) = `pixels_per_unit` (x/z, -y/z), with an eye at offset e = (right, up, forward) from the centre of projection:
+//!
+//! ```text
+//! W = 1 - e_z d      U' = (U - k_x d) / W      V' = (V - k_y d) / W      d' = d / W      k = pixels_per_unit (e_x, -e_y)
+//! ```
+//!
+//! which is McMillan's equation with P2 = P1; directions (d = 0) keep their coordinates, so sky is one bit for all eyes.
+
+use super::ConstructError;
+use crate::placement::PlacementPlan;
+use glam::{DVec2, DVec3};
+use ldi_protocol::{
+    OutputCamera, ViewBasis,
+    ldi::{DisparityCodes, Ldi, LdiCamera},
+};
+
+impl ConstructionCamera {
+    /// The pixel of another window with the same direction; None outside.
+    pub fn same_direction(&self, pixel: u32, window: &Window) -> Option<u32> {
+        let (row, column) = (pixel / self.window.width, pixel % self.window.width);
+        let column = i64::from(column) + i64::from(self.window.left) - i64::from(window.left);
+        let row = i64::from(row) + i64::from(self.window.top) - i64::from(window.top);
+        window.index(column, row).map(|i| i as u32)
+    }
+}
+
+/// What all cameras of one construction share.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Lens {
+    pub basis: ViewBasis,
+    pub pixels_per_unit: f64,
+}
+
+impl Lens {
+    /// World direction through absolute image coordinates, component 1 along forward.
+    #[inline]
+    pub fn ray(&self, u: f64, v: f64) -> DVec3 {
+        let s = 1.0 / self.pixels_per_unit;
+        self.basis.forward + self.basis.right * (u * s) - self.basis.up * (v * s)
+    }
+    /// A world vector as (right, up, forward).
+    pub fn in_basis(&self, v: DVec3) -> DVec3 {
+        DVec3::new(v.dot(self.basis.right), v.dot(self.basis.up), v.dot(self.basis.forward))
+    }
+}
+
+/// A rectangle of pixels of the common image plane.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Window {
+    pub left: i32,
+    pub top: i32,
+    pub width: u32,
+    pub height: u32,
+}
+
+impl Window {
+    /// Position of a pixel in row-major order; None outside.
+    #[inline]
+    pub fn index(&self, column: i64, row: i64) -> Option<usize> {
+        let inside = column >= 0 && row >= 0 && column < i64::from(self.width) && row < i64::from(self.height);
+        inside.then(|| row as usize * self.width as usize + column as usize)
+    }
+    pub fn pixels(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+    /// Absolute coordinates of a pixel's centre.
+    #[inline]
+    pub fn centre(&self, pixel: usize) -> (f64, f64) {
+        let (row, column) = (pixel / self.width as usize, pixel % self.width as usize);
+        (f64::from(self.left) + column as f64 + 0.5, f64::from(self.top) + row as f64 + 0.5)
+    }
+}
+
+/// A translation of the camera, in units of the image.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Shift {
+    pub k: DVec2,
+    pub forward: f64,
+}
+
+impl Shift {
+    pub fn new(lens: &Lens, offset_in_basis: DVec3) -> Self {
+        Self { k: DVec2::new(offset_in_basis.x, -offset_in_basis.y) * lens.pixels_per_unit, forward: offset_in_basis.z }
+    }
+    pub fn reversed(&self) -> Self {
+        Self { k: -self.k, forward: -self.forward }
+    }
+    /// (U, V, d) as the moved camera sees it; meaningless where 1 - e_z d <= 0.
+    #[inline]
+    pub fn apply(&self, u: f64, v: f64, d: f64) -> (f64, f64, f64) {
+        let w = 1.0 / (1.0 - self.forward * d);
+        ((u - self.k.x * d) * w, (v - self.k.y * d) * w, d * w)
+    }
+}
+
+/// A construction camera.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ConstructionCamera {
+    pub position: DVec3,
+    pub shift: Shift,
+    pub window: Window,
+    /// Depth from here before which nothing of the subset lies.
+    pub near_m: f64,
+}
+
+/// Tangents (left, right, top, bottom; downward positive) that the users' pictures reach, measured on the image's orientation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Reach {
+    pub u: [f64; 2],
+    pub v: [f64; 2],
+}
+
+/// The geometry of one construction.
+#[derive(Debug, Clone)]
+pub(super) struct Rig {
+    pub lens: Lens,
+    pub cop: DVec3,
+    pub window: Window,
+    /// Depth from the centre of projection before which nothing of the subset lies.
+    pub near_m: f64,
+    /// Rounds of construction cameras: the paper's four ahead, its four mirrored behind, then the corners of the users' box.
+    pub rounds: Vec<Vec<ConstructionCamera>>,
+    /// Corners of the users' box, (right, up, forward) from the centre of projection.
+    pub user_offsets: [DVec3; 8],
+    pub reach: Reach,
+    /// An upper bound on |d(output pixel) / d(disparity)| over the users, pixel metres.
+    pub parallax_bound: f64,
+}
+
+/// Depth bounds are loosened by this, relatively: cells touch the plane, rays are cast in f32.
+const PLANE_SLACK: f64 = 1e-5;
+/// Rounds of [`Rig::rounds`] that are always made.
+pub(super) const PAPER_ROUNDS: usize = 2;
+/// The construction cameras stop short of the users' box by this factor, so that what they see still has neighbours beyond.
+const WITHIN_USERS: f64 = 0.98;
+
+impl Rig {
+    pub fn new(plan: &PlacementPlan, output: &OutputCamera, max_pixels: u64) -> Result<Self, ConstructError> {
+        let lens = Lens { basis: plan.basis, pixels_per_unit: plan.pixels_per_unit };
+        let sound = plan.pixels_per_unit.is_finite()
+            && plan.pixels_per_unit > 0.0
+            && plan.plane_distance_from_cop.is_finite()
+            && plan.plane_distance_from_cop > 0.0
+            && plan.cop.is_finite()
+            && plan.window.iter().all(|w| w.is_finite())
+            && plan.window[0] < plan.window[1]
+            && plan.window[2] < plan.window[3]
+            && !plan.users.is_empty();
+        if !sound {
+            return Err(ConstructError::Plan { grid_point: plan.grid_point });
+        }
+        let s = plan.pixels_per_unit;
+        let [left, right, bottom, top] = plan.window;
+        let window = pixel_window([left * s, right * s, -top * s, -bottom * s], max_pixels)?;
+        let near_m = plan.plane_distance_from_cop * (1.0 - PLANE_SLACK);
+        let user_offsets = plan.users.corners().map(|c| lens.in_basis(c - plan.cop));
+        let reach = Reach::of(plan, output);
+        let mut rig = Self {
+            lens,
+            cop: plan.cop,
+            window,
+            near_m,
+            rounds: Vec::new(),
+            user_offsets,
+            reach,
+            parallax_bound: parallax_bound(&user_offsets, near_m, output),
+        };
+        let edges = [(left, 0.5), (right, 0.5), (0.5, bottom), (0.5, top)];
+        let mid = |a: f64, b: f64| 0.5 * (a + b);
+        // COP -> midpoints of the quadrilateral's edges, on the plane.
+        let ahead: Vec<DVec3> = edges
+            .iter()
+            .enumerate()
+            .map(|(i, (x, y))| {
+                let (x, y) = if i < 2 { (*x, mid(bottom, top)) } else { (mid(left, right), *y) };
+                DVec3::new(x, y, 1.0) * near_m
+            })
+            .collect();
+        for sign in [1.0, -1.0] {
+            let round = ahead.iter().filter_map(|v| rig.camera_toward(*v * sign, plan)).collect::<Vec<_>>();
+            rig.rounds.push(round);
+        }
+        // The corners of the users' box, those nearest the plane first: eyes there see furthest around things.
+        let mut corners = user_offsets;
+        corners.sort_by(|a, b| b.z.total_cmp(&a.z));
+        for half in corners.chunks_exact(4) {
+            let round = half.iter().filter_map(|c| rig.camera_at(*c * WITHIN_USERS)).collect();
+            rig.rounds.push(round);
+        }
+        Ok(rig)
+    }
+
+    /// The camera on the vector `v` (right, up, forward), as far out as the users' box allows but not beyond the middle of the vector.
+    fn camera_toward(&self, v: DVec3, plan: &PlacementPlan) -> Option<ConstructionCamera> {
+        let world = self.lens.basis.right * v.x + self.lens.basis.up * v.y + self.lens.basis.forward * v.z;
+        let mut reach: f64 = 0.5;
+        for axis in 0..3 {
+            let (from, step) = (plan.cop[axis], world[axis]);
+            if step.abs() > 1e-12 {
+                let wall = if step > 0.0 { plan.users.max[axis] } else { plan.users.min[axis] };
+                reach = reach.min(((wall - from) / step).max(0.0));
+            }
+        }
+        let offset = v * (reach * WITHIN_USERS);
+        self.camera_at(offset)
+    }
+
+    /// The camera at an offset; None where its picture holds nothing that a user may look at.
+    pub fn camera_at(&self, offset: DVec3) -> Option<ConstructionCamera> {
+        let near_m = self.near_m - offset.z;
+        // Closer to the plane than this, its picture of the plane is without bounds; and at the centre it sees nothing new.
+        if near_m < 0.05 * self.near_m || offset.length() < 1e-4 * self.near_m {
+            return None;
+        }
+        let shift = Shift::new(&self.lens, offset);
+        let (w, s) = (self.window, self.lens.pixels_per_unit);
+        let mut extent = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
+        for d in [0.0, 1.0 / self.near_m] {
+            for (u, v) in [(w.left, w.top), (w.left + w.width as i32, w.top + w.height as i32)] {
+                let (u, v, _) = shift.apply(f64::from(u), f64::from(v), d);
+                extent = [extent[0].min(u), extent[1].max(u), extent[2].min(v), extent[3].max(v)];
+            }
+        }
+        let [l, r] = [extent[0].max(self.reach.u[0] * s), extent[1].min(self.reach.u[1] * s)];
+        let [t, b] = [extent[2].max(self.reach.v[0] * s), extent[3].min(self.reach.v[1] * s)];
+        if l + 1.0 >= r || t + 1.0 >= b {
+            return None;
+        }
+        // Twice the central window each way at most: what lies further out is met by the other cameras.
+        let window = pixel_window([l, r, t, b], 4 * w.pixels() as u64).ok()?;
+        let position = self.cop
+            + self.lens.basis.right * offset.x
+            + self.lens.basis.up * offset.y
+            + self.lens.basis.forward * offset.z;
+        Some(ConstructionCamera { position, shift, window, near_m })
+    }
+
+    /// Whether some user may have (U, V, d) in the picture: false only if from every corner of the users' box the point lies beyond
+    /// the same border of their reach (what a box's corners all see beyond a border, its inside does too: the border is a plane).
+    #[inline]
+    pub fn in_reach(&self, u: f64, v: f64, d: f64) -> bool {
+        let s = 1.0 / self.lens.pixels_per_unit;
+        let (x, y) = (u * s, v * s);
+        let mut beyond = [true; 4];
+        for e in &self.user_offsets {
+            let w = 1.0 - e.z * d;
+            let (px, py) = (x - e.x * d, y + e.y * d);
+            beyond[0] &= px < self.reach.u[0] * w;
+            beyond[1] &= px > self.reach.u[1] * w;
+            beyond[2] &= py < self.reach.v[0] * w;
+            beyond[3] &= py > self.reach.v[1] * w;
+        }
+        beyond == [false; 4]
+    }
+
+    pub fn ldi_camera(&self) -> LdiCamera {
+        let w = self.window;
+        LdiCamera {
+            cop: self.cop,
+            basis: self.lens.basis,
+            pixels_per_unit: self.lens.pixels_per_unit,
+            left: w.left,
+            top: w.top,
+            width: w.width,
+            height: w.height,
+        }
+    }
+
+    /// The step of disparity that moves no sample by more than an eighth of an output pixel.
+    pub fn step(&self) -> f64 {
+        0.125 / self.parallax_bound.max(1e-9)
+    }
+
+    /// Codes from `smallest` to `largest` disparity with [`Rig::step`], or as fine as 16 bits allow.
+    pub fn codes(&self, smallest: f64, largest: f64) -> DisparityCodes {
+        let span = (largest - smallest).max(0.0);
+        let wanted = (span / self.step()).ceil().clamp(1.0, 65_534.0);
+        // A span of zero still needs a positive step.
+        let step = if span > 0.0 { span / wanted } else { self.step().min(smallest) };
+        DisparityCodes { smallest, step, largest_code: wanted as u16 + 1 }
+    }
+}
+
+/// Rounds an extent (left, right, top, bottom) in pixels outward to a window within the limits.
+fn pixel_window(extent: [f64; 4], max_pixels: u64) -> Result<Window, ConstructError> {
+    let [l, r, t, b] = [extent[0].floor(), extent[1].ceil(), extent[2].floor(), extent[3].ceil()];
+    let (w, h) = (r - l, b - t);
+    let side = f64::from(Ldi::MAX_SIDE);
+    // Far from i32's ends too, so that left + width never overflows.
+    let near_axis = [l, r, t, b].iter().all(|x| x.abs() < 1e8);
+    if !near_axis || w < 1.0 || h < 1.0 || w > side || h > side || w * h > max_pixels.min(Ldi::MAX_PIXELS) as f64 {
+        return Err(ConstructError::Size { width: w, height: h, max_pixels });
+    }
+    Ok(Window { left: l as i32, top: t as i32, width: w as u32, height: h as u32 })
+}
+
+/// Bound on f |t_xy - p t_z| / W over the users, t the eye's offset, p the picture coordinate at distance 1, W = d z_eye.
+///
+/// With |p|^2 <= q: |t_xy - p t_z| <= |t| sqrt(1 + q), and z_eye >= |X - E| / sqrt(1 + q) inside the picture, and
+/// |X - E| d >= 1 - e_z d >= 1 - e_z / near. So the whole is at most f |t| (1 + q) / (1 - max e_z / near).
+fn parallax_bound(user_offsets: &[DVec3; 8], near_m: f64, output: &OutputCamera) -> f64 {
+    let q = output.half_tan_x().powi(2) + output.half_tan_y().powi(2);
+    let farthest = user_offsets.iter().fold(0.0_f64, |m, e| m.max(e.length()));
+    let most_ahead = user_offsets.iter().fold(0.0_f64, |m, e| m.max(e.z));
+    // An eye on the plane has no bound; a fiftieth of the distance stands in, and 16 bits limit the rest.
+    let w = (1.0 - most_ahead / near_m).max(0.02);
+    output.focal_px() * farthest * (1.0 + q) / w
+}
+
+impl Reach {
+    /// Pictures in any of the plan's directions, by sampling the directions every two degrees or finer and the picture's square by its corners
+    /// and edge middles; between samples the extent bulges by less than the margin.
+    pub fn of(plan: &PlacementPlan, output: &OutputCamera) -> Self {
+        const MARGIN: f64 = 0.01;
+        let t = output.half_tan_x().max(output.half_tan_y());
+        let everything = Self { u: [f64::NEG_INFINITY, f64::INFINITY], v: [f64::NEG_INFINITY, f64::INFINITY] };
+        let (mut u, mut v) = ([f64::INFINITY, f64::NEG_INFINITY], [f64::INFINITY, f64::NEG_INFINITY]);
+        for range in &plan.directions {
+            let steps = |r: [f64; 2]| ((r[1] - r[0]).abs() / 2.0).ceil().clamp(1.0, 360.0) as usize;
+            let at = |r: [f64; 2], i: usize| r[0] + (r[1] - r[0]) * i as f64 / steps(r) as f64;
+            for i in 0..=steps(range.yaw_deg) {
+                for j in 0..=steps(range.pitch_deg) {
+                    let b = ViewBasis::from_yaw_pitch(at(range.yaw_deg, i), at(range.pitch_deg, j));
+                    for (x, y) in [
+                        (-1.0, -1.0),
+                        (0.0, -1.0),
+                        (1.0, -1.0),
+                        (1.0, 0.0),
+                        (1.0, 1.0),
+                        (0.0, 1.0),
+                        (-1.0, 1.0),
+                        (-1.0, 0.0),
+                    ] {
+                        let ray = b.forward + b.right * (x * t) + b.up * (y * t);
+                        let z = ray.dot(plan.basis.forward);
+                        if z < 0.1 {
+                            return everything;
+                        }
+                        let (x, y) = (ray.dot(plan.basis.right) / z, -ray.dot(plan.basis.up) / z);
+                        u = [u[0].min(x), u[1].max(x)];
+                        v = [v[0].min(y), v[1].max(y)];
+                    }
+                }
+            }
+        }
+        if u[0] > u[1] {
+            return everything;
+        }
+        let wide = |r: [f64; 2]| {
+            let m = MARGIN * (1.0 + r[0].abs().max(r[1].abs()).powi(2));
+            [r[0] - m, r[1] + m]
+        };
+        Self { u: wide(u), v: wide(v) }
+    }
+}

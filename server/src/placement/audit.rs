@@ -1,0 +1,329 @@
+//! The audit of both promises, and what `plan` answers.
+//!
+//! In: a dataset's index, triangles per cell counted again over the scene, the cameras of its images, a number of poses. Out: an
+//! [`AuditReport`]. Nothing here uses what the planner computed: cells are tested by another formula (middle and half size against
+//! unnormalized planes, where the renderer takes supports of unit normals), triangles are the caller's own count, and footprints are
+//! measured by finite differences at points of the replaced cells.
+//!
+//! Poses: one in four anywhere in the walk volume, looking anywhere within the built pitch. The others seek trouble: on the border of an
+//! angular range of their grid point, on the border of a pitch band, and where the eye changes from one grid point to another (on the
+//! rim of a star-shape), found by bisection between two eyes.
+
+use glam::DVec3;
+use ldi_protocol::{
+    Aabb, Pose, ViewBasis,
+    index::{Index, Placement},
+    ldi::LdiCamera,
+    select::{draw_list, select},
+};
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// What the audit found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct AuditReport {
+    /// Poses looked at.
+    pub poses: u64,
+    /// Poses that broke a promise.
+    pub violations: u64,
+    /// Largest number of triangles drawn.
+    pub max_triangles: u64,
+    /// Largest footprint measured, output pixels.
+    pub max_footprint_px: f64,
+    /// Poses that broke a promise, then those with the most triangles; at most [`WORST`].
+    pub worst_poses: Vec<AuditedPose>,
+}
+
+/// One pose of the audit.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct AuditedPose {
+    /// Number of the pose.
+    pub index: u64,
+    /// Eye, metres.
+    pub position: [f64; 3],
+    /// Degrees.
+    pub yaw_deg: f64,
+    /// Degrees.
+    pub pitch_deg: f64,
+    /// Grid point.
+    pub grid_point: Option<u32>,
+    /// Placement.
+    pub placement: Option<u32>,
+    /// Triangles drawn, counted again.
+    pub triangles: u64,
+    /// Largest footprint measured, output pixels; 0 without an image.
+    pub footprint_px: f64,
+    /// What is wrong; empty when all promises are kept.
+    pub faults: Vec<String>,
+}
+
+/// What `plan` answers for a pose.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PlanRow {
+    /// Number of the pose.
+    pub index: u64,
+    /// Grid point.
+    pub grid_point: Option<u32>,
+    /// Placement.
+    pub placement: Option<u32>,
+    /// Cells that its image replaces.
+    pub culled_cells: Vec<u32>,
+    /// Cells drawn as geometry, near to far.
+    pub drawn_cells: Vec<u32>,
+    /// Triangles in them.
+    pub triangles: u64,
+    /// The image's footprint bound, output pixels; None without an image.
+    pub footprint_px: Option<f64>,
+}
+
+/// How many poses a report lists.
+pub const WORST: usize = 16;
+/// Points of replaced cells at which a pose's footprint is measured.
+const FOOTPRINT_POINTS: usize = 64;
+
+/// What `select` answers for a pose, for a picture as planned.
+pub fn plan_row(index: &Index, number: u64, pose: &Pose) -> PlanRow {
+    let camera = &index.settings.camera;
+    let list = draw_list(index, pose, (camera.half_tan_x(), camera.half_tan_y()));
+    let placement = list.selection.placement.and_then(|p| index.placements.get(p as usize));
+    PlanRow {
+        index: number,
+        grid_point: list.selection.grid_point,
+        placement: list.selection.placement,
+        culled_cells: placement.map(|p| p.culled.clone()).unwrap_or_default(),
+        drawn_cells: list.cells,
+        triangles: list.triangles,
+        footprint_px: placement.map(|p| p.footprint_px),
+    }
+}
+
+/// Audits a dataset over `poses` poses drawn from `seed`.
+///
+/// `recounted`: triangles per cell, counted by the caller over the scene's own triangles (not the index's numbers). `camera_of`: the LDI
+/// camera of a placement, None where its image is empty. A dataset without a walk volume has no poses and passes.
+pub fn audit(
+    index: &Index,
+    recounted: &[u64],
+    camera_of: &(dyn Fn(u32) -> Option<LdiCamera> + Sync),
+    poses: u64,
+    seed: u64,
+) -> AuditReport {
+    let mut report =
+        AuditReport { poses: 0, violations: 0, max_triangles: 0, max_footprint_px: 0.0, worst_poses: Vec::new() };
+    let Some(volume) = index.volume.as_ref().filter(|v| !v.is_empty()) else { return report };
+    let sampler = volume.sampler();
+    let cameras: Vec<Option<LdiCamera>> = (0..index.placements.len() as u32).into_par_iter().map(camera_of).collect();
+    // Bounded batches, folded in order: the same report from any number of threads.
+    for first in (0..poses).step_by(4096) {
+        let batch: Vec<AuditedPose> = (first..poses.min(first + 4096))
+            .into_par_iter()
+            .filter_map(|i| {
+                let mut random =
+                    Random(seed.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ i.wrapping_mul(0x9e37_79b9_7f4a_7c15));
+                let mut eye = || sampler.point(std::array::from_fn(|_| random.unit()));
+                let (a, b) = (eye()?, eye()?);
+                let pose = trouble(index, i % 4, a, b, &mut random);
+                volume.contains(pose.position).then(|| check(index, recounted, &cameras, i, &pose, &mut random))
+            })
+            .collect();
+        for p in batch {
+            report.poses += 1;
+            report.violations += u64::from(!p.faults.is_empty());
+            report.max_triangles = report.max_triangles.max(p.triangles);
+            report.max_footprint_px = report.max_footprint_px.max(p.footprint_px);
+            report.worst_poses.push(p);
+        }
+        report.worst_poses.sort_by(|a, b| {
+            a.faults
+                .is_empty()
+                .cmp(&b.faults.is_empty())
+                .then(b.triangles.cmp(&a.triangles))
+                .then(a.index.cmp(&b.index))
+        });
+        report.worst_poses.truncate(WORST);
+    }
+    report
+}
+
+/// A pose of the given kind (see the module's head) from two eyes of the volume.
+fn trouble(index: &Index, kind: u64, a: DVec3, b: DVec3, random: &mut Random) -> Pose {
+    let pitch = index.settings.pitch_deg;
+    let mut pose = Pose { position: a, yaw_deg: random.unit() * 360.0, pitch_deg: (random.unit() * 2.0 - 1.0) * pitch };
+    let pick = |n: usize, u: f64| ((u * n as f64) as usize).min(n.saturating_sub(1));
+    let nudge = [0.0, 1e-9, -1e-9][pick(3, random.unit())];
+    match kind {
+        1 => {
+            let ranges: Vec<f64> = select(index, &pose)
+                .grid_point
+                .map(|g| index.points[g as usize].bands.iter().flatten().map(|r| r.yaw_start_deg).collect())
+                .unwrap_or_default();
+            if !ranges.is_empty() {
+                pose.yaw_deg = ranges[pick(ranges.len(), random.unit())] + nudge;
+            }
+        }
+        2 if !index.pitch_bands_deg.is_empty() => {
+            let border = index.pitch_bands_deg[pick(index.pitch_bands_deg.len(), random.unit())];
+            pose.pitch_deg = (border + nudge).clamp(-pitch, pitch);
+        }
+        3 => {
+            let at = |p: DVec3| select(index, &Pose { position: p, ..pose }).grid_point;
+            let (mut low, mut high) = (a, a + (b - a) * (8.0 / (b - a).length().max(8.0)));
+            let from = at(low);
+            if at(high) != from {
+                for _ in 0..48 {
+                    let middle = (low + high) * 0.5;
+                    *(if at(middle) == from { &mut low } else { &mut high }) = middle;
+                }
+                pose.position = if random.unit() < 0.5 { low } else { high };
+            }
+        }
+        _ => {}
+    }
+    pose
+}
+
+/// Checks one pose.
+fn check(
+    index: &Index,
+    recounted: &[u64],
+    cameras: &[Option<LdiCamera>],
+    number: u64,
+    pose: &Pose,
+    random: &mut Random,
+) -> AuditedPose {
+    let camera = &index.settings.camera;
+    let basis = pose.basis();
+    let selection = select(index, pose);
+    let placement = selection.placement.and_then(|p| index.placements.get(p as usize));
+    let mut faults = Vec::new();
+    if selection.grid_point.is_none() && !index.points.is_empty() {
+        faults.push("no grid point".to_string());
+    }
+    let (tx, ty) = (camera.half_tan_x(), camera.half_tan_y());
+    let square = tx.max(ty);
+    let mut triangles = 0;
+    for (cell, entry) in (0u32..).zip(&index.cells) {
+        let culled = placement.is_some_and(|p| p.culled.binary_search(&cell).is_ok());
+        if !culled
+            && in_view(&entry.bounds, pose.position, &basis, tx.min(square), ty.min(square))
+            && in_view(&entry.bounds, pose.position, &basis, square, square)
+        {
+            triangles += recounted.get(cell as usize).copied().unwrap_or(u64::from(entry.triangles));
+        }
+    }
+    if triangles > index.settings.budget {
+        faults.push(format!("{triangles} triangles, budget {}", index.settings.budget));
+    }
+    let list = draw_list(index, pose, (tx, ty));
+    if list.dropped > 0 {
+        faults.push(format!("{} cells dropped", list.dropped));
+    }
+    let mut footprint_px = 0.0;
+    if let (Some(number), Some(p)) = (selection.placement, placement) {
+        if !p.users.inflated(1e-6).contains(pose.position) {
+            faults.push("the eye is not among the placement's users".to_string());
+        }
+        let plane = index.points[p.grid_point as usize].position.dot(p.basis.forward) + p.plane_distance;
+        if pose.position.dot(p.basis.forward) >= plane {
+            faults.push("the eye is beyond the image plane".to_string());
+        }
+        if p.culled.iter().any(|c| -index.cells[*c as usize].bounds.support(-p.basis.forward) < plane) {
+            faults.push("a replaced cell reaches before the plane".to_string());
+        }
+        if let Some(ldi) = cameras.get(number as usize).and_then(Option::as_ref) {
+            footprint_px = largest_footprint(index, p, ldi, pose, &basis, random);
+            if footprint_px > p.footprint_px * (1.0 + 1e-6)
+                || p.footprint_px > index.settings.max_footprint_px * (1.0 + 1e-9)
+            {
+                faults.push(format!("footprint {footprint_px} px, bound {} px", p.footprint_px));
+            }
+        }
+    }
+    AuditedPose {
+        index: number,
+        position: pose.position.to_array(),
+        yaw_deg: pose.yaw_deg,
+        pitch_deg: pose.pitch_deg,
+        grid_point: selection.grid_point,
+        placement: selection.placement,
+        triangles,
+        footprint_px,
+        faults,
+    }
+}
+
+/// The four-plane box test by middle and half size, with unnormalized planes.
+fn in_view(b: &Aabb, eye: DVec3, basis: &ViewBasis, tx: f64, ty: f64) -> bool {
+    let (c, h) = (b.centre() - eye, b.size() * 0.5);
+    [
+        basis.right + basis.forward * tx,
+        basis.forward * tx - basis.right,
+        basis.up + basis.forward * ty,
+        basis.forward * ty - basis.up,
+    ]
+    .iter()
+    .all(|n| n.dot(c) + n.abs().dot(h) >= -1e-12 * (1.0 + c.length()))
+}
+
+/// The largest footprint at points of replaced cells that lie in the picture.
+fn largest_footprint(
+    index: &Index,
+    p: &Placement,
+    ldi: &LdiCamera,
+    pose: &Pose,
+    basis: &ViewBasis,
+    random: &mut Random,
+) -> f64 {
+    let camera = &index.settings.camera;
+    let (tx, ty) = (camera.half_tan_x(), camera.half_tan_y());
+    let mut largest = 0.0f64;
+    for _ in 0..FOOTPRINT_POINTS {
+        let Some(&cell) =
+            p.culled.get(((random.unit() * p.culled.len() as f64) as usize).min(p.culled.len().saturating_sub(1)))
+        else {
+            break;
+        };
+        let b = &index.cells[cell as usize].bounds;
+        // Corners and inner points alike.
+        let at = DVec3::new(random.unit(), random.unit(), random.unit());
+        let q = b.min + b.size() * if random.unit() < 0.5 { at.round() } else { at };
+        let v = q - pose.position;
+        let z = v.dot(basis.forward);
+        if z > 0.0 && v.dot(basis.right).abs() <= tx * z && v.dot(basis.up).abs() <= ty * z {
+            largest = largest.max(footprint(index, ldi, pose, basis, q));
+        }
+    }
+    largest
+}
+
+/// Largest singular value of d(u2, v2) / d(u1, v1) at fixed disparity, by central differences.
+fn footprint(index: &Index, ldi: &LdiCamera, pose: &Pose, basis: &ViewBasis, q: DVec3) -> f64 {
+    let focal = index.settings.camera.focal_px();
+    let step = (q - ldi.cop).dot(ldi.basis.forward) / ldi.pixels_per_unit;
+    let project = |q: DVec3| {
+        let v = q - pose.position;
+        let z = v.dot(basis.forward);
+        (v.dot(basis.right) / z * focal, v.dot(basis.up) / z * focal)
+    };
+    const H: f64 = 1e-4;
+    let column = |side: DVec3| {
+        let (a, b) = (project(q + side * (step * H)), project(q - side * (step * H)));
+        ((a.0 - b.0) / (2.0 * H), (a.1 - b.1) / (2.0 * H))
+    };
+    let (a, b) = (column(ldi.basis.right), column(ldi.basis.up));
+    let (m, n, k) = (a.0 * a.0 + a.1 * a.1, b.0 * b.0 + b.1 * b.1, a.0 * b.0 + a.1 * b.1);
+    ((m + n + ((m - n).powi(2) + 4.0 * k * k).sqrt()) * 0.5).sqrt()
+}
+
+/// SplitMix64 (Steele, Lea and Flood 2014).
+struct Random(u64);
+
+impl Random {
+    fn unit(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+}

@@ -1,0 +1,70 @@
+//! What can go wrong while placing images.
+
+use glam::DVec3;
+
+/// Why a placement could not be computed. All are permanent: the same request fails again.
+#[derive(Debug, thiserror::Error)]
+pub enum PlacementError {
+    /// The paper's star-shapes, and the two extra grid points on each side, need a field of view of at least 54 degrees.
+    #[error(
+        "field of view {fov_deg} degrees: image placement needs at least 54; give --fly or --eye-height builds --fov 54 or more"
+    )]
+    FieldOfView {
+        /// What was asked for.
+        fov_deg: f64,
+    },
+    /// A setting is outside its range.
+    #[error("setting {name} = {value}: must be {must}")]
+    Setting {
+        /// Which one.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What it must be.
+        must: &'static str,
+    },
+    /// Nobody can stand anywhere.
+    #[error(
+        "no eye position: no surface of {scene} lies below an eye at {eye_height_m} m; use --fly, or check the scene's scale and up axis"
+    )]
+    EmptyVolume {
+        /// Scene name.
+        scene: String,
+        /// Eye height.
+        eye_height_m: f64,
+    },
+    /// No image can bring some view within the budget although the grid is as fine as allowed.
+    #[error(
+        "budget {budget}: near ({x:.2}, {y:.2}, {z:.2}), yaw {yaw_deg:.0}, pitch {pitch_deg:.0}, at grid level {level} (spacing {spacing_m:.2} m), {needed} triangles lie too near to be replaced by an image; use --budget {needed} or more, a larger --max-footprint, or a larger --density",
+        x = position.x, y = position.y, z = position.z
+    )]
+    Infeasible {
+        /// P.
+        budget: u64,
+        /// Smallest budget that would do there.
+        needed: u64,
+        /// Grid point.
+        position: DVec3,
+        /// Direction.
+        yaw_deg: f64,
+        /// Direction.
+        pitch_deg: f64,
+        /// Level reached.
+        level: u8,
+        /// Spacing there.
+        spacing_m: f64,
+    },
+    /// The grid does not cover an eye.
+    #[error("no grid point behind the eye at ({x:.3}, {y:.3}, {z:.3}), yaw {yaw_deg:.1}, pitch {pitch_deg:.1}; this is a fault of the grid: please report the scene", x = position.x, y = position.y, z = position.z)]
+    Uncovered {
+        /// Eye.
+        position: DVec3,
+        /// Direction.
+        yaw_deg: f64,
+        /// Direction.
+        pitch_deg: f64,
+    },
+    /// The walk volume cannot be stored.
+    #[error(transparent)]
+    Volume(#[from] ldi_protocol::volume::VolumeError),
+}

@@ -1,0 +1,50 @@
+//! Stage 4: image placement (Aliaga and Lastra 1999, "Automatic Image Placement to Provide a Guaranteed Frame Rate", section 3; rows
+//! A2 to A9).
+//!
+//! In: a scene, its octree's cells, the build's settings. Out: a [`PlacementResult`]: the walk volume, the grid points that
+//! `select` can return with their angular ranges, and one [`PlacementPlan`] per image.
+//!
+//! ```text
+//!   scene -> columns -> walk -> eye_tree ─┐
+//!   bounds -> lattice ────────────────────┼-> coverage (bin_planes, hull): who may use which point
+//!                    ^                    v
+//!                    └── refine <── point (arcs -> view: angular ranges; subset: 6-tuples; footprint)
+//!                                         v
+//!                                       plan: camera and window of each image
+//! ```
+//!
+//! The paper's scheme: the eye takes the closest grid point in its reverse frustum; the point's frustum encloses the eye's, so what
+//! holds there holds for the eye. What we changed, each explained in its file: users per point and direction certified by interval
+//! subdivision instead of spheres (`coverage`), pitch bands (`arcs`), a footprint bound per image (`footprint`), images that serve
+//! all ranges they can (`point`), centres of projection in the middle of the users (`plan`).
+
+mod arcs;
+mod audit;
+mod bands;
+mod bin_planes;
+mod columns;
+mod coverage;
+mod error;
+mod eye_tree;
+mod floors;
+mod footprint;
+mod hull;
+mod lattice;
+pub mod model;
+mod nearest;
+mod plan;
+mod point;
+mod refine;
+mod shared;
+mod stage;
+mod subset;
+#[cfg(test)]
+pub(crate) mod test_scenes;
+mod view;
+mod walk;
+
+pub use audit::{AuditReport, AuditedPose, PlanRow, audit, plan_row};
+pub use error::PlacementError;
+pub use model::{DirectionRange, PlacementPlan, PlacementResult, PlacementStatistics};
+pub use stage::{Parameters, plan_placements};
+pub use subset::CostBenefit;

@@ -1,0 +1,107 @@
+//! What the placement stage hands on: grid points with their angular ranges, and one [`PlacementPlan`] per image.
+
+use glam::DVec3;
+use ldi_protocol::{Aabb, ViewBasis, index::GridPoint, volume::WalkVolume};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Directions from which an image is looked at: a yaw interval times a pitch interval, degrees.
+///
+/// `yaw_deg[0] < yaw_deg[1]`, and the second may exceed 360 where the interval crosses 0.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct DirectionRange {
+    /// Yaw from, to.
+    pub yaw_deg: [f64; 2],
+    /// Pitch from, to.
+    pub pitch_deg: [f64; 2],
+}
+
+/// An image to be made: which cells it replaces, its plane, its camera, and who looks at it.
+///
+/// ```text
+///            users (box of eyes)          image plane        culled cells
+///   G ·      ┌──────────────┐                  │           ┌────┐
+///            │      + cop   │ ── basis.forward │→     ┌────┤    │
+///            └──────────────┘                  │      └────┴────┘
+///   |<------------- plane_distance ----------->|
+///                   |<- plane_distance_from_cop|
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlacementPlan {
+    /// Position in [`PlacementResult::points`] of the point it was solved at.
+    pub grid_point: u32,
+    /// Where that point lies, metres.
+    pub grid_position: DVec3,
+    /// Orientation of the image plane; `forward` is its normal, into the scene.
+    pub basis: ViewBasis,
+    /// Distance from the grid point to the image plane along `basis.forward`, metres.
+    pub plane_distance: f64,
+    /// Cells that the image replaces, ascending. All lie wholly beyond the plane.
+    pub culled: Vec<u32>,
+    /// Centre of projection of the LDI: the middle of its users.
+    pub cop: DVec3,
+    /// Distance from the centre of projection to the image plane along `basis.forward`, metres; positive.
+    pub plane_distance_from_cop: f64,
+    /// Samples per unit of the image plane at distance 1 from the centre of projection.
+    pub pixels_per_unit: f64,
+    /// Tangent extents of the image at distance 1 from the centre of projection: left, right (along `basis.right`), bottom, top
+    /// (along `basis.up`). They cover the culled cells within the union of the users' frusta, margin included.
+    pub window: [f64; 4],
+    /// Box of all eyes that may use it.
+    pub users: Aabb,
+    /// The directions from which they do; disjoint but for borders.
+    pub directions: Vec<DirectionRange>,
+    /// Bound on the footprint of any sample from any of these eyes in any of these directions, output pixels.
+    pub footprint_px: f64,
+}
+
+/// What the placement stage found.
+#[derive(Debug, Clone)]
+pub struct PlacementResult {
+    /// Grid points that `select` may return, in lattice order.
+    pub points: Vec<GridPoint>,
+    /// The images, by grid point, then in the order they were solved.
+    pub plans: Vec<PlacementPlan>,
+    /// Borders of the pitch bands, ascending; empty without points.
+    pub pitch_bands_deg: Vec<f64>,
+    /// Where eyes may be.
+    pub volume: WalkVolume,
+    /// Figures for the build report.
+    pub statistics: PlacementStatistics,
+}
+
+/// Figures of the placement stage for the build report.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub struct PlacementStatistics {
+    /// Why there are no points, if there are none.
+    pub nothing_to_do: Option<String>,
+    /// Spacing of the level-0 grid, metres.
+    pub spacing_m: f64,
+    /// Grid points in use per level.
+    pub by_level: BTreeMap<u8, u32>,
+    /// The paper's star-shape radius per level (2 r at even, 3 r at odd levels), metres; the guarantee rests on
+    /// `GridPoint::radius` instead.
+    pub paper_radius_m: BTreeMap<u8, f64>,
+    /// Largest ratio of a certified radius to the paper's.
+    pub largest_radius_ratio: f64,
+    /// Lattice points left out, by reason.
+    pub skipped: BTreeMap<String, u64>,
+    /// Entry k: how many points have k images.
+    pub images_per_grid_point: Vec<u32>,
+    /// Histogram of |drawn - Popt| / Popt over solved subsets, in steps of 1% (the last entry: 20% and more).
+    pub popt_closeness: Vec<u32>,
+    /// Share of solved subsets within 2% of Popt.
+    pub within_two_percent: f64,
+    /// Rounds of coverage, evaluation and subdivision.
+    pub rounds: u32,
+    /// Position-direction boxes that the certificate consists of.
+    pub certified_boxes: u64,
+    /// Every eye of the walk volume has, for each direction, a certified grid point.
+    pub coverage_certified: bool,
+    /// Largest number of triangles any range draws at its grid point.
+    pub max_triangles: u64,
+    /// Largest footprint bound, output pixels.
+    pub max_footprint_px: f64,
+    /// Seconds per step (timing only; not part of the dataset).
+    pub seconds: BTreeMap<String, f64>,
+}

@@ -1,0 +1,111 @@
+//! From a solution at a grid point to an image that can be made: centre of projection, density, window.
+
+use super::{
+    bands::YAW_BIN_DEG,
+    hull::EyeHull,
+    model::{DirectionRange, PlacementPlan},
+    point::{Context, Image, centre, depths, tangents},
+};
+use glam::DVec3;
+use ldi_protocol::ViewBasis;
+
+/// Directions are sampled at this step to find how far users' frusta reach, degrees; the margin below covers what lies between.
+const STEP_DEG: f64 = 2.5;
+/// Margin of the window, as a share of its tangents and absolute: a direction between two samples reaches at most
+/// (STEP / 2 = 0.022 rad) farther, times 1 + tangent squared.
+const WINDOW_MARGIN: f64 = 0.025;
+
+/// The plan for an image of the point with number `grid_point`.
+pub(super) fn plan(ctx: &Context, image: &Image, grid_point: u32, grid_position: DVec3) -> PlacementPlan {
+    let (middle, ahead) = depths(&image.users, &image.basis, grid_position);
+    let plane_from_cop = image.plane_m - middle;
+    // `assign` accepted users only while a scale kept the limit.
+    let (scale, footprint_px) = ctx.footprint.scale(image.phi, plane_from_cop, ahead).unwrap_or((1.0, f64::INFINITY));
+    let cop = centre(&image.users, &image.basis);
+    PlacementPlan {
+        grid_point,
+        grid_position,
+        basis: image.basis,
+        plane_distance: image.plane_m,
+        culled: image.culled.clone(),
+        cop,
+        plane_distance_from_cop: plane_from_cop,
+        pixels_per_unit: ctx.footprint.pixels_per_unit(scale),
+        window: window(ctx, image, cop, plane_from_cop),
+        users: image.users.bounds(),
+        directions: directions(ctx, image),
+        footprint_px,
+    }
+}
+
+/// The units of an image as direction ranges; neighbouring yaw bins of a band are joined.
+fn directions(ctx: &Context, image: &Image) -> Vec<DirectionRange> {
+    let mut out: Vec<DirectionRange> = Vec::new();
+    for (unit, yaw) in &image.units {
+        let (_, pitch_deg) = ctx.directions.unit(*unit as usize);
+        match out.last_mut() {
+            Some(last) if last.pitch_deg == pitch_deg && yaw[0] - last.yaw_deg[1] < 0.5 * YAW_BIN_DEG => {
+                last.yaw_deg[1] = yaw[1]
+            }
+            _ => out.push(DirectionRange { yaw_deg: *yaw, pitch_deg }),
+        }
+    }
+    out
+}
+
+/// Tangent extents of the culled cells about `cop`, cut to what the users' frusta can reach beyond the plane.
+fn window(ctx: &Context, image: &Image, cop: DVec3, plane_m: f64) -> [f64; 4] {
+    let mut out = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
+    for cell in &image.culled {
+        let t = tangents(&ctx.cells.bounds[*cell as usize], &image.basis, cop);
+        out = [out[0].min(t[0]), out[1].max(t[1]), out[2].min(t[2]), out[3].max(t[3])];
+    }
+    let basis = &image.basis;
+    for (at, side) in [(0, -basis.right), (1, basis.right), (2, -basis.up), (3, basis.up)] {
+        let Some(slope) = steepest(ctx, basis, &image.units, side) else { continue };
+        // A point seen at depth z has offset s <= e_s + slope (z - e_z), e the eye: s / z <= slope + (e_s - slope e_z) / z.
+        let apart = support_about(&image.users, side - basis.forward * slope, cop).max(0.0);
+        let reach = slope + apart / plane_m;
+        if at % 2 == 0 { out[at] = out[at].max(-reach) } else { out[at] = out[at].min(reach) }
+    }
+    // A user who sees nothing of the subset leaves an inverted window; keep a sliver.
+    for k in [0, 2] {
+        if out[k] > out[k + 1] {
+            out[k + 1] = out[k];
+        }
+    }
+    out
+}
+
+/// Support of the users relative to `cop`.
+fn support_about(users: &EyeHull, n: DVec3, cop: DVec3) -> f64 {
+    users.support(n) - cop.dot(n)
+}
+
+/// The largest ratio of a ray's component along `side` to that along the image's axis over all rays of all users' pictures; None when
+/// some ray runs along the plane or away from it.
+pub(super) fn steepest(ctx: &Context, basis: &ViewBasis, units: &[(u16, [f64; 2])], side: DVec3) -> Option<f64> {
+    let mut steepest = f64::NEG_INFINITY;
+    let (t, u) = ctx.picture_tan;
+    for (unit, yaw) in units {
+        let (_, pitch) = ctx.directions.unit(*unit as usize);
+        let steps = |r: [f64; 2]| {
+            let n = ((r[1] - r[0]) / STEP_DEG).ceil().max(1.0) as usize;
+            (0..=n).map(move |i| r[0] + (r[1] - r[0]) * i as f64 / n as f64)
+        };
+        for y in steps(*yaw) {
+            for p in steps(pitch) {
+                let d = ViewBasis::from_yaw_pitch(y, p);
+                for (a, b) in [(-t, -u), (t, -u), (-t, u), (t, u)] {
+                    let ray = d.forward + d.right * a + d.up * b;
+                    let along = ray.dot(basis.forward);
+                    if along < 0.05 {
+                        return None;
+                    }
+                    steepest = steepest.max(ray.dot(side) / along);
+                }
+            }
+        }
+    }
+    Some(steepest + WINDOW_MARGIN * (1.0 + steepest * steepest))
+}

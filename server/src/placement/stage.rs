@@ -1,0 +1,158 @@
+//! The stage's door: checks the settings, runs the steps, gathers the statistics.
+
+use super::{
+    PlacementError, PlacementResult, PlacementStatistics,
+    arcs::BandPlanes,
+    bands::Directions,
+    bin_planes::BinPlanes,
+    eye_tree::EyeTree,
+    footprint::Footprint,
+    lattice::Lattice,
+    plan::plan,
+    point::{Context, Scheme},
+    refine::{Refined, refine, timed},
+    subset::CostBenefit,
+    view::Cells,
+    walk::walk_volume,
+};
+use crate::{octree::Octree, scene::Scene};
+use ldi_protocol::index::{AngularRange, BuildSettings, GridPoint};
+use ldi_protocol::select::CELLS;
+use rayon::prelude::*;
+
+/// Smallest field of view: below it the paper's star-shapes do not hold and the inflated grid need not cover all eyes.
+const SMALLEST_FOV_DEG: f64 = 54.0;
+
+/// Choices beyond the build's settings.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Parameters {
+    /// Constants of the cost-benefit function.
+    pub cost_benefit: CostBenefit,
+    /// Spacing of the level-0 grid, metres; None: half the model's longest axis, the paper's 3 x 3 x 3.
+    pub spacing_m: Option<f64>,
+}
+
+/// Plans all images of a scene.
+///
+/// The scene's bounds must be finite; cells come from its octree. Deterministic: the same input gives the same result whatever
+/// the number of threads. Errors: settings out of range, no eye position, or a budget that no image can meet somewhere.
+pub fn plan_placements(
+    scene: &Scene,
+    octree: &Octree,
+    settings: &BuildSettings,
+    parameters: &Parameters,
+) -> Result<PlacementResult, PlacementError> {
+    check(settings)?;
+    let mut statistics = PlacementStatistics::default();
+    let bounds = scene.bounds();
+    let (volume, skipped) =
+        timed(&mut statistics, "walk volume", || walk_volume(scene, &bounds, settings.eye_height_m))?;
+    statistics.skipped.extend(skipped);
+    let total: u64 = octree.cells.iter().map(|c| u64::from(c.triangles)).sum();
+    if total <= settings.budget {
+        statistics.nothing_to_do = Some(format!(
+            "the whole scene has {total} triangles, within the budget of {} from everywhere",
+            settings.budget
+        ));
+        statistics.coverage_certified = true;
+        statistics.max_triangles = total;
+        return Ok(PlacementResult { points: vec![], plans: vec![], pitch_bands_deg: vec![], volume, statistics });
+    }
+    let cells =
+        Cells::new(octree.cells.iter().map(|c| c.bounds).collect(), octree.cells.iter().map(|c| c.triangles).collect());
+    let scheme = if settings.grid == CELLS { Scheme::Cells } else { Scheme::Paper };
+    let directions = Directions::new(settings.pitch_deg);
+    let half_tan = settings.square_half_tan();
+    let ctx = Context {
+        cells: &cells,
+        directions: &directions,
+        planes: (0..directions.bands()).map(|b| BandPlanes::new(directions.band(b), half_tan)).collect(),
+        bins: (0..directions.units())
+            .map(|u| {
+                let (yaw, pitch) = directions.unit(u);
+                BinPlanes::new(yaw, pitch, half_tan)
+            })
+            .collect(),
+        half_tan,
+        picture_tan: (settings.camera.half_tan_x().min(half_tan), settings.camera.half_tan_y().min(half_tan)),
+        footprint: Footprint::new(&settings.camera, settings.density, settings.max_footprint_px),
+        scheme,
+        budget: settings.budget,
+        optimize_budget: settings.optimize_budget.min(settings.budget),
+        longest_axis_m: bounds.size().max_element(),
+        constants: parameters.cost_benefit,
+    };
+    let tree = timed(&mut statistics, "walk volume", || EyeTree::new(&volume));
+    // The grid spans the model and every eye: walkers on a roof stand above the model's box.
+    let model = bounds.union(*volume.bounds());
+    let spacing_m = parameters.spacing_m.unwrap_or(model.size().max_element() * 0.5);
+    let lattice = Lattice::new(&model, spacing_m);
+    statistics.spacing_m = spacing_m;
+    for level in 0..=super::lattice::DEEPEST {
+        statistics.paper_radius_m.insert(level, lattice.paper_radius(level));
+    }
+    let refined = refine(&ctx, &tree, &directions, lattice, &mut statistics)?;
+    Ok(result(&ctx, refined, volume, statistics))
+}
+
+/// Refuses settings outside their ranges.
+fn check(s: &BuildSettings) -> Result<(), PlacementError> {
+    if !(s.camera.fov_deg >= SMALLEST_FOV_DEG && s.camera.fov_deg < 120.0) {
+        return Err(PlacementError::FieldOfView { fov_deg: s.camera.fov_deg });
+    }
+    let within = |name, value: f64, low: f64, high: f64, must| {
+        if value >= low && value <= high { Ok(()) } else { Err(PlacementError::Setting { name, value, must }) }
+    };
+    within("pitch", s.pitch_deg, 0.0, 85.0, "between 0 and 85 degrees")?;
+    within("max-footprint", s.max_footprint_px, 0.5, 64.0, "between 0.5 and 64 pixels")?;
+    within("density", s.density, 0.25, 8.0, "between 0.25 and 8")?;
+    within("eye-height", s.eye_height_m.unwrap_or(1.6), 0.6, 100.0, "between 0.6 and 100 metres")?;
+    within("budget", s.budget as f64, 1.0, 1e15, "at least 1 triangle")
+}
+
+/// Points, plans and figures from the refined grid.
+fn result(
+    ctx: &Context,
+    refined: Refined,
+    volume: ldi_protocol::volume::WalkVolume,
+    mut statistics: PlacementStatistics,
+) -> PlacementResult {
+    let mut points = Vec::new();
+    let plans: Vec<_> = refined
+        .images
+        .par_iter()
+        .map(|(point, image)| plan(ctx, image, *point, refined.points[*point as usize].position))
+        .collect();
+    for p in &refined.points {
+        let range = |&(yaw_start_deg, placement): &(f64, Option<u32>)| AngularRange { yaw_start_deg, placement };
+        points.push(GridPoint {
+            position: p.position,
+            level: p.level,
+            radius: p.radius,
+            bands: p.bands.iter().map(|b| b.iter().map(range).collect()).collect(),
+        });
+        *statistics.by_level.entry(p.level).or_default() += 1;
+        let mut used: Vec<u32> = p.bands.iter().flatten().filter_map(|r| r.1).collect();
+        used.sort_unstable();
+        used.dedup();
+        if statistics.images_per_grid_point.len() <= used.len() {
+            statistics.images_per_grid_point.resize(used.len() + 1, 0);
+        }
+        statistics.images_per_grid_point[used.len()] += 1;
+        let paper = statistics.paper_radius_m.get(&p.level).copied().unwrap_or(f64::INFINITY);
+        statistics.largest_radius_ratio = statistics.largest_radius_ratio.max(p.radius / paper);
+    }
+    statistics.max_triangles = refined.max_triangles;
+    let mut closeness = vec![0u32; 21];
+    for (_, image) in &refined.images {
+        let off = image.left.abs_diff(ctx.optimize_budget) as f64 / ctx.optimize_budget.max(1) as f64;
+        closeness[((off * 100.0) as usize).min(20)] += 1;
+    }
+    let deepest = statistics.by_level.keys().max().copied().unwrap_or(0);
+    statistics.paper_radius_m.retain(|level, _| *level <= deepest);
+    let solved: u32 = closeness.iter().sum();
+    statistics.within_two_percent = f64::from(closeness[0] + closeness[1]) / f64::from(solved.max(1));
+    statistics.popt_closeness = closeness;
+    statistics.max_footprint_px = plans.iter().map(|p| p.footprint_px).fold(0.0, f64::max);
+    PlacementResult { points, plans, pitch_bands_deg: ctx.directions.bands_deg.clone(), volume, statistics }
+}

@@ -1,0 +1,55 @@
+//! Small scenes and random numbers for this stage's tests.
+
+use crate::scene::{Instance, Mesh, Primitive, Scene};
+use glam::{DAffine3, DVec3, Vec3};
+use ldi_protocol::Aabb;
+
+/// SplitMix64 (Steele, Lea and Flood 2014): the same numbers on every machine.
+pub(crate) struct Random(u64);
+
+impl Random {
+    pub(crate) fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+    pub(crate) fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+    /// Uniform in [0, 1).
+    pub(crate) fn unit(&mut self) -> f64 {
+        (self.bits() >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
+
+/// The twelve triangles of a box.
+pub(crate) fn block(b: &Aabb) -> Primitive {
+    let positions: Vec<Vec3> = b.corners().map(|c| c.as_vec3()).to_vec();
+    let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    Primitive {
+        normals: vec![Vec3::Y; positions.len()],
+        positions,
+        triangles: faces.iter().flat_map(|f| [[f[0], f[1], f[2]], [f[0], f[2], f[3]]]).collect(),
+        ..Primitive::default()
+    }
+}
+
+/// A scene of one mesh, placed once.
+pub(crate) fn scene_of(primitives: &[Primitive]) -> Scene {
+    Scene {
+        name: "test".into(),
+        meshes: vec![Mesh { name: "blocks".into(), primitives: primitives.to_vec() }],
+        instances: vec![Instance { node: 0, mesh: 0, world_from_mesh: DAffine3::from_translation(DVec3::ZERO) }],
+        materials: vec![ldi_protocol::mesh::Material {
+            base_colour: [1.0; 4],
+            texture: None,
+            alpha: ldi_protocol::mesh::Alpha::Opaque,
+            unlit: false,
+            double_sided: true,
+            wrap: [ldi_protocol::mesh::Wrap::Repeat; 2],
+        }],
+        ..Scene::default()
+    }
+}

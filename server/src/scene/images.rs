@@ -1,0 +1,98 @@
+//! Pictures: PNG and JPEG bytes in, sRGB texels out.
+//!
+//! Sizes are read from all headers first and compared with the limits, one by one and together; only then are the
+//! pictures decoded, in parallel, in order. Neither format packs more than 8,256 pixels into a byte (deflate: 1,032
+//! bytes per byte, eight 1-bit pixels in each; JPEG: at least one bit for the 64 pixels of a block), so that a header
+//! which promises more than its bytes can hold is refused before its picture is allocated.
+
+use std::borrow::Cow;
+use std::io::Cursor;
+
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
+use rayon::prelude::*;
+
+use super::error::Fault;
+use super::limits::Limits;
+use super::model::SceneTexture;
+
+/// Most pixels that one byte of a PNG or JPEG file can hold.
+const PIXELS_PER_BYTE: u64 = 1_032 * 8;
+/// Bytes of one decoded pixel while decoding: 16 bits in each of four channels.
+const BYTES_PER_PIXEL: u64 = 8;
+
+/// A picture as the scene file has it.
+#[derive(Debug)]
+pub(super) struct EncodedImage<'a> {
+    /// Name for people.
+    pub(super) name: String,
+    /// Where it comes from, for messages.
+    pub(super) place: String,
+    /// PNG or JPEG.
+    pub(super) bytes: Cow<'a, [u8]>,
+}
+
+/// Decodes all pictures, in order.
+pub(super) fn decode_all(images: &[EncodedImage<'_>], limits: &Limits) -> Result<Vec<SceneTexture>, Fault> {
+    let mut pixels_left = limits.image_pixels;
+    for image in images {
+        let (width, height) = image.decoder(limits)?.dimensions();
+        let pixels = u64::from(width) * u64::from(height);
+        if width == 0 || height == 0 {
+            return Err(Fault::invalid(&image.place, "image has no pixels", REMEDY));
+        }
+        if width.max(height) > limits.image_side {
+            let size = format!("{width} x {height}");
+            return Err(Fault::too_large(&image.place, "pixels in an image, whose sides", size, limits.image_side));
+        }
+        if pixels > image.bytes.len() as u64 * PIXELS_PER_BYTE {
+            let problem =
+                format!("header promises {width} x {height} pixels, more than {} bytes can hold", image.bytes.len());
+            return Err(Fault::invalid(&image.place, problem, REMEDY));
+        }
+        pixels_left = pixels_left.checked_sub(pixels).ok_or_else(|| {
+            Fault::too_large(
+                &image.place,
+                "or more pixels in all images together",
+                limits.image_pixels,
+                limits.image_pixels,
+            )
+        })?;
+    }
+    let decoded: Vec<Result<SceneTexture, Fault>> = images.par_iter().map(|image| image.decode(limits)).collect();
+    decoded.into_iter().collect()
+}
+
+const REMEDY: &str = "open the image in an editor and save it as PNG or JPEG again";
+
+impl EncodedImage<'_> {
+    fn decoder(&self, limits: &Limits) -> Result<impl ImageDecoder + '_, Fault> {
+        let format = match image::guess_format(&self.bytes) {
+            Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,
+            Ok(other) => {
+                let problem = format!("image format {other:?} is not read");
+                return Err(Fault::unsupported(&self.place, problem, "convert the image to PNG or JPEG"));
+            }
+            Err(_) => {
+                let problem = "image is neither PNG nor JPEG";
+                return Err(Fault::unsupported(&self.place, problem, "convert the image to PNG or JPEG"));
+            }
+        };
+        let mut reader = ImageReader::with_format(Cursor::new(self.bytes.as_ref()), format);
+        let mut allowed = image::Limits::no_limits();
+        // Sides are compared by the caller, whose message is better; this one bounds what the decoder may allocate.
+        allowed.max_alloc = Some(u64::from(limits.image_side).pow(2) * BYTES_PER_PIXEL);
+        reader.limits(allowed);
+        reader.into_decoder().map_err(|e| self.undecodable(&e))
+    }
+
+    fn decode(&self, limits: &Limits) -> Result<SceneTexture, Fault> {
+        let image = DynamicImage::from_decoder(self.decoder(limits)?).map_err(|e| self.undecodable(&e))?.into_rgba8();
+        let (width, height) = image.dimensions();
+        let rgba = image.as_raw().as_chunks::<4>().0.to_vec();
+        Ok(SceneTexture { name: self.name.clone(), width, height, rgba })
+    }
+
+    fn undecodable(&self, error: &image::ImageError) -> Fault {
+        Fault::invalid(&self.place, format!("image cannot be decoded: {error}"), REMEDY)
+    }
+}

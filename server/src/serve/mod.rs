@@ -1,0 +1,36 @@
+//! `ldi-server serve`: streams a dataset to walkers over QUIC and shows its plan over HTTP.
+//!
+//! In: a dataset ([`ChunkSource`]) and settings ([`ServeConfig`]). Out: to each walker, chunks in the order in which it will
+//! need them; to a browser, health, metrics and a page with the plan from above.
+//!
+//! - [`planner`]: what to send next; pure, time comes in.
+//! - [`session`]: one connection; [`control`]: its messages; [`push`]: one chunk; [`requests`]: chunks by number or name.
+//! - [`source`]: where bytes come from; [`views`]: what a pose needs; [`walkers`]: who is connected.
+//! - [`transport`], [`identity`], [`limits`], [`config`]: the door.
+//! - [`http`], [`plan`]: health, metrics and the page.
+//!
+//! `docs/protocol.md` describes what travels.
+
+mod config;
+mod control;
+mod error;
+mod http;
+mod identity;
+mod limits;
+mod plan;
+pub mod planner;
+mod push;
+mod requests;
+mod server;
+mod session;
+mod source;
+mod transport;
+mod views;
+mod walkers;
+
+pub use config::{ConfigError, Congestion, ServeConfig};
+pub use error::ServeError;
+pub use identity::{Identity, IdentityError};
+pub use server::{Server, serve};
+pub use source::ChunkSource;
+pub use views::SelectViews;

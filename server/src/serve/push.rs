@@ -1,0 +1,96 @@
+//! Sends one chunk on one stream, in slices, and changes its mind while it does.
+
+use super::walkers::Counters;
+use bytes::Bytes;
+use ldi_protocol::wire::{StreamHeader, Urgency, code};
+use quinn::{Connection, SendStream, VarInt, WriteError};
+use tokio::sync::watch;
+
+/// Bytes handed to the transport at a time. Larger: a change of priority waits longer; smaller: more wake-ups.
+const SLICE: usize = 64 * 1024;
+/// A stale chunk with less than this left is finished all the same: what was sent of it would be wasted.
+const FINISH_BELOW: usize = 32 * 1024;
+
+/// What the planner thinks of a chunk on its way.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Verdict {
+    /// Go on, this urgently.
+    Send(Urgency),
+    /// Stop, unless it is nearly there.
+    Stop,
+}
+
+/// How a push ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ended {
+    /// All bytes are with the transport.
+    Sent,
+    /// Reset by us: stale.
+    Stale,
+    /// The client stopped the stream: it holds the chunk already, or does not want it. It can ask for it again.
+    Refused,
+    /// The connection is gone.
+    Failed,
+}
+
+/// Strict priorities of the transport: higher goes first.
+fn priority(urgency: Urgency) -> i32 {
+    -(urgency as i32)
+}
+
+/// Sends header and bytes. Pressing chunks end as soon as the transport has them; those in the background when the client
+/// has them, so that what nobody waits for never fills the send window that an urgent chunk needs.
+pub async fn push(
+    connection: Connection,
+    header: StreamHeader,
+    bytes: Bytes,
+    mut verdict: watch::Receiver<Verdict>,
+    counters: &Counters,
+) -> Ended {
+    let Ok(mut stream) = connection.open_uni().await else { return Ended::Failed };
+    let _ = stream.set_priority(priority(header.urgency));
+    let mut urgency = header.urgency;
+    if stream.write_all(&header.encode()).await.is_err() {
+        return Ended::Failed;
+    }
+    let mut left = bytes;
+    while !left.is_empty() {
+        let mut slice = [left.slice(..left.len().min(SLICE))];
+        tokio::select! {
+            biased;
+            Ok(()) = verdict.changed() => match *verdict.borrow_and_update() {
+                Verdict::Send(u) => {
+                    urgency = u;
+                    let _ = stream.set_priority(priority(u));
+                }
+                Verdict::Stop if left.len() > FINISH_BELOW => {
+                    let _ = stream.reset(VarInt::from_u32(code::STALE));
+                    counters.stale();
+                    return Ended::Stale;
+                }
+                Verdict::Stop => {}
+            },
+            // Cancel-safe: it either writes or does not.
+            written = stream.write_chunks(&mut slice) => match written {
+                Ok(w) => {
+                    counters.sent_bytes(w.bytes);
+                    let _ = left.split_to(w.bytes);
+                }
+                Err(WriteError::Stopped(_)) => return Ended::Refused,
+                Err(_) => return Ended::Failed,
+            },
+        }
+    }
+    if stream.finish().is_err() {
+        return Ended::Failed;
+    }
+    if !urgency.is_pressing() {
+        acknowledged(&mut stream).await;
+    }
+    counters.sent_chunk();
+    Ended::Sent
+}
+
+async fn acknowledged(stream: &mut SendStream) {
+    let _ = stream.stopped().await;
+}

@@ -1,0 +1,68 @@
+//! Requests by number or by name, each on its own stream: the fallback that always works, whatever the planner thinks.
+
+use super::{
+    control::{SessionReadError, read_message},
+    limits::TokenBucket,
+    session::Shared,
+};
+use ldi_protocol::wire::{self, Answer, Request};
+use quinn::{Connection, RecvStream, SendStream};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+use tokio::{sync::mpsc, task::JoinSet, time::timeout};
+
+/// Time for a client to say what it wants on a stream that it opened.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Answers until the connection ends; tells the planner which chunks went out. How many are open at once is limited by
+/// the transport; faster ones than the rate wait.
+pub(super) async fn answer_all(shared: Arc<Shared>, connection: Connection, answered: mpsc::Sender<u32>, rate: f64) {
+    let started = Instant::now();
+    let mut bucket = TokenBucket::new(rate, 4.0 * rate);
+    let mut open = JoinSet::new();
+    while let Ok((send, recv)) = connection.accept_bi().await {
+        while !bucket.take(started.elapsed()) {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        while open.try_join_next().is_some() {}
+        let (shared, answered) = (shared.clone(), answered.clone());
+        open.spawn(async move {
+            if let Some(number) = answer(&shared, send, recv).await {
+                let _ = answered.send(number).await;
+            }
+        });
+    }
+}
+
+/// Answers one request. Returns the chunk that went out; whatever goes wrong ends this stream only.
+async fn answer(shared: &Shared, mut send: SendStream, mut recv: RecvStream) -> Option<u32> {
+    let request = match timeout(PATIENCE, read_message::<Request>(&mut recv)).await {
+        Ok(Ok(request)) => request,
+        Ok(Err(SessionReadError::Wire(e))) => return say(send, &e.to_string()).await,
+        Ok(Err(SessionReadError::Ended(_))) | Err(_) => return say(send, "no request came").await,
+    };
+    let number = match request {
+        Request::Number(n) => Some(n),
+        Request::Name(name) => shared.served.number_of(&name),
+    };
+    let Some((number, bytes)) = number.and_then(|n| Some((n, shared.served.chunk(n)?))) else {
+        return say(send, "there is no such chunk").await;
+    };
+    metrics::counter!("ldi_requests_total").increment(1);
+    let head = wire::encode(&Answer::Chunk { number, bytes: bytes.len() as u32 }).ok()?;
+    send.write_all(&head).await.ok()?;
+    send.write_chunk(bytes).await.ok()?;
+    send.finish().ok()?;
+    Some(number)
+}
+
+async fn say(mut send: SendStream, message: &str) -> Option<u32> {
+    metrics::counter!("ldi_bad_requests_total").increment(1);
+    let message = message.chars().take(wire::MAX_TEXT / 4).collect();
+    let frame = wire::encode(&Answer::Error { message }).ok()?;
+    send.write_all(&frame).await.ok()?;
+    send.finish().ok()?;
+    None
+}

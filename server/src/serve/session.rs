@@ -1,0 +1,324 @@
+//! One connection from its first to its last byte: who is it, what does it hold, what comes next.
+//!
+//! All state belongs to one task. Others only carry: one reads control frames, one answers requests by number or name, one per
+//! chunk writes it. A client that sends garbage ends its own connection and nobody else's.
+
+use super::{
+    control::{self, SessionError, admit, read_message, refuse, tell},
+    limits::{Door, Place, TokenBucket},
+    planner::{Order, Planner, PlannerConfig, Turn},
+    push::{Ended, Verdict, push},
+    requests,
+    source::Served,
+    views::SelectViews,
+    walkers::{Entry, Walkers},
+};
+use ldi_protocol::wire::{
+    self, ClientMessage, Hello, PoseDatagram, RefusalCode, ServerMessage, StreamHeader, StreamKind, Urgency, Welcome,
+    code,
+};
+use quinn::{Connection, RecvStream, SendStream, VarInt};
+use std::{
+    collections::HashMap,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+use tokio::{
+    sync::{mpsc, watch},
+    task::JoinSet,
+    time::timeout,
+};
+
+/// Time for TLS and the first message. Longer: strangers hold places for nothing.
+const HANDSHAKE: Duration = Duration::from_secs(10);
+/// Time for the manifest to reach the client: 256 kB of root and a few MB of pages on a slow link.
+const WELCOME: Duration = Duration::from_secs(120);
+/// How often the send window follows the congestion window.
+const WINDOW_INTERVAL: Duration = Duration::from_millis(100);
+/// The send window is never smaller: below, a fast start stalls.
+const MIN_SEND_WINDOW: u64 = 256 * 1024;
+/// A wrong token is answered after this time, so that guessing is slow.
+const WRONG_TOKEN_DELAY: Duration = Duration::from_millis(300);
+/// Control messages that wait for the session; more and the reader waits, and with it the client.
+const CONTROL_QUEUE: usize = 64;
+/// Poses per second beyond which the rest is skipped: four times a fast screen.
+const POSES_PER_SECOND: f64 = 500.0;
+
+/// What all sessions share.
+#[derive(Debug)]
+pub struct Shared {
+    /// What is served.
+    pub served: Served,
+    /// Who is connected.
+    pub walkers: Arc<Walkers>,
+    /// Hash of the token that clients must show.
+    pub token: Option<blake3::Hash>,
+    /// Room for connections.
+    pub door: Arc<Door>,
+    /// See [`super::ServeConfig::max_connections`].
+    pub max_connections: usize,
+    /// See [`super::ServeConfig::send_window`].
+    pub send_window: u64,
+    /// See [`super::ServeConfig::messages_per_second`].
+    pub messages_per_second: f64,
+    /// Turns true when the server stops.
+    pub stop: watch::Receiver<bool>,
+}
+
+/// Serves one client until it leaves, breaks a rule, or the server stops.
+pub async fn run(shared: Arc<Shared>, incoming: quinn::Incoming, _place: Place) {
+    let address = incoming.remote_address();
+    let connection = match incoming.accept() {
+        Ok(connecting) => timeout(HANDSHAKE, connecting).await,
+        Err(e) => return tracing::debug!(%address, "not accepted: {e}"),
+    };
+    let connection = match connection {
+        Ok(Ok(c)) => c,
+        Ok(Err(e)) => return tracing::debug!(%address, "handshake failed: {e}"),
+        Err(_) => return tracing::debug!(%address, "handshake took too long"),
+    };
+    metrics::counter!("ldi_connections_total").increment(1);
+    let end = converse(&shared, &connection).await;
+    match &end {
+        Ok(()) => connection.close(VarInt::from_u32(code::BYE), b"bye"),
+        Err(SessionError::Refused { code, message }) => {
+            metrics::counter!("ldi_refused_total").increment(1);
+            connection.close(VarInt::from_u32(*code as u32), message.as_bytes());
+        }
+        Err(_) => connection.close(VarInt::from_u32(code::BYE), b""),
+    }
+    match end {
+        Ok(()) => tracing::info!(%address, "left"),
+        Err(e) => tracing::info!(%address, "{e}"),
+    }
+}
+
+async fn converse(shared: &Arc<Shared>, connection: &Connection) -> Result<(), SessionError> {
+    let opening = async {
+        let (send, mut recv) = connection.accept_bi().await?;
+        let first = read_message::<ClientMessage>(&mut recv).await;
+        Ok::<_, SessionError>((send, recv, first))
+    };
+    let (mut send, recv, first) = timeout(HANDSHAKE, opening).await.map_err(|_| SessionError::Silent)??;
+    let hello = match first.map_err(SessionError::from).and_then(|m| admit(shared, m)) {
+        Ok(hello) => hello,
+        Err(SessionError::Refused { code, message }) => {
+            if code == RefusalCode::Token {
+                tokio::time::sleep(WRONG_TOKEN_DELAY).await;
+            }
+            refuse(&mut send, code, &message).await;
+            return Err(SessionError::Refused { code, message });
+        }
+        Err(e) => return Err(e),
+    };
+    let walker = shared.walkers.enter(&hello.name);
+    tracing::info!(address = %connection.remote_address(), walker = walker.id, name = %hello.name, "came in");
+    let end = Session::new(shared.clone(), connection.clone(), &hello, walker).run(&mut send, recv).await;
+    if let Err(SessionError::Refused { code, message }) = &end {
+        refuse(&mut send, *code, message).await;
+    }
+    end
+}
+
+struct Session {
+    shared: Arc<Shared>,
+    connection: Connection,
+    walker: Entry,
+    planner: Planner,
+    started: Instant,
+    pushes: JoinSet<(u32, Ended)>,
+    verdicts: HashMap<u32, watch::Sender<Verdict>>,
+    /// Chunks that exist but cannot be read, to be told.
+    unreadable: Vec<u32>,
+    window_at: Duration,
+    poses: TokenBucket,
+}
+
+impl Session {
+    fn new(shared: Arc<Shared>, connection: Connection, hello: &Hello, walker: Entry) -> Self {
+        let index = shared.served.index().clone();
+        let config =
+            PlannerConfig { cache_bytes: hello.cache_bytes, prefetch_m: hello.prefetch_m, ..PlannerConfig::default() };
+        let views = SelectViews::new(index.clone(), &hello.picture.camera(&index.settings));
+        Self {
+            planner: Planner::new(index, Arc::new(views), config),
+            shared,
+            connection,
+            walker,
+            started: Instant::now(),
+            pushes: JoinSet::new(),
+            verdicts: HashMap::new(),
+            unreadable: Vec::new(),
+            window_at: Duration::ZERO,
+            poses: TokenBucket::new(POSES_PER_SECOND, POSES_PER_SECOND),
+        }
+    }
+
+    async fn run(mut self, send: &mut SendStream, recv: RecvStream) -> Result<(), SessionError> {
+        // A client that reads nothing of it would keep its place for ever.
+        timeout(WELCOME, self.welcome(send)).await.map_err(|_| SessionError::Silent)??;
+        let (heard, mut messages) = mpsc::channel(CONTROL_QUEUE);
+        let (answered, mut answers) = mpsc::channel(CONTROL_QUEUE);
+        let mut helpers = JoinSet::new();
+        let rate = self.shared.messages_per_second;
+        helpers.spawn(control::read_all(recv, heard, rate));
+        helpers.spawn(requests::answer_all(self.shared.clone(), self.connection.clone(), answered, rate));
+        let mut stop = self.shared.stop.clone();
+        loop {
+            self.push_next();
+            if !self.unreadable.is_empty() {
+                let chunks = std::mem::take(&mut self.unreadable);
+                tell(send, &ServerMessage::Unavailable { chunks }).await?;
+            }
+            let wake = self.planner.wake_at().map(|t| tokio::time::Instant::from_std(self.started + t));
+            tokio::select! {
+                message = messages.recv() => match message {
+                    Some(Ok(ClientMessage::Bye)) | None => return Ok(()),
+                    Some(Ok(message)) => self.hear(message, send).await?,
+                    Some(Err(e)) => return Err(e),
+                },
+                Some(number) = answers.recv() => self.planner.sent_elsewhere(number),
+                datagram = self.connection.read_datagram() => self.see(&datagram?),
+                Some(done) = self.pushes.join_next() => self.land(done),
+                () = sleep_until(wake) => {}
+                () = stopped(&mut stop) => {
+                    self.connection.close(VarInt::from_u32(code::SHUTDOWN), b"the server stops");
+                    return Ok(());
+                }
+            }
+        }
+    }
+
+    async fn welcome(&mut self, send: &mut SendStream) -> Result<(), SessionError> {
+        let served = &self.shared.served;
+        let welcome = ServerMessage::Welcome(Welcome {
+            version: wire::VERSION,
+            dataset: served.hash(),
+            root_bytes: served.root().len() as u32,
+            pages: served.pages(),
+            walker: self.walker.id,
+        });
+        let mut opening = wire::encode(&welcome)?;
+        opening.extend(wire::frame(served.root(), wire::MAX_ROOT_BYTES)?);
+        let ended = |e: quinn::WriteError| SessionError::Control(e.to_string());
+        send.set_priority(1).map_err(|e| SessionError::Control(e.to_string()))?;
+        send.write_all(&opening).await.map_err(ended)?;
+        // Pages one after another: the client can do nothing before it has them all.
+        for number in 0..served.pages() {
+            let Some(bytes) = served.page(number) else {
+                return Err(SessionError::Control(format!("page {number} of the manifest cannot be read")));
+            };
+            let header =
+                StreamHeader { kind: StreamKind::Page, urgency: Urgency::Now, number, bytes: bytes.len() as u32 };
+            let (_keep, verdict) = watch::channel(Verdict::Send(Urgency::Now));
+            push(self.connection.clone(), header, bytes, verdict, &self.walker.counters).await;
+        }
+        Ok(())
+    }
+
+    async fn hear(&mut self, message: ClientMessage, send: &mut SendStream) -> Result<(), SessionError> {
+        match message {
+            ClientMessage::Want { chunks } => {
+                let unknown = self.planner.want(&chunks);
+                if !unknown.is_empty() {
+                    tell(send, &ServerMessage::Unavailable { chunks: unknown }).await?;
+                }
+            }
+            ClientMessage::Drop { chunks } => self.planner.dropped(&chunks),
+            ClientMessage::Have { chunks } => self.planner.have(&chunks),
+            ClientMessage::Hello(_) => {
+                return Err(SessionError::Refused { code: RefusalCode::Protocol, message: "Hello twice".into() });
+            }
+            ClientMessage::Bye => {}
+        }
+        Ok(())
+    }
+
+    /// A datagram that is no pose is ignored: they may be damaged or from a later version.
+    fn see(&mut self, datagram: &[u8]) {
+        if !self.poses.take(self.started.elapsed()) {
+            return;
+        }
+        match PoseDatagram::decode(datagram) {
+            Ok(pose) => {
+                if self.planner.pose(pose) {
+                    self.walker.moved(pose.pose, self.connection.rtt().as_secs_f64() * 1e3);
+                }
+            }
+            Err(e) => {
+                metrics::counter!("ldi_bad_datagrams_total").increment(1);
+                tracing::debug!(walker = self.walker.id, "datagram: {e}");
+            }
+        }
+    }
+
+    /// Twice the congestion window may wait in the connection. What waits there can be neither overtaken by a chunk of the same
+    /// urgency nor taken back; less would leave the link idle between two wake-ups.
+    fn follow_link(&mut self) {
+        let now = self.started.elapsed();
+        if now - self.window_at >= WINDOW_INTERVAL {
+            self.window_at = now;
+            let window = 2 * self.connection.stats().path.cwnd;
+            let largest = self.shared.send_window.max(MIN_SEND_WINDOW);
+            self.connection.set_send_window(window.clamp(MIN_SEND_WINDOW, largest));
+        }
+    }
+
+    fn push_next(&mut self) {
+        self.follow_link();
+        let now = self.started.elapsed();
+        while let Some(order) = self.planner.next(now) {
+            self.push_one(order);
+        }
+        metrics::histogram!("ldi_plan_seconds").record((self.started.elapsed() - now).as_secs_f64());
+        for turn in self.planner.turns() {
+            let (chunk, verdict) = match turn {
+                Turn::Reprioritize(order) => (order.chunk, Verdict::Send(order.urgency)),
+                Turn::Stale(chunk) => (chunk, Verdict::Stop),
+            };
+            if let Some(sender) = self.verdicts.get(&chunk) {
+                let _ = sender.send(verdict);
+            }
+        }
+    }
+
+    fn push_one(&mut self, order: Order) {
+        let Some(bytes) = self.shared.served.chunk(order.chunk) else {
+            tracing::error!(chunk = order.chunk, "cannot be read; check the dataset with `ldi-server verify`");
+            self.unreadable.push(order.chunk);
+            return self.planner.sent(order.chunk);
+        };
+        let (sender, verdict) = watch::channel(Verdict::Send(order.urgency));
+        self.verdicts.insert(order.chunk, sender);
+        let header = StreamHeader {
+            kind: StreamKind::Chunk,
+            urgency: order.urgency,
+            number: order.chunk,
+            bytes: bytes.len() as u32,
+        };
+        let (connection, counters) = (self.connection.clone(), self.walker.counters.clone());
+        self.pushes.spawn(async move { (order.chunk, push(connection, header, bytes, verdict, &counters).await) });
+    }
+
+    fn land(&mut self, done: Result<(u32, Ended), tokio::task::JoinError>) {
+        // A push neither panics nor is it cancelled while the session lives.
+        let Ok((chunk, ended)) = done else { return };
+        self.verdicts.remove(&chunk);
+        match ended {
+            Ended::Sent | Ended::Refused => self.planner.sent(chunk),
+            Ended::Stale | Ended::Failed => self.planner.aborted(chunk),
+        }
+    }
+}
+
+/// The server stops, or is gone.
+async fn stopped(stop: &mut watch::Receiver<bool>) {
+    let _ = stop.wait_for(|s| *s).await;
+}
+
+async fn sleep_until(at: Option<tokio::time::Instant>) {
+    match at {
+        Some(t) => tokio::time::sleep_until(t).await,
+        None => std::future::pending().await,
+    }
+}

@@ -1,0 +1,103 @@
+//! Where the server's bytes come from: the dataset on disk, or one in memory in tests.
+
+use bytes::Bytes;
+use ldi_protocol::index::{ChunkHash, Index};
+use std::{collections::HashMap, sync::Arc};
+
+/// A dataset that can be served. All bytes are handed out as stored.
+pub trait ChunkSource: Send + Sync + 'static {
+    /// The decoded manifest.
+    fn index(&self) -> &Arc<Index>;
+    /// The manifest's root, at most [`ldi_protocol::wire::MAX_ROOT_BYTES`].
+    fn root(&self) -> &[u8];
+    /// Number of pages.
+    fn pages(&self) -> u32;
+    /// A page; None beyond the last one or when it cannot be read.
+    fn page(&self, number: u32) -> Option<&[u8]>;
+    /// A chunk; None beyond the last one or when it cannot be read.
+    fn chunk(&self, number: u32) -> Option<&[u8]>;
+}
+
+impl ChunkSource for crate::store::Dataset {
+    fn index(&self) -> &Arc<Index> {
+        self.index()
+    }
+    fn root(&self) -> &[u8] {
+        self.manifest_root()
+    }
+    fn pages(&self) -> u32 {
+        self.pages()
+    }
+    fn page(&self, number: u32) -> Option<&[u8]> {
+        self.page(number)
+    }
+    fn chunk(&self, number: u32) -> Option<&[u8]> {
+        self.chunk(number)
+    }
+}
+
+/// What one server process serves: the source, its name, and the way from names to numbers.
+pub struct Served {
+    source: Arc<dyn ChunkSource>,
+    hash: ChunkHash,
+    numbers: HashMap<ChunkHash, u32>,
+}
+
+/// A slice of the source that keeps the source alive: sent without a copy.
+struct Slice {
+    source: Arc<dyn ChunkSource>,
+    number: u32,
+    page: bool,
+}
+
+impl AsRef<[u8]> for Slice {
+    fn as_ref(&self) -> &[u8] {
+        let bytes = if self.page { self.source.page(self.number) } else { self.source.chunk(self.number) };
+        bytes.unwrap_or_default()
+    }
+}
+
+impl Served {
+    /// Looks through the source once.
+    pub fn new(source: Arc<dyn ChunkSource>) -> Self {
+        let numbers = source.index().chunks.iter().enumerate().map(|(i, c)| (c.hash, i as u32)).collect();
+        let hash = ChunkHash(*blake3::hash(source.root()).as_bytes());
+        Self { source, hash, numbers }
+    }
+    /// BLAKE3 of the manifest's root.
+    pub fn hash(&self) -> ChunkHash {
+        self.hash
+    }
+    /// The decoded manifest.
+    pub fn index(&self) -> &Arc<Index> {
+        self.source.index()
+    }
+    /// The manifest's root.
+    pub fn root(&self) -> &[u8] {
+        self.source.root()
+    }
+    /// Number of pages.
+    pub fn pages(&self) -> u32 {
+        self.source.pages()
+    }
+    /// The number of a chunk by its name.
+    pub fn number_of(&self, name: &ChunkHash) -> Option<u32> {
+        self.numbers.get(name).copied()
+    }
+    /// A chunk's bytes.
+    pub fn chunk(&self, number: u32) -> Option<Bytes> {
+        self.source.chunk(number)?;
+        Some(Bytes::from_owner(Slice { source: self.source.clone(), number, page: false }))
+    }
+    /// A page's bytes.
+    pub fn page(&self, number: u32) -> Option<Bytes> {
+        self.source.page(number)?;
+        Some(Bytes::from_owner(Slice { source: self.source.clone(), number, page: true }))
+    }
+}
+
+impl std::fmt::Debug for Served {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Served").field("hash", &self.hash).finish_non_exhaustive()
+    }
+}

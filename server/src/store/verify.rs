@@ -1,0 +1,316 @@
+//! Checking every byte of a dataset.
+//!
+//! From the outside in: the root's checksum, the hash of every page, the rules of the index, the length of every pack, the
+//! hash of every chunk, the source ranges; then every intact chunk is decoded and compared with what the index says of it. One
+//! flipped byte anywhere gives one fault that names the file and the chunk, and checking goes on as far as what is left
+//! allows: without its pages nothing is known about chunks.
+
+use super::{StoreError, dataset::read_root, files, source};
+use ldi_protocol::{
+    codec::{self, CodecError},
+    index::{ChunkHash, ChunkKind, Index},
+    manifest::{
+        self, Root,
+        layout::{Layout, Location},
+    },
+    mesh::CellGeometry,
+};
+use memmap2::Mmap;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::{collections::BTreeMap, path::Path};
+
+/// One fault of a dataset.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Fault {
+    /// The file, relative to the dataset.
+    pub file: String,
+    /// What is faulty: `manifest`, `page`, `pack`, `source`, or the kind of chunk.
+    pub kind: String,
+    /// Number of the page or chunk.
+    pub number: Option<u32>,
+    /// Its name.
+    pub hash: Option<String>,
+    /// First byte of it in the file.
+    pub offset: Option<u64>,
+    /// What is wrong.
+    pub problem: String,
+}
+
+impl std::fmt::Display for Fault {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}: {}", self.file, self.kind)?;
+        if let Some(n) = self.number {
+            write!(f, " {n}")?;
+        }
+        if let Some(h) = &self.hash {
+            write!(f, " {h}")?;
+        }
+        if let Some(o) = self.offset {
+            write!(f, " at byte {o}")?;
+        }
+        write!(f, ": {}", self.problem)
+    }
+}
+
+/// What [`verify`] found.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Default)]
+pub struct Verification {
+    /// Pages whose hash was compared.
+    pub pages: usize,
+    /// Chunks whose hash was compared.
+    pub chunks: usize,
+    /// Chunks that were decoded and compared with the index.
+    pub decoded: usize,
+    /// Bytes hashed.
+    pub bytes: u64,
+    /// Everything that is wrong, by file and place.
+    pub faults: Vec<Fault>,
+}
+
+/// Checks the dataset in `path`. Damage is no error but a fault in the result.
+///
+/// # Errors
+/// If there is no dataset, it has another version, or the operating system refuses to read.
+pub fn verify(path: &Path) -> Result<Verification, StoreError> {
+    let (root_bytes, manifest_path) = read_root(path)?;
+    let mut out = Verification { bytes: root_bytes.len() as u64, ..Verification::default() };
+    let root = match manifest::decode_root(&root_bytes) {
+        Ok(root) => root,
+        Err(e @ CodecError::Version { .. }) => return Err(StoreError::format(&manifest_path)(e)),
+        Err(e) => {
+            out.faults.push(fault_of_file(files::MANIFEST, "manifest", e.to_string()));
+            return Ok(out);
+        }
+    };
+    if let Err(e) = source::read(path) {
+        match e {
+            StoreError::Format { source, .. } => {
+                out.faults.push(fault_of_file(files::SOURCE, "source", source.to_string()))
+            }
+            other => return Err(other),
+        }
+    }
+    let packs = Packs::open(path)?;
+    let mut layout = Layout::default();
+    let Some(index) = check_pages(&root, &mut layout, &packs, &mut out) else { return Ok(out) };
+    let locations = layout.place_chunks(&index.chunks);
+    packs.check_lengths(layout.pack_bytes(), &mut out);
+    let places = Places { index: &index, packs: &packs, locations: &locations };
+    let hashed: Vec<Option<Fault>> = (0..index.chunks.len()).into_par_iter().map(|k| places.check_hash(k)).collect();
+    out.chunks = hashed.len();
+    out.bytes += index.chunks.iter().map(|c| u64::from(c.stored_bytes)).sum::<u64>();
+    let intact: Vec<bool> = hashed.iter().map(Option::is_none).collect();
+    out.faults.extend(hashed.into_iter().flatten());
+    places.check_contents(&intact, &mut out);
+    Ok(out)
+}
+
+fn fault_of_file(file: &str, kind: &str, problem: String) -> Fault {
+    Fault { file: file.into(), kind: kind.into(), number: None, hash: None, offset: None, problem }
+}
+
+fn pack_name(number: usize) -> String {
+    files::pack_path(Path::new(""), number).display().to_string()
+}
+
+/// All packs that are there, whatever their length.
+struct Packs(Vec<Mmap>);
+
+impl Packs {
+    fn open(dataset: &Path) -> Result<Self, StoreError> {
+        let mut packs = Vec::new();
+        loop {
+            let path = files::pack_path(dataset, packs.len());
+            match std::fs::metadata(&path) {
+                Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Self(packs)),
+                Err(e) => return Err(StoreError::io(&path, "open it")(e)),
+                Ok(m) => packs.push(super::map::map_pack(&path, m.len())?),
+            }
+        }
+    }
+
+    fn get(&self, l: &Location) -> Option<&[u8]> {
+        let start = usize::try_from(l.offset).ok()?;
+        self.0.get(l.pack as usize)?.get(start..start.checked_add(l.bytes as usize)?)
+    }
+
+    fn check_lengths(&self, expected: &[u64], out: &mut Verification) {
+        for number in 0..expected.len().max(self.0.len()) {
+            let problem = match (self.0.get(number).map(|p| p.len() as u64), expected.get(number)) {
+                (None, _) => "the file is missing".to_owned(),
+                (Some(_), None) => "no such pack belongs to the dataset".to_owned(),
+                (Some(found), Some(&wanted)) if found != wanted => format!("{found} bytes instead of {wanted}"),
+                _ => continue,
+            };
+            out.faults.push(fault_of_file(&pack_name(number), "pack", problem));
+        }
+    }
+}
+
+/// Checks the pages' hashes and joins them; None when that cannot be done.
+fn check_pages(root: &Root, layout: &mut Layout, packs: &Packs, out: &mut Verification) -> Option<Index> {
+    let before = out.faults.len();
+    let mut pages = Vec::new();
+    for (number, (entry, location)) in root.pages.iter().zip(layout.place_pages(&root.pages)).enumerate() {
+        let bytes = packs.get(&location);
+        match bytes
+            .ok_or_else(|| "it lies beyond the end of its pack".to_owned())
+            .and_then(|b| manifest::check_page_hash(entry, b).map_err(|_| "its bytes have another hash".to_owned()))
+        {
+            Ok(()) => pages.extend(bytes),
+            Err(problem) => out.faults.push(Fault {
+                file: pack_name(location.pack as usize),
+                kind: "page".into(),
+                number: Some(number as u32),
+                hash: Some(entry.hash.to_string()),
+                offset: Some(location.offset),
+                problem,
+            }),
+        }
+        out.bytes += u64::from(entry.stored_bytes);
+    }
+    out.pages = root.pages.len();
+    if out.faults.len() > before {
+        return None;
+    }
+    manifest::assemble(root, &pages)
+        .map_err(|e| out.faults.push(fault_of_file(files::MANIFEST, "manifest", e.to_string())))
+        .ok()
+}
+
+/// Everything needed to look at chunks.
+struct Places<'a> {
+    index: &'a Index,
+    packs: &'a Packs,
+    locations: &'a [Location],
+}
+
+impl Places<'_> {
+    fn fault(&self, chunk: usize, problem: String) -> Fault {
+        let (entry, location) = (&self.index.chunks[chunk], &self.locations[chunk]);
+        Fault {
+            file: pack_name(location.pack as usize),
+            kind: format!("{:?}", entry.kind).to_lowercase(),
+            number: Some(chunk as u32),
+            hash: Some(entry.hash.to_string()),
+            offset: Some(location.offset),
+            problem,
+        }
+    }
+
+    fn bytes(&self, chunk: u32) -> &[u8] {
+        self.packs.get(&self.locations[chunk as usize]).unwrap_or_default()
+    }
+
+    fn check_hash(&self, chunk: usize) -> Option<Fault> {
+        let Some(bytes) = self.packs.get(&self.locations[chunk]) else {
+            return Some(self.fault(chunk, "it lies beyond the end of its pack".into()));
+        };
+        let same = ChunkHash(blake3::hash(bytes).into()) == self.index.chunks[chunk].hash;
+        (!same).then(|| self.fault(chunk, "its bytes have another hash".into()))
+    }
+
+    /// Decodes every intact chunk and compares it with the entries that use it.
+    fn check_contents(&self, intact: &[bool], out: &mut Verification) {
+        let is_intact = |c: &u32| intact[*c as usize];
+        let of_kind = |kind: ChunkKind| -> Vec<u32> {
+            (0..self.index.chunks.len() as u32)
+                .filter(|c| self.index.chunks[*c as usize].kind == kind)
+                .filter(is_intact)
+                .collect()
+        };
+        let bundles: Vec<(u32, Result<CellGeometry, CodecError>)> =
+            of_kind(ChunkKind::Bundle).into_par_iter().map(|c| (c, self.bundle(c))).collect();
+        out.decoded += bundles.len();
+        let mut good = BTreeMap::new();
+        for (chunk, result) in bundles {
+            match result {
+                Ok(bundle) => drop(good.insert(chunk, bundle)),
+                Err(e) => out.faults.push(self.fault(chunk as usize, e.to_string())),
+            }
+        }
+        let mut check = |count: usize, results: Vec<Result<(), Fault>>| {
+            out.decoded += count;
+            out.faults.extend(results.into_iter().filter_map(Result::err));
+        };
+        let cells: Vec<u32> = (0..self.index.cells.len() as u32)
+            .filter(|k| is_intact(&self.index.cells[*k as usize].chunk))
+            // A cell cannot be judged without its bundles; those have faults of their own.
+            .filter(|k| self.index.cells[*k as usize].bundles.iter().all(|b| good.contains_key(b)))
+            .collect();
+        check(cells.len(), cells.par_iter().map(|&k| self.check_cell(k, &good)).collect());
+        let placements: Vec<u32> = (0..self.index.placements.len() as u32)
+            .filter(|k| self.index.placements[*k as usize].chunks.iter().all(is_intact))
+            .collect();
+        let chunks = placements.iter().map(|k| self.index.placements[*k as usize].chunks.len()).sum();
+        check(chunks, placements.par_iter().map(|&k| self.check_placement(k)).collect());
+        let textures: Vec<(usize, usize)> = (0..self.index.textures.len())
+            .flat_map(|t| (0..self.index.textures[t].chunks.len()).map(move |k| (t, k)))
+            .filter(|&(t, k)| is_intact(&self.index.textures[t].chunks[k].chunk))
+            .collect();
+        check(textures.len(), textures.par_iter().map(|&(t, k)| self.check_texture(t, k)).collect());
+    }
+
+    fn bundle(&self, chunk: u32) -> Result<CellGeometry, CodecError> {
+        let bundle = codec::cell::decode(self.bytes(chunk))?;
+        manifest::check_bundle(self.index, &bundle)?;
+        self.check_decoded_bytes(chunk, codec::cell::decoded_bytes(&bundle))?;
+        Ok(bundle)
+    }
+
+    /// The cache's accounts rest on this number.
+    fn check_decoded_bytes(&self, chunk: u32, found: usize) -> Result<(), CodecError> {
+        let listed = self.index.chunks[chunk as usize].decoded_bytes;
+        if found == listed as usize {
+            Ok(())
+        } else {
+            let reason = format!("{found} bytes in memory, but the index says {listed}");
+            Err(CodecError::Mismatch { field: "decoded bytes", reason })
+        }
+    }
+
+    fn check_cell(&self, cell: u32, bundles: &BTreeMap<u32, CellGeometry>) -> Result<(), Fault> {
+        let chunk = self.index.cells[cell as usize].chunk;
+        let check = || {
+            let geometry = codec::cell::decode(self.bytes(chunk))?;
+            self.check_decoded_bytes(chunk, codec::cell::decoded_bytes(&geometry))?;
+            manifest::check_cell_content(self.index, cell, &geometry, |b| bundles.get(&b))
+        };
+        check().map_err(|e| self.fault(chunk as usize, format!("cell {cell}: {e}")))
+    }
+
+    fn check_placement(&self, placement: u32) -> Result<(), Fault> {
+        let entry = &self.index.placements[placement as usize];
+        let (first, deeper) = match entry.chunks[..] {
+            [] => return Ok(()),
+            [first] => (first, None),
+            [first, deeper, ..] => (first, Some(deeper)),
+        };
+        let wrap = |chunk: u32| move |e: CodecError| self.fault(chunk as usize, format!("placement {placement}: {e}"));
+        let mut ldi = codec::ldi::decode_first(self.bytes(first)).map_err(wrap(first))?;
+        let first_bytes = codec::ldi::decoded_bytes(&ldi)[0];
+        self.check_decoded_bytes(first, first_bytes).map_err(wrap(first))?;
+        if let Some(deeper) = deeper {
+            codec::ldi::decode_deeper(self.bytes(deeper), &mut ldi).map_err(wrap(deeper))?;
+            self.check_decoded_bytes(deeper, codec::ldi::decoded_bytes(&ldi)[1]).map_err(wrap(deeper))?;
+        }
+        manifest::check_ldi(self.index, placement, &ldi).map_err(wrap(first))?;
+        if ldi.layers.len() < entry.samples_by_layer.len() {
+            let reason = format!("{} layers, but the index says {}", ldi.layers.len(), entry.samples_by_layer.len());
+            return Err(wrap(deeper.unwrap_or(first))(CodecError::Mismatch { field: "layers", reason }));
+        }
+        Ok(())
+    }
+
+    fn check_texture(&self, texture: usize, part: usize) -> Result<(), Fault> {
+        let entry = &self.index.textures[texture];
+        let listed = &entry.chunks[part];
+        let check = || {
+            let levels = codec::texture::decode(self.bytes(listed.chunk))?;
+            self.check_decoded_bytes(listed.chunk, codec::texture::decoded_bytes(&levels))?;
+            manifest::check_texture(entry, listed, &levels)
+        };
+        check().map_err(|e| self.fault(listed.chunk as usize, format!("texture {texture}: {e}")))
+    }
+}

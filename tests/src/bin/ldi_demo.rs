@@ -1,0 +1,162 @@
+//! `ldi-demo`: the main job in small. Builds a dataset, serves it on loopback, walks it over QUIC, leaves a page.
+
+use anyhow::{Context as _, Result};
+use clap::Parser;
+use ldi_tests::page::Page;
+use ldi_tests::run::{self, Server};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Instant;
+
+/// Builds a dataset from a scene, serves it on loopback, walks through it over QUIC and leaves OUT/index.html.
+#[derive(Debug, Parser)]
+#[command(
+    name = "ldi-demo",
+    version,
+    after_help = "\
+Examples:
+  deploy/demo.sh
+  deploy/demo.sh clinic.glb clinic.path.json --budget-percent 2 --frames 40 -o out/clinic"
+)]
+struct Options {
+    /// Scene: .glb, .gltf, .obj or .ply [default: the built-in house].
+    #[arg(requires = "path")]
+    scene: Option<PathBuf>,
+    /// Path file to walk along.
+    path: Option<PathBuf>,
+    /// Folder for everything the demo leaves.
+    #[arg(short, long, default_value = "out/demo")]
+    output: PathBuf,
+    /// Geometry budget as a share of the scene's triangles.
+    #[arg(long, default_value_t = 10.0, value_parser = percent)]
+    budget_percent: f64,
+    /// Frames, evenly spaced over the path.
+    #[arg(long, default_value_t = 24, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    frames: u64,
+    /// Picture size.
+    #[arg(long, default_value = "1280x720")]
+    size: String,
+    /// Triangles of the built-in house.
+    #[arg(long, default_value_t = 120_000)]
+    triangles: u64,
+    /// A small and fast run, for tests.
+    #[arg(long)]
+    quick: bool,
+}
+
+fn percent(s: &str) -> Result<f64, String> {
+    s.parse::<f64>()
+        .ok()
+        .filter(|p| *p > 0.0 && *p <= 100.0)
+        .ok_or_else(|| format!("'{s}' is not a share in percent, above 0 and at most 100"))
+}
+
+/// Runs commands one after the other, shows them as one would type them, and remembers them with their seconds.
+#[derive(Default)]
+struct Steps(Vec<(String, f64)>);
+
+impl Steps {
+    fn run(&mut self, command: Command) -> Result<()> {
+        let shown = run::show(&command);
+        println!("$ {shown}");
+        let start = Instant::now();
+        run::run(command)?;
+        self.0.push((shown, start.elapsed().as_secs_f64()));
+        Ok(())
+    }
+}
+
+fn main() -> Result<()> {
+    let mut o = Options::parse();
+    if o.quick {
+        (o.frames, o.size, o.triangles) = (o.frames.min(4), "320x180".into(), o.triangles.min(20_000));
+    }
+    std::fs::create_dir_all(&o.output).with_context(|| format!("cannot make {}", o.output.display()))?;
+    let out = |name: &str| o.output.join(name);
+    let mut steps = Steps::default();
+
+    let (scene, path) = match (&o.scene, &o.path) {
+        (Some(scene), Some(path)) => (scene.clone(), path.clone()),
+        _ => {
+            let mut c = run::command("ldi-server")?;
+            c.args(["scene", "house", "--seed", "1", "--triangles", &o.triangles.to_string(), "-o"])
+                .arg(out("house.glb"));
+            steps.run(c)?;
+            (out("house.glb"), out("house.path.json"))
+        }
+    };
+    let poses = out("poses.json");
+    let n = write_poses(&path, o.frames, &poses)?;
+    println!("walking {n} poses, evenly spaced over {}", path.display());
+
+    let budget = (count_triangles(&scene)? * o.budget_percent / 100.0).ceil() as u64;
+    let mut c = run::command("ldi-server")?;
+    c.arg("build").arg(&scene).arg("-o").arg(out("dataset"));
+    c.args(["--budget", &budget.max(1).to_string(), "--size", &o.size, "--report"]).arg(out("build.json"));
+    steps.run(c)?;
+    for (samples, folder) in [("16", "truth"), ("1", "baseline")] {
+        let mut c = run::command("ldi-server")?;
+        c.arg("render").arg(&scene).arg("--path").arg(&poses).args(["--size", &o.size, "--samples", samples]);
+        c.arg(if samples == "1" { "--mips" } else { "--depth" }).arg("-o").arg(out(folder));
+        steps.run(c)?;
+    }
+
+    let server = Server::start(&out("dataset"))?;
+    println!("serving on {}, plan on http://{}/", server.quic, server.http);
+    let mut c = run::command("ldi-client")?;
+    c.args(["walk", &server.quic, "--fingerprint", &server.fingerprint, "--path"]).arg(&poses);
+    c.args(["--size", &o.size, "--pace", "wait", "--debug-views", "--truth"]).arg(out("truth"));
+    c.arg("-o").arg(out("frames")).arg("--report").arg(out("walk.json"));
+    steps.run(c)?;
+    drop(server);
+
+    let (build, walk) = (read_json(&out("build.json"))?, read_json(&out("walk.json"))?);
+    let baseline_flip = baseline_flip(&walk, &out("truth"), &out("baseline"))?;
+    let page = Page {
+        scene: &scene.file_stem().unwrap_or_default().to_string_lossy(),
+        build: &build,
+        walk: &walk,
+        baseline_flip: &baseline_flip,
+        commands: &steps.0,
+    };
+    std::fs::write(out("index.html"), page.html())
+        .with_context(|| format!("cannot write {}", out("index.html").display()))?;
+    println!("look at {}", out("index.html").display());
+    Ok(())
+}
+
+/// Writes `frames` poses, evenly spaced over a path; says how many.
+fn write_poses(path: &Path, frames: u64, to: &Path) -> Result<usize> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let walk = ldi_protocol::path::parse(&text).with_context(|| format!("{}", path.display()))?;
+    let all = walk.poses.len();
+    let picked: Vec<Value> = (0..(frames as usize).min(all))
+        .map(|i| &walk.poses[i * all / (frames as usize).min(all)])
+        .map(|p| json!({ "t": p.t_s, "position": p.pose.position.to_array(), "yaw": p.pose.yaw_deg, "pitch": p.pose.pitch_deg }))
+        .collect();
+    let file = json!({ "fps": walk.fps, "speed": walk.speed, "poses": picked });
+    std::fs::write(to, file.to_string()).with_context(|| format!("cannot write {}", to.display()))?;
+    Ok(picked.len())
+}
+
+fn count_triangles(scene: &Path) -> Result<f64> {
+    Ok(ldi_server::scene::load(&scene.to_string_lossy())?.triangles() as f64)
+}
+
+fn read_json(path: &Path) -> Result<Value> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    serde_json::from_str(&text).with_context(|| format!("{}", path.display()))
+}
+
+/// FLIP of the baseline's frames against the truth, for the frames of the walk.
+fn baseline_flip(walk: &Value, truth: &Path, baseline: &Path) -> Result<Vec<f64>> {
+    let frames = walk["frames"].as_array().context("the walk's report has no frames")?;
+    frames
+        .iter()
+        .map(|f| {
+            let name = format!("frame_{:05}.png", f["index"].as_u64().context("a frame has no index")?);
+            ldi_tests::compare::mean_flip(&truth.join(&name), &baseline.join(&name))
+        })
+        .collect()
+}

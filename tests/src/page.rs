@@ -1,0 +1,296 @@
+//! The page a demo run leaves: what was drawn as geometry, what came from images, the truth beside it, and the plots.
+//!
+//! In: the reports of `build` and `walk`, and frames on disk. Out: one `index.html` that refers to the pictures beside it
+//! and needs no network.
+
+use crate::plot::{Plot, Series, escape, number};
+use serde_json::Value;
+use std::fmt::Write as _;
+
+/// What the page shows.
+pub struct Page<'a> {
+    /// Heading: the scene's name.
+    pub scene: &'a str,
+    /// Report of `ldi-server build`.
+    pub build: &'a Value,
+    /// Report of `ldi-client walk`.
+    pub walk: &'a Value,
+    /// FLIP of the baseline (all geometry, one ray per pixel) against the truth, by position in the walk's frames.
+    pub baseline_flip: &'a [f64],
+    /// The commands that were run, as typed, and their seconds.
+    pub commands: &'a [(String, f64)],
+}
+
+impl Page<'_> {
+    /// The page's HTML.
+    pub fn html(&self) -> String {
+        let summary = &self.walk["summary"];
+        let frames = self.walk["frames"].as_array().map(Vec::as_slice).unwrap_or_default();
+        let get = |v: &Value, path: &str| path.split('.').fold(v.clone(), |v, key| v[key].clone());
+        let f = |path: &str| get(summary, path).as_f64().unwrap_or(f64::NAN);
+        let mut h = String::from(
+            "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">",
+        );
+        let _ = write!(
+            h,
+            "<title>A walk through {0}</title><style>{1}</style><main><h1>A walk through {0}</h1>",
+            escape(self.scene),
+            STYLE
+        );
+        let _ = write!(
+            h,
+            "<p class=\"lead\">{} triangles, drawn with at most {} per frame: near cells as geometry, the rest warped from layered depth images that were streamed over QUIC.</p>",
+            number(f("scene_triangles")),
+            number(f("budget_triangles"))
+        );
+
+        h.push_str("<section class=\"tiles\">");
+        let mean_baseline = mean(self.baseline_flip.iter().copied());
+        let tile = |h: &mut String, value: String, name: &str, note: String| {
+            let _ = write!(
+                h,
+                "<div><b>{}</b><span>{}</span><small>{}</small></div>",
+                escape(&value),
+                escape(name),
+                escape(&note)
+            );
+        };
+        tile(
+            &mut h,
+            number(f("max_triangles")),
+            "triangles in the worst frame",
+            format!("budget {}, {} violations", number(f("budget_triangles")), number(f("budget_violations"))),
+        );
+        tile(
+            &mut h,
+            format!("{:.4}", f("mean_flip")),
+            "mean FLIP against truth",
+            format!(
+                "{:.2} times that of drawing everything at one sample per pixel ({mean_baseline:.4})",
+                f("mean_flip") / mean_baseline
+            ),
+        );
+        tile(
+            &mut h,
+            format!("{:.3}%", 100.0 * f("hole_fraction_max")),
+            "holes, worst frame",
+            format!(
+                "mean {:.4}%, before filling {:.4}%",
+                100.0 * f("hole_fraction_mean"),
+                100.0 * f("hole_before_fill_mean")
+            ),
+        );
+        tile(
+            &mut h,
+            format!("{:.1} ms", f("frame_ms.p50")),
+            "per frame, CPU only",
+            format!("p99 {:.1} ms; {:.1} times as fast as drawing everything", f("frame_ms.p99"), f("speedup")),
+        );
+        tile(
+            &mut h,
+            format!("{} MB", number(f("bytes_total") / 1e6)),
+            "received",
+            format!("all geometry would be {} MB", number(f("all_geometry_bytes") / 1e6)),
+        );
+        tile(
+            &mut h,
+            format!("{}", frames.len()),
+            "frames",
+            format!(
+                "{} incomplete, {} outside the walk volume",
+                number(f("frames_incomplete")),
+                number(f("frames_outside_volume"))
+            ),
+        );
+        h.push_str("</section>");
+
+        self.viewer(&mut h, frames);
+        self.plots(&mut h, frames, f("budget_triangles"));
+        self.build_table(&mut h);
+        h.push_str("<h2>How to run it again</h2><pre>");
+        for (command, seconds) in self.commands {
+            let _ = writeln!(h, "{}   <i># {seconds:.1} s</i>", escape(command));
+        }
+        let _ = write!(h, "</pre></main><script>{SCRIPT}</script></html>");
+        h
+    }
+
+    fn viewer(&self, h: &mut String, frames: &[Value]) {
+        let rows: Vec<Value> = frames
+            .iter()
+            .enumerate()
+            .map(|(k, f)| {
+                let file = format!("frame_{:05}", f["index"].as_u64().unwrap_or_default());
+                let note = format!(
+                    "pose {}: {} triangles, {} samples warped, FLIP {} (all geometry at one sample per pixel: {}), footprint at most {} px",
+                    f["index"],
+                    number(f["triangles"].as_f64().unwrap_or(f64::NAN)),
+                    number(f["samples_warped"].as_f64().unwrap_or(0.0)),
+                    fixed(f["flip"].as_f64()),
+                    fixed(self.baseline_flip.get(k).copied()),
+                    fixed(f["footprint_max_px"].as_f64()),
+                );
+                serde_json::json!({ "file": file, "note": note })
+            })
+            .collect();
+        let json = Value::from(rows).to_string().replace('<', "\\u003c");
+        let _ = write!(
+            h,
+            "<h2>Frames</h2><p><input id=\"at\" type=\"range\" min=\"0\" max=\"{}\" value=\"0\" aria-label=\"frame\"><output id=\"note\"></output></p><div class=\"views\">\
+             <figure><img id=\"ours\" alt=\"our frame\"><figcaption>What the walker sees</figcaption></figure>\
+             <figure><img id=\"truth\" alt=\"truth\"><figcaption>Truth: every triangle, 16 rays per pixel</figcaption></figure>\
+             <figure><img id=\"near\" alt=\"geometry\"><figcaption>Drawn as geometry</figcaption></figure>\
+             <figure><img id=\"far\" alt=\"images\"><figcaption>Warped from layered depth images</figcaption></figure></div>\
+             <script>const frames={json};</script>",
+            frames.len().saturating_sub(1)
+        );
+    }
+
+    fn plots(&self, h: &mut String, frames: &[Value], budget: f64) {
+        let series = |name, of: &dyn Fn(&Value) -> Option<f64>| Series {
+            name,
+            points: frames
+                .iter()
+                .map(|f| (f["index"].as_f64().unwrap_or(f64::NAN), of(f).unwrap_or(f64::NAN)))
+                .collect(),
+        };
+        let mut received = 0.0;
+        let bytes: Vec<(f64, f64)> = frames
+            .iter()
+            .map(|f| {
+                received += f["bytes_received"].as_f64().unwrap_or(0.0);
+                (f["t_s"].as_f64().unwrap_or(f64::NAN), received / 1e6)
+            })
+            .collect();
+        let baseline =
+            frames.iter().zip(self.baseline_flip).map(|(f, b)| (f["index"].as_f64().unwrap_or(f64::NAN), *b)).collect();
+        h.push_str("<h2>Along the path</h2><div class=\"plots\">");
+        for plot in [
+            Plot {
+                title: "Triangles per frame",
+                x: "pose",
+                y: "triangles",
+                series: vec![series("drawn as geometry", &|f| f["triangles"].as_f64())],
+                bound: Some(("budget P", budget)),
+            },
+            Plot {
+                title: "Milliseconds per frame",
+                x: "pose",
+                y: "ms",
+                series: vec![
+                    series("frame", &|f| f["ms"]["frame"].as_f64()),
+                    series("near", &|f| f["ms"]["near"].as_f64()),
+                    series("warp", &|f| f["ms"]["warp"].as_f64()),
+                ],
+                bound: None,
+            },
+            Plot {
+                title: "Received over the walk",
+                x: "seconds along the path",
+                y: "MB",
+                series: vec![Series { name: "received", points: bytes }],
+                bound: None,
+            },
+            Plot {
+                title: "Error against truth",
+                x: "pose",
+                y: "FLIP",
+                series: vec![
+                    series("ours", &|f| f["flip"].as_f64()),
+                    Series { name: "all geometry, 1 ray", points: baseline },
+                ],
+                bound: None,
+            },
+        ] {
+            let _ = write!(h, "<figure>{}</figure>", plot.svg());
+        }
+        h.push_str("</div>");
+    }
+
+    fn build_table(&self, h: &mut String) {
+        let b = self.build;
+        h.push_str("<h2>The dataset</h2><table>");
+        let mut row = |name: &str, value: String| {
+            let _ = write!(h, "<tr><th>{}</th><td>{}</td></tr>", escape(name), escape(&value));
+        };
+        let n = |v: &Value| v.as_f64().map_or("-".into(), number);
+        row("grid points", n(&b["grid"]["points"]));
+        row("layered depth images", n(&b["ldis"]));
+        row("samples", format!("{} ({} pruned)", n(&b["samples"]["total"]), n(&b["samples"]["pruned"])));
+        row("bytes per sample", b["bytes_per_sample"].as_f64().map_or("-".into(), |v| format!("{v:.2}")));
+        for (name, key) in [
+            ("bytes in all", "total"),
+            ("images", "ldi"),
+            ("geometry", "geometry"),
+            ("textures", "textures"),
+            ("manifest", "manifest"),
+        ] {
+            row(name, format!("{} MB", b["bytes"][key].as_f64().map_or("-".into(), |v| number(v / 1e6))));
+        }
+        row("images per second while building", b["ldis_per_s"].as_f64().map_or("-".into(), |v| format!("{v:.2}")));
+        row("rays per second", n(&b["rays_per_s"]));
+        row(
+            "largest footprint promised",
+            b["guarantee"]["max_footprint_px"].as_f64().map_or("-".into(), |v| format!("{v:.2} px")),
+        );
+        let skipped = b["skipped"].as_array().map(Vec::as_slice).unwrap_or_default();
+        for s in skipped {
+            row(&format!("skipped: {}", s["what"].as_str().unwrap_or("")), s["why"].as_str().unwrap_or("").into());
+        }
+        h.push_str("</table>");
+    }
+}
+
+fn fixed(v: Option<f64>) -> String {
+    v.map_or("-".into(), |v| format!("{v:.3}"))
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (n, sum) = values.fold((0.0, 0.0), |(n, s), v| (n + 1.0, s + v));
+    sum / n
+}
+
+const STYLE: &str = "\
+:root{color-scheme:light dark;--fg:#1c2330;--bg:#fbfbfa;--dim:#667085;--line:#d9dde3;--card:#fff;--s0:#2563c9;--s1:#c2570c;--s2:#13795b;--s3:#8e3fb0;--bound:#c0243a}\
+@media(prefers-color-scheme:dark){:root{--fg:#e6e9ef;--bg:#14171c;--dim:#98a2b3;--line:#2d333d;--card:#1b1f26;--s0:#6ea3ff;--s1:#f59e55;--s2:#4fc79a;--s3:#cf8cf0;--bound:#ff6b7d}}\
+body{margin:0;background:var(--bg);color:var(--fg);font:16px/1.5 system-ui,sans-serif}main{max-width:1180px;margin:auto;padding:24px 20px 60px}\
+h1{margin:0 0 4px;font-size:28px}h2{margin:36px 0 10px;font-size:19px}.lead{color:var(--dim);max-width:70ch;margin:0 0 20px}\
+.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(180px,1fr));gap:12px}.tiles div{background:var(--card);border:1px solid var(--line);border-radius:8px;padding:12px 14px;display:flex;flex-direction:column}\
+.tiles b{font-size:22px}.tiles small{color:var(--dim)}.views,.plots{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,480px),1fr));gap:14px}\
+figure{margin:0;background:var(--card);border:1px solid var(--line);border-radius:8px;overflow:hidden}figcaption{padding:6px 12px;color:var(--dim);font-size:14px}img{display:block;width:100%;background:#8884}\
+input[type=range]{width:min(100%,480px);vertical-align:middle;margin-right:12px}output{color:var(--dim);font-size:14px}\
+svg.plot{display:block;padding:10px;width:calc(100% - 20px)}svg text{fill:var(--dim);font:12px system-ui,sans-serif}svg .title{fill:var(--fg);font-weight:600;font-size:13px}\
+svg .grid{stroke:var(--line)}svg path,svg line.s0,svg line.s1,svg line.s2,svg line.s3{fill:none;stroke-width:1.8}.s0{stroke:var(--s0)}.s1{stroke:var(--s1)}.s2{stroke:var(--s2)}.s3{stroke:var(--s3)}\
+svg .bound{stroke:var(--bound);stroke-dasharray:5 4}svg .boundname{fill:var(--bound)}\
+table{border-collapse:collapse}th,td{text-align:left;padding:4px 18px 4px 0;border-bottom:1px solid var(--line);font-weight:400;vertical-align:top}th{color:var(--dim)}\
+pre{overflow-x:auto;background:var(--card);border:1px solid var(--line);border-radius:8px;padding:12px}pre i{color:var(--dim)}";
+
+const SCRIPT: &str = "\
+const at=document.getElementById('at');function show(){const f=frames[+at.value];if(!f)return;\
+for(const[id,src]of[['ours','frames/'+f.file+'.png'],['truth','truth/'+f.file+'.png'],['near','frames/'+f.file+'.near.png'],['far','frames/'+f.file+'.far.png']])document.getElementById(id).src=src;\
+document.getElementById('note').textContent=f.note}at.addEventListener('input',show);show();";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn the_page_shows_every_frame_and_survives_missing_figures() {
+        let walk = json!({
+            "summary": { "frames": 2, "mean_flip": 0.05, "budget_triangles": 1000 },
+            "frames": [ { "index": 0, "triangles": 10, "flip": 0.05 }, { "index": 7, "triangles": 20, "flip": null } ]
+        });
+        let page = Page {
+            scene: "a<b",
+            build: &json!({}),
+            walk: &walk,
+            baseline_flip: &[0.04, 0.04],
+            commands: &[("ldi-server x".into(), 1.0)],
+        };
+        let html = page.html();
+        assert!(html.contains("frame_00000") && html.contains("frame_00007"));
+        assert!(html.contains("a&lt;b") && !html.contains("a<b"));
+        assert!(html.contains("1.25 times"));
+    }
+}

@@ -1,0 +1,200 @@
+//! Line plots as SVG, readable in light and dark: colours come from the page's style sheet by class.
+
+use std::fmt::Write as _;
+
+/// One line of a plot.
+pub struct Series<'a> {
+    /// Name in the legend.
+    pub name: &'a str,
+    /// (x, y), x ascending. Points that are not finite break the line.
+    pub points: Vec<(f64, f64)>,
+}
+
+/// A plot with axes, ticks, a legend, and optionally a horizontal line that is not to be crossed.
+pub struct Plot<'a> {
+    /// Heading.
+    pub title: &'a str,
+    /// Name and unit of the horizontal axis.
+    pub x: &'a str,
+    /// Name and unit of the vertical axis.
+    pub y: &'a str,
+    /// At most four.
+    pub series: Vec<Series<'a>>,
+    /// A bound, with its name.
+    pub bound: Option<(&'a str, f64)>,
+}
+
+const WIDTH: f64 = 640.0;
+const HEIGHT: f64 = 260.0;
+const LEFT: f64 = 64.0;
+const RIGHT: f64 = 16.0;
+const TOP: f64 = 44.0;
+const BOTTOM: f64 = 40.0;
+
+impl Plot<'_> {
+    /// The plot as an `<svg>` element. The vertical axis starts at 0.
+    pub fn svg(&self) -> String {
+        let finite = |p: &&(f64, f64)| p.0.is_finite() && p.1.is_finite();
+        let all = || self.series.iter().flat_map(|s| s.points.iter().filter(finite));
+        let (x0, x1) = all().fold((f64::MAX, f64::MIN), |(a, b), p| (a.min(p.0), b.max(p.0)));
+        if x0 > x1 {
+            return format!("<p class=\"none\">{}: no data</p>", escape(self.title));
+        }
+        let x1 = if x1 > x0 { x1 } else { x0 + 1.0 };
+        let top = all().map(|p| p.1).chain(self.bound.map(|b| b.1)).fold(0.0, f64::max);
+        let step = tick_step(if top > 0.0 { top } else { 1.0 });
+        let y1 = (top / step).ceil().max(1.0) * step;
+        let px = |x: f64| LEFT + (x - x0) / (x1 - x0) * (WIDTH - LEFT - RIGHT);
+        let py = |y: f64| HEIGHT - BOTTOM - y / y1 * (HEIGHT - TOP - BOTTOM);
+
+        let mut s = format!(
+            "<svg class=\"plot\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{0}\"><text class=\"title\" x=\"{LEFT}\" y=\"16\">{0}</text>",
+            escape(self.title)
+        );
+        let mut y = 0.0;
+        while y <= y1 * 1.0001 {
+            let _ = write!(
+                s,
+                "<line class=\"grid\" x1=\"{LEFT}\" x2=\"{:.1}\" y1=\"{1:.1}\" y2=\"{1:.1}\"/><text class=\"tick\" text-anchor=\"end\" x=\"{2:.1}\" y=\"{3:.1}\">{4}</text>",
+                WIDTH - RIGHT,
+                py(y),
+                LEFT - 6.0,
+                py(y) + 4.0,
+                number(y)
+            );
+            y += step;
+        }
+        let x_step = tick_step((x1 - x0) / 1.6);
+        let mut x = (x0 / x_step).ceil() * x_step;
+        while x <= x1 + x_step * 1e-6 {
+            let _ = write!(
+                s,
+                "<text class=\"tick\" text-anchor=\"middle\" x=\"{:.1}\" y=\"{:.1}\">{}</text>",
+                px(x),
+                HEIGHT - BOTTOM + 16.0,
+                number(x)
+            );
+            x += x_step;
+        }
+        let _ = write!(
+            s,
+            "<text class=\"axis\" text-anchor=\"end\" x=\"{:.1}\" y=\"{:.1}\">{}</text><text class=\"axis\" x=\"4\" y=\"36\">{}</text>",
+            WIDTH - RIGHT,
+            HEIGHT - 6.0,
+            escape(self.x),
+            escape(self.y)
+        );
+        if let Some((name, y)) = self.bound {
+            let _ = write!(
+                s,
+                "<line class=\"bound\" x1=\"{LEFT}\" x2=\"{:.1}\" y1=\"{1:.1}\" y2=\"{1:.1}\"/><text class=\"boundname\" x=\"{2:.1}\" y=\"{3:.1}\">{4}</text>",
+                WIDTH - RIGHT,
+                py(y),
+                LEFT + 4.0,
+                py(y) - 4.0,
+                escape(name)
+            );
+        }
+        let mut legend_x = WIDTH - RIGHT;
+        for (i, series) in self.series.iter().enumerate().rev() {
+            legend_x -= 7.0 * series.name.len() as f64 + 26.0;
+            let _ = write!(
+                s,
+                "<line class=\"s{i}\" x1=\"{legend_x:.0}\" x2=\"{:.0}\" y1=\"12\" y2=\"12\"/><text class=\"legend\" x=\"{:.0}\" y=\"16\">{}</text>",
+                legend_x + 14.0,
+                legend_x + 18.0,
+                escape(series.name)
+            );
+        }
+        for (i, series) in self.series.iter().enumerate() {
+            let mut path = String::new();
+            let mut pen_down = false;
+            for p in &series.points {
+                if !finite(&p) {
+                    pen_down = false;
+                    continue;
+                }
+                let _ = write!(path, "{}{:.1} {:.1}", if pen_down { "L" } else { "M" }, px(p.0), py(p.1));
+                pen_down = true;
+            }
+            let _ = write!(s, "<path class=\"s{i}\" d=\"{path}\"/>");
+        }
+        s + "</svg>"
+    }
+}
+
+/// 1, 2 or 5 times a power of ten, so that three to seven ticks fit below `span`.
+fn tick_step(span: f64) -> f64 {
+    let raw = span / 4.0;
+    let power = 10f64.powf(raw.log10().floor());
+    let scaled = raw / power;
+    power
+        * if scaled < 1.5 {
+            1.0
+        } else if scaled < 3.5 {
+            2.0
+        } else if scaled < 7.5 {
+            5.0
+        } else {
+            10.0
+        }
+}
+
+/// A number for people: 1.5M, 200k, 12, 0.05.
+pub fn number(v: f64) -> String {
+    let a = v.abs();
+    let trimmed =
+        |s: String| if s.contains('.') { s.trim_end_matches('0').trim_end_matches('.').to_string() } else { s };
+    if a >= 1e6 {
+        format!("{}M", trimmed(format!("{:.2}", v / 1e6)))
+    } else if a >= 1e4 {
+        format!("{}k", trimmed(format!("{:.1}", v / 1e3)))
+    } else if a >= 100.0 || a == 0.0 {
+        format!("{v:.0}")
+    } else {
+        trimmed(format!("{v:.3}"))
+    }
+}
+
+/// Text for HTML and SVG.
+pub fn escape(s: &str) -> String {
+    s.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plot(points: Vec<(f64, f64)>) -> String {
+        Plot { title: "a < b", x: "s", y: "ms", series: vec![Series { name: "n", points }], bound: Some(("P", 8.0)) }
+            .svg()
+    }
+
+    #[test]
+    fn a_plot_spans_its_axes_and_escapes_text() {
+        let svg = plot(vec![(0.0, 0.0), (10.0, 8.0)]);
+        assert!(svg.contains("a &lt; b"));
+        // From the origin of the axes to the right border, at the height of the bound's line.
+        assert!(svg.contains(&format!("M{LEFT:.1} {:.1}L{:.1} {TOP:.1}", HEIGHT - BOTTOM, WIDTH - RIGHT)), "{svg}");
+    }
+
+    #[test]
+    fn a_missing_value_breaks_the_line() {
+        let svg = plot(vec![(0.0, 1.0), (1.0, f64::NAN), (2.0, 1.0)]);
+        assert_eq!(svg.matches('M').count(), 2);
+        assert_eq!(plot(vec![(0.0, 1.0), (1.0, 1.0), (2.0, 1.0)]).matches('M').count(), 1);
+    }
+
+    #[test]
+    fn no_data_is_said() {
+        assert!(plot(vec![]).contains("no data"));
+    }
+
+    #[test]
+    fn numbers_are_short() {
+        assert_eq!(
+            ["0", "0.05", "12.5", "200", "135k", "1.35M"].map(String::from),
+            [0.0, 0.05, 12.5, 200.0, 135e3, 1.35e6].map(number)
+        );
+    }
+}

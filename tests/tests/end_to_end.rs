@@ -1,0 +1,248 @@
+//! The real binaries, from scene to walked frames, on a small built-in house.
+
+use ldi_tests::run::{self, Server};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::sync::OnceLock;
+use std::time::Duration;
+
+const BUDGET: &str = "2500";
+const SIZE: &str = "320x180";
+
+/// A fresh folder for one test.
+fn folder(name: &str) -> PathBuf {
+    let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}-{}", std::process::id()));
+    let _ = std::fs::remove_dir_all(&dir);
+    std::fs::create_dir_all(&dir).expect("the target folder is writable");
+    dir
+}
+
+fn server(args: &[&str]) -> Command {
+    let mut c = run::command("ldi-server").expect("built");
+    c.args(args);
+    c
+}
+
+fn json(path: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(path).expect("readable")).expect("JSON")
+}
+
+/// Exit code and stderr.
+fn outcome(o: &Output) -> (Option<i32>, String) {
+    (o.status.code(), String::from_utf8_lossy(&o.stderr).into_owned())
+}
+
+/// A small house, its path, and a dataset of it: made once per test process.
+struct Fixture {
+    scene: PathBuf,
+    poses: PathBuf,
+    dataset: PathBuf,
+}
+
+fn fixture() -> &'static Fixture {
+    static FIXTURE: OnceLock<Fixture> = OnceLock::new();
+    FIXTURE.get_or_init(|| {
+        let dir = folder("fixture");
+        let (scene, dataset, poses) = (dir.join("house.glb"), dir.join("dataset"), dir.join("poses.json"));
+        let mut c = server(&["scene", "house", "--triangles", "25000", "--seed", "1", "-o"]);
+        c.arg(&scene);
+        run::run(c).expect("writes a scene");
+        build(&scene, &dataset, &[]);
+        // Middle of a room, a doorway, and a look up and down.
+        let pose = |p: [f64; 3], yaw: f64, pitch: f64| serde_json::json!({ "t": 0.0, "position": p, "yaw": yaw, "pitch": pitch });
+        let file = serde_json::json!({ "poses": [
+            pose([-10.0, 1.6, -6.75], -90.0, 0.0), pose([-7.5, 1.6, -6.75], -90.0, 0.0), pose([-5.0, 1.6, -6.75], -120.0, 30.0),
+            pose([0.0, 1.5, 2.2], 180.0, -30.0), pose([0.3, 1.7, -2.2], 45.0, 10.0)
+        ] });
+        std::fs::write(&poses, file.to_string()).expect("writable");
+        Fixture { scene, poses, dataset }
+    })
+}
+
+fn build_command(scene: &Path, dataset: &Path, more: &[&str]) -> Command {
+    let mut c = server(&["build"]);
+    c.arg(scene).arg("-o").arg(dataset).args(["--budget", BUDGET, "--size", SIZE]).args(more);
+    c
+}
+
+fn build(scene: &Path, dataset: &Path, more: &[&str]) {
+    run::run(build_command(scene, dataset, more)).expect("builds");
+}
+
+/// Every file of a dataset but the report, by name.
+fn dataset_bytes(dataset: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut files = BTreeMap::new();
+    let mut folders = vec![dataset.to_path_buf()];
+    while let Some(f) = folders.pop() {
+        for path in std::fs::read_dir(f).expect("readable").map(|e| e.expect("readable").path()) {
+            if path.is_dir() {
+                folders.push(path);
+            } else if !path.ends_with("report.json") {
+                let name = path.strip_prefix(dataset).expect("inside").to_path_buf();
+                files.insert(name, std::fs::read(&path).expect("readable"));
+            }
+        }
+    }
+    files
+}
+
+fn assert_same_dataset(a: &Path, b: &Path) {
+    let (a, b) = (dataset_bytes(a), dataset_bytes(b));
+    assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>());
+    for (name, bytes) in &a {
+        assert!(*bytes == b[name], "{} differs", name.display());
+    }
+}
+
+/// Walks the fixture's poses; returns the report.
+fn walk(served: &Server, f: &Fixture, out: &Path, more: &[&str]) -> Value {
+    let mut c = run::command("ldi-client").expect("built");
+    c.args(["walk", &served.quic, "--fingerprint", &served.fingerprint, "--path"]).arg(&f.poses);
+    c.args(["--size", SIZE, "--pace", "wait", "-o"])
+        .arg(out.join("frames"))
+        .arg("--report")
+        .arg(out.join("walk.json"))
+        .args(more);
+    run::run(c).expect("walks");
+    json(&out.join("walk.json"))
+}
+
+#[test]
+fn a_walk_keeps_the_budget_and_looks_like_the_truth() {
+    let f = fixture();
+    let out = folder("walk");
+    for (samples, extra, name) in [("16", "--depth", "truth"), ("1", "--mips", "baseline")] {
+        let mut c = server(&["render"]);
+        c.arg(&f.scene)
+            .arg("--path")
+            .arg(&f.poses)
+            .args(["--size", SIZE, "--samples", samples, extra, "-o"])
+            .arg(out.join(name));
+        run::run(c).expect("renders");
+    }
+    let served = Server::start(&f.dataset).expect("serves");
+    let truth = out.join("truth");
+    let report = walk(&served, f, &out, &["--truth", truth.to_str().expect("UTF-8")]);
+    let s = &report["summary"];
+    assert_eq!(s["frames"], 5);
+    assert_eq!(s["budget_violations"], 0);
+    assert_eq!(s["frames_incomplete"], 0);
+    assert!(s["max_triangles"].as_u64().expect("a count") <= BUDGET.parse::<u64>().expect("a number"));
+    let frames = report["frames"].as_array().expect("frames");
+    assert!(frames.iter().any(|f| f["placement"].is_u64()), "some pose uses an image");
+    assert!(frames.iter().any(|f| f["samples_warped"].as_u64() > Some(0)), "some pose warps samples");
+    let baseline: Vec<f64> = frames
+        .iter()
+        .map(|f| {
+            let name = format!("frame_{:05}.png", f["index"].as_u64().expect("an index"));
+            ldi_tests::compare::mean_flip(&truth.join(&name), &out.join("baseline").join(&name)).expect("readable")
+        })
+        .collect();
+    let mean_baseline = baseline.iter().sum::<f64>() / baseline.len() as f64;
+    let flip = s["mean_flip"].as_f64().expect("a figure");
+    assert!(flip <= 1.5 * mean_baseline, "mean FLIP {flip}, all geometry at one sample per pixel {mean_baseline}");
+    assert!(s["hole_fraction_max"].as_f64().expect("a figure") < 0.01, "{}", s["hole_fraction_max"]);
+}
+
+#[test]
+fn one_thread_and_two_give_the_same_bytes() {
+    let f = fixture();
+    let out = folder("threads");
+    build(&f.scene, &out.join("one"), &["--threads", "1"]);
+    assert_same_dataset(&out.join("one"), &f.dataset);
+    // The comparison can fail: another budget gives other bytes.
+    let mut c = server(&["build"]);
+    c.arg(&f.scene).arg("-o").arg(out.join("other")).args(["--budget", "3000", "--size", SIZE]);
+    run::run(c).expect("builds");
+    assert!(dataset_bytes(&out.join("other")) != dataset_bytes(&f.dataset));
+}
+
+#[test]
+fn a_build_that_is_killed_goes_on_and_gives_the_same_bytes() {
+    let f = fixture();
+    let out = folder("resume");
+    let dataset = out.join("dataset");
+    let mut killed = 0;
+    for milliseconds in [150, 400, 900, 1600] {
+        let mut child =
+            build_command(&f.scene, &dataset, &[]).stderr(Stdio::null()).stdout(Stdio::null()).spawn().expect("starts");
+        std::thread::sleep(Duration::from_millis(milliseconds));
+        if child.try_wait().expect("known").is_none() {
+            child.kill().expect("can be killed");
+            killed += 1;
+        }
+        child.wait().expect("ends");
+    }
+    assert!(killed > 0, "the build was never stopped midway: make the fixture larger");
+    build(&f.scene, &dataset, &[]);
+    assert_same_dataset(&dataset, &f.dataset);
+}
+
+#[test]
+fn a_flipped_byte_is_named_and_the_walk_goes_on() {
+    let f = fixture();
+    let out = folder("flip");
+    let damaged = out.join("dataset");
+    for (name, bytes) in dataset_bytes(&f.dataset) {
+        let to = damaged.join(name);
+        std::fs::create_dir_all(to.parent().expect("has a folder")).expect("writable");
+        std::fs::write(to, bytes).expect("writable");
+    }
+    run::run(server(&["verify", damaged.to_str().expect("UTF-8")])).expect("a copy is whole");
+    let pack = dataset_bytes(&damaged)
+        .into_keys()
+        .filter(|n| n.starts_with("packs"))
+        .max_by_key(|n| std::fs::metadata(damaged.join(n)).expect("there").len())
+        .expect("a pack");
+    let mut bytes = std::fs::read(damaged.join(&pack)).expect("readable");
+    // The last chunks are images.
+    let at = bytes.len() - bytes.len() / 8;
+    bytes[at] ^= 0x10;
+    std::fs::write(damaged.join(&pack), bytes).expect("writable");
+    let verified = server(&["verify", damaged.to_str().expect("UTF-8")]).output().expect("runs");
+    let (code, stderr) = outcome(&verified);
+    let said = stderr + &String::from_utf8_lossy(&verified.stdout);
+    assert_eq!(code, Some(42), "{said}");
+    assert!(said.contains("chunk"), "{said}");
+    let served = Server::start(&damaged).expect("serves what is whole");
+    let report = walk(&served, f, &out, &[]);
+    assert_eq!(report["summary"]["frames"], 5);
+}
+
+#[test]
+fn the_audit_finds_no_violation() {
+    let f = fixture();
+    let out = folder("audit");
+    let mut c = server(&["verify"]);
+    c.arg(&f.dataset).args(["--guarantee", "--poses", "20000", "--json"]).arg(out.join("audit.json"));
+    run::run(c).expect("no violation");
+    let audit = json(&out.join("audit.json"));
+    assert_eq!(audit["violations"], 0);
+    assert!(audit["max_triangles"].as_u64().expect("a count") > 0);
+}
+
+#[test]
+fn exit_codes_tell_usage_from_bad_input() {
+    let out = folder("codes");
+    let bad = out.join("bad.glb");
+    std::fs::write(&bad, b"glTF but not really").expect("writable");
+    let code = |c: &mut Command| outcome(&c.output().expect("runs"));
+    let (status, stderr) = code(server(&["build"]).arg(&bad).arg("-o").arg(out.join("d")));
+    assert_eq!(status, Some(42), "{stderr}");
+    assert!(stderr.contains("bad.glb"), "{stderr}");
+    assert_eq!(code(server(&["build"]).arg(&bad)).0, Some(2));
+    assert_eq!(code(&mut server(&["scene", "castle", "-o", "/dev/null"])).0, Some(42));
+    assert_eq!(code(server(&["inspect"]).arg(&out)).0, Some(42));
+    assert_eq!(
+        code(server(&["build", "builtin:pipes?triangles=5000", "--fov", "40", "-o"]).arg(out.join("e"))).0,
+        Some(2)
+    );
+    let mut c = run::command("ldi-client").expect("built");
+    c.args(["walk", "127.0.0.1:9", "--path", "none.json", "--size", SIZE, "-o"])
+        .arg(out.join("f"))
+        .arg("--report")
+        .arg(out.join("r"));
+    assert_eq!(code(&mut c).0, Some(2), "an unknown server without a fingerprint");
+}

@@ -1,0 +1,341 @@
+//! Server and client over loopback, in one process: what is needed arrives, once; what is wrong stays with whom it is wrong.
+
+#[path = "../../client/src/cache/fixture.rs"]
+mod fixture;
+#[path = "streaming/stranger.rs"]
+mod stranger;
+
+use fixture::{FIRST_CELL, LDI, STEP_M, Street, street};
+use ldi_client::{
+    cache::Incomplete,
+    resident::Resident,
+    stream::{ConnectConfig, ConnectError, Connection, Fingerprint, MAX_RETRIES},
+};
+use ldi_protocol::{
+    Pose,
+    index::{ChunkHash, Index},
+    manifest,
+    need::Needed,
+    select::select,
+    wire::{Picture, RefusalCode, Request},
+};
+use ldi_server::serve::{ChunkSource, SelectViews, ServeConfig, Server, planner::Views};
+use std::{
+    io::{Read, Write},
+    net::{SocketAddr, TcpStream},
+    path::PathBuf,
+    sync::Arc,
+    time::Duration,
+};
+use tokio::runtime::Runtime;
+
+const PATIENCE: Duration = Duration::from_secs(20);
+const PICTURE: Picture = Picture { width: 64, height: 36, fov_deg: None };
+
+/// A dataset that lies nowhere but here.
+struct Memory {
+    index: Arc<Index>,
+    encoded: manifest::Encoded,
+    chunks: Vec<Vec<u8>>,
+}
+
+impl Memory {
+    fn new(street: Street) -> Self {
+        let encoded = manifest::encode(&street.index).unwrap();
+        Self { index: Arc::new(street.index), encoded, chunks: street.chunks }
+    }
+}
+
+impl ChunkSource for Memory {
+    fn index(&self) -> &Arc<Index> {
+        &self.index
+    }
+    fn root(&self) -> &[u8] {
+        &self.encoded.root
+    }
+    fn pages(&self) -> u32 {
+        self.encoded.pages.len() as u32
+    }
+    fn page(&self, number: u32) -> Option<&[u8]> {
+        self.encoded.pages.get(number as usize).map(Vec::as_slice)
+    }
+    fn chunk(&self, number: u32) -> Option<&[u8]> {
+        self.chunks.get(number as usize).map(Vec::as_slice)
+    }
+}
+
+/// A server on free ports, with a runtime and an identity of its own.
+struct Host {
+    runtime: Runtime,
+    server: Option<Server>,
+    folder: PathBuf,
+}
+
+impl Host {
+    fn start(name: &str, dataset: Memory) -> Self {
+        Self::start_with(name, dataset, ServeConfig::default())
+    }
+
+    fn start_with(name: &str, dataset: Memory, config: ServeConfig) -> Self {
+        let folder = folder(name);
+        let any = SocketAddr::from(([127, 0, 0, 1], 0));
+        let config = ServeConfig { listen: any, http: any, identity: Some(folder.join("identity")), ..config };
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+        let server = runtime.block_on(Server::start(Arc::new(dataset), &config)).unwrap();
+        Self { runtime, server: Some(server), folder }
+    }
+
+    fn server(&self) -> &Server {
+        self.server.as_ref().unwrap()
+    }
+
+    fn config(&self) -> ConnectConfig {
+        let mut config = ConnectConfig::new(self.server().quic().to_string(), PICTURE);
+        config.fingerprint = Some(self.server().fingerprint().parse().unwrap());
+        config.prefetch_m = 0.0;
+        config
+    }
+
+    fn connect(&self) -> Connection {
+        Connection::connect(self.config()).unwrap()
+    }
+
+    fn get(&self, path: &str) -> (String, String) {
+        let mut stream = TcpStream::connect(self.server().http()).unwrap();
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+        (head.to_owned(), body.to_owned())
+    }
+
+    fn stop(&mut self) {
+        if let Some(server) = self.server.take() {
+            let stopped = async { tokio::time::timeout(PATIENCE, server.shutdown()).await };
+            self.runtime.block_on(stopped).expect("the server stops in time");
+        }
+    }
+}
+
+impl Drop for Host {
+    fn drop(&mut self) {
+        self.stop();
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}
+
+/// A walker on the street's axis.
+fn pose(z: f64, yaw_deg: f64) -> Pose {
+    Pose { position: glam::DVec3::new(0.0, 0.0, z), yaw_deg, pitch_deg: 0.0 }
+}
+
+fn folder(name: &str) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("ldi-streaming-{name}-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    folder
+}
+
+fn needs(connection: &Connection, pose: &Pose) -> Needed {
+    let index = connection.index().clone();
+    let camera = PICTURE.camera(&index.settings);
+    SelectViews::new(index, &camera).needed(pose)
+}
+
+/// Walks to a pose and waits for all it needs. Returns what that was.
+fn stand(connection: &Connection, pose: &Pose) -> Result<Vec<u32>, Incomplete> {
+    let needed = needs(connection, pose);
+    connection.look(pose, &needed);
+    let all: Vec<u32> = needed.all().collect();
+    connection.wait_until_complete(&all, PATIENCE).map(|()| all)
+}
+
+#[test]
+fn a_walk_gets_everything_it_needs_and_nothing_twice() {
+    let host = Host::start("walk", Memory::new(street(8, 64)));
+    let connection = host.connect();
+    let mut needed = std::collections::BTreeSet::new();
+    for (z, yaw) in [(0.0, 0.0), (-1.5 * STEP_M, 90.0), (-2.5 * STEP_M, 180.0), (0.0, 0.0)] {
+        let all = stand(&connection, &pose(z, yaw)).unwrap();
+        needed.extend(all);
+        connection.cache().check().unwrap();
+    }
+    assert_eq!(connection.cache().held(), needed.iter().copied().collect::<Vec<_>>());
+    assert!(needed.contains(&LDI[1]), "the walk uses the LDI");
+    assert_eq!(select(connection.index(), &pose(0.0, 0.0)).placement, Some(0));
+    assert_eq!(connection.cache().ldi(0).unwrap().layers.len(), 2);
+    let stats = connection.stats();
+    assert_eq!((stats.chunks as usize, stats.duplicates, stats.damaged), (needed.len(), 0, 0), "{stats:?}");
+    assert!(stats.bytes_total > stats.chunk_bytes, "{stats:?}");
+    let used = u64::from(connection.index().chunks[LDI[0] as usize].stored_bytes)
+        + u64::from(connection.index().chunks[LDI[1] as usize].stored_bytes);
+    assert_eq!(stats.wasted_bytes, stats.chunk_bytes - used, "only the LDI was drawn");
+}
+
+#[test]
+fn what_lies_around_comes_unasked_and_stops_at_the_radius() {
+    let host = Host::start("prefetch", Memory::new(street(8, 16)));
+    let connection = Connection::connect(ConnectConfig { prefetch_m: 2.5 * STEP_M, ..host.config() }).unwrap();
+    // Looking back, where nothing is: what comes is what a turn would need, and what is near.
+    let here = pose(-1.5 * STEP_M, 0.0);
+    connection.look(&here, &Needed::default());
+    connection.wait_until_complete(&[FIRST_CELL, FIRST_CELL + 1, FIRST_CELL + 2, LDI[0]], PATIENCE).unwrap();
+}
+
+#[test]
+fn a_small_cache_evicts_and_gets_it_again() {
+    let street = street(8, 16);
+    // Room for the LDI, the texture and a cell or two.
+    let size = |c: u32| u64::from(street.index.chunks[c as usize].decoded_bytes);
+    let cache_bytes = (0..FIRST_CELL + 3).map(size).sum();
+    let host = Host::start("small", Memory::new(street));
+    let connection = Connection::connect(ConnectConfig { cache_bytes, ..host.config() }).unwrap();
+    for round in 0..3 {
+        for z in [-3.5, -5.5, -7.5] {
+            // Looking back along the street: all cells behind, no LDI.
+            let here = pose(z * STEP_M, 0.0);
+            let needed = needs(&connection, &here);
+            let all: Vec<u32> = needed.all().collect();
+            connection.look(&here, &needed);
+            let end = connection.wait_until_complete(&all, PATIENCE);
+            assert!(end.is_ok() || matches!(end, Err(Incomplete::NoRoom { .. })), "round {round}, z {z}: {end:?}");
+            connection.cache().check().unwrap();
+            assert!(connection.cache().usage().peak_bytes <= cache_bytes);
+        }
+    }
+}
+
+#[test]
+fn a_damaged_chunk_is_given_up_and_the_walk_goes_on() {
+    let mut street = street(4, 16);
+    let damaged = FIRST_CELL;
+    let chunk = &mut street.chunks[damaged as usize];
+    *chunk.last_mut().unwrap() ^= 1;
+    let host = Host::start("damaged", Memory::new(street));
+    let connection = host.connect();
+    assert_eq!(stand(&connection, &pose(0.0, 0.0)), Err(Incomplete::Damaged(vec![damaged])));
+    assert_eq!(connection.stats().damaged, u64::from(MAX_RETRIES) + 1);
+    assert!(connection.cache().ldi(0).is_some() && connection.cache().cell(0).is_none());
+    assert!(stand(&connection, &pose(-1.5 * STEP_M, 0.0)).is_ok());
+}
+
+#[test]
+fn a_resumed_walk_streams_nothing_again() {
+    let host = Host::start("resume", Memory::new(street(4, 32)));
+    let first = host.connect();
+    let here = pose(0.0, 0.0);
+    stand(&first, &here).unwrap();
+    let cache = first.cache().clone();
+    drop(first);
+    let second = Connection::connect(ConnectConfig { resume: Some(cache), ..host.config() }).unwrap();
+    stand(&second, &here).unwrap();
+    // A later view brings what is new, and only that.
+    let new = stand(&second, &pose(-2.5 * STEP_M, 180.0)).unwrap();
+    let stats = second.stats();
+    assert_eq!((stats.chunks, stats.duplicates), (0, 0), "{new:?} {stats:?}");
+}
+
+#[test]
+fn requests_by_number_and_by_name_are_answered() {
+    let street = street(4, 16);
+    let (bytes, name) = (street.chunks[FIRST_CELL as usize].clone(), street.index.chunks[FIRST_CELL as usize].hash);
+    let host = Host::start("requests", Memory::new(street));
+    let connection = host.connect();
+    assert_eq!(connection.fetch(Request::Name(name)).unwrap(), (FIRST_CELL, bytes.clone()));
+    assert_eq!(connection.fetch(Request::Number(FIRST_CELL)).unwrap(), (FIRST_CELL, bytes));
+    for wrong in [Request::Number(9999), Request::Name(ChunkHash([7; 32]))] {
+        assert!(matches!(connection.fetch(wrong), Err(ConnectError::Protocol(_))));
+    }
+    // Asking for what does not exist costs nothing else.
+    connection.want(&[9999]);
+    stand(&connection, &pose(0.0, 0.0)).unwrap();
+}
+
+#[test]
+fn the_door_opens_for_the_right_ones_only() {
+    let token_file = folder("door-token").join("token");
+    std::fs::write(&token_file, "open sesame\n").unwrap();
+    let config = ServeConfig { token_file: Some(token_file), max_connections: 2, ..Default::default() };
+    let host = Host::start_with("door", Memory::new(street(2, 16)), config);
+    let right = ConnectConfig { token: Some("open sesame".into()), ..host.config() };
+    let end = |change: &dyn Fn(&mut ConnectConfig)| {
+        let mut config = right.clone();
+        change(&mut config);
+        // Whoever was turned away leaves its place a moment later.
+        (0..200)
+            .map(|_| Connection::connect(config.clone()))
+            .find(|end| {
+                let busy = matches!(end, Err(ConnectError::Busy));
+                std::thread::sleep(Duration::from_millis(if busy { 20 } else { 0 }));
+                !busy
+            })
+            .expect("places become free again")
+    };
+    for token in [None, Some("wrong".to_owned())] {
+        let e = end(&|c| c.token = token.clone()).unwrap_err();
+        assert!(matches!(e, ConnectError::Refused { code: RefusalCode::Token, .. }), "{e:?}");
+        assert_eq!(e.exit_code(), 42);
+    }
+    let e = end(&|c| c.fingerprint = None).unwrap_err();
+    assert_eq!(e, ConnectError::UnknownServer { fingerprint: host.server().fingerprint().into() });
+    assert_eq!(e.exit_code(), 2);
+    let e = end(&|c| c.fingerprint = Some(Fingerprint([1; 32]))).unwrap_err();
+    assert!(matches!(e, ConnectError::Fingerprint { .. }), "{e:?}");
+    let e = end(&|c| {
+        c.server = "127.0.0.1:9".into();
+        c.timeout = Duration::from_millis(300);
+    })
+    .unwrap_err();
+    assert!(matches!(e, ConnectError::Unreachable { .. }), "{e:?}");
+    let first = end(&|_| {}).unwrap();
+    let second = end(&|_| {}).unwrap();
+    assert_eq!(Connection::connect(right.clone()).unwrap_err(), ConnectError::Busy);
+    drop((first, second));
+}
+
+#[test]
+fn garbage_and_sloth_harm_only_their_own_connection() {
+    let mut host = Host::start("strangers", Memory::new(street(8, 256)));
+    let address = host.server().quic();
+    let victim = host.connect();
+    // One that never reads, one per kind of nonsense.
+    let slow = host.runtime.block_on(stranger::reads_nothing(address));
+    for nonsense in stranger::NONSENSE {
+        let end = host.runtime.block_on(stranger::sends(address, nonsense));
+        assert!(end, "the server ends a connection that sends {nonsense:?}");
+    }
+    host.runtime.block_on(stranger::sends_bad_datagrams_and_requests(address));
+    stand(&victim, &pose(0.0, 0.0)).unwrap();
+    host.stop();
+    drop(slow);
+}
+
+#[test]
+fn a_server_that_stops_says_so() {
+    let mut host = Host::start("stop", Memory::new(street(2, 16)));
+    let connection = host.connect();
+    host.stop();
+    let end = connection.wait_until_complete(&[FIRST_CELL], PATIENCE);
+    assert_eq!(end, Err(Incomplete::Disconnected("the connection ended: the server stops".into())));
+}
+
+#[test]
+fn the_page_shows_plan_and_walkers() {
+    let host = Host::start("page", Memory::new(street(4, 16)));
+    let connection = Connection::connect(ConnectConfig { name: "the visitor".into(), ..host.config() }).unwrap();
+    stand(&connection, &pose(-3.0, 0.0)).unwrap();
+    for path in ["/healthz", "/readyz"] {
+        assert!(host.get(path).0.starts_with("HTTP/1.1 200"), "{path}");
+    }
+    let page = host.get("/").1;
+    assert!(page.contains("<svg") && !page.contains("http://") | page.contains("http://www.w3.org"));
+    let plan: serde_json::Value = serde_json::from_str(&host.get("/plan.json").1).unwrap();
+    assert_eq!(plan["cells"].as_array().unwrap().len(), 4);
+    assert_eq!(plan["points"].as_array().unwrap().len(), 1);
+    // The image plane stands 10 m before the grid point at z = 5.
+    assert_eq!(plan["placements"][0][1], -5.0);
+    let walkers: serde_json::Value = serde_json::from_str(&host.get("/walkers.json").1).unwrap();
+    assert_eq!(walkers[0]["name"], "the visitor");
+    assert_eq!(walkers[0]["position"][2], -3.0);
+    assert!(host.get("/metrics").1.contains("ldi_chunks_total"));
+    assert!(host.get("/nothing").0.starts_with("HTTP/1.1 404"));
+}
