@@ -27,7 +27,7 @@ target/release/ldi-demo --quick -o target/demo-quick
 shared="${LDI_SHARED:-$PWD/../shared}"
 if [ -d "$shared/scenes" ] && command -v python3 >/dev/null 2>&1; then
   step "contract"
-  python3 "$shared/tools/check_contract.py" target/release "$shared/scenes/willow_garage.glb" "$shared/scenes/willow_garage.path.json"
+  python3 "$shared/tools/check_contract.py" target/release "$shared/scenes/willow_garage.glb" "$shared/scenes/willow_garage.path.json" --budget 4000
 else
   step "contract: SKIPPED, $shared/scenes or python3 is not there"
 fi

@@ -178,7 +178,7 @@ impl Page<'_> {
                 x: "pose",
                 y: "ms",
                 series: vec![
-                    series("frame", &|f| f["ms"]["frame"].as_f64()),
+                    series("frame", &|f| f["ms"]["total"].as_f64()),
                     series("near", &|f| f["ms"]["near"].as_f64()),
                     series("warp", &|f| f["ms"]["warp"].as_f64()),
                 ],

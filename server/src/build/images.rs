@@ -112,6 +112,11 @@ fn one(
     number: usize,
     total: usize,
 ) -> Result<(Kept, Vec<Vec<u8>>), BuildError> {
+    let [left, right, bottom, top] = plan.window;
+    if left >= right || bottom >= top {
+        // The replaced cells lie in the planning square but in nobody's picture.
+        return Ok((Kept::default(), Vec::new()));
+    }
     let made = construct::construct(caster, plan, options).map_err(|source| BuildError::Construct {
         number,
         total,

@@ -61,7 +61,7 @@ pub enum BuildError {
     #[error(transparent)]
     Placement(#[from] PlacementError),
     /// An image.
-    #[error("image {number} of {total}: {source}")]
+    #[error("image {number} of {total}")]
     Construct {
         /// Its number.
         number: usize,

@@ -86,10 +86,6 @@ pub(super) fn refine(
             seconds = ?statistics.seconds,
             "grid refinement"
         );
-        for (i, t) in failed.iter().take(12) {
-            let b = uses[*i].units[0].1.bounds();
-            tracing::debug!(level = lattice.points[*i].level, needed = t.needed, direction = ?t.direction_deg, at = ?positions[*i].to_array(), size = ?b.size().to_array(), "failed");
-        }
         if failed.is_empty() {
             statistics.certified_boxes = boxes;
             statistics.coverage_certified = true;

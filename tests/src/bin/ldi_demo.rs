@@ -29,7 +29,7 @@ struct Options {
     #[arg(short, long, default_value = "out/demo")]
     output: PathBuf,
     /// Geometry budget as a share of the scene's triangles.
-    #[arg(long, default_value_t = 10.0, value_parser = percent)]
+    #[arg(long, default_value_t = 40.0, value_parser = percent)]
     budget_percent: f64,
     /// Frames, evenly spaced over the path.
     #[arg(long, default_value_t = 24, value_parser = clap::value_parser!(u64).range(1..=100_000))]
@@ -70,7 +70,8 @@ impl Steps {
 fn main() -> Result<()> {
     let mut o = Options::parse();
     if o.quick {
-        (o.frames, o.size, o.triangles) = (o.frames.min(4), "320x180".into(), o.triangles.min(20_000));
+        (o.frames, o.size, o.triangles) = (o.frames.min(4), "320x180".into(), o.triangles.min(25_000));
+        o.budget_percent = o.budget_percent.max(40.0);
     }
     std::fs::create_dir_all(&o.output).with_context(|| format!("cannot make {}", o.output.display()))?;
     let out = |name: &str| o.output.join(name);
