@@ -106,7 +106,7 @@ fn server_stages_import_backward_only() {
 fn client_stages_import_backward_only() {
     assert_one_way(
         "client/src",
-        &["resident", "frame", "stream", "cache", "near", "warp", "composite", "metrics", "report", "engine"],
+        &["resident", "frame", "cache", "stream", "near", "warp", "composite", "metrics", "report", "engine"],
     );
 }
 

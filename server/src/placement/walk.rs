@@ -128,8 +128,8 @@ mod tests {
 
     #[test]
     fn eyes_stand_on_the_floor_but_neither_on_nor_under_a_table() {
-        // A floor of 8 x 8 m at y = 0 and a table top of 2 x 2 m at y = 0.8 in its middle.
-        let floor = Aabb { min: DVec3::new(0.0, -0.1, 0.0), max: DVec3::new(8.0, 0.0, 8.0) };
+        // A floor of 16 x 16 m at y = 0 and a table top of 2 x 2 m at y = 0.8 on it.
+        let floor = Aabb { min: DVec3::new(0.0, -0.1, 0.0), max: DVec3::new(16.0, 0.0, 16.0) };
         let table = Aabb { min: DVec3::new(3.0, 0.7, 3.0), max: DVec3::new(5.0, 0.8, 5.0) };
         let scene = scene_of(&[block(&floor), block(&table)]);
         let v = walk_volume(&scene, &scene.bounds(), Some(1.6)).unwrap().0;
