@@ -258,14 +258,10 @@ fn exit_codes_tell_usage_from_bad_input() {
         code(server(&["build", "builtin:pipes?triangles=5000", "--fov", "40", "-o"]).arg(out.join("e"))).0,
         Some(2)
     );
+    let f = fixture();
+    let served = Server::start(&f.dataset).expect("serves");
     let mut c = run::command("ldi-client").expect("built");
-    let path = out.join("path.json");
-    std::fs::write(&path, r#"{ "waypoints": [[0, 1.6, 0], [1, 1.6, 0]] }"#).expect("writable");
-    c.args(["walk", "127.0.0.1:9", "--size", SIZE, "--path"])
-        .arg(&path)
-        .arg("-o")
-        .arg(out.join("f"))
-        .arg("--report")
-        .arg(out.join("r"));
+    c.args(["walk", &served.quic, "--size", SIZE, "--path"]).arg(&f.poses).arg("-o").arg(out.join("f"));
+    c.arg("--report").arg(out.join("r"));
     assert_eq!(code(&mut c).0, Some(2), "an unknown server without a fingerprint");
 }
