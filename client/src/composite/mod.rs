@@ -11,7 +11,7 @@
 //! 3. **Fill** (`fill`, optional): remaining holes take the colour of the nearest farther surface and are marked
 //!    [`Source::Filled`].
 //! 4. **Smoothing** (`smooth`, optional): the 3 x 3 kernel of Aliaga and Lastra's system, over far pixels.
-//! 5. **Averaging** ([`downsample`]): a supersampled frame is averaged in linear light.
+//! 5. **Averaging** ([`downsample()`]): a supersampled frame is averaged in linear light.
 //!
 //! All stages run on the current rayon pool by rows; their results do not depend on its size.
 

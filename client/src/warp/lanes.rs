@@ -1,7 +1,7 @@
 //! Eight numbers at a time.
 //!
 //! The kernels are written once, over the trait [`Lanes`], and compiled twice: over plain arrays, which runs
-//! everywhere, and over AVX2 registers, chosen at run time on x86-64 ([`dispatch`]). Both do the same IEEE operations in
+//! everywhere, and over AVX2 registers, chosen at run time on x86-64 (`dispatch`). Both do the same IEEE operations in
 //! the same order (no fused multiply-add), so that pictures do not depend on the machine; a test compares
 //! them. A comparison yields a lane of all ones or all zeros; NaN compares false.
 

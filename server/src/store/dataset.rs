@@ -17,7 +17,7 @@ use std::{
 };
 
 /// A complete dataset: its manifest decoded and checked, its packs mapped. Chunk contents are not read until asked for; whether
-/// they are intact is for [`verify`](super::verify) to say, and for the receiver, by their hashes.
+/// they are intact is for [`verify`](super::verify()) to say, and for the receiver, by their hashes.
 #[derive(Debug)]
 pub struct Dataset {
     path: PathBuf,

@@ -17,7 +17,7 @@
 //! - A build that was stopped at any moment goes on where it was: every finished piece lies in `.build` under the hash of what
 //!   it was made from ([`DatasetWriter::cached`]), with a length and a hash of its own, so that torn files do not count.
 //! - Every file is written under another name, synced, and renamed; the same index and chunks give the same bytes.
-//! - [`Dataset`] maps the packs; [`verify`] checks every byte of them against the manifest, decodes every chunk and names each fault.
+//! - [`Dataset`] maps the packs; [`verify()`] checks every byte of them against the manifest, decodes every chunk and names each fault.
 
 mod dataset;
 mod error;
