@@ -10,7 +10,7 @@
 //! ```
 //!
 //! Encoding is exact: what comes back equals the index that went in, bit for bit (cell bounds must be f32 values, which the
-//! octree makes them). Decoding validates everything ([`validate`]), so that later code may index without looking.
+//! octree makes them). Decoding validates everything ([`validate()`]), so that later code may index without looking.
 //!
 //! Where a chunk lies in the packs is not written anywhere: [`layout`] says it, from the list of pages and the chunk table.
 
@@ -118,7 +118,7 @@ pub struct Encoded {
 /// Encodes an index, after validating it.
 ///
 /// # Errors
-/// If the index breaks a rule of [`validate`], or a value has no exact stored form.
+/// If the index breaks a rule of [`validate()`], or a value has no exact stored form.
 pub fn encode(index: &Index) -> Result<Encoded, CodecError> {
     validate(index)?;
     let lengths = [
@@ -231,7 +231,7 @@ pub fn dataset_hash(root: &[u8]) -> ChunkHash {
 /// Decodes all pages, given in the order of the root's list, and joins them to the index.
 ///
 /// # Errors
-/// If a page is missing, has another hash than listed, is malformed, or the whole breaks a rule of [`validate`].
+/// If a page is missing, has another hash than listed, is malformed, or the whole breaks a rule of [`validate()`].
 pub fn assemble<B: AsRef<[u8]>>(root: &Root, pages: &[B]) -> Result<Index, CodecError> {
     if pages.len() != root.pages.len() {
         return Err(CodecError::mismatch("pages", format!("{} of {} pages", pages.len(), root.pages.len())));

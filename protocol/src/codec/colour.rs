@@ -61,7 +61,7 @@ impl ColourMode {
 const GREEN: usize = 8;
 /// Contexts of R and of B.
 const OTHER: usize = 9;
-/// Streams that [`walk`] uses.
+/// Streams that `walk` uses.
 pub(super) const STREAMS: usize = GREEN + 2 * OTHER;
 
 /// Upper ends of the contexts of G: variation in steps. Finer gains less than a hundredth of a byte, and each stream costs
