@@ -31,7 +31,8 @@ const PLANE_GAP_M: f64 = 1e-4;
 /// Planes tried per image.
 const PLANES: usize = 7;
 /// No direction of a user may be farther from the image's axis, radians (57 degrees). Larger: fewer, but wider images, of which every
-/// frame warps all. On the built-in house at a quarter of its triangles 17, 26, 40 and 57 degrees gave 4746, 1825, 854 and 445 images.
+/// frame warps all. On the built-in house at a quarter of its triangles 17, 26, 40 and 57 degrees gave 4746, 1825, 854 and 445 images
+/// (without [`WIDEST_VIEW`], and with [`SHARED_REACH`] 1).
 const WIDEST_TURN: f64 = 1.0;
 
 /// Nor may a user's picture reach farther from the axis than this tangent (68 degrees): samples of a flat image crowd toward its
@@ -40,7 +41,8 @@ const WIDEST_VIEW: f64 = 2.5;
 
 /// Cells are made so small that an image for one of them could serve eyes this many times as far out. 1 makes the fewest cells that
 /// can be served at all, but then planes stand as near as their own eyes allow and few images can be shared. On the built-in house 1 and 2
-/// gave 320 and 621 cells with 445 and 469 images of 845 and 662 million pixels.
+/// gave 320 and 621 cells with 445 and 469 images of 845 and 662 million pixels (without [`WIDEST_VIEW`]); 1.5 is
+/// a compromise, not an optimum: it was not measured against either on a real scene.
 const SHARED_REACH: f64 = 1.5;
 
 /// A grid point with its eyes.
