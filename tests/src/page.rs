@@ -154,13 +154,10 @@ impl Page<'_> {
                 .map(|f| (f["index"].as_f64().unwrap_or(f64::NAN), of(f).unwrap_or(f64::NAN)))
                 .collect(),
         };
-        let mut received = 0.0;
+        // The report counts bytes from the start of the walk.
         let bytes: Vec<(f64, f64)> = frames
             .iter()
-            .map(|f| {
-                received += f["bytes_received"].as_f64().unwrap_or(0.0);
-                (f["t_s"].as_f64().unwrap_or(f64::NAN), received / 1e6)
-            })
+            .map(|f| (f["t_s"].as_f64().unwrap_or(f64::NAN), f["bytes_received"].as_f64().unwrap_or(f64::NAN) / 1e6))
             .collect();
         let baseline =
             frames.iter().zip(self.baseline_flip).map(|(f, b)| (f["index"].as_f64().unwrap_or(f64::NAN), *b)).collect();
@@ -274,6 +271,20 @@ document.getElementById('note').textContent=f.note}at.addEventListener('input',s
 mod tests {
     use super::*;
     use serde_json::json;
+
+    #[test]
+    fn received_bytes_are_those_of_the_last_frame_not_their_sum() {
+        let frame = |t: f64, bytes: u64| json!({ "index": t, "t_s": t, "bytes_received": bytes });
+        let walk =
+            json!({ "summary": {}, "frames": [frame(0.0, 9_000_000), frame(1.0, 9_500_000), frame(2.0, 9_900_000)] });
+        let html = Page { scene: "s", build: &json!({}), walk: &walk, baseline_flip: &[], commands: &[] }.html();
+        let plot = html
+            .split("aria-label=\"Received over the walk\"")
+            .nth(1)
+            .and_then(|p| p.split("</svg>").next())
+            .expect("there");
+        assert!(plot.contains(">10<") && !plot.contains(">20<"), "{plot}");
+    }
 
     #[test]
     fn the_page_shows_every_frame_and_survives_missing_figures() {
