@@ -11,6 +11,6 @@ pub trait Resident: Sync {
     fn bundle(&self, chunk: u32) -> Option<Arc<CellGeometry>>;
     /// A texture with the mip levels that are there; None when there is none at all.
     fn texture(&self, texture: u32) -> Option<Arc<Texture>>;
-    /// The LDI of a placement with the layers that are there; None without the first.
-    fn ldi(&self, placement: u32) -> Option<Arc<Ldi>>;
+    /// The LDI of an image with the layers that are there; None without the first.
+    fn ldi(&self, image: u32) -> Option<Arc<Ldi>>;
 }

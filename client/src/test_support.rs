@@ -20,7 +20,7 @@ pub struct Memory {
     pub bundles: BTreeMap<u32, Arc<CellGeometry>>,
     /// By texture number.
     pub textures: BTreeMap<u32, Arc<Texture>>,
-    /// By placement number.
+    /// By image number.
     pub ldis: BTreeMap<u32, Arc<Ldi>>,
 }
 
@@ -34,8 +34,8 @@ impl Resident for Memory {
     fn texture(&self, texture: u32) -> Option<Arc<Texture>> {
         self.textures.get(&texture).cloned()
     }
-    fn ldi(&self, placement: u32) -> Option<Arc<Ldi>> {
-        self.ldis.get(&placement).cloned()
+    fn ldi(&self, image: u32) -> Option<Arc<Ldi>> {
+        self.ldis.get(&image).cloned()
     }
 }
 
@@ -128,6 +128,7 @@ pub fn dataset(camera: OutputCamera, materials: Vec<Material>, clusters: Vec<Clu
         volume: None,
         points: Vec::new(),
         placements: Vec::new(),
+        images: Vec::new(),
     };
     (index, memory)
 }

@@ -5,6 +5,7 @@
 use crate::{Aabb, OutputCamera, ViewBasis, mesh::Material, volume::WalkVolume};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// A chunk's name: BLAKE3 of its stored bytes.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -132,24 +133,35 @@ pub struct GridPoint {
     pub bands: Vec<Vec<AngularRange>>,
 }
 
-/// An image placement: a subset of the cells, replaced by an LDI.
+/// An image placement: a subset of the cells, replaced by LDIs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Placement {
-    /// The grid point it belongs to.
+    /// The grid point it was solved at, or the first that uses it.
     pub grid_point: u32,
-    /// Orientation of the image plane.
-    pub basis: ViewBasis,
-    /// Distance from the grid point to the image plane along `basis.forward`, metres.
-    pub plane_distance: f64,
-    /// Cells that are not drawn, ascending. All lie wholly beyond the plane.
+    /// Centre of projection of all its images, metres.
+    pub cop: DVec3,
+    /// Cells that are not drawn, ascending. Each lies wholly beyond the plane of one of the images.
     pub culled: Vec<u32>,
     /// Bound on the footprint of any sample from any eye that may use it, output pixels.
     pub footprint_px: f64,
+    /// Box of all eyes that may use it. They lie before the planes of all images.
+    pub users: Aabb,
+    /// Its images, as positions in [`Index::images`]; those of one placement follow those of the one before.
+    pub images: Range<u32>,
+}
+
+/// An image: a window of a plane as seen from its placement's centre of projection.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ImageEntry {
+    /// Orientation of the image plane.
+    pub basis: ViewBasis,
+    /// Distance from the centre of projection to the plane along `basis.forward`, metres. No sample lies nearer.
+    pub plane_distance: f64,
+    /// Tangents of the window: left, right (along `basis.right`), bottom, top (along `basis.up`).
+    pub window: [f64; 4],
     /// 99th percentile of the stretch along surface tangents over samples and sampled eyes, output pixels; NaN if unknown.
     pub stretch_p99_px: f64,
-    /// Box of all eyes that may use it.
-    pub users: Aabb,
-    /// Chunks of the LDI: the first layer, then deeper ones. Empty: nothing of the subset can be seen.
+    /// Chunks of the LDI: the first layer, then deeper ones. Empty: nothing of the subset can be seen in it.
     pub chunks: Vec<u32>,
     /// Samples per layer.
     pub samples_by_layer: Vec<u32>,
@@ -198,6 +210,16 @@ pub struct Index {
     pub points: Vec<GridPoint>,
     /// Placements of all grid points.
     pub placements: Vec<Placement>,
+    /// Images of all placements.
+    pub images: Vec<ImageEntry>,
     /// Where eyes may be: what every promise is made for. None in a dataset that promises nothing of the kind (tests).
     pub volume: Option<WalkVolume>,
+}
+
+impl Index {
+    /// The images of a placement, with their numbers; none where the index has no such placement.
+    pub fn images_of(&self, placement: u32) -> impl Iterator<Item = (u32, &ImageEntry)> {
+        let range = self.placements.get(placement as usize).map_or(0..0, |p| p.images.clone());
+        range.filter_map(|i| Some((i, self.images.get(i as usize)?)))
+    }
 }

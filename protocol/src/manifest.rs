@@ -31,7 +31,7 @@ use crate::{
 };
 
 /// Version of root and pages. Raised with every change that an older reader would misunderstand.
-pub const VERSION: u8 = 1;
+pub const VERSION: u8 = 2;
 /// Largest root that a build writes.
 pub const MAX_ROOT_BYTES: usize = 256_000;
 
@@ -246,6 +246,7 @@ pub fn assemble<B: AsRef<[u8]>>(root: &Root, pages: &[B]) -> Result<Index, Codec
         pitch_bands_deg: root.pitch_bands_deg.clone(),
         points: Vec::new(),
         placements: Vec::new(),
+        images: Vec::new(),
         volume: None,
     };
     for (entry, bytes) in root.pages.iter().zip(pages) {

@@ -3,8 +3,8 @@
 //! Server and client compute the same lists: the server to push, the client to pin, to ask for what is missing and to
 //! keep what the server would push again.
 //!
-//! [`needed`]: the chunks of one view, in two classes. `now` leaves no gap: the first layer of the placement's LDI (it
-//! fills the most pixels per byte, so it goes first), then the drawn cells, near to far, each with the bundles it
+//! [`needed`]: the chunks of one view, in two classes. `now` leaves no gap: the first layers of the LDIs in view (they
+//! fill the most pixels per byte, so they go first), then the drawn cells, near to far, each with the bundles it
 //! refers to and the coarse levels of its textures. `fine` only sharpens: deeper layers, then finer texture levels in the
 //! same near-to-far order.
 //!
@@ -63,19 +63,19 @@ impl OrderedSet {
     }
 }
 
-/// What a view needs that draws `drawn_cells` (near to far) and warps `placement`.
-pub fn needed(index: &Index, placement: Option<u32>, drawn_cells: &[u32]) -> Needed {
+/// What a view needs that draws `drawn_cells` (near to far) and warps `images`.
+pub fn needed(index: &Index, images: &[u32], drawn_cells: &[u32]) -> Needed {
     let mut set = OrderedSet::new(index.chunks.len());
-    let layers = placement.and_then(|p| index.placements.get(p as usize)).map_or(&[][..], |p| &p.chunks);
+    let layers = || images.iter().filter_map(|i| index.images.get(*i as usize)).map(|i| &i.chunks);
     let cells = || drawn_cells.iter().filter_map(|c| index.cells.get(*c as usize));
-    layers.iter().take(1).for_each(|c| set.insert(*c));
+    layers().for_each(|c| c.iter().take(1).for_each(|c| set.insert(*c)));
     for cell in cells() {
         set.insert(cell.chunk);
         cell.bundles.iter().for_each(|b| set.insert(*b));
         texture_chunks(index, &cell.materials, 0).for_each(|t| set.insert(t));
     }
     let now = set.take();
-    layers.iter().skip(1).for_each(|c| set.insert(*c));
+    layers().for_each(|c| c.iter().skip(1).for_each(|c| set.insert(*c)));
     for cell in cells() {
         texture_chunks(index, &cell.materials, 1).for_each(|t| set.insert(t));
     }
@@ -116,12 +116,13 @@ pub fn near_to_far(index: &Index, eye: DVec3, reach: Reach) -> Vec<u32> {
     const CELL: u8 = 1;
     const DEEPER: u8 = 2;
     const SHARPER: u8 = 3;
-    for (i, p) in index.placements.iter().enumerate() {
-        let Some(point) = index.points.get(p.grid_point as usize) else { continue };
-        let d = point.position.distance(eye);
-        put(d, LAYER, i);
-        if p.chunks.len() > 1 {
-            put(fine(d), DEEPER, i);
+    for p in &index.placements {
+        let d = p.users.distance(eye);
+        for i in p.images.clone().map(|i| i as usize) {
+            put(d, LAYER, i);
+            if index.images.get(i).is_some_and(|i| i.chunks.len() > 1) {
+                put(fine(d), DEEPER, i);
+            }
         }
     }
     for (i, c) in index.cells.iter().enumerate() {
@@ -137,8 +138,8 @@ pub fn near_to_far(index: &Index, eye: DVec3, reach: Reach) -> Vec<u32> {
     for (_, rank, number) in items {
         let number = number as usize;
         match rank {
-            LAYER => index.placements[number].chunks.iter().take(1).for_each(|c| set.insert(*c)),
-            DEEPER => index.placements[number].chunks.iter().skip(1).for_each(|c| set.insert(*c)),
+            LAYER => index.images[number].chunks.iter().take(1).for_each(|c| set.insert(*c)),
+            DEEPER => index.images[number].chunks.iter().skip(1).for_each(|c| set.insert(*c)),
             CELL => {
                 let cell = &index.cells[number];
                 set.insert(cell.chunk);

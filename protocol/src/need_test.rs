@@ -35,14 +35,19 @@ fn row_of_cells() -> Index {
         max: DVec3::new(10.0 * i as f64 + 1.0, 1.0, 1.0),
     };
     let camera = OutputCamera { width: 64, height: 48, fov_deg: 60.0 };
-    let placement = |grid_point, chunks| Placement {
-        grid_point,
-        basis: ViewBasis::from_yaw_pitch(0.0, 0.0),
-        plane_distance: 1.0,
+    let placement = |x: f64, images| Placement {
+        grid_point: 0,
+        cop: DVec3::ZERO,
         culled: vec![],
         footprint_px: 1.0,
+        users: Aabb { min: DVec3::new(x, 0.0, 0.0), max: DVec3::new(x, 0.0, 0.0) },
+        images,
+    };
+    let image = |chunks| ImageEntry {
+        basis: ViewBasis::from_yaw_pitch(0.0, 0.0),
+        plane_distance: 1.0,
+        window: [-1.0, 1.0, -1.0, 1.0],
         stretch_p99_px: f64::NAN,
-        users: bounds(0),
         chunks,
         samples_by_layer: vec![],
     };
@@ -97,24 +102,25 @@ fn row_of_cells() -> Index {
         pitch_bands_deg: vec![-90.0, 90.0],
         volume: None,
         points: vec![point(5.0), point(25.0)],
-        placements: vec![placement(0, vec![7, 8]), placement(1, vec![9])],
+        placements: vec![placement(5.0, 0..1), placement(25.0, 1..2)],
+        images: vec![image(vec![7, 8]), image(vec![9])],
     }
 }
 
 #[test]
 fn a_view_takes_the_first_layer_then_cells_near_to_far_then_what_sharpens() {
-    let n = needed(&row_of_cells(), Some(0), &[0, 1, 2, 3]);
+    let n = needed(&row_of_cells(), &[0], &[0, 1, 2, 3]);
     assert_eq!(n.now, [7, 0, 1, 5, 2, 4, 3]);
     assert_eq!(n.fine, [8, 6]);
     // The order of the cells is the caller's, and what nobody refers to stays away.
-    let n = needed(&row_of_cells(), None, &[2, 0]);
+    let n = needed(&row_of_cells(), &[], &[2, 0]);
     assert_eq!(n.now, [2, 4, 0]);
     assert!(n.fine.is_empty());
 }
 
 #[test]
 fn numbers_beyond_the_index_are_left_out() {
-    let n = needed(&row_of_cells(), Some(99), &[77, 1]);
+    let n = needed(&row_of_cells(), &[99], &[77, 1]);
     assert_eq!(n.now, [1, 5]);
     assert_eq!(n.fine, [6]);
 }
@@ -124,7 +130,7 @@ fn around_the_eye_near_comes_before_far_and_coarse_before_fine() {
     let index = row_of_cells();
     let everything = Reach { radius_m: 1e9, decoded_bytes: u64::MAX };
     let list = near_to_far(&index, DVec3::new(0.5, 0.5, 0.5), everything);
-    // Distances: cell 0 at 0; point 0 at 4.6; cell 1 at 9.5, sharper at 15.2; cell 2 at 19.5; point 1 at 24.5; cell 3 at 29.5.
+    // Distances: cell 0 at 0; users of placement 0 at 4.6; cell 1 at 9.5, sharper at 15.2; cell 2 at 19.5; of placement 1 at 24.5; cell 3 at 29.5.
     assert_eq!(list, [0, 7, 8, 1, 5, 6, 2, 4, 9, 3]);
     let near = near_to_far(&index, DVec3::new(0.5, 0.5, 0.5), Reach { radius_m: 5.0, ..everything });
     assert_eq!(near, [0, 7]);

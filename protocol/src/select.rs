@@ -6,6 +6,10 @@
 //! its users; [`draw_list`] keeps the budget for all other poses too.
 
 use crate::{Aabb, Pose, camera::Frustum, index::Index};
+use glam::DVec3;
+
+/// Samples may lie before their image's plane by this share of its distance: depths are rounded.
+const PLANE_SLACK: f64 = 1e-3;
 
 /// Value of `BuildSettings::grid` for view cells: the closest grid point counts, wherever it lies. Any other value: the paper's
 /// scheme, the closest one in the reverse frustum.
@@ -42,6 +46,30 @@ impl DrawFrusta {
     pub fn admit(&self, b: &Aabb) -> bool {
         self.square.may_intersect(b) && self.picture.may_intersect(b)
     }
+
+    /// The images of a placement whose cones beyond their planes the picture may touch, those nearest to the line of sight first.
+    fn images_in_view(&self, index: &Index, placement: u32, pose: &Pose) -> Vec<u32> {
+        let Some(cop) = index.placements.get(placement as usize).map(|p| p.cop) else { return Vec::new() };
+        let sight = pose.basis().forward;
+        let mut found: Vec<(f64, u32)> = Vec::new();
+        for (number, image) in index.images_of(placement).filter(|(_, i)| !i.chunks.is_empty()) {
+            let b = &image.basis;
+            let [l, r, below, above] = image.window;
+            let rays =
+                [(l, below), (r, below), (l, above), (r, above)].map(|(x, y)| b.forward + b.right * x + b.up * y);
+            // The cone is the set of all (near corner + t * some ray), t >= 0: wholly outside a plane if its near corners and its rays are.
+            let nearest = image.plane_distance * (1.0 - PLANE_SLACK);
+            let outside = |n: &DVec3| {
+                rays.iter().all(|ray| n.dot(cop + *ray * nearest - pose.position) < 0.0 && n.dot(*ray) <= 0.0)
+            };
+            if !self.picture.normals.iter().any(outside) {
+                let middle: DVec3 = rays.iter().sum();
+                found.push((-middle.normalize().dot(sight), number));
+            }
+        }
+        found.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        found.into_iter().map(|f| f.1).collect()
+    }
 }
 
 /// Selects the grid point and the placement of a pose.
@@ -75,6 +103,8 @@ pub struct DrawList {
     pub selection: Selection,
     /// Cells to draw, near to far.
     pub cells: Vec<u32>,
+    /// Images of the placement that the picture may show something of, those nearest to the line of sight first.
+    pub images: Vec<u32>,
     /// Triangles in them; never more than the budget.
     pub triangles: u64,
     /// Cells in view that were left out, farthest first, because the budget was used up. Always 0 for eyes of the walk volume that look
@@ -109,7 +139,8 @@ pub fn draw_list(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> Dr
         triangles -= u64::from(index.cells[cell as usize].triangles);
         dropped += 1;
     }
-    DrawList { selection, cells: seen.into_iter().map(|s| s.1).collect(), triangles, dropped }
+    let images = selection.placement.map_or_else(Vec::new, |p| frusta.images_in_view(index, p, pose));
+    DrawList { selection, cells: seen.into_iter().map(|s| s.1).collect(), images, triangles, dropped }
 }
 
 /// The placement that a grid point names for the direction of a pose.
@@ -137,9 +168,8 @@ mod tests {
     use super::*;
     use crate::{
         OutputCamera, ViewBasis,
-        index::{AngularRange, BuildSettings, CellEntry, GridPoint, Placement, SceneInfo},
+        index::{AngularRange, BuildSettings, CellEntry, GridPoint, ImageEntry, Placement, SceneInfo},
     };
-    use glam::DVec3;
 
     /// Ten cells of 100 triangles along -Z, one per metre from 2 m on; a grid point at the origin and one behind it; a placement that
     /// replaces the last five when looking along -Z.
@@ -191,16 +221,46 @@ mod tests {
             points: vec![point(3.0, None), point(0.0, Some(0)), point(-0.9, None)],
             placements: vec![Placement {
                 grid_point: 1,
-                basis: ViewBasis::from_yaw_pitch(0.0, 0.0),
-                plane_distance: 6.9,
+                cop: DVec3::ZERO,
                 culled: vec![5, 6, 7, 8, 9],
                 footprint_px: 1.5,
-                stretch_p99_px: f64::NAN,
                 users: Aabb::EMPTY,
-                chunks: vec![],
-                samples_by_layer: vec![],
+                images: 0..3,
             }],
+            images: [0.0, 90.0, 40.0].map(image).to_vec(),
         }
+    }
+
+    /// 20 degrees to either side of a yaw.
+    fn image(yaw_deg: f64) -> ImageEntry {
+        ImageEntry {
+            basis: ViewBasis::from_yaw_pitch(yaw_deg, 0.0),
+            plane_distance: 6.9,
+            window: [-0.36, 0.36, -0.36, 0.36],
+            stretch_p99_px: f64::NAN,
+            chunks: vec![0],
+            samples_by_layer: vec![1],
+        }
+    }
+
+    #[test]
+    fn images_in_view_come_with_the_line_of_sight_first() {
+        let mut index = index("paper", 1000);
+        assert_eq!(
+            draw_list(&index, &pose(-0.5, 0.0), (0.577, 0.32)).images,
+            [0, 2],
+            "45 to 15 degrees left, half in view"
+        );
+        assert_eq!(draw_list(&index, &pose(-0.5, 0.0), (0.1, 0.1)).images, [0], "a narrow picture");
+        // From six metres to the left the cone of the image ahead lies to the right of a gaze to the left; the third one, hit at its
+        // corner and left at 70 degrees, crosses it.
+        let aside = Pose { position: DVec3::new(-6.0, 0.0, -0.5), yaw_deg: 45.0, pitch_deg: 0.0 };
+        index.settings.grid = CELLS.into();
+        index.points[1].position = aside.position;
+        index.points[1].bands[0] = vec![AngularRange { yaw_start_deg: 0.0, placement: Some(0) }];
+        assert_eq!(draw_list(&index, &aside, (0.1, 0.1)).images, [2, 1]);
+        index.images[2].chunks.clear();
+        assert_eq!(draw_list(&index, &aside, (0.1, 0.1)).images, [1], "nothing in it");
     }
 
     fn pose(z: f64, yaw_deg: f64) -> Pose {

@@ -331,8 +331,8 @@ fn the_page_shows_plan_and_walkers() {
     let plan: serde_json::Value = serde_json::from_str(&host.get("/plan.json").1).unwrap();
     assert_eq!(plan["cells"].as_array().unwrap().len(), 4);
     assert_eq!(plan["points"].as_array().unwrap().len(), 1);
-    // The image plane stands 10 m before the grid point at z = 5.
-    assert_eq!(plan["placements"][0][1], -5.0);
+    // The image plane stands 10 m before the centre of projection at z = 5.
+    assert_eq!(plan["images"][0][1], -5.0);
     let walkers: serde_json::Value = serde_json::from_str(&host.get("/walkers.json").1).unwrap();
     assert_eq!(walkers[0]["name"], "the visitor");
     assert_eq!(walkers[0]["position"][2], -3.0);

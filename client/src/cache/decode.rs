@@ -24,10 +24,10 @@ pub(super) fn bundle(index: &Index, bytes: &[u8]) -> Result<Value, DecodeError> 
 }
 
 /// Joins a chunk to an LDI. Deeper layers that come before the first wait as bytes.
-pub(super) fn ldi(index: &Index, placement: u32, old: &Value, part: u8, bytes: &[u8]) -> Result<Value, DecodeError> {
+pub(super) fn ldi(index: &Index, image_number: u32, old: &Value, part: u8, bytes: &[u8]) -> Result<Value, DecodeError> {
     if part == 0 {
         let mut image = codec::ldi::decode_first(bytes)?;
-        manifest::check_ldi(index, placement, &image)?;
+        manifest::check_ldi(index, image_number, &image)?;
         if let Value::WaitingLayers(waiting) = old {
             for (_, deeper) in waiting {
                 // Their hash was right, so the build wrote them so; the first layer is good without them.
@@ -41,7 +41,7 @@ pub(super) fn ldi(index: &Index, placement: u32, old: &Value, part: u8, bytes: &
     if let Value::Ldi(image) = old {
         let mut image = (**image).clone();
         codec::ldi::decode_deeper(bytes, &mut image)?;
-        manifest::check_ldi(index, placement, &image)?;
+        manifest::check_ldi(index, image_number, &image)?;
         return Ok(Value::Ldi(Arc::new(image)));
     }
     let mut waiting = if let Value::WaitingLayers(w) = old { w.clone() } else { Vec::new() };

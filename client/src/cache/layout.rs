@@ -13,7 +13,7 @@ pub(super) enum ObjectKind {
     Cell(u32),
     /// Clusters that cells share.
     Bundle,
-    /// The LDI of the placement with this number, and perhaps of others.
+    /// The LDI of the image with this number, and perhaps of others.
     Ldi(u32),
     /// The texture with this number.
     Texture(u32),
@@ -43,8 +43,8 @@ pub(super) struct Layout {
     pub geometry_of_chunk: Vec<Option<u32>>,
     /// Per texture.
     pub of_texture: Vec<Option<u32>>,
-    /// Per placement.
-    pub of_placement: Vec<Option<u32>>,
+    /// Per image.
+    pub of_image: Vec<Option<u32>>,
 }
 
 impl Layout {
@@ -55,7 +55,7 @@ impl Layout {
             parts_of_chunk: vec![Vec::new(); n],
             geometry_of_chunk: vec![None; n],
             of_texture: Vec::new(),
-            of_placement: Vec::new(),
+            of_image: Vec::new(),
         };
         for (number, cell) in (0u32..).zip(&index.cells) {
             let object = layout.add(ObjectKind::Cell(number), vec![cell.chunk]);
@@ -73,18 +73,18 @@ impl Layout {
             let object = layout.add(ObjectKind::Texture(number), chunks);
             layout.of_texture.push(object);
         }
-        // Placements may share an LDI.
+        // Images may be equal.
         let mut by_chunks = BTreeMap::<&[u32], Option<u32>>::new();
-        for (number, placement) in (0u32..).zip(&index.placements) {
-            let object = match by_chunks.get(&placement.chunks[..]) {
+        for (number, image) in (0u32..).zip(&index.images) {
+            let object = match by_chunks.get(&image.chunks[..]) {
                 Some(known) => *known,
                 None => {
-                    let object = layout.add(ObjectKind::Ldi(number), placement.chunks.clone());
-                    by_chunks.insert(&placement.chunks, object);
+                    let object = layout.add(ObjectKind::Ldi(number), image.chunks.clone());
+                    by_chunks.insert(&image.chunks, object);
                     object
                 }
             };
-            layout.of_placement.push(object);
+            layout.of_image.push(object);
         }
         layout
     }

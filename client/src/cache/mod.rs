@@ -353,8 +353,8 @@ impl Resident for Cache {
         let number = *self.layout.of_texture.get(texture as usize)?;
         self.object(number, |v| if let Value::Texture(t) = v { Some(t.clone()) } else { None })
     }
-    fn ldi(&self, placement: u32) -> Option<Arc<Ldi>> {
-        let number = *self.layout.of_placement.get(placement as usize)?;
+    fn ldi(&self, image: u32) -> Option<Arc<Ldi>> {
+        let number = *self.layout.of_image.get(image as usize)?;
         self.object(number, |v| if let Value::Ldi(l) = v { Some(l.clone()) } else { None })
     }
 }

@@ -6,7 +6,7 @@
 //! 1. **By depth** ([`composite`]): cells that were not culled can lie beside or behind the LDI's samples, so the two are
 //!    merged by disparity. Near geometry wins within one quantization step of the image's disparity codes plus half a
 //!    sample of the far surface's slope, so that surfaces that both hold do not flicker.
-//! 2. **Sky**: a pixel that nothing reached is sky where the LDI knows its direction to be sky. Sky lies at infinity, so
+//! 2. **Sky**: a pixel that nothing reached is sky where no image knows of anything else in its direction. Sky lies at infinity, so
 //!    the lookup is a rotation. Without an LDI nothing was culled, and what is left is sky.
 //! 3. **Fill** (`fill`, optional): remaining holes take the colour of the nearest farther surface and are marked
 //!    [`Source::Filled`].
@@ -25,7 +25,7 @@ use crate::{
     frame::{Frame, SKY, Source},
     warp::FarFrame,
 };
-use ldi_protocol::{OutputCamera, Pose, ldi::Ldi};
+use ldi_protocol::{OutputCamera, Pose, index::ImageEntry, ldi::Ldi};
 use rayon::prelude::*;
 
 /// What stands for the cells that were not drawn.
@@ -35,13 +35,22 @@ pub enum Far<'a> {
     Nothing,
     /// Something was culled and its image is not there: what the near geometry leaves stays unpainted.
     Missing,
-    /// A warped image.
-    Image {
-        /// The warp's result.
+    /// Warped images.
+    Images {
+        /// The warps' common result.
         picture: &'a FarFrame,
-        /// The image, for its sky bits, camera and disparity codes.
-        ldi: &'a Ldi,
+        /// All images of the placement that are in view, absent ones too.
+        images: &'a [FarImage<'a>],
     },
+}
+
+/// An image that takes part in a frame.
+#[derive(Debug, Clone, Copy)]
+pub enum FarImage<'a> {
+    /// It was warped; its sky bits, camera and disparity codes count.
+    Here(&'a Ldi),
+    /// It is not there: what lies in its window is unknown.
+    Absent(&'a ImageEntry),
 }
 
 /// Settings of the composite.
@@ -114,7 +123,7 @@ pub fn composite(
     options: &CompositeOptions,
 ) -> CompositeStats {
     let far = match far {
-        Far::Image { picture, .. } if (picture.width, picture.height) != (frame.width, frame.height) => Far::Missing,
+        Far::Images { picture, .. } if (picture.width, picture.height) != (frame.width, frame.height) => Far::Missing,
         other => other,
     };
     let width = frame.width as usize;
@@ -122,7 +131,7 @@ pub fn composite(
         return CompositeStats::default();
     }
     let merge = match far {
-        Far::Image { picture, ldi } => Some(Merge::new(picture, ldi, pose, camera)),
+        Far::Images { picture, images } => Some(Merge::new(picture, images, pose, camera)),
         Far::Nothing | Far::Missing => None,
     };
     let chunk = width * ROWS_PER_TASK;
@@ -150,7 +159,8 @@ pub fn composite(
         })
         .reduce(CompositeStats::default, CompositeStats::add);
     let worth_filling = stats.hole_before_fill * FILL_UP_TO < stats.pixels;
-    if options.fill && stats.hole_before_fill > 0 && worth_filling && merge.is_some() {
+    let known = merge.is_some_and(|m| m.images.iter().any(|i| matches!(i.image, FarImage::Here(_))));
+    if options.fill && stats.hole_before_fill > 0 && worth_filling && known {
         stats.filled = fill::fill(frame);
         stats.unpainted -= stats.filled;
     }
@@ -193,35 +203,27 @@ impl Row<'_> {
     }
 }
 
-/// Merges rows of a warped image.
+/// Merges rows of warped images.
 struct Merge<'a> {
     picture: &'a FarFrame,
-    ldi: &'a Ldi,
-    /// Directions of output pixels in the LDI's frame, affine in column and row: (right, down, forward) at pixel (0, 0).
+    images: Vec<Lookup<'a>>,
+}
+
+/// Where directions of output pixels meet an image.
+struct Lookup<'a> {
+    image: FarImage<'a>,
+    /// Directions of output pixels in the image's frame, affine in column and row: (right, down, forward) at pixel (0, 0).
     direction: [f64; 3],
     per_column: [f64; 3],
     per_row: [f64; 3],
-    /// Eye's depth in the LDI's frame, m.
+    /// Eye's depth in the image's frame, m; 0 for absent ones.
     eye_depth_m: f64,
 }
 
 impl<'a> Merge<'a> {
-    fn new(picture: &'a FarFrame, ldi: &'a Ldi, pose: &Pose, camera: &OutputCamera) -> Self {
-        let basis = pose.basis();
-        let to = &ldi.camera.basis;
-        let local = |w: glam::DVec3| [w.dot(to.right), -w.dot(to.up), w.dot(to.forward)];
-        let at = |u: f64, v: f64| local(camera.ray(&basis, u, v));
-        let (origin, right, below) = (at(0.5, 0.5), at(1.5, 0.5), at(0.5, 1.5));
-        Self {
-            picture,
-            ldi,
-            direction: origin,
-            per_column: std::array::from_fn(|i| right[i] - origin[i]),
-            per_row: std::array::from_fn(|i| below[i] - origin[i]),
-            eye_depth_m: (pose.position - ldi.camera.cop).dot(to.forward),
-        }
+    fn new(picture: &'a FarFrame, images: &[FarImage<'a>], pose: &Pose, camera: &OutputCamera) -> Self {
+        Self { picture, images: images.iter().map(|i| Lookup::new(*i, pose, camera)).collect() }
     }
-
     fn row(&self, row: usize, pixels: &mut Row<'_>, stats: &mut CompositeStats) {
         let width = pixels.colour.len();
         let first = row * width;
@@ -259,17 +261,11 @@ impl<'a> Merge<'a> {
         });
     }
 
-    /// Direction of a pixel's centre in the LDI's frame.
-    fn direction(&self, row: usize, column: usize) -> [f64; 3] {
-        let (row, column) = (row as f64, column as f64);
-        std::array::from_fn(|i| self.direction[i] + self.per_row[i] * row + self.per_column[i] * column)
-    }
-
     /// Turns unpainted pixels whose directions are known to be sky into sky; returns how many.
     fn sky_row(&self, row: usize, pixels: &mut Row<'_>) -> u64 {
         let mut sky = 0;
         for (column, (source, colour)) in pixels.source.iter_mut().zip(&mut *pixels.colour).enumerate() {
-            if *source == Source::Unpainted && self.is_sky(self.direction(row, column)) {
+            if *source == Source::Unpainted && self.images.iter().all(|i| i.is_sky(row, column)) {
                 (*source, *colour) = (Source::Sky, SKY);
                 sky += 1;
             }
@@ -280,11 +276,8 @@ impl<'a> Merge<'a> {
     /// Whether a triangle behind the far surface is as near as the far surface's disparity is known.
     fn near_wins(&self, row: usize, column: usize, near: f32, far: f32) -> bool {
         let behind = far - near;
-        let forward = self.direction(row, column)[2];
-        // d2 = d1 / W and W = depth2 / depth1, so that a step in d1 becomes step * d2 * depth1 in d2, and
-        // d2 * depth1 = d2 (eye depth + forward / d2).
-        let step = self.ldi.codes.step * (f64::from(far) * self.eye_depth_m + forward);
-        behind <= step.abs() as f32 || behind <= step.abs() as f32 + 0.5 * self.slope(row, column, far)
+        let step = self.images.iter().map(|i| i.step(row, column, far)).fold(0.0, f64::max) as f32;
+        behind <= step || behind <= step + 0.5 * self.slope(row, column, far)
     }
 
     /// Disparity slope of the far surface per pixel, across plus down. Per axis the smaller one-sided difference: the
@@ -303,19 +296,64 @@ impl<'a> Merge<'a> {
         let known = |d: f32| if d == f32::MAX { 0.0 } else { d };
         known(left.min(right)) + known(above.min(below))
     }
+}
 
-    /// Whether a direction in the LDI's frame is known to be sky. Behind and beside the image it is: what is culled lies
-    /// inside.
-    fn is_sky(&self, [right, down, forward]: [f64; 3]) -> bool {
+impl<'a> Lookup<'a> {
+    fn new(image: FarImage<'a>, pose: &Pose, camera: &OutputCamera) -> Self {
+        let basis = pose.basis();
+        let (to, eye_depth_m) = match image {
+            FarImage::Here(ldi) => (&ldi.camera.basis, (pose.position - ldi.camera.cop).dot(ldi.camera.basis.forward)),
+            FarImage::Absent(entry) => (&entry.basis, 0.0),
+        };
+        let local = |w: glam::DVec3| [w.dot(to.right), -w.dot(to.up), w.dot(to.forward)];
+        let at = |u: f64, v: f64| local(camera.ray(&basis, u, v));
+        let (origin, right, below) = (at(0.5, 0.5), at(1.5, 0.5), at(0.5, 1.5));
+        Self {
+            image,
+            direction: origin,
+            per_column: std::array::from_fn(|i| right[i] - origin[i]),
+            per_row: std::array::from_fn(|i| below[i] - origin[i]),
+            eye_depth_m,
+        }
+    }
+
+    /// Direction of a pixel's centre in the image's frame.
+    fn direction(&self, row: usize, column: usize) -> [f64; 3] {
+        let (row, column) = (row as f64, column as f64);
+        std::array::from_fn(|i| self.direction[i] + self.per_row[i] * row + self.per_column[i] * column)
+    }
+
+    /// How far one step of the image's disparity codes moves the disparity of a far surface in the picture.
+    fn step(&self, row: usize, column: usize, far: f32) -> f64 {
+        let FarImage::Here(ldi) = self.image else { return 0.0 };
+        let forward = self.direction(row, column)[2];
+        // d2 = d1 / W and W = depth2 / depth1, so that a step in d1 becomes step * d2 * depth1 in d2, and
+        // d2 * depth1 = d2 (eye depth + forward / d2).
+        (ldi.codes.step * (f64::from(far) * self.eye_depth_m + forward)).max(0.0)
+    }
+
+    /// Whether the image knows nothing but sky in a pixel's direction. Behind and beside it that is so: what is culled lies inside its
+    /// window, or in another's.
+    fn is_sky(&self, row: usize, column: usize) -> bool {
+        let [right, down, forward] = self.direction(row, column);
         if forward <= 0.0 {
             return true;
         }
-        let camera = &self.ldi.camera;
-        let scale = camera.pixels_per_unit / forward;
-        // Saturating conversions: far outside stays outside.
-        let column = (right * scale - f64::from(camera.left)).floor() as i64;
-        let row = (down * scale - f64::from(camera.top)).floor() as i64;
-        self.ldi.is_sky(column, row)
+        match self.image {
+            FarImage::Here(ldi) => {
+                let camera = &ldi.camera;
+                let scale = camera.pixels_per_unit / forward;
+                // Saturating conversions: far outside stays outside.
+                let column = (right * scale - f64::from(camera.left)).floor() as i64;
+                let row = (down * scale - f64::from(camera.top)).floor() as i64;
+                ldi.is_sky(column, row)
+            }
+            FarImage::Absent(entry) => {
+                let [l, r, b, t] = entry.window;
+                let (x, y) = (right / forward, -down / forward);
+                x < l || x > r || y < b || y > t
+            }
+        }
     }
 }
 

@@ -48,7 +48,7 @@ fn with_step(ldi: &Ldi, step: f64, near_disparity: f32, pose: &Pose) -> (Frame, 
     ldi.codes.step = step;
     let ldi = &ldi;
     let mut frame = half_near(near_disparity);
-    let far = Far::Image { picture: &picture, ldi };
+    let far = Far::Images { picture: &picture, images: &[FarImage::Here(ldi)] };
     let stats = composite(&mut frame, far, pose, &CAMERA, &CompositeOptions::default());
     (frame, stats)
 }
@@ -97,7 +97,7 @@ fn sky_is_looked_up_by_rotation() {
         let pose = Pose { position: DVec3::new(0.4, 0.2, -0.3), yaw_deg, pitch_deg: 0.0 };
         let mut frame = Frame::new(CAMERA.width, CAMERA.height);
         let picture = warped(&ldi, &pose);
-        let far = Far::Image { picture: &picture, ldi: &ldi };
+        let far = Far::Images { picture: &picture, images: &[FarImage::Here(&ldi)] };
         let stats = composite(&mut frame, far, &pose, &CAMERA, &CompositeOptions::default());
         for at in (0..frame.len()).filter(|at| at / 160 < 59) {
             assert_eq!((frame.source[at], frame.colour[at]), (Source::Sky, SKY));
@@ -150,7 +150,7 @@ fn a_hole_behind_a_sphere_is_filled_with_the_wall() {
     let ldi = s.ldi(ldi_camera(DVec3::ZERO, 320, 240, 90.0), 1);
     let pose = Pose { position: DVec3::new(1.0, 0.0, 0.0), ..ahead() };
     let picture = warped(&ldi, &pose);
-    let far = Far::Image { picture: &picture, ldi: &ldi };
+    let far = Far::Images { picture: &picture, images: &[FarImage::Here(&ldi)] };
     let run = |fill: bool| {
         let mut frame = Frame::new(CAMERA.width, CAMERA.height);
         let stats = composite(&mut frame, far, &pose, &CAMERA, &CompositeOptions { fill, smooth: false });
@@ -176,7 +176,7 @@ fn a_picture_that_is_mostly_holes_is_not_invented() {
         let mut picture = warped(&ldi, &ahead());
         picture.packed.iter_mut().enumerate().filter(|(at, _)| at % 160 >= columns).for_each(|(_, p)| *p = 0);
         let mut frame = Frame::new(CAMERA.width, CAMERA.height);
-        let far = Far::Image { picture: &picture, ldi: &ldi };
+        let far = Far::Images { picture: &picture, images: &[FarImage::Here(&ldi)] };
         composite(&mut frame, far, &ahead(), &CAMERA, &CompositeOptions::default())
     };
     let (few, many) = (run(130), run(60));

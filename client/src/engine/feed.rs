@@ -61,8 +61,8 @@ impl Resident for Connection {
     fn texture(&self, texture: u32) -> Option<Arc<Texture>> {
         self.cache().texture(texture)
     }
-    fn ldi(&self, placement: u32) -> Option<Arc<Ldi>> {
-        self.cache().ldi(placement)
+    fn ldi(&self, image: u32) -> Option<Arc<Ldi>> {
+        self.cache().ldi(image)
     }
 }
 

@@ -5,24 +5,24 @@
 
 use super::options::{Cull, Method, WalkOptions};
 use crate::{
-    composite::{CompositeOptions, Far, composite, downsample},
+    composite::{CompositeOptions, Far, FarImage, composite, downsample},
     frame::{Frame, Source, supersampled},
     near::Rasterizer,
     report::StageMs,
     resident::Resident,
-    warp::{FarFrame, PreparedLdi, WarpError, WarpOptions, WarpStats, warp},
+    warp::{FarFrame, Order, PreparedLdi, WarpError, WarpOptions, WarpStats, warp},
 };
 use ldi_protocol::{
     OutputCamera, Pose,
-    index::Index,
+    index::{ImageEntry, Index},
     ldi::Ldi,
     need::{Needed, needed},
-    select::{DrawFrusta, Selection, draw_list, select},
+    select::{DrawFrusta, DrawList, Selection, draw_list, select},
 };
 use std::{sync::Arc, time::Instant};
 
-/// Prepared images that are kept: the current one, and the ones that a walker standing at a border of two or three ranges
-/// goes back and forth between. Each is about three times as large as the decoded image.
+/// Prepared images that are kept besides those of the current frame: the ones that a walker goes back and forth between. Each is
+/// about three times as large as the decoded image.
 const PREPARED_KEPT: usize = 4;
 
 /// What a pose draws.
@@ -32,6 +32,8 @@ pub struct View {
     pub selection: Selection,
     /// Cells to draw, near to far.
     pub cells: Vec<u32>,
+    /// Images of the placement in view, those nearest to the line of sight first.
+    pub images: Vec<u32>,
     /// Cells left out because the budget was used up: 0 wherever the build's promise holds.
     pub dropped: u32,
     /// Triangles of all cells in the frustum, drawn or culled.
@@ -56,6 +58,8 @@ pub struct Painted {
 pub struct Painter {
     rasterizer: Rasterizer,
     far: FarFrame,
+    /// One image of several, where its order counts and must not mix with the others'.
+    single: FarFrame,
     full: Frame,
     /// Most recent last.
     prepared: Vec<(u32, Arc<Ldi>, PreparedLdi)>,
@@ -77,6 +81,7 @@ pub fn view_of(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method
         return View {
             selection: Selection { grid_point: None, placement: None },
             cells,
+            images: Vec::new(),
             dropped: 0,
             triangles_in_frustum,
         };
@@ -88,7 +93,8 @@ pub fn view_of(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method
     let start = Instant::now();
     let list = draw_list(index, pose, half_tan);
     ms.cull = (ms_since(start) - ms.select).max(0.0);
-    View { selection: list.selection, cells: list.cells, dropped: list.dropped, triangles_in_frustum }
+    let DrawList { selection, cells, images, dropped, .. } = list;
+    View { selection, cells, images, dropped, triangles_in_frustum }
 }
 
 fn cells_in_frustum(index: &Index, pose: &Pose, half_tan: (f64, f64)) -> Vec<u32> {
@@ -106,7 +112,7 @@ fn near_to_far(index: &Index, pose: &Pose, cells: Vec<u32>) -> Vec<u32> {
 impl View {
     /// The chunks that complete the view.
     pub fn needed(&self, index: &Index) -> Needed {
-        needed(index, self.selection.placement, &self.cells)
+        needed(index, &self.images, &self.cells)
     }
 }
 
@@ -149,11 +155,10 @@ impl Painter {
             near.coarse_textures.iter().filter_map(|t| Some(index.textures.get(*t as usize)?.chunks.last()?.chunk)),
         );
 
-        let placement = view.selection.placement.and_then(|p| Some((p, index.placements.get(p as usize)?)));
-        let image = placement.filter(|(_, entry)| !entry.chunks.is_empty());
-        let ldi = image.and_then(|(number, _)| resident.ldi(number));
-        if let Some((_, entry)) = image {
-            match &ldi {
+        let images: Vec<(u32, &ImageEntry, Option<Arc<Ldi>>)> =
+            view.images.iter().filter_map(|i| Some((*i, index.images.get(*i as usize)?, resident.ldi(*i)))).collect();
+        for (_, entry, ldi) in &images {
+            match ldi {
                 None => painted.missing_chunks.extend(&entry.chunks),
                 // Two chunks: the first layer, and the rest.
                 Some(ldi) if entry.chunks.len() > 1 && ldi.layers.len() < entry.samples_by_layer.len() => {
@@ -166,28 +171,42 @@ impl Painter {
         painted.missing_chunks.dedup();
 
         self.far.reset(full_camera.width, full_camera.height);
-        if let (Some((number, _)), Some(ldi)) = (image, &ldi) {
+        let warp_options = WarpOptions {
+            stamp: options.stamp,
+            order: options.order,
+            keep_all_tiles: options.cull == Cull::Off,
+            ..WarpOptions::default()
+        };
+        self.forget(&images);
+        for (number, ldi) in images.iter().filter_map(|(n, _, l)| Some((*n, l.as_ref()?))) {
             let start = Instant::now();
-            let slot = self.prepare(number, ldi);
-            painted.ms.prepare = if slot.1 { ms_since(start) } else { 0.0 };
-            let warp_options = WarpOptions {
-                stamp: options.stamp,
-                order: options.order,
-                keep_all_tiles: options.cull == Cull::Off,
-                ..WarpOptions::default()
+            let (slot, new) = self.prepare(number, ldi);
+            painted.ms.prepare += if new { ms_since(start) } else { 0.0 };
+            let start = Instant::now();
+            let prepared = &self.prepared[slot].2;
+            let stats = if options.order == Order::Epipole && images.len() > 1 {
+                // The order holds within an image; between images depth decides.
+                self.single.reset(full_camera.width, full_camera.height);
+                let stats = warp(prepared, pose, &full_camera, &warp_options, &mut self.single)?;
+                self.far.take_nearer(&self.single);
+                stats
+            } else {
+                warp(prepared, pose, &full_camera, &warp_options, &mut self.far)?
             };
-            let start = Instant::now();
-            painted.warp = Some(warp(&self.prepared[slot.0].2, pose, &full_camera, &warp_options, &mut self.far)?);
-            painted.ms.warp = ms_since(start);
+            painted.warp.get_or_insert_default().add(&stats);
+            painted.ms.warp += ms_since(start);
         }
 
         let start = Instant::now();
-        let far = match (&ldi, image) {
-            (Some(ldi), _) => Far::Image { picture: &self.far, ldi },
-            (None, Some(_)) => Far::Missing,
+        let shown: Vec<FarImage<'_>> = images
+            .iter()
+            .map(|(_, entry, ldi)| ldi.as_deref().map_or(FarImage::Absent(entry), FarImage::Here))
+            .collect();
+        let far = match shown[..] {
             // What was dropped may lie anywhere: the rest is not known to be sky.
-            (None, None) if view.dropped > 0 => Far::Missing,
-            (None, None) => Far::Nothing,
+            _ if view.dropped > 0 && images.is_empty() => Far::Missing,
+            [] => Far::Nothing,
+            _ => Far::Images { picture: &self.far, images: &shown },
         };
         composite(&mut self.full, far, pose, &full_camera, &CompositeOptions::default());
         if options.supersample > 1 {
@@ -214,6 +233,17 @@ impl Painter {
         ((filled + unpainted) / n, unpainted / n)
     }
 
+    /// Makes room for the images of a frame.
+    fn forget(&mut self, images: &[(u32, &ImageEntry, Option<Arc<Ldi>>)]) {
+        let in_use = |number: u32| images.iter().any(|(n, ..)| *n == number);
+        let mut spare = self.prepared.iter().filter(|(n, ..)| !in_use(*n)).count();
+        self.prepared.retain(|(n, ..)| {
+            let keep = in_use(*n) || spare <= PREPARED_KEPT;
+            spare -= usize::from(!keep);
+            keep
+        });
+    }
+
     /// Lays out an image unless it is laid out already, with the same layers. Returns its slot and whether it was new.
     fn prepare(&mut self, number: u32, ldi: &Arc<Ldi>) -> (usize, bool) {
         let found = self.prepared.iter().position(|(n, held, _)| *n == number && Arc::ptr_eq(held, ldi));
@@ -221,9 +251,6 @@ impl Painter {
             Some(at) => self.prepared.remove(at),
             None => {
                 self.prepared.retain(|(n, ..)| *n != number);
-                if self.prepared.len() >= PREPARED_KEPT {
-                    self.prepared.remove(0);
-                }
                 (number, ldi.clone(), PreparedLdi::new(ldi))
             }
         };

@@ -12,7 +12,7 @@ use crate::{
 use glam::{DVec3, Vec3};
 use ldi_protocol::{
     OutputCamera, Pose, ViewBasis,
-    index::{AngularRange, ChunkEntry, ChunkHash, ChunkKind, GridPoint, Index, Placement},
+    index::{AngularRange, ChunkEntry, ChunkHash, ChunkKind, GridPoint, ImageEntry, Index, Placement},
     ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiCamera, LdiLayer, Segment},
     mesh::{CellGeometry, Material},
     need::Needed,
@@ -62,8 +62,8 @@ impl Resident for MemoryFeed {
     fn texture(&self, texture: u32) -> Option<Arc<Texture>> {
         self.memory.texture(texture)
     }
-    fn ldi(&self, placement: u32) -> Option<Arc<Ldi>> {
-        self.holds(*self.index.placements[placement as usize].chunks.first()?).then(|| self.memory.ldi(placement))?
+    fn ldi(&self, image: u32) -> Option<Arc<Ldi>> {
+        self.holds(*self.index.images[image as usize].chunks.first()?).then(|| self.memory.ldi(image))?
     }
 }
 
@@ -150,12 +150,17 @@ fn scene() -> MemoryFeed {
     });
     index.placements.push(Placement {
         grid_point: 0,
-        basis,
-        plane_distance: 5.0,
+        cop: DVec3::new(0.0, 0.0, 0.5),
         culled: vec![1],
         footprint_px: 1.5,
-        stretch_p99_px: 1.0,
         users: index.cells[0].bounds,
+        images: 0..1,
+    });
+    index.images.push(ImageEntry {
+        basis,
+        plane_distance: 5.0,
+        window: [-1.0, 1.0, -1.0, 1.0],
+        stretch_p99_px: 1.0,
         chunks: vec![2],
         samples_by_layer: vec![48 * 48],
     });

@@ -265,6 +265,18 @@ impl FarFrame {
         if self.stale { 0 } else { self.packed.iter().filter(|p| **p != 0).count() }
     }
 
+    /// Takes over the pixels of another picture of the same size that are nearer than this one's.
+    pub fn take_nearer(&mut self, other: &Self) {
+        if other.stale || self.packed.len() != other.packed.len() {
+            return;
+        }
+        if std::mem::take(&mut self.stale) {
+            self.packed.copy_from_slice(&other.packed);
+        } else {
+            self.packed.iter_mut().zip(&other.packed).for_each(|(a, b)| *a = (*a).max(*b));
+        }
+    }
+
     /// Whether nothing was warped since the last reset.
     pub fn is_untouched(&self) -> bool {
         self.stale

@@ -87,15 +87,15 @@ pub fn check_cell_content<'a>(
     Ok(())
 }
 
-/// Checks an LDI as far as it is here: as many samples in each layer as the placement says, and its orientation.
+/// Checks an LDI as far as it is here: as many samples in each layer as its entry says, and its orientation.
 ///
 /// # Errors
 /// What contradicts the index.
-pub fn check_ldi(index: &Index, placement: u32, ldi: &Ldi) -> Result<(), CodecError> {
+pub fn check_ldi(index: &Index, image: u32, ldi: &Ldi) -> Result<(), CodecError> {
     let entry = index
-        .placements
-        .get(placement as usize)
-        .ok_or_else(|| CodecError::range("placement", placement, "the index has no such placement"))?;
+        .images
+        .get(image as usize)
+        .ok_or_else(|| CodecError::range("image", image, "the index has no such image"))?;
     for (k, layer) in ldi.layers.iter().enumerate() {
         let listed = entry.samples_by_layer.get(k).copied().unwrap_or(0);
         if layer.len() != listed as usize {
@@ -106,7 +106,7 @@ pub fn check_ldi(index: &Index, placement: u32, ldi: &Ldi) -> Result<(), CodecEr
     let (a, b) = (&ldi.camera.basis, &entry.basis);
     let turned = (a.right - b.right).length() + (a.up - b.up).length() + (a.forward - b.forward).length();
     if turned > 1e-9 {
-        return Err(CodecError::mismatch("basis", "the image has another orientation than its placement"));
+        return Err(CodecError::mismatch("basis", "the image has another orientation than its entry"));
     }
     Ok(())
 }

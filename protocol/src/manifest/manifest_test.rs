@@ -3,7 +3,9 @@
 use super::*;
 use crate::{
     Aabb, OutputCamera, ViewBasis,
-    index::{AngularRange, CellEntry, ChunkEntry, ChunkKind, GridPoint, Placement, TextureChunk, TextureEntry},
+    index::{
+        AngularRange, CellEntry, ChunkEntry, ChunkKind, GridPoint, ImageEntry, Placement, TextureChunk, TextureEntry,
+    },
     mesh::{Alpha, Material, Wrap},
     volume::WalkVolume,
 };
@@ -99,18 +101,30 @@ fn index(n: usize) -> Index {
         placements: (0..n)
             .map(|i| Placement {
                 grid_point: (i % points) as u32,
-                basis: ViewBasis::from_yaw_pitch(i as f64 * 31.0, 10.0),
-                plane_distance: 3.1 + i as f64,
+                cop: DVec3::new(0.1, 1.7, i as f64),
                 culled: (0..n as u32).filter(|c| c % 7 < 4).collect(),
                 footprint_px: 1.7,
-                stretch_p99_px: 0.1 * i as f64,
                 users: bounds,
-                chunks: vec![(2 + n + 2 * i) as u32, (3 + n + 2 * i) as u32],
+                images: images_before(i)..images_before(i + 1),
+            })
+            .collect(),
+        images: (0..images_before(n) as usize)
+            .map(|i| ImageEntry {
+                basis: ViewBasis::from_yaw_pitch(i as f64 * 31.0, 10.0),
+                plane_distance: 3.1 + i as f64,
+                window: [-0.5, 0.25 + i as f64, -1.0 / 3.0, 0.1],
+                stretch_p99_px: 0.1 * i as f64,
+                chunks: vec![(2 + n + 2 * (i % n)) as u32, (3 + n + 2 * (i % n)) as u32],
                 samples_by_layer: vec![100_000, 20_000, 17],
             })
             .collect(),
         volume: WalkVolume::of_box(&bounds).ok(),
     }
+}
+
+/// Placements have no, one, two images in turn.
+fn images_before(placement: usize) -> u32 {
+    (0..placement as u32).map(|p| p % 3).sum()
 }
 
 fn decode(e: &Encoded) -> Result<Index, CodecError> {
@@ -131,10 +145,10 @@ fn an_index_comes_back_exactly() {
 #[test]
 fn unknown_stretch_and_no_volume_come_back() {
     let mut original = index(2);
-    original.placements[1].stretch_p99_px = f64::NAN;
+    original.images[0].stretch_p99_px = f64::NAN;
     original.volume = None;
     let out = decode(&encode(&original).unwrap()).unwrap();
-    assert!(out.placements[1].stretch_p99_px.is_nan());
+    assert!(out.images[0].stretch_p99_px.is_nan());
     assert_eq!(out.volume, None);
 }
 
@@ -148,7 +162,7 @@ fn bounds_that_are_not_f32_are_refused() {
 #[test]
 fn every_broken_rule_is_named() {
     type Break = fn(&mut Index);
-    let breaks: [(&str, Break); 22] = [
+    let breaks: [(&str, Break); 26] = [
         ("chunk", |i| i.chunks[3].kind = ChunkKind::Page),
         ("cell", |i| i.cells[1].chunk = 0),
         ("cell", |i| i.cells[1].chunk = 9999),
@@ -169,8 +183,12 @@ fn every_broken_rule_is_named() {
         ("placement", |i| i.placements[2].grid_point = 50),
         ("placement", |i| i.placements[2].culled = vec![3, 3]),
         ("placement", |i| i.placements[2].culled = vec![5]),
-        ("placement", |i| i.placements[2].basis.up = DVec3::X),
-        ("placement", |i| i.placements[2].chunks = vec![1]),
+        ("placement", |i| i.placements[2].images.start += 1),
+        ("placement", |i| i.placements[1].cop.x = f64::NAN),
+        ("image", |i| i.images.push(i.images[0].clone())),
+        ("image", |i| i.images[2].basis.up = DVec3::X),
+        ("image", |i| i.images[2].window[3] = f64::INFINITY),
+        ("image", |i| i.images[2].chunks = vec![1]),
     ];
     validate(&index(5)).unwrap();
     for (k, (wanted, damage)) in breaks.into_iter().enumerate() {
@@ -216,6 +234,7 @@ fn forged_pages_never_panic() {
         textures: vec![],
         points: vec![],
         placements: vec![],
+        images: vec![],
         volume: None,
         ..index(0)
     };
@@ -239,6 +258,7 @@ proptest! {
         culled.dedup();
         let mut original = index(3000);
         original.placements.truncate(1);
+        original.images.clear();
         original.points.clear();
         original.points.push(GridPoint { position: DVec3::ZERO, level: 0, radius: 1.0, bands: vec![] });
         original.placements[0].culled = culled;
@@ -246,7 +266,7 @@ proptest! {
     }
     #[test]
     fn any_bytes_are_survived(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
-        let mut root = b"LDM\x01".to_vec();
+        let mut root = b"LDM\x02".to_vec();
         root.extend(bytes);
         let checksum = blake3::hash(&root);
         root.extend(checksum.as_bytes());

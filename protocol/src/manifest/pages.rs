@@ -12,8 +12,8 @@ use crate::{
         bytes::{Reader, Writer, put_varint, unzigzag, zigzag},
     },
     index::{
-        AngularRange, CellEntry, ChunkEntry, ChunkHash, ChunkKind, GridPoint, Index, Placement, TextureChunk,
-        TextureEntry,
+        AngularRange, CellEntry, ChunkEntry, ChunkHash, ChunkKind, GridPoint, ImageEntry, Index, Placement,
+        TextureChunk, TextureEntry,
     },
 };
 use glam::DVec3;
@@ -38,7 +38,7 @@ pub(super) fn encode(index: &Index, kind: PageKind, range: Range<usize>, level: 
         PageKind::Materials => put_packed(&mut w, "materials", &index.materials[range])?,
         PageKind::Textures => put_textures(&mut w, &index.textures[range])?,
         PageKind::Points => put_points(&mut w, &index.points[range])?,
-        PageKind::Placements => put_placements(&mut w, &index.placements[range])?,
+        PageKind::Placements => put_placements(&mut w, &index.placements[range], &index.images)?,
         PageKind::Volume => put_packed(&mut w, "walk volume", &index.volume)?,
     }
     Ok(w.bytes)
@@ -65,7 +65,11 @@ pub(super) fn decode_into(index: &mut Index, entry: &PageEntry, bytes: &[u8]) ->
         }
         PageKind::Textures => index.textures.extend(take_textures(&mut r, n)?),
         PageKind::Points => index.points.extend(take_points(&mut r, n)?),
-        PageKind::Placements => index.placements.extend(take_placements(&mut r, n)?),
+        PageKind::Placements => {
+            let (placements, images) = take_placements(&mut r, n, index.images.len())?;
+            index.placements.extend(placements);
+            index.images.extend(images);
+        }
         PageKind::Volume => index.volume = take_packed(&mut r, "walk volume")?,
     }
     r.finish("manifest page")
@@ -326,57 +330,98 @@ fn take_points(r: &mut Reader<'_>, n: usize) -> Result<Vec<GridPoint>, CodecErro
     Ok(points)
 }
 
-/// Numbers of a placement: basis, plane distance, footprint, stretch, users.
-const PLACEMENT_NUMBERS: usize = 18;
+/// Numbers of a placement: centre of projection, users, footprint.
+const PLACEMENT_NUMBERS: usize = 10;
+/// Numbers of an image: basis, plane distance, window, stretch.
+const IMAGE_NUMBERS: usize = 15;
+/// Most images of a placement.
+const MAX_IMAGES: usize = 4096;
 
-fn put_placements(w: &mut Writer, placements: &[Placement]) -> Result<(), CodecError> {
-    let numbers_of = |p: &Placement| -> [f64; PLACEMENT_NUMBERS] {
-        let b = [p.basis.right, p.basis.up, p.basis.forward, p.users.min, p.users.max];
-        let rest = [p.plane_distance, p.footprint_px, p.stretch_p99_px];
-        std::array::from_fn(|k| if k < 15 { b[k / 3][k % 3] } else { rest[k - 15] })
-    };
-    // Field by field: like numbers stand beside each other.
-    let rows: Vec<_> = placements.iter().map(numbers_of).collect();
-    put_numbers(w, "placement numbers", (0..PLACEMENT_NUMBERS).flat_map(|k| rows.iter().map(move |row| row[k])))?;
-    let (mut numbers, mut culled) = (Vec::new(), Vec::new());
+/// Placements and, behind them, their images.
+fn put_placements(w: &mut Writer, placements: &[Placement], all: &[ImageEntry]) -> Result<(), CodecError> {
+    let (mut rows, mut numbers, mut culled) = (Vec::new(), Vec::new(), Vec::new());
     for p in placements {
         put_varint(&mut numbers, p.grid_point.into());
-        for list in [&p.chunks, &p.samples_by_layer] {
+        put_varint(&mut numbers, p.images.len() as u64);
+        put_ascending(&mut culled, &p.culled);
+        let vectors = [p.cop, p.users.min, p.users.max];
+        rows.push(std::array::from_fn(|k| if k < 9 { vectors[k / 3][k % 3] } else { p.footprint_px }));
+    }
+    put_rows::<PLACEMENT_NUMBERS>(w, "placement numbers", &rows)?;
+    w.section("placements", &numbers)?;
+    w.section("culled cells", &culled)?;
+    let images = match (placements.first(), placements.last()) {
+        (Some(first), Some(last)) => &all[first.images.start as usize..last.images.end as usize],
+        _ => &[],
+    };
+    let (mut rows, mut numbers) = (Vec::new(), Vec::new());
+    for i in images {
+        for list in [&i.chunks, &i.samples_by_layer] {
             put_varint(&mut numbers, list.len() as u64);
             list.iter().for_each(|&v| put_varint(&mut numbers, v.into()));
         }
-        put_ascending(&mut culled, &p.culled);
+        let b = [i.basis.right, i.basis.up, i.basis.forward];
+        let rest = [i.plane_distance, i.window[0], i.window[1], i.window[2], i.window[3], i.stretch_p99_px];
+        rows.push(std::array::from_fn(|k| if k < 9 { b[k / 3][k % 3] } else { rest[k - 9] }));
     }
-    w.section("placements", &numbers)?;
-    w.section("culled cells", &culled)
+    put_rows::<IMAGE_NUMBERS>(w, "image numbers", &rows)?;
+    w.section("images", &numbers)
 }
 
-fn take_placements(r: &mut Reader<'_>, n: usize) -> Result<Vec<Placement>, CodecError> {
-    let values = take_numbers(r, "placement numbers", n * PLACEMENT_NUMBERS)?;
+/// Rows of numbers, field by field: like numbers stand beside each other.
+fn put_rows<const N: usize>(w: &mut Writer, field: &'static str, rows: &[[f64; N]]) -> Result<(), CodecError> {
+    put_numbers(w, field, (0..N).flat_map(|k| rows.iter().map(move |row| row[k])))
+}
+
+fn take_rows<const N: usize>(r: &mut Reader<'_>, field: &'static str, n: usize) -> Result<Vec<[f64; N]>, CodecError> {
+    let values = take_numbers(r, field, n.saturating_mul(N))?;
+    Ok((0..n).map(|i| std::array::from_fn(|k| values[k * n + i])).collect())
+}
+
+/// Placements and images of a page; the images are numbered from `first_image` on.
+fn take_placements(
+    r: &mut Reader<'_>,
+    n: usize,
+    first_image: usize,
+) -> Result<(Vec<Placement>, Vec<ImageEntry>), CodecError> {
+    let vector = |row: &[f64], k: usize| DVec3::new(row[3 * k], row[3 * k + 1], row[3 * k + 2]);
+    let rows = take_rows::<PLACEMENT_NUMBERS>(r, "placement numbers", n)?;
     let mut numbers = Numbers::take(r, "placements")?;
     let mut culled = Numbers::take(r, "culled cells")?;
     let mut budget = LIST_BUDGET;
     let mut placements = Vec::with_capacity(n);
-    for i in 0..n {
-        let value = |k: usize| values[k * n + i];
-        let vector = |k: usize| DVec3::new(value(3 * k), value(3 * k + 1), value(3 * k + 2));
+    let mut total = 0;
+    for row in &rows {
         let grid_point = numbers.next("placement point")?;
-        let mut list = |field, max| -> Result<Vec<u32>, CodecError> {
-            (0..numbers.count(field, max)?).map(|_| numbers.next(field)).collect()
-        };
+        let first = first_image + total;
+        total += numbers.count("placement images", MAX_IMAGES)?;
         placements.push(Placement {
             grid_point,
-            chunks: list("placement chunks", 255)?,
-            samples_by_layer: list("placement samples", 255)?,
-            basis: ViewBasis { right: vector(0), up: vector(1), forward: vector(2) },
-            users: Aabb { min: vector(3), max: vector(4) },
-            plane_distance: value(15),
-            footprint_px: value(16),
-            stretch_p99_px: value(17),
+            cop: vector(row, 0),
+            users: Aabb { min: vector(row, 1), max: vector(row, 2) },
+            footprint_px: row[9],
             culled: take_ascending(&mut culled, "culled cells", &mut budget)?,
+            images: first as u32..(first_image + total) as u32,
         });
     }
     numbers.finish("placements")?;
     culled.finish("culled cells")?;
-    Ok(placements)
+    let rows = take_rows::<IMAGE_NUMBERS>(r, "image numbers", total)?;
+    let mut numbers = Numbers::take(r, "images")?;
+    let mut images = Vec::with_capacity(total);
+    for row in &rows {
+        let mut list = |field| -> Result<Vec<u32>, CodecError> {
+            (0..numbers.count(field, 255)?).map(|_| numbers.next(field)).collect()
+        };
+        images.push(ImageEntry {
+            chunks: list("image chunks")?,
+            samples_by_layer: list("image samples")?,
+            basis: ViewBasis { right: vector(row, 0), up: vector(row, 1), forward: vector(row, 2) },
+            plane_distance: row[9],
+            window: [row[10], row[11], row[12], row[13]],
+            stretch_p99_px: row[14],
+        });
+    }
+    numbers.finish("images")?;
+    Ok((placements, images))
 }

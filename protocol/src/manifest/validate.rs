@@ -4,7 +4,7 @@
 use crate::{
     Aabb, ViewBasis,
     codec::{CodecError, texture},
-    index::{BuildSettings, ChunkKind, GridPoint, Index, Placement, TextureEntry},
+    index::{BuildSettings, ChunkKind, GridPoint, ImageEntry, Index, Placement, TextureEntry},
     ldi::Ldi,
     mesh::{Alpha, Material},
     texture::level_count,
@@ -56,9 +56,11 @@ pub fn validate(index: &Index) -> Result<(), CodecError> {
         return Err(CodecError::mismatch("pitch bands", "borders must ascend within -90 to 90 degrees"));
     }
     each("grid point", &index.points, |p| check_point(p, bands.len().saturating_sub(1), index.placements.len()))?;
-    each("placement", &index.placements, |p| {
-        check_placement(p, index.points.len(), index.cells.len())?;
-        p.chunks.iter().try_for_each(|&c| is(c, ChunkKind::Ldi))
+    each("placement", &index.placements, |p| check_placement(p, index.points.len(), index.cells.len()))?;
+    check_images_of(&index.placements, index.images.len())?;
+    each("image", &index.images, |i| {
+        check_image(i)?;
+        i.chunks.iter().try_for_each(|&c| is(c, ChunkKind::Ldi))
     })
 }
 
@@ -162,15 +164,39 @@ fn check_placement(p: &Placement, points: usize, cells: usize) -> Result<(), Str
     if p.grid_point as usize >= points {
         return Err(format!("there is no grid point {}", p.grid_point));
     }
-    check_basis(&p.basis)?;
     check_box(&p.users)?;
-    if !p.plane_distance.is_finite() || !p.footprint_px.is_finite() || p.stretch_p99_px.is_infinite() {
-        return Err("its plane distance, footprint or stretch is not finite".into());
-    }
-    if p.chunks.len() > 2 || p.samples_by_layer.len() > Ldi::MAX_LAYERS {
-        return Err("more than two chunks or 32 layers".into());
+    if !p.cop.is_finite() || !p.footprint_px.is_finite() {
+        return Err("its centre of projection or footprint is not finite".into());
     }
     ascending("culled cells", &p.culled, cells)
+}
+
+/// Placements own all images, in order.
+fn check_images_of(placements: &[Placement], images: usize) -> Result<(), CodecError> {
+    let mut next = 0;
+    for p in placements {
+        if p.images.start != next || p.images.end < next {
+            return Err(CodecError::mismatch("placement", "its images do not follow those of the one before"));
+        }
+        next = p.images.end;
+    }
+    if next as usize == images {
+        Ok(())
+    } else {
+        Err(CodecError::mismatch("image", format!("{images} images, but placements have {next}")))
+    }
+}
+
+fn check_image(i: &ImageEntry) -> Result<(), String> {
+    check_basis(&i.basis)?;
+    let window = &i.window;
+    if !i.plane_distance.is_finite() || i.stretch_p99_px.is_infinite() || window.iter().any(|w| !w.is_finite()) {
+        return Err("its plane distance, window or stretch is not finite".into());
+    }
+    if i.chunks.len() > 2 || i.samples_by_layer.len() > Ldi::MAX_LAYERS {
+        return Err("more than two chunks or 32 layers".into());
+    }
+    Ok(())
 }
 
 fn check_basis(b: &ViewBasis) -> Result<(), String> {

@@ -3,12 +3,12 @@
 use super::{BuildError, Progress, key};
 use crate::construct::{self, ConstructOptions};
 use crate::pack::PackError;
-use crate::placement::PlacementPlan;
+use crate::placement::{ImagePlan, PlacementPlan};
 use crate::render::Caster;
 use crate::scene::Note;
 use crate::store::DatasetWriter;
 use ldi_protocol::codec::{ColourMode, ldi};
-use ldi_protocol::index::{BuildSettings, ChunkEntry, ChunkHash, ChunkKind, Placement};
+use ldi_protocol::index::{BuildSettings, ChunkEntry, ChunkHash, ChunkKind, ImageEntry, Placement};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -30,7 +30,15 @@ pub struct ImageFigures {
     pub rays: u64,
     /// Wall time of the stage.
     pub seconds: f64,
+    /// Seconds of one thread per step, as in [`STEPS`].
+    pub step_seconds: [f64; 5],
 }
+
+/// Steps of making an image.
+pub const STEPS: [&str; 5] = ["central image", "construction images", "recast", "layers and colour", "encoding"];
+
+/// An image as it was made, and the time that its steps took.
+type Made = ((Kept, Vec<Vec<u8>>), [f64; 5]);
 
 /// What is kept of an image besides its chunks.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
@@ -65,35 +73,37 @@ pub fn construct_all(
     let start = std::time::Instant::now();
     let options = ConstructOptions::new(settings.camera);
     // One image after the other leaves a core idle whenever one is encoded; rayon balances images and their rows alike.
-    let made: Vec<Result<(Kept, Vec<Vec<u8>>, bool), BuildError>> = plans
+    let all: Vec<(&[u32], &ImagePlan)> =
+        plans.iter().flat_map(|p| p.images.iter().map(|i| (p.culled.as_slice(), i))).collect();
+    let made: Vec<Result<(Kept, Vec<Vec<u8>>, Option<[f64; 5]>), BuildError>> = all
         .par_iter()
         .with_max_len(1)
         .enumerate()
-        .map(|(number, plan)| {
-            let key = key::image_key(scene_key, settings, plan);
+        .map(|(number, (culled, plan))| {
+            let key = key::image_key(scene_key, settings, culled, plan);
             let found = writer.cached(&key).and_then(|bytes| unpack(&bytes));
-            let resumed = found.is_some();
-            let (kept, chunks) = match found {
-                Some(found) => found,
+            let ((kept, chunks), seconds) = match found {
+                Some(found) => (found, None),
                 None => {
-                    let made = one(caster, plan, &options, colour, number, plans.len())?;
+                    let (made, seconds) = one(caster, culled, plan, &options, colour, (number, all.len()))?;
                     writer.store(&key, &pack(&made))?;
-                    made
+                    (made, Some(seconds))
                 }
             };
             progress.advance(1);
-            Ok((kept, chunks, resumed))
+            Ok((kept, chunks, seconds))
         })
         .collect();
     let mut images = Images::default();
     for made in made {
-        let (kept, chunks, resumed) = made?;
+        let (kept, chunks, seconds) = made?;
         let f = &mut images.figures;
         f.images += u64::from(!chunks.is_empty());
-        f.made += u64::from(!resumed);
+        f.made += u64::from(seconds.is_some());
+        seconds.iter().for_each(|s| f.step_seconds.iter_mut().zip(s).for_each(|(a, b)| *a += b));
         f.pruned += kept.pruned;
         // Rays of an earlier run took no time in this one.
-        f.rays += if resumed { 0 } else { kept.rays };
+        f.rays += if seconds.is_none() { 0 } else { kept.rays };
         if f.samples_by_layer.len() < kept.samples_by_layer.len() {
             f.samples_by_layer.resize(kept.samples_by_layer.len(), 0);
         }
@@ -106,18 +116,18 @@ pub fn construct_all(
 
 fn one(
     caster: &Caster,
-    plan: &PlacementPlan,
+    culled: &[u32],
+    plan: &ImagePlan,
     options: &ConstructOptions,
     colour: ColourMode,
-    number: usize,
-    total: usize,
-) -> Result<(Kept, Vec<Vec<u8>>), BuildError> {
+    (number, total): (usize, usize),
+) -> Result<Made, BuildError> {
     let [left, right, bottom, top] = plan.window;
     if left >= right || bottom >= top {
         // The replaced cells lie in the planning square but in nobody's picture.
-        return Ok((Kept::default(), Vec::new()));
+        return Ok(((Kept::default(), Vec::new()), [0.0; 5]));
     }
-    let made = construct::construct(caster, plan, options).map_err(|source| BuildError::Construct {
+    let made = construct::construct(caster, culled, plan, options).map_err(|source| BuildError::Construct {
         number,
         total,
         source,
@@ -129,15 +139,19 @@ fn one(
         stretch_p99_px: made.stats.stretch_p99_px,
         ..Kept::default()
     };
+    let [central, construction, recast, colour_and_layers] = made.stats.seconds;
+    let mut seconds = [central, construction, recast, colour_and_layers, 0.0];
     if made.ldi.samples() == 0 {
-        return Ok((kept, Vec::new()));
+        return Ok(((kept, Vec::new()), seconds));
     }
+    let start = std::time::Instant::now();
     let pack_error = |source| PackError { what: format!("image {number}"), source };
     let mut chunks = vec![ldi::encode_first(&made.ldi, colour, LEVEL).map_err(pack_error)?];
     chunks.extend(ldi::encode_deeper(&made.ldi, colour, LEVEL).map_err(pack_error)?);
     kept.decoded_bytes = ldi::decoded_bytes(&made.ldi).map(|b| u32::try_from(b).unwrap_or(u32::MAX));
     kept.lengths = chunks.iter().map(|c| c.len() as u32).collect();
-    Ok((kept, chunks))
+    seconds[4] = start.elapsed().as_secs_f64();
+    Ok(((kept, chunks), seconds))
 }
 
 fn pack((kept, chunks): &(Kept, Vec<Vec<u8>>)) -> Vec<u8> {
@@ -180,37 +194,44 @@ impl Images {
         self.kept.iter().flat_map(|k| k.1.iter().map(Vec::as_slice))
     }
 
-    /// Placements as the index names them.
-    pub fn placements(&self, plans: &[PlacementPlan], first_chunk: u32) -> Vec<Placement> {
+    /// Placements and images as the index names them.
+    pub fn placements(&self, plans: &[PlacementPlan], first_chunk: u32) -> (Vec<Placement>, Vec<ImageEntry>) {
+        let (mut placements, mut images) = (Vec::new(), Vec::new());
         let mut next = first_chunk;
-        plans
-            .iter()
-            .zip(&self.kept)
-            .map(|(plan, (kept, chunks))| {
+        let mut kept = self.kept.iter();
+        for plan in plans {
+            let first_image = images.len() as u32;
+            for (image, (kept, chunks)) in plan.images.iter().zip(&mut kept) {
                 let first = next;
                 next += chunks.len() as u32;
-                Placement {
-                    grid_point: plan.grid_point,
-                    basis: plan.basis,
-                    plane_distance: plan.plane_distance,
-                    culled: plan.culled.clone(),
-                    footprint_px: plan.footprint_px,
+                images.push(ImageEntry {
+                    basis: image.basis,
+                    plane_distance: image.plane_distance,
+                    window: image.window,
                     stretch_p99_px: kept.stretch_p99_px,
-                    users: plan.users,
                     chunks: (first..next).collect(),
                     samples_by_layer: kept.samples_by_layer.clone(),
-                }
-            })
-            .collect()
+                });
+            }
+            placements.push(Placement {
+                grid_point: plan.grid_point,
+                cop: plan.cop,
+                culled: plan.culled.clone(),
+                footprint_px: plan.footprint_px,
+                users: plan.users,
+                images: first_image..images.len() as u32,
+            });
+        }
+        (placements, images)
     }
 
     /// What was left out.
-    pub fn notes(&self, plans: &[PlacementPlan]) -> Vec<Note> {
+    pub fn notes(&self) -> Vec<Note> {
         let empty = self.kept.iter().filter(|k| k.1.is_empty()).count();
         let mut notes = Vec::new();
         if empty > 0 {
             notes.push(Note {
-                what: format!("{empty} of {} images", plans.len()),
+                what: format!("{empty} of {} images", self.kept.len()),
                 why: "no eye that may use them sees anything of the cells they replace".into(),
             });
         }

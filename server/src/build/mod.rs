@@ -139,7 +139,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     clock.lap("pack");
 
     let writer = DatasetWriter::open(&options.output)?;
-    progress.stage("layered depth images", plan.plans.len() as u64);
+    progress.stage("layered depth images", plan.plans.iter().map(|p| p.images.len() as u64).sum());
     let (images, caster_seconds) = if plan.plans.is_empty() {
         (images::Images::default(), 0.0)
     } else {
@@ -163,12 +163,12 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
 
     progress.stage("writing", 0);
     let first_image_chunk = chunks.len() as u32;
-    let placements = images.placements(&plan.plans, first_image_chunk);
+    let (placements, image_entries) = images.placements(&plan.plans, first_image_chunk);
     let mut notes = scene.notes.clone();
     notes.extend(
         plan.statistics.nothing_to_do.iter().map(|why| Note { what: "grid and images".into(), why: why.clone() }),
     );
-    notes.extend(images.notes(&plan.plans));
+    notes.extend(images.notes());
     let entries = chunks
         .iter()
         .map(|c| ChunkEntry {
@@ -195,6 +195,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         pitch_bands_deg: plan.pitch_bands_deg,
         points: plan.points,
         placements,
+        images: image_entries,
         volume: Some(plan.volume),
     };
     let mut seconds = clock.laps;

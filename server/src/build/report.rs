@@ -58,6 +58,8 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
         },
         "seconds": f.seconds.iter().map(|(k, v)| ((*k).to_string(), json!(v))).collect::<serde_json::Map<_, _>>(),
         "placement_seconds": f.placement.seconds,
+        // Wall time while other images share the threads, added up over images: shares are what it tells.
+        "image_step_seconds": super::images::STEPS.iter().zip(f.images.step_seconds).collect::<std::collections::BTreeMap<_, _>>(),
         "ldis_per_s": if f.images.seconds > 0.0 { f.images.made as f64 / f.images.seconds } else { 0.0 },
         "rays_per_s": if f.images.seconds > 0.0 { f.images.rays as f64 / f.images.seconds } else { 0.0 },
         "peak_rss_bytes": peak_rss_bytes(),
@@ -66,7 +68,7 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
 }
 
 fn largest_stretch(index: &Index) -> Option<f64> {
-    index.placements.iter().map(|p| p.stretch_p99_px).filter(|s| s.is_finite()).reduce(f64::max)
+    index.images.iter().map(|i| i.stretch_p99_px).filter(|s| s.is_finite()).reduce(f64::max)
 }
 
 /// Largest resident size of this process so far, bytes; None where the system does not tell.

@@ -155,8 +155,8 @@ fn verify(a: &VerifyArgs) -> Result<(), Failure> {
     })?;
     let counts: Vec<u64> = ranges.iter().map(|cell| cell.iter().map(|r| u64::from(r.count)).sum()).collect();
     let index = dataset.index();
-    let camera_of = |placement: u32| {
-        let first = *index.placements.get(placement as usize)?.chunks.first()?;
+    let camera_of = |image: u32| {
+        let first = *index.images.get(image as usize)?.chunks.first()?;
         ldi_protocol::codec::ldi::decode_first(dataset.chunk(first)?).ok().map(|ldi| ldi.camera)
     };
     let report = placement::audit(index, &counts, &camera_of, a.poses, a.seed);

@@ -24,8 +24,28 @@ use super::{
 /// Cells of curved surfaces do not quite meet; they are drawn larger by this many pixels. Larger hides thin holes,
 /// smaller traces rays into cracks.
 const OVERLAP_PX: f32 = 0.15;
-/// Extent of a cell that is drawn as its bounding box.
-const SMALL_PX: f32 = 2.0;
+/// Pixels of the central image, per side, that are drawn as one: the cameras' own pixels are that much larger ([`COARSENESS`](super::view)).
+const CELL: usize = 2;
+
+/// The central image with one sample in every [`CELL`] by [`CELL`] pixels, drawn instead of all.
+pub(super) struct Coarse {
+    samples: Vec<Sample>,
+    width: usize,
+}
+
+impl Coarse {
+    /// Takes the first sample of each cell, with its plane carried to the cell's middle.
+    pub fn new(central: &[Sample], width: usize) -> Self {
+        let rows = central.chunks_exact(width).step_by(CELL);
+        let to_middle = 0.5 * (CELL - 1) as f32;
+        let sample = |s: &Sample| {
+            let change = to_middle * (s.gradient[0] + s.gradient[1]);
+            let disparity = if s.disparity > 0.0 { bounded(s, change) } else { 0.0 };
+            Sample { disparity, gradient: s.gradient.map(|g| g * CELL as f32), ..*s }
+        };
+        Self { samples: rows.flat_map(|r| r.iter().step_by(CELL).map(sample)).collect(), width: width.div_ceil(CELL) }
+    }
+}
 /// A sheet begins at the surface's edge: held back by this factor so that the surface wins there.
 const SHEET_BIAS: f32 = 1.0 - 1e-4;
 
@@ -45,15 +65,14 @@ const BLOCK: usize = 3;
 pub(super) fn unexplained(
     rig: &Rig,
     camera: &ConstructionCamera,
-    central: &[Sample],
-    deeper: &[(u32, Sample)],
+    known: (&[Sample], &Coarse, &[(u32, Sample)]),
     tolerance: &Tolerance,
 ) -> Unexplained {
+    let (central, coarse, deeper) = known;
     let pixels = camera.window.pixels();
     let mut skin = Skin { rig, camera, front: vec![0; pixels], surfaces: vec![0; pixels] };
     skin.draw_sky(central);
-    skin.draw_central(central, tolerance);
-    skin.draw_deeper(deeper);
+    skin.draw_known(coarse, deeper, tolerance);
     let width = camera.window.width as usize;
     let states: Vec<State> = (0..pixels).map(|p| skin.state(p)).collect();
     let first = first_pixels(&states, width);
@@ -152,7 +171,6 @@ const SKY_BEHIND: i32 = 2;
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
     Central,
-    Deeper,
     Sheet,
 }
 
@@ -175,7 +193,7 @@ impl Skin<'_> {
 
     /// Whether any point on the pixel's ray beyond the plane projects into the central window; what does not could not be stored.
     fn may_enter_window(&self, pixel: usize) -> bool {
-        let (u, v) = self.camera.window.centre(pixel);
+        let (u, v) = self.camera.centre(pixel);
         let back = self.camera.shift.reversed();
         let (un, vn, _) = back.apply(u, v, 1.0 / self.camera.near_m);
         let w = &self.rig.window;
@@ -184,32 +202,53 @@ impl Skin<'_> {
         !(u.max(un) < l || u.min(un) > r || v.max(vn) < t || v.min(vn) > b)
     }
 
-    /// Sky keeps its coordinates.
+    /// Sky keeps its directions.
     fn draw_sky(&mut self, central: &[Sample]) {
-        let (w, c) = (self.rig.window, self.camera.window);
-        // Columns that both windows have.
-        let first = w.left.max(c.left);
-        let count = (w.left + w.width as i32).min(c.left + c.width as i32) - first;
-        if count <= 0 {
-            return;
-        }
-        for v in w.top.max(c.top)..(w.top + w.height as i32).min(c.top + c.height as i32) {
-            let from = (v - w.top) as usize * w.width as usize + (first - w.left) as usize;
-            let to = (v - c.top) as usize * c.width as usize + (first - c.left) as usize;
-            let there = to..to + count as usize;
-            let behind = self.surfaces[there.clone()].iter_mut();
-            for ((s, front), behind) in
-                central[from..from + count as usize].iter().zip(&mut self.front[there]).zip(behind)
-            {
-                if s.disparity == 0.0 {
+        let (w, c, scale) = (self.rig.window, self.camera.window, self.camera.scale);
+        // The central column or row that holds the middle of each of the camera's.
+        let place = |first: i32, n: u32, w_first: i32, w_n: u32| {
+            let at =
+                move |k: u32| (((f64::from(first) + f64::from(k) + 0.5) / scale).floor() as i64) - i64::from(w_first);
+            (0..n).map(move |k| usize::try_from(at(k)).ok().filter(|x| *x < w_n as usize)).collect::<Vec<_>>()
+        };
+        let columns = place(c.left, c.width, w.left, w.width);
+        let rows = place(c.top, c.height, w.top, w.height);
+        let width = c.width as usize;
+        let lines = self.front.chunks_exact_mut(width).zip(self.surfaces.chunks_exact_mut(width)).zip(rows);
+        for ((front, behind), row) in lines {
+            let Some(row) = row else { continue };
+            let samples = &central[row * w.width as usize..(row + 1) * w.width as usize];
+            for ((front, behind), column) in front.iter_mut().zip(behind).zip(&columns) {
+                if column.is_some_and(|x| samples[x].disparity == 0.0) {
                     (*front, *behind) = (1, SKY_BEHIND);
                 }
             }
         }
     }
 
-    fn draw_central(&mut self, central: &[Sample], tolerance: &Tolerance) {
-        let width = self.rig.window.width as usize;
+    /// Draws the samples, with the widest vectors there are: long spans of sheets are half of the time. The same bits either way, as no
+    /// operation is fused.
+    fn draw_known(&mut self, central: &Coarse, deeper: &[(u32, Sample)], tolerance: &Tolerance) {
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx2")]
+            fn wide(skin: &mut Skin<'_>, central: &Coarse, deeper: &[(u32, Sample)], tolerance: &Tolerance) {
+                skin.draw_central(central, tolerance);
+                skin.draw_deeper(deeper);
+            }
+            if std::is_x86_feature_detected!("avx2") {
+                // SAFETY: the processor has AVX2.
+                unsafe { wide(self, central, deeper, tolerance) };
+                return;
+            }
+        }
+        self.draw_central(central, tolerance);
+        self.draw_deeper(deeper);
+    }
+
+    #[inline(always)]
+    fn draw_central(&mut self, central: &Coarse, tolerance: &Tolerance) {
+        let (width, central) = (central.width, &central.samples);
         for (row, samples) in central.chunks_exact(width).enumerate() {
             // Cells of one triangle are one strip.
             let mut start = 0;
@@ -218,7 +257,7 @@ impl Skin<'_> {
                 let same = |s: &&Sample| s.disparity > 0.0 && s.triangle == triangle;
                 let run = samples[start..].iter().take_while(same).count();
                 if run > 0 {
-                    self.strip(row, start, start + run - 1, &samples[start], &samples[start + run - 1], Kind::Central);
+                    self.strip(row, start, start + run - 1, &samples[start], &samples[start + run - 1]);
                 }
                 start += run.max(1);
             }
@@ -250,16 +289,25 @@ impl Skin<'_> {
         }
     }
 
+    #[inline(always)]
     fn draw_deeper(&mut self, deeper: &[(u32, Sample)]) {
         let width = self.rig.window.width as usize;
+        // A pixel of the camera holds several samples: their middles cover it.
+        let (w, c, scale) = (self.rig.window, self.camera.window, self.camera.scale);
         for (pixel, s) in deeper {
             let (row, column) = (*pixel as usize / width, *pixel as usize % width);
-            self.strip(row, column, column, s, s, Kind::Deeper);
+            let (u, v) = (f64::from(w.left) + column as f64 + 0.5, f64::from(w.top) + row as f64 + 0.5);
+            let (u, v, d) = self.camera.shift.apply(u, v, f64::from(s.disparity));
+            let (column, row) = (u * scale - f64::from(c.left), v * scale - f64::from(c.top));
+            if let Some(at) = c.index(column.floor() as i64, row.floor() as i64) {
+                self.surfaces[at] = self.surfaces[at].max(to_entry(d as f32, 1));
+            }
         }
     }
 
-    /// The pieces of plane in the pixels `first ..= last` of a row, whose samples are `a` and `b`.
-    fn strip(&mut self, row: usize, first: usize, last: usize, a: &Sample, b: &Sample, kind: Kind) {
+    /// The pieces of plane in the cells `first ..= last` of a row, whose samples are `a` and `b`.
+    #[inline(always)]
+    fn strip(&mut self, row: usize, first: usize, last: usize, a: &Sample, b: &Sample) {
         let left = |down: f32| bounded(a, -0.5 * a.gradient[0] + down * a.gradient[1]);
         let right = |down: f32| bounded(b, 0.5 * b.gradient[0] + down * b.gradient[1]);
         let corners = [
@@ -268,10 +316,11 @@ impl Skin<'_> {
             self.corner(last + 1, row + 1, right(0.5)),
             self.corner(first, row + 1, left(0.5)),
         ];
-        self.fill(&corners, kind);
+        self.fill(&corners, Kind::Central);
     }
 
-    /// The sheet from pixel `a` to its right neighbour `b`, over their common border.
+    /// The sheet from cell `a` to its right neighbour `b`, over their common border.
+    #[inline(always)]
     fn sheet(&mut self, row: usize, column: usize, a: &Sample, b: &Sample) {
         let edge = |s: &Sample, toward: f32, down: f32| bounded(s, toward * s.gradient[0] + down * s.gradient[1]);
         let corners = [
@@ -283,7 +332,8 @@ impl Skin<'_> {
         self.fill(&corners, Kind::Sheet);
     }
 
-    /// The sheet from pixels `first ..= last` of a row to those below; the (upper, lower) samples of both ends.
+    /// The sheet from cells `first ..= last` of a row to those below; the (upper, lower) samples of both ends.
+    #[inline(always)]
     fn sheet_below(&mut self, row: usize, first: usize, last: usize, left: [&Sample; 2], right: [&Sample; 2]) {
         let edge = |s: &Sample, toward: f32, across: f32| bounded(s, toward * s.gradient[1] + across * s.gradient[0]);
         let corners = [
@@ -295,16 +345,22 @@ impl Skin<'_> {
         self.fill(&corners, Kind::Sheet);
     }
 
-    /// Pixel corner (column, row) of the central window at a disparity, in the camera's window.
-    #[inline]
+    /// Corner (column, row) of the cells of the central window at a disparity, in the camera's window.
+    #[inline(always)]
     fn corner(&self, column: usize, row: usize, disparity: f32) -> Corner {
         let (w, c) = (&self.rig.window, &self.camera.window);
         let d = f64::from(disparity).min(1.0 / self.rig.near_m);
-        let (u, v, d) = self.camera.shift.apply(f64::from(w.left) + column as f64, f64::from(w.top) + row as f64, d);
-        [(u - f64::from(c.left)) as f32, (v - f64::from(c.top)) as f32, d as f32]
+        let (u, v, d) = self.camera.shift.apply(
+            f64::from(w.left) + (column * CELL) as f64,
+            f64::from(w.top) + (row * CELL) as f64,
+            d,
+        );
+        let scale = self.camera.scale;
+        [(u * scale - f64::from(c.left)) as f32, (v * scale - f64::from(c.top)) as f32, d as f32]
     }
 
     /// Writes the pixel centres inside a quadrilateral, one span per row, disparity linear.
+    #[inline(always)]
     fn fill(&mut self, q: &[Corner; 4], kind: Kind) {
         let Window { width, height, .. } = self.camera.window;
         let (mut y0, mut y1, mut z0, mut z1) = (q[0][1], q[0][1], q[0][2], q[0][2]);
@@ -313,19 +369,6 @@ impl Skin<'_> {
         }
         let overlap = if kind == Kind::Sheet { 0.0 } else { OVERLAP_PX };
         let rows = centres(y0 - overlap, y1 + overlap, height);
-        // A cell of about a pixel is as good as its bounding box, at a quarter of the price; most deeper samples are such.
-        if kind == Kind::Deeper && y1 - y0 <= SMALL_PX {
-            let x0 = q.iter().fold(f32::INFINITY, |m, p| m.min(p[0]));
-            let x1 = q.iter().fold(f32::NEG_INFINITY, |m, p| m.max(p[0]));
-            if x1 - x0 <= SMALL_PX {
-                let columns = centres(x0, x1, width);
-                for row in rows {
-                    let line = row * width as usize;
-                    raise(&mut self.surfaces[line + columns.start..line + columns.end], |_| to_entry(z1, 1));
-                }
-                return;
-            }
-        }
         // dz/dx and dz/dy of the plane through three corners; flat where they are in line.
         let [ax, ay, az] = [q[1][0] - q[0][0], q[1][1] - q[0][1], q[1][2] - q[0][2]];
         let [bx, by, bz] = [q[3][0] - q[0][0], q[3][1] - q[0][1], q[3][2] - q[0][2]];
@@ -356,14 +399,13 @@ impl Skin<'_> {
                     raise(&mut self.front[span.clone()], |k| to_entry(z(k), 1));
                     raise(&mut self.surfaces[span], |k| to_entry(z(k), 0));
                 }
-                Kind::Deeper => raise(&mut self.surfaces[span], |k| to_entry(z(k), 1)),
             }
         }
     }
 }
 
 /// Pixels whose centres lie in `from ..= to`, within `0 .. limit`.
-#[inline]
+#[inline(always)]
 fn centres(from: f32, to: f32, limit: u32) -> std::ops::Range<usize> {
     // Casts truncate toward zero, saturate, and make 0 of NaN.
     let first = (from + 0.5).max(0.0) as usize;
@@ -372,12 +414,12 @@ fn centres(from: f32, to: f32, limit: u32) -> std::ops::Range<usize> {
 }
 
 /// A positive disparity with a flag in its lowest bit. Signed, as baseline x86-64 compares only signed integers.
-#[inline]
+#[inline(always)]
 fn to_entry(z: f32, flag: i32) -> i32 {
     (z.to_bits() as i32 & !1) | flag
 }
 
-#[inline]
+#[inline(always)]
 fn raise(buffer: &mut [i32], entry: impl Fn(usize) -> i32) {
     for (k, b) in buffer.iter_mut().enumerate() {
         *b = (*b).max(entry(k));

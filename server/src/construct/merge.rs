@@ -20,7 +20,7 @@ pub(super) type Prediction = (u32, Sample);
 
 /// What became of a construction ray.
 pub(super) enum Seen {
-    /// Nothing along this direction: sky, in this pixel of the central window.
+    /// Nothing along the directions of this pixel of the construction camera: sky.
     Sky(u32),
     /// Nothing that could be stored.
     Nothing,
@@ -103,18 +103,16 @@ pub(super) fn trace_construction<C: SubsetCaster>(
 ) -> Vec<Seen> {
     let back = camera.shift.reversed();
     let ray_of = |pixel: &u32| {
-        let (u, v) = camera.window.centre(*pixel as usize);
+        let (u, v) = camera.centre(*pixel as usize);
         Ray { origin: camera.position, direction: rig.lens.ray(u, v), t_min: camera.near_m, t_max: f64::INFINITY }
     };
     traced(caster, rig, pixels, ray_of, |surveyor, pixel, ray, hit| {
-        let (u, v) = camera.window.centre(*pixel as usize);
+        let (u, v) = camera.centre(*pixel as usize);
         let home = |u: f64, v: f64| {
             rig.window
                 .index(u.floor() as i64 - i64::from(rig.window.left), v.floor() as i64 - i64::from(rig.window.top))
         };
-        let Some(hit) = hit else {
-            return home(u, v).map_or(Seen::Nothing, |p| Seen::Sky(p as u32));
-        };
+        let Some(hit) = hit else { return Seen::Sky(*pixel) };
         let (u, v, d) = back.apply(u, v, 1.0 / hit.t);
         let Some(pixel) = home(u, v) else { return Seen::Nothing };
         if !rig.in_reach(u, v, d) {

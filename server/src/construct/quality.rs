@@ -4,7 +4,7 @@
 //! Stretch: the same along the surface, disparity changing with the sample's gradient; it has no bound, so it is measured.
 
 use super::{layers::RawLayer, sample::Sample, view::Rig};
-use crate::placement::PlacementPlan;
+use crate::placement::ImagePlan;
 use glam::{DVec2, DVec3};
 use ldi_protocol::{OutputCamera, ViewBasis};
 
@@ -22,7 +22,7 @@ const LOOKED_AT: usize = 2048;
 const MOST_DIRECTIONS: usize = 24;
 
 /// Measures sizes for samples evenly spread over the layers, from the corners of the users' box.
-pub(super) fn measure(rig: &Rig, plan: &PlacementPlan, output: &OutputCamera, layers: &[RawLayer]) -> Sizes {
+pub(super) fn measure(rig: &Rig, plan: &ImagePlan, output: &OutputCamera, layers: &[RawLayer]) -> Sizes {
     let total: usize = layers.iter().map(|l| l.samples.len()).sum();
     let stride = total.div_ceil(LOOKED_AT).max(1);
     let mut directions: Vec<ViewBasis> = Vec::new();

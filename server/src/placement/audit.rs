@@ -12,7 +12,7 @@
 use glam::DVec3;
 use ldi_protocol::{
     Aabb, Pose, ViewBasis,
-    index::{Index, Placement},
+    index::{ImageEntry, Index, Placement},
     ldi::LdiCamera,
     select::{draw_list, select},
 };
@@ -100,7 +100,7 @@ pub fn plan_row(index: &Index, number: u64, pose: &Pose) -> PlanRow {
 /// Audits a dataset over `poses` poses drawn from `seed`.
 ///
 /// `recounted`: triangles per cell, counted by the caller over the scene's own triangles (not the index's numbers). `camera_of`: the LDI
-/// camera of a placement, None where its image is empty. A dataset without a walk volume has no poses and passes.
+/// camera of an image, None where it is empty. A dataset without a walk volume has no poses and passes.
 pub fn audit(
     index: &Index,
     recounted: &[u64],
@@ -112,7 +112,7 @@ pub fn audit(
         AuditReport { poses: 0, violations: 0, max_triangles: 0, max_footprint_px: 0.0, worst_poses: Vec::new() };
     let Some(volume) = index.volume.as_ref().filter(|v| !v.is_empty()) else { return report };
     let sampler = volume.sampler();
-    let cameras: Vec<Option<LdiCamera>> = (0..index.placements.len() as u32).into_par_iter().map(camera_of).collect();
+    let cameras: Vec<Option<LdiCamera>> = (0..index.images.len() as u32).into_par_iter().map(camera_of).collect();
     // Bounded batches, folded in order: the same report from any number of threads.
     for first in (0..poses).step_by(4096) {
         let batch: Vec<AuditedPose> = (first..poses.min(first + 4096))
@@ -122,8 +122,12 @@ pub fn audit(
                     Random(seed.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ i.wrapping_mul(0x9e37_79b9_7f4a_7c15));
                 let mut eye = || sampler.point(std::array::from_fn(|_| random.unit()));
                 let (a, b) = (eye()?, eye()?);
-                let pose = trouble(index, i % 4, a, b, &mut random);
-                volume.contains(pose.position).then(|| check(index, recounted, &cameras, i, &pose, &mut random))
+                let mut pose = trouble(index, i % 4, a, b, &mut random);
+                // Between two eyes there may be a wall.
+                if !volume.contains(pose.position) {
+                    pose.position = a;
+                }
+                Some(check(index, recounted, &cameras, i, &pose, &mut random))
             })
             .collect();
         for p in batch {
@@ -219,24 +223,28 @@ fn check(
         faults.push(format!("{} cells dropped", list.dropped));
     }
     let mut footprint_px = 0.0;
-    if let (Some(number), Some(p)) = (selection.placement, placement) {
+    if let Some(p) = placement {
         if !p.users.inflated(1e-6).contains(pose.position) {
             faults.push("the eye is not among the placement's users".to_string());
         }
-        let plane = index.points[p.grid_point as usize].position.dot(p.basis.forward) + p.plane_distance;
-        if pose.position.dot(p.basis.forward) >= plane {
-            faults.push("the eye is beyond the image plane".to_string());
+        let images = &index.images[p.images.start as usize..p.images.end as usize];
+        let before = |i: &ImageEntry, q: DVec3| (q - p.cop).dot(i.basis.forward) < i.plane_distance;
+        if images.iter().any(|i| !before(i, pose.position)) {
+            faults.push("the eye is beyond an image plane".to_string());
         }
-        if p.culled.iter().any(|c| -index.cells[*c as usize].bounds.support(-p.basis.forward) < plane) {
-            faults.push("a replaced cell reaches before the plane".to_string());
+        let beyond =
+            |i: &ImageEntry, b: &Aabb| -b.support(-i.basis.forward) >= p.cop.dot(i.basis.forward) + i.plane_distance;
+        if p.culled.iter().any(|c| !images.iter().any(|i| beyond(i, &index.cells[*c as usize].bounds))) {
+            faults.push("a replaced cell reaches before all image planes".to_string());
         }
-        if let Some(ldi) = cameras.get(number as usize).and_then(Option::as_ref) {
-            footprint_px = largest_footprint(index, p, ldi, pose, &basis, random);
-            if footprint_px > p.footprint_px * (1.0 + 1e-6)
-                || p.footprint_px > index.settings.max_footprint_px * (1.0 + 1e-9)
-            {
-                faults.push(format!("footprint {footprint_px} px, bound {} px", p.footprint_px));
-            }
+        match largest_footprint(index, p, cameras, pose, &basis, random) {
+            Some(largest) => footprint_px = largest,
+            None => faults.push("a point of a replaced cell is in the picture, but in no image".to_string()),
+        }
+        if footprint_px > p.footprint_px * (1.0 + 1e-6)
+            || p.footprint_px > index.settings.max_footprint_px * (1.0 + 1e-9)
+        {
+            faults.push(format!("footprint {footprint_px} px, bound {} px", p.footprint_px));
         }
     }
     AuditedPose {
@@ -265,15 +273,15 @@ fn in_view(b: &Aabb, eye: DVec3, basis: &ViewBasis, tx: f64, ty: f64) -> bool {
     .all(|n| n.dot(c) + n.abs().dot(h) >= -1e-12 * (1.0 + c.length()))
 }
 
-/// The largest footprint at points of replaced cells that lie in the picture.
+/// The largest footprint at points of replaced cells that lie in the picture; None if one of them lies in no image.
 fn largest_footprint(
     index: &Index,
     p: &Placement,
-    ldi: &LdiCamera,
+    cameras: &[Option<LdiCamera>],
     pose: &Pose,
     basis: &ViewBasis,
     random: &mut Random,
-) -> f64 {
+) -> Option<f64> {
     let camera = &index.settings.camera;
     let (tx, ty) = (camera.half_tan_x(), camera.half_tan_y());
     let mut largest = 0.0f64;
@@ -290,10 +298,33 @@ fn largest_footprint(
         let v = q - pose.position;
         let z = v.dot(basis.forward);
         if z > 0.0 && v.dot(basis.right).abs() <= tx * z && v.dot(basis.up).abs() <= ty * z {
-            largest = largest.max(footprint(index, ldi, pose, basis, q));
+            let mut held = false;
+            for number in p.images.clone().map(|i| i as usize).filter(|i| holds(p, &index.images[*i], q)) {
+                held = true;
+                if let Some(ldi) = cameras.get(number).and_then(Option::as_ref) {
+                    largest = largest.max(footprint(index, ldi, pose, basis, q));
+                }
+            }
+            if !held {
+                return None;
+            }
         }
     }
-    largest
+    Some(largest)
+}
+
+/// Whether an image's window holds a point beyond its plane, to within rounding.
+fn holds(p: &Placement, image: &ImageEntry, q: DVec3) -> bool {
+    let v = q - p.cop;
+    let z = v.dot(image.basis.forward);
+    let (x, y) = (v.dot(image.basis.right), v.dot(image.basis.up));
+    let [l, r, b, t] = image.window;
+    let slack = 1e-6 * v.length();
+    z >= image.plane_distance - slack
+        && x >= l * z - slack
+        && x <= r * z + slack
+        && y >= b * z - slack
+        && y <= t * z + slack
 }
 
 /// Largest singular value of d(u2, v2) / d(u1, v1) at fixed disparity, by central differences.

@@ -47,15 +47,15 @@ pub(super) struct BinPlanes {
 }
 
 impl BinPlanes {
-    /// Planes of the square frustum of half tangent `t` over yaws and pitches, degrees.
-    pub fn new(yaw_deg: [f64; 2], pitch_deg: [f64; 2], t: f64) -> Self {
+    /// Planes of the frustum of half tangents `tx` across and `ty` up over yaws and pitches, degrees.
+    pub fn new(yaw_deg: [f64; 2], pitch_deg: [f64; 2], tx: f64, ty: f64) -> Self {
         let (yaw, pitch) = ((yaw_deg[0] + yaw_deg[1]) * 0.5, (pitch_deg[0] + pitch_deg[1]) * 0.5);
         let half_yaw = ((yaw_deg[1] - yaw_deg[0]) * 0.5).to_radians();
         let half_pitch = ((pitch_deg[1] - pitch_deg[0]) * 0.5).to_radians();
         let ViewBasis { right, up, forward } = ViewBasis::from_yaw_pitch(yaw, pitch);
         let (sin, cos) = pitch.to_radians().sin_cos();
         let ahead = DVec3::new(forward.x, 0.0, forward.z) / cos.abs().max(1e-12) * cos.signum();
-        let planes = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)].map(|(s, u)| {
+        let planes = [(1.0, 0.0, tx), (-1.0, 0.0, tx), (0.0, 1.0, ty), (0.0, -1.0, ty)].map(|(s, u, t)| {
             let middle = right * s + up * u + forward * t;
             // d right / d yaw = ahead, d up / d yaw = right sin p, d forward / d yaw = -right cos p.
             let by_yaw = ahead * s + right * (u * sin) - right * (t * cos);
@@ -68,7 +68,7 @@ impl BinPlanes {
                 reach: middle.abs() + by_yaw.abs() * half_yaw + by_pitch.abs() * half_pitch,
             }
         });
-        Self { planes, half_yaw, half_pitch, second: 0.5 * (half_yaw + half_pitch).powi(2) * (1.0 + t) }
+        Self { planes, half_yaw, half_pitch, second: 0.5 * (half_yaw + half_pitch).powi(2) * (1.0 + tx.max(ty)) }
     }
 
     /// Half widths of the bin in yaw and pitch, radians.
@@ -106,17 +106,17 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(20_000))]
         #[test]
         fn never_and_always_are_certain(
-            yaw in 0.0f64..360.0, width in 0.1f64..16.0, pitch in -60.0f64..50.0, height in 0.1f64..12.0, t in 0.51f64..1.0,
+            yaw in 0.0f64..360.0, width in 0.1f64..16.0, pitch in -60.0f64..50.0, height in 0.1f64..12.0, t in 0.51f64..1.0, s in 0.2f64..1.0,
             w in prop::array::uniform3(-8.0f64..8.0), h in prop::array::uniform3(0.0f64..2.0),
             at in prop::array::uniform5(0.0f64..=1.0),
         ) {
-            let bin = BinPlanes::new([yaw, yaw + width], [pitch, pitch + height], t);
+            let bin = BinPlanes::new([yaw, yaw + width], [pitch, pitch + height], t, s);
             let (w, h) = (DVec3::from_array(w), DVec3::from_array(h));
             let verdict = bin.behind(w, h, (w.abs() + h).length());
             // One eye, relative to G, and one direction of the bin.
             let e = w + h * (DVec3::new(at[0], at[1], at[2]) * 2.0 - 1.0);
             let basis = ViewBasis::from_yaw_pitch(yaw + width * at[3], pitch + height * at[4]);
-            let inside = Frustum::new(DVec3::ZERO, &basis, t, t).contains(e);
+            let inside = Frustum::new(DVec3::ZERO, &basis, t, s).contains(e);
             prop_assert!(verdict != Behind::Never || !inside);
             prop_assert!(verdict != Behind::Always || inside);
         }
@@ -124,7 +124,7 @@ mod tests {
 
     #[test]
     fn a_point_well_behind_is_certain_and_one_ahead_is_excluded() {
-        let bin = BinPlanes::new([0.0, 15.0], [-5.0, 5.0], 0.577);
+        let bin = BinPlanes::new([0.0, 15.0], [-5.0, 5.0], 0.577, 0.577);
         let ahead = ViewBasis::from_yaw_pitch(7.5, 0.0).forward;
         assert_eq!(bin.behind(ahead * 5.0, DVec3::splat(0.2), 5.4), Behind::Always);
         assert_eq!(bin.behind(ahead * -5.0, DVec3::splat(0.2), 5.4), Behind::Never);

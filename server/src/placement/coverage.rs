@@ -142,7 +142,7 @@ fn sub_bins(directions: &Directions, unit: usize, t: f64) -> Vec<BinPlanes> {
             ranges.extend([(yaw, [pitch[0], m], left), (yaw, [m, pitch[1]], left)]);
         }
     }
-    ranges.into_iter().map(|(y, p, _)| BinPlanes::new(y, p, t)).collect()
+    ranges.into_iter().map(|(y, p, _)| BinPlanes::new(y, p, t, t)).collect()
 }
 
 /// Eyes: a node of the tree, or a part of a single box.

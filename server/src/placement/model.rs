@@ -1,4 +1,4 @@
-//! What the placement stage hands on: grid points with their angular ranges, and one [`PlacementPlan`] per image.
+//! What the placement stage hands on: grid points with their angular ranges, and [`PlacementPlan`]s.
 
 use glam::DVec3;
 use ldi_protocol::{Aabb, ViewBasis, index::GridPoint, volume::WalkVolume};
@@ -16,36 +16,44 @@ pub struct DirectionRange {
     pub pitch_deg: [f64; 2],
 }
 
-/// An image to be made: which cells it replaces, its plane, its camera, and who looks at it.
-///
-/// ```text
-///            users (box of eyes)          image plane        culled cells
-///   G ·      ┌──────────────┐                  │           ┌────┐
-///            │      + cop   │ ── basis.forward │→     ┌────┤    │
-///            └──────────────┘                  │      └────┴────┘
-///   |<------------- plane_distance ----------->|
-///                   |<- plane_distance_from_cop|
-/// ```
+/// Cells that images replace, and those images.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlacementPlan {
-    /// Position in [`PlacementResult::points`] of the point it was solved at.
+    /// Position in [`PlacementResult::points`] of the point it was solved at, or of the first that uses it.
     pub grid_point: u32,
-    /// Where that point lies, metres.
-    pub grid_position: DVec3,
+    /// Centre of projection of all its images: the middle of the users.
+    pub cop: DVec3,
+    /// Cells that the images replace, ascending. Each lies wholly beyond the plane of one of them.
+    pub culled: Vec<u32>,
+    /// Box of all eyes that may use it.
+    pub users: Aabb,
+    /// Largest bound of its images.
+    pub footprint_px: f64,
+    /// Its images: one in the paper's scheme; up to six faces of a near box, possibly in tiles, with view cells.
+    pub images: Vec<ImagePlan>,
+}
+
+/// An image to be made: its plane, its camera, and who looks at it.
+///
+/// ```text
+///   users (box of eyes)          image plane        culled cells
+///   ┌──────────────┐                  │           ┌────┐
+///   │      + cop   │ ── basis.forward │→     ┌────┤    │
+///   └──────────────┘                  │      └────┴────┘
+///          |<---- plane_distance ---->|
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImagePlan {
     /// Orientation of the image plane; `forward` is its normal, into the scene.
     pub basis: ViewBasis,
-    /// Distance from the grid point to the image plane along `basis.forward`, metres.
-    pub plane_distance: f64,
-    /// Cells that the image replaces, ascending. All lie wholly beyond the plane.
-    pub culled: Vec<u32>,
-    /// Centre of projection of the LDI: the middle of its users.
+    /// Centre of projection.
     pub cop: DVec3,
     /// Distance from the centre of projection to the image plane along `basis.forward`, metres; positive.
-    pub plane_distance_from_cop: f64,
+    pub plane_distance: f64,
     /// Samples per unit of the image plane at distance 1 from the centre of projection.
     pub pixels_per_unit: f64,
     /// Tangent extents of the image at distance 1 from the centre of projection: left, right (along `basis.right`), bottom, top
-    /// (along `basis.up`). They cover the culled cells within the union of the users' frusta, margin included.
+    /// (along `basis.up`).
     pub window: [f64; 4],
     /// Box of all eyes that may use it.
     pub users: Aabb,
@@ -55,12 +63,20 @@ pub struct PlacementPlan {
     pub footprint_px: f64,
 }
 
+impl ImagePlan {
+    /// Pixels, before rounding to whole ones.
+    pub fn pixels(&self) -> f64 {
+        let side = |low: f64, high: f64| ((high - low) * self.pixels_per_unit).max(0.0);
+        side(self.window[0], self.window[1]) * side(self.window[2], self.window[3])
+    }
+}
+
 /// What the placement stage found.
 #[derive(Debug, Clone)]
 pub struct PlacementResult {
     /// Grid points that `select` may return, in lattice order.
     pub points: Vec<GridPoint>,
-    /// The images, by grid point, then in the order they were solved.
+    /// Placements, by grid point, then in the order they were solved.
     pub plans: Vec<PlacementPlan>,
     /// Borders of the pitch bands, ascending; empty without points.
     pub pitch_bands_deg: Vec<f64>,

@@ -3,11 +3,13 @@
 use super::{
     bands::YAW_BIN_DEG,
     hull::EyeHull,
-    model::{DirectionRange, PlacementPlan},
+    model::{DirectionRange, ImagePlan, PlacementPlan},
+    near_box::{Member, NearBox, face_basis},
     point::{Context, Image, centre, depths, tangents},
+    tiles::{Gazes, windows},
 };
 use glam::DVec3;
-use ldi_protocol::ViewBasis;
+use ldi_protocol::{Aabb, ViewBasis};
 
 /// Directions are sampled at this step to find how far users' frusta reach, degrees; the margin below covers what lies between.
 const STEP_DEG: f64 = 2.5;
@@ -22,26 +24,69 @@ pub(super) fn plan(ctx: &Context, image: &Image, grid_point: u32, grid_position:
     // `assign` accepted users only while a scale kept the limit.
     let (scale, footprint_px) = ctx.footprint.scale(image.phi, plane_from_cop, ahead).unwrap_or((1.0, f64::INFINITY));
     let cop = centre(&image.users, &image.basis);
+    let users = image.users.bounds();
     PlacementPlan {
         grid_point,
-        grid_position,
-        basis: image.basis,
-        plane_distance: image.plane_m,
-        culled: image.culled.clone(),
         cop,
-        plane_distance_from_cop: plane_from_cop,
-        pixels_per_unit: ctx.footprint.pixels_per_unit(scale),
-        window: window(ctx, image, cop, plane_from_cop),
-        users: image.users.bounds(),
-        directions: directions(ctx, image),
+        culled: image.culled.clone(),
+        users,
         footprint_px,
+        images: vec![ImagePlan {
+            basis: image.basis,
+            cop,
+            plane_distance: plane_from_cop,
+            pixels_per_unit: ctx.footprint.pixels_per_unit(scale),
+            window: window(ctx, image, cop, plane_from_cop),
+            users,
+            directions: directions(ctx, &image.units),
+            footprint_px,
+        }],
     }
 }
 
+/// The plan for a near box that `members` use.
+pub(super) fn plan_box(ctx: &Context, near: &NearBox, members: &[&Member], grid_point: u32) -> PlacementPlan {
+    let users = members.iter().fold(Aabb::EMPTY, |b, m| b.union(m.eyes));
+    let mut units: Vec<u16> = members.iter().flat_map(|m| m.units.iter().copied()).collect();
+    units.sort_unstable();
+    units.dedup();
+    let units: Vec<(u16, [f64; 2])> = units.into_iter().map(|u| (u, ctx.directions.unit(usize::from(u)).0)).collect();
+    let gazes = Gazes::new(ctx, members);
+    let mut images = Vec::new();
+    for (face, image) in near.images.iter().enumerate() {
+        let Some(image) = image else { continue };
+        let basis = face_basis(face);
+        let facing: Vec<(u16, [f64; 2])> = units
+            .iter()
+            .filter(|(u, _)| {
+                let (yaw, pitch) = ctx.directions.unit(usize::from(*u));
+                let mid = |r: [f64; 2]| (r[0] + r[1]) * 0.5;
+                ViewBasis::from_yaw_pitch(mid(yaw), mid(pitch)).forward.dot(basis.forward) > 0.0
+            })
+            .copied()
+            .collect();
+        let pixels_per_unit = ctx.footprint.pixels_per_unit(image.scale);
+        for window in windows(ctx, near, face, &gazes) {
+            images.push(ImagePlan {
+                basis,
+                cop: near.cop,
+                plane_distance: near.distance[face],
+                pixels_per_unit,
+                window,
+                users,
+                directions: directions(ctx, &facing),
+                footprint_px: image.footprint_px,
+            });
+        }
+    }
+    let footprint_px = images.iter().map(|i| i.footprint_px).fold(0.0, f64::max);
+    PlacementPlan { grid_point, cop: near.cop, culled: near.culled.iter().collect(), users, footprint_px, images }
+}
+
 /// The units of an image as direction ranges; neighbouring yaw bins of a band are joined.
-fn directions(ctx: &Context, image: &Image) -> Vec<DirectionRange> {
+fn directions(ctx: &Context, units: &[(u16, [f64; 2])]) -> Vec<DirectionRange> {
     let mut out: Vec<DirectionRange> = Vec::new();
-    for (unit, yaw) in &image.units {
+    for (unit, yaw) in units {
         let (_, pitch_deg) = ctx.directions.unit(*unit as usize);
         match out.last_mut() {
             Some(last) if last.pitch_deg == pitch_deg && yaw[0] - last.yaw_deg[1] < 0.5 * YAW_BIN_DEG => {

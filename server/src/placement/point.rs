@@ -17,14 +17,15 @@ use super::{
     arcs::BandPlanes,
     bands::{Directions, YAW_BINS},
     bin_planes::BinPlanes,
+    cells::{CellMask, Cells},
     coverage::PointUses,
     footprint::Footprint,
     hull::EyeHull,
     subset::{CostBenefit, Goal, Item, best_subset},
-    view::{BandView, CellSet, Cells},
+    view::BandView,
 };
 use glam::DVec3;
-use ldi_protocol::{Aabb, ViewBasis, camera::Frustum};
+use ldi_protocol::{Aabb, ViewBasis, camera::Frustum, index::BuildSettings, select::CELLS};
 
 /// Largest half extent of an image, as a tangent. Wider images serve more directions, but their outer samples are dense where nobody
 /// looks, and every frame warps the whole image: 1 (45 degrees) is a little under twice the picture's own extent.
@@ -68,6 +69,37 @@ pub(super) struct Context<'a> {
     pub longest_axis_m: f64,
     /// Constants of the cost-benefit function.
     pub constants: CostBenefit,
+}
+
+impl<'a> Context<'a> {
+    /// What follows from the cells, the directions and the build's settings.
+    pub fn new(
+        cells: &'a Cells,
+        directions: &'a Directions,
+        settings: &BuildSettings,
+        longest_axis_m: f64,
+        constants: CostBenefit,
+    ) -> Self {
+        let half_tan = settings.square_half_tan();
+        let bin = |unit| {
+            let (yaw, pitch) = directions.unit(unit);
+            BinPlanes::new(yaw, pitch, half_tan, half_tan)
+        };
+        Self {
+            cells,
+            directions,
+            planes: (0..directions.bands()).map(|b| BandPlanes::new(directions.band(b), half_tan)).collect(),
+            bins: (0..directions.units()).map(bin).collect(),
+            half_tan,
+            picture_tan: (settings.camera.half_tan_x().min(half_tan), settings.camera.half_tan_y().min(half_tan)),
+            footprint: Footprint::new(&settings.camera, settings.density, settings.max_footprint_px),
+            scheme: if settings.grid == CELLS { Scheme::Cells } else { Scheme::Paper },
+            budget: settings.budget,
+            optimize_budget: settings.optimize_budget.min(settings.budget),
+            longest_axis_m,
+            constants,
+        }
+    }
 }
 
 /// An image of one grid point, before its camera is fixed.
@@ -239,7 +271,7 @@ impl Work<'_> {
         let nearest = nearest.max(1e-3);
         let cop = centre(&users, &basis);
         let all = self.items(&basis, cop, nearest + PLANE_GAP_M);
-        let seen_set = CellSet::new(ctx.cells.bounds.len(), &seen);
+        let seen_set = CellMask::of(ctx.cells.bounds.len(), &seen);
         let eligible: Vec<Item> = all.iter().filter(|i| seen_set.has(i.cell)).copied().collect();
         let replaceable: u64 = eligible.iter().map(|i| i.triangles).sum();
         let stays = visible - replaceable;
@@ -271,7 +303,7 @@ impl Work<'_> {
         }
         let mut culled: Vec<u32> = all.iter().filter(|i| i.near >= plane).map(|i| i.cell).collect();
         culled.sort_unstable();
-        let set = CellSet::new(ctx.cells.bounds.len(), &culled);
+        let set = CellMask::of(ctx.cells.bounds.len(), &culled);
         let gone: u64 = eligible.iter().filter(|i| i.near >= plane).map(|i| i.triangles).sum();
         let number = self.images.len() as u32;
         self.images.push(Image {
@@ -309,7 +341,7 @@ impl Work<'_> {
     }
 
     /// Gives image `number` to the open ranges that it serves, the units nearest to its axis first.
-    fn assign(&mut self, number: u32, set: &CellSet, own: usize) {
+    fn assign(&mut self, number: u32, set: &CellMask, own: usize) {
         let ctx = self.ctx;
         let mut image = self.images[number as usize].clone();
         let counts: Vec<Option<Vec<u64>>> =

@@ -6,19 +6,20 @@
 
 use super::{
     PlacementError,
-    bands::Directions,
+    bands::{Directions, YAW_BIN_DEG, YAW_BINS},
     coverage::{Coverage, PointUses},
     eye_tree::EyeTree,
     hull::EyeHull,
     lattice::Lattice,
-    model::PlacementStatistics,
+    model::{PlacementPlan, PlacementStatistics},
+    near_box::{Member, feasible, group},
     nearest::nearest,
-    point::{Context, Image, Scheme, Solution, TooNear, solve},
-    shared::{Member, RegionSolution, feasible, lists, solve_region},
+    plan::{plan, plan_box},
+    point::{Context, Scheme, Solution, TooNear, solve},
 };
 use glam::DVec3;
 use rayon::prelude::*;
-use std::{collections::BTreeMap, time::Instant};
+use std::time::Instant;
 
 /// Per pitch band: where a range starts, degrees, and its image.
 pub(super) type Lists = Vec<Vec<(f64, Option<u32>)>>;
@@ -27,8 +28,10 @@ pub(super) type Lists = Vec<Vec<(f64, Option<u32>)>>;
 pub(super) struct Refined {
     /// Points in use, in lattice order.
     pub points: Vec<RefinedPoint>,
-    /// Images, each with the point it was solved at.
-    pub images: Vec<(u32, Image)>,
+    /// Placements.
+    pub plans: Vec<PlacementPlan>,
+    /// Per placement, triangles left where it was solved.
+    pub left: Vec<u64>,
     /// Largest number of triangles left in any direction.
     pub max_triangles: u64,
 }
@@ -63,9 +66,11 @@ pub(super) fn refine(
         let evaluate = |i: &usize| match ctx.scheme {
             Scheme::Paper => solve(ctx, positions[*i], &uses[*i]).map(|_| ()),
             Scheme::Cells => {
+                let member = Member::new(ctx, uses[*i].units[0].1, false);
+                let extra_m = member.eyes.size().max_element() * 0.5 * (SHARED_REACH - 1.0);
                 // Below this spacing sharing is given up before the budget is.
                 let shared = lattice.spacing_of(lattice.points[*i].level) > FINEST_SHARED_M;
-                feasible(ctx, &Member { position: positions[*i], uses: &uses[*i] }, shared)
+                feasible(ctx, &member, if shared { extra_m } else { 0.0 })
             }
         };
         let results: Vec<Result<(), TooNear>> =
@@ -147,6 +152,10 @@ impl<'a> Cover<'a> {
     }
 }
 
+/// View cells are made so small that a box could serve eyes this many times as far out: boxes are shared by several. On the clinic at a tenth of
+/// its triangles 1, 1.5 and 2.5 gave 281, 301 and 786 cells and images of 2.1, 1.8 and 2.2 thousand million pixels.
+const SHARED_REACH: f64 = 1.5;
+
 /// Cells of this spacing and below need not be small enough for sharing, metres: their number would outgrow the images saved.
 const FINEST_SHARED_M: f64 = 1.3;
 
@@ -164,9 +173,9 @@ fn finish(
     used.sort_by_key(|(i, _)| lattice.points[*i].place.to_array());
     let unused = (lattice.points.len() - used.len()) as u64;
     statistics.skipped.insert("no eye of the walk volume can select the point".into(), unused);
-    let (images, lists, max_triangles) = timed(statistics, "solve", || match ctx.scheme {
+    let Solved { plans, left, lists, max_triangles } = timed(statistics, "solve", || match ctx.scheme {
         Scheme::Paper => solve_points(ctx, lattice, &used),
-        Scheme::Cells => solve_regions(ctx, lattice, &used),
+        Scheme::Cells => solve_groups(ctx, lattice, &used),
     })?;
     let points = used
         .into_iter()
@@ -178,11 +187,18 @@ fn finish(
             bands,
         })
         .collect();
-    Ok(Refined { points, images, max_triangles })
+    Ok(Refined { points, plans, left, max_triangles })
 }
 
-/// Images with their points, lists per point, largest count.
-type Solved = Result<(Vec<(u32, Image)>, Vec<Lists>, u64), PlacementError>;
+/// All points solved.
+#[derive(Default)]
+struct Solved {
+    plans: Vec<PlacementPlan>,
+    left: Vec<u64>,
+    /// Per point.
+    lists: Vec<Lists>,
+    max_triangles: u64,
+}
 
 /// The error for a point that cannot be served.
 fn infeasible(ctx: &Context, lattice: &Lattice, point: usize, too_near: TooNear) -> PlacementError {
@@ -199,67 +215,73 @@ fn infeasible(ctx: &Context, lattice: &Lattice, point: usize, too_near: TooNear)
 }
 
 /// Solves every point for itself.
-fn solve_points(ctx: &Context, lattice: &Lattice, used: &[(usize, PointUses)]) -> Solved {
+fn solve_points(ctx: &Context, lattice: &Lattice, used: &[(usize, PointUses)]) -> Result<Solved, PlacementError> {
     // A point solved with more users is solvable with fewer (see above).
     let solutions: Vec<Result<Solution, PlacementError>> = used
         .par_iter()
         .map(|(i, u)| solve(ctx, lattice.position(*i), u).map_err(|e| infeasible(ctx, lattice, *i, e)))
         .collect();
-    let (mut images, mut lists, mut most) = (Vec::new(), Vec::new(), 0);
+    let mut out = Solved::default();
     for (point, s) in solutions.into_iter().enumerate() {
         let s = s?;
-        let first = images.len() as u32;
-        images.extend(s.images.into_iter().map(|i| (point as u32, i)));
+        let first = out.plans.len() as u32;
+        let position = lattice.position(used[point].0);
+        out.left.extend(s.images.iter().map(|i| i.left));
+        out.plans.extend(s.images.iter().map(|i| plan(ctx, i, point as u32, position)));
         let renumber =
             |list: Vec<(f64, Option<u32>)>| list.into_iter().map(|(yaw, i)| (yaw, i.map(|k| first + k))).collect();
-        lists.push(s.bands.into_iter().map(renumber).collect());
-        most = most.max(s.max_triangles);
+        out.lists.push(s.bands.into_iter().map(renumber).collect());
+        out.max_triangles = out.max_triangles.max(s.max_triangles);
     }
-    Ok((images, lists, most))
+    Ok(out)
 }
 
-/// Edge of a region within which images are shared, as a multiple of the spacing of its points.
-const REGION: f64 = 10.0;
-/// Largest height of a region, metres: users on different storeys see different things, and an image for both would hold both.
-const REGION_HEIGHT_M: f64 = 2.5;
-
-/// Solves points together, region by region; points of one level form regions.
-fn solve_regions(ctx: &Context, lattice: &Lattice, used: &[(usize, PointUses)]) -> Solved {
-    let mut regions: BTreeMap<(u8, [i64; 3]), Vec<u32>> = BTreeMap::new();
-    for (n, (i, _)) in used.iter().enumerate() {
-        let (p, level) = (lattice.position(*i), lattice.points[*i].level);
-        let edge = REGION * lattice.spacing_of(level);
-        let place = p / DVec3::new(edge, edge.min(REGION_HEIGHT_M), edge);
-        regions.entry((level, place.floor().as_i64vec3().to_array())).or_default().push(n as u32);
+/// Solves view cells in groups.
+fn solve_groups(ctx: &Context, lattice: &Lattice, used: &[(usize, PointUses)]) -> Result<Solved, PlacementError> {
+    let members: Vec<Member> = used.par_iter().map(|(_, u)| Member::new(ctx, u.units[0].1, true)).collect();
+    let groups = group(ctx, &members).map_err(|(member, e)| infeasible(ctx, lattice, used[member as usize].0, e))?;
+    let mut out = Solved::default();
+    let mut placement_of: Vec<Option<u32>> = vec![None; used.len()];
+    for (number, (of, near)) in (0u32..).zip(&groups) {
+        of.iter().for_each(|m| placement_of[*m as usize] = Some(number));
+        out.left.push(near.max_triangles);
     }
-    let regions: Vec<Vec<u32>> = regions.into_values().collect();
-    let solved: Vec<Result<RegionSolution, PlacementError>> = regions
+    out.plans = groups
         .par_iter()
-        .with_max_len(1)
-        .map(|r| {
-            let members: Vec<Member> = r
-                .iter()
-                .map(|n| &used[*n as usize])
-                .map(|(i, uses)| Member { position: lattice.position(*i), uses })
-                .collect();
-            solve_region(ctx, &members)
-                .map_err(|(member, e)| infeasible(ctx, lattice, used[r[member as usize] as usize].0, e))
+        .map(|(of, near)| {
+            let users: Vec<&Member> = of.iter().map(|m| &members[*m as usize]).collect();
+            plan_box(ctx, near, &users, of[0])
         })
         .collect();
-    let (mut images, mut most) = (Vec::new(), 0);
-    let mut image_of: Vec<BTreeMap<u16, u32>> = vec![BTreeMap::new(); used.len()];
-    for (region, solution) in regions.iter().zip(solved) {
-        let solution = solution?;
-        most = most.max(solution.max_triangles);
-        for shared in solution.images {
-            for (member, unit) in &shared.users {
-                image_of[region[*member as usize] as usize].insert(*unit, images.len() as u32);
+    let uncut = members.iter().map(|m| m.largest).max().unwrap_or(0);
+    out.max_triangles = out.left.iter().copied().max().unwrap_or(0).max(uncut);
+    let lists_of = |(m, placement): (&Member, &Option<u32>)| {
+        lists(ctx.directions.bands(), |unit| placement.filter(|_| m.units.binary_search(&unit).is_ok()))
+    };
+    out.lists = members.iter().zip(&placement_of).map(lists_of).collect();
+    Ok(out)
+}
+
+/// Yaw-bin lists of a point: where each list entry starts, and its placement; neighbours that agree are joined.
+fn lists(bands: usize, placement_of: impl Fn(u16) -> Option<u32>) -> Lists {
+    let mut out: Lists = Vec::with_capacity(bands);
+    for band in 0..bands {
+        let mut list: Vec<(f64, Option<u32>)> = Vec::new();
+        for bin in 0..YAW_BINS {
+            let placement = placement_of((band * YAW_BINS + bin) as u16);
+            if list.last().is_none_or(|l| l.1 != placement) {
+                list.push((bin as f64 * YAW_BIN_DEG, placement));
             }
-            images.push((region[shared.member as usize], shared.image));
         }
+        if list.iter().all(|l| l.1.is_none()) {
+            list.clear();
+        }
+        out.push(list);
     }
-    let lists = image_of.iter().map(|of| lists(ctx.directions.bands(), |unit| of.get(&unit).copied())).collect();
-    Ok((images, lists, most))
+    if out.iter().all(Vec::is_empty) {
+        out.clear();
+    }
+    out
 }
 
 /// Runs a step and adds its seconds to the statistics.

@@ -2,23 +2,17 @@
 
 use super::{
     PlacementError, PlacementResult, PlacementStatistics,
-    arcs::BandPlanes,
     bands::Directions,
-    bin_planes::BinPlanes,
+    cells::Cells,
     eye_tree::EyeTree,
-    footprint::Footprint,
     lattice::Lattice,
-    plan::plan,
-    point::{Context, Scheme},
+    point::Context,
     refine::{Refined, refine, timed},
     subset::CostBenefit,
-    view::Cells,
     walk::walk_volume,
 };
 use crate::{octree::Octree, scene::Scene};
 use ldi_protocol::index::{AngularRange, BuildSettings, GridPoint};
-use ldi_protocol::select::CELLS;
-use rayon::prelude::*;
 
 /// Smallest field of view: below it the paper's star-shapes do not hold and the inflated grid need not cover all eyes.
 const SMALLEST_FOV_DEG: f64 = 54.0;
@@ -60,28 +54,8 @@ pub fn plan_placements(
     }
     let cells =
         Cells::new(octree.cells.iter().map(|c| c.bounds).collect(), octree.cells.iter().map(|c| c.triangles).collect());
-    let scheme = if settings.grid == CELLS { Scheme::Cells } else { Scheme::Paper };
     let directions = Directions::new(settings.pitch_deg);
-    let half_tan = settings.square_half_tan();
-    let ctx = Context {
-        cells: &cells,
-        directions: &directions,
-        planes: (0..directions.bands()).map(|b| BandPlanes::new(directions.band(b), half_tan)).collect(),
-        bins: (0..directions.units())
-            .map(|u| {
-                let (yaw, pitch) = directions.unit(u);
-                BinPlanes::new(yaw, pitch, half_tan)
-            })
-            .collect(),
-        half_tan,
-        picture_tan: (settings.camera.half_tan_x().min(half_tan), settings.camera.half_tan_y().min(half_tan)),
-        footprint: Footprint::new(&settings.camera, settings.density, settings.max_footprint_px),
-        scheme,
-        budget: settings.budget,
-        optimize_budget: settings.optimize_budget.min(settings.budget),
-        longest_axis_m: bounds.size().max_element(),
-        constants: parameters.cost_benefit,
-    };
+    let ctx = Context::new(&cells, &directions, settings, bounds.size().max_element(), parameters.cost_benefit);
     let tree = timed(&mut statistics, "walk volume", || EyeTree::new(&volume));
     // The grid spans the model and every eye: walkers on a roof stand above the model's box.
     let model = bounds.union(*volume.bounds());
@@ -118,11 +92,6 @@ fn result(
     mut statistics: PlacementStatistics,
 ) -> PlacementResult {
     let mut points = Vec::new();
-    let plans: Vec<_> = refined
-        .images
-        .par_iter()
-        .map(|(point, image)| plan(ctx, image, *point, refined.points[*point as usize].position))
-        .collect();
     for p in &refined.points {
         let range = |&(yaw_start_deg, placement): &(f64, Option<u32>)| AngularRange { yaw_start_deg, placement };
         points.push(GridPoint {
@@ -144,8 +113,8 @@ fn result(
     }
     statistics.max_triangles = refined.max_triangles;
     let mut closeness = vec![0u32; 21];
-    for (_, image) in &refined.images {
-        let off = image.left.abs_diff(ctx.optimize_budget) as f64 / ctx.optimize_budget.max(1) as f64;
+    for left in &refined.left {
+        let off = left.abs_diff(ctx.optimize_budget) as f64 / ctx.optimize_budget.max(1) as f64;
         closeness[((off * 100.0) as usize).min(20)] += 1;
     }
     let deepest = statistics.by_level.keys().max().copied().unwrap_or(0);
@@ -153,6 +122,7 @@ fn result(
     let solved: u32 = closeness.iter().sum();
     statistics.within_two_percent = f64::from(closeness[0] + closeness[1]) / f64::from(solved.max(1));
     statistics.popt_closeness = closeness;
+    let plans = refined.plans;
     statistics.max_footprint_px = plans.iter().map(|p| p.footprint_px).fold(0.0, f64::max);
     PlacementResult { points, plans, pitch_bands_deg: ctx.directions.bands_deg.clone(), volume, statistics }
 }

@@ -2,7 +2,7 @@
 
 use crate::scene::{Instance, Mesh, Primitive, Scene};
 use glam::{DAffine3, DVec3, Vec3};
-use ldi_protocol::Aabb;
+use ldi_protocol::{Aabb, OutputCamera, index::BuildSettings, select::CELLS};
 
 /// SplitMix64 (Steele, Lea and Flood 2014): the same numbers on every machine.
 pub(crate) struct Random(u64);
@@ -52,4 +52,34 @@ pub(crate) fn scene_of(primitives: &[Primitive]) -> Scene {
         }],
         ..Scene::default()
     }
+}
+
+/// Settings for view cells with this budget; 1280 x 720 at 60 degrees, pitch 60, footprint 2.
+pub(crate) fn settings(budget: u64) -> BuildSettings {
+    BuildSettings {
+        budget,
+        optimize_budget: budget,
+        camera: OutputCamera { width: 1280, height: 720, fov_deg: 60.0 },
+        max_footprint_px: 2.0,
+        pitch_deg: 60.0,
+        density: 1.0,
+        colour: "high".into(),
+        grid: CELLS.into(),
+        eye_height_m: Some(1.6),
+    }
+}
+
+/// Boxes of a metre or so, strewn over 60 x 8 x 60 metres around the origin, of 20 to 100 triangles each.
+pub(crate) fn strewn(n: u32, seed: u64) -> (Vec<Aabb>, Vec<u32>) {
+    let mut random = Random::new(seed);
+    let mut bounds: Vec<Aabb> = (0..n)
+        .map(|_| {
+            let min = DVec3::new(random.unit(), random.unit(), random.unit()) * DVec3::new(60.0, 8.0, 60.0)
+                - DVec3::new(30.0, 2.0, 30.0);
+            Aabb { min, max: min + DVec3::new(random.unit(), random.unit(), random.unit()) * 2.0 }
+        })
+        .collect();
+    // Neighbours beside each other, as Morton order gives them.
+    bounds.sort_by_key(|b| ((b.min.x / 8.0) as i64, (b.min.z / 8.0) as i64));
+    (bounds, (0..n).map(|i| 20 + i % 81).collect())
 }

@@ -3,7 +3,7 @@
 //! Lengths are metres, x to the right and z downward (a right-handed world seen from +Y), rounded to millimetres.
 
 use super::source::Served;
-use ldi_protocol::index::{ChunkKind, Index, Placement};
+use ldi_protocol::index::{ChunkKind, ImageEntry, Placement};
 use serde_json::{Value, json};
 
 fn mm(x: f64) -> f64 {
@@ -38,7 +38,10 @@ pub(super) fn to_json(served: &Served) -> Vec<u8> {
         .iter()
         .map(|p| json!([mm(p.position.x), mm(p.position.z), mm(p.position.y), p.level, mm(p.radius)]))
         .collect();
-    let placements: Vec<Value> = index.placements.iter().filter_map(|p| stroke(index, p)).collect();
+    let strokes = |p: &Placement| {
+        index.images[p.images.start as usize..p.images.end as usize].iter().map(|i| stroke(p, i)).collect::<Vec<_>>()
+    };
+    let images: Vec<Value> = index.placements.iter().flat_map(strokes).collect();
     let plan = json!({
         "dataset": served.hash().to_string(),
         "scene": {
@@ -53,31 +56,16 @@ pub(super) fn to_json(served: &Served) -> Vec<u8> {
         "chunks": kinds,
         "cells": cells,
         "points": points,
-        "placements": placements,
+        "images": images,
     });
     plan.to_string().into_bytes()
 }
 
-/// A placement as a stroke: where its image plane, cut to what the culled cells cover seen from the grid point, stands on
-/// the plan. [x0, z0, x1, z1, grid point, culled cells, samples, footprint in pixels].
-fn stroke(index: &Index, p: &Placement) -> Option<Value> {
-    let point = index.points.get(p.grid_point as usize)?;
-    // Widest half angle that a stroke shows: a cell beside the point would stretch it without end.
-    const MAX_TANGENT: f64 = 2.0;
-    let (mut left, mut right) = (f64::INFINITY, f64::NEG_INFINITY);
-    for cell in p.culled.iter().filter_map(|c| index.cells.get(*c as usize)) {
-        for corner in cell.bounds.corners() {
-            let v = corner - point.position;
-            let tangent = v.dot(p.basis.right) / v.dot(p.basis.forward).max(p.plane_distance).max(1e-6);
-            left = left.min(tangent.max(-MAX_TANGENT));
-            right = right.max(tangent.min(MAX_TANGENT));
-        }
-    }
-    if left > right {
-        return None;
-    }
-    let at = |t: f64| point.position + (p.basis.forward + p.basis.right * t) * p.plane_distance;
-    let (a, b) = (at(left), at(right));
-    let samples: u64 = p.samples_by_layer.iter().map(|s| u64::from(*s)).sum();
-    Some(json!([mm(a.x), mm(a.z), mm(b.x), mm(b.z), p.grid_point, p.culled.len(), samples, mm(p.footprint_px)]))
+/// An image as a stroke: where its plane stands on the plan, seen from above.
+/// [x0, z0, x1, z1, grid point, culled cells, samples, footprint in pixels].
+fn stroke(p: &Placement, i: &ImageEntry) -> Value {
+    let at = |t: f64| p.cop + (i.basis.forward + i.basis.right * t) * i.plane_distance;
+    let (a, b) = (at(i.window[0]), at(i.window[1]));
+    let samples: u64 = i.samples_by_layer.iter().map(|s| u64::from(*s)).sum();
+    json!([mm(a.x), mm(a.z), mm(b.x), mm(b.z), p.grid_point, p.culled.len(), samples, mm(p.footprint_px)])
 }

@@ -62,7 +62,8 @@ pub fn inspect(dataset: &Dataset, per_cell: bool) -> Result<Value, StoreError> {
         },
         "placements": {
             "count": index.placements.len(),
-            "empty": index.placements.iter().filter(|p| p.chunks.is_empty()).count(),
+            "images": index.images.len(),
+            "empty_images": index.images.iter().filter(|i| i.chunks.is_empty()).count(),
             "max_footprint_px": footprint,
             "culled_cells_mean": mean(index.placements.iter().map(|p| p.culled.len() as f64)),
         },
@@ -113,9 +114,9 @@ fn kind_json((count, stored, decoded): (u64, u64, u64)) -> Value {
 
 fn samples_by_layer(dataset: &Dataset) -> Vec<u64> {
     let mut sums: Vec<u64> = Vec::new();
-    for p in &dataset.index().placements {
-        sums.resize(sums.len().max(p.samples_by_layer.len()), 0);
-        sums.iter_mut().zip(&p.samples_by_layer).for_each(|(sum, n)| *sum += u64::from(*n));
+    for i in &dataset.index().images {
+        sums.resize(sums.len().max(i.samples_by_layer.len()), 0);
+        sums.iter_mut().zip(&i.samples_by_layer).for_each(|(sum, n)| *sum += u64::from(*n));
     }
     sums
 }
@@ -159,9 +160,10 @@ pub fn inspect_text(value: &Value) -> String {
     line(
         "placements",
         format!(
-            "{} ({} empty), largest footprint {} px",
+            "{} with {} images ({} empty), largest footprint {} px",
             number("/placements/count"),
-            number("/placements/empty"),
+            number("/placements/images"),
+            number("/placements/empty_images"),
             at("/placements/max_footprint_px")
         ),
     );

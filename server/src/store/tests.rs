@@ -152,12 +152,17 @@ fn sample() -> Sample {
         }],
         placements: vec![Placement {
             grid_point: 0,
-            basis: ViewBasis::from_yaw_pitch(0.0, 0.0),
-            plane_distance: 3.0,
+            cop: DVec3::ZERO,
             culled: vec![1],
             footprint_px: 1.5,
-            stretch_p99_px: 1.0,
             users: bounds,
+            images: 0..1,
+        }],
+        images: vec![ImageEntry {
+            basis: ViewBasis::from_yaw_pitch(0.0, 0.0),
+            plane_distance: 3.0,
+            window: [-1.0, 1.0, -1.0, 1.0],
+            stretch_p99_px: 1.0,
             chunks: vec![3, 4],
             samples_by_layer: vec![400, 120],
         }],
@@ -328,8 +333,8 @@ fn contents_that_contradict_the_index_are_named() {
     let breaks: [(&str, u32, Break); 6] = [
         ("cell", 1, |s| s.index.cells[0].triangles = 5),
         ("cell", 2, |s| s.index.cells[1].bounds.max.x = 7.5),
-        ("ldi", 3, |s| s.index.placements[0].samples_by_layer[1] = 119),
-        ("ldi", 3, |s| s.index.placements[0].basis = ViewBasis::from_yaw_pitch(1.0, 0.0)),
+        ("ldi", 3, |s| s.index.images[0].samples_by_layer[1] = 119),
+        ("ldi", 3, |s| s.index.images[0].basis = ViewBasis::from_yaw_pitch(1.0, 0.0)),
         ("texture", 5, |s| s.index.chunks[5].decoded_bytes += 1),
         ("texture", 5, |s| s.index.textures[0].width = 21),
     ];
@@ -446,7 +451,7 @@ fn directories_that_are_no_datasets_are_refused_with_a_remedy() {
     let mut other = fs::read(&manifest).unwrap();
     other[3] += 1;
     fs::write(&manifest, &other).unwrap();
-    refused(&folder.0, "format version 2");
+    refused(&folder.0, "format version 3");
     fs::write(&manifest, b"hello").unwrap();
     assert!(Dataset::open(&folder.0).unwrap_err().permanent());
 }

@@ -240,11 +240,11 @@ impl Places<'_> {
             .filter(|k| self.index.cells[*k as usize].bundles.iter().all(|b| good.contains_key(b)))
             .collect();
         check(cells.len(), cells.par_iter().map(|&k| self.check_cell(k, &good)).collect());
-        let placements: Vec<u32> = (0..self.index.placements.len() as u32)
-            .filter(|k| self.index.placements[*k as usize].chunks.iter().all(is_intact))
+        let images: Vec<u32> = (0..self.index.images.len() as u32)
+            .filter(|k| self.index.images[*k as usize].chunks.iter().all(is_intact))
             .collect();
-        let chunks = placements.iter().map(|k| self.index.placements[*k as usize].chunks.len()).sum();
-        check(chunks, placements.par_iter().map(|&k| self.check_placement(k)).collect());
+        let chunks = images.iter().map(|k| self.index.images[*k as usize].chunks.len()).sum();
+        check(chunks, images.par_iter().map(|&k| self.check_image(k)).collect());
         let textures: Vec<(usize, usize)> = (0..self.index.textures.len())
             .flat_map(|t| (0..self.index.textures[t].chunks.len()).map(move |k| (t, k)))
             .filter(|&(t, k)| is_intact(&self.index.textures[t].chunks[k].chunk))
@@ -280,14 +280,14 @@ impl Places<'_> {
         check().map_err(|e| self.fault(chunk as usize, format!("cell {cell}: {e}")))
     }
 
-    fn check_placement(&self, placement: u32) -> Result<(), Fault> {
-        let entry = &self.index.placements[placement as usize];
+    fn check_image(&self, image: u32) -> Result<(), Fault> {
+        let entry = &self.index.images[image as usize];
         let (first, deeper) = match entry.chunks[..] {
             [] => return Ok(()),
             [first] => (first, None),
             [first, deeper, ..] => (first, Some(deeper)),
         };
-        let wrap = |chunk: u32| move |e: CodecError| self.fault(chunk as usize, format!("placement {placement}: {e}"));
+        let wrap = |chunk: u32| move |e: CodecError| self.fault(chunk as usize, format!("image {image}: {e}"));
         let mut ldi = codec::ldi::decode_first(self.bytes(first)).map_err(wrap(first))?;
         let first_bytes = codec::ldi::decoded_bytes(&ldi)[0];
         self.check_decoded_bytes(first, first_bytes).map_err(wrap(first))?;
@@ -295,7 +295,7 @@ impl Places<'_> {
             codec::ldi::decode_deeper(self.bytes(deeper), &mut ldi).map_err(wrap(deeper))?;
             self.check_decoded_bytes(deeper, codec::ldi::decoded_bytes(&ldi)[1]).map_err(wrap(deeper))?;
         }
-        manifest::check_ldi(self.index, placement, &ldi).map_err(wrap(first))?;
+        manifest::check_ldi(self.index, image, &ldi).map_err(wrap(first))?;
         if ldi.layers.len() < entry.samples_by_layer.len() {
             let reason = format!("{} layers, but the index says {}", ldi.layers.len(), entry.samples_by_layer.len());
             return Err(wrap(deeper.unwrap_or(first))(CodecError::Mismatch { field: "layers", reason }));

@@ -6,7 +6,7 @@ use super::{
     ConstructError, ConstructOptions, Constructed, construct_subset,
     view::{Reach, Rig},
 };
-use crate::placement::PlacementPlan;
+use crate::placement::ImagePlan;
 use glam::DVec3;
 use ldi_protocol::{
     Aabb, ViewBasis,
@@ -18,7 +18,7 @@ fn options() -> ConstructOptions {
     ConstructOptions::new(OUTPUT)
 }
 
-fn made(scene: &Analytic, plan: &PlacementPlan) -> Constructed {
+fn made(scene: &Analytic, plan: &ImagePlan) -> Constructed {
     let made = construct_subset(scene, plan, &options()).expect("the plan is sound");
     assert_eq!(made.ldi.check(), Ok(()));
     made
@@ -39,7 +39,7 @@ fn samples(ldi: &Ldi) -> Vec<(usize, i64, i64, f64, [u8; 3], u8)> {
 }
 
 /// Share of random points, seen by random eyes of the users, that have no sample of their plane within one pixel.
-fn hole_fraction(scene: &Analytic, ldi: &Ldi, plan: &PlacementPlan) -> f64 {
+fn hole_fraction(scene: &Analytic, ldi: &Ldi, plan: &ImagePlan) -> f64 {
     // An output pixel of parallax for the worst eye.
     let pixel = 8.0 * Rig::new(plan, &OUTPUT, 1 << 24).expect("sound").step();
     let mut by_pixel = std::collections::BTreeMap::<(i64, i64), Vec<f64>>::new();
@@ -279,15 +279,15 @@ fn an_empty_scene_is_all_sky() {
 
 #[test]
 fn unusable_plans_are_refused() {
-    let refuse = |change: fn(&mut PlacementPlan)| {
+    let refuse = |change: fn(&mut ImagePlan)| {
         let mut plan = plan(9.0, [1.0; 3]);
         change(&mut plan);
         construct_subset(&Analytic::default(), &plan, &options()).map(|_| ()).expect_err("refused")
     };
-    assert!(matches!(refuse(|p| p.window[0] = f64::NAN), ConstructError::Plan { .. }));
-    assert!(matches!(refuse(|p| p.window[1] = p.window[0]), ConstructError::Plan { .. }));
-    assert!(matches!(refuse(|p| p.plane_distance_from_cop = 0.0), ConstructError::Plan { .. }));
-    assert!(matches!(refuse(|p| p.users = Aabb::EMPTY), ConstructError::Plan { .. }));
+    assert!(matches!(refuse(|p| p.window[0] = f64::NAN), ConstructError::Plan));
+    assert!(matches!(refuse(|p| p.window[1] = p.window[0]), ConstructError::Plan));
+    assert!(matches!(refuse(|p| p.plane_distance = 0.0), ConstructError::Plan));
+    assert!(matches!(refuse(|p| p.users = Aabb::EMPTY), ConstructError::Plan));
     assert!(matches!(refuse(|p| p.window[1] = 1e9), ConstructError::Size { .. }));
     assert!(matches!(refuse(|p| p.pixels_per_unit = 1e5), ConstructError::Size { .. }));
 }

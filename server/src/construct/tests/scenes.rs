@@ -2,7 +2,7 @@
 
 use super::super::caster::{Facet, SubsetCaster};
 use crate::{
-    placement::{DirectionRange, PlacementPlan},
+    placement::{DirectionRange, ImagePlan},
     render::{Hit, Ray, RayFootprint},
 };
 use glam::DVec3;
@@ -122,16 +122,12 @@ pub(super) const GREY: [f32; 3] = [0.5; 3];
 pub(super) const RED: [f32; 3] = [0.8, 0.1, 0.1];
 
 /// An image that looks along -Z from the origin, its plane `plane_m` away, for eyes within `eyes` of the origin.
-pub(super) fn plan(plane_m: f64, eyes: [f64; 3]) -> PlacementPlan {
+pub(super) fn plan(plane_m: f64, eyes: [f64; 3]) -> ImagePlan {
     let eyes = DVec3::from(eyes);
-    PlacementPlan {
-        grid_point: 0,
-        grid_position: DVec3::ZERO,
+    ImagePlan {
         basis: ViewBasis::from_yaw_pitch(0.0, 0.0),
-        plane_distance: plane_m,
-        culled: Vec::new(),
         cop: DVec3::ZERO,
-        plane_distance_from_cop: plane_m,
+        plane_distance: plane_m,
         pixels_per_unit: OUTPUT.focal_px(),
         window: [-1.1, 1.1, -0.9, 0.9],
         users: Aabb { min: -eyes, max: eyes },

@@ -57,6 +57,7 @@ fn index() -> Arc<Index> {
         volume: None,
         points: vec![],
         placements: vec![],
+        images: vec![],
     })
 }
 

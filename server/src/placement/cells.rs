@@ -1,0 +1,282 @@
+//! The octree's cells as this stage needs them, and sets of them.
+
+use super::{
+    arcs::{ArcSet, BandPlanes},
+    bin_planes::{Behind, BinPlanes},
+};
+use ldi_protocol::Aabb;
+
+/// Neighbouring cells that are tested as one first. Cells come in Morton order, so a run of them is compact.
+const GROUP: usize = 16;
+
+/// Cells as this stage needs them.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Cells {
+    /// World bounds.
+    pub bounds: Vec<Aabb>,
+    /// Triangles, instances counted.
+    pub triangles: Vec<u32>,
+    /// Bounds of every [`GROUP`] cells.
+    groups: Vec<Aabb>,
+    /// Bounds of every [`GROUP`] groups.
+    blocks: Vec<Aabb>,
+    /// Triangles of the cells before each cell, and of all.
+    before: Vec<u64>,
+}
+
+impl Cells {
+    /// Cells from their bounds and triangles, in the octree's order.
+    pub fn new(bounds: Vec<Aabb>, triangles: Vec<u32>) -> Self {
+        let join =
+            |b: &[Aabb]| b.chunks(GROUP).map(|g| g.iter().fold(Aabb::EMPTY, |a, b| a.union(*b))).collect::<Vec<_>>();
+        let groups = join(&bounds);
+        let blocks = join(&groups);
+        let mut before = vec![0];
+        triangles.iter().for_each(|t| before.push(before[before.len() - 1] + u64::from(*t)));
+        Self { bounds, triangles, groups, blocks, before }
+    }
+
+    /// The cells that some eye in the box may draw in some direction of a bin, added to `out`; returns their triangles.
+    /// Blocks and groups of cells that are wholly in or out of view are decided at once.
+    pub fn seen(&self, planes: &BinPlanes, eyes: &Aabb, out: &mut CellMask) -> u64 {
+        // Every plane keeps a cell for some eye exactly if it keeps the box of differences for an eye at the origin.
+        let (middle, half) = (eyes.centre(), eyes.size() * 0.5);
+        let test = |b: &Aabb| {
+            let (w, h) = (b.centre() - middle, b.size() * 0.5 + half);
+            planes.behind(w, h, (w.abs() + h).length())
+        };
+        let mut take = |from: usize, to: usize| {
+            (from..to).for_each(|c| out.insert(c as u32));
+            self.before[to] - self.before[from]
+        };
+        let n = self.bounds.len();
+        let mut triangles = 0;
+        for (k, block) in self.blocks.iter().enumerate() {
+            let first = k * GROUP;
+            match test(block) {
+                Behind::Never => {}
+                Behind::Always => triangles += take(first * GROUP, ((first + GROUP) * GROUP).min(n)),
+                Behind::Maybe => {
+                    for (g, group) in self.groups[first..].iter().take(GROUP).enumerate() {
+                        let first = (first + g) * GROUP;
+                        match test(group) {
+                            Behind::Never => {}
+                            Behind::Always => triangles += take(first, (first + GROUP).min(n)),
+                            Behind::Maybe => {
+                                for c in first..(first + GROUP).min(n) {
+                                    if test(&self.bounds[c]) != Behind::Never {
+                                        triangles += take(c, c + 1);
+                                    }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        triangles
+    }
+
+    /// The empty set.
+    pub fn none(&self) -> CellMask {
+        CellMask { words: vec![0; self.bounds.len().div_ceil(64)] }
+    }
+
+    /// The cells that touch a box.
+    pub fn touching(&self, b: &Aabb) -> CellMask {
+        let mut out = self.none();
+        let touches = |c: &Aabb| c.min.cmple(b.max).all() && c.max.cmpge(b.min).all();
+        for (g, group) in self.groups.iter().enumerate() {
+            if touches(group) {
+                let first = g * GROUP;
+                let cells = self.bounds[first..].iter().take(GROUP).enumerate();
+                cells.filter(|(_, c)| touches(c)).for_each(|(k, _)| out.insert((first + k) as u32));
+            }
+        }
+        out
+    }
+
+    /// Triangles of those cells `among` these that some eye in the box may draw in some direction of a bin.
+    pub fn count(&self, planes: &BinPlanes, eyes: &Aabb, among: &CellMask) -> u64 {
+        let (middle, half) = (eyes.centre(), eyes.size() * 0.5);
+        let test = |b: &Aabb| {
+            let (w, h) = (b.centre() - middle, b.size() * 0.5 + half);
+            planes.behind(w, h, (w.abs() + h).length())
+        };
+        let mut triangles = 0;
+        for (k, words) in among.words.chunks(GROUP * GROUP / 64).enumerate() {
+            if words.iter().all(|w| *w == 0) || test(&self.blocks[k]) == Behind::Never {
+                continue;
+            }
+            for (g, group) in self.groups[k * GROUP..].iter().take(GROUP).enumerate() {
+                let mut bits = words.get(g / 4).map_or(0, |w| w >> (g % 4 * GROUP) & 0xffff);
+                if bits == 0 {
+                    continue;
+                }
+                let verdict = test(group);
+                while bits != 0 && verdict != Behind::Never {
+                    let cell = (k * GROUP + g) * GROUP + bits.trailing_zeros() as usize;
+                    bits &= bits - 1;
+                    if verdict == Behind::Always || test(&self.bounds[cell]) != Behind::Never {
+                        triangles += u64::from(self.triangles[cell]);
+                    }
+                }
+            }
+        }
+        triangles
+    }
+
+    /// Calls `found` for every cell that some eye in the box may draw in the band, with its arcs of yaw, in ascending order.
+    pub fn arcs(&self, planes: &BandPlanes, eyes: &Aabb, mut found: impl FnMut(u32, &ArcSet)) {
+        for (g, group) in self.groups.iter().enumerate() {
+            // Groups that the band cannot see at all are skipped: arcs only grow with the box.
+            if planes.arcs(group.min - eyes.max, group.max - eyes.min).arcs().is_empty() {
+                continue;
+            }
+            let first = g * GROUP;
+            for (k, b) in self.bounds[first..].iter().take(GROUP).enumerate() {
+                let set = planes.arcs(b.min - eyes.max, b.max - eyes.min);
+                if !set.arcs().is_empty() {
+                    found((first + k) as u32, &set);
+                }
+            }
+        }
+    }
+
+    /// Sums the triangles of the cells for which `keep` holds; groups for which `may_keep` does not hold are skipped.
+    pub fn sum(&self, may_keep: impl Fn(&Aabb) -> bool, keep: impl Fn(&Aabb) -> bool) -> u64 {
+        let mut sum = 0;
+        for (g, group) in self.groups.iter().enumerate() {
+            if may_keep(group) {
+                let first = g * GROUP;
+                let cells = self.bounds[first..].iter().zip(&self.triangles[first..]).take(GROUP);
+                sum += cells.filter(|(b, _)| keep(b)).map(|(_, t)| u64::from(*t)).sum::<u64>();
+            }
+        }
+        sum
+    }
+}
+
+/// A set of cells.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(super) struct CellMask {
+    words: Vec<u64>,
+}
+
+impl CellMask {
+    /// The set of these cells out of `n`.
+    pub fn of(n: usize, cells: &[u32]) -> Self {
+        let mut out = Self { words: vec![0; n.div_ceil(64)] };
+        cells.iter().for_each(|c| out.insert(*c));
+        out
+    }
+    /// Adds a cell.
+    #[inline]
+    pub fn insert(&mut self, cell: u32) {
+        self.words[cell as usize / 64] |= 1 << (cell % 64);
+    }
+    /// Whether a cell is in it.
+    #[inline]
+    pub fn has(&self, cell: u32) -> bool {
+        self.words.get(cell as usize / 64).is_some_and(|w| w >> (cell % 64) & 1 == 1)
+    }
+    /// Takes all cells out.
+    pub fn clear(&mut self) {
+        self.words.fill(0);
+    }
+    /// Adds the cells of another set.
+    pub fn add(&mut self, other: &Self) {
+        self.words.iter_mut().zip(&other.words).for_each(|(a, b)| *a |= b);
+    }
+    /// Takes out the cells of another set.
+    pub fn remove(&mut self, other: &Self) {
+        self.words.iter_mut().zip(&other.words).for_each(|(a, b)| *a &= !b);
+    }
+    /// Its cells, ascending.
+    pub fn iter(&self) -> impl Iterator<Item = u32> + '_ {
+        self.words.iter().enumerate().flat_map(|(w, word)| {
+            let mut bits = *word;
+            std::iter::from_fn(move || {
+                let bit = (bits != 0).then(|| bits.trailing_zeros())?;
+                bits &= bits - 1;
+                Some(w as u32 * 64 + bit)
+            })
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::placement::bands::Directions;
+    use crate::placement::test_scenes::Random;
+    use glam::DVec3;
+    use ldi_protocol::{ViewBasis, camera::Frustum};
+
+    const T: f64 = 0.577_350_269_189_625_8;
+
+    #[test]
+    fn the_cells_of_a_bin_hold_all_that_any_eye_draws_in_any_of_its_directions() {
+        let mut random = Random::new(11);
+        let (mut bounds, mut triangles) = (Vec::new(), Vec::new());
+        for i in 0..700u32 {
+            // Rows of neighbours, as Morton order gives them, so that groups are compact.
+            let at =
+                DVec3::new(f64::from(i % 26), random.unit(), f64::from(i / 26)) * 2.0 - DVec3::new(26.0, 3.0, 26.0);
+            bounds.push(Aabb { min: at, max: at + DVec3::new(random.unit(), random.unit(), random.unit()) * 3.0 });
+            triangles.push(1 + i);
+        }
+        let cells = Cells::new(bounds, triangles);
+        let eyes = Aabb { min: DVec3::splat(-1.0), max: DVec3::new(1.0, 0.5, 2.0) };
+        let directions = Directions::new(60.0);
+        for unit in (0..directions.units()).step_by(5) {
+            let (yaw, pitch) = directions.unit(unit);
+            let mut set = cells.none();
+            let planes = BinPlanes::new(yaw, pitch, T, T);
+            let sum = cells.seen(&planes, &eyes, &mut set);
+            let has = |c: usize| set.has(c as u32);
+            let some: Vec<u32> = (0..700).filter(|_| random.unit() < 0.3).collect();
+            let of_some: u64 =
+                some.iter().filter(|c| set.has(**c)).map(|c| u64::from(cells.triangles[*c as usize])).sum();
+            assert_eq!(cells.count(&planes, &eyes, &CellMask::of(700, &some)), of_some);
+            assert_eq!(sum, (0..700).filter(|c| has(*c)).map(|c| u64::from(cells.triangles[c])).sum::<u64>());
+            let mut drawn = 0;
+            for _ in 0..40 {
+                let d = ViewBasis::from_yaw_pitch(yaw[0] + 10.0 * random.unit(), pitch[0] + 10.0 * random.unit());
+                let eye = eyes.min + eyes.size() * DVec3::new(random.unit(), random.unit(), random.unit());
+                let frustum = Frustum::new(eye, &d, T, T);
+                for c in (0..700).filter(|c| frustum.may_intersect(&cells.bounds[*c])) {
+                    assert!(has(c), "unit {unit}, cell {c}");
+                    drawn += 1;
+                }
+            }
+            assert!(unit % 36 != 0 || drawn > 0 || pitch[0] > 20.0 || pitch[1] < -20.0);
+        }
+    }
+
+    #[test]
+    fn cells_that_touch_a_box_are_those_that_are_beyond_none_of_its_faces() {
+        let mut random = Random::new(4);
+        let mut vector = |scale: f64| DVec3::new(random.unit(), random.unit(), random.unit()) * scale;
+        let bounds: Vec<Aabb> = (0..500).map(|_| vector(20.0)).map(|min| Aabb { min, max: min + 1.5 }).collect();
+        let cells = Cells::new(bounds.clone(), vec![1; 500]);
+        for _ in 0..50 {
+            let min = vector(15.0);
+            let b = Aabb { min, max: min + vector(8.0) };
+            let beyond = |c: &Aabb| c.min.cmpgt(b.max).any() || c.max.cmplt(b.min).any();
+            let want: Vec<u32> = (0..500).filter(|c| !beyond(&bounds[*c as usize])).collect();
+            assert_eq!(cells.touching(&b).iter().collect::<Vec<_>>(), want);
+        }
+    }
+
+    #[test]
+    fn sets_add_and_remove() {
+        let mut a = CellMask::of(200, &[1, 64, 199]);
+        a.add(&CellMask::of(200, &[2, 64]));
+        assert_eq!(a.iter().collect::<Vec<_>>(), [1, 2, 64, 199]);
+        a.remove(&CellMask::of(200, &[2, 199]));
+        assert_eq!(a.iter().collect::<Vec<_>>(), [1, 64]);
+        a.clear();
+        assert_eq!(a.iter().count(), 0);
+    }
+}

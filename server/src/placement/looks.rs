@@ -1,0 +1,219 @@
+//! How many triangles can a group of eyes see? Bounded from above by subdivision.
+//!
+//! In: a box of eyes and a bin of directions. Out: a bound on the triangles of any single frame among them. One test for the whole box and bin
+//! ([`Cells::count`](super::cells::Cells::count)) adds up what different eyes see in different directions; halving box and bin where that exceeds
+//! the budget tells whether any one frame does. What the leaves prove holds for each eye and direction in them, so nothing is sampled.
+
+use super::{
+    bin_planes::BinPlanes,
+    cells::CellMask,
+    point::{Context, TooNear},
+};
+use ldi_protocol::Aabb;
+
+/// Splits of a look: eyes, directions, then both again. Deeper: tighter counts, longer planning.
+const DEEPEST: u8 = 3;
+/// Boxes of eyes smaller than this are not split, metres.
+const SMALLEST_EYES_M: f64 = 0.25;
+
+/// Eyes and directions that are counted together.
+#[derive(Debug, Clone)]
+pub(super) struct Look {
+    planes: BinPlanes,
+    eyes: Aabb,
+    yaw_deg: [f64; 2],
+    pitch_deg: [f64; 2],
+    depth: u8,
+}
+
+impl Look {
+    /// All eyes of a box in all directions of a unit.
+    pub fn new(ctx: &Context, eyes: Aabb, unit: u16) -> Self {
+        let (yaw_deg, pitch_deg) = ctx.directions.unit(usize::from(unit));
+        Self { planes: ctx.bins[usize::from(unit)], eyes, yaw_deg, pitch_deg, depth: 0 }
+    }
+
+    /// The middle of its directions: yaw, pitch, degrees.
+    fn direction_deg(&self) -> [f64; 2] {
+        [self.yaw_deg, self.pitch_deg].map(|r| (r[0] + r[1]) * 0.5)
+    }
+
+    /// A bound on the triangles that any of its frames shows of the cells `among` these.
+    pub fn count(&self, ctx: &Context, among: &CellMask) -> u64 {
+        ctx.cells.count(&self.planes, &self.eyes, among)
+    }
+
+    /// Whether some frame may exceed the budget, as far as subdivision can tell.
+    pub fn exceeds(&self, ctx: &Context, among: &CellMask) -> bool {
+        self.count(ctx, among) > ctx.budget
+            && self.split(ctx).is_none_or(|parts| parts.iter().any(|p| p.exceeds(ctx, among)))
+    }
+
+    /// Four parts that together hold all its frames; None when it is as small as it gets.
+    pub fn split(&self, ctx: &Context) -> Option<[Self; 4]> {
+        if self.depth >= DEEPEST {
+            return None;
+        }
+        let part = |eyes: Aabb, yaw_deg: [f64; 2], pitch_deg: [f64; 2]| Self {
+            planes: if (yaw_deg, pitch_deg) == (self.yaw_deg, self.pitch_deg) {
+                self.planes
+            } else {
+                BinPlanes::new(yaw_deg, pitch_deg, ctx.half_tan, ctx.half_tan)
+            },
+            eyes,
+            yaw_deg,
+            pitch_deg,
+            depth: self.depth + 1,
+        };
+        let half = |r: [f64; 2], k: usize| {
+            let mid = (r[0] + r[1]) * 0.5;
+            if k == 0 { [r[0], mid] } else { [mid, r[1]] }
+        };
+        let size = self.eyes.size();
+        let by_eyes = self.depth.is_multiple_of(2) && size.x.max(size.z) >= SMALLEST_EYES_M;
+        Some(std::array::from_fn(|k| {
+            if by_eyes {
+                let ([x0, x1], [z0, z1]) =
+                    (half([self.eyes.min.x, self.eyes.max.x], k % 2), half([self.eyes.min.z, self.eyes.max.z], k / 2));
+                let mut eyes = self.eyes;
+                (eyes.min.x, eyes.max.x, eyes.min.z, eyes.max.z) = (x0, x1, z0, z1);
+                part(eyes, self.yaw_deg, self.pitch_deg)
+            } else {
+                part(self.eyes, half(self.yaw_deg, k % 2), half(self.pitch_deg, k / 2))
+            }
+        }))
+    }
+}
+
+/// Counts of many looks as the set of cells grows, each kept within the budget.
+pub(super) struct Counts(Vec<(Look, u64)>);
+
+impl Counts {
+    /// Counts `looks` over `near`. Err: a look that exceeds the budget however it is split.
+    pub fn new(ctx: &Context, looks: impl Iterator<Item = Look>, near: &CellMask) -> Result<Self, TooNear> {
+        let mut out = Vec::new();
+        let mut open: Vec<Look> = Vec::new();
+        for look in looks {
+            open.push(look);
+            while let Some(look) = open.pop() {
+                let n = look.count(ctx, near);
+                if n <= ctx.budget {
+                    out.push((look, n));
+                } else if let Some(parts) = look.split(ctx) {
+                    open.extend(parts);
+                } else {
+                    return Err(TooNear { direction_deg: look.direction_deg(), needed: n });
+                }
+            }
+        }
+        Ok(Self(out))
+    }
+
+    /// Adds the cells that `wider` holds beyond `near`, unless some look would exceed the budget however it is split.
+    pub fn grow(&mut self, ctx: &Context, near: &CellMask, wider: &CellMask) -> bool {
+        let mut added = wider.clone();
+        added.remove(near);
+        let mut next = Vec::with_capacity(self.0.len());
+        for (look, n) in &self.0 {
+            let n = n + look.count(ctx, &added);
+            if n <= ctx.budget {
+                next.push((look.clone(), n));
+                continue;
+            }
+            match Self::new(ctx, std::iter::once(look.clone()), wider) {
+                Ok(parts) => next.extend(parts.0),
+                Err(_) => return false,
+            }
+        }
+        self.0 = next;
+        true
+    }
+
+    /// The largest count.
+    pub fn largest(&self) -> u64 {
+        self.0.iter().map(|c| c.1).max().unwrap_or(0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::placement::{
+        CostBenefit,
+        bands::Directions,
+        cells::Cells,
+        test_scenes::{Random, settings, strewn},
+    };
+    use glam::DVec3;
+    use ldi_protocol::{ViewBasis, camera::Frustum};
+
+    /// No frame, drawn by brute force, has more than its count says; and subdivision makes counts tighter.
+    #[test]
+    fn no_frame_exceeds_what_its_look_counts() {
+        let (bounds, triangles) = strewn(900, 21);
+        let cells = Cells::new(bounds, triangles);
+        let directions = Directions::new(60.0);
+        let mut random = Random::new(8);
+        let eyes = Aabb { min: DVec3::new(-3.0, 1.0, -2.0), max: DVec3::new(2.0, 2.0, 3.0) };
+        let near = CellMask::of(900, &(0..900).filter(|c| c % 3 > 0).collect::<Vec<_>>());
+        let (mut split, mut refused) = (0, 0);
+        for unit in (0..directions.units() as u16).step_by(11) {
+            let all = Context::new(&cells, &directions, &settings(u64::MAX), 60.0, CostBenefit::default());
+            let whole = Look::new(&all, eyes, unit).count(&all, &near);
+            // The largest frame by sampling is below every bound; a budget between the two is proved by subdivision alone.
+            let (yaw, pitch) = directions.unit(usize::from(unit));
+            let mut largest = 0;
+            for _ in 0..200 {
+                let within = |r: [f64; 2], u: f64| r[0] + (r[1] - r[0]) * u;
+                let d = ViewBasis::from_yaw_pitch(within(yaw, random.unit()), within(pitch, random.unit()));
+                let eye = eyes.min + eyes.size() * DVec3::new(random.unit(), random.unit(), random.unit());
+                let frustum = Frustum::new(eye, &d, all.half_tan, all.half_tan);
+                let drawn = near.iter().filter(|c| frustum.may_intersect(&cells.bounds[*c as usize]));
+                largest = largest.max(drawn.map(|c| u64::from(cells.triangles[c as usize])).sum());
+            }
+            assert!(largest <= whole);
+            let budget = (largest + whole) / 2;
+            let ctx = Context::new(&cells, &directions, &settings(budget), 60.0, CostBenefit::default());
+            match Counts::new(&ctx, std::iter::once(Look::new(&ctx, eyes, unit)), &near) {
+                Ok(counts) => {
+                    assert!(counts.largest() >= largest && counts.largest() <= budget);
+                    assert!(!Look::new(&ctx, eyes, unit).exceeds(&ctx, &near));
+                    split += usize::from(counts.0.len() > 1);
+                }
+                Err(too_near) => {
+                    assert!(too_near.needed > budget);
+                    refused += 1;
+                }
+            }
+            if largest > 0 {
+                let less = Context::new(&cells, &directions, &settings(largest - 1), 60.0, CostBenefit::default());
+                assert!(Look::new(&less, eyes, unit).exceeds(&less, &near), "a frame was found that does");
+            }
+        }
+        assert!(split > 5, "{split} units were proved by subdivision, {refused} refused");
+    }
+
+    #[test]
+    fn growing_equals_counting_anew() {
+        let (bounds, triangles) = strewn(600, 5);
+        let cells = Cells::new(bounds, triangles);
+        let directions = Directions::new(60.0);
+        let ctx = Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default());
+        let eyes = Aabb { min: DVec3::new(-1.0, 1.0, -1.0), max: DVec3::new(1.0, 2.0, 1.0) };
+        let looks = || (0..directions.units() as u16).map(|u| Look::new(&ctx, eyes, u));
+        let some = |k: u32| CellMask::of(600, &(0..600).filter(|c| c % 7 < k).collect::<Vec<_>>());
+        let mut counts = Counts::new(&ctx, looks(), &some(1)).map_err(|e| e.needed).expect("few triangles");
+        let mut grown = 1;
+        for k in 2..=7 {
+            let anew = Counts::new(&ctx, looks(), &some(k));
+            let fits = counts.grow(&ctx, &some(k - 1), &some(k));
+            assert_eq!(fits, anew.is_ok(), "step {k}");
+            match anew {
+                Ok(anew) => assert!(counts.largest() <= anew.largest(), "a finer split is never worse"),
+                Err(_) => break,
+            }
+            grown = k;
+        }
+        assert!((2..7).contains(&grown), "grew to {grown}");
+    }
+}

@@ -1,0 +1,499 @@
+//! Near boxes: what a group of view cells draws as geometry, and the images that stand for all the rest (DESIGN, "Near and far").
+//!
+//! In: grid points with the eyes that use them. Out: an axis-aligned box around those eyes. Cells that touch the box are near and
+//! drawn; cells wholly beyond one of its six faces are far and replaced. From the centre of projection, the middle of the eyes, each
+//! face is the quadrilateral of an image: the six cones fill the space around, so whatever direction an eye looks in, what it sees beyond the
+//! box lies in one of the images, at a depth of at least the face's distance.
+//!
+//! ```text
+//!      ·  image -z ·          D: distance of a face from the centre of projection
+//!       · ┌─────┐ ·           e: how far eyes come toward the face
+//!         │ ooo │             footprint <= k^2 D / (D - e) / scale        (`footprint`)
+//! image -x│ o+o │image +x
+//!         │ ooo │             o: eyes, +: centre of projection
+//!       · └─────┘ ·
+//! ```
+//!
+//! The paper gives each range of directions an image of its own (Aliaga and Lastra 1999, section 3.3), so directions that overlap hold the same
+//! surfaces many times, and turning the head asks for new images. Here a direction is held once per group, and turning asks for nothing that
+//! is not there already.
+//!
+//! The six distances take the place of the paper's six border lists (section 3.3.2): the box starts at the smallest that the footprint
+//! bound allows, and grows by the move that saves the most pixels while every direction of every eye stays within the budget.
+
+use super::{
+    cells::CellMask,
+    hull::EyeHull,
+    looks::{Counts, Look},
+    point::{Context, TooNear},
+};
+use glam::DVec3;
+use ldi_protocol::{Aabb, ViewBasis};
+use std::f64::consts::FRAC_PI_2;
+
+/// All replaced cells lie beyond a face by this much, metres: above the rounding of bounds and of the face itself.
+const FACE_GAP_M: f64 = 1e-4;
+/// A move takes faces this much farther. Smaller: a little fewer pixels, longer planning.
+const STEP: f64 = 1.25;
+/// What an image costs besides its pixels: chunks, requests, a draw. In pixels.
+const IMAGE_PIXELS: f64 = 50_000.0;
+/// Faces, by (axis, side).
+pub(super) const FACES: [(usize, usize); 6] = [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)];
+/// Sets of faces that may move together, as bits of [`FACES`]: all, the walls, floor and ceiling, each.
+const MOVES: [u8; 9] = [0b11_1111, 0b11_0011, 0b00_1100, 1, 2, 4, 8, 16, 32];
+
+/// A grid point, its eyes, and what it must be relieved of.
+#[derive(Debug, Clone)]
+pub(super) struct Member {
+    /// Where its eyes are.
+    pub hull: EyeHull,
+    /// The box around them.
+    pub eyes: Aabb,
+    /// Units of directions in which some of its eyes see more than P triangles.
+    pub units: Vec<u16>,
+    /// Cells that any of these eyes sees in any of these directions.
+    pub seen: CellMask,
+    /// Largest number of triangles in a unit that is within P as it is.
+    pub largest: u64,
+}
+
+impl Member {
+    /// Counts what the eyes of `hull` see, unit by unit; `closely`: by subdivision, so that no unit is taken for over the budget that is not.
+    pub fn new(ctx: &Context, hull: EyeHull, closely: bool) -> Self {
+        let mut m = Self { hull, eyes: hull.bounds(), units: Vec::new(), seen: ctx.cells.none(), largest: 0 };
+        let mut visible = ctx.cells.none();
+        for (unit, planes) in (0u16..).zip(&ctx.bins) {
+            visible.clear();
+            let triangles = ctx.cells.seen(planes, &m.eyes, &mut visible);
+            if triangles > ctx.budget && (!closely || Look::new(ctx, m.eyes, unit).exceeds(ctx, &visible)) {
+                m.units.push(unit);
+                m.seen.add(&visible);
+            } else {
+                // However it is split, no frame of the unit has more than P.
+                m.largest = m.largest.max(triangles.min(ctx.budget));
+            }
+        }
+        m
+    }
+}
+
+/// The orientation of a face: `forward` is its outward normal.
+pub(super) fn face_basis(face: usize) -> ViewBasis {
+    let (axis, side) = FACES[face];
+    let mut forward = DVec3::ZERO;
+    forward[axis] = if side == 0 { -1.0 } else { 1.0 };
+    let up = if axis == 1 { DVec3::Z } else { DVec3::Y };
+    ViewBasis { right: forward.cross(up), up, forward }
+}
+
+/// A box and what it costs.
+#[derive(Debug, Clone)]
+pub(super) struct NearBox {
+    /// Centre of projection: the middle of the eyes.
+    pub cop: DVec3,
+    /// Distance of each of [`FACES`] from it.
+    pub distance: [f64; 6],
+    /// Per face: sampling density relative to the build's, footprint bound, and the tangents that far cells fill (left, right, bottom, top);
+    /// None where nothing is seen beyond it.
+    pub images: [Option<FaceImage>; 6],
+    /// Cells it replaces.
+    pub culled: CellMask,
+    /// Pixels of all images, with a charge for each image.
+    pub cost: f64,
+    /// Largest number of triangles that stay in any direction.
+    pub max_triangles: u64,
+}
+
+/// The image of a face.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FaceImage {
+    pub scale: f64,
+    pub footprint_px: f64,
+    pub window: [f64; 4],
+}
+
+/// A group of members and the box that is being fitted to them.
+struct Fit<'a> {
+    ctx: &'a Context<'a>,
+    members: &'a [&'a Member],
+    seen: CellMask,
+    cop: DVec3,
+    /// How far eyes come toward each face.
+    ahead: [f64; 6],
+}
+
+/// Whether a box can serve all eyes of `member` and those up to `extra_m` farther out.
+pub(super) fn feasible(ctx: &Context, member: &Member, extra_m: f64) -> Result<(), TooNear> {
+    let members = [member];
+    let fit = Fit::new(ctx, &members, extra_m);
+    fit.counts(&fit.near(&fit.smallest())).map(|_| ())
+}
+
+/// Fits a box to a group of members. Err: some direction stays above the budget even with the smallest box.
+pub(super) fn fit(ctx: &Context, members: &[&Member]) -> Result<NearBox, TooNear> {
+    let fit = Fit::new(ctx, members, 0.0);
+    let smallest = fit.smallest();
+    let mut near = fit.near(&smallest);
+    let mut counts = fit.counts(&near)?;
+    let mut distance = smallest;
+    let mut images = fit.images(&distance, &near);
+    let mut cost = fit.cost(&images);
+    let mut stuck = 0u16;
+    loop {
+        let mut best: Option<(f64, usize, [f64; 6], CellMask, [Option<FaceImage>; 6])> = None;
+        for (number, moved) in MOVES.iter().enumerate().filter(|(n, _)| stuck >> n & 1 == 0) {
+            let to: [f64; 6] =
+                std::array::from_fn(|f| if moved >> f & 1 == 1 { distance[f] * STEP } else { distance[f] });
+            let wider = fit.near(&to);
+            let images = fit.images(&to, &wider);
+            let c = fit.cost(&images);
+            if c < cost && best.as_ref().is_none_or(|b| c < b.0) {
+                best = Some((c, number, to, wider, images));
+            }
+        }
+        let Some((c, number, to, wider, to_images)) = best else { break };
+        if counts.grow(ctx, &near, &wider) {
+            (cost, distance, near, images) = (c, to, wider, to_images);
+        } else {
+            // Counts only grow: what does not fit now never will.
+            stuck |= 1 << number;
+        }
+    }
+    let largest = members.iter().map(|m| m.largest).max().unwrap_or(0);
+    let mut culled = fit.seen.clone();
+    culled.remove(&near);
+    Ok(NearBox { cop: fit.cop, distance, images, culled, cost, max_triangles: counts.largest().max(largest) })
+}
+
+impl<'a> Fit<'a> {
+    fn new(ctx: &'a Context<'a>, members: &'a [&'a Member], extra_m: f64) -> Self {
+        let mut hull = EyeHull::EMPTY;
+        let mut seen = ctx.cells.none();
+        for m in members {
+            hull.union(&m.hull);
+            seen.add(&m.seen);
+        }
+        let hull = hull.widened(extra_m);
+        let cop = hull.bounds().centre();
+        let ahead = std::array::from_fn(|f| {
+            let n = face_basis(f).forward;
+            (hull.support(n) - cop.dot(n)).max(0.0)
+        });
+        Self { ctx, members, seen, cop, ahead }
+    }
+
+    /// The distances that the footprint bound asks for.
+    fn smallest(&self) -> [f64; 6] {
+        self.ahead.map(|e| self.ctx.footprint.nearest_plane_m(FRAC_PI_2, e).unwrap_or(f64::INFINITY))
+    }
+
+    /// What stays of `near` in every look of every member.
+    fn counts(&self, near: &CellMask) -> Result<Counts, TooNear> {
+        let looks = self.members.iter().flat_map(|m| m.units.iter().map(|u| Look::new(self.ctx, m.eyes, *u)));
+        Counts::new(self.ctx, looks, near)
+    }
+
+    /// The cells that touch the box.
+    fn near(&self, distance: &[f64; 6]) -> CellMask {
+        let mut b = Aabb { min: self.cop, max: self.cop };
+        for (f, (axis, side)) in FACES.iter().enumerate() {
+            let d = distance[f] + FACE_GAP_M;
+            if *side == 0 { b.min[*axis] -= d } else { b.max[*axis] += d }
+        }
+        self.ctx.cells.touching(&b)
+    }
+
+    /// The images of all faces.
+    fn images(&self, distance: &[f64; 6], near: &CellMask) -> [Option<FaceImage>; 6] {
+        let mut windows = [[f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY]; 6];
+        let cones: [Cone; 6] = std::array::from_fn(|f| Cone::new(f, distance));
+        let mut far = self.seen.clone();
+        far.remove(near);
+        for cell in far.iter() {
+            let b = &self.ctx.cells.bounds[cell as usize];
+            let (low, high) = (b.min - self.cop, b.max - self.cop);
+            for (cone, w) in cones.iter().zip(&mut windows) {
+                if let Some(t) = cone.tangents_of(&cone.local(low, high)) {
+                    *w = [w[0].min(t[0]), w[1].max(t[1]), w[2].min(t[2]), w[3].max(t[3])];
+                }
+            }
+        }
+        std::array::from_fn(|f| {
+            let window = windows[f];
+            let (scale, footprint_px) = self
+                .ctx
+                .footprint
+                .scale(FRAC_PI_2, distance[f], self.ahead[f])
+                .unwrap_or((f64::INFINITY, f64::INFINITY));
+            (window[0] < window[1] && window[2] < window[3]).then_some(FaceImage { scale, footprint_px, window })
+        })
+    }
+
+    fn cost(&self, images: &[Option<FaceImage>; 6]) -> f64 {
+        let pixels = |i: &FaceImage| {
+            let w = i.window;
+            let side = self.ctx.footprint.pixels_per_unit(i.scale);
+            (w[1] - w[0]) * (w[3] - w[2]) * side * side + IMAGE_PIXELS
+        };
+        images.iter().flatten().map(pixels).sum()
+    }
+}
+
+/// The cone of a face as seen from the centre of projection.
+pub(super) struct Cone {
+    /// World axes of right, up and forward, and their signs.
+    axes: [(usize, f64); 3],
+    /// Left, right, bottom, top.
+    limits: [f64; 4],
+    distance: f64,
+}
+
+impl Cone {
+    pub fn new(face: usize, distance: &[f64; 6]) -> Self {
+        let basis = face_basis(face);
+        let axes = [basis.right, basis.up, basis.forward].map(|v| {
+            let axis = v.abs().max_position();
+            (axis, v[axis])
+        });
+        let reach = |axis: (usize, f64), positive: bool| {
+            let side = usize::from((axis.1 > 0.0) == positive);
+            distance[axis.0 * 2 + side] / distance[face]
+        };
+        let limits = [-reach(axes[0], false), reach(axes[0], true), -reach(axes[1], false), reach(axes[1], true)];
+        Self { axes, limits, distance: distance[face] }
+    }
+
+    /// A box relative to the centre of projection, along right, up, forward.
+    pub fn local(&self, low: DVec3, high: DVec3) -> Aabb {
+        let mut out = Aabb { min: DVec3::ZERO, max: DVec3::ZERO };
+        for (k, (axis, sign)) in self.axes.iter().enumerate() {
+            let (a, b) = (low[*axis] * sign, high[*axis] * sign);
+            (out.min[k], out.max[k]) = (a.min(b), a.max(b));
+        }
+        out
+    }
+
+    /// The reverse of [`Cone::local`].
+    pub fn world(face: usize, b: &Aabb, cop: DVec3) -> Aabb {
+        let basis = face_basis(face);
+        let at = |v: DVec3| cop + basis.right * v.x + basis.up * v.y + basis.forward * v.z;
+        Aabb::from_points([at(b.min), at(b.max)])
+    }
+
+    /// Tangents (left, right, bottom, top) of the part of a local box that lies in the cone beyond its face.
+    pub fn tangents_of(&self, b: &Aabb) -> Option<[f64; 4]> {
+        let (near, far) = (b.min.z.max(self.distance), b.max.z);
+        if far <= self.distance {
+            return None;
+        }
+        let mut out = [0.0; 4];
+        for k in 0..2 {
+            let least = b.min[k] / if b.min[k] < 0.0 { near } else { far };
+            let most = b.max[k] / if b.max[k] > 0.0 { near } else { far };
+            out[2 * k] = least.max(self.limits[2 * k]);
+            out[2 * k + 1] = most.min(self.limits[2 * k + 1]);
+            if out[2 * k] >= out[2 * k + 1] {
+                return None;
+            }
+        }
+        Some(out)
+    }
+}
+
+/// Groups members top-down: a group that one box serves stays together unless two boxes are cheaper; others are halved.
+///
+/// Returns the groups, as positions in `members`, each with its box, in a fixed order. Err: a member that no box serves.
+pub(super) fn group(ctx: &Context, members: &[Member]) -> Result<Vec<(Vec<u32>, NearBox)>, (u32, TooNear)> {
+    let all: Vec<u32> = (0..members.len() as u32).filter(|m| !members[*m as usize].units.is_empty()).collect();
+    if all.is_empty() { Ok(Vec::new()) } else { divide(ctx, members, all, None) }
+}
+
+/// What a split must save to be made.
+const WORTH_SPLITTING: f64 = 0.95;
+
+type Grouped = Result<Vec<(Vec<u32>, NearBox)>, (u32, TooNear)>;
+
+fn fit_of(ctx: &Context, members: &[Member], of: &[u32]) -> Result<NearBox, TooNear> {
+    fit(ctx, &of.iter().map(|m| &members[*m as usize]).collect::<Vec<_>>())
+}
+
+fn divide(ctx: &Context, members: &[Member], of: Vec<u32>, known: Option<Result<NearBox, TooNear>>) -> Grouped {
+    let whole = known.unwrap_or_else(|| fit_of(ctx, members, &of));
+    if of.len() == 1 {
+        return whole.map(|b| vec![(of.clone(), b)]).map_err(|e| (of[0], e));
+    }
+    let (low, high) = halve(members, &of);
+    match whole {
+        Err(_) => {
+            let (a, b) = rayon::join(|| divide(ctx, members, low, None), || divide(ctx, members, high, None));
+            let mut a = a?;
+            a.extend(b?);
+            Ok(a)
+        }
+        Ok(whole) => {
+            let (a, b) = rayon::join(|| fit_of(ctx, members, &low), || fit_of(ctx, members, &high));
+            let cheaper = matches!((&a, &b), (Ok(a), Ok(b)) if a.cost + b.cost < whole.cost * WORTH_SPLITTING);
+            if !cheaper {
+                return Ok(vec![(of, whole)]);
+            }
+            let (a, b) = rayon::join(|| divide(ctx, members, low, Some(a)), || divide(ctx, members, high, Some(b)));
+            let mut a = a?;
+            a.extend(b?);
+            Ok(a)
+        }
+    }
+}
+
+/// Two halves along the longest axis of the members' middles; heights count double, as storeys see different things.
+fn halve(members: &[Member], of: &[u32]) -> (Vec<u32>, Vec<u32>) {
+    let middle = |m: u32| members[m as usize].eyes.centre() * DVec3::new(1.0, 2.0, 1.0);
+    let bounds = of.iter().fold(Aabb::EMPTY, |b, m| b.grown_to(middle(*m)));
+    let axis = bounds.size().max_position();
+    let cut = bounds.centre()[axis];
+    let (mut low, mut high): (Vec<u32>, Vec<u32>) = of.iter().partition(|m| middle(**m)[axis] < cut);
+    if low.is_empty() || high.is_empty() {
+        low = of.to_vec();
+        high = low.split_off(of.len() / 2);
+    }
+    (low, high)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::placement::{
+        CostBenefit,
+        bands::Directions,
+        cells::Cells,
+        model::PlacementPlan,
+        plan::plan_box,
+        test_scenes::{Random, settings, strewn},
+    };
+    use ldi_protocol::camera::Frustum;
+
+    /// Nine cells of eyes, 2 m wide, on one floor.
+    fn members(ctx: &Context) -> Vec<Member> {
+        let hull = |k: i32| {
+            let at = DVec3::new(f64::from(k % 3 - 1), 0.0, f64::from(k / 3 - 1)) * 2.0;
+            let mut hull = EyeHull::EMPTY;
+            hull.add(&Aabb { min: at + DVec3::new(-1.0, 1.1, -1.0), max: at + DVec3::new(1.0, 2.0, 1.0) });
+            hull
+        };
+        (0..9).map(|k| Member::new(ctx, hull(k), true)).collect()
+    }
+
+    fn within(r: [f64; 2], u: f64) -> f64 {
+        r[0] + (r[1] - r[0]) * u
+    }
+
+    /// Both promises and coverage, by brute force over random eyes and directions.
+    #[test]
+    fn groups_keep_the_budget_and_show_all_that_they_replace() {
+        let (bounds, triangles) = strewn(1500, 33);
+        let cells = Cells::new(bounds, triangles);
+        let directions = Directions::new(60.0);
+        let ctx = Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default());
+        let members = members(&ctx);
+        let groups = group(&ctx, &members).map_err(|(m, e)| (m, e.needed)).expect("feasible");
+        let mut of = vec![usize::MAX; members.len()];
+        for (g, (list, _)) in groups.iter().enumerate() {
+            for m in list {
+                assert_eq!(std::mem::replace(&mut of[*m as usize], g), usize::MAX, "a member is in one group");
+            }
+        }
+        let plans: Vec<PlacementPlan> = groups
+            .iter()
+            .map(|(list, near)| {
+                plan_box(&ctx, near, &list.iter().map(|m| &members[*m as usize]).collect::<Vec<_>>(), 0)
+            })
+            .collect();
+        for ((_, near), plan) in groups.iter().zip(&plans) {
+            for cell in &plan.culled {
+                let b = &cells.bounds[*cell as usize];
+                let beyond = (0..6).any(|f| {
+                    let n = face_basis(f).forward;
+                    -b.support(-n) > near.cop.dot(n) + near.distance[f]
+                });
+                assert!(beyond, "a replaced cell reaches into the box");
+            }
+        }
+        let mut random = Random::new(6);
+        let (mut replaced, mut shown) = (0, 0);
+        for _ in 0..4000 {
+            let k = (random.bits() % 9) as usize;
+            let (m, unit) = (&members[k], (random.bits() % directions.units() as u64) as usize);
+            let (yaw, pitch) = directions.unit(unit);
+            let d = ViewBasis::from_yaw_pitch(within(yaw, random.unit()), within(pitch, random.unit()));
+            let eye = m.eyes.min + m.eyes.size() * DVec3::new(random.unit(), random.unit(), random.unit());
+            let square = Frustum::new(eye, &d, ctx.half_tan, ctx.half_tan);
+            let plan = m.units.binary_search(&(unit as u16)).ok().map(|_| &plans[of[k]]);
+            let culled = plan.map_or(&[][..], |p| &p.culled);
+            let drawn: u64 = (0..1500u32)
+                .filter(|c| culled.binary_search(c).is_err() && square.may_intersect(&cells.bounds[*c as usize]))
+                .map(|c| u64::from(cells.triangles[c as usize]))
+                .sum();
+            assert!(drawn <= ctx.budget, "{drawn} triangles");
+            let Some(plan) = plan else { continue };
+            replaced += 1;
+            let picture = Frustum::new(eye, &d, ctx.picture_tan.0, ctx.picture_tan.1);
+            for c in plan.culled.iter().filter(|c| picture.may_intersect(&cells.bounds[**c as usize])) {
+                let b = &cells.bounds[*c as usize];
+                let q = b.min + b.size() * DVec3::new(random.unit(), random.unit(), random.unit());
+                if !picture.contains(q) {
+                    continue;
+                }
+                shown += 1;
+                let held = plan.images.iter().any(|i| {
+                    let v = q - plan.cop;
+                    let z = v.dot(i.basis.forward);
+                    let (x, y) = (v.dot(i.basis.right) / z, v.dot(i.basis.up) / z);
+                    z >= i.plane_distance
+                        && x >= i.window[0]
+                        && x <= i.window[1]
+                        && y >= i.window[2]
+                        && y <= i.window[3]
+                });
+                assert!(held, "{q} is in the picture of {eye}, but in no image");
+            }
+        }
+        assert!(replaced > 500 && shown > 5000, "{replaced} frames with images, {shown} points");
+        assert!(groups.len() < 9, "some cells share a box: {} groups", groups.len());
+    }
+
+    #[test]
+    fn a_budget_that_nothing_meets_is_refused_with_the_need() {
+        let (bounds, triangles) = strewn(1500, 33);
+        let cells = Cells::new(bounds, triangles);
+        let directions = Directions::new(60.0);
+        let ctx = Context::new(&cells, &directions, &settings(40), 60.0, CostBenefit::default());
+        let members = members(&ctx);
+        assert!(feasible(&ctx, &members[4], 0.0).is_err());
+        let Err((_, too_near)) = group(&ctx, &members) else { panic!("no box can serve") };
+        assert!(too_near.needed > 40);
+    }
+
+    #[test]
+    fn faces_look_outward_and_their_cones_meet_at_the_edges_of_the_box() {
+        let distance = [2.0, 3.0, 1.0, 4.0, 5.0, 2.5];
+        for face in 0..6 {
+            let b = face_basis(face);
+            assert!((b.right.cross(b.up) + b.forward).length() < 1e-12, "right-handed, as cameras are");
+            let cone = Cone::new(face, &distance);
+            // The whole face is in its cone, and nothing beside it.
+            let local = |w: DVec3| DVec3::new(w.dot(b.right), w.dot(b.up), w.dot(b.forward));
+            let mut corners = Aabb::EMPTY;
+            for k in 0..8usize {
+                let corner = DVec3::from_array(std::array::from_fn(|axis| {
+                    if k >> axis & 1 == 0 { -distance[2 * axis] } else { distance[2 * axis + 1] }
+                }));
+                if (local(corner).z - distance[face]).abs() < 1e-12 {
+                    corners = corners.grown_to(local(corner) / distance[face]);
+                }
+            }
+            let want = [corners.min.x, corners.max.x, corners.min.y, corners.max.y];
+            let everything = Aabb { min: DVec3::splat(-1e3), max: DVec3::splat(1e3) };
+            let got = cone.tangents_of(&everything).expect("it reaches beyond the face");
+            assert!(got.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-12), "face {face}: {got:?}, {want:?}");
+        }
+    }
+}
