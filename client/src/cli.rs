@@ -110,9 +110,9 @@ struct WalkArgs {
     /// Most decoded bytes that are held [default: 1 GiB].
     #[arg(long, value_name = "N")]
     cache_bytes: Option<u64>,
-    /// How far around the eye data is sent ahead of need, metres.
-    #[arg(long, value_name = "M", default_value_t = 10.0)]
-    prefetch_m: f64,
+    /// How far around the eye data is sent ahead of need, metres [default: 10; 0 with --pace wait, which has no need of it].
+    #[arg(long, value_name = "M")]
+    prefetch_m: Option<f64>,
     /// Save every Nth frame, numbered by the pose's index.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     every: u32,
@@ -225,10 +225,15 @@ fn refuse_what_is_not_there(args: &WalkArgs) -> Result<(), Failure> {
     {
         return Err(Failure::usage("--frame-ms is a positive number of milliseconds"));
     }
-    if !(args.prefetch_m.is_finite() && args.prefetch_m >= 0.0) {
+    if !(prefetch_m(args).is_finite() && prefetch_m(args) >= 0.0) {
         return Err(Failure::usage("--prefetch-m is a number of metres, 0 or more"));
     }
     Ok(())
+}
+
+/// Frames that wait for their own data profit nothing from other data, and wait for it too.
+fn prefetch_m(args: &WalkArgs) -> f64 {
+    args.prefetch_m.unwrap_or(if matches!(args.pace, Pace::Wait) { 0.0 } else { 10.0 })
 }
 
 fn walk(args: &WalkArgs) -> Result<(), Failure> {
@@ -250,7 +255,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         ConnectConfig::new(&args.server, Picture { width: args.size.0, height: args.size.1, fov_deg: None });
     config.fingerprint = args.fingerprint.as_deref().map(str::parse::<Fingerprint>).transpose()?;
     config.token = token;
-    config.prefetch_m = args.prefetch_m;
+    config.prefetch_m = prefetch_m(args);
     if let Some(bytes) = args.cache_bytes {
         config.cache_bytes = bytes;
     }
@@ -318,7 +323,7 @@ fn options_as_json(args: &WalkArgs, options: &WalkOptions) -> serde_json::Value 
         map.insert("size".into(), format!("{}x{}", args.size.0, args.size.1).into());
         map.insert("renderer".into(), "cpu".into());
         map.insert("truth".into(), args.truth.as_ref().map(|t| t.display().to_string()).into());
-        map.insert("prefetch_m".into(), args.prefetch_m.into());
+        map.insert("prefetch_m".into(), prefetch_m(args).into());
         map.insert("frame_ms".into(), args.frame_ms.into());
         map.insert("server".into(), args.server.clone().into());
     }

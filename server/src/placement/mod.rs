@@ -2,18 +2,22 @@
 //! A2 to A9).
 //!
 //! In: a scene, its octree's cells, the build's settings. Out: a [`PlacementResult`]: the walk volume, the grid points that
-//! `select` can return with their angular ranges, and one [`PlacementPlan`] per image.
+//! `select` can return with their angular ranges, and [`PlacementPlan`]s with their images.
 //!
 //! ```text
 //!   scene -> columns -> walk -> eye_tree ─┐
-//!   bounds -> lattice ────────────────────┼-> coverage (bin_planes, hull): who may use which point
+//!   bounds -> lattice ────────────────────┼-> who may use which point: coverage (paper) or nearest (cells)
 //!                    ^                    v
-//!                    └── refine <── point (arcs -> view: angular ranges; subset: 6-tuples; footprint)
-//!                                         v
-//!                                       plan: camera and window of each image
+//!                    └── refine <── paper: point (arcs -> view: angular ranges; subset: 6-tuples)
+//!                           │       cells: near_box (looks: certified counts; groups of points)
+//!                           v
+//!                         plan: cameras, and windows (paper: the frusta's reach; cells: tiles); footprint bounds
 //! ```
 //!
-//! The paper's scheme: the eye takes the closest grid point in its reverse frustum; the point's frustum encloses the eye's, so what
+//! `--grid cells`, the default: every eye belongs to its closest point, groups of points share a near box, and the box's faces are images
+//! of all the rest (`near_box`).
+//!
+//! `--grid paper`: the eye takes the closest grid point in its reverse frustum; the point's frustum encloses the eye's, so what
 //! holds there holds for the eye. What we changed, each explained in its file: users per point and direction certified by interval
 //! subdivision instead of spheres (`coverage`), pitch bands (`arcs`), a footprint bound per image (`footprint`), images that serve
 //! all ranges they can (`point`), centres of projection in the middle of the users (`plan`).
