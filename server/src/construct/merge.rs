@@ -178,13 +178,13 @@ pub(super) fn recast<C: SubsetCaster>(
     Recast { rays, missed }
 }
 
-/// Passes of [`ring`]: around every sample, then into what is still open on three sides or more.
-pub(super) const RING_SIDES: [usize; 2] = [1, 3];
+/// Passes of [`ring`]: around every sample, twice as construction cameras have half the resolution, then into what is still open on three sides or more.
+pub(super) const RING_SIDES: [usize; 3] = [1, 1, 3];
 
 /// Continues deeper samples into neighbouring pixels where nothing is known there, if at least `sides` neighbours agree.
 ///
 /// Construction images sample slanted and distant surfaces less densely than the central image does, so that newly seen surfaces have
-/// pinholes; and eyes between the cameras see a little further than they do. One ring closes both.
+/// pinholes; and eyes between the cameras see a little further than they do. Rings close both.
 pub(super) fn ring(rig: &Rig, known: &Known, tolerance: &Tolerance, sides: usize) -> Vec<Prediction> {
     let (width, height) = (i64::from(rig.window.width), i64::from(rig.window.height));
     let continued = |(pixel, s): &Prediction| {

@@ -140,7 +140,8 @@ pub(super) struct Rig {
     pub window: Window,
     /// Depth from the centre of projection before which nothing of the subset lies.
     pub near_m: f64,
-    /// Rounds of construction cameras: the four corners of the users' box nearest the plane, then the other four.
+    /// Rounds of construction cameras: the four corners of the users' box nearest the plane, the other four, then places where
+    /// eyes stand.
     pub rounds: Vec<Vec<ConstructionCamera>>,
     /// Corners of the users' box, (right, up, forward) from the centre of projection.
     pub user_offsets: [DVec3; 8],
@@ -193,6 +194,9 @@ impl Rig {
         corners.sort_by(|a, b| b.z.total_cmp(&a.z));
         for half in corners.chunks_exact(4) {
             rig.rounds.push(half.iter().filter_map(|c| rig.camera_at(*c * WITHIN_USERS)).collect());
+        }
+        for some in plan.eyes.chunks(4) {
+            rig.rounds.push(some.iter().filter_map(|e| rig.camera_at(rig.lens.in_basis(*e - rig.cop))).collect());
         }
         Ok(rig)
     }

@@ -57,6 +57,8 @@ pub struct ImagePlan {
     pub window: [f64; 4],
     /// Box of all eyes that may use it.
     pub users: Aabb,
+    /// Places inside that box where eyes stand: construction images are made from there, and from the box's corners.
+    pub eyes: Vec<DVec3>,
     /// The directions from which they do; disjoint but for borders.
     pub directions: Vec<DirectionRange>,
     /// Bound on the footprint of any sample from any of these eyes in any of these directions, output pixels.

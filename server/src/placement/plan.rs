@@ -38,11 +38,15 @@ pub(super) fn plan(ctx: &Context, image: &Image, grid_point: u32, grid_position:
             pixels_per_unit: ctx.footprint.pixels_per_unit(scale),
             window: window(ctx, image, cop, plane_from_cop),
             users,
+            eyes: vec![],
             directions: directions(ctx, &image.units),
             footprint_px,
         }],
     }
 }
+
+/// Most places in view cells that construction images are made from. More: fewer holes, at a twelfth of an image's time each.
+const MOST_EYES: usize = 8;
 
 /// The plan for a near box that `members` use.
 pub(super) fn plan_box(ctx: &Context, near: &NearBox, members: &[&Member], grid_point: u32) -> PlacementPlan {
@@ -52,6 +56,10 @@ pub(super) fn plan_box(ctx: &Context, near: &NearBox, members: &[&Member], grid_
     units.dedup();
     let units: Vec<(u16, [f64; 2])> = units.into_iter().map(|u| (u, ctx.directions.unit(usize::from(u)).0)).collect();
     let gazes = Gazes::new(ctx, members);
+    // Those farthest from the centre of projection see the most that it does not.
+    let mut eyes: Vec<DVec3> = members.iter().map(|m| m.eyes.centre()).collect();
+    eyes.sort_by(|a, b| b.distance_squared(near.cop).total_cmp(&a.distance_squared(near.cop)));
+    eyes.truncate(MOST_EYES);
     let mut images = Vec::new();
     for (face, image) in near.images.iter().enumerate() {
         let Some(image) = image else { continue };
@@ -74,6 +82,7 @@ pub(super) fn plan_box(ctx: &Context, near: &NearBox, members: &[&Member], grid_
                 pixels_per_unit,
                 window,
                 users,
+                eyes: eyes.clone(),
                 directions: directions(ctx, &facing),
                 footprint_px: image.footprint_px,
             });
