@@ -9,6 +9,7 @@ use crate::{
     },
 };
 use glam::DVec3;
+use ldi_protocol::ldi::LdiCamera;
 
 const CAMERA: OutputCamera = OutputCamera { width: 160, height: 120, fov_deg: 60.0 };
 
@@ -227,4 +228,56 @@ fn downsampling_equals_the_definition() {
     frame.colour[5] ^= 0x40;
     frame.resolve(2, &mut slow);
     assert_ne!(fast, slow);
+}
+
+#[test]
+fn what_an_absent_image_would_show_is_unknown_and_the_rest_sky() {
+    let entry = ImageEntry {
+        basis: ldi_protocol::ViewBasis::from_yaw_pitch(0.0, 0.0),
+        plane_distance: 5.0,
+        window: [-0.2, 0.3, -0.1, 0.2],
+        stretch_p99_px: f64::NAN,
+        chunks: vec![0],
+        samples_by_layer: vec![1],
+    };
+    let picture = FarFrame::new(CAMERA.width, CAMERA.height);
+    let mut frame = Frame::new(CAMERA.width, CAMERA.height);
+    let far = Far::Images { picture: &picture, images: &[FarImage::Absent(&entry)] };
+    composite(&mut frame, far, &ahead(), &CAMERA, &CompositeOptions::default());
+    let f = CAMERA.focal_px();
+    for at in 0..frame.len() {
+        let (x, y) = (((at % 160) as f64 + 0.5 - 80.0) / f, (60.0 - (at / 160) as f64 - 0.5) / f);
+        let inside = (-0.2..=0.3).contains(&x) && (-0.1..=0.2).contains(&y);
+        assert_eq!(frame.source[at], if inside { Source::Unpainted } else { Source::Sky }, "({x}, {y})");
+    }
+}
+
+/// Two halves of an image that overlap by two pixels each way, as tiles do, draw what the whole draws.
+#[test]
+fn tiles_join_without_a_seam() {
+    let whole = ldi_camera(DVec3::ZERO, 320, 240, 90.0);
+    let left = LdiCamera { width: 162, ..whole };
+    let right = LdiCamera { left: whole.left + 158, width: 162, ..whole };
+    for name in ["frontal", "floor"] {
+        let pose = Pose { position: DVec3::new(0.5, 0.3, -0.8), yaw_deg: 4.0, pitch_deg: -3.0 };
+        let scene = scene(name);
+        let (whole, tiles) = (scene.ldi(whole, 3), [scene.ldi(left, 3), scene.ldi(right, 3)]);
+        let mut picture = warped(&tiles[0], &pose);
+        let untouched = picture.packed.clone();
+        picture.take_nearer(&warped(&tiles[1], &pose));
+        assert_ne!(picture.packed, untouched);
+        let draw = |picture: &FarFrame, images: &[FarImage<'_>]| {
+            let mut frame = Frame::new(CAMERA.width, CAMERA.height);
+            let far = Far::Images { picture, images };
+            composite(&mut frame, far, &pose, &CAMERA, &CompositeOptions { fill: false, smooth: false });
+            frame
+        };
+        let one = draw(&warped(&whole, &pose), &[FarImage::Here(&whole)]);
+        let two = draw(&picture, &tiles.each_ref().map(FarImage::Here));
+        assert!(one.count(Source::Far) > 5000);
+        assert_eq!(one.source, two.source, "{name}");
+        // Where both halves hold a surface their borders may round differently.
+        let differing = one.colour.iter().zip(&two.colour).filter(|(a, b)| a != b).count();
+        assert!(differing <= 2 * CAMERA.height as usize, "{name}: {differing} pixels differ");
+    }
 }

@@ -18,16 +18,14 @@
 
 use super::{
     sample::{Sample, Tolerance},
-    view::{ConstructionCamera, Rig, Window},
+    view::{COARSENESS, ConstructionCamera, Rig, Window},
 };
 
 /// Cells of curved surfaces do not quite meet; they are drawn larger by this many pixels. Larger hides thin holes,
 /// smaller traces rays into cracks.
 const OVERLAP_PX: f32 = 0.15;
-/// Pixels of the central image, per side, that are drawn as one: the cameras' own pixels are that much larger ([`COARSENESS`](super::view)).
-const CELL: usize = 2;
-
-/// The central image with one sample in every [`CELL`] by [`CELL`] pixels, drawn instead of all.
+/// The central image with one sample in every cell of [`COARSENESS`] by [`COARSENESS`] pixels, drawn instead of all: the cameras' own pixels are
+/// that large.
 pub(super) struct Coarse {
     samples: Vec<Sample>,
     width: usize,
@@ -36,14 +34,17 @@ pub(super) struct Coarse {
 impl Coarse {
     /// Takes the first sample of each cell, with its plane carried to the cell's middle.
     pub fn new(central: &[Sample], width: usize) -> Self {
-        let rows = central.chunks_exact(width).step_by(CELL);
-        let to_middle = 0.5 * (CELL - 1) as f32;
+        let rows = central.chunks_exact(width).step_by(COARSENESS);
+        let to_middle = 0.5 * (COARSENESS - 1) as f32;
         let sample = |s: &Sample| {
             let change = to_middle * (s.gradient[0] + s.gradient[1]);
             let disparity = if s.disparity > 0.0 { bounded(s, change) } else { 0.0 };
-            Sample { disparity, gradient: s.gradient.map(|g| g * CELL as f32), ..*s }
+            Sample { disparity, gradient: s.gradient.map(|g| g * COARSENESS as f32), ..*s }
         };
-        Self { samples: rows.flat_map(|r| r.iter().step_by(CELL).map(sample)).collect(), width: width.div_ceil(CELL) }
+        Self {
+            samples: rows.flat_map(|r| r.iter().step_by(COARSENESS).map(sample)).collect(),
+            width: width.div_ceil(COARSENESS),
+        }
     }
 }
 /// A sheet begins at the surface's edge: held back by this factor so that the surface wins there.
@@ -351,8 +352,8 @@ impl Skin<'_> {
         let (w, c) = (&self.rig.window, &self.camera.window);
         let d = f64::from(disparity).min(1.0 / self.rig.near_m);
         let (u, v, d) = self.camera.shift.apply(
-            f64::from(w.left) + (column * CELL) as f64,
-            f64::from(w.top) + (row * CELL) as f64,
+            f64::from(w.left) + (column * COARSENESS) as f64,
+            f64::from(w.top) + (row * COARSENESS) as f64,
             d,
         );
         let scale = self.camera.scale;

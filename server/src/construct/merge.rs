@@ -178,7 +178,8 @@ pub(super) fn recast<C: SubsetCaster>(
     Recast { rays, missed }
 }
 
-/// Passes of [`ring`]: around every sample, twice as construction cameras have half the resolution, then into what is still open on three sides or more.
+/// Passes of [`ring`]: around every sample, twice as construction cameras have half the resolution, then into what is still open on three
+/// sides or more.
 pub(super) const RING_SIDES: [usize; 3] = [1, 1, 3];
 
 /// Continues deeper samples into neighbouring pixels where nothing is known there, if at least `sides` neighbours agree.

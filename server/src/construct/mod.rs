@@ -7,8 +7,9 @@
 //! midpoints of the quadrilateral's edges, four mirrored behind it, merged nearest first. What was changed:
 //!
 //! - The centre of projection is the middle of the users' box, and construction cameras stand in its corners, from where eyes see
-//!   furthest around things, and in up to eight places where eyes stand: from a corridor one sees along it, from the corners of a box around it not. On the clinic the four corners nearest the plane find 0.069 new samples per pixel and the other four 0.019;
-//!   the paper's two times four found 0.035 and 0.011.
+//!   furthest around things, and in up to eight places where eyes stand: from a corridor one sees along it, from the corners of a box
+//!   around it not. On the clinic the four corners nearest the plane find 0.069 new samples per pixel and the other four 0.019; the
+//!   paper's two times four found 0.035 and 0.011.
 //! - Construction cameras have a quarter of the pixels: what they find is cast again at full resolution.
 //! - A construction camera traces only what the central image cannot explain (`explain`): rays that meet known
 //!   surfaces through known emptiness bring nothing new. That is nine tenths of them.

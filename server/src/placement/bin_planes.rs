@@ -2,7 +2,7 @@
 //!
 //! In: a bin of directions, half widths dy (yaw) and dp (pitch), and the vectors w = E - G for E in a box. Out: whether G lies in
 //! the reverse square frustum of every (eye, direction), of some, or of none. A plane's normal n = S right + U up + t forward
-//! (S, U in {-1, 0, 1}) turns with the direction; Taylor's theorem about the bin's middle gives, for every direction in it,
+//! (S, U in {-1, 0, 1}, t the half tangent across or up) turns with the direction; Taylor's theorem about the bin's middle gives, for every direction in it,
 //!
 //! ```text
 //!   |n . w - n0 . w| <= dy |n_y . w| + dp |n_p . w| + (dy + dp)^2 / 2 (1 + t) |w|
@@ -11,7 +11,7 @@
 //! because every second derivative of n has a norm of at most 1 + t. A box of half size h adds (|n0| + dy |n_y| + dp |n_p|) . h.
 
 use glam::DVec3;
-use ldi_protocol::ViewBasis;
+use ldi_protocol::{Aabb, ViewBasis};
 
 /// Slack of the tests, metres per metre of distance: far above rounding, far below any box.
 const ROUNDING: f64 = 1e-9;
@@ -74,6 +74,14 @@ impl BinPlanes {
     /// Half widths of the bin in yaw and pitch, radians.
     pub fn half_widths(&self) -> (f64, f64) {
         (self.half_yaw, self.half_pitch)
+    }
+
+    /// Whether points of a box may lie in the frusta of eyes in another: never, sometimes, or always for every eye and direction.
+    #[inline]
+    pub fn show(&self, eyes: &Aabb, b: &Aabb) -> Behind {
+        // Every plane keeps a point for some eye exactly if it keeps their difference for an eye at the origin.
+        let (w, h) = (b.centre() - eyes.centre(), (b.size() + eyes.size()) * 0.5);
+        self.behind(w, h, (w.abs() + h).length())
     }
 
     /// The test for w = E - G in a box of middle `w` and half size `h`; `farthest` bounds |w| over the box.

@@ -39,12 +39,7 @@ impl Cells {
     /// The cells that some eye in the box may draw in some direction of a bin, added to `out`; returns their triangles.
     /// Blocks and groups of cells that are wholly in or out of view are decided at once.
     pub fn seen(&self, planes: &BinPlanes, eyes: &Aabb, out: &mut CellMask) -> u64 {
-        // Every plane keeps a cell for some eye exactly if it keeps the box of differences for an eye at the origin.
-        let (middle, half) = (eyes.centre(), eyes.size() * 0.5);
-        let test = |b: &Aabb| {
-            let (w, h) = (b.centre() - middle, b.size() * 0.5 + half);
-            planes.behind(w, h, (w.abs() + h).length())
-        };
+        let test = |b: &Aabb| planes.show(eyes, b);
         let mut take = |from: usize, to: usize| {
             (from..to).for_each(|c| out.insert(c as u32));
             self.before[to] - self.before[from]
@@ -98,11 +93,7 @@ impl Cells {
 
     /// Triangles of those cells `among` these that some eye in the box may draw in some direction of a bin.
     pub fn count(&self, planes: &BinPlanes, eyes: &Aabb, among: &CellMask) -> u64 {
-        let (middle, half) = (eyes.centre(), eyes.size() * 0.5);
-        let test = |b: &Aabb| {
-            let (w, h) = (b.centre() - middle, b.size() * 0.5 + half);
-            planes.behind(w, h, (w.abs() + h).length())
-        };
+        let test = |b: &Aabb| planes.show(eyes, b);
         let mut triangles = 0;
         for (k, words) in among.words.chunks(GROUP * GROUP / 64).enumerate() {
             if words.iter().all(|w| *w == 0) || test(&self.blocks[k]) == Behind::Never {

@@ -11,7 +11,7 @@ use super::{
 };
 use ldi_protocol::Aabb;
 
-/// Splits of a look: eyes, directions, then both again. Deeper: tighter counts, longer planning.
+/// Splits of a look: eyes, directions, then both again. Deeper: tighter counts, longer planning. By judgement.
 const DEEPEST: u8 = 3;
 /// Boxes of eyes smaller than this are not split, metres.
 const SMALLEST_EYES_M: f64 = 0.25;

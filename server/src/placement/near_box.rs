@@ -33,9 +33,9 @@ use std::f64::consts::FRAC_PI_2;
 
 /// All replaced cells lie beyond a face by this much, metres: above the rounding of bounds and of the face itself.
 const FACE_GAP_M: f64 = 1e-4;
-/// A move takes faces this much farther. Smaller: a little fewer pixels, longer planning.
+/// A move takes faces this much farther. Smaller: fewer pixels, longer planning. By judgement.
 const STEP: f64 = 1.25;
-/// What an image costs besides its pixels: chunks, requests, a draw. In pixels.
+/// What an image costs besides its pixels: chunks, requests, a draw. In pixels, by judgement.
 const IMAGE_PIXELS: f64 = 50_000.0;
 /// Faces, by (axis, side).
 pub(super) const FACES: [(usize, usize); 6] = [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)];
@@ -308,7 +308,7 @@ pub(super) fn group(ctx: &Context, members: &[Member]) -> Result<Vec<(Vec<u32>, 
     if all.is_empty() { Ok(Vec::new()) } else { divide(ctx, members, all, None) }
 }
 
-/// What a split must save to be made.
+/// A split is made where it costs less than this share of the whole. By judgement: a placement is worth a little.
 const WORTH_SPLITTING: f64 = 0.95;
 
 type Grouped = Result<Vec<(Vec<u32>, NearBox)>, (u32, TooNear)>;
@@ -323,25 +323,18 @@ fn divide(ctx: &Context, members: &[Member], of: Vec<u32>, known: Option<Result<
         return whole.map(|b| vec![(of.clone(), b)]).map_err(|e| (of[0], e));
     }
     let (low, high) = halve(members, &of);
-    match whole {
-        Err(_) => {
-            let (a, b) = rayon::join(|| divide(ctx, members, low, None), || divide(ctx, members, high, None));
-            let mut a = a?;
-            a.extend(b?);
-            Ok(a)
+    let (mut of_low, mut of_high) = (None, None);
+    if let Ok(whole) = whole {
+        let (a, b) = rayon::join(|| fit_of(ctx, members, &low), || fit_of(ctx, members, &high));
+        if !matches!((&a, &b), (Ok(a), Ok(b)) if a.cost + b.cost < whole.cost * WORTH_SPLITTING) {
+            return Ok(vec![(of, whole)]);
         }
-        Ok(whole) => {
-            let (a, b) = rayon::join(|| fit_of(ctx, members, &low), || fit_of(ctx, members, &high));
-            let cheaper = matches!((&a, &b), (Ok(a), Ok(b)) if a.cost + b.cost < whole.cost * WORTH_SPLITTING);
-            if !cheaper {
-                return Ok(vec![(of, whole)]);
-            }
-            let (a, b) = rayon::join(|| divide(ctx, members, low, Some(a)), || divide(ctx, members, high, Some(b)));
-            let mut a = a?;
-            a.extend(b?);
-            Ok(a)
-        }
+        (of_low, of_high) = (Some(a), Some(b));
     }
+    let (low, high) = rayon::join(|| divide(ctx, members, low, of_low), || divide(ctx, members, high, of_high));
+    let mut groups = low?;
+    groups.extend(high?);
+    Ok(groups)
 }
 
 /// Two halves along the longest axis of the members' middles; heights count double, as storeys see different things.
@@ -371,6 +364,11 @@ mod tests {
     };
     use ldi_protocol::camera::Frustum;
 
+    fn hall() -> (Cells, Directions) {
+        let (bounds, triangles) = strewn(1500, 33);
+        (Cells::new(bounds, triangles), Directions::new(60.0))
+    }
+
     /// Nine cells of eyes, 2 m wide, on one floor.
     fn members(ctx: &Context) -> Vec<Member> {
         let hull = |k: i32| {
@@ -389,9 +387,7 @@ mod tests {
     /// Both promises and coverage, by brute force over random eyes and directions.
     #[test]
     fn groups_keep_the_budget_and_show_all_that_they_replace() {
-        let (bounds, triangles) = strewn(1500, 33);
-        let cells = Cells::new(bounds, triangles);
-        let directions = Directions::new(60.0);
+        let (cells, directions) = hall();
         let ctx = Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default());
         let members = members(&ctx);
         let groups = group(&ctx, &members).map_err(|(m, e)| (m, e.needed)).expect("feasible");
@@ -462,9 +458,7 @@ mod tests {
 
     #[test]
     fn a_budget_that_nothing_meets_is_refused_with_the_need() {
-        let (bounds, triangles) = strewn(1500, 33);
-        let cells = Cells::new(bounds, triangles);
-        let directions = Directions::new(60.0);
+        let (cells, directions) = hall();
         let ctx = Context::new(&cells, &directions, &settings(40), 60.0, CostBenefit::default());
         let members = members(&ctx);
         assert!(feasible(&ctx, &members[4], 0.0).is_err());

@@ -6,7 +6,7 @@ use super::{
     model::{DirectionRange, ImagePlan, PlacementPlan},
     near_box::{Member, NearBox, face_basis},
     point::{Context, Image, centre, depths, tangents},
-    tiles::{Gazes, windows},
+    tiles::{gazes, windows},
 };
 use glam::DVec3;
 use ldi_protocol::{Aabb, ViewBasis};
@@ -45,7 +45,7 @@ pub(super) fn plan(ctx: &Context, image: &Image, grid_point: u32, grid_position:
     }
 }
 
-/// Most places in view cells that construction images are made from. More: fewer holes, at a twelfth of an image's time each.
+/// Most places in view cells that construction images are made from, as many as corners. By judgement; more: fewer holes, longer building.
 const MOST_EYES: usize = 8;
 
 /// The plan for a near box that `members` use.
@@ -55,7 +55,7 @@ pub(super) fn plan_box(ctx: &Context, near: &NearBox, members: &[&Member], grid_
     units.sort_unstable();
     units.dedup();
     let units: Vec<(u16, [f64; 2])> = units.into_iter().map(|u| (u, ctx.directions.unit(usize::from(u)).0)).collect();
-    let gazes = Gazes::new(ctx, members);
+    let gazes = gazes(ctx, members);
     // Those farthest from the centre of projection see the most that it does not.
     let mut eyes: Vec<DVec3> = members.iter().map(|m| m.eyes.centre()).collect();
     eyes.sort_by(|a, b| b.distance_squared(near.cop).total_cmp(&a.distance_squared(near.cop)));

@@ -12,51 +12,44 @@ use super::{
 use glam::DVec3;
 use ldi_protocol::Aabb;
 
-/// Edge of a raster square, pixels. Smaller: tighter windows, longer planning.
+/// Edge of a raster square, pixels. Smaller: tighter windows, longer planning. By judgement: a ninth of the picture's width or so.
 const SQUARE_PIXELS: f64 = 192.0;
 /// Rectangles larger than this are cut, pixels: the memory and time of one image stay bounded, and a client fetches what it looks at.
 const TILE_PIXELS: f64 = 3.0e6;
-/// A rectangle is cut where that leaves out more than this share of it.
+/// A rectangle is cut where that leaves out more than this share of it. By judgement: each cut costs an image.
 const WORTH_CUTTING: f64 = 0.25;
 /// Tiles and faces overlap by this many pixels each way, so that surfaces join across their borders.
 const OVERLAP_PIXELS: f64 = 2.0;
 /// Depths are taken together by powers of two of the face's distance; the last holds all that is farther.
 const OCTAVES: usize = 4;
 
-/// What eyes may look at: all eyes that use the box in one unit of directions, with the planes of their pictures.
-struct Gaze {
+/// All eyes that use a box in one unit of directions, with the planes of their pictures.
+pub(super) struct Gaze {
     planes: BinPlanes,
-    middle: DVec3,
-    half: DVec3,
+    eyes: Aabb,
 }
 
-impl Gaze {
-    fn all(ctx: &Context, members: &[&Member]) -> Vec<Self> {
-        let mut eyes = vec![Aabb::EMPTY; ctx.directions.units()];
-        for m in members {
-            m.units.iter().for_each(|u| eyes[usize::from(*u)] = eyes[usize::from(*u)].union(m.eyes));
-        }
-        let (tx, ty) = ctx.picture_tan;
-        let gaze = |(unit, eyes): (usize, &Aabb)| {
-            let (yaw, pitch) = ctx.directions.unit(unit);
-            Self { planes: BinPlanes::new(yaw, pitch, tx, ty), middle: eyes.centre(), half: eyes.size() * 0.5 }
-        };
-        eyes.iter().enumerate().filter(|(_, e)| !e.is_empty()).map(gaze).collect()
+/// Everything that members look at through their box's images.
+pub(super) fn gazes(ctx: &Context, members: &[&Member]) -> Vec<Gaze> {
+    let mut eyes = vec![Aabb::EMPTY; ctx.directions.units()];
+    for m in members {
+        m.units.iter().for_each(|u| eyes[usize::from(*u)] = eyes[usize::from(*u)].union(m.eyes));
     }
-
-    fn may_see(&self, b: &Aabb) -> bool {
-        let (w, h) = (b.centre() - self.middle, b.size() * 0.5 + self.half);
-        self.planes.behind(w, h, (w.abs() + h).length()) != Behind::Never
-    }
+    let (tx, ty) = ctx.picture_tan;
+    let gaze = |(unit, eyes): (usize, Aabb)| {
+        let (yaw, pitch) = ctx.directions.unit(unit);
+        Gaze { planes: BinPlanes::new(yaw, pitch, tx, ty), eyes }
+    };
+    eyes.into_iter().enumerate().filter(|(_, e)| !e.is_empty()).map(gaze).collect()
 }
 
 /// The windows of a face that hold something to see: left, right, bottom, top, overlap included.
-pub(super) fn windows(ctx: &Context, near: &NearBox, face: usize, gazes: &Gazes) -> Vec<[f64; 4]> {
+pub(super) fn windows(ctx: &Context, near: &NearBox, face: usize, gazes: &[Gaze]) -> Vec<[f64; 4]> {
     let Some(image) = &near.images[face] else { return Vec::new() };
     let pixels_per_unit = ctx.footprint.pixels_per_unit(image.scale);
     let mut raster = Raster::new(image.window, pixels_per_unit);
     raster.fill(ctx, near, &Cone::new(face, &near.distance), near.distance[face]);
-    raster.keep_seen(near.cop, face, &gazes.0);
+    raster.keep_seen(near.cop, face, gazes);
     let overlap = OVERLAP_PIXELS / pixels_per_unit;
     let mut out = Vec::new();
     raster.cover([0, raster.columns, 0, raster.rows], &mut |r| {
@@ -64,15 +57,6 @@ pub(super) fn windows(ctx: &Context, near: &NearBox, face: usize, gazes: &Gazes)
         out.push([l - overlap, right + overlap, b - overlap, t + overlap]);
     });
     out
-}
-
-/// Everything that eyes may look at.
-pub(super) struct Gazes(Vec<Gaze>);
-
-impl Gazes {
-    pub fn new(ctx: &Context, members: &[&Member]) -> Self {
-        Self(Gaze::all(ctx, members))
-    }
 }
 
 /// Squares of a face, with what lies behind each.
@@ -154,7 +138,7 @@ impl Raster {
     fn keep_seen(&mut self, cop: DVec3, face: usize, gazes: &[Gaze]) {
         for (needed, content) in self.needed.iter_mut().zip(&self.content) {
             let mut boxes = content.iter().filter(|b| !b.is_empty()).map(|b| Cone::world(face, b, cop));
-            *needed = boxes.any(|b| gazes.iter().any(|g| g.may_see(&b)));
+            *needed = boxes.any(|b| gazes.iter().any(|g| g.planes.show(&g.eyes, &b) != Behind::Never));
         }
     }
 
