@@ -4,8 +4,8 @@
 //! ([`Far`]). Out: the same frame, finished, and [`CompositeStats`].
 //!
 //! 1. **By depth** ([`composite`]): cells that were not culled can lie beside or behind the LDI's samples, so the two are
-//!    merged by disparity. Near geometry wins within one quantization step of the image's disparity codes plus half a
-//!    sample of the far surface's slope, so that surfaces that both hold do not flicker.
+//!    merged by disparity. Near geometry wins within one quantization step of the image's disparity codes, as nearly as those
+//!    know where the far surface is, and not beyond: a rug of the images must stay above the floor of the geometry.
 //! 2. **Sky**: a pixel that nothing reached is sky where no image knows of anything else in its direction. Sky lies at infinity, so
 //!    the lookup is a rotation. Without an LDI nothing was culled, and what is left is sky.
 //! 3. **Fill** (`fill`, optional): remaining holes take the colour of the nearest farther surface and are marked
@@ -275,26 +275,8 @@ impl<'a> Merge<'a> {
 
     /// Whether a triangle behind the far surface is as near as the far surface's disparity is known.
     fn near_wins(&self, row: usize, column: usize, near: f32, far: f32) -> bool {
-        let behind = far - near;
         let step = self.images.iter().map(|i| i.step(row, column, far)).fold(0.0, f64::max) as f32;
-        behind <= step || behind <= step + 0.5 * self.slope(row, column, far)
-    }
-
-    /// Disparity slope of the far surface per pixel, across plus down. Per axis the smaller one-sided difference: the
-    /// other may cross a silhouette.
-    fn slope(&self, row: usize, column: usize, here: f32) -> f32 {
-        let width = self.picture.width as usize;
-        let at = row * width + column;
-        let difference = |other: Option<usize>| {
-            let other = other.filter(|o| *o < self.picture.packed.len()).and_then(|o| self.picture.get(o));
-            other.map_or(f32::MAX, |(_, d)| (d - here).abs())
-        };
-        let left = difference((column > 0).then(|| at - 1));
-        let right = difference((column + 1 < width).then_some(at + 1));
-        let above = difference(at.checked_sub(width));
-        let below = difference(Some(at + width));
-        let known = |d: f32| if d == f32::MAX { 0.0 } else { d };
-        known(left.min(right)) + known(above.min(below))
+        far - near <= step
     }
 }
 

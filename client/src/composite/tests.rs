@@ -75,8 +75,9 @@ fn the_nearer_surface_wins_within_the_step() {
     }
 }
 
+/// A rug lies millimetres above its floor, and both are steep: less than half a pixel's slope apart.
 #[test]
-fn slope_gives_half_a_sample_of_tolerance() {
+fn steep_surfaces_get_no_more_tolerance_than_the_step() {
     let ldi = image("slanted");
     let pose = ahead();
     let picture = warped(&ldi, &pose);
@@ -84,10 +85,12 @@ fn slope_gives_half_a_sample_of_tolerance() {
     let here = picture.get(at).unwrap().1;
     let slope = (picture.get(at + 1).unwrap().1 - here).abs();
     assert!(slope > 1e-5);
-    for (share, near_wins) in [(0.4, true), (0.7, false)] {
+    for (share, near_wins) in [(-0.1, true), (0.05, false), (0.4, false), (0.7, false)] {
         let (frame, _) = with_step(&ldi, 1e-9, here - share * slope, &pose);
         assert_eq!(frame.source[at] == Source::Near, near_wins, "{share} of a pixel's slope behind");
     }
+    let (frame, _) = with_step(&ldi, f64::from(slope), here - 0.4 * slope, &pose);
+    assert_eq!(frame.source[at], Source::Near, "within the step");
 }
 
 #[test]
