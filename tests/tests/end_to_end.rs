@@ -243,6 +243,21 @@ fn the_audit_finds_no_violation() {
 }
 
 #[test]
+fn the_audit_counts_over_the_scene_and_tells_another_scene() {
+    let f = fixture();
+    let audit = |scene: &std::ffi::OsStr| {
+        let mut c = server(&["verify"]);
+        c.arg(&f.dataset).args(["--guarantee", "--poses", "500", "--scene"]).arg(scene);
+        outcome(&c.output().expect("runs"))
+    };
+    let (status, stderr) = audit(f.scene.as_os_str());
+    assert_eq!(status, Some(0), "{stderr}");
+    let (status, stderr) = audit("builtin:pipes?triangles=5000".as_ref());
+    assert_eq!(status, Some(42), "{stderr}");
+    assert!(stderr.contains("was not built from"), "{stderr}");
+}
+
+#[test]
 fn exit_codes_tell_usage_from_bad_input() {
     let out = folder("codes");
     let bad = out.join("bad.glb");

@@ -31,14 +31,15 @@ pub struct ImageFigures {
     /// Wall time of the stage.
     pub seconds: f64,
     /// Seconds of one thread per step, as in [`STEPS`].
-    pub step_seconds: [f64; 5],
+    pub step_seconds: [f64; 6],
 }
 
 /// Steps of making an image.
-pub const STEPS: [&str; 5] = ["central image", "construction images", "recast", "layers and colour", "encoding"];
+pub const STEPS: [&str; 6] =
+    ["sight", "central image", "construction images", "recast", "layers and colour", "encoding"];
 
 /// An image as it was made, and the time that its steps took.
-type Made = ((Kept, Vec<Vec<u8>>), [f64; 5]);
+type Made = ((Kept, Vec<Vec<u8>>), [f64; 6]);
 
 /// What is kept of an image besides its chunks.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
@@ -75,7 +76,7 @@ pub fn construct_all(
     // One image after the other leaves a core idle whenever one is encoded; rayon balances images and their rows alike.
     let all: Vec<(&[u32], &ImagePlan)> =
         plans.iter().flat_map(|p| p.images.iter().map(|i| (p.culled.as_slice(), i))).collect();
-    let made: Vec<Result<(Kept, Vec<Vec<u8>>, Option<[f64; 5]>), BuildError>> = all
+    let made: Vec<Result<(Kept, Vec<Vec<u8>>, Option<[f64; 6]>), BuildError>> = all
         .par_iter()
         .with_max_len(1)
         .enumerate()
@@ -125,7 +126,7 @@ fn one(
     let [left, right, bottom, top] = plan.window;
     if left >= right || bottom >= top {
         // The replaced cells lie in the planning square but in nobody's picture.
-        return Ok(((Kept::default(), Vec::new()), [0.0; 5]));
+        return Ok(((Kept::default(), Vec::new()), [0.0; 6]));
     }
     let made = construct::construct(caster, culled, plan, options).map_err(|source| BuildError::Construct {
         number,
@@ -139,8 +140,8 @@ fn one(
         stretch_p99_px: made.stats.stretch_p99_px,
         ..Kept::default()
     };
-    let [central, construction, recast, colour_and_layers] = made.stats.seconds;
-    let mut seconds = [central, construction, recast, colour_and_layers, 0.0];
+    let [sight, central, construction, recast, colour_and_layers] = made.stats.seconds;
+    let mut seconds = [sight, central, construction, recast, colour_and_layers, 0.0];
     if made.ldi.samples() == 0 {
         return Ok(((kept, Vec::new()), seconds));
     }
@@ -150,7 +151,7 @@ fn one(
     chunks.extend(ldi::encode_deeper(&made.ldi, colour, LEVEL).map_err(pack_error)?);
     kept.decoded_bytes = ldi::decoded_bytes(&made.ldi).map(|b| u32::try_from(b).unwrap_or(u32::MAX));
     kept.lengths = chunks.iter().map(|c| c.len() as u32).collect();
-    seconds[4] = start.elapsed().as_secs_f64();
+    seconds[5] = start.elapsed().as_secs_f64();
     Ok(((kept, chunks), seconds))
 }
 

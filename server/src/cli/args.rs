@@ -148,6 +148,10 @@ pub struct VerifyArgs {
     /// Audit frame cost and footprint by brute force.
     #[arg(long)]
     pub guarantee: bool,
+    /// Count the triangles of every cell over this scene, as for `build`, instead of over the dataset's list of them; a triangle in no
+    /// cell, in two, or outside of its cell is an error.
+    #[arg(long, requires = "guarantee")]
+    pub scene: Option<String>,
     /// Poses of the audit.
     #[arg(long, default_value_t = 100_000, requires = "guarantee")]
     pub poses: u64,

@@ -4,6 +4,7 @@ use super::Failure;
 use super::args::{BuildArgs, Command, InspectArgs, PlanArgs, RenderArgs, SceneArgs, ServeArgs, VerifyArgs};
 use super::progress::Stderr;
 use crate::build::{self, BuildError, BuildOptions, Progress as _};
+use crate::octree;
 use crate::placement::{self, PlacementError};
 use crate::render::{self, Caster};
 use crate::scene::{self, builtin};
@@ -153,8 +154,19 @@ fn verify(a: &VerifyArgs) -> Result<(), Failure> {
             a.dataset.display()
         ))
     })?;
-    let counts: Vec<u64> = ranges.iter().map(|cell| cell.iter().map(|r| u64::from(r.count)).sum()).collect();
     let index = dataset.index();
+    let counts: Vec<u64> = match &a.scene {
+        None => ranges.iter().map(|cell| cell.iter().map(|r| u64::from(r.count)).sum()).collect(),
+        Some(name) => {
+            let scene = scene::load(name).map_err(|e| Failure::of(e.is_permanent(), e))?;
+            let bounds: Vec<_> = index.cells.iter().map(|c| c.bounds).collect();
+            octree::recount(&scene, &ranges, &bounds)
+                .with_context(|| {
+                    format!("{} was not built from {name}, or the scene has changed since", a.dataset.display())
+                })
+                .map_err(Failure::permanent)?
+        }
+    };
     let camera_of = |image: u32| {
         let first = *index.images.get(image as usize)?.chunks.first()?;
         ldi_protocol::codec::ldi::decode_first(dataset.chunk(first)?).ok().map(|ldi| ldi.camera)

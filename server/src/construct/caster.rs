@@ -16,6 +16,17 @@ pub struct Facet {
     pub surface: u32,
 }
 
+/// What a ray meets first when nothing is transparent.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Met {
+    /// Nothing.
+    Nothing,
+    /// A cell that stays.
+    Stays,
+    /// A cell of the subset, at this depth, metres.
+    Replaced(f64),
+}
+
 /// Casts rays at the culled subset. Cells that are not culled are transparent to it.
 ///
 /// Directions have component 1 along the image's forward axis, so a hit's `t` is its depth in metres. A hit's `triangle` names a
@@ -25,6 +36,8 @@ pub trait SubsetCaster: Sync {
     const PLANAR: bool = true;
     /// The nearest hit of each ray within its `[t_min, t_max]`; both slices have one length.
     fn trace(&self, rays: &[Ray], hits: &mut [Option<Hit>]);
+    /// What each ray meets first of everything, cells that stay too; both slices have one length.
+    fn meet(&self, rays: &[Ray], met: &mut [Met]);
     /// The plane and the surface at a hit.
     fn facet(&self, ray: &Ray, hit: &Hit) -> Facet;
     /// Colour at a hit in linear light, textures filtered over the pixel.
@@ -35,11 +48,26 @@ pub trait SubsetCaster: Sync {
 pub(super) struct Subset<'a> {
     pub caster: &'a Caster,
     pub cells: CellSet,
+    /// The same, ascending.
+    pub culled: &'a [u32],
 }
 
 impl SubsetCaster for Subset<'_> {
     fn trace(&self, rays: &[Ray], hits: &mut [Option<Hit>]) {
         self.caster.trace_batch(rays, &self.cells, hits);
+    }
+
+    fn meet(&self, rays: &[Ray], met: &mut [Met]) {
+        let mut hits = vec![None; rays.len()];
+        self.caster.trace_batch(rays, &CellSet::all(), &mut hits);
+        for (met, hit) in met.iter_mut().zip(hits) {
+            let replaced = |h: &Hit| self.culled.binary_search(&self.caster.cell_of(h.triangle)).is_ok();
+            *met = match hit {
+                None => Met::Nothing,
+                Some(h) if replaced(&h) => Met::Replaced(h.t),
+                Some(_) => Met::Stays,
+            };
+        }
     }
 
     fn facet(&self, ray: &Ray, hit: &Hit) -> Facet {

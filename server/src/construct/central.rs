@@ -3,6 +3,7 @@
 use super::{
     caster::{Facet, SubsetCaster},
     sample::{self, Sample},
+    sight::Looked,
     view::{Lens, Rig},
 };
 use crate::render::{Hit, Ray, RayFootprint};
@@ -58,22 +59,29 @@ impl<'a, C: SubsetCaster> Surveyor<'a, C> {
     }
 }
 
-/// One ray per pixel centre from the centre of projection; disparity 0 where there is sky.
-pub(super) fn central_image<C: SubsetCaster>(caster: &C, rig: &Rig) -> Vec<Sample> {
-    let mut samples = vec![Sample::default(); rig.window.pixels()];
-    samples.par_chunks_mut(rig.window.width as usize).enumerate().for_each(|(row, out)| {
-        let first = row * rig.window.width as usize;
-        let rays: Vec<Ray> = (0..out.len()).map(|c| pixel_ray(rig, first + c, rig.near_m, f64::INFINITY)).collect();
-        let mut hits = vec![None; rays.len()];
-        caster.trace(&rays, &mut hits);
+/// One ray per pixel centre that is looked at, from the centre of projection: disparity 0 where there is sky, [`sample::UNSEEN`] where
+/// nobody looks. And the number of rays.
+pub(super) fn central_image<C: SubsetCaster>(caster: &C, rig: &Rig, looked: &Looked) -> (Vec<Sample>, u64) {
+    let width = rig.window.width as usize;
+    let unseen = Sample { disparity: sample::UNSEEN, ..Sample::default() };
+    let mut samples = vec![unseen; rig.window.pixels()];
+    let rays = samples.par_chunks_mut(width).enumerate().map(|(row, out)| {
         let mut surveyor = Surveyor::new(caster, &rig.lens);
-        for ((ray, hit), out) in rays.iter().zip(&hits).zip(out) {
-            if let Some(hit) = hit {
-                *out = surveyor.sample(ray, hit);
+        let mut count = 0;
+        for run in looked.runs(row, width) {
+            let ray = |column| pixel_ray(rig, row * width + column, rig.near_m, f64::INFINITY);
+            let rays: Vec<Ray> = run.clone().map(ray).collect();
+            let mut hits = vec![None; rays.len()];
+            caster.trace(&rays, &mut hits);
+            for ((ray, hit), out) in rays.iter().zip(&hits).zip(&mut out[run]) {
+                *out = hit.map_or_else(Sample::default, |hit| surveyor.sample(ray, &hit));
             }
+            count += rays.len() as u64;
         }
+        count
     });
-    samples
+    let rays = rays.sum();
+    (samples, rays)
 }
 
 /// The ray from the centre of projection through a pixel's centre.

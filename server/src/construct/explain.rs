@@ -18,7 +18,7 @@
 
 use super::{
     sample::{Sample, Tolerance},
-    view::{COARSENESS, ConstructionCamera, Rig, Window},
+    view::{COARSENESS, ConstructionCamera, Rig, View, Window},
 };
 
 /// Cells of curved surfaces do not quite meet; they are drawn larger by this many pixels. Larger hides thin holes,
@@ -38,7 +38,7 @@ impl Coarse {
         let to_middle = 0.5 * (COARSENESS - 1) as f32;
         let sample = |s: &Sample| {
             let change = to_middle * (s.gradient[0] + s.gradient[1]);
-            let disparity = if s.disparity > 0.0 { bounded(s, change) } else { 0.0 };
+            let disparity = if s.disparity > 0.0 { bounded(s, change) } else { s.disparity };
             Sample { disparity, gradient: s.gradient.map(|g| g * COARSENESS as f32), ..*s }
         };
         Self {
@@ -65,7 +65,7 @@ const BLOCK: usize = 3;
 /// The pixels of the construction camera that have to be traced.
 pub(super) fn unexplained(
     rig: &Rig,
-    camera: &ConstructionCamera,
+    View { camera, open }: &View,
     known: (&[Sample], &Coarse, &[(u32, Sample)]),
     tolerance: &Tolerance,
 ) -> Unexplained {
@@ -75,7 +75,9 @@ pub(super) fn unexplained(
     skin.draw_sky(central);
     skin.draw_known(coarse, deeper, tolerance);
     let width = camera.window.width as usize;
-    let states: Vec<State> = (0..pixels).map(|p| skin.state(p)).collect();
+    let closed = |p: usize| open.as_ref().is_some_and(|o| !o.holds(p % width, p / width));
+    let state = |p: usize| if closed(p) { State::Explained } else { skin.state(p) };
+    let states: Vec<State> = (0..pixels).map(state).collect();
     let first = first_pixels(&states, width);
     let mut found = Unexplained { first, states, width };
     for pixel in &found.first {
@@ -185,22 +187,14 @@ impl Skin<'_> {
             State::Explained
         } else if behind != 0 {
             State::Doubtful
-        } else if front != 0 || self.may_enter_window(pixel) {
+        } else if front != 0 || {
+            let (u, v) = self.camera.centre(pixel);
+            self.rig.may_hold(self.camera, u, v)
+        } {
             State::Hole
         } else {
             State::Explained
         }
-    }
-
-    /// Whether any point on the pixel's ray beyond the plane projects into the central window; what does not could not be stored.
-    fn may_enter_window(&self, pixel: usize) -> bool {
-        let (u, v) = self.camera.centre(pixel);
-        let back = self.camera.shift.reversed();
-        let (un, vn, _) = back.apply(u, v, 1.0 / self.camera.near_m);
-        let w = &self.rig.window;
-        let (l, t) = (f64::from(w.left), f64::from(w.top));
-        let (r, b) = (l + f64::from(w.width), t + f64::from(w.height));
-        !(u.max(un) < l || u.min(un) > r || v.max(vn) < t || v.min(vn) > b)
     }
 
     /// Sky keeps its directions.
@@ -430,8 +424,9 @@ fn raise(buffer: &mut [i32], entry: impl Fn(usize) -> i32) {
 /// Whether two neighbours of the central image leave something hidden between them.
 #[inline]
 fn torn(a: &Sample, b: &Sample, axis: usize, tolerance: &Tolerance) -> bool {
-    if a.disparity == 0.0 || b.disparity == 0.0 {
-        return a.disparity != b.disparity;
+    if a.disparity <= 0.0 || b.disparity <= 0.0 {
+        // Where nobody looks nothing is known, and the ray is traced for that.
+        return a.disparity.max(b.disparity) > 0.0 && a.disparity.min(b.disparity) == 0.0;
     }
     a.triangle != b.triangle && !tolerance.continuous(a, b, axis)
 }

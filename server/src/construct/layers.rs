@@ -135,6 +135,9 @@ pub(super) fn for_each_link(layer: &RawLayer, width: u32, mut f: impl FnMut(usiz
     }
 }
 
+/// Of no samples: any sound codes do.
+pub(super) const NO_CODES: DisparityCodes = DisparityCodes { smallest: 1.0, step: 1.0, largest_code: 1 };
+
 /// Disparity codes for all samples.
 pub(super) fn codes(rig: &Rig, layers: &[RawLayer]) -> DisparityCodes {
     let (mut smallest, mut largest) = (f32::INFINITY, 0.0_f32);
@@ -143,8 +146,7 @@ pub(super) fn codes(rig: &Rig, layers: &[RawLayer]) -> DisparityCodes {
         largest = largest.max(s.1.disparity);
     }
     if largest == 0.0 {
-        // No samples: any sound codes do.
-        return DisparityCodes { smallest: 1.0, step: 1.0, largest_code: 1 };
+        return NO_CODES;
     }
     rig.codes(f64::from(smallest), f64::from(largest))
 }

@@ -34,7 +34,7 @@ pub(super) enum Seen {
 
 /// Everything known of the image so far.
 pub(super) struct Known {
-    /// Row-major; disparity 0 is sky.
+    /// Row-major; disparity 0 is sky, [`sample::UNSEEN`] where nobody looks.
     pub central: Vec<Sample>,
     /// By pixel, then nearest first; all behind the central sample.
     pub deeper: Vec<Prediction>,
@@ -61,8 +61,8 @@ impl Known {
     /// Whether a prediction is the same piece of surface as something in its pixel.
     pub fn has(&self, p: &Prediction, tolerance: &Tolerance) -> bool {
         let central = &self.central[p.0 as usize];
-        // Nothing can be found on a ray that hit nothing, or before its first hit.
-        central.disparity == 0.0
+        // Nothing can be found on a ray that hit nothing, or before its first hit; nor is anything wanted where nobody looks.
+        central.disparity <= 0.0
             || tolerance.same(central, &p.1)
             || self.behind(p.0).iter().any(|d| tolerance.same(&d.1, &p.1))
     }

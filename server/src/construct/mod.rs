@@ -6,10 +6,9 @@
 //! Aliaga and Lastra 1999, section 4.1: one central image from the centre of projection, four construction images on the vectors to the
 //! midpoints of the quadrilateral's edges, four mirrored behind it, merged nearest first. What was changed:
 //!
-//! - The centre of projection is the middle of the users' box, and construction cameras stand in its corners, from where eyes see
-//!   furthest around things, and in up to eight places where eyes stand: from a corridor one sees along it, from the corners of a box
-//!   around it not. On the clinic the four corners nearest the plane find 0.069 new samples per pixel and the other four 0.019; the
-//!   paper's two times four found 0.035 and 0.011.
+//! - The centre of projection is the middle of the users' box. Where eyes stand is known with view cells: rays from there find what shows past the
+//!   cells that stay, and the image holds that alone (`sight`); construction cameras stand where they see most that the central image does not.
+//!   With the paper's grid they stand in the corners of the users' box.
 //! - Construction cameras have a quarter of the pixels: what they find is cast again at full resolution.
 //! - A construction camera traces only what the central image cannot explain (`explain`): rays that meet known
 //!   surfaces through known emptiness bring nothing new. That is nine tenths of them.
@@ -29,12 +28,13 @@ mod layers;
 mod merge;
 mod quality;
 mod sample;
+mod sight;
 mod view;
 
 #[cfg(test)]
 mod tests;
 
-pub use caster::{Facet, SubsetCaster};
+pub use caster::{Facet, Met, SubsetCaster};
 
 use crate::{placement::ImagePlan, render::Caster};
 use caster::Subset;
@@ -42,8 +42,9 @@ use ldi_protocol::{OutputCamera, ldi::Ldi};
 use merge::{Known, Seen};
 use rayon::prelude::*;
 use sample::Tolerance;
+use sight::Sight;
 use std::time::Instant;
-use view::Rig;
+use view::{Rig, View};
 
 /// Settings of construction.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -88,6 +89,8 @@ pub enum ConstructError {
 /// Rays cast, by step.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub struct RayCounts {
+    /// From eyes, to find what of the image they see.
+    pub sight: u64,
     /// Central image.
     pub central: u64,
     /// Construction images.
@@ -103,7 +106,7 @@ pub struct RayCounts {
 impl RayCounts {
     /// All of them.
     pub fn total(&self) -> u64 {
-        self.central + self.construction + self.recast + self.ring + self.colour
+        self.sight + self.central + self.construction + self.recast + self.ring + self.colour
     }
 }
 
@@ -132,14 +135,14 @@ pub struct ConstructStats {
     pub footprint_seen_px: f64,
     /// Bound on the error that rounding disparity causes, output pixels.
     pub quantization_error_px: f64,
-    /// Seconds: central, construction, recast, colour and coding.
-    pub seconds: [f64; 4],
+    /// Seconds: sight, central, construction, recast, colour and coding.
+    pub seconds: [f64; 5],
 }
 
 /// An image and its figures.
 #[derive(Debug, Clone)]
 pub struct Constructed {
-    /// The image; passes [`Ldi::check`].
+    /// The image, cut to what eyes see of it; passes [`Ldi::check`], unless it has no layers, as nobody sees anything of it.
     pub ldi: Ldi,
     /// Figures.
     pub stats: ConstructStats,
@@ -155,7 +158,7 @@ pub fn construct(
     plan: &ImagePlan,
     options: &ConstructOptions,
 ) -> Result<Constructed, ConstructError> {
-    let subset = Subset { caster, cells: caster.cell_set(culled) };
+    let subset = Subset { caster, cells: caster.cell_set(culled), culled };
     construct_subset(&subset, plan, options)
 }
 
@@ -168,24 +171,40 @@ pub fn construct_subset<C: SubsetCaster>(
     plan: &ImagePlan,
     options: &ConstructOptions,
 ) -> Result<Constructed, ConstructError> {
-    let rig = Rig::new(plan, &options.output, options.max_pixels)?;
+    let mut rig = Rig::new(plan, &options.output, options.max_pixels)?;
     let tolerance = Tolerance { step: rig.step() as f32 };
     let mut stats = ConstructStats::default();
     let started = Instant::now();
 
-    let central = central::central_image(caster, &rig);
-    stats.rays.central = central.len() as u64;
+    let sight =
+        if plan.eyes.is_empty() { Ok(Sight::everywhere(&rig)) } else { Sight::of(caster, &mut rig, &plan.eyes) };
+    let after_sight = Instant::now();
+    stats.seconds[0] = (after_sight - started).as_secs_f64();
+    let sight = match sight {
+        Ok(sight) => sight,
+        Err(rays) => {
+            stats.rays.sight = rays;
+            let ldi = Ldi { camera: rig.ldi_camera(), codes: layers::NO_CODES, layers: vec![], sky: vec![] };
+            return Ok(Constructed { ldi, stats });
+        }
+    };
+    stats.rays.sight = sight.rays;
+
+    let (central, rays) = central::central_image(caster, &rig, &sight.looked);
+    stats.rays.central = rays;
     let mut sky = sky_of(&central, &rig);
     let mut known = Known::new(central, rig.window.width);
     let after_central = Instant::now();
 
     let mut recast_seconds = 0.0;
     let coarse = explain::Coarse::new(&known.central, rig.window.width as usize);
-    for round in &rig.rounds {
+    let rounds =
+        if plan.eyes.is_empty() { rig.corner_cameras() } else { sight.cameras(&rig, &known.central, &tolerance) };
+    for round in &rounds {
         let seen: Vec<(Vec<Seen>, [u64; 2])> =
-            round.par_iter().map(|camera| look(caster, &rig, camera, &known, &coarse, &tolerance)).collect();
+            round.par_iter().map(|view| look(caster, &rig, view, &known, &coarse, &tolerance)).collect();
         let mut predictions = Vec::new();
-        for (camera, (seen, share)) in round.iter().zip(seen) {
+        for (View { camera, .. }, (seen, share)) in round.iter().zip(seen) {
             stats.rays.construction += share[0];
             stats.unexplained.push(share);
             for s in seen {
@@ -228,8 +247,13 @@ pub fn construct_subset<C: SubsetCaster>(
     stats.samples_by_layer = layers.iter().map(|l| l.len() as u32).collect();
     stats.sky_pixels = sky.iter().map(|w| u64::from(w.count_ones())).sum();
     let construction = (after_merge - after_central).as_secs_f64() - recast_seconds;
-    stats.seconds =
-        [(after_central - started).as_secs_f64(), construction, recast_seconds, after_merge.elapsed().as_secs_f64()];
+    stats.seconds = [
+        stats.seconds[0],
+        (after_central - after_sight).as_secs_f64(),
+        construction,
+        recast_seconds,
+        after_merge.elapsed().as_secs_f64(),
+    ];
     let ldi = Ldi { camera: rig.ldi_camera(), codes, layers, sky };
     debug_assert_eq!(ldi.check(), Ok(()));
     Ok(Constructed { ldi, stats })
@@ -239,12 +263,13 @@ pub fn construct_subset<C: SubsetCaster>(
 fn look<C: SubsetCaster>(
     caster: &C,
     rig: &Rig,
-    camera: &view::ConstructionCamera,
+    view: &View,
     known: &Known,
     coarse: &explain::Coarse,
     tolerance: &Tolerance,
 ) -> (Vec<Seen>, [u64; 2]) {
-    let mut unexplained = explain::unexplained(rig, camera, (&known.central, coarse, &known.deeper), tolerance);
+    let camera = &view.camera;
+    let mut unexplained = explain::unexplained(rig, view, (&known.central, coarse, &known.deeper), tolerance);
     let mut pixels = std::mem::take(&mut unexplained.first);
     let (mut all, mut open) = (Vec::new(), Vec::new());
     while !pixels.is_empty() {

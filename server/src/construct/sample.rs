@@ -11,7 +11,7 @@ use glam::DVec3;
 /// A sample at a pixel centre, or a hit on its way to become one.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Sample {
-    /// 1 / depth, 1/m. 0: nothing here (in the central image: sky).
+    /// 1 / depth, 1/m. 0: nothing here (in the central image: sky); [`UNSEEN`]: nobody looks here.
     pub disparity: f32,
     /// Change of disparity per column and per row along the surface.
     pub gradient: [f32; 2],
@@ -24,6 +24,9 @@ pub(super) struct Sample {
     /// The colour is filtered over the pixel already.
     pub filtered: bool,
 }
+
+/// The disparity of a pixel of the central image that no eye looks at: nothing is known of it.
+pub(super) const UNSEEN: f32 = -1.0;
 
 /// Largest change of disparity per pixel that is believed, relative to the disparity. A steeper surface is seen
 /// so nearly edge-on that its next pixel says nothing; a larger value lets such planes explain whatever lies behind them.

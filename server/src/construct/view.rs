@@ -9,7 +9,7 @@
 //!
 //! which is McMillan's equation with P2 = P1; directions (d = 0) keep their coordinates, so sky is one bit for all eyes.
 
-use super::ConstructError;
+use super::{ConstructError, sight::Open};
 use crate::placement::ImagePlan;
 use glam::{DVec2, DVec3};
 use ldi_protocol::{
@@ -82,6 +82,11 @@ impl Window {
     pub fn pixels(&self) -> usize {
         self.width as usize * self.height as usize
     }
+    /// The larger of the distances by which absolute coordinates lie beside and above or below it; 0 inside.
+    pub fn distance(&self, u: f64, v: f64) -> f64 {
+        let beyond = |x: f64, first: i32, n: u32| (f64::from(first) - x).max(x - f64::from(first) - f64::from(n));
+        beyond(u, self.left, self.width).max(beyond(v, self.top, self.height)).max(0.0)
+    }
     /// Absolute coordinates of a pixel's centre.
     #[inline]
     pub fn centre(&self, pixel: usize) -> (f64, f64) {
@@ -125,6 +130,13 @@ pub(super) struct ConstructionCamera {
     pub near_m: f64,
 }
 
+/// A construction camera, and where in its picture it may see something of the image; None: anywhere.
+#[derive(Debug, Clone)]
+pub(super) struct View {
+    pub camera: ConstructionCamera,
+    pub open: Option<Open>,
+}
+
 /// Tangents (left, right, top, bottom; downward positive) that the users' pictures reach, measured on the image's orientation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Reach {
@@ -140,9 +152,6 @@ pub(super) struct Rig {
     pub window: Window,
     /// Depth from the centre of projection before which nothing of the subset lies.
     pub near_m: f64,
-    /// Rounds of construction cameras: the four corners of the users' box nearest the plane, the other four, then places where
-    /// eyes stand.
-    pub rounds: Vec<Vec<ConstructionCamera>>,
     /// Corners of the users' box, (right, up, forward) from the centre of projection.
     pub user_offsets: [DVec3; 8],
     pub reach: Reach,
@@ -179,33 +188,38 @@ impl Rig {
         let near_m = plan.plane_distance * (1.0 - PLANE_SLACK);
         let user_offsets = plan.users.corners().map(|c| lens.in_basis(c - plan.cop));
         let reach = Reach::of(plan, output);
-        let mut rig = Self {
+        Ok(Self {
             lens,
             cop: plan.cop,
             window,
             near_m,
-            rounds: Vec::new(),
             user_offsets,
             reach,
             parallax_bound: parallax_bound(&user_offsets, near_m, output),
-        };
-        // Those nearest the plane first: eyes there see furthest around things.
-        let mut corners = user_offsets;
+        })
+    }
+
+    /// Rounds of construction cameras for eyes that may be anywhere in the users' box: the four corners nearest the plane, from where eyes
+    /// see furthest around things, then the other four.
+    pub fn corner_cameras(&self) -> Vec<Vec<View>> {
+        let mut corners = self.user_offsets;
         corners.sort_by(|a, b| b.z.total_cmp(&a.z));
-        for half in corners.chunks_exact(4) {
-            rig.rounds.push(half.iter().filter_map(|c| rig.camera_at(*c * WITHIN_USERS)).collect());
-        }
-        for some in plan.eyes.chunks(4) {
-            rig.rounds.push(some.iter().filter_map(|e| rig.camera_at(rig.lens.in_basis(*e - rig.cop))).collect());
-        }
-        Ok(rig)
+        // At the centre nothing new is seen.
+        let apart = |half: &[DVec3]| {
+            half.iter()
+                .filter(|c| c.length() >= 1e-4 * self.near_m)
+                .filter_map(|c| self.camera_at(*c * WITHIN_USERS))
+                .map(|camera| View { camera, open: None })
+                .collect()
+        };
+        corners.chunks_exact(4).map(apart).collect()
     }
 
     /// The camera at an offset; None where its picture holds nothing that a user may look at.
     pub fn camera_at(&self, offset: DVec3) -> Option<ConstructionCamera> {
         let near_m = self.near_m - offset.z;
-        // Closer to the plane than this, its picture of the plane is without bounds; and at the centre it sees nothing new.
-        if near_m < 0.05 * self.near_m || offset.length() < 1e-4 * self.near_m {
+        // Closer to the plane than this, its picture of the plane is without bounds.
+        if near_m < 0.05 * self.near_m {
             return None;
         }
         let shift = Shift::new(&self.lens, offset);
@@ -249,6 +263,15 @@ impl Rig {
             beyond[3] &= py > self.reach.v[1] * w;
         }
         beyond == [false; 4]
+    }
+
+    /// Whether any point on a camera's ray beyond the plane projects into the window; what does not could not be stored.
+    pub fn may_hold(&self, camera: &ConstructionCamera, u: f64, v: f64) -> bool {
+        let (un, vn, _) = camera.shift.reversed().apply(u, v, 1.0 / camera.near_m);
+        let w = &self.window;
+        let (l, t) = (f64::from(w.left), f64::from(w.top));
+        let (r, b) = (l + f64::from(w.width), t + f64::from(w.height));
+        !(u.max(un) < l || u.min(un) > r || v.max(vn) < t || v.min(vn) > b)
     }
 
     pub fn ldi_camera(&self) -> LdiCamera {

@@ -12,11 +12,13 @@ mod check;
 mod cluster;
 mod model;
 mod ranges;
+mod recount;
 mod tree;
 
 pub use check::OctreeFault;
 pub use model::{Cell, Clusters, Octree, SourceCluster};
 pub use ranges::SourceRange;
+pub use recount::{RecountError, recount};
 
 #[cfg(test)]
 mod tests;

@@ -104,6 +104,35 @@ proptest! {
         }
         prop_assert!(left.is_empty(), "{} triangles in no cell", left.len());
     }
+
+    #[test]
+    fn recounting_finds_what_is_wrong(seed: u64, triangles in 60usize..600) {
+        let scene = scene(seed, triangles, 4);
+        let clusters = Clusters::build(&scene);
+        let octree = Octree::build(&scene, &clusters, 20_000);
+        let ranges: Vec<_> = (0..octree.cells.len()).map(|c| octree.ranges(&scene, &clusters, c)).collect();
+        let bounds: Vec<Aabb> = octree.cells.iter().map(|c| c.bounds).collect();
+        let counts: Vec<u64> = octree.cells.iter().map(|c| u64::from(c.triangles)).collect();
+        prop_assert_eq!(recount(&scene, &ranges, &bounds), Ok(counts));
+        let number = (seed % ranges.len() as u64) as usize;
+        let changed = |change: &dyn Fn(&mut Vec<SourceRange>)| {
+            let mut ranges = ranges.clone();
+            change(&mut ranges[number]);
+            recount(&scene, &ranges, &bounds).unwrap_err()
+        };
+        let twice = changed(&|r| r.push(r[0]));
+        prop_assert!(matches!(twice, RecountError::Twice { cell, .. } if cell == number), "{twice}");
+        let gone = changed(&|r| { r.pop(); });
+        prop_assert!(matches!(gone, RecountError::Missing(_)), "{gone}");
+        let beyond = changed(&|r| r[0].count = u32::MAX);
+        prop_assert!(matches!(beyond, RecountError::NotThere { .. }), "{beyond}");
+        let nobody = changed(&|r| r[0].node += 1000);
+        prop_assert!(matches!(nobody, RecountError::NotThere { .. }), "{nobody}");
+        let mut small = bounds.clone();
+        small[number] = Aabb { min: bounds[number].max, max: bounds[number].max };
+        let outside = recount(&scene, &ranges, &small).unwrap_err();
+        prop_assert!(matches!(outside, RecountError::Outside { cell, .. } if cell == number), "{outside}");
+    }
 }
 
 #[test]

@@ -381,8 +381,8 @@ mod tests {
     fn the_certified_users_hold_every_eye_that_selects_the_point() {
         let model = Aabb { min: DVec3::ZERO, max: DVec3::new(8.0, 4.0, 8.0) };
         let mut lattice = Lattice::new(&model, 4.0);
-        lattice.subdivide(150);
-        lattice.subdivide(171);
+        lattice.subdivide(150, true);
+        lattice.subdivide(171, true);
         let points: Vec<DVec3> = (0..lattice.points.len()).map(|i| lattice.position(i)).collect();
         let runs: Vec<Vec<[u16; 2]>> =
             (0..64u16).map(|c| if c % 5 == 0 { vec![] } else { vec![[8, 17 + c % 3]] }).collect();
@@ -430,7 +430,7 @@ mod tests {
         let positions = |l: &Lattice| (0..l.points.len()).map(|i| l.position(i)).collect::<Vec<_>>();
         let mut coverage = Coverage::new(&tree, &directions, T, 4.0);
         coverage.certify(&positions(&lattice)).unwrap();
-        lattice.subdivide(171);
+        lattice.subdivide(171, true);
         let again = coverage.certify(&positions(&lattice)).unwrap();
         let fresh = Coverage::new(&tree, &directions, T, 4.0).certify(&positions(&lattice)).unwrap();
         for (a, b) in again.iter().zip(&fresh) {

@@ -53,6 +53,21 @@ impl EyeTree {
         at
     }
 
+    /// The single boxes for which `wanted` holds, as it must for whatever holds one of them.
+    pub fn leaves_touching(&self, wanted: impl Fn(&Aabb) -> bool) -> Vec<Aabb> {
+        let mut out = Vec::new();
+        let mut stack = if self.nodes.is_empty() { vec![] } else { vec![0] };
+        while let Some(n) = stack.pop() {
+            let node = &self.nodes[n as usize];
+            match node.children {
+                _ if !wanted(&node.bounds) => {}
+                Some([a, b]) => stack.extend([b, a]),
+                None => out.push(node.bounds),
+            }
+        }
+        out
+    }
+
     /// Nodes no larger than `edge_m`, or single boxes, that together hold all eyes.
     pub fn blocks(&self, edge_m: f64) -> Vec<u32> {
         let mut out = Vec::new();

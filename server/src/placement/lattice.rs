@@ -88,12 +88,16 @@ impl Lattice {
         at
     }
 
-    /// Subdivides a point by one level, then its neighbours as the neighbour rule asks. False: at the deepest level already.
-    pub fn subdivide(&mut self, point: u32) -> bool {
+    /// Subdivides a point by one level; then, if `graded`, its neighbours as the neighbour rule asks, which reverse frusta need and view
+    /// cells do not. False: at the deepest level already.
+    pub fn subdivide(&mut self, point: u32, graded: bool) -> bool {
         if self.points[point as usize].level >= DEEPEST {
             return false;
         }
         let mut touched = self.split(point);
+        if !graded {
+            return true;
+        }
         while let Some(p) = touched.pop() {
             for q in self.too_coarse_beside(p) {
                 touched.extend(self.split(q));
@@ -209,7 +213,7 @@ mod tests {
         for level in 0..2 {
             for p in 0..l.points.len() as u32 {
                 if l.points[p as usize].level == level {
-                    l.subdivide(p);
+                    l.subdivide(p, true);
                 }
             }
         }
@@ -229,7 +233,7 @@ mod tests {
                 let mut p = pick.index(l.points.len()) as u32;
                 // Keep going down near the same place, to force a steep gradient.
                 for _ in 0..3 {
-                    prop_assert!(l.subdivide(p));
+                    prop_assert!(l.subdivide(p, true));
                     p = (p + 1) % l.points.len() as u32;
                 }
             }

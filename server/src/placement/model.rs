@@ -57,7 +57,8 @@ pub struct ImagePlan {
     pub window: [f64; 4],
     /// Box of all eyes that may use it.
     pub users: Aabb,
-    /// Places inside that box where eyes stand: construction images are made from there, and from the box's corners.
+    /// Places inside that box where eyes stand, spread over all of them: what they see of the replaced cells is what the image holds. Empty: anywhere
+    /// in the box, and past cells that stay as if they were not there.
     pub eyes: Vec<DVec3>,
     /// The directions from which they do; disjoint but for borders.
     pub directions: Vec<DirectionRange>,

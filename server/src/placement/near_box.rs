@@ -358,6 +358,7 @@ mod tests {
         CostBenefit,
         bands::Directions,
         cells::Cells,
+        eye_tree::EyeTree,
         model::PlacementPlan,
         plan::plan_box,
         test_scenes::{Random, settings, strewn},
@@ -400,7 +401,13 @@ mod tests {
         let plans: Vec<PlacementPlan> = groups
             .iter()
             .map(|(list, near)| {
-                plan_box(&ctx, near, &list.iter().map(|m| &members[*m as usize]).collect::<Vec<_>>(), 0)
+                plan_box(
+                    &ctx,
+                    &EyeTree::default(),
+                    near,
+                    &list.iter().map(|m| &members[*m as usize]).collect::<Vec<_>>(),
+                    0,
+                )
             })
             .collect();
         for ((_, near), plan) in groups.iter().zip(&plans) {

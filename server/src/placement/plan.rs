@@ -2,6 +2,7 @@
 
 use super::{
     bands::YAW_BIN_DEG,
+    eye_tree::EyeTree,
     hull::EyeHull,
     model::{DirectionRange, ImagePlan, PlacementPlan},
     near_box::{Member, NearBox, face_basis},
@@ -45,21 +46,24 @@ pub(super) fn plan(ctx: &Context, image: &Image, grid_point: u32, grid_position:
     }
 }
 
-/// Most places in view cells that construction images are made from, as many as corners. By judgement; more: fewer holes, longer building.
-const MOST_EYES: usize = 8;
+/// Most places that images are made from. By judgement; more: fewer holes, longer building.
+const MOST_EYES: usize = 256;
 
 /// The plan for a near box that `members` use.
-pub(super) fn plan_box(ctx: &Context, near: &NearBox, members: &[&Member], grid_point: u32) -> PlacementPlan {
+pub(super) fn plan_box(
+    ctx: &Context,
+    tree: &EyeTree,
+    near: &NearBox,
+    members: &[&Member],
+    grid_point: u32,
+) -> PlacementPlan {
     let users = members.iter().fold(Aabb::EMPTY, |b, m| b.union(m.eyes));
     let mut units: Vec<u16> = members.iter().flat_map(|m| m.units.iter().copied()).collect();
     units.sort_unstable();
     units.dedup();
     let units: Vec<(u16, [f64; 2])> = units.into_iter().map(|u| (u, ctx.directions.unit(usize::from(u)).0)).collect();
     let gazes = gazes(ctx, members);
-    // Those farthest from the centre of projection see the most that it does not.
-    let mut eyes: Vec<DVec3> = members.iter().map(|m| m.eyes.centre()).collect();
-    eyes.sort_by(|a, b| b.distance_squared(near.cop).total_cmp(&a.distance_squared(near.cop)));
-    eyes.truncate(MOST_EYES);
+    let eyes = spread(&standing(tree, members), near.cop);
     let mut images = Vec::new();
     for (face, image) in near.images.iter().enumerate() {
         let Some(image) = image else { continue };
@@ -90,6 +94,30 @@ pub(super) fn plan_box(ctx: &Context, near: &NearBox, members: &[&Member], grid_
     }
     let footprint_px = images.iter().map(|i| i.footprint_px).fold(0.0, f64::max);
     PlacementPlan { grid_point, cop: near.cop, culled: near.culled.iter().collect(), users, footprint_px, images }
+}
+
+/// Where members' eyes may stand: in every box of the walk volume, lowest and highest.
+fn standing(tree: &EyeTree, members: &[&Member]) -> Vec<DVec3> {
+    let mut out = Vec::new();
+    for leaf in tree.leaves_touching(|b| members.iter().any(|m| m.eyes.intersects(b))) {
+        let c = leaf.centre();
+        out.extend([leaf.min.y, leaf.max.y].map(|y| DVec3::new(c.x, y, c.z)));
+    }
+    out
+}
+
+/// Up to [`MOST_EYES`] of `places`, each as far as can be from `centre` and from those before it: what they see differs most.
+fn spread(places: &[DVec3], centre: DVec3) -> Vec<DVec3> {
+    let mut apart: Vec<f64> = places.iter().map(|p| p.distance_squared(centre)).collect();
+    let mut out = Vec::new();
+    while out.len() < MOST_EYES.min(places.len()) {
+        // Of equals the first.
+        let farthest = (1..places.len()).fold(0, |best, i| if apart[i] > apart[best] { i } else { best });
+        let eye = places[farthest];
+        out.push(eye);
+        apart.iter_mut().zip(places).for_each(|(a, p)| *a = a.min(p.distance_squared(eye)));
+    }
+    out
 }
 
 /// The units of an image as direction ranges; neighbouring yaw bins of a band are joined.
@@ -162,4 +190,35 @@ pub(super) fn steepest(ctx: &Context, basis: &ViewBasis, units: &[(u16, [f64; 2]
         }
     }
     Some(steepest + WINDOW_MARGIN * (1.0 + steepest * steepest))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ldi_protocol::volume::WalkVolume;
+
+    #[test]
+    fn eyes_stand_where_their_view_cell_is_and_apart() {
+        let runs: Vec<Vec<[u16; 2]>> = (0..400).map(|_| vec![[0, 9]]).collect();
+        let cut = Aabb { min: DVec3::ZERO, max: DVec3::new(10.0, 0.0, 10.0) };
+        let volume = WalkVolume::new(DVec3::ZERO, 0.5, 0.1, [20, 20], &runs, &cut).unwrap();
+        let tree = EyeTree::new(&volume);
+        let eyes = Aabb { min: DVec3::new(2.1, 0.0, 2.1), max: DVec3::new(5.9, 0.9, 3.4) };
+        let places: Vec<DVec3> = tree
+            .leaves_touching(|b| eyes.intersects(b))
+            .iter()
+            .flat_map(|b| [b.min.y, b.max.y].map(|y| DVec3::new(b.centre().x, y, b.centre().z)))
+            .collect();
+        assert_eq!(places.len(), 8 * 3 * 2, "the boxes of the volume that it touches, lowest and highest");
+        let some = spread(&places, eyes.centre());
+        assert_eq!(some.len(), places.len().min(MOST_EYES));
+        let apart = |all: &[DVec3]| {
+            let pairs = all.iter().enumerate().flat_map(|(i, a)| all[..i].iter().map(|b| a.distance(*b)));
+            pairs.fold(f64::INFINITY, f64::min)
+        };
+        // The corners come first; no two are closer than boxes are.
+        assert!(apart(&some[..4]) > 1.0 && apart(&some) >= 0.5);
+        assert_eq!(spread(&places[..3], eyes.centre()).len(), 3);
+        assert!(spread(&[], DVec3::ZERO).is_empty());
+    }
 }

@@ -54,6 +54,9 @@ fn hole_fraction(scene: &Analytic, ldi: &Ldi, plan: &ImagePlan) -> f64 {
         let (u, v) = (random.within([0.0, 160.0]), random.within([0.0, 120.0]));
         let direction = OUTPUT.ray(&basis, u, v);
         let Some(&(t, _, n)) = scene.all_hits(eye, direction).first() else { continue };
+        if scene.first_stays(eye, direction) {
+            continue;
+        }
         let (u, v, d) = ldi.camera.project(eye + direction * t).expect("before the eye");
         let inside =
             u >= 1.0 && v >= 1.0 && u < f64::from(ldi.camera.width - 1) && v < f64::from(ldi.camera.height - 1);
@@ -268,6 +271,67 @@ fn pruning_loses_nothing_that_a_user_sees() {
     assert!(pruned > 20_000, "the test can fail: {pruned} of random points are beyond reach");
     plan.directions[0].yaw_deg = [0.0, 180.0];
     assert_eq!(Reach::of(&plan, &OUTPUT).u[0], f64::NEG_INFINITY);
+}
+
+/// `room`, seen through the door and the window of a wall that stays.
+fn next_door() -> Analytic {
+    let wall = |hole| Analytic::default().rect([-30.0, -30.0, -5.0], [60.0, 0.0, 0.0], [0.0, 60.0, 0.0], hole, GREY);
+    room().behind(wall(Some([0.49, 0.51, 0.47, 0.52])))
+}
+
+/// The plan of an image with these eyes spread over its users' box.
+fn plan_with_eyes(count: usize) -> ImagePlan {
+    let mut plan = plan(9.0, [0.6, 0.2, 0.4]);
+    // As wide as real images are, in squares of the raster.
+    plan.pixels_per_unit *= 3.0;
+    let mut random = Random(11);
+    plan.eyes = plan.users.corners().into_iter().chain((8..count).map(|_| random.inside(&plan.users))).collect();
+    plan
+}
+
+#[test]
+fn what_stays_hides_and_what_shows_past_it_is_there() {
+    let plan = plan_with_eyes(256);
+    let scene = next_door();
+    let behind = made(&scene, &plan);
+    let holes = hole_fraction(&scene, &behind.ldi, &plan);
+    assert!(holes < 0.003, "{holes}");
+    let open = made(&room(), &plan);
+    assert!(hole_fraction(&room(), &open.ldi, &plan) < 0.003);
+    assert!(behind.ldi.samples() > 500, "something shows");
+    assert!(behind.ldi.samples() * 2 < open.ldi.samples(), "{} of {}", behind.ldi.samples(), open.ldi.samples());
+    assert!(behind.stats.rays.total() * 2 < open.stats.rays.total(), "{:?} of {:?}", behind.stats, open.stats);
+    // One eye alone overlooks what others see.
+    let one = ImagePlan { eyes: vec![DVec3::new(0.6, 0.0, 0.4)], ..plan.clone() };
+    let missing = hole_fraction(&scene, &made(&scene, &one).ldi, &plan);
+    assert!(missing > 0.05, "{missing}");
+}
+
+#[test]
+fn samples_lie_where_they_would_without_what_stays() {
+    let plan = plan_with_eyes(12);
+    let (behind, open) = (made(&next_door(), &plan).ldi, made(&room(), &plan).ldi);
+    let shift = (behind.camera.left - open.camera.left, behind.camera.top - open.camera.top);
+    let all: std::collections::BTreeMap<(i64, i64), Vec<f64>> =
+        samples(&open).into_iter().fold(Default::default(), |mut all, s| {
+            all.entry((s.1, s.2)).or_insert_with(Vec::new).push(s.3);
+            all
+        });
+    let found = samples(&behind);
+    let same = found.iter().filter(|s| {
+        let here = all.get(&(s.1 + i64::from(shift.0), s.2 + i64::from(shift.1)));
+        here.is_some_and(|ds| ds.iter().any(|d| (d - s.3).abs() <= behind.codes.step + open.codes.step))
+    });
+    assert!(same.count() as f64 > 0.98 * found.len() as f64);
+}
+
+#[test]
+fn an_image_that_nobody_sees_is_empty_and_costs_little() {
+    let wall = Analytic::default().rect([-90.0, -90.0, -5.0], [180.0, 0.0, 0.0], [0.0, 180.0, 0.0], None, GREY);
+    let made = construct_subset(&room().behind(wall), &plan_with_eyes(12), &options()).expect("sound");
+    assert!(made.ldi.layers.is_empty());
+    assert_eq!(made.stats.rays.total(), made.stats.rays.sight);
+    assert!(made.stats.rays.sight > 0);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Analytic scenes in f64: rectangles, with or without a hole, and spheres.
 
-use super::super::caster::{Facet, SubsetCaster};
+use super::super::caster::{Facet, Met, SubsetCaster};
 use crate::{
     placement::{DirectionRange, ImagePlan},
     render::{Hit, Ray, RayFootprint},
@@ -30,6 +30,8 @@ pub(super) struct Piece {
 #[derive(Default)]
 pub(super) struct Analytic {
     pub pieces: Vec<Piece>,
+    /// What stays: an opaque scene that images do not hold.
+    pub staying: Option<Box<Analytic>>,
 }
 
 impl Analytic {
@@ -48,6 +50,18 @@ impl Analytic {
     pub fn sphere(mut self, centre: [f64; 3], radius: f64, linear: [f32; 3]) -> Self {
         self.pieces.push(Piece { shape: Shape::Sphere { centre: centre.into(), radius }, linear });
         self
+    }
+
+    pub fn behind(mut self, staying: Analytic) -> Self {
+        self.staying = Some(Box::new(staying));
+        self
+    }
+
+    /// Whether a ray meets what stays before it meets anything else.
+    pub fn first_stays(&self, origin: DVec3, direction: DVec3) -> bool {
+        let mut met = [Met::Nothing];
+        self.meet(&[Ray { origin, direction, t_min: 0.0, t_max: f64::INFINITY }], &mut met);
+        met == [Met::Stays]
     }
 
     /// All hits on a ray's line beyond its origin: (t, piece, unit normal).
@@ -102,6 +116,21 @@ impl SubsetCaster for Analytic {
                 };
                 Hit { t: *t, triangle: *piece as u32 | patch << 4, u: 0.0, v: 0.0 }
             });
+        }
+    }
+
+    fn meet(&self, rays: &[Ray], met: &mut [Met]) {
+        for (ray, met) in rays.iter().zip(met) {
+            let first = |scene: &Analytic| {
+                let hits = scene.all_hits(ray.origin, ray.direction);
+                hits.iter().map(|h| h.0).find(|t| *t >= ray.t_min && *t <= ray.t_max)
+            };
+            let stays = self.staying.as_deref().and_then(first);
+            *met = match first(self) {
+                Some(t) if stays.is_none_or(|s| t < s) => Met::Replaced(t),
+                _ if stays.is_some() => Met::Stays,
+                _ => Met::Nothing,
+            };
         }
     }
 
