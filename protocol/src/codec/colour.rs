@@ -3,6 +3,9 @@
 //! G is predicted by the median-edge rule; R and B are predicted as differences to the *decoded* G, so that in the
 //! near-lossless modes a channel's error is its own quantization only: at most (step - 1) / 2 codes, rounded up.
 //!
+//! Where the neighbourhood varies little, all three are exact whatever the mode: there an error lies over whole surfaces and is seen, and
+//! residuals are small and cheap; amid detail errors differ from pixel to pixel, the eye averages them away, and most bits are saved.
+//!
 //! Holes: a row buffer keeps, per column, the last colour seen in it, however many rows above. Where old values stand
 //! beside each other they are equal or nearly so, and then the median-edge rule gives the left neighbour. A run starts
 //! from the sample above if the row above has one, else from the end of the run before it, else from the row buffer.
@@ -16,7 +19,7 @@ use super::{
     runs::Run,
 };
 
-/// How exactly colours are kept: quantizer steps of the prediction residuals. One mechanism, three settings.
+/// How exactly colours are kept amid detail: quantizer steps of the prediction residuals. One mechanism, three settings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ColourMode {
     /// Step of G, 1 to 32. The error is at most half of it.
@@ -28,10 +31,9 @@ pub struct ColourMode {
 impl ColourMode {
     /// Exact.
     pub const LOSSLESS: Self = Self { green_step: 1, red_blue_step: 1 };
-    /// Error at most 1 code in G and 2 in R and B: 46.4 to 47.3 dB measured on four scenes. Steps of 5 and 5 would save 2 to 15% and
-    /// come out at 45 dB.
-    pub const HIGH: Self = Self { green_step: 3, red_blue_step: 5 };
-    /// Error at most 3 codes in G and 4 in R and B: 40.4 to 41.1 dB measured on four scenes.
+    /// Error at most 2 codes in G and 3 in R and B.
+    pub const HIGH: Self = Self { green_step: 5, red_blue_step: 7 };
+    /// Error at most 3 codes in G and 4 in R and B.
     pub const COMPACT: Self = Self { green_step: 7, red_blue_step: 9 };
     /// Largest step.
     pub const MAX_STEP: u8 = 32;
@@ -59,12 +61,14 @@ impl ColourMode {
 
 /// Contexts of G.
 const GREEN: usize = 8;
+/// Those below this one are smooth: exact.
+const SMOOTH: usize = 1;
 /// Contexts of R and of B.
 const OTHER: usize = 9;
 /// Streams that `walk` uses.
 pub(super) const STREAMS: usize = GREEN + 2 * OTHER;
 
-/// Upper ends of the contexts of G: variation in steps. Finer gains less than a hundredth of a byte, and each stream costs
+/// Upper ends of the contexts of G: variation in codes. Finer gains less than a hundredth of a byte, and each stream costs
 /// its tables; coarser mixes flat walls with foliage.
 const GREEN_BORDERS: [i32; GREEN - 1] = [1, 3, 6, 11, 20, 36, 70];
 
@@ -79,9 +83,8 @@ pub(super) struct Walker {
 
 impl Walker {
     pub fn new(mode: ColourMode) -> Self {
-        let step = i32::from(mode.green_step);
         // Three absolute differences of 8-bit values.
-        let green_context = (0..=3 * 255).map(|v| GREEN_BORDERS.partition_point(|b| v > b * step) as u8).collect();
+        let green_context = (0..=3 * 255).map(|v| GREEN_BORDERS.partition_point(|b| v > *b) as u8).collect();
         Self { green_context, mode }
     }
 
@@ -96,7 +99,7 @@ impl Walker {
     }
 
     fn walk_as<const LOSSLESS: bool>(&self, runs: &[Run], width: u32, rgb: &mut [[u8; 3]], coder: &mut impl Coder) {
-        let (green_step, other_step) = (i32::from(self.mode.green_step), i32::from(self.mode.red_blue_step));
+        let steps = (i32::from(self.mode.green_step), i32::from(self.mode.red_blue_step));
         let mut above: Vec<Decoded> = vec![[0; 3]; width as usize + 1];
         let mut last_row = vec![u32::MAX; width as usize];
         let mut next = 0;
@@ -117,6 +120,7 @@ impl Walker {
                 let [red, green, blue] = sample.map(i32::from);
                 let variation = (left[0] - corner[0]).abs() + (up[0] - corner[0]).abs() + (up[0] - up_right[0]).abs();
                 let context = self.green_context[variation as usize] as usize;
+                let (green_step, other_step) = if LOSSLESS || context < SMOOTH { (1, 1) } else { steps };
                 let predicted = median_edge(left[0], up[0], corner[0]);
                 let (q_green, green) = coder.byte::<LOSSLESS>(context, green_step, predicted, green);
                 let other = |i: usize| {

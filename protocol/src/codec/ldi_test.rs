@@ -93,7 +93,8 @@ fn lossless_comes_back_exactly() {
 #[test]
 fn near_lossless_keeps_its_bound_and_everything_else() {
     let ldi = image(257, 40, 3, 9);
-    for mode in [ColourMode::HIGH, ColourMode::COMPACT, ColourMode { green_step: 4, red_blue_step: 32 }] {
+    let steps = |green_step, red_blue_step| ColourMode { green_step, red_blue_step };
+    for mode in [ColourMode::HIGH, ColourMode::COMPACT, steps(4, 32), steps(1, 2), steps(3, 1)] {
         let out = round_trip(&ldi, mode);
         let mut worst = [0; 3];
         for (a, b) in ldi.layers.iter().zip(&out.layers) {
@@ -108,9 +109,27 @@ fn near_lossless_keeps_its_bound_and_everything_else() {
             }
         }
         let bound = |step: u8| step / 2;
-        assert!(worst[1] <= bound(mode.green_step) && worst[1] > 0, "{mode:?}: {worst:?}");
-        for k in [0, 2] {
-            assert!(worst[k] <= bound(mode.red_blue_step) && worst[k] > 0, "{mode:?}: {worst:?}");
+        for (k, step) in [mode.red_blue_step, mode.green_step, mode.red_blue_step].into_iter().enumerate() {
+            assert!(worst[k] <= bound(step) && (worst[k] > 0) == (step > 1), "{mode:?}: {worst:?}");
+        }
+    }
+}
+
+/// The largest residuals there are: they do not fit a byte unless they wrap.
+#[test]
+fn the_strongest_contrasts_keep_the_bound_in_every_mode() {
+    let mut ldi = image(130, 20, 2, 3);
+    for (k, rgb) in ldi.layers.iter_mut().flat_map(|l| &mut l.rgb).enumerate() {
+        *rgb = std::array::from_fn(|c| if (k * 0x9E37_79B9) >> (9 + c) & 1 == 0 { 0 } else { 255 });
+    }
+    for (green_step, red_blue_step) in [(1, 1), (1, 2), (1, 3), (2, 1), (3, 1), (3, 5), (32, 1), (1, 32)] {
+        let out = round_trip(&ldi, ColourMode { green_step, red_blue_step });
+        for (a, b) in ldi.layers.iter().zip(&out.layers) {
+            for (x, y) in a.rgb.iter().zip(&b.rgb) {
+                for (k, step) in [red_blue_step, green_step, red_blue_step].into_iter().enumerate() {
+                    assert!(x[k].abs_diff(y[k]) <= step / 2, "{green_step}, {red_blue_step}: {x:?}, {y:?}");
+                }
+            }
         }
     }
 }

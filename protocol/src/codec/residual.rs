@@ -28,7 +28,7 @@ pub(super) trait Coder {
 /// The value that a quantized residual stands for.
 #[inline]
 fn restored<const LOSSLESS: bool>(step: i32, predicted: i32, q: i32) -> i32 {
-    if LOSSLESS { (predicted + q) & 255 } else { (predicted + q * step).clamp(0, 255) }
+    if LOSSLESS || step == 1 { (predicted + q) & 255 } else { (predicted + q * step).clamp(0, 255) }
 }
 
 /// Residuals of 16-bit values from here on are written out in full: escape byte, then two bytes elsewhere.
@@ -57,7 +57,8 @@ impl Coder for Encoder {
     #[inline]
     fn byte<const LOSSLESS: bool>(&mut self, stream: usize, step: i32, predicted: i32, actual: i32) -> (i32, i32) {
         let r = actual - predicted;
-        let q = if LOSSLESS { i32::from(r as i8) } else { r.signum() * ((r.abs() + (step - 1) / 2) / step) };
+        let q =
+            if LOSSLESS || step == 1 { i32::from(r as i8) } else { r.signum() * ((r.abs() + (step - 1) / 2) / step) };
         self.streams[stream].push(zigzag(q.into()) as u8);
         (q, restored::<LOSSLESS>(step, predicted, q))
     }

@@ -16,7 +16,7 @@ use crate::texture::{MipLevel, level_count, level_size};
 use std::ops::RangeInclusive;
 
 /// Version of texture chunks.
-pub const VERSION: u8 = 1;
+pub const VERSION: u8 = 2;
 /// Longer side of the finest level in a texture's first chunk. Larger delays the first useful picture, smaller saves nothing.
 pub const COARSE_SIDE: u32 = 64;
 /// Largest side of a texture.

@@ -1,6 +1,6 @@
 //! Where eyes see replaced cells at all, and from where they see what others do not.
 //!
-//! Cells that stay are drawn from any eye, and hide what lies behind them: on the clinic at a tenth of its triangles nineteen twentieths of what
+//! Cells that stay are drawn from any eye, and hide what lies behind them: on the clinic at a tenth of its triangles nearly nine tenths of what
 //! the faces of a near box could hold is behind walls that are drawn anyway. So before an image is made, rays go out from places where eyes stand,
 //! through a coarse raster of their pictures and through everything there is. Where the first thing they meet is replaced, or is nothing, the
 //! eye needs the image. The image is made there alone, with a margin.

@@ -39,7 +39,8 @@ pub(super) fn to_json(served: &Served) -> Vec<u8> {
         .map(|p| json!([mm(p.position.x), mm(p.position.z), mm(p.position.y), p.level, mm(p.radius)]))
         .collect();
     let strokes = |p: &Placement| {
-        index.images[p.images.start as usize..p.images.end as usize].iter().map(|i| stroke(p, i)).collect::<Vec<_>>()
+        let of_placement = &index.images[p.images.start as usize..p.images.end as usize];
+        of_placement.iter().filter(|i| !i.chunks.is_empty()).map(|i| stroke(p, i)).collect::<Vec<_>>()
     };
     let images: Vec<Value> = index.placements.iter().flat_map(strokes).collect();
     let plan = json!({

@@ -451,7 +451,7 @@ fn directories_that_are_no_datasets_are_refused_with_a_remedy() {
     let mut other = fs::read(&manifest).unwrap();
     other[3] += 1;
     fs::write(&manifest, &other).unwrap();
-    refused(&folder.0, "format version 3");
+    refused(&folder.0, &format!("format version {}", ldi_protocol::manifest::VERSION + 1));
     fs::write(&manifest, b"hello").unwrap();
     assert!(Dataset::open(&folder.0).unwrap_err().permanent());
 }
