@@ -243,6 +243,21 @@ fn the_audit_finds_no_violation() {
 }
 
 #[test]
+fn a_dry_run_plans_audits_and_writes_only_its_report() {
+    let f = fixture();
+    let out = folder("dry");
+    let report = out.join("plan.json");
+    let mut c = server(&["build"]);
+    c.arg(&f.scene).args(["--budget", BUDGET, "--size", SIZE, "--dry-run", "--poses", "2000", "--report"]).arg(&report);
+    run::run(c).expect("every promise holds");
+    let found = json(&report);
+    assert_eq!((&found["audit"]["violations"], &found["audit"]["poses"]), (&0.into(), &2000.into()));
+    assert_eq!(found["placements"], json(&f.dataset.join("report.json"))["placements"]);
+    assert!(found["images"].as_u64() > Some(0) && found["megapixels"].as_f64() > Some(0.0), "{found}");
+    assert_eq!(std::fs::read_dir(&out).expect("there").count(), 1);
+}
+
+#[test]
 fn the_audit_counts_over_the_scene_and_tells_another_scene() {
     let f = fixture();
     let audit = |scene: &std::ffi::OsStr| {

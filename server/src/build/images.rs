@@ -178,6 +178,12 @@ fn unpack(bytes: &[u8]) -> Option<(Kept, Vec<Vec<u8>>)> {
 }
 
 impl Images {
+    /// Images of plans before any is made: all empty.
+    pub fn none_of(plans: &[PlacementPlan]) -> Self {
+        let count = plans.iter().map(|p| p.images.len()).sum();
+        Self { figures: ImageFigures::default(), kept: vec![Default::default(); count] }
+    }
+
     /// Entries of all chunks, in order.
     pub fn entries(&self) -> impl Iterator<Item = ChunkEntry> + '_ {
         self.kept.iter().flat_map(|(kept, chunks)| {

@@ -8,22 +8,26 @@
 //! In: a scene's name and settings. Out: a dataset directory and its report. The bytes depend on the input alone, not on the
 //! number of threads. Images, the slow part, are kept as they are finished, so that a stopped build goes on where it was.
 
+mod dry_run;
 mod images;
 mod key;
 mod report;
 
+pub use dry_run::{DryRun, dry_run};
 pub use images::ImageFigures;
 pub use report::report_json;
 
 use crate::construct::ConstructError;
-use crate::octree::{Clusters, Octree};
+use crate::octree::{Clusters, Octree, RecountError};
 use crate::pack::{self, PackError};
-use crate::placement::{self, PlacementError, PlacementStatistics};
+use crate::placement::{self, PlacementError, PlacementResult, PlacementStatistics};
 use crate::render::Caster;
-use crate::scene::{self, Note, SceneError};
+use crate::scene::{self, Note, Scene, SceneError};
 use crate::store::{DatasetWriter, StoreError, Written};
 use ldi_protocol::codec::ColourMode;
-use ldi_protocol::index::{BuildSettings, ChunkEntry, ChunkHash, Index, SceneInfo};
+use ldi_protocol::index::{
+    BuildSettings, CellEntry, ChunkEntry, ChunkHash, ImageEntry, Index, Placement, SceneInfo, TextureEntry,
+};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -57,6 +61,9 @@ pub enum BuildError {
     /// The scene.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// The octree; of dry runs, which check it.
+    #[error(transparent)]
+    Cells(#[from] RecountError),
     /// Placement.
     #[error(transparent)]
     Placement(#[from] PlacementError),
@@ -104,12 +111,17 @@ pub struct Built {
     pub report: serde_json::Value,
 }
 
-/// Builds a dataset.
-///
-/// # Errors
-/// A scene that cannot be read, a budget that cannot be met, or a directory that cannot be written.
-pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, BuildError> {
-    let mut clock = Clock::default();
+/// A scene with its plan.
+struct Planned {
+    scene: Arc<Scene>,
+    clusters: Clusters,
+    octree: Octree,
+    /// With the optimization budget filled in.
+    settings: BuildSettings,
+    plan: PlacementResult,
+}
+
+fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> Result<Planned, BuildError> {
     progress.stage("reading the scene", 0);
     let scene = Arc::new(scene::load(&options.scene)?);
     clock.lap("scene");
@@ -118,9 +130,8 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     let mut settings = options.settings.clone();
     let clusters = Clusters::build(&scene);
     let octree = Octree::build(&scene, &clusters, settings.budget);
-    let largest = octree.largest_cell();
     if settings.optimize_budget == 0 {
-        let slack = (settings.budget / 10).max(2 * u64::from(largest));
+        let slack = (settings.budget / 10).max(2 * u64::from(octree.largest_cell()));
         settings.optimize_budget = settings.budget.saturating_sub(slack).max(1);
     }
     clock.lap("octree");
@@ -128,6 +139,47 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     progress.stage("grid and placement", 0);
     let plan = placement::plan_placements(&scene, &octree, &settings, &placement::Parameters::default())?;
     clock.lap("placement");
+    Ok(Planned { scene, clusters, octree, settings, plan })
+}
+
+/// Joins what the stages made.
+fn index_of(
+    options: &BuildOptions,
+    scene: &Scene,
+    settings: BuildSettings,
+    plan: PlacementResult,
+    (cells, textures): (Vec<CellEntry>, Vec<TextureEntry>),
+    chunks: Vec<ChunkEntry>,
+    (placements, images): (Vec<Placement>, Vec<ImageEntry>),
+) -> Index {
+    Index {
+        scene: SceneInfo {
+            name: display_name(&options.scene),
+            triangles: scene.triangles(),
+            unique_triangles: scene.unique_triangles(),
+            instances: scene.instances.len() as u64,
+            bounds: scene.bounds(),
+        },
+        settings,
+        chunks,
+        cells,
+        materials: scene.materials.clone(),
+        textures,
+        pitch_bands_deg: plan.pitch_bands_deg,
+        points: plan.points,
+        placements,
+        images,
+        volume: Some(plan.volume),
+    }
+}
+
+/// Builds a dataset.
+///
+/// # Errors
+/// A scene that cannot be read, a budget that cannot be met, or a directory that cannot be written.
+pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, BuildError> {
+    let mut clock = Clock::default();
+    let Planned { scene, clusters, octree, settings, plan } = plan(options, &mut clock, progress)?;
 
     progress.stage("near geometry and textures", 0);
     let geometry = pack::pack_geometry(&scene, &clusters, &octree, 0)?;
@@ -179,32 +231,16 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         })
         .chain(images.entries())
         .collect();
-    let index = Index {
-        scene: SceneInfo {
-            name: display_name(&options.scene),
-            triangles: scene.triangles(),
-            unique_triangles: scene.unique_triangles(),
-            instances: scene.instances.len() as u64,
-            bounds: scene.bounds(),
-        },
-        settings,
-        chunks: entries,
-        cells: geometry.cells,
-        materials: scene.materials.clone(),
-        textures: textures.textures,
-        pitch_bands_deg: plan.pitch_bands_deg,
-        points: plan.points,
-        placements,
-        images: image_entries,
-        volume: Some(plan.volume),
-    };
+    let placement = plan.statistics.clone();
+    let parts = (geometry.cells, textures.textures);
+    let index = index_of(options, &scene, settings, plan, parts, entries, (placements, image_entries));
     let mut seconds = clock.laps;
     seconds.push(("of images: ray caster", caster_seconds));
     let octree_figures = BTreeMap::from([
         ("cells", octree.cells.len() as u64),
         ("depth", u64::from(octree.depth)),
         ("nodes", u64::from(octree.nodes)),
-        ("largest_cell_triangles", u64::from(largest)),
+        ("largest_cell_triangles", u64::from(octree.largest_cell())),
         ("clusters", clusters.clusters.len() as u64),
         ("shared_clusters", geometry.shared_clusters as u64),
     ]);
@@ -214,14 +250,8 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         let number = number as usize;
         Ok(Cow::Borrowed(chunks.get(number).map_or_else(|| image_bytes[number - chunks.len()], |c| &c.bytes)))
     };
-    let figures = BuildFigures {
-        index,
-        octree: octree_figures,
-        placement: plan.statistics,
-        images: images.figures.clone(),
-        notes,
-        seconds,
-    };
+    let figures =
+        BuildFigures { index, octree: octree_figures, placement, images: images.figures.clone(), notes, seconds };
     let mut report = serde_json::Value::Null;
     let written = writer.finish(&figures.index, bytes, &ranges, |written| {
         report = report_json(&figures, written);

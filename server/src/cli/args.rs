@@ -81,8 +81,14 @@ pub struct BuildArgs {
     /// .gltf, .glb, .obj, .ply, or builtin:NAME[?triangles=N&seed=S].
     pub scene: String,
     /// Directory to make.
-    #[arg(short, long, value_name = "DATASET")]
-    pub output: PathBuf,
+    #[arg(short, long, value_name = "DATASET", required_unless_present = "dry_run")]
+    pub output: Option<PathBuf>,
+    /// Plan and audit only: say what the build would take and whether its promises hold, as JSON; write nothing else.
+    #[arg(long)]
+    pub dry_run: bool,
+    /// Poses of a dry run's audit.
+    #[arg(long, default_value_t = 10_000, requires = "dry_run")]
+    pub poses: u64,
     /// Geometry budget P, triangles per frame.
     #[arg(long, default_value_t = 200_000, value_parser = clap::value_parser!(u64).range(1..))]
     pub budget: u64,

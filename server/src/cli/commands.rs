@@ -80,7 +80,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
     }
     let options = BuildOptions {
         scene: a.scene,
-        output: a.output,
+        output: a.output.unwrap_or_default(),
         colour,
         settings: BuildSettings {
             budget: a.budget,
@@ -95,14 +95,25 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         },
     };
     let progress = Stderr::default();
-    let built = build::build(&options, &progress).map_err(|e| match e {
+    let failed = |e| match e {
         BuildError::Scene(e) => Failure::of(e.is_permanent(), e),
         BuildError::Store(e) => Failure::of(e.permanent(), e),
         BuildError::Placement(e @ (PlacementError::FieldOfView { .. } | PlacementError::Setting { .. })) => {
             Failure::usage(e)
         }
         e => Failure::permanent(e),
-    })?;
+    };
+    if a.dry_run {
+        let found = build::dry_run(&options, a.poses, &progress).map_err(failed)?;
+        progress.finish();
+        let json = serde_json::to_value(&found).map_err(Failure::permanent)?;
+        match &a.report {
+            Some(file) => write_json(file, &json)?,
+            None => print(&format!("{json:#}"))?,
+        }
+        return kept(&found.audit);
+    }
+    let built = build::build(&options, &progress).map_err(failed)?;
     progress.finish();
     if let Some(file) = &a.report {
         write_json(file, &built.report)?;
@@ -177,8 +188,13 @@ fn verify(a: &VerifyArgs) -> Result<(), Failure> {
         Some(file) => write_json(file, &json)?,
         None => print(&serde_json::to_string_pretty(&json).map_err(Failure::permanent)?)?,
     }
-    if report.violations > 0 {
-        return Err(Failure::permanent(anyhow!("{} of {} poses break a promise", report.violations, report.poses)));
+    kept(&report)
+}
+
+/// Whether all promises were kept.
+fn kept(audit: &placement::AuditReport) -> Result<(), Failure> {
+    if audit.violations > 0 {
+        return Err(Failure::permanent(anyhow!("{} of {} poses break a promise", audit.violations, audit.poses)));
     }
     Ok(())
 }
