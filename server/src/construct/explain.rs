@@ -183,14 +183,15 @@ type Corner = [f32; 3];
 impl Skin<'_> {
     fn state(&self, pixel: usize) -> State {
         let (front, behind) = (self.front[pixel], self.surfaces[pixel]);
+        let could_be_stored = || {
+            let (u, v) = self.camera.centre(pixel);
+            self.rig.may_hold(self.camera, u, v)
+        };
         if front & 1 == 1 || behind & 1 == 1 {
             State::Explained
         } else if behind != 0 {
             State::Doubtful
-        } else if front != 0 || {
-            let (u, v) = self.camera.centre(pixel);
-            self.rig.may_hold(self.camera, u, v)
-        } {
+        } else if front != 0 || could_be_stored() {
             State::Hole
         } else {
             State::Explained
