@@ -61,7 +61,7 @@ impl ColourMode {
 
 /// Contexts of G.
 const GREEN: usize = 8;
-/// Those below this one are smooth: exact.
+/// Those below this one are smooth: exact. Larger: more bytes for little quality (docs/decisions.md compares 1, 2 and 4).
 const SMOOTH: usize = 1;
 /// Contexts of R and of B.
 const OTHER: usize = 9;

@@ -31,7 +31,7 @@ pub struct ImageFigures {
     /// Wall time of the stage.
     pub seconds: f64,
     /// Seconds of one thread per step, as in [`STEPS`].
-    pub step_seconds: [f64; 6],
+    pub step_seconds: [f64; STEPS.len()],
 }
 
 /// Steps of making an image.
@@ -39,7 +39,7 @@ pub const STEPS: [&str; 6] =
     ["sight", "central image", "construction images", "recast", "layers and colour", "encoding"];
 
 /// An image as it was made, and the time that its steps took.
-type Made = ((Kept, Vec<Vec<u8>>), [f64; 6]);
+type Made = ((Kept, Vec<Vec<u8>>), [f64; STEPS.len()]);
 
 /// What is kept of an image besides its chunks.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
@@ -76,7 +76,7 @@ pub fn construct_all(
     // One image after the other leaves a core idle whenever one is encoded; rayon balances images and their rows alike.
     let all: Vec<(&[u32], &ImagePlan)> =
         plans.iter().flat_map(|p| p.images.iter().map(|i| (p.culled.as_slice(), i))).collect();
-    let made: Vec<Result<(Kept, Vec<Vec<u8>>, Option<[f64; 6]>), BuildError>> = all
+    let made: Vec<Result<(Kept, Vec<Vec<u8>>, Option<[f64; STEPS.len()]>), BuildError>> = all
         .par_iter()
         .with_max_len(1)
         .enumerate()
@@ -126,7 +126,7 @@ fn one(
     let [left, right, bottom, top] = plan.window;
     if left >= right || bottom >= top {
         // The replaced cells lie in the planning square but in nobody's picture.
-        return Ok(((Kept::default(), Vec::new()), [0.0; 6]));
+        return Ok(((Kept::default(), Vec::new()), [0.0; STEPS.len()]));
     }
     let made = construct::construct(caster, culled, plan, options).map_err(|source| BuildError::Construct {
         number,

@@ -111,7 +111,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
             Some(file) => write_json(file, &json)?,
             None => print(&format!("{json:#}"))?,
         }
-        return kept(&found.audit);
+        return promises_kept(&found.audit);
     }
     let built = build::build(&options, &progress).map_err(failed)?;
     progress.finish();
@@ -188,11 +188,11 @@ fn verify(a: &VerifyArgs) -> Result<(), Failure> {
         Some(file) => write_json(file, &json)?,
         None => print(&serde_json::to_string_pretty(&json).map_err(Failure::permanent)?)?,
     }
-    kept(&report)
+    promises_kept(&report)
 }
 
 /// Whether all promises were kept.
-fn kept(audit: &placement::AuditReport) -> Result<(), Failure> {
+fn promises_kept(audit: &placement::AuditReport) -> Result<(), Failure> {
     if audit.violations > 0 {
         return Err(Failure::permanent(anyhow!("{} of {} poses break a promise", audit.violations, audit.poses)));
     }

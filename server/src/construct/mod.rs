@@ -176,8 +176,7 @@ pub fn construct_subset<C: SubsetCaster>(
     let mut stats = ConstructStats::default();
     let started = Instant::now();
 
-    let sight =
-        if plan.eyes.is_empty() { Ok(Sight::everywhere(&rig)) } else { Sight::of(caster, &mut rig, &plan.eyes) };
+    let sight = Sight::of(caster, &mut rig, &plan.eyes);
     let after_sight = Instant::now();
     stats.seconds[0] = (after_sight - started).as_secs_f64();
     let sight = match sight {
@@ -198,9 +197,7 @@ pub fn construct_subset<C: SubsetCaster>(
 
     let mut recast_seconds = 0.0;
     let coarse = explain::Coarse::new(&known.central, rig.window.width as usize);
-    let rounds =
-        if plan.eyes.is_empty() { rig.corner_cameras() } else { sight.cameras(&rig, &known.central, &tolerance) };
-    for round in &rounds {
+    for round in &sight.cameras(&rig, &known.central, &tolerance) {
         let seen: Vec<(Vec<Seen>, [u64; 2])> =
             round.par_iter().map(|view| look(caster, &rig, view, &known, &coarse, &tolerance)).collect();
         let mut predictions = Vec::new();
