@@ -104,6 +104,9 @@ struct WalkArgs {
     /// Folder of true frames to compare with, as `ldi-server render --depth` writes them.
     #[arg(long, value_name = "DIR")]
     truth: Option<PathBuf>,
+    /// Folder of another renderer's frames to judge beside ours, as `ldi-server render --samples 1 --mips` writes them.
+    #[arg(long, value_name = "DIR", requires = "truth")]
+    baseline: Option<PathBuf>,
     /// realtime: all poses when they are due, from what is there; wait: each frame complete, only every Nth pose.
     #[arg(long, value_enum, default_value = "realtime")]
     pace: Pace,
@@ -243,13 +246,13 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         .map_err(Failure::permanent)?;
     let path = path::parse(&text).with_context(|| args.path.display().to_string()).map_err(Failure::permanent)?;
     let token = args.token_file.as_deref().map(read_token).transpose().map_err(Failure::permanent)?;
-    if let Some(truth) = &args.truth
-        && !truth.is_dir()
-    {
-        return Err(Failure::permanent(anyhow::anyhow!(
-            "{}: no folder; render the truth with `ldi-server render`",
-            truth.display()
-        )));
+    for (folder, option) in [(&args.truth, "--truth"), (&args.baseline, "--baseline")] {
+        if let Some(folder) = folder.as_ref().filter(|f| !f.is_dir()) {
+            return Err(Failure::permanent(anyhow::anyhow!(
+                "{option} {}: no folder; make it with `ldi-server render`",
+                folder.display()
+            )));
+        }
     }
     let mut config =
         ConnectConfig::new(&args.server, Picture { width: args.size.0, height: args.size.1, fov_deg: None });
@@ -274,7 +277,13 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         debug_views: args.debug_views,
         baseline_frames: args.baseline_frames as usize,
     };
-    let job = WalkJob { path: &path, options: &options, folder: &args.out, truth: args.truth.as_deref() };
+    let job = WalkJob {
+        path: &path,
+        options: &options,
+        folder: &args.out,
+        truth: args.truth.as_deref(),
+        baseline: args.baseline.as_deref(),
+    };
     let mut show = Show::new();
     let (summary, frames) = run(&connection, &job, &mut |p| show.frame(p))?;
     show.done();
@@ -306,7 +315,11 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         s.max_triangles,
         s.budget_triangles,
         s.frame_ms.p50,
-        s.mean_flip.map_or(String::new(), |f| format!(", mean FLIP {f:.4}")),
+        s.mean_flip.map_or(String::new(), |f| format!(", mean FLIP {f:.4}"))
+            + &s.flip_over_baseline.map_or(String::new(), |r| format!(
+                " ({:.2} x the baseline's over {} frames with images, worst frame {:.2} x, far pixels {:.2} x)",
+                r.mean, r.frames, r.worst, r.far
+            )),
         s.bytes_total,
         s.frames_incomplete,
         args.report.display()
@@ -323,6 +336,7 @@ fn options_as_json(args: &WalkArgs, options: &WalkOptions) -> serde_json::Value 
         map.insert("size".into(), format!("{}x{}", args.size.0, args.size.1).into());
         map.insert("renderer".into(), "cpu".into());
         map.insert("truth".into(), args.truth.as_ref().map(|t| t.display().to_string()).into());
+        map.insert("baseline".into(), args.baseline.as_ref().map(|t| t.display().to_string()).into());
         map.insert("prefetch_m".into(), prefetch_m(args).into());
         map.insert("frame_ms".into(), args.frame_ms.into());
         map.insert("server".into(), args.server.clone().into());

@@ -25,7 +25,7 @@ pub struct StageMs {
 }
 
 /// One kept frame.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct FrameReport {
     /// Position in the path's poses.
     pub index: usize,
@@ -83,6 +83,37 @@ pub struct FrameReport {
     pub flip: Option<f64>,
     /// Mean over pixels whose colour came from a warp.
     pub flip_far: Option<f64>,
+    /// Of the baseline's frame; null without one.
+    pub flip_baseline: Option<f64>,
+    /// The same over the pixels that we warped.
+    pub flip_baseline_far: Option<f64>,
+}
+
+/// FLIP of our frames over FLIP of the baseline's, over the frames that warped something and have both.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct FlipRatio {
+    /// Number of those frames.
+    pub frames: usize,
+    /// Mean over mean.
+    pub mean: f64,
+    /// Largest over largest.
+    pub worst: f64,
+    /// Mean over mean, of the pixels that we warped.
+    pub far: f64,
+}
+
+impl FlipRatio {
+    fn new(frames: &[FrameReport]) -> Option<Self> {
+        let both = |f: &FrameReport| {
+            f.flip_far.zip(f.flip_baseline_far).zip(f.flip.zip(f.flip_baseline)).map(|(far, all)| [all, far])
+        };
+        let pairs: Vec<[(f64, f64); 2]> = frames.iter().filter_map(both).collect();
+        let ratio = |reduce: &dyn Fn(Vec<f64>) -> Option<f64>, which: usize| {
+            let side = |pick: fn(&(f64, f64)) -> f64| reduce(pairs.iter().map(|p| pick(&p[which])).collect());
+            Some(side(|p| p.0)? / side(|p| p.1)?)
+        };
+        Some(Self { frames: pairs.len(), mean: ratio(&mean, 0)?, worst: ratio(&largest, 0)?, far: ratio(&mean, 1)? })
+    }
 }
 
 /// Percentiles of frame times.
@@ -183,6 +214,7 @@ pub struct Summary {
     pub max_flip: Option<f64>,
     pub mean_flip_far: Option<f64>,
     pub max_flip_far: Option<f64>,
+    pub flip_over_baseline: Option<FlipRatio>,
     pub far_fraction_mean: f64,
     pub unpainted_fraction_max: f64,
     pub hole_fraction_mean: Option<f64>,
@@ -329,6 +361,7 @@ impl Summary {
             max_flip: largest(frames.iter().filter_map(|f| f.flip)),
             mean_flip_far: mean(frames.iter().filter_map(|f| f.flip_far)),
             max_flip_far: largest(frames.iter().filter_map(|f| f.flip_far)),
+            flip_over_baseline: FlipRatio::new(frames),
             far_fraction_mean: over(&|f| f.far_fraction),
             unpainted_fraction_max: largest(frames.iter().map(|f| f.unpainted_fraction)).unwrap_or(0.0),
             hole_fraction_mean: mean(frames.iter().filter_map(|f| f.hole_fraction)),
@@ -389,6 +422,29 @@ mod tests {
     }
 
     #[test]
+    fn the_ratio_to_the_baseline_is_over_frames_that_warped() {
+        let frame = |flip: Option<f64>, far: Option<f64>, baseline: [f64; 2]| FrameReport {
+            flip,
+            flip_far: far,
+            flip_baseline: Some(baseline[0]),
+            flip_baseline_far: far.map(|_| baseline[1]),
+            ..FrameReport::default()
+        };
+        let frames = [
+            frame(Some(0.02), Some(0.04), [0.02, 0.01]),
+            // Geometry alone, and one without truth.
+            frame(Some(0.9), None, [0.1, 0.1]),
+            frame(None, None, [0.1, 0.1]),
+            frame(Some(0.04), Some(0.06), [0.01, 0.03]),
+        ];
+        let got = FlipRatio::new(&frames).expect("two frames");
+        assert_eq!(got.frames, 2);
+        let want = [0.06 / 0.03, 0.04 / 0.02, 0.1 / 0.04];
+        assert!([got.mean, got.worst, got.far].iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-12), "{got:?}");
+        assert_eq!(FlipRatio::new(&frames[1..3]), None);
+    }
+
+    #[test]
     fn a_summary_without_truth_has_nulls_and_all_fields() {
         let totals = WalkTotals {
             budget_triangles: 10,
@@ -398,7 +454,14 @@ mod tests {
             ..WalkTotals::default()
         };
         let json = serde_json::to_value(Summary::new(&[], &totals)).expect("plain data");
-        for field in ["mean_psnr_db", "mean_flip_far", "hole_fraction_max", "speedup", "all_geometry_frame_ms"] {
+        for field in [
+            "flip_over_baseline",
+            "mean_psnr_db",
+            "mean_flip_far",
+            "hole_fraction_max",
+            "speedup",
+            "all_geometry_frame_ms",
+        ] {
             assert_eq!(json.get(field), Some(&serde_json::Value::Null), "{field}");
         }
         assert_eq!(json["mbit_per_s_mean"], 4.0);

@@ -15,8 +15,6 @@ pub struct Page<'a> {
     pub build: &'a Value,
     /// Report of `ldi-client walk`.
     pub walk: &'a Value,
-    /// FLIP of the baseline (all geometry, one ray per pixel) against the truth, by position in the walk's frames.
-    pub baseline_flip: &'a [f64],
     /// The commands that were run, as typed, and their seconds.
     pub commands: &'a [(String, f64)],
 }
@@ -45,7 +43,6 @@ impl Page<'_> {
         );
 
         h.push_str("<section class=\"tiles\">");
-        let mean_baseline = mean(self.baseline_flip.iter().copied());
         let tile = |h: &mut String, value: String, name: &str, note: String| {
             let _ = write!(
                 h,
@@ -65,10 +62,19 @@ impl Page<'_> {
             &mut h,
             format!("{:.4}", f("mean_flip")),
             "mean FLIP against truth",
-            format!(
-                "{:.2} times that of drawing everything at one sample per pixel ({mean_baseline:.4})",
-                f("mean_flip") / mean_baseline
-            ),
+            match summary["flip_over_baseline"].as_object() {
+                Some(ratio) => {
+                    let r = |key: &str| ratio.get(key).and_then(Value::as_f64).unwrap_or(f64::NAN);
+                    format!(
+                        "{:.2} times that of drawing everything at one sample per pixel, over the {} frames with images; worst frame {:.2}, far pixels {:.2}",
+                        r("mean"),
+                        number(r("frames")),
+                        r("worst"),
+                        r("far")
+                    )
+                }
+                None => "no frame used images".into(),
+            },
         );
         tile(
             &mut h,
@@ -118,8 +124,7 @@ impl Page<'_> {
     fn viewer(&self, h: &mut String, frames: &[Value]) {
         let rows: Vec<Value> = frames
             .iter()
-            .enumerate()
-            .map(|(k, f)| {
+            .map(|f| {
                 let file = format!("frame_{:05}", f["index"].as_u64().unwrap_or_default());
                 let note = format!(
                     "pose {}: {} triangles, {} samples warped, FLIP {} (all geometry at one sample per pixel: {}), footprint at most {} px",
@@ -127,7 +132,7 @@ impl Page<'_> {
                     number(f["triangles"].as_f64().unwrap_or(f64::NAN)),
                     number(f["samples_warped"].as_f64().unwrap_or(0.0)),
                     fixed(f["flip"].as_f64()),
-                    fixed(self.baseline_flip.get(k).copied()),
+                    fixed(f["flip_baseline"].as_f64()),
                     fixed(f["footprint_max_px"].as_f64()),
                 );
                 serde_json::json!({ "file": file, "note": note })
@@ -159,8 +164,6 @@ impl Page<'_> {
             .iter()
             .map(|f| (f["t_s"].as_f64().unwrap_or(f64::NAN), f["bytes_received"].as_f64().unwrap_or(f64::NAN) / 1e6))
             .collect();
-        let baseline =
-            frames.iter().zip(self.baseline_flip).map(|(f, b)| (f["index"].as_f64().unwrap_or(f64::NAN), *b)).collect();
         h.push_str("<h2>Along the path</h2><div class=\"plots\">");
         for plot in [
             Plot {
@@ -194,7 +197,7 @@ impl Page<'_> {
                 y: "FLIP",
                 series: vec![
                     series("ours", &|f| f["flip"].as_f64()),
-                    Series { name: "all geometry, 1 ray", points: baseline },
+                    series("all geometry, 1 ray", &|f| f["flip_baseline"].as_f64()),
                 ],
                 bound: None,
             },
@@ -242,11 +245,6 @@ fn fixed(v: Option<f64>) -> String {
     v.map_or("-".into(), |v| format!("{v:.3}"))
 }
 
-fn mean(values: impl Iterator<Item = f64>) -> f64 {
-    let (n, sum) = values.fold((0.0, 0.0), |(n, s), v| (n + 1.0, s + v));
-    sum / n
-}
-
 const STYLE: &str = "\
 :root{color-scheme:light dark;--fg:#1c2330;--bg:#fbfbfa;--dim:#667085;--line:#d9dde3;--card:#fff;--s0:#2563c9;--s1:#c2570c;--s2:#13795b;--s3:#8e3fb0;--bound:#c0243a}\
 @media(prefers-color-scheme:dark){:root{--fg:#e6e9ef;--bg:#14171c;--dim:#98a2b3;--line:#2d333d;--card:#1b1f26;--s0:#6ea3ff;--s1:#f59e55;--s2:#4fc79a;--s3:#cf8cf0;--bound:#ff6b7d}}\
@@ -277,7 +275,7 @@ mod tests {
         let frame = |t: f64, bytes: u64| json!({ "index": t, "t_s": t, "bytes_received": bytes });
         let walk =
             json!({ "summary": {}, "frames": [frame(0.0, 9_000_000), frame(1.0, 9_500_000), frame(2.0, 9_900_000)] });
-        let html = Page { scene: "s", build: &json!({}), walk: &walk, baseline_flip: &[], commands: &[] }.html();
+        let html = Page { scene: "s", build: &json!({}), walk: &walk, commands: &[] }.html();
         let plot = html
             .split("aria-label=\"Received over the walk\"")
             .nth(1)
@@ -289,16 +287,13 @@ mod tests {
     #[test]
     fn the_page_shows_every_frame_and_survives_missing_figures() {
         let walk = json!({
-            "summary": { "frames": 2, "mean_flip": 0.05, "budget_triangles": 1000 },
+            "summary": {
+                "frames": 2, "mean_flip": 0.05, "budget_triangles": 1000,
+                "flip_over_baseline": { "frames": 1, "mean": 1.25, "worst": 1.5, "far": 2.0 }
+            },
             "frames": [ { "index": 0, "triangles": 10, "flip": 0.05 }, { "index": 7, "triangles": 20, "flip": null } ]
         });
-        let page = Page {
-            scene: "a<b",
-            build: &json!({}),
-            walk: &walk,
-            baseline_flip: &[0.04, 0.04],
-            commands: &[("ldi-server x".into(), 1.0)],
-        };
+        let page = Page { scene: "a<b", build: &json!({}), walk: &walk, commands: &[("ldi-server x".into(), 1.0)] };
         let html = page.html();
         assert!(html.contains("frame_00000") && html.contains("frame_00007"));
         assert!(html.contains("a&lt;b") && !html.contains("a<b"));

@@ -1,7 +1,7 @@
 //! Frames against the truth that `ldi-server render` made.
 //!
-//! In: a finished frame, and `frame_NNNNN.png` and `frame_NNNNN.f32` of the same pose. Out: PSNR, SSIM, FLIP, and holes. What is absent
-//! is null in the report.
+//! In: a finished frame, and `frame_NNNNN.png` and `frame_NNNNN.f32` of the same pose. Out: PSNR, SSIM, FLIP, and holes; and the FLIP of another
+//! renderer's frame of that pose, over the same pixels. What is absent is null in the report.
 
 use crate::{
     frame::{Frame, Source, pack_rgb},
@@ -51,7 +51,7 @@ pub enum JudgeError {
     },
 }
 
-/// The truth of one pose.
+/// The truth of one pose, or another renderer's picture of it.
 #[derive(Debug)]
 pub struct Truth {
     path: PathBuf,
@@ -71,6 +71,10 @@ pub struct Verdict {
     pub flip: Option<f64>,
     /// Mean FLIP over pixels that came from a warp; None when there is none.
     pub flip_far: Option<f64>,
+    /// Mean FLIP of the baseline's frame; None when there is none.
+    pub flip_baseline: Option<f64>,
+    /// The same over the pixels that our frame warped.
+    pub flip_baseline_far: Option<f64>,
     /// Share of hole pixels.
     pub hole_fraction: Option<f64>,
     /// The same in the frame before averaging and filling.
@@ -111,16 +115,24 @@ impl Truth {
         frame
     }
 
-    /// Compares a frame; `full` is the same before averaging, a whole multiple of its size.
-    pub fn judge(&self, frame: &Frame, full: &Frame) -> Result<Verdict, JudgeError> {
+    /// Compares a frame; `full` is the same before averaging, a whole multiple of its size; `baseline` is another renderer's picture.
+    pub fn judge(&self, frame: &Frame, full: &Frame, baseline: Option<&Self>) -> Result<Verdict, JudgeError> {
         let failed = |source| JudgeError::Metric { path: self.path.clone(), source };
         let test = Picture::new(frame.width, frame.height, frame.to_rgb8()).map_err(failed)?;
         let flip = FlipMap::new(&self.picture, &test).map_err(failed)?;
+        let far = |i: usize| frame.source[i] == Source::Far;
+        let compared = |other: &Self| {
+            FlipMap::new(&self.picture, &other.picture)
+                .map_err(|source| JudgeError::Metric { path: other.path.clone(), source })
+        };
+        let baseline = baseline.map(compared).transpose()?;
         Ok(Verdict {
             psnr_db: Some(psnr_db(&self.picture, &test).map_err(failed)?),
             ssim: ssim(&self.picture, &test).map_err(failed)?,
             flip: Some(flip.mean()),
-            flip_far: flip.mean_where(|i| frame.source[i] == Source::Far),
+            flip_far: flip.mean_where(far),
+            flip_baseline: baseline.as_ref().map(FlipMap::mean),
+            flip_baseline_far: baseline.and_then(|b| b.mean_where(far)),
             hole_fraction: self.depth_m.as_ref().map(|depth| hole_fraction(frame, depth, frame.width)),
             hole_before_fill: self.depth_m.as_ref().map(|depth| hole_fraction(full, depth, frame.width)),
         })
@@ -183,6 +195,28 @@ mod tests {
     }
 
     #[test]
+    fn the_baseline_is_judged_over_the_pixels_that_the_frame_warped() {
+        let picture = |rgb: &dyn Fn(usize) -> [u8; 3]| Truth {
+            path: PathBuf::from("frame_00000.png"),
+            picture: Picture::new(64, 16, (0..64 * 16).flat_map(rgb).collect()).expect("its size"),
+            depth_m: None,
+        };
+        let truth = picture(&|_| [90; 3]);
+        // Wrong on the right; the frame warped the left.
+        let baseline = picture(&|i| if i % 64 < 32 { [90; 3] } else { [250, 20, 20] });
+        let mut frame = picture(&|_| [90; 3])
+            .into_frame((0..64 * 16).map(|i| if i % 64 < 16 { Source::Far } else { Source::Near }).collect());
+        let full = frame.clone();
+        let left = truth.judge(&frame, &full, Some(&baseline)).expect("one size");
+        assert_eq!((left.flip, left.flip_far), (Some(0.0), Some(0.0)));
+        frame.source.reverse();
+        let right = truth.judge(&frame, &full, Some(&baseline)).expect("one size");
+        let (all, left, right) = (left.flip_baseline, left.flip_baseline_far, right.flip_baseline_far);
+        assert!(left < Some(0.01) && all > Some(0.1) && right > all, "{left:?} {all:?} {right:?}");
+        assert!(truth.judge(&frame, &full, None).expect("one size").flip_baseline_far.is_none());
+    }
+
+    #[test]
     fn a_truth_of_another_size_is_refused_by_name() {
         let folder = std::env::temp_dir().join(format!("ldi-judge-{}", std::process::id()));
         std::fs::create_dir_all(&folder).expect("a folder");
@@ -190,9 +224,10 @@ mod tests {
         image::save_buffer(&png, &[9; 12 * 11 * 3], 12, 11, image::ColorType::Rgb8).expect("written");
         assert!(Truth::load(&folder, 2).expect("absent is no error").is_none());
         let truth = Truth::load(&folder, 3).expect("readable").expect("there");
-        let verdict = truth.judge(&Frame::new(12, 11), &Frame::new(12, 11)).expect("same size");
+        let verdict = truth.judge(&Frame::new(12, 11), &Frame::new(12, 11), None).expect("same size");
         assert!(verdict.psnr_db.is_some_and(|p| p < 10.0) && verdict.hole_fraction.is_none());
-        let other = truth.judge(&Frame::new(11, 12), &Frame::new(11, 12)).expect_err("another size").to_string();
+        assert!(verdict.flip_baseline.is_none());
+        let other = truth.judge(&Frame::new(11, 12), &Frame::new(11, 12), None).expect_err("another size").to_string();
         assert!(other.contains("frame_00003.png") && other.contains("--size"), "{other}");
         std::fs::write(folder.join("frame_00003.f32"), [0; 8]).expect("written");
         assert!(matches!(Truth::load(&folder, 3), Err(JudgeError::DepthLength { found: 8, expected: 528, .. })));

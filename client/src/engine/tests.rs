@@ -258,7 +258,7 @@ fn a_walk_writes_numbered_frames_and_counts() {
         let folder = folder(if pace == Pace::Wait { "wait" } else { "realtime" });
         let options = options(pace);
         // First walk: no truth. Its frames are the truth of the second.
-        let job = WalkJob { path: &path, options: &options, folder: &folder, truth: None };
+        let job = WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None };
         let mut lines = Vec::new();
         let (summary, frames) = run(&feed, &job, &mut |p| lines.push(p.done)).expect("a walk");
         assert_eq!(frames.iter().map(|f| f.index).collect::<Vec<_>>(), vec![0, 2, 4]);
@@ -281,11 +281,13 @@ fn a_walk_writes_numbered_frames_and_counts() {
         );
         assert!((summary.bytes_per_metre.expect("it moved") - summary.bytes_total as f64 / 0.4).abs() < 1e-6);
         let truth = folder.with_extension("truth");
-        let job = WalkJob { path: &path, options: &options, folder: &truth, truth: Some(&folder) };
+        let job =
+            WalkJob { path: &path, options: &options, folder: &truth, truth: Some(&folder), baseline: Some(&folder) };
         let (summary, frames) = run(&feed, &job, &mut |_| {}).expect("a walk");
         assert_eq!(summary.min_psnr_db, Some(crate::metrics::LARGEST_DB));
         assert!(frames.iter().all(|f| f.flip.is_some_and(|e| e < 1e-6) && f.method == "grid"));
         assert!(summary.far_fraction_mean > 0.1 && summary.mean_flip_far.is_some());
+        assert!(frames.iter().all(|f| f.flip_baseline.is_some_and(|e| e < 1e-6) && f.flip_baseline_far.is_some()));
         std::fs::remove_dir_all(&folder).expect("removed");
         std::fs::remove_dir_all(&truth).expect("removed");
     }
@@ -298,9 +300,12 @@ fn chunks_that_come_again_are_counted() {
     (feed.room, feed.pushes) = (1, false);
     let (path, folder) = (five_poses(), folder("revisit"));
     let options = WalkOptions { baseline_frames: 0, debug_views: false, ..options(Pace::Wait) };
-    let (summary, _) =
-        run(&feed, &WalkJob { path: &path, options: &options, folder: &folder, truth: None }, &mut |_| {})
-            .expect("a walk");
+    let (summary, _) = run(
+        &feed,
+        &WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None },
+        &mut |_| {},
+    )
+    .expect("a walk");
     assert_eq!(summary.frames_incomplete, 3);
     // The first frame has the cell, the second the image in its place, the third the cell again: one that comes back.
     assert_eq!((summary.revisit_bytes, summary.bytes_total), (CHUNK_BYTES, 4 * CHUNK_BYTES));

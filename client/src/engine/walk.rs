@@ -75,6 +75,19 @@ pub struct WalkJob<'a> {
     pub folder: &'a Path,
     /// Folder of the truth.
     pub truth: Option<&'a Path>,
+    /// Folder of another renderer's frames, to be judged beside ours.
+    pub baseline: Option<&'a Path>,
+}
+
+impl WalkJob<'_> {
+    /// Judges the frame of a pose; `full` as in [`Truth::judge`].
+    fn judge(&self, pose: usize, frame: &Frame, full: &Frame) -> Result<Verdict, JudgeError> {
+        let load = |folder: Option<&Path>| folder.map_or(Ok(None), |f| Truth::load(f, pose));
+        match load(self.truth)? {
+            Some(truth) => truth.judge(frame, full, load(self.baseline)?.as_ref()),
+            None => Ok(Verdict::default()),
+        }
+    }
 }
 
 /// How far the walk is.
@@ -278,12 +291,9 @@ impl Walker<'_> {
     ) -> Result<(), WalkError> {
         let pose = &self.job.path.poses[at];
         let scale = f64::from(self.job.options.supersample);
-        let verdict = match (self.job.truth, self.job.options.pace) {
-            (Some(folder), Pace::Wait) => match Truth::load(folder, at)? {
-                Some(truth) => truth.judge(frame, self.painter.full())?,
-                None => Verdict::default(),
-            },
-            _ => Verdict::default(),
+        let verdict = match self.job.options.pace {
+            Pace::Wait => self.job.judge(at, frame, self.painter.full())?,
+            Pace::Realtime => Verdict::default(),
         };
         if let Some(warp) = &painted.warp {
             self.warp_totals.add(warp);
@@ -320,6 +330,8 @@ impl Walker<'_> {
             ssim: None,
             flip: None,
             flip_far: None,
+            flip_baseline: None,
+            flip_baseline_far: None,
         };
         report.judged(&verdict);
         let later = self.job.truth.is_some() && self.job.options.pace == Pace::Realtime;
@@ -334,16 +346,11 @@ impl Walker<'_> {
 
     /// Judges the frames of a walk that did not wait, from the pictures it wrote.
     fn judge_rest(&mut self) -> Result<(), WalkError> {
-        let Some(folder) = self.job.truth else { return Ok(()) };
         for kept in &mut self.kept {
             let Some(source) = kept.source.take() else { continue };
-            let (Some(truth), Some(ours)) =
-                (Truth::load(folder, kept.report.index)?, Truth::load(self.job.folder, kept.report.index)?)
-            else {
-                continue;
-            };
+            let Some(ours) = Truth::load(self.job.folder, kept.report.index)? else { continue };
             let frame = ours.into_frame(source);
-            kept.report.judged(&truth.judge(&frame, &frame)?);
+            kept.report.judged(&self.job.judge(kept.report.index, &frame, &frame)?);
         }
         Ok(())
     }
@@ -365,6 +372,7 @@ impl FrameReport {
     fn judged(&mut self, verdict: &Verdict) {
         (self.psnr_db, self.ssim) = (verdict.psnr_db, verdict.ssim);
         (self.flip, self.flip_far) = (verdict.flip, verdict.flip_far);
+        (self.flip_baseline, self.flip_baseline_far) = (verdict.flip_baseline, verdict.flip_baseline_far);
         (self.hole_fraction, self.hole_before_fill) = (verdict.hole_fraction, verdict.hole_before_fill);
     }
 }

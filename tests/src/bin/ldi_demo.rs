@@ -108,17 +108,15 @@ fn main() -> Result<()> {
     let mut c = run::command("ldi-client")?;
     c.args(["walk", &server.quic, "--fingerprint", &server.fingerprint, "--path"]).arg(&poses);
     c.args(["--size", &o.size, "--pace", "wait", "--debug-views", "--truth"]).arg(out("truth"));
-    c.arg("-o").arg(out("frames")).arg("--report").arg(out("walk.json"));
+    c.arg("--baseline").arg(out("baseline")).arg("-o").arg(out("frames")).arg("--report").arg(out("walk.json"));
     steps.run(c)?;
     drop(server);
 
     let (build, walk) = (read_json(&out("build.json"))?, read_json(&out("walk.json"))?);
-    let baseline_flip = baseline_flip(&walk, &out("truth"), &out("baseline"))?;
     let page = Page {
         scene: &scene.file_stem().unwrap_or_default().to_string_lossy(),
         build: &build,
         walk: &walk,
-        baseline_flip: &baseline_flip,
         commands: &steps.0,
     };
     std::fs::write(out("index.html"), page.html())
@@ -148,16 +146,4 @@ fn count_triangles(scene: &Path) -> Result<f64> {
 fn read_json(path: &Path) -> Result<Value> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     serde_json::from_str(&text).with_context(|| format!("{}", path.display()))
-}
-
-/// FLIP of the baseline's frames against the truth, for the frames of the walk.
-fn baseline_flip(walk: &Value, truth: &Path, baseline: &Path) -> Result<Vec<f64>> {
-    let frames = walk["frames"].as_array().context("the walk's report has no frames")?;
-    frames
-        .iter()
-        .map(|f| {
-            let name = format!("frame_{:05}.png", f["index"].as_u64().context("a frame has no index")?);
-            ldi_tests::compare::mean_flip(&truth.join(&name), &baseline.join(&name))
-        })
-        .collect()
 }
