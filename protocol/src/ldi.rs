@@ -151,15 +151,15 @@ impl Ldi {
     pub fn sky_words_per_row(&self) -> usize {
         (self.camera.width as usize).div_ceil(64)
     }
-    /// Whether the direction of this pixel is known to be sky. Outside the image it is: what is culled lies inside.
+    /// Whether some eye sees sky in the direction of this pixel; None outside the image.
     #[inline]
-    pub fn is_sky(&self, column: i64, row: i64) -> bool {
+    pub fn is_sky(&self, column: i64, row: i64) -> Option<bool> {
         let (w, h) = (i64::from(self.camera.width), i64::from(self.camera.height));
         if column < 0 || row < 0 || column >= w || row >= h {
-            return true;
+            return None;
         }
         let word = self.sky[row as usize * self.sky_words_per_row() + column as usize / 64];
-        word >> (column as usize % 64) & 1 == 1
+        Some(word >> (column as usize % 64) & 1 == 1)
     }
     /// Samples over all layers.
     pub fn samples(&self) -> usize {

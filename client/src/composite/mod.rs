@@ -47,10 +47,18 @@ pub enum Far<'a> {
 /// An image that takes part in a frame.
 #[derive(Debug, Clone, Copy)]
 pub enum FarImage<'a> {
-    /// It was warped; its sky bits, camera and disparity codes count.
-    Here(&'a Ldi),
+    /// It was warped; its sky bits, camera and disparity codes count. It may hold less than the window it was planned for, left, right, bottom,
+    /// top as tangents: nobody was found to look at the rest, so nothing is known of it.
+    Here(&'a Ldi, [f64; 4]),
     /// It is not there: what lies in its window is unknown.
     Absent(&'a ImageEntry),
+}
+
+impl<'a> FarImage<'a> {
+    /// The image of an entry, if it is resident.
+    pub fn new(entry: &'a ImageEntry, ldi: Option<&'a Ldi>) -> Self {
+        ldi.map_or(Self::Absent(entry), |ldi| Self::Here(ldi, entry.window))
+    }
 }
 
 /// Settings of the composite.
@@ -159,7 +167,7 @@ pub fn composite(
         })
         .reduce(CompositeStats::default, CompositeStats::add);
     let worth_filling = stats.hole_before_fill * FILL_UP_TO < stats.pixels;
-    let known = merge.is_some_and(|m| m.images.iter().any(|i| matches!(i.image, FarImage::Here(_))));
+    let known = merge.is_some_and(|m| m.images.iter().any(|i| matches!(i.image, FarImage::Here(..))));
     if options.fill && stats.hole_before_fill > 0 && worth_filling && known {
         stats.filled = fill::fill(frame);
         stats.unpainted -= stats.filled;
@@ -284,7 +292,9 @@ impl<'a> Lookup<'a> {
     fn new(image: FarImage<'a>, pose: &Pose, camera: &OutputCamera) -> Self {
         let basis = pose.basis();
         let (to, eye_depth_m) = match image {
-            FarImage::Here(ldi) => (&ldi.camera.basis, (pose.position - ldi.camera.cop).dot(ldi.camera.basis.forward)),
+            FarImage::Here(ldi, _) => {
+                (&ldi.camera.basis, (pose.position - ldi.camera.cop).dot(ldi.camera.basis.forward))
+            }
             FarImage::Absent(entry) => (&entry.basis, 0.0),
         };
         let local = |w: glam::DVec3| [w.dot(to.right), -w.dot(to.up), w.dot(to.forward)];
@@ -307,35 +317,32 @@ impl<'a> Lookup<'a> {
 
     /// How far one step of the image's disparity codes moves the disparity of a far surface in the picture.
     fn step(&self, row: usize, column: usize, far: f32) -> f64 {
-        let FarImage::Here(ldi) = self.image else { return 0.0 };
+        let FarImage::Here(ldi, _) = self.image else { return 0.0 };
         let forward = self.direction(row, column)[2];
         // d2 = d1 / W and W = depth2 / depth1, so that a step in d1 becomes step * d2 * depth1 in d2, and
         // d2 * depth1 = d2 (eye depth + forward / d2).
         (ldi.codes.step * (f64::from(far) * self.eye_depth_m + forward)).max(0.0)
     }
 
-    /// Whether the image knows nothing but sky in a pixel's direction. Behind and beside it that is so: what is culled lies inside its
-    /// window, or in another's.
+    /// Whether the image knows nothing but sky in a pixel's direction. Behind it and beside its window that is so: what is culled lies inside
+    /// its window, or in another's.
     fn is_sky(&self, row: usize, column: usize) -> bool {
         let [right, down, forward] = self.direction(row, column);
         if forward <= 0.0 {
             return true;
         }
-        match self.image {
-            FarImage::Here(ldi) => {
+        let (x, y) = (right / forward, down / forward);
+        let (sky, [l, r, b, t]) = match self.image {
+            FarImage::Here(ldi, window) => {
                 let camera = &ldi.camera;
-                let scale = camera.pixels_per_unit / forward;
                 // Saturating conversions: far outside stays outside.
-                let column = (right * scale - f64::from(camera.left)).floor() as i64;
-                let row = (down * scale - f64::from(camera.top)).floor() as i64;
-                ldi.is_sky(column, row)
+                let column = (x * camera.pixels_per_unit - f64::from(camera.left)).floor() as i64;
+                let row = (y * camera.pixels_per_unit - f64::from(camera.top)).floor() as i64;
+                (ldi.is_sky(column, row), window)
             }
-            FarImage::Absent(entry) => {
-                let [l, r, b, t] = entry.window;
-                let (x, y) = (right / forward, -down / forward);
-                x < l || x > r || y < b || y > t
-            }
-        }
+            FarImage::Absent(entry) => (None, entry.window),
+        };
+        sky.unwrap_or(x < l || x > r || -y < b || -y > t)
     }
 }
 

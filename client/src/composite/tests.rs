@@ -21,6 +21,14 @@ fn image(name: &str) -> Ldi {
     scene(name).ldi(ldi_camera(DVec3::ZERO, 320, 240, 90.0), 3)
 }
 
+/// An image that holds all of its window.
+fn as_planned(ldi: &Ldi) -> FarImage<'_> {
+    let c = &ldi.camera;
+    let [l, r] = [0, c.width].map(|x| (f64::from(c.left) + f64::from(x)) / c.pixels_per_unit);
+    let [t, b] = [0, c.height].map(|y| -(f64::from(c.top) + f64::from(y)) / c.pixels_per_unit);
+    FarImage::Here(ldi, [l, r, b, t])
+}
+
 fn warped(ldi: &Ldi, pose: &Pose) -> FarFrame {
     let mut picture = FarFrame::new(CAMERA.width, CAMERA.height);
     warp(&PreparedLdi::new(ldi), pose, &CAMERA, &WarpOptions::default(), &mut picture).unwrap();
@@ -49,7 +57,7 @@ fn with_step(ldi: &Ldi, step: f64, near_disparity: f32, pose: &Pose) -> (Frame, 
     ldi.codes.step = step;
     let ldi = &ldi;
     let mut frame = half_near(near_disparity);
-    let far = Far::Images { picture: &picture, images: &[FarImage::Here(ldi)] };
+    let far = Far::Images { picture: &picture, images: &[as_planned(ldi)] };
     let stats = composite(&mut frame, far, pose, &CAMERA, &CompositeOptions::default());
     (frame, stats)
 }
@@ -101,7 +109,7 @@ fn sky_is_looked_up_by_rotation() {
         let pose = Pose { position: DVec3::new(0.4, 0.2, -0.3), yaw_deg, pitch_deg: 0.0 };
         let mut frame = Frame::new(CAMERA.width, CAMERA.height);
         let picture = warped(&ldi, &pose);
-        let far = Far::Images { picture: &picture, images: &[FarImage::Here(&ldi)] };
+        let far = Far::Images { picture: &picture, images: &[as_planned(&ldi)] };
         let stats = composite(&mut frame, far, &pose, &CAMERA, &CompositeOptions::default());
         for at in (0..frame.len()).filter(|at| at / 160 < 59) {
             assert_eq!((frame.source[at], frame.colour[at]), (Source::Sky, SKY));
@@ -118,6 +126,21 @@ fn outside_the_image_is_sky_and_a_missing_image_is_not() {
     let (frame, _) = near_after(&ldi, 1.0, &back);
     assert_eq!(frame.count(Source::Sky), frame.len() / 2);
     let options = CompositeOptions::default();
+    // A window that reaches farther right than the image: nobody looked there, so it is not known to be sky.
+    let mut narrow = ldi.clone();
+    narrow.layers.clear();
+    narrow.camera.width /= 2;
+    narrow.sky = vec![u64::MAX; narrow.sky_words_per_row() * narrow.camera.height as usize];
+    let FarImage::Here(_, window) = as_planned(&ldi) else { unreachable!() };
+    let picture = FarFrame::new(CAMERA.width, CAMERA.height);
+    let mut frame = Frame::new(CAMERA.width, CAMERA.height);
+    let images = [FarImage::Here(&narrow, window)];
+    let far = Far::Images { picture: &picture, images: &images };
+    composite(&mut frame, far, &ahead(), &CAMERA, &CompositeOptions { fill: false, ..options });
+    for at in 0..frame.len() {
+        let want = if at % 160 < 80 { Source::Sky } else { Source::Unpainted };
+        assert_eq!(frame.source[at], want, "column {}", at % 160);
+    }
     for (far, source) in [(Far::Nothing, Source::Sky), (Far::Missing, Source::Unpainted)] {
         let mut frame = half_near(1.0);
         let stats = composite(&mut frame, far, &ahead(), &CAMERA, &options);
@@ -154,7 +177,7 @@ fn a_hole_behind_a_sphere_is_filled_with_the_wall() {
     let ldi = s.ldi(ldi_camera(DVec3::ZERO, 320, 240, 90.0), 1);
     let pose = Pose { position: DVec3::new(1.0, 0.0, 0.0), ..ahead() };
     let picture = warped(&ldi, &pose);
-    let far = Far::Images { picture: &picture, images: &[FarImage::Here(&ldi)] };
+    let far = Far::Images { picture: &picture, images: &[as_planned(&ldi)] };
     let run = |fill: bool| {
         let mut frame = Frame::new(CAMERA.width, CAMERA.height);
         let stats = composite(&mut frame, far, &pose, &CAMERA, &CompositeOptions { fill, smooth: false });
@@ -180,7 +203,7 @@ fn a_picture_that_is_mostly_holes_is_not_invented() {
         let mut picture = warped(&ldi, &ahead());
         picture.packed.iter_mut().enumerate().filter(|(at, _)| at % 160 >= columns).for_each(|(_, p)| *p = 0);
         let mut frame = Frame::new(CAMERA.width, CAMERA.height);
-        let far = Far::Images { picture: &picture, images: &[FarImage::Here(&ldi)] };
+        let far = Far::Images { picture: &picture, images: &[as_planned(&ldi)] };
         composite(&mut frame, far, &ahead(), &CAMERA, &CompositeOptions::default())
     };
     let (few, many) = (run(130), run(60));
@@ -275,8 +298,8 @@ fn tiles_join_without_a_seam() {
             composite(&mut frame, far, &pose, &CAMERA, &CompositeOptions { fill: false, smooth: false });
             frame
         };
-        let one = draw(&warped(&whole, &pose), &[FarImage::Here(&whole)]);
-        let two = draw(&picture, &tiles.each_ref().map(FarImage::Here));
+        let one = draw(&warped(&whole, &pose), &[as_planned(&whole)]);
+        let two = draw(&picture, &tiles.each_ref().map(as_planned));
         assert!(one.count(Source::Far) > 5000);
         assert_eq!(one.source, two.source, "{name}");
         // Where both halves hold a surface their borders may round differently.

@@ -198,10 +198,8 @@ impl Painter {
         }
 
         let start = Instant::now();
-        let shown: Vec<FarImage<'_>> = images
-            .iter()
-            .map(|(_, entry, ldi)| ldi.as_deref().map_or(FarImage::Absent(entry), FarImage::Here))
-            .collect();
+        let shown: Vec<FarImage<'_>> =
+            images.iter().map(|(_, entry, ldi)| FarImage::new(entry, ldi.as_deref())).collect();
         let far = match shown[..] {
             // What was dropped may lie anywhere: the rest is not known to be sky.
             _ if view.dropped > 0 && images.is_empty() => Far::Missing,

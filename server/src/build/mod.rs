@@ -28,6 +28,7 @@ use ldi_protocol::codec::ColourMode;
 use ldi_protocol::index::{
     BuildSettings, CellEntry, ChunkEntry, ChunkHash, ImageEntry, Index, Placement, SceneInfo, TextureEntry,
 };
+use ldi_protocol::select::CELLS;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -41,7 +42,7 @@ pub struct BuildOptions {
     pub scene: String,
     /// Dataset directory.
     pub output: PathBuf,
-    /// Settings; an `optimize_budget` of 0 stands for the default, P - max(10% of P, 2 x the largest cell).
+    /// Settings; an `optimize_budget` of 0 stands for the default: P with view cells, P - max(10% of P, 2 x the largest cell) with the paper's grid.
     pub settings: BuildSettings,
     /// Colour coding; `settings.colour` is its name.
     pub colour: ColourMode,
@@ -130,7 +131,10 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
     let mut settings = options.settings.clone();
     let clusters = Clusters::build(&scene);
     let octree = Octree::build(&scene, &clusters, settings.budget);
-    if settings.optimize_budget == 0 {
+    if settings.optimize_budget == 0 && settings.grid == CELLS {
+        // A box takes what P allows, to the triangle; aiming lower costs pixels (docs/decisions.md).
+        settings.optimize_budget = settings.budget;
+    } else if settings.optimize_budget == 0 {
         let slack = (settings.budget / 10).max(2 * u64::from(octree.largest_cell()));
         settings.optimize_budget = settings.budget.saturating_sub(slack).max(1);
     }

@@ -92,7 +92,7 @@ pub struct BuildArgs {
     /// Geometry budget P, triangles per frame.
     #[arg(long, default_value_t = 200_000, value_parser = clap::value_parser!(u64).range(1..))]
     pub budget: u64,
-    /// Optimization budget Popt [default: P - max(10% of P, 2 x the largest pseudo-leaf)].
+    /// Optimization budget Popt, what images aim at [default: P; with --grid paper P - max(10% of P, 2 x the largest pseudo-leaf)].
     #[arg(long)]
     pub optimize_budget: Option<u64>,
     /// LDI samples per output pixel pitch: 1, 1.5 or 2.

@@ -68,6 +68,25 @@ impl EyeTree {
         out
     }
 
+    /// The place where an eye may be that is closest to `p`; None without eyes.
+    pub fn closest(&self, p: DVec3) -> Option<DVec3> {
+        let mut best: Option<(f64, DVec3)> = None;
+        let mut stack = if self.nodes.is_empty() { vec![] } else { vec![0] };
+        while let Some(n) = stack.pop() {
+            let node = &self.nodes[n as usize];
+            let place = p.clamp(node.bounds.min, node.bounds.max);
+            let distance = place.distance_squared(p);
+            if best.is_some_and(|b| b.0 <= distance) {
+                continue;
+            }
+            match node.children {
+                Some([a, b]) => stack.extend([b, a]),
+                None => best = Some((distance, place)),
+            }
+        }
+        best.map(|b| b.1)
+    }
+
     /// Nodes no larger than `edge_m`, or single boxes, that together hold all eyes.
     pub fn blocks(&self, edge_m: f64) -> Vec<u32> {
         let mut out = Vec::new();
@@ -120,5 +139,12 @@ mod tests {
         }
         let leaves = tree.nodes.iter().filter(|n| n.children.is_none()).count();
         assert_eq!(leaves, v.boxes().count());
+        for k in 0..200 {
+            let p = DVec3::new(f64::from(k * 7 % 23) - 6.0, f64::from(k * 5 % 31) * 0.2 - 1.0, f64::from(k % 13));
+            let nearest = v.boxes().map(|b| b.distance(p)).fold(f64::INFINITY, f64::min);
+            let place = tree.closest(p).expect("there are eyes");
+            assert!((place.distance(p) - nearest).abs() < 1e-12 && v.boxes().any(|b| b.contains(place)));
+        }
+        assert_eq!(EyeTree::default().closest(DVec3::ZERO), None);
     }
 }

@@ -89,15 +89,15 @@ impl Look {
 pub(super) struct Counts(Vec<(Look, u64)>);
 
 impl Counts {
-    /// Counts `looks` over `near`. Err: a look that exceeds the budget however it is split.
-    pub fn new(ctx: &Context, looks: impl Iterator<Item = Look>, near: &CellMask) -> Result<Self, TooNear> {
+    /// Counts `looks` over `near`. Err: a look that exceeds `limit` however it is split.
+    pub fn new(ctx: &Context, looks: impl Iterator<Item = Look>, near: &CellMask, limit: u64) -> Result<Self, TooNear> {
         let mut out = Vec::new();
         let mut open: Vec<Look> = Vec::new();
         for look in looks {
             open.push(look);
             while let Some(look) = open.pop() {
                 let n = look.count(ctx, near);
-                if n <= ctx.budget {
+                if n <= limit {
                     out.push((look, n));
                 } else if let Some(parts) = look.split(ctx) {
                     open.extend(parts);
@@ -109,18 +109,18 @@ impl Counts {
         Ok(Self(out))
     }
 
-    /// Adds the cells that `wider` holds beyond `near`, unless some look would exceed the budget however it is split.
-    pub fn grow(&mut self, ctx: &Context, near: &CellMask, wider: &CellMask) -> bool {
+    /// Adds the cells that `wider` holds beyond `near`, unless some look that sees one of them would exceed `limit` however it is split.
+    pub fn grow(&mut self, ctx: &Context, near: &CellMask, wider: &CellMask, limit: u64) -> bool {
         let mut added = wider.clone();
         added.remove(near);
         let mut next = Vec::with_capacity(self.0.len());
         for (look, n) in &self.0 {
-            let n = n + look.count(ctx, &added);
-            if n <= ctx.budget {
-                next.push((look.clone(), n));
+            let new = look.count(ctx, &added);
+            if new == 0 || n + new <= limit {
+                next.push((look.clone(), n + new));
                 continue;
             }
-            match Self::new(ctx, std::iter::once(look.clone()), wider) {
+            match Self::new(ctx, std::iter::once(look.clone()), wider, limit) {
                 Ok(parts) => next.extend(parts.0),
                 Err(_) => return false,
             }
@@ -174,7 +174,7 @@ mod tests {
             assert!(largest <= whole);
             let budget = (largest + whole) / 2;
             let ctx = Context::new(&cells, &directions, &settings(budget), 60.0, CostBenefit::default());
-            match Counts::new(&ctx, std::iter::once(Look::new(&ctx, eyes, unit)), &near) {
+            match Counts::new(&ctx, std::iter::once(Look::new(&ctx, eyes, unit)), &near, ctx.budget) {
                 Ok(counts) => {
                     assert!(counts.largest() >= largest && counts.largest() <= budget);
                     assert!(!Look::new(&ctx, eyes, unit).exceeds(&ctx, &near));
@@ -202,11 +202,11 @@ mod tests {
         let eyes = Aabb { min: DVec3::new(-1.0, 1.0, -1.0), max: DVec3::new(1.0, 2.0, 1.0) };
         let looks = || (0..directions.units() as u16).map(|u| Look::new(&ctx, eyes, u));
         let some = |k: u32| CellMask::of(600, &(0..600).filter(|c| c % 7 < k).collect::<Vec<_>>());
-        let mut counts = Counts::new(&ctx, looks(), &some(1)).map_err(|e| e.needed).expect("few triangles");
+        let mut counts = Counts::new(&ctx, looks(), &some(1), ctx.budget).map_err(|e| e.needed).expect("few triangles");
         let mut grown = 1;
         for k in 2..=7 {
-            let anew = Counts::new(&ctx, looks(), &some(k));
-            let fits = counts.grow(&ctx, &some(k - 1), &some(k));
+            let anew = Counts::new(&ctx, looks(), &some(k), ctx.budget);
+            let fits = counts.grow(&ctx, &some(k - 1), &some(k), ctx.budget);
             assert_eq!(fits, anew.is_ok(), "step {k}");
             match anew {
                 Ok(anew) => assert!(counts.largest() <= anew.largest(), "a finer split is never worse"),

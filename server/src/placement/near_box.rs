@@ -1,7 +1,7 @@
 //! Near boxes: what a group of view cells draws as geometry, and the images that stand for all the rest (DESIGN, "Near and far").
 //!
 //! In: grid points with the eyes that use them. Out: an axis-aligned box around those eyes. Cells that touch the box are near and
-//! drawn; cells wholly beyond one of its six faces are far and replaced. From the centre of projection, the middle of the eyes, each
+//! drawn; cells wholly beyond one of its six faces are far and replaced. From the centre of projection, amid the eyes, each
 //! face is the quadrilateral of an image: the six cones fill the space around, so whatever direction an eye looks in, what it sees beyond the
 //! box lies in one of the images, at a depth of at least the face's distance.
 //!
@@ -19,7 +19,8 @@
 //! is not there already.
 //!
 //! The six distances take the place of the paper's six border lists (section 3.3.2): the box starts at the smallest that the footprint
-//! bound allows, and grows by the move that saves the most pixels while every direction of every eye stays within the budget.
+//! bound allows, and grows by the move that saves the most pixels while every direction of every eye stays within Popt; the smallest box must keep
+//! within P alone.
 
 use super::{
     cells::CellMask,
@@ -89,7 +90,8 @@ pub(super) fn face_basis(face: usize) -> ViewBasis {
 /// A box and what it costs.
 #[derive(Debug, Clone)]
 pub(super) struct NearBox {
-    /// Centre of projection: the middle of the eyes.
+    /// Centre of projection: where an eye can be, closest to the middle of the eyes. Between two storeys, in the slab, it would see the ceiling that
+    /// all eyes see from below edge-on or not at all.
     pub cop: DVec3,
     /// Distance of each of [`FACES`] from it.
     pub distance: [f64; 6],
@@ -100,7 +102,7 @@ pub(super) struct NearBox {
     pub culled: CellMask,
     /// Pixels of all images, with a charge for each image.
     pub cost: f64,
-    /// Largest number of triangles that stay in any direction.
+    /// Largest number of triangles that stay in any direction that uses the box.
     pub max_triangles: u64,
 }
 
@@ -152,17 +154,16 @@ pub(super) fn fit(ctx: &Context, members: &[&Member]) -> Result<NearBox, TooNear
             }
         }
         let Some((c, number, to, wider, to_images)) = best else { break };
-        if counts.grow(ctx, &near, &wider) {
+        if counts.grow(ctx, &near, &wider, ctx.optimize_budget) {
             (cost, distance, near, images) = (c, to, wider, to_images);
         } else {
             // Counts only grow: what does not fit now never will.
             stuck |= 1 << number;
         }
     }
-    let largest = members.iter().map(|m| m.largest).max().unwrap_or(0);
     let mut culled = fit.seen.clone();
     culled.remove(&near);
-    Ok(NearBox { cop: fit.cop, distance, images, culled, cost, max_triangles: counts.largest().max(largest) })
+    Ok(NearBox { cop: fit.cop, distance, images, culled, cost, max_triangles: counts.largest() })
 }
 
 impl<'a> Fit<'a> {
@@ -174,7 +175,8 @@ impl<'a> Fit<'a> {
             seen.add(&m.seen);
         }
         let hull = hull.widened(extra_m);
-        let cop = hull.bounds().centre();
+        let middle = hull.bounds().centre();
+        let cop = ctx.eyes.and_then(|e| e.closest(middle)).unwrap_or(middle);
         let ahead = std::array::from_fn(|f| {
             let n = face_basis(f).forward;
             (hull.support(n) - cop.dot(n)).max(0.0)
@@ -190,7 +192,7 @@ impl<'a> Fit<'a> {
     /// What stays of `near` in every look of every member.
     fn counts(&self, near: &CellMask) -> Result<Counts, TooNear> {
         let looks = self.members.iter().flat_map(|m| m.units.iter().map(|u| Look::new(self.ctx, m.eyes, *u)));
-        Counts::new(self.ctx, looks, near)
+        Counts::new(self.ctx, looks, near, self.ctx.budget)
     }
 
     /// The cells that touch the box.
@@ -363,7 +365,7 @@ mod tests {
         plan::plan_box,
         test_scenes::{Random, settings, strewn},
     };
-    use ldi_protocol::camera::Frustum;
+    use ldi_protocol::{camera::Frustum, index::BuildSettings, volume::WalkVolume};
 
     fn hall() -> (Cells, Directions) {
         let (bounds, triangles) = strewn(1500, 33);
@@ -401,13 +403,7 @@ mod tests {
         let plans: Vec<PlacementPlan> = groups
             .iter()
             .map(|(list, near)| {
-                plan_box(
-                    &ctx,
-                    &EyeTree::default(),
-                    near,
-                    &list.iter().map(|m| &members[*m as usize]).collect::<Vec<_>>(),
-                    0,
-                )
+                plan_box(&ctx, near, &list.iter().map(|m| &members[*m as usize]).collect::<Vec<_>>(), 0)
             })
             .collect();
         for ((_, near), plan) in groups.iter().zip(&plans) {
@@ -461,6 +457,40 @@ mod tests {
         }
         assert!(replaced > 500 && shown > 5000, "{replaced} frames with images, {shown} points");
         assert!(groups.len() < 9, "some cells share a box: {} groups", groups.len());
+    }
+
+    #[test]
+    fn the_centre_of_projection_is_where_an_eye_can_be() {
+        let (cells, directions) = hall();
+        let mut ctx = Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default());
+        // Two storeys, 1 to 2 m and 4 to 5 m: the middle of their eyes is in the slab.
+        let runs: Vec<Vec<[u16; 2]>> = (0..64).map(|_| vec![[10, 20], [40, 50]]).collect();
+        let cut = Aabb { min: DVec3::new(-2.0, 0.0, -2.0), max: DVec3::new(2.0, 0.0, 2.0) };
+        let volume = WalkVolume::new(DVec3::new(-2.0, 0.0, -2.0), 0.5, 0.1, [8, 8], &runs, &cut).expect("a volume");
+        let tree = EyeTree::new(&volume);
+        let mut hull = EyeHull::EMPTY;
+        volume.boxes().for_each(|b| hull.add(&b));
+        let member = Member::new(&ctx, hull, true);
+        let fitted = |ctx: &Context| fit(ctx, &[&member]).map_err(|e| e.needed).expect("feasible");
+        let slab = fitted(&ctx).cop;
+        assert!(slab.y > 2.5 && slab.y < 3.5 && !volume.contains(slab));
+        ctx.eyes = Some(&tree);
+        assert!(volume.contains(fitted(&ctx).cop), "{}", fitted(&ctx).cop);
+    }
+
+    #[test]
+    fn boxes_grow_to_the_optimization_budget() {
+        let (cells, directions) = hall();
+        let largest = |optimize_budget: u64| {
+            let settings = BuildSettings { optimize_budget, ..settings(9_000) };
+            let ctx = Context::new(&cells, &directions, &settings, 60.0, CostBenefit::default());
+            let members = members(&ctx);
+            let near = fit(&ctx, &[&members[4]]).map_err(|e| e.needed).expect("feasible");
+            near.max_triangles
+        };
+        let all = [6_000, 7_500, 9_000].map(|popt| (popt, largest(popt)));
+        assert!(all.iter().all(|(popt, n)| n <= popt && *n > popt / 2), "{all:?}");
+        assert!(all.windows(2).all(|w| w[0].1 < w[1].1), "{all:?}");
     }
 
     #[test]

@@ -50,20 +50,15 @@ pub(super) fn plan(ctx: &Context, image: &Image, grid_point: u32, grid_position:
 const MOST_EYES: usize = 256;
 
 /// The plan for a near box that `members` use.
-pub(super) fn plan_box(
-    ctx: &Context,
-    tree: &EyeTree,
-    near: &NearBox,
-    members: &[&Member],
-    grid_point: u32,
-) -> PlacementPlan {
+pub(super) fn plan_box(ctx: &Context, near: &NearBox, members: &[&Member], grid_point: u32) -> PlacementPlan {
     let users = members.iter().fold(Aabb::EMPTY, |b, m| b.union(m.eyes));
     let mut units: Vec<u16> = members.iter().flat_map(|m| m.units.iter().copied()).collect();
     units.sort_unstable();
     units.dedup();
     let units: Vec<(u16, [f64; 2])> = units.into_iter().map(|u| (u, ctx.directions.unit(usize::from(u)).0)).collect();
     let gazes = gazes(ctx, members);
-    let eyes = spread(&standing(tree, &members.iter().map(|m| m.eyes).collect::<Vec<_>>()), near.cop);
+    let boxes: Vec<Aabb> = members.iter().map(|m| m.eyes).collect();
+    let eyes = spread(&ctx.eyes.map_or(vec![], |tree| standing(tree, &boxes)), near.cop);
     let mut images = Vec::new();
     for (face, image) in near.images.iter().enumerate() {
         let Some(image) = image else { continue };

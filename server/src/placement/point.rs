@@ -19,6 +19,7 @@ use super::{
     bin_planes::BinPlanes,
     cells::{CellMask, Cells},
     coverage::PointUses,
+    eye_tree::EyeTree,
     footprint::Footprint,
     hull::EyeHull,
     subset::{CostBenefit, Goal, Item, best_subset},
@@ -59,6 +60,8 @@ pub(super) struct Context<'a> {
     pub picture_tan: (f64, f64),
     /// Footprint bounds.
     pub footprint: Footprint,
+    /// Where eyes can be; None: not known.
+    pub eyes: Option<&'a EyeTree>,
     /// How eyes are given to grid points.
     pub scheme: Scheme,
     /// P.
@@ -93,6 +96,7 @@ impl<'a> Context<'a> {
             half_tan,
             picture_tan: (settings.camera.half_tan_x().min(half_tan), settings.camera.half_tan_y().min(half_tan)),
             footprint: Footprint::new(&settings.camera, settings.density, settings.max_footprint_px),
+            eyes: None,
             scheme: if settings.grid == CELLS { Scheme::Cells } else { Scheme::Paper },
             budget: settings.budget,
             optimize_budget: settings.optimize_budget.min(settings.budget),

@@ -94,7 +94,7 @@ pub(super) fn refine(
         if failed.is_empty() {
             statistics.certified_boxes = boxes;
             statistics.coverage_certified = true;
-            return finish(ctx, tree, &lattice, uses, statistics);
+            return finish(ctx, &lattice, uses, statistics);
         }
         let levels: Vec<u8> = lattice.points.iter().map(|p| p.level).collect();
         for (i, too_near) in failed {
@@ -166,7 +166,6 @@ const FINEST_SPACING_M: f64 = 0.1;
 /// Solves all points in use for the users they are left with.
 fn finish(
     ctx: &Context,
-    tree: &EyeTree,
     lattice: &Lattice,
     uses: Vec<PointUses>,
     statistics: &mut PlacementStatistics,
@@ -177,7 +176,7 @@ fn finish(
     statistics.skipped.insert("no eye of the walk volume can select the point".into(), unused);
     let Solved { plans, left, lists, max_triangles } = timed(statistics, "solve", || match ctx.scheme {
         Scheme::Paper => solve_points(ctx, lattice, &used),
-        Scheme::Cells => solve_groups(ctx, tree, lattice, &used),
+        Scheme::Cells => solve_groups(ctx, lattice, &used),
     })?;
     let points = used
         .into_iter()
@@ -239,12 +238,7 @@ fn solve_points(ctx: &Context, lattice: &Lattice, used: &[(usize, PointUses)]) -
 }
 
 /// Solves view cells in groups.
-fn solve_groups(
-    ctx: &Context,
-    tree: &EyeTree,
-    lattice: &Lattice,
-    used: &[(usize, PointUses)],
-) -> Result<Solved, PlacementError> {
+fn solve_groups(ctx: &Context, lattice: &Lattice, used: &[(usize, PointUses)]) -> Result<Solved, PlacementError> {
     let members: Vec<Member> = used.par_iter().map(|(_, u)| Member::new(ctx, u.units[0].1, true)).collect();
     let groups = group(ctx, &members).map_err(|(member, e)| infeasible(ctx, lattice, used[member as usize].0, e))?;
     let mut out = Solved::default();
@@ -257,7 +251,7 @@ fn solve_groups(
         .par_iter()
         .map(|(of, near)| {
             let users: Vec<&Member> = of.iter().map(|m| &members[*m as usize]).collect();
-            plan_box(ctx, tree, near, &users, of[0])
+            plan_box(ctx, near, &users, of[0])
         })
         .collect();
     let uncut = members.iter().map(|m| m.largest).max().unwrap_or(0);

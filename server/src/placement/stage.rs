@@ -55,8 +55,9 @@ pub fn plan_placements(
     let cells =
         Cells::new(octree.cells.iter().map(|c| c.bounds).collect(), octree.cells.iter().map(|c| c.triangles).collect());
     let directions = Directions::new(settings.pitch_deg);
-    let ctx = Context::new(&cells, &directions, settings, bounds.size().max_element(), parameters.cost_benefit);
     let tree = timed(&mut statistics, "walk volume", || EyeTree::new(&volume));
+    let mut ctx = Context::new(&cells, &directions, settings, bounds.size().max_element(), parameters.cost_benefit);
+    ctx.eyes = Some(&tree);
     // The grid spans the model and every eye: walkers on a roof stand above the model's box.
     let model = bounds.union(*volume.bounds());
     let spacing_m = parameters.spacing_m.unwrap_or(model.size().max_element() * 0.5);

@@ -201,6 +201,7 @@ fn sky_is_known_where_some_eye_sees_it() {
             (x * f).floor() as i64 - i64::from(ldi.camera.left),
             (y * f).floor() as i64 - i64::from(ldi.camera.top),
         )
+        .expect("inside the image")
     };
     assert!(at(0.5, 0.0) && at(-0.5, 0.0), "beside the plate");
     assert!(at(0.15, 0.0) && at(-0.15, 0.0), "behind its edge, seen from one metre aside");
