@@ -86,6 +86,9 @@ struct WalkArgs {
     /// How a warped sample becomes pixels: 1px, 2x2, 3x3, cross, footprint or quads.
     #[arg(long, value_name = "NAME", default_value = "quads")]
     stamp: Stamp,
+    /// Smooth what was warped with the 3 x 3 kernel of the 1999 system: fewer jaggies, less detail.
+    #[arg(long)]
+    smooth: bool,
     /// Samples per output pixel along each side.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=2), default_value_t = 1)]
     supersample: u32,
@@ -220,9 +223,6 @@ fn refuse_what_is_not_there(args: &WalkArgs) -> Result<(), Failure> {
     if args.link.is_some() {
         return Err(not_there("--link", "walk over the link that there is"));
     }
-    if args.order == Order::Epipole {
-        return Err(not_there("--order epipole", "use --order z"));
-    }
     if let Some(ms) = args.frame_ms
         && !(ms.is_finite() && ms > 0.0)
     {
@@ -270,6 +270,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         stamp: args.stamp,
         order: args.order,
         cull: args.cull,
+        smooth: args.smooth,
         supersample: args.supersample,
         pace: args.pace,
         every: args.every as usize,

@@ -19,7 +19,7 @@ pub mod layout;
 mod pages;
 mod validate;
 
-pub use content::{check_bundle, check_cell, check_cell_content, check_ldi, check_texture};
+pub use content::{check_bundle, check_cell, check_cell_content, check_decoded_bytes, check_ldi, check_texture};
 pub use validate::validate;
 
 use crate::{
@@ -249,9 +249,10 @@ pub fn assemble<B: AsRef<[u8]>>(root: &Root, pages: &[B]) -> Result<Index, Codec
         images: Vec::new(),
         volume: None,
     };
+    let mut room = pages::Room::of_index();
     for (entry, bytes) in root.pages.iter().zip(pages) {
         check_page_hash(entry, bytes.as_ref())?;
-        pages::decode_into(&mut index, entry, bytes.as_ref())?;
+        pages::decode_into(&mut index, entry, bytes.as_ref(), &mut room)?;
     }
     validate(&index)?;
     Ok(index)
@@ -284,6 +285,11 @@ impl Root {
         }
         if next != self.counts.map(u64::from) || self.counts[PageKind::Volume as usize] > 1 {
             return Err(CodecError::mismatch("pages", "they do not cover all entries"));
+        }
+        // Before anything is fetched. Sections that do not shrink are stored as they are.
+        let stored: u64 = self.pages.iter().map(|p| u64::from(p.stored_bytes)).sum();
+        if stored > pages::INDEX_BYTES as u64 {
+            return Err(CodecError::range("page bytes", stored, "all pages together have at most 256 MiB"));
         }
         Ok(())
     }

@@ -45,7 +45,7 @@ impl WalkVolume {
     /// Most columns a volume may have: bounds the memory that a manifest can ask for.
     pub const MAX_COLUMNS: u64 = 1 << 23;
     /// Most runs of layers.
-    pub const MAX_RUNS: u64 = 1 << 26;
+    pub const MAX_RUNS: u64 = 1 << 24;
 
     /// A volume from runs per column (ascending, disjoint, `first < end`), row-major over `columns`. `cut` limits x and z.
     pub fn new(

@@ -1,5 +1,7 @@
 //! The real binaries, from scene to walked frames, on a small built-in house.
 
+use ldi_protocol::select::draw_list;
+use ldi_server::store::Dataset;
 use ldi_tests::run::{self, Server};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -176,18 +178,23 @@ fn a_build_that_is_killed_goes_on_and_gives_the_same_bytes() {
     let f = fixture();
     let out = folder("resume");
     let dataset = out.join("dataset");
-    let mut killed = 0;
-    for milliseconds in [150, 400, 900, 1600] {
+    let all = json(&f.dataset.join("report.json"))["ldis"].as_u64().expect("a count") as usize;
+    let pieces = || {
+        let folders = std::fs::read_dir(dataset.join(".build")).into_iter().flatten().flatten();
+        folders.filter_map(|f| std::fs::read_dir(f.path()).ok()).map(Iterator::count).sum::<usize>()
+    };
+    // While planning, and when some of the images are kept and some are not.
+    for until in [0, 1, all / 3] {
         let mut child =
             build_command(&f.scene, &dataset, &[]).stderr(Stdio::null()).stdout(Stdio::null()).spawn().expect("starts");
-        std::thread::sleep(Duration::from_millis(milliseconds));
-        if child.try_wait().expect("known").is_none() {
-            child.kill().expect("can be killed");
-            killed += 1;
+        while pieces() < until {
+            assert!(child.try_wait().expect("known").is_none(), "it ended with {} pieces", pieces());
+            std::thread::sleep(Duration::from_millis(2));
         }
+        child.kill().expect("can be killed");
         child.wait().expect("ends");
+        assert!(pieces() >= until && pieces() < all, "{} of {all} pieces", pieces());
     }
-    assert!(killed > 0, "the build was never stopped midway: make the fixture larger");
     build(&f.scene, &dataset, &[]);
     assert_same_dataset(&dataset, &f.dataset);
 }
@@ -203,24 +210,38 @@ fn a_flipped_byte_is_named_and_the_walk_goes_on() {
         std::fs::write(to, bytes).expect("writable");
     }
     run::run(server(&["verify", damaged.to_str().expect("UTF-8")])).expect("a copy is whole");
-    let pack = dataset_bytes(&damaged)
-        .into_keys()
-        .filter(|n| n.starts_with("packs"))
-        .max_by_key(|n| std::fs::metadata(damaged.join(n)).expect("there").len())
-        .expect("a pack");
-    let mut bytes = std::fs::read(damaged.join(&pack)).expect("readable");
-    // The last chunks are images.
-    let at = bytes.len() - bytes.len() / 8;
-    bytes[at] ^= 0x10;
+    // A chunk that the walk needs: the first image of the placement that its first pose with images uses.
+    let dataset = Dataset::open(&damaged).expect("opens");
+    let path = ldi_protocol::path::parse(&std::fs::read_to_string(&f.poses).expect("readable")).expect("a path");
+    let half_tan = {
+        let c = &dataset.index().settings.camera;
+        (c.half_tan_x(), c.half_tan_y())
+    };
+    let image = path.poses.iter().find_map(|p| draw_list(dataset.index(), &p.pose, half_tan).images.first().copied());
+    let chunk = dataset.index().images[image.expect("some pose uses images") as usize].chunks[0];
+    let wanted = dataset.chunk(chunk).expect("there").to_vec();
+    drop(dataset);
+    let (pack, mut bytes, at) = dataset_bytes(&damaged)
+        .into_iter()
+        .filter(|(name, _)| name.starts_with("packs"))
+        .find_map(|(name, bytes)| {
+            let at = bytes.windows(wanted.len()).position(|w| w == wanted)?;
+            Some((name, bytes, at))
+        })
+        .expect("in some pack");
+    bytes[at + wanted.len() / 2] ^= 0x10;
     std::fs::write(damaged.join(&pack), bytes).expect("writable");
     let verified = server(&["verify", damaged.to_str().expect("UTF-8")]).output().expect("runs");
     let (code, stderr) = outcome(&verified);
     let said = stderr + &String::from_utf8_lossy(&verified.stdout);
     assert_eq!(code, Some(42), "{said}");
-    assert!(said.contains("chunk"), "{said}");
+    let fault = |l: &str| l.contains(&format!(" {chunk} ")) && l.contains(&format!("at byte {at}:"));
+    assert!(said.lines().any(fault), "chunk {chunk} at {at}: {said}");
     let served = Server::start(&damaged).expect("serves what is whole");
     let report = walk(&served, f, &out, &[]);
     assert_eq!(report["summary"]["frames"], 5);
+    assert!(report["summary"]["frames_incomplete"].as_u64() > Some(0), "{}", report["summary"]);
+    assert!(report["summary"]["mean_triangles"].as_f64() > Some(0.0), "the rest is drawn");
 }
 
 #[test]
@@ -275,7 +296,13 @@ fn exit_codes_tell_usage_from_bad_input() {
     assert_eq!(status, Some(42), "{stderr}");
     assert!(stderr.contains("bad.glb"), "{stderr}");
     assert_eq!(code(server(&["build"]).arg(&bad)).0, Some(2));
-    assert_eq!(code(&mut server(&["scene", "castle", "-o", "/dev/null"])).0, Some(42));
+    // Found out before anything is planned, and nothing is left behind.
+    assert!(!out.join("d").exists());
+    let (status, stderr) = code(server(&["build"]).arg(out.join("absent.glb")).arg("-o").arg(out.join("d")));
+    assert_eq!(status, Some(42), "{stderr}");
+    let (status, stderr) = code(server(&["build", "builtin:pipes?triangles=5000", "-o"]).arg(&out));
+    assert_eq!(status, Some(42), "the folder holds other files: {stderr}");
+    assert_eq!(code(&mut server(&["scene", "castle", "-o", "/dev/null"])).0, Some(2));
     assert_eq!(code(server(&["inspect"]).arg(&out)).0, Some(42));
     assert_eq!(
         code(server(&["build", "builtin:pipes?triangles=5000", "--fov", "40", "-o"]).arg(out.join("e"))).0,

@@ -15,8 +15,8 @@ pub(super) enum Value {
     Empty,
     Geometry(Arc<CellGeometry>),
     Ldi(Arc<Ldi>),
-    /// Deeper layers of an LDI whose first is not there yet, by part.
-    WaitingLayers(Vec<(u8, Vec<u8>)>),
+    /// Deeper layers of an LDI whose first is not there yet.
+    WaitingLayers(Vec<u8>),
     Texture(Arc<Texture>),
 }
 

@@ -116,6 +116,23 @@ fn damaged_and_foreign_bytes_are_refused_and_change_nothing() {
     assert_eq!(cache.usage().bytes, 0);
 }
 
+/// A server that announces less than a chunk takes would make the cap worthless.
+#[test]
+fn chunks_that_take_more_memory_than_announced_are_refused() {
+    let (_, street) = empty(1 << 30);
+    for chunk in 0..street.chunks.len() as u32 {
+        let mut index = street.index.clone();
+        index.chunks[chunk as usize].decoded_bytes -= 1;
+        let cache = Cache::new(Arc::new(index), 1 << 30);
+        // Deeper layers are judged once the first is there.
+        let refused = cache.insert(chunk, &street.chunks[chunk as usize]).is_err()
+            || chunk == LDI[1] && cache.insert(LDI[0], &street.chunks[LDI[0] as usize]).is_ok() && {
+                cache.ldi(0).is_some_and(|l| l.layers.len() == 1)
+            };
+        assert!(refused, "chunk {chunk}");
+    }
+}
+
 #[test]
 fn waiting_ends_when_the_last_chunk_comes_or_will_not_come() {
     let (cache, street) = empty(1 << 30);

@@ -4,6 +4,7 @@ use super::{DecodeError, Value};
 use ldi_protocol::{
     codec::{self, texture::TextureLevels},
     index::{Index, TextureEntry},
+    ldi::Ldi,
     manifest,
     texture::Texture,
 };
@@ -13,48 +14,61 @@ use std::sync::Arc;
 pub(super) fn cell(index: &Index, cell: u32, bytes: &[u8]) -> Result<Value, DecodeError> {
     let geometry = codec::cell::decode(bytes)?;
     manifest::check_cell(index, cell, &geometry)?;
+    manifest::check_decoded_bytes(index, index.cells[cell as usize].chunk, codec::cell::decoded_bytes(&geometry))?;
     Ok(Value::Geometry(Arc::new(geometry)))
 }
 
 /// A bundle.
-pub(super) fn bundle(index: &Index, bytes: &[u8]) -> Result<Value, DecodeError> {
+pub(super) fn bundle(index: &Index, chunk: u32, bytes: &[u8]) -> Result<Value, DecodeError> {
     let geometry = codec::cell::decode(bytes)?;
     manifest::check_bundle(index, &geometry)?;
+    manifest::check_decoded_bytes(index, chunk, codec::cell::decoded_bytes(&geometry))?;
     Ok(Value::Geometry(Arc::new(geometry)))
 }
 
 /// Joins a chunk to an LDI. Deeper layers that come before the first wait as bytes.
 pub(super) fn ldi(index: &Index, image_number: u32, old: &Value, part: u8, bytes: &[u8]) -> Result<Value, DecodeError> {
+    let counted = |image: &Ldi, part: usize| {
+        let chunk = index.images[image_number as usize].chunks.get(part).ok_or(DecodeError::Unreferenced)?;
+        Ok::<_, DecodeError>(manifest::check_decoded_bytes(index, *chunk, codec::ldi::decoded_bytes(image)[part])?)
+    };
+    let deepened = |image: &Ldi, bytes: &[u8]| {
+        let mut image = image.clone();
+        codec::ldi::decode_deeper(bytes, &mut image)?;
+        manifest::check_ldi(index, image_number, &image)?;
+        counted(&image, 1)?;
+        Ok::<_, DecodeError>(image)
+    };
     if part == 0 {
         let mut image = codec::ldi::decode_first(bytes)?;
         manifest::check_ldi(index, image_number, &image)?;
+        counted(&image, 0)?;
         if let Value::WaitingLayers(waiting) = old {
-            for (_, deeper) in waiting {
-                // Their hash was right, so the build wrote them so; the first layer is good without them.
-                if codec::ldi::decode_deeper(deeper, &mut image).is_err() {
-                    break;
-                }
+            // The first layer is good without them.
+            if let Ok(deep) = deepened(&image, waiting) {
+                image = deep;
             }
         }
         return Ok(Value::Ldi(Arc::new(image)));
     }
-    if let Value::Ldi(image) = old {
-        let mut image = (**image).clone();
-        codec::ldi::decode_deeper(bytes, &mut image)?;
-        manifest::check_ldi(index, image_number, &image)?;
-        return Ok(Value::Ldi(Arc::new(image)));
+    match old {
+        Value::Ldi(image) => Ok(Value::Ldi(Arc::new(deepened(image, bytes)?))),
+        _ => Ok(Value::WaitingLayers(bytes.to_vec())),
     }
-    let mut waiting = if let Value::WaitingLayers(w) = old { w.clone() } else { Vec::new() };
-    waiting.push((part, bytes.to_vec()));
-    waiting.sort_by_key(|w| w.0);
-    Ok(Value::WaitingLayers(waiting))
 }
 
 /// The levels of a texture's chunk.
-pub(super) fn texture_levels(entry: &TextureEntry, part: u8, bytes: &[u8]) -> Result<TextureLevels, DecodeError> {
+pub(super) fn texture_levels(
+    index: &Index,
+    texture: u32,
+    part: u8,
+    bytes: &[u8],
+) -> Result<TextureLevels, DecodeError> {
+    let entry = &index.textures[texture as usize];
     let levels = codec::texture::decode(bytes)?;
     let wanted = entry.chunks.get(usize::from(part)).ok_or(DecodeError::Unreferenced)?;
     manifest::check_texture(entry, wanted, &levels)?;
+    manifest::check_decoded_bytes(index, wanted.chunk, codec::texture::decoded_bytes(&levels))?;
     Ok(levels)
 }
 

@@ -149,7 +149,7 @@ impl Cache {
     fn insert_part(&self, part: Part, chunk: u32, bytes: &[u8]) -> Result<Inserted, DecodeError> {
         let entry = &self.layout.objects[part.object as usize];
         let levels = match entry.kind {
-            ObjectKind::Texture(t) => Some(decode::texture_levels(&self.index.textures[t as usize], part.part, bytes)?),
+            ObjectKind::Texture(t) => Some(decode::texture_levels(&self.index, t, part.part, bytes)?),
             _ => None,
         };
         loop {
@@ -167,7 +167,7 @@ impl Cache {
                 }
                 (ObjectKind::Ldi(p), _) => decode::ldi(&self.index, *p, &old, part.part, bytes)?,
                 (ObjectKind::Cell(c), _) => decode::cell(&self.index, *c, bytes)?,
-                (ObjectKind::Bundle | ObjectKind::Texture(_), _) => decode::bundle(&self.index, bytes)?,
+                (ObjectKind::Bundle | ObjectKind::Texture(_), _) => decode::bundle(&self.index, chunk, bytes)?,
             };
             if let Some(done) = self.install(part, chunk, new, version) {
                 return Ok(done);

@@ -68,6 +68,8 @@ pub struct WalkOptions {
     pub order: Order,
     /// Rejection of samples by groups.
     pub cull: Cull,
+    /// Smooth warped pixels with a 3 x 3 kernel.
+    pub smooth: bool,
     /// Samples per output pixel along each side: 1 or 2.
     pub supersample: u32,
     /// Pacing.

@@ -206,7 +206,8 @@ impl Painter {
             [] => Far::Nothing,
             _ => Far::Images { picture: &self.far, images: &shown },
         };
-        composite(&mut self.full, far, pose, &full_camera, &CompositeOptions::default());
+        let composite_options = CompositeOptions { smooth: options.smooth, ..CompositeOptions::default() };
+        composite(&mut self.full, far, pose, &full_camera, &composite_options);
         if options.supersample > 1 {
             downsample(&self.full, options.supersample, out);
         } else {

@@ -175,6 +175,7 @@ fn options(pace: Pace) -> WalkOptions {
         stamp: Stamp::Quads,
         order: Order::Z,
         cull: Cull::Auto,
+        smooth: false,
         supersample: 1,
         pace,
         every: 2,

@@ -6,6 +6,7 @@ use super::{
     handshake::{self, Opened},
     receive::{self, Broken},
     stats::{Collector, SAMPLE_EVERY},
+    transport::MAX_STREAMS,
 };
 use crate::cache::Cache;
 use glam::DVec3;
@@ -145,7 +146,8 @@ impl Session {
         let mut repeat_at = tokio::time::Instant::now() + repeat;
         loop {
             tokio::select! {
-                stream = self.connection.accept_uni() => {
+                // A stream that was read to its end no longer counts for QUIC: chunks that wait for a decoder must count here.
+                stream = self.connection.accept_uni(), if tasks.len() <= MAX_STREAMS as usize => {
                     let stream = stream.map_err(|e| handshake::lost(&e))?;
                     tasks.spawn(take_in(stream, self.cache.clone(), self.stats.clone(), jobs.clone()));
                 }

@@ -74,12 +74,22 @@ impl Writer {
 /// Reads fields of a chunk in order; every method fails with the field's name instead of reading past the end.
 pub(crate) struct Reader<'a> {
     rest: &'a [u8],
+    /// Raw bytes that sections may still hold.
+    room: usize,
     zstd: Option<zstd::bulk::Decompressor<'static>>,
 }
 
 impl<'a> Reader<'a> {
     pub fn new(bytes: &'a [u8]) -> Self {
-        Self { rest: bytes, zstd: None }
+        Self::with_room(bytes, usize::MAX)
+    }
+    /// Sections may hold this many raw bytes together.
+    pub fn with_room(bytes: &'a [u8], room: usize) -> Self {
+        Self { rest: bytes, room, zstd: None }
+    }
+    /// What is left of it.
+    pub fn room(&self) -> usize {
+        self.room
     }
     /// Bytes not read yet.
     pub fn remaining(&self) -> usize {
@@ -156,7 +166,8 @@ impl<'a> Reader<'a> {
     }
     /// A section of at most `max` raw bytes.
     pub fn section(&mut self, field: &'static str, max: usize) -> Result<Vec<u8>, CodecError> {
-        let raw_len = self.count(field, max)?;
+        let raw_len = self.count(field, max.min(self.room))?;
+        self.room -= raw_len;
         let stored_len = self.count(field, raw_len)?;
         let stored = self.take(stored_len, field)?;
         if stored_len == raw_len {

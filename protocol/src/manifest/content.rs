@@ -111,6 +111,23 @@ pub fn check_ldi(index: &Index, image: u32, ldi: &Ldi) -> Result<(), CodecError>
     Ok(())
 }
 
+/// Checks that a decoded chunk takes as many bytes as the index says: caches count by that number.
+///
+/// # Errors
+/// If it does not.
+pub fn check_decoded_bytes(index: &Index, chunk: u32, found: usize) -> Result<(), CodecError> {
+    let listed = index
+        .chunks
+        .get(chunk as usize)
+        .ok_or_else(|| CodecError::range("chunk", chunk, "the index has no such chunk"))?
+        .decoded_bytes;
+    if found == listed as usize {
+        Ok(())
+    } else {
+        Err(CodecError::mismatch("decoded bytes", format!("{found} bytes in memory, but the index says {listed}")))
+    }
+}
+
 /// Checks a texture chunk: size and levels are those of its entry.
 ///
 /// # Errors

@@ -222,6 +222,31 @@ fn every_flipped_bit_of_root_and_pages_is_noticed() {
     assert!(assemble(&root, &encoded.pages[1..]).is_err());
 }
 
+#[test]
+fn what_all_pages_hold_together_is_bounded() {
+    let encoded = encode(&index(40)).unwrap();
+    let root = decode_root(&encoded.root).unwrap();
+    let with = |mut room: pages::Room| {
+        let mut index = Index { chunks: vec![], cells: vec![], materials: vec![], textures: vec![], ..index(0) };
+        (index.points, index.placements, index.images) = (vec![], vec![], vec![]);
+        let pages = root.pages.iter().zip(&encoded.pages);
+        let done = pages.map(|(e, p)| pages::decode_into(&mut index, e, p, &mut room)).find(Result::is_err);
+        (done.is_none(), room)
+    };
+    let all = pages::Room::of_index();
+    let (fine, left) = with(pages::Room { ..all });
+    let (bytes, numbers) = (all.bytes - left.bytes, all.numbers - left.numbers);
+    assert!(fine && bytes > 1000 && numbers > 40, "{bytes} bytes, {numbers} numbers");
+    // What each page holds alone would fit.
+    assert!(with(pages::Room { bytes, numbers }).0);
+    assert!(!with(pages::Room { bytes: bytes - 1, numbers }).0);
+    assert!(!with(pages::Room { bytes, numbers: numbers - 1 }).0);
+    // And nothing of that size is fetched.
+    let mut huge = root.clone();
+    huge.pages.iter_mut().for_each(|p| p.stored_bytes = 200 << 20);
+    assert!(huge.check_pages().is_err() && root.check_pages().is_ok());
+}
+
 /// Damage that the hashes would catch, seen by the decoders alone: never a panic.
 #[test]
 fn forged_pages_never_panic() {
@@ -240,12 +265,16 @@ fn forged_pages_never_panic() {
     };
     for (entry, page) in root.pages.iter().zip(&encoded.pages) {
         for n in 0..page.len() {
-            assert!(pages::decode_into(&mut empty(), entry, &page[..n]).is_err(), "{:?} cut at {n}", entry.kind);
+            assert!(
+                pages::decode_into(&mut empty(), entry, &page[..n], &mut pages::Room::of_index()).is_err(),
+                "{:?} cut at {n}",
+                entry.kind
+            );
         }
         for k in 0..2000usize {
             let mut damaged = page.clone();
             damaged[k * 7919 % page.len()] ^= 1 + (k * 31 % 255) as u8;
-            let _ = pages::decode_into(&mut empty(), entry, &damaged);
+            let _ = pages::decode_into(&mut empty(), entry, &damaged, &mut pages::Room::of_index());
         }
     }
 }

@@ -20,8 +20,25 @@ use glam::DVec3;
 use std::ops::Range;
 
 const MAGIC: [u8; 3] = *b"LDP";
-/// Longest section of a page, raw: bounds what a forged page can make a reader allocate.
-const MAX_SECTION: usize = 256 << 20;
+/// Longest section of a page, raw.
+const MAX_SECTION: usize = INDEX_BYTES;
+/// Raw bytes of all sections of all pages together: bounds what a forged manifest can make a reader allocate. The largest index so far has some 20 MB.
+pub(super) const INDEX_BYTES: usize = 256 << 20;
+
+/// What the pages of one index may still hold.
+pub(super) struct Room {
+    /// Raw bytes of sections.
+    pub bytes: usize,
+    /// Numbers that ascending lists expand to: runs make long lists from few bytes.
+    pub numbers: usize,
+}
+
+impl Room {
+    /// For a whole index.
+    pub fn of_index() -> Self {
+        Self { bytes: INDEX_BYTES, numbers: 1 << 26 }
+    }
+}
 const KINDS: [ChunkKind; 5] = [ChunkKind::Page, ChunkKind::Cell, ChunkKind::Bundle, ChunkKind::Ldi, ChunkKind::Texture];
 
 /// Encodes a range of the entries of one kind.
@@ -44,9 +61,14 @@ pub(super) fn encode(index: &Index, kind: PageKind, range: Range<usize>, level: 
     Ok(w.bytes)
 }
 
-/// Decodes a page and appends its entries.
-pub(super) fn decode_into(index: &mut Index, entry: &PageEntry, bytes: &[u8]) -> Result<(), CodecError> {
-    let mut r = Reader::new(bytes);
+/// Decodes a page and appends its entries; takes from `room` what they hold.
+pub(super) fn decode_into(
+    index: &mut Index,
+    entry: &PageEntry,
+    bytes: &[u8],
+    room: &mut Room,
+) -> Result<(), CodecError> {
+    let mut r = Reader::with_room(bytes, room.bytes);
     r.magic("manifest page", MAGIC, VERSION)?;
     let head = (r.u8("page kind")?, r.varint("page first", u64::MAX)?, r.varint("page count", u64::MAX)?);
     if head != (entry.kind as u8, entry.first.into(), entry.count.into()) {
@@ -55,7 +77,7 @@ pub(super) fn decode_into(index: &mut Index, entry: &PageEntry, bytes: &[u8]) ->
     let n = entry.count as usize;
     match entry.kind {
         PageKind::Chunks => index.chunks.extend(take_chunks(&mut r, n)?),
-        PageKind::Cells => index.cells.extend(take_cells(&mut r, n)?),
+        PageKind::Cells => index.cells.extend(take_cells(&mut r, n, &mut room.numbers)?),
         PageKind::Materials => {
             let materials: Vec<_> = take_packed(&mut r, "materials")?;
             if materials.len() != n {
@@ -66,12 +88,13 @@ pub(super) fn decode_into(index: &mut Index, entry: &PageEntry, bytes: &[u8]) ->
         PageKind::Textures => index.textures.extend(take_textures(&mut r, n)?),
         PageKind::Points => index.points.extend(take_points(&mut r, n)?),
         PageKind::Placements => {
-            let (placements, images) = take_placements(&mut r, n, index.images.len())?;
+            let (placements, images) = take_placements(&mut r, n, index.images.len(), &mut room.numbers)?;
             index.placements.extend(placements);
             index.images.extend(images);
         }
         PageKind::Volume => index.volume = take_packed(&mut r, "walk volume")?,
     }
+    room.bytes = r.room();
     r.finish("manifest page")
 }
 
@@ -134,7 +157,7 @@ fn put_ascending(out: &mut Vec<u8>, list: &[u32]) {
     }
 }
 
-/// Reads an ascending list; `budget` counts down what the page's lists may hold together.
+/// Reads an ascending list; `budget` counts down what the index's lists may hold together.
 fn take_ascending(n: &mut Numbers, field: &'static str, budget: &mut usize) -> Result<Vec<u32>, CodecError> {
     let runs = n.count(field, *budget)?;
     let mut out = Vec::new();
@@ -151,9 +174,6 @@ fn take_ascending(n: &mut Numbers, field: &'static str, budget: &mut usize) -> R
     }
     Ok(out)
 }
-
-/// Most numbers that the ascending lists of one page expand to: runs make long lists from few bytes.
-const LIST_BUDGET: usize = 1 << 26;
 
 fn put_chunks(w: &mut Writer, chunks: &[ChunkEntry]) -> Result<(), CodecError> {
     w.section("chunk hashes", chunks.iter().map(|c| c.hash.0).collect::<Vec<_>>().as_flattened())?;
@@ -213,14 +233,13 @@ fn put_cells(w: &mut Writer, cells: &[CellEntry]) -> Result<(), CodecError> {
     w.section("cells", &numbers)
 }
 
-fn take_cells(r: &mut Reader<'_>, n: usize) -> Result<Vec<CellEntry>, CodecError> {
+fn take_cells(r: &mut Reader<'_>, n: usize, budget: &mut usize) -> Result<Vec<CellEntry>, CodecError> {
     if n > MAX_SECTION / 24 {
         return Err(CodecError::range("page count", n, "more than a page may hold"));
     }
     let bytes = r.section_of("cell bounds", n * 24)?;
     let bound = |k: usize, i: usize| f64::from(f32::from_le_bytes(std::array::from_fn(|b| bytes[(b * 6 + k) * n + i])));
     let mut numbers = Numbers::take(r, "cells")?;
-    let mut budget = LIST_BUDGET;
     let mut cells = Vec::with_capacity(n);
     for i in 0..n {
         let corner = |k| DVec3::new(bound(k, i), bound(k + 1, i), bound(k + 2, i));
@@ -228,8 +247,8 @@ fn take_cells(r: &mut Reader<'_>, n: usize) -> Result<Vec<CellEntry>, CodecError
             bounds: Aabb { min: corner(0), max: corner(3) },
             triangles: numbers.next("cell triangles")?,
             chunk: numbers.next("cell chunk")?,
-            bundles: take_ascending(&mut numbers, "cell bundles", &mut budget)?,
-            materials: take_ascending(&mut numbers, "cell materials", &mut budget)?,
+            bundles: take_ascending(&mut numbers, "cell bundles", budget)?,
+            materials: take_ascending(&mut numbers, "cell materials", budget)?,
         });
     }
     numbers.finish("cells")?;
@@ -383,12 +402,12 @@ fn take_placements(
     r: &mut Reader<'_>,
     n: usize,
     first_image: usize,
+    budget: &mut usize,
 ) -> Result<(Vec<Placement>, Vec<ImageEntry>), CodecError> {
     let vector = |row: &[f64], k: usize| DVec3::new(row[3 * k], row[3 * k + 1], row[3 * k + 2]);
     let rows = take_rows::<PLACEMENT_NUMBERS>(r, "placement numbers", n)?;
     let mut numbers = Numbers::take(r, "placements")?;
     let mut culled = Numbers::take(r, "culled cells")?;
-    let mut budget = LIST_BUDGET;
     let mut placements = Vec::with_capacity(n);
     let mut total = 0;
     for row in &rows {
@@ -400,7 +419,7 @@ fn take_placements(
             cop: vector(row, 0),
             users: Aabb { min: vector(row, 1), max: vector(row, 2) },
             footprint_px: row[9],
-            culled: take_ascending(&mut culled, "culled cells", &mut budget)?,
+            culled: take_ascending(&mut culled, "culled cells", budget)?,
             images: first as u32..(first_image + total) as u32,
         });
     }

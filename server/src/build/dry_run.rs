@@ -1,10 +1,9 @@
 //! What a build would take: the plan and its audit, without an image.
 
-use super::{BuildError, BuildOptions, Clock, Planned, Progress, images::Images, index_of, plan};
+use super::{BuildError, BuildOptions, Clock, Planned, Progress, images::Images, index_of, plan, planned_camera};
 use crate::octree;
 use crate::pack;
 use crate::placement::{self, AuditReport, ImagePlan};
-use ldi_protocol::ldi::LdiCamera;
 use serde::Serialize;
 
 /// Figures of a build that was planned only.
@@ -43,7 +42,7 @@ pub fn dry_run(options: &BuildOptions, poses: u64, progress: &dyn Progress) -> R
     let images: Vec<ImagePlan> = plan.plans.iter().flat_map(|p| p.images.iter().cloned()).collect();
     let (placements, entries) = Images::none_of(&plan.plans).placements(&plan.plans, 0);
     let index = index_of(options, &scene, settings, plan, (geometry.cells, vec![]), vec![], (placements, entries));
-    let camera_of = |image: u32| images.get(image as usize).map(camera);
+    let camera_of = |image: u32| images.get(image as usize).map(planned_camera);
     let audit = placement::audit(&index, &counts, &camera_of, poses, 1);
     clock.lap("audit");
     Ok(DryRun {
@@ -56,18 +55,4 @@ pub fn dry_run(options: &BuildOptions, poses: u64, progress: &dyn Progress) -> R
         seconds: clock.laps,
         audit,
     })
-}
-
-/// The camera of an image to be.
-fn camera(plan: &ImagePlan) -> LdiCamera {
-    let [left, right, bottom, top] = plan.window.map(|t| t * plan.pixels_per_unit);
-    LdiCamera {
-        cop: plan.cop,
-        basis: plan.basis,
-        pixels_per_unit: plan.pixels_per_unit,
-        left: left.floor() as i32,
-        top: (-top).floor() as i32,
-        width: (right - left).ceil() as u32,
-        height: (top - bottom).ceil() as u32,
-    }
 }

@@ -26,12 +26,27 @@ pub struct ImageFigures {
     pub samples_by_layer: Vec<u64>,
     /// Hits that no user can see.
     pub pruned: u64,
+    /// Samples that were found and are in no image.
+    pub lost: Lost,
+    /// Largest extent of a sample along its surface, output pixels.
+    pub stretch_max_px: f64,
+    /// Largest error that rounding disparity causes, output pixels.
+    pub quantization_error_px: f64,
     /// Rays cast.
     pub rays: u64,
     /// Wall time of the stage.
     pub seconds: f64,
     /// Seconds of one thread per step, as in [`STEPS`].
     pub step_seconds: [f64; STEPS.len()],
+}
+
+/// Samples that were found and are in no image.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct Lost {
+    /// Their pixel had all its layers.
+    pub too_deep: u64,
+    /// The ray through their pixel's centre misses their surface: silhouettes, and surfaces that the centre of projection sees edge-on.
+    pub recast_missed: u64,
 }
 
 /// Steps of making an image.
@@ -47,8 +62,11 @@ struct Kept {
     samples_by_layer: Vec<u32>,
     decoded_bytes: [u32; 2],
     pruned: u64,
+    lost: Lost,
     rays: u64,
     stretch_p99_px: f64,
+    stretch_max_px: f64,
+    quantization_error_px: f64,
     /// Lengths of the chunks that follow.
     lengths: Vec<u32>,
 }
@@ -103,6 +121,10 @@ pub fn construct_all(
         f.made += u64::from(seconds.is_some());
         seconds.iter().for_each(|s| f.step_seconds.iter_mut().zip(s).for_each(|(a, b)| *a += b));
         f.pruned += kept.pruned;
+        f.lost.too_deep += kept.lost.too_deep;
+        f.lost.recast_missed += kept.lost.recast_missed;
+        f.stretch_max_px = f.stretch_max_px.max(kept.stretch_max_px);
+        f.quantization_error_px = f.quantization_error_px.max(kept.quantization_error_px);
         // Rays of an earlier run took no time in this one.
         f.rays += if seconds.is_none() { 0 } else { kept.rays };
         if f.samples_by_layer.len() < kept.samples_by_layer.len() {
@@ -136,6 +158,9 @@ fn one(
     let mut kept = Kept {
         samples_by_layer: made.stats.samples_by_layer.clone(),
         pruned: made.stats.pruned,
+        lost: Lost { too_deep: made.stats.too_deep, recast_missed: made.stats.recast_missed },
+        stretch_max_px: made.stats.stretch_max_px,
+        quantization_error_px: made.stats.quantization_error_px,
         rays: made.stats.rays.total(),
         stretch_p99_px: made.stats.stretch_p99_px,
         ..Kept::default()

@@ -20,7 +20,7 @@ pub use report::report_json;
 use crate::construct::ConstructError;
 use crate::octree::{Clusters, Octree, RecountError};
 use crate::pack::{self, PackError};
-use crate::placement::{self, PlacementError, PlacementResult, PlacementStatistics};
+use crate::placement::{self, AuditReport, ImagePlan, PlacementError, PlacementResult, PlacementStatistics};
 use crate::render::Caster;
 use crate::scene::{self, Note, Scene, SceneError};
 use crate::store::{DatasetWriter, StoreError, Written};
@@ -28,6 +28,7 @@ use ldi_protocol::codec::ColourMode;
 use ldi_protocol::index::{
     BuildSettings, CellEntry, ChunkEntry, ChunkHash, ImageEntry, Index, Placement, SceneInfo, TextureEntry,
 };
+use ldi_protocol::ldi::LdiCamera;
 use ldi_protocol::select::CELLS;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -95,6 +96,8 @@ pub struct BuildFigures {
     pub octree: BTreeMap<&'static str, u64>,
     /// Placement.
     pub placement: PlacementStatistics,
+    /// Random poses, after the fact.
+    pub audit: AuditReport,
     /// Images.
     pub images: ImageFigures,
     /// What was skipped or changed.
@@ -177,13 +180,39 @@ fn index_of(
     }
 }
 
+/// Poses of the audit that every build ends with: a second or two. `verify --guarantee` takes as many as one likes.
+const AUDITED_POSES: u64 = 10_000;
+
+/// The camera of an image as planned, before it is cut to what eyes see.
+fn planned_camera(plan: &ImagePlan) -> LdiCamera {
+    let [left, right, bottom, top] = plan.window.map(|t| t * plan.pixels_per_unit);
+    LdiCamera {
+        cop: plan.cop,
+        basis: plan.basis,
+        pixels_per_unit: plan.pixels_per_unit,
+        left: left.floor() as i32,
+        top: (-top).floor() as i32,
+        width: (right - left).ceil() as u32,
+        height: (top - bottom).ceil() as u32,
+    }
+}
+
 /// Builds a dataset.
 ///
 /// # Errors
 /// A scene that cannot be read, a budget that cannot be met, or a directory that cannot be written.
 pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, BuildError> {
     let mut clock = Clock::default();
-    let Planned { scene, clusters, octree, settings, plan } = plan(options, &mut clock, progress)?;
+    // First: whether the directory can be written is known at once, planning takes minutes.
+    let writer = DatasetWriter::open(&options.output)?;
+    let planned = plan(options, &mut clock, progress);
+    let Planned { scene, clusters, octree, settings, plan } = match planned {
+        Ok(planned) => planned,
+        Err(e) => {
+            writer.give_up();
+            return Err(e);
+        }
+    };
 
     progress.stage("near geometry and textures", 0);
     let geometry = pack::pack_geometry(&scene, &clusters, &octree, 0)?;
@@ -194,7 +223,6 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     chunks.extend(textures.chunks);
     clock.lap("pack");
 
-    let writer = DatasetWriter::open(&options.output)?;
     progress.stage("layered depth images", plan.plans.iter().map(|p| p.images.len() as u64).sum());
     let (images, caster_seconds) = if plan.plans.is_empty() {
         (images::Images::default(), 0.0)
@@ -236,8 +264,19 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         .chain(images.entries())
         .collect();
     let placement = plan.statistics.clone();
+    let planned: Vec<ImagePlan> = plan.plans.iter().flat_map(|p| p.images.iter().cloned()).collect();
     let parts = (geometry.cells, textures.textures);
     let index = index_of(options, &scene, settings, plan, parts, entries, (placements, image_entries));
+    let ranges = (0..octree.cells.len()).map(|c| octree.ranges(&scene, &clusters, c)).collect::<Vec<_>>();
+    let counts: Vec<u64> = ranges.iter().map(|cell| cell.iter().map(|r| u64::from(r.count)).sum()).collect();
+    let audit = placement::audit(&index, &counts, &|i| planned.get(i as usize).map(planned_camera), AUDITED_POSES, 1);
+    if audit.violations > 0 {
+        tracing::error!(
+            violations = audit.violations,
+            "the audit found poses that break a promise; please report the scene"
+        );
+    }
+    clock.lap("audit");
     let mut seconds = clock.laps;
     seconds.push(("of images: ray caster", caster_seconds));
     let octree_figures = BTreeMap::from([
@@ -249,13 +288,19 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         ("shared_clusters", geometry.shared_clusters as u64),
     ]);
     let image_bytes: Vec<&[u8]> = images.chunks().collect();
-    let ranges = (0..octree.cells.len()).map(|c| octree.ranges(&scene, &clusters, c)).collect::<Vec<_>>();
     let bytes = |number: u32| {
         let number = number as usize;
         Ok(Cow::Borrowed(chunks.get(number).map_or_else(|| image_bytes[number - chunks.len()], |c| &c.bytes)))
     };
-    let figures =
-        BuildFigures { index, octree: octree_figures, placement, images: images.figures.clone(), notes, seconds };
+    let figures = BuildFigures {
+        index,
+        octree: octree_figures,
+        placement,
+        audit,
+        images: images.figures.clone(),
+        notes,
+        seconds,
+    };
     let mut report = serde_json::Value::Null;
     let written = writer.finish(&figures.index, bytes, &ranges, |written| {
         report = report_json(&figures, written);

@@ -35,26 +35,32 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
         },
         "placements": index.placements.len(),
         "ldis": f.images.images,
-        "images_per_grid_point": f.placement.images_per_grid_point,
+        "images_per_grid_point": images_per_grid_point(index),
         "popt_closeness": {
             "optimize_budget": index.settings.optimize_budget,
             "histogram_percent": f.placement.popt_closeness,
             "within_two_percent": f.placement.within_two_percent,
         },
-        "samples": { "total": samples, "by_layer": f.images.samples_by_layer, "pruned": f.images.pruned },
+        "samples": { "total": samples, "by_layer": f.images.samples_by_layer, "pruned": f.images.pruned, "lost": f.images.lost },
         "bytes": {
-            "total": ldi + geometry + textures + written.manifest_bytes,
+            // What lies on the disk: equal chunks are stored once.
+            "total": written.total_bytes(),
             "ldi": ldi, "geometry": geometry, "textures": textures, "tree": 0, "manifest": written.manifest_bytes,
         },
         "bytes_per_sample": if samples > 0 { json!(ldi as f64 / samples as f64) } else { Value::Null },
         "guarantee": {
             "budget": index.settings.budget,
-            "max_triangles_found": f.placement.max_triangles,
-            // The certificate covers every pose; its boxes are what was checked.
-            "poses_checked": f.placement.certified_boxes,
+            "max_triangles_found": f.audit.max_triangles,
+            "poses_checked": f.audit.poses,
+            "violations": f.audit.violations,
             "max_footprint_px": f.placement.max_footprint_px,
             "coverage_certified": f.placement.coverage_certified,
+            // The certificate covers every pose: a bound on all of them, by so many boxes.
+            "max_triangles_certified": f.placement.max_triangles,
+            "certified_boxes": f.placement.certified_boxes,
             "stretch_p99_px": largest_stretch(index),
+            "stretch_max_px": f.images.stretch_max_px,
+            "quantization_error_px": f.images.quantization_error_px,
         },
         "seconds": f.seconds.iter().map(|(k, v)| ((*k).to_string(), json!(v))).collect::<serde_json::Map<_, _>>(),
         "placement_seconds": f.placement.seconds,
@@ -65,6 +71,22 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
         "peak_rss_bytes": peak_rss_bytes(),
         "skipped": f.notes,
     })
+}
+
+/// How many grid points have 0, 1, 2 ... images that hold something.
+fn images_per_grid_point(index: &Index) -> Vec<u32> {
+    let mut histogram = Vec::new();
+    for point in &index.points {
+        let mut used: Vec<u32> = point.bands.iter().flatten().filter_map(|r| r.placement).collect();
+        used.sort_unstable();
+        used.dedup();
+        let images = used.iter().flat_map(|p| index.images_of(*p)).filter(|(_, i)| !i.chunks.is_empty()).count();
+        if histogram.len() <= images {
+            histogram.resize(images + 1, 0);
+        }
+        histogram[images] += 1;
+    }
+    histogram
 }
 
 fn largest_stretch(index: &Index) -> Option<f64> {

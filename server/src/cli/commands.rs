@@ -33,7 +33,7 @@ pub fn run(command: Command) -> Result<(), Failure> {
 }
 
 fn write_scene(a: &SceneArgs) -> Result<(), Failure> {
-    let made = builtin::build(&a.name, a.triangles, a.seed).map_err(Failure::permanent)?;
+    let made = builtin::build(&a.name, a.triangles, a.seed).map_err(Failure::usage)?;
     let bytes = scene::glb_write::glb_bytes(&made.scene).map_err(Failure::permanent)?;
     write_file(&a.output, &bytes)?;
     let path = a.output.with_extension("path.json");

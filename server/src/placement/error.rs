@@ -7,7 +7,7 @@ use glam::DVec3;
 pub enum PlacementError {
     /// The paper's star-shapes, and the two extra grid points on each side, need a field of view of at least 54 degrees.
     #[error(
-        "field of view {fov_deg} degrees: image placement needs at least 54; give --fly or --eye-height builds --fov 54 or more"
+        "field of view {fov_deg} degrees: images are placed for at least 54 and less than 120; give a --fov between"
     )]
     FieldOfView {
         /// What was asked for.

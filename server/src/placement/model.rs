@@ -105,8 +105,6 @@ pub struct PlacementStatistics {
     pub largest_radius_ratio: f64,
     /// Lattice points left out, by reason.
     pub skipped: BTreeMap<String, u64>,
-    /// Entry k: how many points have k images.
-    pub images_per_grid_point: Vec<u32>,
     /// Histogram of |drawn - Popt| / Popt over solved subsets, in steps of 1% (the last entry: 20% and more).
     pub popt_closeness: Vec<u32>,
     /// Share of solved subsets within 2% of Popt.

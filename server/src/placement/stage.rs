@@ -72,7 +72,7 @@ pub fn plan_placements(
 
 /// Refuses settings outside their ranges.
 fn check(s: &BuildSettings) -> Result<(), PlacementError> {
-    if !(s.camera.fov_deg >= SMALLEST_FOV_DEG && s.camera.fov_deg < 120.0) {
+    if s.camera.fov_deg.is_nan() || !(SMALLEST_FOV_DEG..120.0).contains(&s.camera.fov_deg) {
         return Err(PlacementError::FieldOfView { fov_deg: s.camera.fov_deg });
     }
     let within = |name, value: f64, low: f64, high: f64, must| {
@@ -102,13 +102,6 @@ fn result(
             bands: p.bands.iter().map(|b| b.iter().map(range).collect()).collect(),
         });
         *statistics.by_level.entry(p.level).or_default() += 1;
-        let mut used: Vec<u32> = p.bands.iter().flatten().filter_map(|r| r.1).collect();
-        used.sort_unstable();
-        used.dedup();
-        if statistics.images_per_grid_point.len() <= used.len() {
-            statistics.images_per_grid_point.resize(used.len() + 1, 0);
-        }
-        statistics.images_per_grid_point[used.len()] += 1;
         let paper = statistics.paper_radius_m.get(&p.level).copied().unwrap_or(f64::INFINITY);
         statistics.largest_radius_ratio = statistics.largest_radius_ratio.max(p.radius / paper);
     }

@@ -14,6 +14,8 @@ pub enum SceneError {
         problem: String,
         /// What to do.
         remedy: String,
+        /// Whether it stays so until somebody does that.
+        permanent: bool,
     },
     /// The file breaks its own format, or holds values that no scene can have.
     #[error("{file}: {place}: {problem}; {remedy}")]
@@ -64,9 +66,9 @@ pub enum SceneError {
 }
 
 impl SceneError {
-    /// Whether trying again cannot help (exit status 42): everything but a file that could not be read.
+    /// Whether trying again cannot help (exit status 42): everything but a file that is there and could not be read.
     pub fn is_permanent(&self) -> bool {
-        !matches!(self, Self::Unreadable { .. })
+        !matches!(self, Self::Unreadable { permanent: false, .. })
     }
 }
 

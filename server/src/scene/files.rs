@@ -37,6 +37,7 @@ impl Files {
             file: path.display().to_string(),
             problem: e.to_string(),
             remedy: "check the path and its permissions".into(),
+            permanent: matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied),
         };
         let real = fs::canonicalize(path).map_err(|e| unreadable(&e))?;
         let folder = real.parent().map(Path::to_path_buf).unwrap_or_default();

@@ -83,13 +83,13 @@ pub fn verify(path: &Path) -> Result<Verification, StoreError> {
             return Ok(out);
         }
     };
-    if let Err(e) = source::read(path) {
-        match e {
-            StoreError::Format { source, .. } => {
-                out.faults.push(fault_of_file(files::SOURCE, "source", source.to_string()))
-            }
-            other => return Err(other),
+    match source::read(path) {
+        Ok(Some(_)) => {}
+        Ok(None) => out.faults.push(fault_of_file(files::SOURCE, "source", "the file is missing".into())),
+        Err(StoreError::Format { source, .. }) => {
+            out.faults.push(fault_of_file(files::SOURCE, "source", source.to_string()))
         }
+        Err(other) => return Err(other),
     }
     let packs = Packs::open(path)?;
     let mut layout = Layout::default();
@@ -255,26 +255,15 @@ impl Places<'_> {
     fn bundle(&self, chunk: u32) -> Result<CellGeometry, CodecError> {
         let bundle = codec::cell::decode(self.bytes(chunk))?;
         manifest::check_bundle(self.index, &bundle)?;
-        self.check_decoded_bytes(chunk, codec::cell::decoded_bytes(&bundle))?;
+        manifest::check_decoded_bytes(self.index, chunk, codec::cell::decoded_bytes(&bundle))?;
         Ok(bundle)
-    }
-
-    /// The cache's accounts rest on this number.
-    fn check_decoded_bytes(&self, chunk: u32, found: usize) -> Result<(), CodecError> {
-        let listed = self.index.chunks[chunk as usize].decoded_bytes;
-        if found == listed as usize {
-            Ok(())
-        } else {
-            let reason = format!("{found} bytes in memory, but the index says {listed}");
-            Err(CodecError::Mismatch { field: "decoded bytes", reason })
-        }
     }
 
     fn check_cell(&self, cell: u32, bundles: &BTreeMap<u32, CellGeometry>) -> Result<(), Fault> {
         let chunk = self.index.cells[cell as usize].chunk;
         let check = || {
             let geometry = codec::cell::decode(self.bytes(chunk))?;
-            self.check_decoded_bytes(chunk, codec::cell::decoded_bytes(&geometry))?;
+            manifest::check_decoded_bytes(self.index, chunk, codec::cell::decoded_bytes(&geometry))?;
             manifest::check_cell_content(self.index, cell, &geometry, |b| bundles.get(&b))
         };
         check().map_err(|e| self.fault(chunk as usize, format!("cell {cell}: {e}")))
@@ -290,10 +279,11 @@ impl Places<'_> {
         let wrap = |chunk: u32| move |e: CodecError| self.fault(chunk as usize, format!("image {image}: {e}"));
         let mut ldi = codec::ldi::decode_first(self.bytes(first)).map_err(wrap(first))?;
         let first_bytes = codec::ldi::decoded_bytes(&ldi)[0];
-        self.check_decoded_bytes(first, first_bytes).map_err(wrap(first))?;
+        manifest::check_decoded_bytes(self.index, first, first_bytes).map_err(wrap(first))?;
         if let Some(deeper) = deeper {
             codec::ldi::decode_deeper(self.bytes(deeper), &mut ldi).map_err(wrap(deeper))?;
-            self.check_decoded_bytes(deeper, codec::ldi::decoded_bytes(&ldi)[1]).map_err(wrap(deeper))?;
+            manifest::check_decoded_bytes(self.index, deeper, codec::ldi::decoded_bytes(&ldi)[1])
+                .map_err(wrap(deeper))?;
         }
         manifest::check_ldi(self.index, image, &ldi).map_err(wrap(first))?;
         if ldi.layers.len() < entry.samples_by_layer.len() {
@@ -308,7 +298,7 @@ impl Places<'_> {
         let listed = &entry.chunks[part];
         let check = || {
             let levels = codec::texture::decode(self.bytes(listed.chunk))?;
-            self.check_decoded_bytes(listed.chunk, codec::texture::decoded_bytes(&levels))?;
+            manifest::check_decoded_bytes(self.index, listed.chunk, codec::texture::decoded_bytes(&levels))?;
             manifest::check_texture(entry, listed, &levels)
         };
         check().map_err(|e| self.fault(listed.chunk as usize, format!("texture {texture}: {e}")))

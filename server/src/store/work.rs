@@ -69,6 +69,13 @@ impl WorkDirectory {
         file.publish()
     }
 
+    /// Removes the directory if it holds no piece.
+    pub fn remove_if_empty(self) {
+        let _ = fs::remove_file(self.path.join("lock"));
+        // Refused by the system while pieces are there.
+        let _ = fs::remove_dir(&self.path);
+    }
+
     /// Removes the directory with all pieces.
     pub fn remove(self) -> Result<(), StoreError> {
         fs::remove_dir_all(&self.path).map_err(StoreError::io(&self.path, "remove it"))

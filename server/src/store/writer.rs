@@ -33,6 +33,15 @@ pub struct Written {
     pub manifest_bytes: u64,
     /// Bytes of each pack, pages included.
     pub pack_bytes: Vec<u64>,
+    /// Bytes of the manifest's root, and of the file `source`.
+    pub other_bytes: u64,
+}
+
+impl Written {
+    /// Bytes of all files but `report.json`.
+    pub fn total_bytes(&self) -> u64 {
+        self.pack_bytes.iter().sum::<u64>() + self.other_bytes
+    }
 }
 
 impl DatasetWriter {
@@ -73,6 +82,12 @@ impl DatasetWriter {
         self.work.store(key, piece)
     }
 
+    /// Ends without a dataset; a directory that holds nothing is removed again.
+    pub fn give_up(self) {
+        self.work.remove_if_empty();
+        let _ = fs::remove_dir(&self.path);
+    }
+
     /// Writes the dataset and removes the pieces. `chunk` gives the bytes of a chunk by number and is called once per different
     /// content, in order; `ranges` has one entry per cell; `report` makes `report.json` from what was written.
     ///
@@ -111,7 +126,13 @@ impl DatasetWriter {
         let source = source::encode(ranges).map_err(StoreError::io(&source_path, "compress it"))?;
         files::write_file(&source_path, &source)?;
         let pages: u64 = encoded.pages.iter().map(|p| p.len() as u64).sum();
-        let written = Written { hash: root.hash, manifest_bytes: encoded.root.len() as u64 + pages, pack_bytes };
+        let root_bytes = encoded.root.len() as u64;
+        let written = Written {
+            hash: root.hash,
+            manifest_bytes: root_bytes + pages,
+            pack_bytes,
+            other_bytes: root_bytes + source.len() as u64,
+        };
         let report_path = self.path.join(files::REPORT);
         let text = serde_json::to_vec_pretty(&report(&written))
             .map_err(|e| StoreError::io(&report_path, "write it as JSON")(e.into()))?;

@@ -32,6 +32,13 @@ pub(super) fn is_ply(bytes: &[u8]) -> bool {
 /// Reads a PLY file.
 pub(super) fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limits) -> Result<Scene, Fault> {
     let header = header::parse(bytes, limits)?;
+    // Their first would be counted and checked, another read.
+    for name in ["vertex", "face"] {
+        if header.elements.iter().filter(|e| e.name == name).count() > 1 {
+            let remedy = "split the file, or join the elements";
+            return Err(Fault::unsupported("header", format!("element {name} stands twice"), remedy));
+        }
+    }
     let vertices = header.elements.iter().find(|e| e.name == "vertex").map_or(0, |e| e.count);
     if vertices > limits.vertices {
         return Err(Fault::too_large("header", "vertices", vertices, limits.vertices));
@@ -105,9 +112,6 @@ fn group<const N: usize>(element: &Element, spellings: &[[&str; N]]) -> Option<[
 
 fn read_vertices(body: &mut Body<'_>, element: &Element, out: &mut Primitive) -> Result<(), Fault> {
     body.check_room(element)?;
-    if !out.positions.is_empty() {
-        return Err(body.fault("element vertex stands twice"));
-    }
     let xyz = group(element, &[["x", "y", "z"]]).ok_or_else(|| body.fault("element vertex lacks x, y or z"))?;
     let normal = group(element, &[["nx", "ny", "nz"]]);
     let colour =
@@ -185,6 +189,10 @@ fn read_faces(
                 continue;
             }
             skipped += usize::from(n < 3);
+            let triangles = out.triangles.len() as u64 + (n as u64).saturating_sub(2);
+            if triangles > limits.unique_triangles {
+                return Err(Fault::too_large("element face", "or more triangles", triangles, limits.unique_triangles));
+            }
             let mut fan = [0u32; 2];
             for k in 0..n {
                 let v = body.number(p.item)?;
@@ -200,14 +208,6 @@ fn read_faces(
                         fan[1] = v;
                     }
                 }
-            }
-            if out.triangles.len() as u64 > limits.unique_triangles {
-                return Err(Fault::too_large(
-                    "element face",
-                    "or more triangles",
-                    out.triangles.len(),
-                    limits.unique_triangles,
-                ));
             }
         }
     }

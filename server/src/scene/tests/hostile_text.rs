@@ -185,6 +185,12 @@ fn ply_bodies() -> Vec<Case> {
             "of 3",
             ply_of("binary_big_endian", "3", "1", &with_face(&[3, 0, 0, 0, 0, 0, 0, 0, 1, 2, 0, 0, 0])),
         ),
+        ply("PLY of no vertices, then of three", "twice", {
+            let of = |n: u32| format!("element vertex {n}\nproperty float x\nproperty float y\nproperty float z\n");
+            let faces = "element face 1\nproperty list uchar int vertex_indices\nend_header\n";
+            let body = "0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
+            format!("ply\nformat ascii 1.0\n{}{}{faces}{body}", of(0), of(3))
+        }),
         ply("PLY vertices twice", "twice", {
             let vertices = "element vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
             format!("ply\nformat ascii 1.0\n{vertices}{vertices}end_header\n0 0 0 0 0 0\n")
