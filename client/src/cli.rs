@@ -6,7 +6,7 @@ use anyhow::Context;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use ldi_client::{
-    engine::{Cull, Feed, Method, Pace, Progress, WalkError, WalkJob, WalkOptions, run},
+    engine::{Cull, Feed, Method, Pace, Progress, WalkError, WalkJob, WalkOptions, pictures_of, run},
     near::MAX_SIDE_PX,
     report::{DatasetReport, MachineReport, Report, SceneReport},
     stream::{ConnectConfig, ConnectError, Connection, Fingerprint},
@@ -247,11 +247,20 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     let path = path::parse(&text).with_context(|| args.path.display().to_string()).map_err(Failure::permanent)?;
     let token = args.token_file.as_deref().map(read_token).transpose().map_err(Failure::permanent)?;
     for (folder, option) in [(&args.truth, "--truth"), (&args.baseline, "--baseline")] {
-        if let Some(folder) = folder.as_ref().filter(|f| !f.is_dir()) {
-            return Err(Failure::permanent(anyhow::anyhow!(
-                "{option} {}: no folder; make it with `ldi-server render`",
-                folder.display()
-            )));
+        let Some(folder) = folder else { continue };
+        let poses = || (0..path.poses.len()).step_by(args.every as usize);
+        match pictures_of(folder, poses()) {
+            0 => {
+                return Err(Failure::permanent(anyhow::anyhow!(
+                    "{option} {}: no picture of any pose of this walk; make them with `ldi-server render` of the same path with --every {}",
+                    folder.display(),
+                    args.every
+                )));
+            }
+            n if n < poses().count() => {
+                tracing::warn!("{option} {}: {n} pictures for {} frames", folder.display(), poses().count());
+            }
+            _ => {}
         }
     }
     let mut config =
@@ -262,6 +271,8 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     if let Some(bytes) = args.cache_bytes {
         config.cache_bytes = bytes;
     }
+    // Found out before the walk, not after it.
+    let report_file = PendingReport::create(&args.report).map_err(Failure::permanent)?;
     let connection = Connection::connect(config)?;
     let options = WalkOptions {
         width: args.size.0,
@@ -308,7 +319,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         summary,
         frames,
     };
-    write_report(&args.report, &report).map_err(|error| Failure { code: 1, error })?;
+    report_file.publish(&report).map_err(|error| Failure { code: 1, error })?;
     let s = &report.summary;
     println!(
         "{} frames, {} triangles at most (budget {}), {:.1} ms median{}, {} bytes, {} incomplete; report in {}",
@@ -357,11 +368,34 @@ fn read_token(path: &Path) -> anyhow::Result<String> {
 }
 
 /// Writes beside the target and renames: a report is whole or not there.
-fn write_report(path: &Path, report: &Report) -> anyhow::Result<()> {
-    let text = serde_json::to_string_pretty(report)?;
-    let beside = path.with_extension("tmp");
-    std::fs::write(&beside, text + "\n").with_context(|| format!("{}: cannot be written", beside.display()))?;
-    std::fs::rename(&beside, path).with_context(|| format!("{}: cannot be written", path.display()))
+/// The report's file: written beside its place, then moved there.
+struct PendingReport<'a> {
+    path: &'a Path,
+    beside: PathBuf,
+}
+
+impl<'a> PendingReport<'a> {
+    fn create(path: &'a Path) -> anyhow::Result<Self> {
+        let beside = path.with_extension("tmp");
+        std::fs::write(&beside, "").with_context(|| {
+            format!("{}: cannot be written; give --report a file in a folder that can be", path.display())
+        })?;
+        Ok(Self { path, beside })
+    }
+
+    fn publish(self, report: &Report) -> anyhow::Result<()> {
+        let text = serde_json::to_string_pretty(report)?;
+        std::fs::write(&self.beside, text + "\n")
+            .with_context(|| format!("{}: cannot be written", self.beside.display()))?;
+        std::fs::rename(&self.beside, self.path).with_context(|| format!("{}: cannot be written", self.path.display()))
+    }
+}
+
+impl Drop for PendingReport<'_> {
+    fn drop(&mut self) {
+        // Gone already where the report was published.
+        let _ = std::fs::remove_file(&self.beside);
+    }
 }
 
 /// Progress: a bar on a terminal, a line every few seconds elsewhere.

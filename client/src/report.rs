@@ -158,6 +158,8 @@ pub struct StageSummary {
 /// What is known of a walk besides its frames.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct WalkTotals {
+    /// Triangles and milliseconds of every frame that was drawn, kept or not.
+    pub drawn: Vec<(u64, f64)>,
     /// Geometry budget of the dataset.
     pub budget_triangles: u64,
     /// Triangles of the scene.
@@ -201,6 +203,7 @@ pub struct WalkTotals {
 #[expect(missing_docs, reason = "the names are the guide's, which explains them")]
 pub struct Summary {
     pub frames: usize,
+    pub frames_drawn: usize,
     pub budget_triangles: u64,
     pub max_triangles: u64,
     pub budget_violations: usize,
@@ -340,7 +343,8 @@ impl Summary {
         let over = |f: &dyn Fn(&FrameReport) -> f64| mean(frames.iter().map(f)).unwrap_or(0.0);
         let stage = |f: &dyn Fn(&StageMs) -> f64| frames.iter().map(|x| f(&x.ms)).collect::<Vec<_>>();
         let nonzero = |v: Vec<f64>| v.into_iter().filter(|x| *x > 0.0).collect::<Vec<_>>();
-        let times = stage(&|m| m.total);
+        let times: Vec<f64> = totals.drawn.iter().map(|d| d.1).collect();
+        let triangles = || totals.drawn.iter().map(|d| d.0);
         let warp_ms: f64 = frames.iter().map(|f| f.ms.warp).sum();
         let samples: u64 = frames.iter().map(|f| f.samples_warped).sum();
         let known_volume: Vec<bool> = frames.iter().filter_map(|f| f.in_volume).collect();
@@ -348,10 +352,11 @@ impl Summary {
         let all_geometry = (!totals.all_geometry_ms.is_empty()).then(|| p50_p99(&totals.all_geometry_ms));
         Self {
             frames: frames.len(),
+            frames_drawn: totals.drawn.len(),
             budget_triangles: totals.budget_triangles,
-            max_triangles: frames.iter().map(|f| f.triangles).max().unwrap_or(0),
-            budget_violations: frames.iter().filter(|f| f.triangles > totals.budget_triangles).count(),
-            mean_triangles: over(&|f| f.triangles as f64),
+            max_triangles: triangles().max().unwrap_or(0),
+            budget_violations: triangles().filter(|n| *n > totals.budget_triangles).count(),
+            mean_triangles: mean(triangles().map(|n| n as f64)).unwrap_or(0.0),
             scene_triangles: totals.scene_triangles,
             triangles_in_frustum_mean: over(&|f| f.triangles_in_frustum as f64),
             mean_psnr_db: mean(frames.iter().filter_map(|f| f.psnr_db)),
@@ -451,6 +456,8 @@ mod tests {
             elapsed_s: 2.0,
             bytes_total: 1_000_000,
             metres: 4.0,
+            // None of them kept.
+            drawn: vec![(8, 5.0), (12, 9.0)],
             ..WalkTotals::default()
         };
         let json = serde_json::to_value(Summary::new(&[], &totals)).expect("plain data");
@@ -465,6 +472,9 @@ mod tests {
             assert_eq!(json.get(field), Some(&serde_json::Value::Null), "{field}");
         }
         assert_eq!(json["mbit_per_s_mean"], 4.0);
+        assert_eq!((&json["frames"], &json["frames_drawn"]), (&0.into(), &2.into()));
+        assert_eq!((&json["max_triangles"], &json["budget_violations"]), (&12.into(), &1.into()));
+        assert_eq!((&json["mean_triangles"], &json["frame_ms"]["max"]), (&10.0.into(), &9.0.into()));
         assert_eq!(json["bytes_per_metre"], 250_000.0);
         assert_eq!(json["stage_ms"]["composite"]["p99"], 0.0);
     }

@@ -51,6 +51,16 @@ pub enum JudgeError {
     },
 }
 
+/// Where the picture of a pose lies.
+fn picture_path(folder: &Path, pose: usize) -> PathBuf {
+    folder.join(format!("frame_{pose:05}.png"))
+}
+
+/// How many of these poses have a picture in the folder.
+pub fn pictures_of(folder: &Path, poses: impl Iterator<Item = usize>) -> usize {
+    poses.filter(|pose| picture_path(folder, *pose).exists()).count()
+}
+
 /// The truth of one pose, or another renderer's picture of it.
 #[derive(Debug)]
 pub struct Truth {
@@ -84,7 +94,7 @@ pub struct Verdict {
 impl Truth {
     /// Reads the truth of pose `index`; None when the folder has no picture of it.
     pub fn load(folder: &Path, index: usize) -> Result<Option<Self>, JudgeError> {
-        let path = folder.join(format!("frame_{index:05}.png"));
+        let path = picture_path(folder, index);
         if !path.exists() {
             return Ok(None);
         }

@@ -20,7 +20,7 @@ mod tests;
 mod walk;
 
 pub use feed::{Feed, Traffic};
-pub use judge::{JudgeError, Truth, Verdict};
+pub use judge::{JudgeError, Truth, Verdict, pictures_of};
 pub use options::{Cull, Method, Pace, WalkOptions};
 pub use painter::{Painted, Painter, View, view_of};
 pub use save::{SaveError, save_debug_views, save_frame};

@@ -183,7 +183,7 @@ pub fn run(
     let stretch = walker.warp_totals.stretch.quantile_px(0.99);
     totals.stretch_p99_px =
         (walker.warp_totals.samples_warped > 0).then(|| f64::from(stretch) / f64::from(job.options.supersample));
-    walker.judge_rest()?;
+    walker.judge_rest();
     walker.first_useful();
     let frames: Vec<FrameReport> = walker.kept.into_iter().map(|k| k.report).collect();
     let baseline = baseline::measure(feed, &mut walker.painter, &frames, &walker.camera, job.options)?;
@@ -228,6 +228,7 @@ impl Walker<'_> {
             if options.pace == Pace::Realtime {
                 painted.ms.total += painted.ms.prepare;
             }
+            self.totals.drawn.push((painted.triangles, painted.ms.total));
             let traffic = self.feed.traffic();
             let complete = painted.missing_chunks.is_empty();
             if complete && self.totals.ms_full_quality.is_none() {
@@ -344,15 +345,22 @@ impl Walker<'_> {
         Ok(())
     }
 
-    /// Judges the frames of a walk that did not wait, from the pictures it wrote.
-    fn judge_rest(&mut self) -> Result<(), WalkError> {
+    /// Judges the frames of a walk that did not wait, from the pictures it wrote. The walk is done: what cannot be judged stays null.
+    fn judge_rest(&mut self) {
         for kept in &mut self.kept {
             let Some(source) = kept.source.take() else { continue };
-            let Some(ours) = Truth::load(self.job.folder, kept.report.index)? else { continue };
-            let frame = ours.into_frame(source);
-            kept.report.judged(&self.job.judge(kept.report.index, &frame, &frame)?);
+            let index = kept.report.index;
+            let verdict = Truth::load(self.job.folder, index).and_then(|ours| {
+                ours.map_or(Ok(Verdict::default()), |ours| {
+                    let frame = ours.into_frame(source);
+                    self.job.judge(index, &frame, &frame)
+                })
+            });
+            match verdict {
+                Ok(verdict) => kept.report.judged(&verdict),
+                Err(e) => tracing::warn!("pose {index} is not judged: {e}"),
+            }
         }
-        Ok(())
     }
 
     /// When the first useful frame stood, among the kept ones. Without truth: the first that lacked nothing.

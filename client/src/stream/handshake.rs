@@ -31,9 +31,7 @@ pub(super) async fn open(config: &ConnectConfig) -> Result<Opened, ConnectError>
     for address in transport::resolve(&config.server)? {
         match dial(config, address).await {
             Ok((endpoint, connection)) => {
-                return timeout(config.timeout, converse(config, endpoint, connection))
-                    .await
-                    .unwrap_or_else(|_| Err(ConnectError::Lost("the manifest did not come in time".into())));
+                return converse(config, endpoint, connection).await;
             }
             // Only silence makes another address worth a try.
             Err(e @ ConnectError::Unreachable { .. }) => last = Some(e),
@@ -62,6 +60,15 @@ async fn dial(config: &ConnectConfig, address: SocketAddr) -> Result<(Endpoint, 
     }
 }
 
+/// A step of the conversation. Each has its own limit: a manifest of megabytes takes long over a slow line, but something comes.
+async fn step<T>(
+    config: &ConnectConfig,
+    what: impl Future<Output = Result<T, ConnectError>>,
+) -> Result<T, ConnectError> {
+    let late = || ConnectError::Lost(format!("nothing of the manifest came for {} s", config.timeout.as_secs_f64()));
+    timeout(config.timeout, what).await.unwrap_or_else(|_| Err(late()))
+}
+
 async fn converse(config: &ConnectConfig, endpoint: Endpoint, connection: Connection) -> Result<Opened, ConnectError> {
     let (mut send, mut recv) = connection.open_bi().await.map_err(|e| lost(&e))?;
     let hello = ClientMessage::Hello(Hello {
@@ -75,30 +82,31 @@ async fn converse(config: &ConnectConfig, endpoint: Endpoint, connection: Connec
     let hello = wire::encode(&hello).map_err(|e| ConnectError::Local(e.to_string()))?;
     // A refusal may come before the message is out: then reading says why.
     let _ = send.write_all(&hello).await;
-    let welcome = match read_message::<ServerMessage>(&mut recv, &connection).await? {
+    let welcome = match step(config, read_message::<ServerMessage>(&mut recv, &connection)).await? {
         ServerMessage::Welcome(w) => w,
         ServerMessage::Refused { code, message } => return Err(ConnectError::Refused { code, message }),
         ServerMessage::Unavailable { .. } => return Err(ConnectError::Protocol("no welcome".into())),
     };
-    let (dataset, index) = fetch_manifest(&welcome, &mut recv, &connection).await?;
+    let (dataset, index) = fetch_manifest(config, &welcome, &mut recv, &connection).await?;
     Ok(Opened { endpoint, connection, send, recv, dataset, index: Arc::new(index) })
 }
 
 async fn fetch_manifest(
+    config: &ConnectConfig,
     welcome: &Welcome,
     recv: &mut RecvStream,
     connection: &Connection,
 ) -> Result<(ChunkHash, Index), ConnectError> {
     let protocol = |reason: String| ConnectError::Protocol(reason);
-    let bytes = read_frame(recv, connection, MAX_ROOT_BYTES).await?;
+    let bytes = step(config, read_frame(recv, connection, MAX_ROOT_BYTES)).await?;
     let root = manifest::decode_root(&bytes).map_err(|e| protocol(e.to_string()))?;
     if root.hash != welcome.dataset || root.pages.len() != welcome.pages as usize {
         return Err(protocol("the manifest is not the one announced".into()));
     }
     let mut pages = vec![None; root.pages.len()];
     for _ in 0..pages.len() {
-        let mut stream = connection.accept_uni().await.map_err(|e| lost(&e))?;
         let page = async {
+            let mut stream = connection.accept_uni().await.map_err(|_| Broken::Off { bytes: 0 })?;
             let header = receive::header(&mut stream).await?;
             let entry = root.pages.get(header.number as usize).filter(|_| header.kind == StreamKind::Page);
             if entry.is_none_or(|p| p.stored_bytes != header.bytes) {
@@ -106,10 +114,13 @@ async fn fetch_manifest(
             }
             Ok((header.number as usize, receive::body(&mut stream, &header).await?))
         };
-        let (number, body) = page.await.map_err(|e| match connection.close_reason() {
-            Some(reason) => lost(&reason),
-            None => protocol(e.to_string()),
-        })?;
+        let page = async {
+            page.await.map_err(|e| match connection.close_reason() {
+                Some(reason) => lost(&reason),
+                None => protocol(e.to_string()),
+            })
+        };
+        let (number, body) = step(config, page).await?;
         pages[number] = Some(body);
     }
     let pages: Vec<Vec<u8>> = pages.into_iter().map(Option::unwrap_or_default).collect();

@@ -63,7 +63,7 @@ pub struct ConnectConfig {
     pub resume: Option<Arc<Cache>>,
     /// Threads that verify and decode.
     pub decode_threads: usize,
-    /// Time for connecting and for the manifest.
+    /// Time for connecting, and for each step of fetching the manifest.
     pub timeout: Duration,
 }
 

@@ -110,8 +110,6 @@ pub struct Part {
 pub struct PreparedLdi {
     /// The image's camera.
     pub camera: LdiCamera,
-    /// Step of the disparity codes, 1/m: the composite's tolerance.
-    pub disparity_step: f64,
     /// Parts in order of layer, then row.
     pub parts: Vec<Part>,
     /// Samples in all.
@@ -128,24 +126,13 @@ impl PreparedLdi {
             .map(|job| Builder::new(ldi, job / rows_of_tiles, (job % rows_of_tiles) * TILE_ROWS).build())
             .filter(|part| !part.tiles.is_empty())
             .collect();
-        Self { camera: ldi.camera, disparity_step: ldi.codes.step, parts, samples: ldi.samples() }
+        Self { camera: ldi.camera, parts, samples: ldi.samples() }
     }
 
     /// Micro-quads and border pieces of a tile.
     pub(super) fn quads(part: &Part, tile: &Tile) -> u64 {
         let inner: u64 = part.runs[tile.runs.clone()].iter().map(|r| u64::from(r.count)).sum();
         inner + tile.pieces as u64
-    }
-
-    /// Bytes of the arrays, for the cache's account.
-    pub fn bytes(&self) -> usize {
-        let part = |p: &Part| {
-            p.tiles.len() * size_of::<Tile>()
-                + p.column.len() * 9
-                + p.runs.len() * size_of::<Run>()
-                + p.pieces.groups.len() * size_of::<PieceGroup>()
-        };
-        self.parts.iter().map(part).sum()
     }
 }
 

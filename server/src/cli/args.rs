@@ -12,7 +12,7 @@ use std::path::PathBuf;
     about,
     after_help = "\
 First minute:
-  ldi-server build house.glb -o dataset        precompute (10 to 15 minutes for a building of a million triangles)
+  ldi-server build house.glb -o dataset        precompute (minutes for a building of a million triangles)
   ldi-server serve dataset                     prints the address and the fingerprint to connect with
   ldi-client walk 127.0.0.1:4433 --fingerprint HEX --path walk.json --size 1280x720 -o frames --report walk.json
 
