@@ -83,9 +83,9 @@ struct WalkArgs {
     /// How what is far is shown.
     #[arg(long, value_enum, default_value = "auto")]
     method: Method,
-    /// How a warped sample becomes pixels: 1px, 2x2, 3x3, cross, footprint or quads.
-    #[arg(long, value_name = "NAME", default_value = "quads")]
-    stamp: Stamp,
+    /// How a warped sample becomes pixels: 1px, 2x2, 3x3, cross, footprint or quads [default: quads; 2x2 with --order epipole].
+    #[arg(long, value_name = "NAME")]
+    stamp: Option<Stamp>,
     /// Smooth what was warped with the 3 x 3 kernel of the 1999 system: fewer jaggies, less detail.
     #[arg(long)]
     smooth: bool,
@@ -278,7 +278,8 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         width: args.size.0,
         height: args.size.1,
         method: args.method,
-        stamp: args.stamp,
+        // The order is one of samples: what reaches over several, as quads do, needs depths.
+        stamp: args.stamp.unwrap_or(if args.order == Order::Epipole { Stamp::TwoByTwo } else { Stamp::Quads }),
         order: args.order,
         cull: args.cull,
         smooth: args.smooth,
