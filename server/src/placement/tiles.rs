@@ -110,7 +110,8 @@ impl Raster {
                 let to = if octave + 1 == OCTAVES { f64::INFINITY } else { from * 2.0 };
                 let mut part = local;
                 (part.min.z, part.max.z) = (part.min.z.max(from), part.max.z.min(to));
-                if part.min.z >= part.max.z {
+                // A floor is as flat as can be: only what is empty is skipped.
+                if part.min.z > part.max.z {
                     continue;
                 }
                 let Some(t) = cone.tangents_of(&part) else { continue };
@@ -184,5 +185,44 @@ impl Raster {
             }
         }
         (n > 0).then_some((out, n))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::placement::{
+        CostBenefit,
+        bands::Directions,
+        cells::{CellMask, Cells},
+        near_box::FaceImage,
+        test_scenes::settings,
+    };
+
+    /// A floor of one triangle has no thickness, and is all there is to see of its square.
+    #[test]
+    fn flat_cells_are_looked_at() {
+        for [low, high] in [[-5.0, -5.0], [-5.1, -5.0]] {
+            let floor = Aabb { min: DVec3::new(-1.0, low, -4.0), max: DVec3::new(1.0, high, -2.0) };
+            let (cells, directions) = (Cells::new(vec![floor], vec![1]), Directions::new(60.0));
+            let ctx = Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default());
+            let mut images = [None; 6];
+            images[2] = Some(FaceImage { scale: 1.0, footprint_px: 1.5, window: [-0.2, 0.2, -0.8, -0.3] });
+            let near = NearBox {
+                cop: DVec3::ZERO,
+                distance: [4.0; 6],
+                images,
+                culled: CellMask::of(1, &[0]),
+                cost: 0.0,
+                max_triangles: 0,
+            };
+            let (tx, ty) = ctx.picture_tan;
+            let gaze = |pitch: [f64; 2]| Gaze {
+                planes: BinPlanes::new([0.0, 10.0], pitch, tx, ty),
+                eyes: Aabb { min: DVec3::splat(-0.5), max: DVec3::splat(0.5) },
+            };
+            assert_eq!(windows(&ctx, &near, 2, &[gaze([-60.0, -50.0])]).len(), 1, "looking down");
+            assert_eq!(windows(&ctx, &near, 2, &[gaze([40.0, 50.0])]).len(), 0, "looking up");
+        }
     }
 }
