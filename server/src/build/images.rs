@@ -160,7 +160,6 @@ fn one(
         pruned: made.stats.pruned,
         lost: Lost { too_deep: made.stats.too_deep, recast_missed: made.stats.recast_missed },
         stretch_max_px: made.stats.stretch_max_px,
-        quantization_error_px: made.stats.quantization_error_px,
         rays: made.stats.rays.total(),
         stretch_p99_px: made.stats.stretch_p99_px,
         ..Kept::default()
@@ -170,6 +169,8 @@ fn one(
     if made.ldi.samples() == 0 {
         return Ok(((kept, Vec::new()), seconds));
     }
+    // Of no samples it says nothing.
+    kept.quantization_error_px = made.stats.quantization_error_px;
     let start = std::time::Instant::now();
     let pack_error = |source| PackError { what: format!("image {number}"), source };
     let mut chunks = vec![ldi::encode_first(&made.ldi, colour, LEVEL).map_err(pack_error)?];
