@@ -368,8 +368,7 @@ fn read_token(path: &Path) -> anyhow::Result<String> {
     Ok(token.trim().to_owned())
 }
 
-/// Writes beside the target and renames: a report is whole or not there.
-/// The report's file: written beside its place, then moved there.
+/// The report's file: written beside its place, then moved there. A report is whole or not there.
 struct PendingReport<'a> {
     path: &'a Path,
     beside: PathBuf,

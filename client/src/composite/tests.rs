@@ -21,12 +21,17 @@ fn image(name: &str) -> Ldi {
     scene(name).ldi(ldi_camera(DVec3::ZERO, 320, 240, 90.0), 3)
 }
 
-/// An image that holds all of its window.
-fn as_planned(ldi: &Ldi) -> FarImage<'_> {
+/// The window that an image holds: left, right, bottom, top, as tangents.
+fn window(ldi: &Ldi) -> [f64; 4] {
     let c = &ldi.camera;
     let [l, r] = [0, c.width].map(|x| (f64::from(c.left) + f64::from(x)) / c.pixels_per_unit);
     let [t, b] = [0, c.height].map(|y| -(f64::from(c.top) + f64::from(y)) / c.pixels_per_unit);
-    FarImage::Here(ldi, [l, r, b, t])
+    [l, r, b, t]
+}
+
+/// An image that holds all that was planned.
+fn as_planned(ldi: &Ldi) -> FarImage<'_> {
+    FarImage::Here(ldi, window(ldi))
 }
 
 fn warped(ldi: &Ldi, pose: &Pose) -> FarFrame {
@@ -131,10 +136,9 @@ fn outside_the_image_is_sky_and_a_missing_image_is_not() {
     narrow.layers.clear();
     narrow.camera.width /= 2;
     narrow.sky = vec![u64::MAX; narrow.sky_words_per_row() * narrow.camera.height as usize];
-    let FarImage::Here(_, window) = as_planned(&ldi) else { unreachable!() };
     let picture = FarFrame::new(CAMERA.width, CAMERA.height);
     let mut frame = Frame::new(CAMERA.width, CAMERA.height);
-    let images = [FarImage::Here(&narrow, window)];
+    let images = [FarImage::Here(&narrow, window(&ldi))];
     let far = Far::Images { picture: &picture, images: &images };
     composite(&mut frame, far, &ahead(), &CAMERA, &CompositeOptions { fill: false, ..options });
     for at in 0..frame.len() {
