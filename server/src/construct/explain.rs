@@ -18,6 +18,7 @@
 
 use super::{
     sample::{Sample, Tolerance},
+    sight::Open,
     view::{COARSENESS, ConstructionCamera, Rig, View, Window},
 };
 
@@ -71,7 +72,7 @@ pub(super) fn unexplained(
 ) -> Unexplained {
     let (central, coarse, deeper) = known;
     let pixels = camera.window.pixels();
-    let mut skin = Skin { rig, camera, front: vec![0; pixels], surfaces: vec![0; pixels] };
+    let mut skin = Skin { rig, camera, open: open.as_ref(), front: vec![0; pixels], surfaces: vec![0; pixels] };
     skin.draw_sky(central);
     skin.draw_known(coarse, deeper, tolerance);
     let width = camera.window.width as usize;
@@ -161,6 +162,8 @@ enum State {
 struct Skin<'a> {
     rig: &'a Rig,
     camera: &'a ConstructionCamera,
+    /// Where the camera looks; None is everywhere.
+    open: Option<&'a Open>,
     /// Nearest of the central surfaces, sky (flag 1), and sheets (flag 0).
     front: Vec<i32>,
     /// Nearest of all surfaces and sky, flag 1 if a deeper one.
@@ -359,12 +362,16 @@ impl Skin<'_> {
     #[inline(always)]
     fn fill(&mut self, q: &[Corner; 4], kind: Kind) {
         let Window { width, height, .. } = self.camera.window;
-        let (mut y0, mut y1, mut z0, mut z1) = (q[0][1], q[0][1], q[0][2], q[0][2]);
-        for p in &q[1..] {
-            (y0, y1, z0, z1) = (y0.min(p[1]), y1.max(p[1]), z0.min(p[2]), z1.max(p[2]));
-        }
+        let [(x0, x1), (y0, y1), (z0, z1)] = std::array::from_fn(|k| {
+            let x = q.map(|p| p[k]);
+            (x[0].min(x[1]).min(x[2].min(x[3])), x[0].max(x[1]).max(x[2].max(x[3])))
+        });
         let overlap = if kind == Kind::Sheet { 0.0 } else { OVERLAP_PX };
         let rows = centres(y0 - overlap, y1 + overlap, height);
+        let columns = centres(x0 - overlap, x1 + overlap, width);
+        if rows.is_empty() || columns.is_empty() || self.open.is_some_and(|o| !o.any(columns, rows.clone())) {
+            return;
+        }
         // dz/dx and dz/dy of the plane through three corners; flat where they are in line.
         let [ax, ay, az] = [q[1][0] - q[0][0], q[1][1] - q[0][1], q[1][2] - q[0][2]];
         let [bx, by, bz] = [q[3][0] - q[0][0], q[3][1] - q[0][1], q[3][2] - q[0][2]];

@@ -24,6 +24,7 @@ use crate::render::Ray;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 
 /// Side of a raster square of an eye's picture, pixels of its construction camera (two of the image's); one ray goes through each. Larger: quicker,
 /// and what few eyes see through narrow gaps is overlooked.
@@ -45,18 +46,43 @@ const PIECE_DEPTH: f64 = 0.1;
 /// for the worst eye.
 const HELD_STEPS: f32 = 8.0;
 
-/// Squares of an eye's picture in which it sees something new, row-major from the corner of its camera's window.
+/// Squares of an eye's picture in which it sees something new, from the corner of its camera's window.
 #[derive(Debug, Clone)]
 pub(super) struct Open {
-    squares: Vec<bool>,
+    /// How many such squares lie above and left of each corner of a square: one row and one column more than squares.
+    sums: Vec<u32>,
     columns: usize,
 }
 
 impl Open {
+    /// Of squares, row-major.
+    fn new(squares: &[bool], columns: usize) -> Self {
+        let width = columns + 1;
+        let mut sums = vec![0; width];
+        for (row, line) in squares.chunks_exact(columns).enumerate() {
+            let mut left = 0;
+            sums.push(0);
+            for (column, open) in line.iter().enumerate() {
+                left += u32::from(*open);
+                sums.push(sums[row * width + column + 1] + left);
+            }
+        }
+        Self { sums, columns }
+    }
+
     /// Whether the pixel of the camera is in such a square.
     #[inline]
     pub fn holds(&self, column: usize, row: usize) -> bool {
-        self.squares[row / SQUARE * self.columns + column / SQUARE]
+        self.any(column..column + 1, row..row + 1)
+    }
+
+    /// Whether one of the pixels is in such a square; the ranges are not empty.
+    #[inline]
+    pub fn any(&self, columns: Range<usize>, rows: Range<usize>) -> bool {
+        let (left, right) = (columns.start / SQUARE, (columns.end - 1) / SQUARE + 1);
+        let (top, bottom) = (rows.start / SQUARE, (rows.end - 1) / SQUARE + 1);
+        let sum = |row: usize, column: usize| self.sums[row * (self.columns + 1) + column];
+        sum(bottom, right) + sum(top, left) != sum(top, right) + sum(bottom, left)
     }
 }
 
@@ -69,7 +95,7 @@ pub(super) struct Looked {
 
 impl Looked {
     /// Columns of a row that are looked at, as runs.
-    pub fn runs(&self, row: usize, width: usize) -> impl Iterator<Item = std::ops::Range<usize>> + '_ {
+    pub fn runs(&self, row: usize, width: usize) -> impl Iterator<Item = Range<usize>> + '_ {
         let first = row / BLOCK * self.columns;
         let line = &self.blocks[first..first + self.columns];
         let mut at = 0;
@@ -273,7 +299,7 @@ impl Picture {
             return None;
         }
         let squares = (r[0]..r[1]).flat_map(|row| &wide[row * columns + c[0]..row * columns + c[1]]);
-        let open = Open { squares: squares.copied().collect(), columns: c[1] - c[0] };
+        let open = Open::new(&squares.copied().collect::<Vec<_>>(), c[1] - c[0]);
         let mut camera = self.camera;
         camera.window = part(&camera.window, c, r, SQUARE);
         Some(View { camera, open: Some(open) })

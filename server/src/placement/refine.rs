@@ -1,8 +1,8 @@
 //! Coverage, evaluation and subdivision in turns, until every grid point in use has a solution (row A4).
 //!
 //! In: the walk volume, the cells, the settings. Out: the points that `select` can return, each with its images. Adding points only
-//! takes users away from others, so a point that was solved once stays solvable; at the end all points are solved again for the
-//! users they are left with.
+//! takes users away from others, so a point that was solved once is not looked at again until the end. Then all points are solved for the
+//! users they are left with. Few fail then, as the middle of fewer users lies elsewhere and sees the cells elsewhere: they are subdivided too.
 
 use super::{
     PlacementError,
@@ -75,7 +75,7 @@ pub(super) fn refine(
         };
         let results: Vec<Result<(), TooNear>> =
             timed(statistics, "evaluate", || open.par_iter().with_max_len(4).map(evaluate).collect());
-        let mut failed = Vec::new();
+        let mut failed: Vec<(usize, TooNear)> = Vec::new();
         for (i, result) in open.iter().zip(&results) {
             match result {
                 Ok(_) => solved[*i] = true,
@@ -92,9 +92,14 @@ pub(super) fn refine(
             "grid refinement"
         );
         if failed.is_empty() {
-            statistics.certified_boxes = boxes;
-            statistics.coverage_certified = true;
-            return finish(ctx, &lattice, uses, statistics);
+            match finish(ctx, &lattice, uses, statistics) {
+                Ok(refined) => {
+                    statistics.certified_boxes = boxes;
+                    statistics.coverage_certified = true;
+                    return Ok(refined);
+                }
+                Err(again) => failed = again,
+            }
         }
         let levels: Vec<u8> = lattice.points.iter().map(|p| p.level).collect();
         for (i, too_near) in failed {
@@ -163,20 +168,20 @@ const FINEST_SHARED_M: f64 = 1.3;
 /// Points closer than this bring nothing: eyes themselves keep 5 cm from surfaces.
 const FINEST_SPACING_M: f64 = 0.1;
 
-/// Solves all points in use for the users they are left with.
+/// Solves all points in use for the users they are left with. Err: the points that cannot be, by their number in the lattice.
 fn finish(
     ctx: &Context,
     lattice: &Lattice,
     uses: Vec<PointUses>,
     statistics: &mut PlacementStatistics,
-) -> Result<Refined, PlacementError> {
+) -> Result<Refined, Vec<(usize, TooNear)>> {
     let mut used: Vec<(usize, PointUses)> = uses.into_iter().enumerate().filter(|(_, u)| !u.units.is_empty()).collect();
     used.sort_by_key(|(i, _)| lattice.points[*i].place.to_array());
     let unused = (lattice.points.len() - used.len()) as u64;
     statistics.skipped.insert("no eye of the walk volume can select the point".into(), unused);
     let Solved { plans, left, lists, max_triangles } = timed(statistics, "solve", || match ctx.scheme {
         Scheme::Paper => solve_points(ctx, lattice, &used),
-        Scheme::Cells => solve_groups(ctx, lattice, &used),
+        Scheme::Cells => solve_groups(ctx, &used),
     })?;
     let points = used
         .into_iter()
@@ -216,15 +221,20 @@ fn infeasible(ctx: &Context, lattice: &Lattice, point: usize, too_near: TooNear)
 }
 
 /// Solves every point for itself.
-fn solve_points(ctx: &Context, lattice: &Lattice, used: &[(usize, PointUses)]) -> Result<Solved, PlacementError> {
-    // A point solved with more users is solvable with fewer (see above).
-    let solutions: Vec<Result<Solution, PlacementError>> = used
-        .par_iter()
-        .map(|(i, u)| solve(ctx, lattice.position(*i), u).map_err(|e| infeasible(ctx, lattice, *i, e)))
-        .collect();
+fn solve_points(
+    ctx: &Context,
+    lattice: &Lattice,
+    used: &[(usize, PointUses)],
+) -> Result<Solved, Vec<(usize, TooNear)>> {
+    let solutions: Vec<Result<Solution, TooNear>> =
+        used.par_iter().map(|(i, u)| solve(ctx, lattice.position(*i), u)).collect();
+    let failed = used.iter().zip(&solutions).filter_map(|((i, _), s)| Some((*i, *s.as_ref().err()?)));
+    let failed: Vec<(usize, TooNear)> = failed.collect();
+    if !failed.is_empty() {
+        return Err(failed);
+    }
     let mut out = Solved::default();
-    for (point, s) in solutions.into_iter().enumerate() {
-        let s = s?;
+    for (point, s) in solutions.into_iter().flatten().enumerate() {
         let first = out.plans.len() as u32;
         let position = lattice.position(used[point].0);
         out.left.extend(s.images.iter().map(|i| i.left));
@@ -238,9 +248,9 @@ fn solve_points(ctx: &Context, lattice: &Lattice, used: &[(usize, PointUses)]) -
 }
 
 /// Solves view cells in groups.
-fn solve_groups(ctx: &Context, lattice: &Lattice, used: &[(usize, PointUses)]) -> Result<Solved, PlacementError> {
+fn solve_groups(ctx: &Context, used: &[(usize, PointUses)]) -> Result<Solved, Vec<(usize, TooNear)>> {
     let members: Vec<Member> = used.par_iter().map(|(_, u)| Member::new(ctx, u.units[0].1, true)).collect();
-    let groups = group(ctx, &members).map_err(|(member, e)| infeasible(ctx, lattice, used[member as usize].0, e))?;
+    let groups = group(ctx, &members).map_err(|(member, e)| vec![(used[member as usize].0, e)])?;
     let mut out = Solved::default();
     let mut placement_of: Vec<Option<u32>> = vec![None; used.len()];
     for (number, (of, near)) in (0u32..).zip(&groups) {
@@ -291,4 +301,24 @@ pub(super) fn timed<T>(statistics: &mut PlacementStatistics, step: &str, f: impl
     let out = f();
     *statistics.seconds.entry(step.to_string()).or_default() += start.elapsed().as_secs_f64();
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::octree::{Clusters, Octree};
+    use crate::placement::{Parameters, plan_placements, test_scenes};
+    use ldi_protocol::index::BuildSettings;
+
+    #[test]
+    fn points_that_fail_with_fewer_users_are_subdivided() {
+        // In this church the last round leaves points whose remaining users see cells outside of the widest image.
+        let scene = crate::scene::load("builtin:church?triangles=20000").unwrap();
+        let budget = 6_000;
+        let settings = BuildSettings { pitch_deg: 0.0, grid: "paper".into(), ..test_scenes::settings(budget) };
+        let clusters = Clusters::build(&scene);
+        let octree = Octree::build(&scene, &clusters, budget);
+        let result = plan_placements(&scene, &octree, &settings, &Parameters::default()).unwrap();
+        assert!(result.statistics.coverage_certified && !result.plans.is_empty());
+        assert!(result.statistics.max_triangles <= budget);
+    }
 }
