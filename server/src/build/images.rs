@@ -71,12 +71,22 @@ struct Kept {
     lengths: Vec<u32>,
 }
 
-/// All images of a build.
+/// All images of a build. Their bytes lie in the writer's pieces: images may take more than the memory.
 #[derive(Debug, Default)]
 pub struct Images {
     /// Figures for the report.
     pub figures: ImageFigures,
-    kept: Vec<(Kept, Vec<Vec<u8>>)>,
+    all: Vec<Image>,
+}
+
+/// One image.
+#[derive(Debug, Clone, Default)]
+struct Image {
+    kept: Kept,
+    /// Of its piece.
+    key: [u8; 32],
+    /// Of its chunks; none if nobody sees anything of it.
+    hashes: Vec<ChunkHash>,
 }
 
 /// Makes every image that is not kept yet.
@@ -94,7 +104,7 @@ pub fn construct_all(
     // One image after the other leaves a core idle whenever one is encoded; rayon balances images and their rows alike.
     let all: Vec<(&[u32], &ImagePlan)> =
         plans.iter().flat_map(|p| p.images.iter().map(|i| (p.culled.as_slice(), i))).collect();
-    let made: Vec<Result<(Kept, Vec<Vec<u8>>, Option<[f64; STEPS.len()]>), BuildError>> = all
+    let made: Vec<Result<(Image, Option<[f64; STEPS.len()]>), BuildError>> = all
         .par_iter()
         .with_max_len(1)
         .enumerate()
@@ -110,14 +120,15 @@ pub fn construct_all(
                 }
             };
             progress.advance(1);
-            Ok((kept, chunks, seconds))
+            let hashes = chunks.iter().map(|bytes| ChunkHash(*blake3::hash(bytes).as_bytes())).collect();
+            Ok((Image { kept, key, hashes }, seconds))
         })
         .collect();
     let mut images = Images::default();
     for made in made {
-        let (kept, chunks, seconds) = made?;
-        let f = &mut images.figures;
-        f.images += u64::from(!chunks.is_empty());
+        let (image, seconds) = made?;
+        let (f, kept) = (&mut images.figures, &image.kept);
+        f.images += u64::from(!image.hashes.is_empty());
         f.made += u64::from(seconds.is_some());
         seconds.iter().for_each(|s| f.step_seconds.iter_mut().zip(s).for_each(|(a, b)| *a += b));
         f.pruned += kept.pruned;
@@ -131,7 +142,7 @@ pub fn construct_all(
             f.samples_by_layer.resize(kept.samples_by_layer.len(), 0);
         }
         f.samples_by_layer.iter_mut().zip(&kept.samples_by_layer).for_each(|(a, b)| *a += u64::from(*b));
-        images.kept.push((kept, chunks));
+        images.all.push(image);
     }
     images.figures.seconds = start.elapsed().as_secs_f64();
     Ok(images)
@@ -207,36 +218,45 @@ impl Images {
     /// Images of plans before any is made: all empty.
     pub fn none_of(plans: &[PlacementPlan]) -> Self {
         let count = plans.iter().map(|p| p.images.len()).sum();
-        Self { figures: ImageFigures::default(), kept: vec![Default::default(); count] }
+        Self { figures: ImageFigures::default(), all: vec![Image::default(); count] }
     }
 
     /// Entries of all chunks, in order.
     pub fn entries(&self) -> impl Iterator<Item = ChunkEntry> + '_ {
-        self.kept.iter().flat_map(|(kept, chunks)| {
-            chunks.iter().zip(kept.decoded_bytes).map(|(bytes, decoded_bytes)| ChunkEntry {
-                hash: ChunkHash(*blake3::hash(bytes).as_bytes()),
-                stored_bytes: bytes.len() as u32,
+        self.all.iter().flat_map(|Image { kept, hashes, .. }| {
+            hashes.iter().zip(&kept.lengths).zip(kept.decoded_bytes).map(|((hash, length), decoded_bytes)| ChunkEntry {
+                hash: *hash,
+                stored_bytes: *length,
                 decoded_bytes,
                 kind: ChunkKind::Ldi,
             })
         })
     }
 
-    /// Stored bytes of all chunks, in the order of [`Images::entries`].
-    pub fn chunks(&self) -> impl Iterator<Item = &[u8]> {
-        self.kept.iter().flat_map(|k| k.1.iter().map(Vec::as_slice))
+    /// Reads chunks back, by their numbers among [`Images::entries`]. Quick in ascending order: a piece is read once.
+    pub fn reader(&self) -> impl FnMut(&DatasetWriter, usize) -> Option<Vec<u8>> + '_ {
+        let of_image = |(image, i): (usize, &Image)| (0..i.hashes.len()).map(move |chunk| (image, chunk));
+        let places: Vec<(usize, usize)> = self.all.iter().enumerate().flat_map(of_image).collect();
+        let mut open: (usize, Vec<Vec<u8>>) = (usize::MAX, Vec::new());
+        move |writer, number| {
+            let (image, chunk) = *places.get(number)?;
+            if open.0 != image {
+                open = (image, unpack(&writer.cached(&self.all[image].key)?)?.1);
+            }
+            open.1.get(chunk).cloned()
+        }
     }
 
     /// Placements and images as the index names them.
     pub fn placements(&self, plans: &[PlacementPlan], first_chunk: u32) -> (Vec<Placement>, Vec<ImageEntry>) {
         let (mut placements, mut images) = (Vec::new(), Vec::new());
         let mut next = first_chunk;
-        let mut kept = self.kept.iter();
+        let mut all = self.all.iter();
         for plan in plans {
             let first_image = images.len() as u32;
-            for (image, (kept, chunks)) in plan.images.iter().zip(&mut kept) {
+            for (image, Image { kept, hashes, .. }) in plan.images.iter().zip(&mut all) {
                 let first = next;
-                next += chunks.len() as u32;
+                next += hashes.len() as u32;
                 images.push(ImageEntry {
                     basis: image.basis,
                     plane_distance: image.plane_distance,
@@ -260,11 +280,11 @@ impl Images {
 
     /// What was left out.
     pub fn notes(&self) -> Vec<Note> {
-        let empty = self.kept.iter().filter(|k| k.1.is_empty()).count();
+        let empty = self.all.iter().filter(|i| i.hashes.is_empty()).count();
         let mut notes = Vec::new();
         if empty > 0 {
             notes.push(Note {
-                what: format!("{empty} of {} images", self.kept.len()),
+                what: format!("{empty} of {} images", self.all.len()),
                 why: "no eye that may use them sees anything of the cells they replace".into(),
             });
         }

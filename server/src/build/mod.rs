@@ -287,10 +287,10 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         ("clusters", clusters.clusters.len() as u64),
         ("shared_clusters", geometry.shared_clusters as u64),
     ]);
-    let image_bytes: Vec<&[u8]> = images.chunks().collect();
-    let bytes = |number: u32| {
-        let number = number as usize;
-        Ok(Cow::Borrowed(chunks.get(number).map_or_else(|| image_bytes[number - chunks.len()], |c| &c.bytes)))
+    let mut image_bytes = images.reader();
+    let bytes = |writer: &DatasetWriter, number: u32| match chunks.get(number as usize) {
+        Some(chunk) => Ok(Cow::Borrowed(&*chunk.bytes)),
+        None => image_bytes(writer, number as usize - chunks.len()).map(Cow::Owned).ok_or(StoreError::Chunk { number }),
     };
     let figures = BuildFigures {
         index,

@@ -176,7 +176,7 @@ impl Sample {
     fn write(&self, path: &Path) -> Result<Written, StoreError> {
         DatasetWriter::open(path)?.finish(
             &self.index,
-            |k| Ok(Cow::Borrowed(&self.chunks[k as usize][..])),
+            |_, k| Ok(Cow::Borrowed(&self.chunks[k as usize][..])),
             &self.ranges,
             |w| json!({ "bytes": { "manifest": w.manifest_bytes }, "skipped": [{ "what": "portals", "why": "no rooms" }] }),
         )
@@ -368,7 +368,7 @@ fn a_stopped_build_goes_on_and_gives_the_same_bytes() {
         if let Some(fail_at) = stop.checked_sub(sample.chunks.len()) {
             let result = writer.finish(
                 &sample.index,
-                |k| {
+                |_, k| {
                     if k as usize == fail_at {
                         return Err(StoreError::Chunk { number: k });
                     }

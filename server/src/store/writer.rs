@@ -89,7 +89,7 @@ impl DatasetWriter {
     }
 
     /// Writes the dataset and removes the pieces. `chunk` gives the bytes of a chunk by number and is called once per different
-    /// content, in order; `ranges` has one entry per cell; `report` makes `report.json` from what was written.
+    /// content, in order, with the writer, as it may lie in a piece; `ranges` has one entry per cell; `report` makes `report.json` from what was written.
     ///
     /// The old manifest goes first and the new one comes last: a stop in between leaves no dataset, but all pieces.
     ///
@@ -98,7 +98,7 @@ impl DatasetWriter {
     pub fn finish<'a>(
         self,
         index: &Index,
-        mut chunk: impl FnMut(u32) -> Result<Cow<'a, [u8]>, StoreError>,
+        mut chunk: impl FnMut(&Self, u32) -> Result<Cow<'a, [u8]>, StoreError>,
         ranges: &[Vec<SourceRange>],
         report: impl FnOnce(&Written) -> serde_json::Value,
     ) -> Result<Written, StoreError> {
@@ -116,7 +116,7 @@ impl DatasetWriter {
         }
         for (number, entry) in index.chunks.iter().enumerate() {
             let number = number as u32;
-            packs.append(entry.hash, entry.stored_bytes, || chunk(number), Some(number))?;
+            packs.append(entry.hash, entry.stored_bytes, || chunk(&self, number), Some(number))?;
         }
         let pack_bytes = packs.finish()?;
         remove_other_packs(&folder, pack_bytes.len())?;
