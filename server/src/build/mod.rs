@@ -20,7 +20,7 @@ pub use report::report_json;
 use crate::construct::ConstructError;
 use crate::octree::{Clusters, Octree, RecountError};
 use crate::pack::{self, PackError};
-use crate::placement::{self, AuditReport, ImagePlan, PlacementError, PlacementResult, PlacementStatistics};
+use crate::placement::{self, AuditReport, AuditSize, ImagePlan, PlacementError, PlacementResult, PlacementStatistics};
 use crate::render::Caster;
 use crate::scene::{self, Note, Scene, SceneError};
 use crate::store::{DatasetWriter, StoreError, Written};
@@ -181,7 +181,7 @@ fn index_of(
 }
 
 /// Poses of the audit that every build ends with: a second or two. `verify --guarantee` takes as many as one likes.
-const AUDITED_POSES: u64 = 10_000;
+const AUDITED_POSES: AuditSize = AuditSize { random: 5_000, adversarial: 5_000 };
 
 /// The camera of an image as planned, before it is cut to what eyes see.
 fn planned_camera(plan: &ImagePlan) -> LdiCamera {

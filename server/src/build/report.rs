@@ -51,7 +51,7 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
         "guarantee": {
             "budget": index.settings.budget,
             "max_triangles_found": f.audit.max_triangles,
-            "poses_checked": f.audit.poses,
+            "poses_checked": f.audit.all_poses(),
             "violations": f.audit.violations,
             "max_footprint_px": f.placement.max_footprint_px,
             "coverage_certified": f.placement.coverage_certified,

@@ -86,9 +86,12 @@ pub struct BuildArgs {
     /// Plan and audit only: say what the build would take and whether its promises hold, as JSON; write nothing else.
     #[arg(long)]
     pub dry_run: bool,
-    /// Poses of a dry run's audit.
+    /// Random poses of a dry run's audit.
     #[arg(long, default_value_t = 10_000, requires = "dry_run")]
     pub poses: u64,
+    /// Its adversarial poses, on borders of every kind [default: a tenth of the random ones].
+    #[arg(long, requires = "dry_run")]
+    pub adversarial: Option<u64>,
     /// Geometry budget P, triangles per frame.
     #[arg(long, default_value_t = 200_000, value_parser = clap::value_parser!(u64).range(1..))]
     pub budget: u64,
@@ -158,9 +161,12 @@ pub struct VerifyArgs {
     /// cell, in two, or outside of its cell is an error.
     #[arg(long, requires = "guarantee")]
     pub scene: Option<String>,
-    /// Poses of the audit.
+    /// Random poses of the audit.
     #[arg(long, default_value_t = 100_000, requires = "guarantee")]
     pub poses: u64,
+    /// Adversarial poses, on borders of every kind [default: a tenth of the random ones].
+    #[arg(long, requires = "guarantee")]
+    pub adversarial: Option<u64>,
     /// Seed of the audit's poses.
     #[arg(long, default_value_t = 1, requires = "guarantee")]
     pub seed: u64,

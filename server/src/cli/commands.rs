@@ -104,7 +104,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         e => Failure::permanent(e),
     };
     if a.dry_run {
-        let found = build::dry_run(&options, a.poses, &progress).map_err(failed)?;
+        let found = build::dry_run(&options, audit_size(a.poses, a.adversarial), &progress).map_err(failed)?;
         progress.finish();
         let json = serde_json::to_value(&found).map_err(Failure::permanent)?;
         match &a.report {
@@ -182,7 +182,7 @@ fn verify(a: &VerifyArgs) -> Result<(), Failure> {
         let first = *index.images.get(image as usize)?.chunks.first()?;
         ldi_protocol::codec::ldi::decode_first(dataset.chunk(first)?).ok().map(|ldi| ldi.camera)
     };
-    let report = placement::audit(index, &counts, &camera_of, a.poses, a.seed);
+    let report = placement::audit(index, &counts, &camera_of, audit_size(a.poses, a.adversarial), a.seed);
     let json = serde_json::to_value(&report).map_err(Failure::permanent)?;
     match &a.json {
         Some(file) => write_json(file, &json)?,
@@ -191,10 +191,15 @@ fn verify(a: &VerifyArgs) -> Result<(), Failure> {
     promises_kept(&report)
 }
 
+/// A tenth as many adversarial poses as random ones, unless their number is given.
+fn audit_size(random: u64, adversarial: Option<u64>) -> placement::AuditSize {
+    placement::AuditSize { random, adversarial: adversarial.unwrap_or(random / 10) }
+}
+
 /// Whether all promises were kept.
 fn promises_kept(audit: &placement::AuditReport) -> Result<(), Failure> {
     if audit.violations > 0 {
-        return Err(Failure::permanent(anyhow!("{} of {} poses break a promise", audit.violations, audit.poses)));
+        return Err(Failure::permanent(anyhow!("{} of {} poses break a promise", audit.violations, audit.all_poses())));
     }
     Ok(())
 }

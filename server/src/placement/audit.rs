@@ -5,9 +5,8 @@
 //! unnormalized planes, where the renderer takes supports of unit normals), triangles are the caller's own count, and footprints are
 //! measured by finite differences at points of the replaced cells.
 //!
-//! Poses: one in four anywhere in the walk volume, looking anywhere within the built pitch. The others seek trouble: on the border of an
-//! angular range of their grid point, on the border of a pitch band, and where the eye changes from one grid point to another (on the
-//! rim of a star-shape), found by bisection between two eyes.
+//! Poses: random ones, anywhere in the walk volume and looking anywhere within the built pitch; and adversarial ones, which seek trouble on
+//! borders ([`ADVERSARIES`]), found by bisection.
 
 use glam::DVec3;
 use ldi_protocol::{
@@ -15,30 +14,56 @@ use ldi_protocol::{
     index::{ImageEntry, Index, Placement},
     ldi::LdiCamera,
     select::{draw_list, select},
+    volume::WalkVolume,
 };
 use rayon::prelude::*;
 use serde::Serialize;
+use std::collections::BTreeMap;
 
 /// What the audit found.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct AuditReport {
-    /// Poses looked at.
+    /// Random poses looked at.
     pub poses: u64,
-    /// Poses that broke a promise.
+    /// Poses that broke a promise, adversarial ones included.
+    pub violations: u64,
+    /// Largest number of triangles drawn, adversarial poses included.
+    pub max_triangles: u64,
+    /// Largest footprint measured, adversarial poses included, output pixels.
+    pub max_footprint_px: f64,
+    /// Adversarial poses, by name of [`ADVERSARIES`].
+    pub adversarial: BTreeMap<&'static str, Tally>,
+    /// Poses that broke a promise, then those with the most triangles; at most [`WORST`].
+    pub worst_poses: Vec<AuditedPose>,
+}
+
+impl AuditReport {
+    /// All poses looked at.
+    pub fn all_poses(&self) -> u64 {
+        self.poses + self.adversarial.values().map(|t| t.poses).sum::<u64>()
+    }
+}
+
+/// Adversarial poses of one kind.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct Tally {
+    /// How many.
+    pub poses: u64,
+    /// How many broke a promise.
     pub violations: u64,
     /// Largest number of triangles drawn.
     pub max_triangles: u64,
     /// Largest footprint measured, output pixels.
     pub max_footprint_px: f64,
-    /// Poses that broke a promise, then those with the most triangles; at most [`WORST`].
-    pub worst_poses: Vec<AuditedPose>,
 }
 
 /// One pose of the audit.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AuditedPose {
-    /// Number of the pose.
+    /// Number of the pose; adversarial ones come after the random ones.
     pub index: u64,
+    /// `random`, or one of [`ADVERSARIES`].
+    pub kind: &'static str,
     /// Eye, metres.
     pub position: [f64; 3],
     /// Degrees.
@@ -97,7 +122,20 @@ pub fn plan_row(index: &Index, number: u64, pose: &Pose) -> PlanRow {
     }
 }
 
-/// Audits a dataset over `poses` poses drawn from `seed`.
+/// Kinds of adversarial poses, as [`adversarial`] makes them.
+pub const ADVERSARIES: [&str; 7] =
+    ["range border", "band border", "pole", "point border", "direction border", "rim", "cell corner"];
+
+/// How many poses an audit looks at.
+#[derive(Debug, Clone, Copy)]
+pub struct AuditSize {
+    /// Random ones.
+    pub random: u64,
+    /// Adversarial ones, of all kinds together.
+    pub adversarial: u64,
+}
+
+/// Audits a dataset over poses drawn from `seed`.
 ///
 /// `recounted`: triangles per cell, counted by the caller over the scene's own triangles (not the index's numbers). `camera_of`: the LDI
 /// camera of an image, None where it is empty. A dataset without a walk volume has no poses and passes.
@@ -105,15 +143,15 @@ pub fn audit(
     index: &Index,
     recounted: &[u64],
     camera_of: &(dyn Fn(u32) -> Option<LdiCamera> + Sync),
-    poses: u64,
+    size: AuditSize,
     seed: u64,
 ) -> AuditReport {
-    let mut report =
-        AuditReport { poses: 0, violations: 0, max_triangles: 0, max_footprint_px: 0.0, worst_poses: Vec::new() };
+    let mut report = AuditReport::default();
     let Some(volume) = index.volume.as_ref().filter(|v| !v.is_empty()) else { return report };
     let sampler = volume.sampler();
     let cameras: Vec<Option<LdiCamera>> = (0..index.images.len() as u32).into_par_iter().map(camera_of).collect();
     // Bounded batches, folded in order: the same report from any number of threads.
+    let poses = size.random + size.adversarial;
     for first in (0..poses).step_by(4096) {
         let batch: Vec<AuditedPose> = (first..poses.min(first + 4096))
             .into_par_iter()
@@ -121,18 +159,29 @@ pub fn audit(
                 let mut random =
                     Random(seed.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ i.wrapping_mul(0x9e37_79b9_7f4a_7c15));
                 let mut eye = || sampler.point(std::array::from_fn(|_| random.unit()));
-                let (a, b) = (eye()?, eye()?);
-                let mut pose = trouble(index, i % 4, a, b, &mut random);
-                // Between two eyes there may be a wall.
-                if !volume.contains(pose.position) {
-                    pose.position = a;
+                let (position, other) = (eye()?, eye()?);
+                let pitch_deg = (random.unit() * 2.0 - 1.0) * index.settings.pitch_deg;
+                let mut pose = Pose { position, yaw_deg: random.unit() * 360.0, pitch_deg };
+                let mut kind = "random";
+                if let Some(k) = i.checked_sub(size.random) {
+                    kind = ADVERSARIES[k as usize % ADVERSARIES.len()];
+                    pose = adversarial(index, volume, kind, pose, other, &mut random);
                 }
-                Some(check(index, recounted, &cameras, i, &pose, &mut random))
+                Some(check(index, recounted, &cameras, (i, kind), &pose, &mut random))
             })
             .collect();
         for p in batch {
-            report.poses += 1;
-            report.violations += u64::from(!p.faults.is_empty());
+            let broken = u64::from(!p.faults.is_empty());
+            if p.index < size.random {
+                report.poses += 1;
+            } else {
+                let tally = report.adversarial.entry(p.kind).or_default();
+                tally.poses += 1;
+                tally.violations += broken;
+                tally.max_triangles = tally.max_triangles.max(p.triangles);
+                tally.max_footprint_px = tally.max_footprint_px.max(p.footprint_px);
+            }
+            report.violations += broken;
             report.max_triangles = report.max_triangles.max(p.triangles);
             report.max_footprint_px = report.max_footprint_px.max(p.footprint_px);
             report.worst_poses.push(p);
@@ -149,41 +198,102 @@ pub fn audit(
     report
 }
 
-/// A pose of the given kind (see the module's head) from two eyes of the volume.
-fn trouble(index: &Index, kind: u64, a: DVec3, b: DVec3, random: &mut Random) -> Pose {
-    let pitch = index.settings.pitch_deg;
-    let mut pose = Pose { position: a, yaw_deg: random.unit() * 360.0, pitch_deg: (random.unit() * 2.0 - 1.0) * pitch };
-    let pick = |n: usize, u: f64| ((u * n as f64) as usize).min(n.saturating_sub(1));
-    let nudge = [0.0, 1e-9, -1e-9][pick(3, random.unit())];
+/// A pose that seeks trouble, made from a random one and another eye of the volume:
+///
+/// - range border: on the border of an angular range of its grid point, or a hair beside it;
+/// - band border: on the border of a pitch band, or a hair beside it;
+/// - pole: looking as far up or down as was built for, or so that the upper or lower edge of the picture is vertical;
+/// - point border: between the two eyes, where the grid point changes;
+/// - direction border: where turning the head changes what is selected (the rim of a reverse frustum in the paper's grid);
+/// - rim: as far from its grid point as the volume or the next point allows (the rim of a star-shape);
+/// - cell corner: so that a side of the planning frustum touches the corner of a cell.
+fn adversarial(
+    index: &Index,
+    volume: &WalkVolume,
+    kind: &str,
+    mut pose: Pose,
+    other: DVec3,
+    random: &mut Random,
+) -> Pose {
+    let limit = index.settings.pitch_deg;
+    let eye = pose.position;
+    let nudge = [0.0, 1e-9, -1e-9][random.below(3)];
     match kind {
-        1 => {
+        "range border" => {
             let ranges: Vec<f64> = select(index, &pose)
                 .grid_point
                 .map(|g| index.points[g as usize].bands.iter().flatten().map(|r| r.yaw_start_deg).collect())
                 .unwrap_or_default();
             if !ranges.is_empty() {
-                pose.yaw_deg = ranges[pick(ranges.len(), random.unit())] + nudge;
+                pose.yaw_deg = ranges[random.below(ranges.len())] + nudge;
             }
         }
-        2 if !index.pitch_bands_deg.is_empty() => {
-            let border = index.pitch_bands_deg[pick(index.pitch_bands_deg.len(), random.unit())];
-            pose.pitch_deg = (border + nudge).clamp(-pitch, pitch);
+        "band border" if !index.pitch_bands_deg.is_empty() => {
+            let border = index.pitch_bands_deg[random.below(index.pitch_bands_deg.len())];
+            pose.pitch_deg = (border + nudge).clamp(-limit, limit);
         }
-        3 => {
-            let at = |p: DVec3| select(index, &Pose { position: p, ..pose }).grid_point;
-            let (mut low, mut high) = (a, a + (b - a) * (8.0 / (b - a).length().max(8.0)));
-            let from = at(low);
-            if at(high) != from {
-                for _ in 0..48 {
-                    let middle = (low + high) * 0.5;
-                    *(if at(middle) == from { &mut low } else { &mut high }) = middle;
-                }
-                pose.position = if random.unit() < 0.5 { low } else { high };
+        "pole" => {
+            let upright = 90.0 - index.settings.square_half_tan().atan().to_degrees();
+            let pitch = if random.unit() < 0.5 { limit } else { upright.min(limit) };
+            pose.pitch_deg = if random.unit() < 0.5 { pitch } else { -pitch };
+        }
+        "point border" => {
+            let at = |position| select(index, &Pose { position, ..pose }).grid_point;
+            let toward = (other - eye) * (8.0 / (other - eye).length().max(8.0));
+            let from = at(eye);
+            if at(eye + toward) != from {
+                let [low, high] = border(|t| at(eye + toward * t) == from);
+                pose.position = eye + toward * if random.unit() < 0.5 { low } else { high };
             }
+        }
+        "direction border" => {
+            let turn = (random.unit() * 2.0 - 1.0) * 90.0;
+            let at = |yaw_deg| select(index, &Pose { yaw_deg, ..pose });
+            let (yaw, from) = (pose.yaw_deg, at(pose.yaw_deg));
+            if at(yaw + turn) != from {
+                let [low, high] = border(|t| at(yaw + turn * t) == from);
+                pose.yaw_deg = yaw + turn * if random.unit() < 0.5 { low } else { high };
+            }
+        }
+        "rim" => {
+            if let Some(point) = select(index, &pose).grid_point {
+                let away = (eye - index.points[point as usize].position).normalize_or_zero() * 16.0;
+                let stays = |position| {
+                    volume.contains(position) && select(index, &Pose { position, ..pose }).grid_point == Some(point)
+                };
+                pose.position = eye + away * border(|t| stays(eye + away * t))[0];
+            }
+        }
+        "cell corner" if !index.cells.is_empty() => {
+            let corners = index.cells[random.below(index.cells.len())].bounds.corners();
+            let to = corners[random.below(corners.len())] - eye;
+            let ahead = (-to.x).atan2(-to.z).to_degrees();
+            let turn = if random.unit() < 0.5 { 120.0 } else { -120.0 };
+            let t = index.settings.square_half_tan();
+            let inside = |yaw: f64| {
+                let basis = ViewBasis::from_yaw_pitch(yaw, pose.pitch_deg);
+                to.dot(basis.right).abs() <= t * to.dot(basis.forward)
+            };
+            let [low, high] = border(|s| inside(ahead + turn * s));
+            pose.yaw_deg = ahead + turn * if random.unit() < 0.5 { low } else { high };
         }
         _ => {}
     }
+    // Between two eyes there may be a wall.
+    if !volume.contains(pose.position) {
+        pose.position = eye;
+    }
     pose
+}
+
+/// Two neighbouring values in 0 ..= 1 around a change: `holds` at the first, unless it nowhere does, and not at the second.
+fn border(holds: impl Fn(f64) -> bool) -> [f64; 2] {
+    let (mut low, mut high) = (0.0, 1.0);
+    for _ in 0..48 {
+        let middle = (low + high) * 0.5;
+        *(if holds(middle) { &mut low } else { &mut high }) = middle;
+    }
+    [low, high]
 }
 
 /// Checks one pose.
@@ -191,7 +301,7 @@ fn check(
     index: &Index,
     recounted: &[u64],
     cameras: &[Option<LdiCamera>],
-    number: u64,
+    (number, kind): (u64, &'static str),
     pose: &Pose,
     random: &mut Random,
 ) -> AuditedPose {
@@ -253,6 +363,7 @@ fn check(
     }
     AuditedPose {
         index: number,
+        kind,
         position: pose.position.to_array(),
         yaw_deg: pose.yaw_deg,
         pitch_deg: pose.pitch_deg,
@@ -290,11 +401,7 @@ fn largest_footprint(
     let (tx, ty) = (camera.half_tan_x(), camera.half_tan_y());
     let mut largest = 0.0f64;
     for _ in 0..FOOTPRINT_POINTS {
-        let Some(&cell) =
-            p.culled.get(((random.unit() * p.culled.len() as f64) as usize).min(p.culled.len().saturating_sub(1)))
-        else {
-            break;
-        };
+        let Some(&cell) = p.culled.get(random.below(p.culled.len())) else { break };
         let b = &index.cells[cell as usize].bounds;
         // Corners and inner points alike.
         let at = DVec3::new(random.unit(), random.unit(), random.unit());
@@ -354,6 +461,11 @@ fn footprint(index: &Index, ldi: &LdiCamera, pose: &Pose, basis: &ViewBasis, q: 
 struct Random(u64);
 
 impl Random {
+    /// A whole number from 0 up to, but without, `n`; 0 if there is none.
+    fn below(&mut self, n: usize) -> usize {
+        ((self.unit() * n as f64) as usize).min(n.saturating_sub(1))
+    }
+
     fn unit(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;

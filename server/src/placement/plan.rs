@@ -26,6 +26,7 @@ pub(super) fn plan(ctx: &Context, image: &Image, grid_point: u32, grid_position:
     let (scale, footprint_px) = ctx.footprint.scale(image.phi, plane_from_cop, ahead).unwrap_or((1.0, f64::INFINITY));
     let cop = centre(&image.users, &image.basis);
     let users = image.users.bounds();
+    let eyes = spread(&ctx.eyes.map_or(vec![], |tree| standing(tree, &[users])), cop);
     PlacementPlan {
         grid_point,
         cop,
@@ -39,7 +40,7 @@ pub(super) fn plan(ctx: &Context, image: &Image, grid_point: u32, grid_position:
             pixels_per_unit: ctx.footprint.pixels_per_unit(scale),
             window: window(ctx, image, cop, plane_from_cop),
             users,
-            eyes: vec![],
+            eyes,
             directions: directions(ctx, &image.units),
             footprint_px,
         }],
