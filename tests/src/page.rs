@@ -245,7 +245,8 @@ fn fixed(v: Option<f64>) -> String {
     v.map_or("-".into(), |v| format!("{v:.3}"))
 }
 
-const STYLE: &str = "\
+/// The style sheet of all pages; plots take their colours from it.
+pub const STYLE: &str = "\
 :root{color-scheme:light dark;--fg:#1c2330;--bg:#fbfbfa;--dim:#667085;--line:#d9dde3;--card:#fff;--s0:#2563c9;--s1:#c2570c;--s2:#13795b;--s3:#8e3fb0;--bound:#c0243a}\
 @media(prefers-color-scheme:dark){:root{--fg:#e6e9ef;--bg:#14171c;--dim:#98a2b3;--line:#2d333d;--card:#1b1f26;--s0:#6ea3ff;--s1:#f59e55;--s2:#4fc79a;--s3:#cf8cf0;--bound:#ff6b7d}}\
 body{margin:0;background:var(--bg);color:var(--fg);font:16px/1.5 system-ui,sans-serif}main{max-width:1180px;margin:auto;padding:24px 20px 60px}\

@@ -100,7 +100,7 @@ impl Plot<'_> {
             legend_x -= 7.0 * series.name.len() as f64 + 26.0;
             let _ = write!(
                 s,
-                "<line class=\"s{i}\" x1=\"{legend_x:.0}\" x2=\"{:.0}\" y1=\"12\" y2=\"12\"/><text class=\"legend\" x=\"{:.0}\" y=\"16\">{}</text>",
+                "<line class=\"s{i}\" x1=\"{legend_x:.0}\" x2=\"{:.0}\" y1=\"28\" y2=\"28\"/><text class=\"legend\" x=\"{:.0}\" y=\"32\">{}</text>",
                 legend_x + 14.0,
                 legend_x + 18.0,
                 escape(series.name)

@@ -3,9 +3,37 @@
 use super::{BuildError, BuildOptions, Clock, Planned, Progress, images::Images, index_of, plan, planned_camera};
 use crate::octree;
 use crate::pack;
-use crate::placement::{self, AuditReport, AuditSize, ImagePlan};
+use crate::placement::{self, AuditReport, AuditSize, ImagePlan, PlacementStatistics};
 use ldi_protocol::index::Index;
 use serde::Serialize;
+
+/// A dataset before any image is made.
+#[derive(Debug)]
+pub struct Draft {
+    /// As the dataset's would be, but without chunks.
+    pub index: Index,
+    /// The images to make, in the index's order.
+    pub images: Vec<ImagePlan>,
+    /// Triangles per cell, counted over the scene.
+    pub counts: Vec<u64>,
+    /// What placement found.
+    pub statistics: PlacementStatistics,
+    /// Seconds per stage.
+    pub seconds: Vec<(&'static str, f64)>,
+}
+
+impl Draft {
+    /// Audits the plan; poses from seed 1.
+    pub fn audit(&self, size: AuditSize) -> AuditReport {
+        let camera_of = |image: u32| self.images.get(image as usize).map(planned_camera);
+        placement::audit(&self.index, &self.counts, &camera_of, size, 1)
+    }
+
+    /// Pixels of all images; what nobody sees of them costs little.
+    pub fn pixels(&self) -> f64 {
+        self.images.iter().map(ImagePlan::pixels).sum()
+    }
+}
 
 /// Figures of a build that was planned only.
 #[derive(Debug, Clone, Serialize)]
@@ -28,47 +56,45 @@ pub struct DryRun {
     pub audit: AuditReport,
 }
 
-/// Plans a build and audits the plan over poses. Nothing is written.
+/// Plans a build and audits the plan. Nothing is written.
 ///
 /// # Errors
-/// As [`super::build`]; also if a triangle is in no cell, in two, or outside of its cell.
+/// As [`draft`].
 pub fn dry_run(options: &BuildOptions, size: AuditSize, progress: &dyn Progress) -> Result<DryRun, BuildError> {
-    let mut clock = Clock::default();
-    let Draft { index, images, counts } = draft(options, &mut clock, progress)?;
+    let draft = draft(options, progress)?;
     progress.stage("audit", 0);
-    let camera_of = |image: u32| images.get(image as usize).map(planned_camera);
-    let audit = placement::audit(&index, &counts, &camera_of, size, 1);
-    clock.lap("audit");
+    let start = std::time::Instant::now();
+    let audit = draft.audit(size);
+    let mut seconds = draft.seconds.clone();
+    seconds.push(("audit", start.elapsed().as_secs_f64()));
     Ok(DryRun {
-        triangles: index.scene.triangles,
-        budget: index.settings.budget,
-        points: index.points.len(),
-        placements: index.placements.len(),
-        images: images.len(),
-        megapixels: images.iter().map(ImagePlan::pixels).sum::<f64>() / 1e6,
-        seconds: clock.laps,
+        triangles: draft.index.scene.triangles,
+        budget: draft.index.settings.budget,
+        points: draft.index.points.len(),
+        placements: draft.index.placements.len(),
+        images: draft.images.len(),
+        megapixels: draft.pixels() / 1e6,
+        seconds,
         audit,
     })
 }
 
-/// A dataset before any image is made.
-struct Draft {
-    index: Index,
-    images: Vec<ImagePlan>,
-    /// Triangles per cell, counted over the scene.
-    counts: Vec<u64>,
-}
-
-fn draft(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> Result<Draft, BuildError> {
-    let Planned { scene, clusters, octree, settings, plan } = plan(options, clock, progress)?;
+/// Plans a build.
+///
+/// # Errors
+/// As [`super::build`]; also if a triangle is in no cell, in two, or outside of its cell.
+pub fn draft(options: &BuildOptions, progress: &dyn Progress) -> Result<Draft, BuildError> {
+    let mut clock = Clock::default();
+    let Planned { scene, clusters, octree, settings, plan } = plan(options, &mut clock, progress)?;
     let geometry = pack::pack_geometry(&scene, &clusters, &octree, 0)?;
     let ranges: Vec<_> = (0..octree.cells.len()).map(|c| octree.ranges(&scene, &clusters, c)).collect();
     let bounds: Vec<_> = geometry.cells.iter().map(|c| c.bounds).collect();
     let counts = octree::recount(&scene, &ranges, &bounds)?;
     let images: Vec<ImagePlan> = plan.plans.iter().flat_map(|p| p.images.iter().cloned()).collect();
     let (placements, entries) = Images::none_of(&plan.plans).placements(&plan.plans, 0);
+    let statistics = plan.statistics.clone();
     let index = index_of(options, &scene, settings, plan, (geometry.cells, vec![]), vec![], (placements, entries));
-    Ok(Draft { index, images, counts })
+    Ok(Draft { index, images, counts, statistics, seconds: clock.laps })
 }
 
 #[cfg(test)]
@@ -87,8 +113,9 @@ mod tests {
     fn audited(d: &Draft, change: impl FnOnce(&mut Index)) -> AuditReport {
         let mut index = d.index.clone();
         change(&mut index);
-        let size = AuditSize { random: 500, adversarial: 1_400 };
-        placement::audit(&index, &d.counts, &|i| d.images.get(i as usize).map(planned_camera), size, 1)
+        let (images, counts) = (d.images.clone(), d.counts.clone());
+        let d = Draft { index, images, counts, statistics: d.statistics.clone(), seconds: vec![] };
+        d.audit(AuditSize { random: 500, adversarial: 1_400 })
     }
 
     #[test]
@@ -99,7 +126,7 @@ mod tests {
             settings: test_scenes::settings(6_000),
             colour: ColourMode::LOSSLESS,
         };
-        let d = draft(&options, &mut Clock::default(), &Silent).unwrap();
+        let d = draft(&options, &Silent).unwrap();
         let kept = audited(&d, |_| {});
         assert_eq!((kept.violations, kept.poses, kept.all_poses()), (0, 500, 1_900));
         assert!(ADVERSARIES.iter().all(|k| kept.adversarial[k].poses == 200), "{:?}", kept.adversarial);

@@ -13,7 +13,7 @@ mod images;
 mod key;
 mod report;
 
-pub use dry_run::{DryRun, dry_run};
+pub use dry_run::{Draft, DryRun, draft, dry_run};
 pub use images::ImageFigures;
 pub use report::report_json;
 

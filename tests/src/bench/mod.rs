@@ -1,0 +1,4 @@
+//! `ldi-bench`: sweeps over settings, as tables, plots and a page. Rows are kept as JSON, from which everything else is made.
+
+pub mod placement;
+pub mod placement_page;

@@ -1,0 +1,132 @@
+//! `ldi-bench`: what the methods cost and how good they are, as tables, plots and pages.
+
+use anyhow::{Context as _, Result, bail};
+use clap::{Parser, Subcommand};
+use ldi_server::build::Progress;
+use ldi_server::placement::AuditSize;
+use ldi_tests::bench::{placement, placement_page};
+use std::path::{Path, PathBuf};
+
+/// Measures the methods over scenes and settings; leaves tables (CSV, JSON), plots (SVG) and a page (HTML).
+#[derive(Debug, Parser)]
+#[command(name = "ldi-bench", version)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Images, pixels and time of image placement against the geometry budget (Figures 13 to 16 and Table 1 of Aliaga and Lastra 1999).
+    #[command(after_help = "\
+Examples:
+  ldi-bench placement clinic.glb -o out/placement
+  ldi-bench placement builtin:plant?triangles=2000000 --budgets 12.5,25 --size 512x384 --pitch 0 --grids cells,paper -o out/plant")]
+    Placement(PlacementArgs),
+    /// Every method and setting, speed against error (not there yet).
+    SpeedError(Later),
+    /// Hard numerical cases (not there yet).
+    Numerics(Later),
+}
+
+#[derive(Debug, clap::Args)]
+struct Later {
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+    rest: Vec<String>,
+}
+
+#[derive(Debug, clap::Args)]
+struct PlacementArgs {
+    /// Scenes, as for `ldi-server build`; beside NAME.glb the path NAME.path.json is walked if it is there.
+    #[arg(required = true)]
+    scenes: Vec<String>,
+    /// Folder for what is left.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Geometry budgets, percent of the scene's triangles.
+    #[arg(long, value_delimiter = ',', default_value = "1,2,5,10,25,50", value_parser = percent)]
+    budgets: Vec<f64>,
+    /// Ways to cover the eyes.
+    #[arg(long, value_delimiter = ',', default_value = "cells", value_parser = ["cells", "paper"])]
+    grids: Vec<String>,
+    /// Output size.
+    #[arg(long, default_value = "1280x720", value_parser = size)]
+    size: (u32, u32),
+    /// Free look up and down, degrees.
+    #[arg(long, default_value_t = 60.0)]
+    pitch: f64,
+    /// Random poses of each plan's audit; a tenth as many adversarial ones are added.
+    #[arg(long, default_value_t = 10_000)]
+    poses: u64,
+}
+
+fn percent(s: &str) -> Result<f64, String> {
+    s.parse::<f64>()
+        .ok()
+        .filter(|p| *p > 0.0 && *p <= 100.0)
+        .ok_or_else(|| format!("'{s}' is not a share in percent, above 0 and at most 100"))
+}
+
+fn size(s: &str) -> Result<(u32, u32), String> {
+    let side = |t: &str| t.parse::<u32>().ok().filter(|n| (16..=8192).contains(n));
+    s.split_once('x')
+        .and_then(|(w, h)| Some((side(w)?, side(h)?)))
+        .ok_or_else(|| format!("'{s}' is not a size like 1280x720, with sides from 16 to 8192"))
+}
+
+fn main() -> Result<()> {
+    match Cli::parse().command {
+        Command::Placement(a) => placement(a),
+        Command::SpeedError(Later { .. }) => bail!("ldi-bench speed-error is not there yet"),
+        Command::Numerics(Later { .. }) => bail!("ldi-bench numerics is not there yet"),
+    }
+}
+
+struct Silent;
+
+impl Progress for Silent {
+    fn stage(&self, _: &str, _: u64) {}
+    fn advance(&self, _: u64) {}
+}
+
+fn placement(a: PlacementArgs) -> Result<()> {
+    std::fs::create_dir_all(&a.output).with_context(|| format!("cannot make {}", a.output.display()))?;
+    let sweep = placement::Sweep {
+        scenes: a.scenes,
+        budgets_percent: a.budgets,
+        grids: a.grids,
+        size: a.size,
+        pitch_deg: a.pitch,
+        audit: AuditSize { random: a.poses, adversarial: a.poses / 10 },
+    };
+    let rows = placement::run(&sweep, &Silent, |r| match &r.error {
+        Some(e) => eprintln!("{} {} {}%: {e}", r.scene, r.grid, r.budget_percent),
+        None => eprintln!(
+            "{} {} {}%: {} points, {} placements, {} images, {:.0} Mpx, {:.1} s, {} violations",
+            r.scene,
+            r.grid,
+            r.budget_percent,
+            r.points,
+            r.placements,
+            r.images,
+            r.megapixels,
+            r.seconds,
+            r.audit.as_ref().map_or(0, |a| a.violations)
+        ),
+    })?;
+    let plots = placement_page::plots(&rows);
+    let command: Vec<String> = std::env::args().skip(1).collect();
+    let command = format!("ldi-bench {}", command.join(" "));
+    write(&a.output.join("placement.json"), &serde_json::to_string_pretty(&rows)?)?;
+    write(&a.output.join("placement.csv"), &placement_page::csv(&rows))?;
+    for (name, svg) in &plots {
+        write(&a.output.join(format!("{name}.svg")), &placement_page::standalone(svg))?;
+    }
+    write(&a.output.join("index.html"), &placement_page::page(&sweep, &rows, &plots, &command))?;
+    println!("look at {}", a.output.join("index.html").display());
+    Ok(())
+}
+
+fn write(path: &Path, text: &str) -> Result<()> {
+    std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))
+}
