@@ -21,6 +21,7 @@ use super::{
     sight::Open,
     view::{COARSENESS, ConstructionCamera, Rig, View, Window},
 };
+use std::ops::Range;
 
 /// Cells of curved surfaces do not quite meet; they are drawn larger by this many pixels. Larger hides thin holes,
 /// smaller traces rays into cracks.
@@ -30,7 +31,12 @@ const OVERLAP_PX: f32 = 0.15;
 pub(super) struct Coarse {
     samples: Vec<Sample>,
     width: usize,
+    /// Of each block of [`CELLS`] by [`CELLS`] cells, row-major: smallest and largest disparity that is drawn for them.
+    ranges: Vec<[f32; 2]>,
 }
+
+/// Side of the blocks of cells that are drawn or skipped as one, cells. By judgement.
+const CELLS: usize = 16;
 
 impl Coarse {
     /// Takes the first sample of each cell, with its plane carried to the cell's middle.
@@ -42,10 +48,33 @@ impl Coarse {
             let disparity = if s.disparity > 0.0 { bounded(s, change) } else { s.disparity };
             Sample { disparity, gradient: s.gradient.map(|g| g * COARSENESS as f32), ..*s }
         };
-        Self {
-            samples: rows.flat_map(|r| r.iter().step_by(COARSENESS).map(sample)).collect(),
-            width: width.div_ceil(COARSENESS),
+        let samples: Vec<Sample> = rows.flat_map(|r| r.iter().step_by(COARSENESS).map(sample)).collect();
+        let width = width.div_ceil(COARSENESS);
+        let ranges = Self::ranges(&samples, width);
+        Self { samples, width, ranges }
+    }
+
+    /// Sheets join a cell to the next ones: those of the neighbouring blocks count too.
+    fn ranges(samples: &[Sample], width: usize) -> Vec<[f32; 2]> {
+        let height = samples.len() / width;
+        let mut ranges = Vec::with_capacity(height.div_ceil(CELLS) * width.div_ceil(CELLS));
+        for top in (0..height).step_by(CELLS) {
+            for left in (0..width).step_by(CELLS) {
+                let mut range = [f32::INFINITY, f32::NEG_INFINITY];
+                for row in top..(top + CELLS + 1).min(height) {
+                    for s in &samples[row * width + left..row * width + (left + CELLS + 1).min(width)] {
+                        if s.disparity >= 0.0 {
+                            let change = 0.5 * (s.gradient[0].abs() + s.gradient[1].abs());
+                            let [low, high] =
+                                if s.disparity > 0.0 { [-change, change].map(|c| bounded(s, c)) } else { [0.0; 2] };
+                            range = [range[0].min(low), range[1].max(high)];
+                        }
+                    }
+                }
+                ranges.push(range);
+            }
         }
+        ranges
     }
 }
 /// A sheet begins at the surface's edge: held back by this factor so that the surface wins there.
@@ -245,45 +274,87 @@ impl Skin<'_> {
         self.draw_deeper(deeper);
     }
 
+    /// Block by block: what does not show where the camera looks is skipped.
     #[inline(always)]
     fn draw_central(&mut self, central: &Coarse, tolerance: &Tolerance) {
+        let (width, height) = (central.width, central.samples.len() / central.width);
+        let across = width.div_ceil(CELLS);
+        for (block_row, ranges) in central.ranges.chunks_exact(across).enumerate() {
+            let rows = block_row * CELLS..(block_row * CELLS + CELLS).min(height);
+            let shows: Vec<bool> =
+                ranges.iter().enumerate().map(|(c, r)| self.may_show(c * CELLS, rows.start, *r)).collect();
+            // Neighbouring blocks are drawn as one.
+            let mut first = 0;
+            for run in shows.chunk_by(|a, b| a == b) {
+                let columns = first * CELLS..((first + run.len()) * CELLS).min(width);
+                if run[0] {
+                    rows.clone().for_each(|row| self.draw_cells(central, row, columns.clone(), tolerance));
+                }
+                first += run.len();
+            }
+        }
+    }
+
+    /// Whether anything of a block of cells, with these disparities, may lie where the camera looks.
+    #[inline(always)]
+    fn may_show(&self, column: usize, row: usize, [low, high]: [f32; 2]) -> bool {
+        if low > high {
+            return false;
+        }
+        let (mut x, mut y) = ([f32::INFINITY, f32::NEG_INFINITY], [f32::INFINITY, f32::NEG_INFINITY]);
+        // Linear in the place, monotonic in disparity: extremes are at corners.
+        for d in [low, high] {
+            for (c, r) in [(0, 0), (CELLS + 1, 0), (0, CELLS + 1), (CELLS + 1, CELLS + 1)] {
+                let p = self.corner(column + c, row + r, d);
+                (x, y) = ([x[0].min(p[0]), x[1].max(p[0])], [y[0].min(p[1]), y[1].max(p[1])]);
+            }
+        }
+        let Window { width, height, .. } = self.camera.window;
+        let columns = centres(x[0] - 1.0, x[1] + 1.0, width);
+        let rows = centres(y[0] - 1.0, y[1] + 1.0, height);
+        !columns.is_empty() && !rows.is_empty() && self.open.is_none_or(|o| o.any(columns, rows))
+    }
+
+    /// Some cells of a row: their surfaces, and the sheets to their right and below.
+    #[inline(always)]
+    fn draw_cells(&mut self, central: &Coarse, row: usize, columns: Range<usize>, tolerance: &Tolerance) {
         let (width, central) = (central.width, &central.samples);
-        for (row, samples) in central.chunks_exact(width).enumerate() {
-            // Cells of one triangle are one strip.
-            let mut start = 0;
-            while start < width {
-                let triangle = samples[start].triangle;
-                let same = |s: &&Sample| s.disparity > 0.0 && s.triangle == triangle;
-                let run = samples[start..].iter().take_while(same).count();
-                if run > 0 {
-                    self.strip(row, start, start + run - 1, &samples[start], &samples[start + run - 1]);
-                }
-                start += run.max(1);
+        let samples = &central[row * width..(row + 1) * width];
+        // Cells of one triangle are one strip.
+        let mut start = columns.start;
+        while start < columns.end {
+            let triangle = samples[start].triangle;
+            let same = |s: &&Sample| s.disparity > 0.0 && s.triangle == triangle;
+            let run = samples[start..columns.end].iter().take_while(same).count();
+            if run > 0 {
+                self.strip(row, start, start + run - 1, &samples[start], &samples[start + run - 1]);
             }
-            for (column, pair) in samples.windows(2).enumerate() {
-                if torn(&pair[0], &pair[1], 0, tolerance) {
-                    self.sheet(row, column, &pair[0], &pair[1]);
-                }
+            start += run.max(1);
+        }
+        for column in columns.start..columns.end.min(width - 1) {
+            let (a, b) = (&samples[column], &samples[column + 1]);
+            if torn(a, b, 0, tolerance) {
+                self.sheet(row, column, a, b);
             }
-            if let Some(below) = central.get((row + 1) * width..(row + 2) * width) {
-                let pairs = |c: usize| (&samples[c], &below[c]);
-                let mut start = 0;
-                while start < width {
-                    let (a, b) = pairs(start);
-                    if !torn(a, b, 1, tolerance) {
-                        start += 1;
-                        continue;
-                    }
-                    // Sheets between the same two triangles are one.
-                    let alike = |c: &usize| {
-                        let (p, q) = pairs(*c);
-                        p.triangle == a.triangle && q.triangle == b.triangle && torn(p, q, 1, tolerance)
-                    };
-                    let run = (start + 1..width).take_while(alike).count();
-                    let last = start + run;
-                    self.sheet_below(row, start, last, [a, b], [&samples[last], &below[last]]);
-                    start = last + 1;
+        }
+        if let Some(below) = central.get((row + 1) * width..(row + 2) * width) {
+            let pairs = |c: usize| (&samples[c], &below[c]);
+            let mut start = columns.start;
+            while start < columns.end {
+                let (a, b) = pairs(start);
+                if !torn(a, b, 1, tolerance) {
+                    start += 1;
+                    continue;
                 }
+                // Sheets between the same two triangles are one.
+                let alike = |c: &usize| {
+                    let (p, q) = pairs(*c);
+                    p.triangle == a.triangle && q.triangle == b.triangle && torn(p, q, 1, tolerance)
+                };
+                let run = (start + 1..columns.end).take_while(alike).count();
+                let last = start + run;
+                self.sheet_below(row, start, last, [a, b], [&samples[last], &below[last]]);
+                start = last + 1;
             }
         }
     }
@@ -409,7 +480,7 @@ impl Skin<'_> {
 
 /// Pixels whose centres lie in `from ..= to`, within `0 .. limit`.
 #[inline(always)]
-fn centres(from: f32, to: f32, limit: u32) -> std::ops::Range<usize> {
+fn centres(from: f32, to: f32, limit: u32) -> Range<usize> {
     // Casts truncate toward zero, saturate, and make 0 of NaN.
     let first = (from + 0.5).max(0.0) as usize;
     let end = ((to + 0.5).max(0.0) as usize).min(limit as usize);
