@@ -95,25 +95,34 @@ const BLOCK: usize = 3;
 /// The pixels of the construction camera that have to be traced.
 pub(super) fn unexplained(
     rig: &Rig,
-    View { camera, open }: &View,
+    view: &View,
     known: (&[Sample], &Coarse, &[(u32, Sample)]),
     tolerance: &Tolerance,
 ) -> Unexplained {
-    let (central, coarse, deeper) = known;
-    let pixels = camera.window.pixels();
-    let mut skin = Skin { rig, camera, open: open.as_ref(), front: vec![0; pixels], surfaces: vec![0; pixels] };
-    skin.draw_sky(central);
-    skin.draw_known(coarse, deeper, tolerance);
-    let width = camera.window.width as usize;
-    let closed = |p: usize| open.as_ref().is_some_and(|o| !o.holds(p % width, p / width));
-    let state = |p: usize| if closed(p) { State::Explained } else { skin.state(p) };
-    let states: Vec<State> = (0..pixels).map(state).collect();
+    let width = view.camera.window.width as usize;
+    let states = states(rig, view, known, tolerance);
     let first = first_pixels(&states, width);
     let mut found = Unexplained { first, states, width };
     for pixel in &found.first {
         found.states[*pixel as usize] = State::Explained;
     }
     found
+}
+
+/// What is known of every pixel, row-major; all is explained where the camera does not look.
+pub(super) fn states(
+    rig: &Rig,
+    View { camera, open }: &View,
+    (central, coarse, deeper): (&[Sample], &Coarse, &[(u32, Sample)]),
+    tolerance: &Tolerance,
+) -> Vec<State> {
+    let pixels = camera.window.pixels();
+    let mut skin = Skin { rig, camera, open: open.as_ref(), front: vec![0; pixels], surfaces: vec![0; pixels] };
+    skin.draw_sky(central);
+    skin.draw_known(coarse, deeper, tolerance);
+    let width = camera.window.width as usize;
+    let closed = |p: usize| open.as_ref().is_some_and(|o| !o.holds(p % width, p / width));
+    (0..pixels).map(|p| if closed(p) { State::Explained } else { skin.state(p) }).collect()
 }
 
 /// The middles of blocks that are unexplained, and the holes of blocks whose middle is explained or outside.
@@ -177,7 +186,7 @@ impl Unexplained {
 
 /// What is known of a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum State {
+pub(super) enum State {
     /// A known surface or sky is what it sees.
     Explained,
     /// It enters the unknown, and no known surface lies beyond.

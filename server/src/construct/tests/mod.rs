@@ -3,8 +3,13 @@
 mod scenes;
 
 use super::{
-    ConstructError, ConstructOptions, Constructed, construct_subset,
-    view::{Reach, Rig},
+    ConstructError, ConstructOptions, Constructed,
+    central::central_image,
+    construct_subset,
+    explain::{Coarse, State, states},
+    sample::Tolerance,
+    sight::Sight,
+    view::{Reach, Rig, View},
 };
 use crate::placement::ImagePlan;
 use glam::DVec3;
@@ -306,6 +311,34 @@ fn what_stays_hides_and_what_shows_past_it_is_there() {
     let one = ImagePlan { eyes: vec![DVec3::new(0.6, 0.0, 0.4)], ..plan.clone() };
     let missing = hole_fraction(&scene, &made(&scene, &one).ldi, &plan);
     assert!(missing > 0.05, "{missing}");
+}
+
+#[test]
+fn what_is_skipped_does_not_show_where_a_camera_looks() {
+    let plan = plan_with_eyes(64);
+    let scene = next_door();
+    let mut rig = Rig::new(&plan, &OUTPUT, 1 << 24).expect("sound");
+    let tolerance = Tolerance { step: rig.step() as f32 };
+    let sight = Sight::of(&scene, &mut rig, &plan.eyes).ok().expect("something is seen");
+    let (central, _) = central_image(&scene, &rig, &sight.looked);
+    let coarse = Coarse::new(&central, rig.window.width as usize);
+    let states = |view: &View| states(&rig, view, (&central, &coarse, &[]), &tolerance);
+    let (mut open, mut closed, mut traced) = (0, 0, 0);
+    for view in sight.cameras(&rig, &central, &tolerance).iter().flatten() {
+        let width = view.camera.window.width as usize;
+        let everywhere = states(&View { open: None, ..view.clone() });
+        for (pixel, (some, all)) in states(view).into_iter().zip(everywhere).enumerate() {
+            if view.open.as_ref().expect("eyes are known").holds(pixel % width, pixel / width) {
+                assert_eq!(some, all, "pixel {pixel}");
+                open += 1;
+                traced += usize::from(some != State::Explained);
+            } else {
+                assert_eq!(some, State::Explained);
+                closed += 1;
+            }
+        }
+    }
+    assert!(open > 2_000 && closed > 2_000 && traced > 200, "{open} {closed} {traced}");
 }
 
 #[test]
