@@ -139,9 +139,12 @@ impl Page<'_> {
             })
             .collect();
         let json = Value::from(rows).to_string().replace('<', "\\u003c");
+        // Begin where images show most.
+        let far = |i: &usize| frames[*i]["far_fraction"].as_f64().unwrap_or(0.0);
+        let first = (0..frames.len()).rev().max_by(|a, b| far(a).total_cmp(&far(b))).unwrap_or(0);
         let _ = write!(
             h,
-            "<h2>Frames</h2><p><input id=\"at\" type=\"range\" min=\"0\" max=\"{}\" value=\"0\" aria-label=\"frame\"><output id=\"note\"></output></p><div class=\"views\">\
+            "<h2>Frames</h2><p><input id=\"at\" type=\"range\" min=\"0\" max=\"{}\" value=\"{first}\" aria-label=\"frame\"><output id=\"note\"></output></p><div class=\"views\">\
              <figure><img id=\"ours\" alt=\"our frame\"><figcaption>What the walker sees</figcaption></figure>\
              <figure><img id=\"truth\" alt=\"truth\"><figcaption>Truth: every triangle, 16 rays per pixel</figcaption></figure>\
              <figure><img id=\"near\" alt=\"geometry\"><figcaption>Drawn as geometry</figcaption></figure>\
@@ -292,12 +295,13 @@ mod tests {
                 "frames": 2, "mean_flip": 0.05, "budget_triangles": 1000,
                 "flip_over_baseline": { "frames": 1, "mean": 1.25, "worst": 1.5, "far": 2.0 }
             },
-            "frames": [ { "index": 0, "triangles": 10, "flip": 0.05 }, { "index": 7, "triangles": 20, "flip": null } ]
+            "frames": [ { "index": 0, "triangles": 10, "flip": 0.05 }, { "index": 7, "triangles": 20, "flip": null, "far_fraction": 0.1 } ]
         });
         let page = Page { scene: "a<b", build: &json!({}), walk: &walk, commands: &[("ldi-server x".into(), 1.0)] };
         let html = page.html();
         assert!(html.contains("frame_00000") && html.contains("frame_00007"));
         assert!(html.contains("a&lt;b") && !html.contains("a<b"));
         assert!(html.contains("1.25 times"));
+        assert!(html.contains("value=\"1\" aria-label=\"frame\""), "it begins with the frame that shows an image");
     }
 }

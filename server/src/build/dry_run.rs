@@ -100,7 +100,7 @@ pub fn draft(options: &BuildOptions, progress: &dyn Progress) -> Result<Draft, B
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::placement::{ADVERSARIES, test_scenes};
+    use crate::placement::{Adversary, test_scenes};
     use glam::DVec3;
     use ldi_protocol::codec::ColourMode;
 
@@ -129,7 +129,7 @@ mod tests {
         let d = draft(&options, &Silent).unwrap();
         let kept = audited(&d, |_| {});
         assert_eq!((kept.violations, kept.poses, kept.all_poses()), (0, 500, 1_900));
-        assert!(ADVERSARIES.iter().all(|k| kept.adversarial[k].poses == 200), "{:?}", kept.adversarial);
+        assert!(Adversary::ALL.iter().all(|k| kept.adversarial[k.name()].poses == 200), "{:?}", kept.adversarial);
 
         let faults = |r: AuditReport| {
             assert!(r.violations > 0);

@@ -6,7 +6,7 @@
 //! measured by finite differences at points of the replaced cells.
 //!
 //! Poses: random ones, anywhere in the walk volume and looking anywhere within the built pitch; and adversarial ones, which seek trouble on
-//! borders ([`ADVERSARIES`]), found by bisection.
+//! borders ([`Adversary`]), found by bisection.
 
 use glam::DVec3;
 use ldi_protocol::{
@@ -31,7 +31,7 @@ pub struct AuditReport {
     pub max_triangles: u64,
     /// Largest footprint measured, adversarial poses included, output pixels.
     pub max_footprint_px: f64,
-    /// Adversarial poses, by name of [`ADVERSARIES`].
+    /// Adversarial poses, by name of [`Adversary`].
     pub adversarial: BTreeMap<&'static str, Tally>,
     /// Poses that broke a promise, then those with the most triangles; at most [`WORST`].
     pub worst_poses: Vec<AuditedPose>,
@@ -62,7 +62,7 @@ pub struct Tally {
 pub struct AuditedPose {
     /// Number of the pose; adversarial ones come after the random ones.
     pub index: u64,
-    /// `random`, or one of [`ADVERSARIES`].
+    /// `random`, or the name of an [`Adversary`].
     pub kind: &'static str,
     /// Eye, metres.
     pub position: [f64; 3],
@@ -122,9 +122,50 @@ pub fn plan_row(index: &Index, number: u64, pose: &Pose) -> PlanRow {
     }
 }
 
-/// Kinds of adversarial poses, as [`adversarial`] makes them.
-pub const ADVERSARIES: [&str; 7] =
-    ["range border", "band border", "pole", "point border", "direction border", "rim", "cell corner"];
+/// Kinds of adversarial poses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Adversary {
+    /// On the border of an angular range of its grid point, or a hair beside it.
+    RangeBorder,
+    /// On the border of a pitch band, or a hair beside it.
+    BandBorder,
+    /// Looking as far up or down as was built for, or so that the upper or lower edge of the picture is vertical.
+    Pole,
+    /// Between two eyes, where the grid point changes.
+    PointBorder,
+    /// Where turning the head changes what is selected: the rim of a reverse frustum in the paper's grid.
+    DirectionBorder,
+    /// As far from its grid point as the volume or the next point allows: the rim of a star-shape.
+    Rim,
+    /// A side of the planning frustum touches the corner of a cell.
+    CellCorner,
+}
+
+impl Adversary {
+    /// All kinds.
+    pub const ALL: [Self; 7] = [
+        Self::RangeBorder,
+        Self::BandBorder,
+        Self::Pole,
+        Self::PointBorder,
+        Self::DirectionBorder,
+        Self::Rim,
+        Self::CellCorner,
+    ];
+
+    /// Its name in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::RangeBorder => "range border",
+            Self::BandBorder => "band border",
+            Self::Pole => "pole",
+            Self::PointBorder => "point border",
+            Self::DirectionBorder => "direction border",
+            Self::Rim => "rim",
+            Self::CellCorner => "cell corner",
+        }
+    }
+}
 
 /// How many poses an audit looks at.
 #[derive(Debug, Clone, Copy)]
@@ -164,8 +205,9 @@ pub fn audit(
                 let mut pose = Pose { position, yaw_deg: random.unit() * 360.0, pitch_deg };
                 let mut kind = "random";
                 if let Some(k) = i.checked_sub(size.random) {
-                    kind = ADVERSARIES[k as usize % ADVERSARIES.len()];
-                    pose = adversarial(index, volume, kind, pose, other, &mut random);
+                    let adversary = Adversary::ALL[k as usize % Adversary::ALL.len()];
+                    kind = adversary.name();
+                    pose = adversarial(index, volume, adversary, pose, other, &mut random);
                 }
                 Some(check(index, recounted, &cameras, (i, kind), &pose, &mut random))
             })
@@ -198,19 +240,11 @@ pub fn audit(
     report
 }
 
-/// A pose that seeks trouble, made from a random one and another eye of the volume:
-///
-/// - range border: on the border of an angular range of its grid point, or a hair beside it;
-/// - band border: on the border of a pitch band, or a hair beside it;
-/// - pole: looking as far up or down as was built for, or so that the upper or lower edge of the picture is vertical;
-/// - point border: between the two eyes, where the grid point changes;
-/// - direction border: where turning the head changes what is selected (the rim of a reverse frustum in the paper's grid);
-/// - rim: as far from its grid point as the volume or the next point allows (the rim of a star-shape);
-/// - cell corner: so that a side of the planning frustum touches the corner of a cell.
+/// A pose that seeks trouble, made from a random one and another eye of the volume.
 fn adversarial(
     index: &Index,
     volume: &WalkVolume,
-    kind: &str,
+    kind: Adversary,
     mut pose: Pose,
     other: DVec3,
     random: &mut Random,
@@ -219,7 +253,7 @@ fn adversarial(
     let eye = pose.position;
     let nudge = [0.0, 1e-9, -1e-9][random.below(3)];
     match kind {
-        "range border" => {
+        Adversary::RangeBorder => {
             let ranges: Vec<f64> = select(index, &pose)
                 .grid_point
                 .map(|g| index.points[g as usize].bands.iter().flatten().map(|r| r.yaw_start_deg).collect())
@@ -228,16 +262,17 @@ fn adversarial(
                 pose.yaw_deg = ranges[random.below(ranges.len())] + nudge;
             }
         }
-        "band border" if !index.pitch_bands_deg.is_empty() => {
-            let border = index.pitch_bands_deg[random.below(index.pitch_bands_deg.len())];
-            pose.pitch_deg = (border + nudge).clamp(-limit, limit);
+        Adversary::BandBorder => {
+            if let Some(border) = index.pitch_bands_deg.get(random.below(index.pitch_bands_deg.len())) {
+                pose.pitch_deg = (border + nudge).clamp(-limit, limit);
+            }
         }
-        "pole" => {
+        Adversary::Pole => {
             let upright = 90.0 - index.settings.square_half_tan().atan().to_degrees();
             let pitch = if random.unit() < 0.5 { limit } else { upright.min(limit) };
             pose.pitch_deg = if random.unit() < 0.5 { pitch } else { -pitch };
         }
-        "point border" => {
+        Adversary::PointBorder => {
             let at = |position| select(index, &Pose { position, ..pose }).grid_point;
             let toward = (other - eye) * (8.0 / (other - eye).length().max(8.0));
             let from = at(eye);
@@ -246,7 +281,7 @@ fn adversarial(
                 pose.position = eye + toward * if random.unit() < 0.5 { low } else { high };
             }
         }
-        "direction border" => {
+        Adversary::DirectionBorder => {
             let turn = (random.unit() * 2.0 - 1.0) * 90.0;
             let at = |yaw_deg| select(index, &Pose { yaw_deg, ..pose });
             let (yaw, from) = (pose.yaw_deg, at(pose.yaw_deg));
@@ -255,7 +290,7 @@ fn adversarial(
                 pose.yaw_deg = yaw + turn * if random.unit() < 0.5 { low } else { high };
             }
         }
-        "rim" => {
+        Adversary::Rim => {
             if let Some(point) = select(index, &pose).grid_point {
                 let away = (eye - index.points[point as usize].position).normalize_or_zero() * 16.0;
                 let stays = |position| {
@@ -264,8 +299,9 @@ fn adversarial(
                 pose.position = eye + away * border(|t| stays(eye + away * t))[0];
             }
         }
-        "cell corner" if !index.cells.is_empty() => {
-            let corners = index.cells[random.below(index.cells.len())].bounds.corners();
+        Adversary::CellCorner => {
+            let Some(cell) = index.cells.get(random.below(index.cells.len())) else { return pose };
+            let corners = cell.bounds.corners();
             let to = corners[random.below(corners.len())] - eye;
             let ahead = (-to.x).atan2(-to.z).to_degrees();
             let turn = if random.unit() < 0.5 { 120.0 } else { -120.0 };
@@ -277,7 +313,6 @@ fn adversarial(
             let [low, high] = border(|s| inside(ahead + turn * s));
             pose.yaw_deg = ahead + turn * if random.unit() < 0.5 { low } else { high };
         }
-        _ => {}
     }
     // Between two eyes there may be a wall.
     if !volume.contains(pose.position) {

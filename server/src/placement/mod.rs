@@ -50,7 +50,7 @@ mod tiles;
 mod view;
 mod walk;
 
-pub use audit::{ADVERSARIES, AuditReport, AuditSize, AuditedPose, PlanRow, Tally, audit, plan_row};
+pub use audit::{Adversary, AuditReport, AuditSize, AuditedPose, PlanRow, Tally, audit, plan_row};
 pub use error::PlacementError;
 pub use model::{DirectionRange, ImagePlan, PlacementPlan, PlacementResult, PlacementStatistics};
 pub use stage::{Parameters, plan_placements};

@@ -319,7 +319,7 @@ fn what_is_skipped_does_not_show_where_a_camera_looks() {
     let scene = next_door();
     let mut rig = Rig::new(&plan, &OUTPUT, 1 << 24).expect("sound");
     let tolerance = Tolerance { step: rig.step() as f32 };
-    let sight = Sight::of(&scene, &mut rig, &plan.eyes).ok().expect("something is seen");
+    let Ok(sight) = Sight::of(&scene, &mut rig, &plan.eyes) else { panic!("something is seen") };
     let (central, _) = central_image(&scene, &rig, &sight.looked);
     let coarse = Coarse::new(&central, rig.window.width as usize);
     let states = |view: &View| states(&rig, view, (&central, &coarse, &[]), &tolerance);
