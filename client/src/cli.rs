@@ -98,7 +98,7 @@ struct WalkArgs {
     /// Reject samples by groups before the warp.
     #[arg(long, value_enum, default_value = "auto")]
     cull: Cull,
-    /// Time for a frame, milliseconds; images of a hierarchy are made in what is left of it.
+    /// Time for a frame, milliseconds (no effect yet: nothing adapts to it).
     #[arg(long, value_name = "MS")]
     frame_ms: Option<f64>,
     /// File with the shared secret that the server asks for.
@@ -223,10 +223,11 @@ fn refuse_what_is_not_there(args: &WalkArgs) -> Result<(), Failure> {
     if args.link.is_some() {
         return Err(not_there("--link", "walk over the link that there is"));
     }
-    if let Some(ms) = args.frame_ms
-        && !(ms.is_finite() && ms > 0.0)
-    {
-        return Err(Failure::usage("--frame-ms is a positive number of milliseconds"));
+    if let Some(ms) = args.frame_ms {
+        if !(ms.is_finite() && ms > 0.0) {
+            return Err(Failure::usage("--frame-ms is a positive number of milliseconds"));
+        }
+        tracing::warn!("--frame-ms has no effect yet: no method adapts to the time that a frame takes");
     }
     if !(prefetch_m(args).is_finite() && prefetch_m(args) >= 0.0) {
         return Err(Failure::usage("--prefetch-m is a number of metres, 0 or more"));

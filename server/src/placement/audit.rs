@@ -192,7 +192,7 @@ pub fn audit(
     let sampler = volume.sampler();
     let cameras: Vec<Option<LdiCamera>> = (0..index.images.len() as u32).into_par_iter().map(camera_of).collect();
     // Bounded batches, folded in order: the same report from any number of threads.
-    let poses = size.random + size.adversarial;
+    let poses = size.random.saturating_add(size.adversarial);
     for first in (0..poses).step_by(4096) {
         let batch: Vec<AuditedPose> = (first..poses.min(first + 4096))
             .into_par_iter()
