@@ -272,6 +272,29 @@ fn a_dry_run_plans_audits_and_writes_only_its_report() {
 }
 
 #[test]
+fn the_placement_bench_walks_the_path_beside_a_scene_and_leaves_a_page() {
+    let f = fixture();
+    let out = folder("bench");
+    // As a path file lies beside a scene.
+    std::fs::copy(&f.scene, out.join("house.glb")).expect("copied");
+    std::fs::copy(&f.poses, out.join("house.path.json")).expect("copied");
+    let mut c = run::command("ldi-bench").expect("built");
+    c.arg("placement").arg(out.join("house.glb"));
+    c.args(["--budgets", "40,100", "--size", SIZE, "--poses", "500", "-o"]).arg(out.join("bench"));
+    run::run(c).expect("a page");
+    let rows = json(&out.join("bench/placement.json"));
+    let rows = rows.as_array().expect("rows");
+    assert_eq!(rows.len(), 2);
+    assert!(rows[0]["images"].as_u64() > Some(0) && rows[0]["audit"]["violations"] == 0, "{}", rows[0]);
+    let path = rows[0]["along_path"].as_array().expect("poses");
+    assert!(!path.is_empty() && path.iter().all(|t| t[1].as_u64() <= t[0].as_u64()), "{path:?}");
+    assert_eq!((&rows[1]["images"], &rows[1]["points"]), (&0.into(), &0.into()), "all of it fits");
+    for file in ["index.html", "placement.csv", "figure-13-images-cells-0.svg", "figure-14-house-cells-40.svg"] {
+        assert!(std::fs::metadata(out.join("bench").join(file)).is_ok_and(|m| m.len() > 100), "{file}");
+    }
+}
+
+#[test]
 fn the_audit_counts_over_the_scene_and_tells_another_scene() {
     let f = fixture();
     let audit = |scene: &std::ffi::OsStr| {
