@@ -109,8 +109,12 @@ pub(super) fn refine(
                 continue;
             }
             let spacing_m = lattice.spacing_of(level);
-            let graded = matches!(ctx.scheme, Scheme::Paper);
-            if spacing_m < FINEST_SPACING_M || !lattice.subdivide(i as u32, graded) {
+            let (graded, most) = match ctx.scheme {
+                Scheme::Paper => (true, MOST_GRID_POINTS),
+                Scheme::Cells => (false, MOST_VIEW_CELLS),
+            };
+            let too_fine = spacing_m < FINEST_SPACING_M || lattice.points.len() > most;
+            if too_fine || !lattice.subdivide(i as u32, graded) {
                 return Err(infeasible(ctx, &lattice, i, too_near));
             }
         }
@@ -164,6 +168,12 @@ const SHARED_REACH: f64 = 1.5;
 
 /// Cells of this spacing and below need not be small enough for sharing, metres: their number would outgrow the images saved.
 const FINEST_SHARED_M: f64 = 1.3;
+
+/// More view cells than this are given up, unused points included: some ten times what any plan that ended took (2,070).
+const MOST_VIEW_CELLS: usize = 20_000;
+
+/// The same for the paper's grid, whose neighbour rule makes hundreds of unused points for one in use.
+const MOST_GRID_POINTS: usize = 4_000_000;
 
 /// Points closer than this bring nothing: eyes themselves keep 5 cm from surfaces.
 const FINEST_SPACING_M: f64 = 0.1;
