@@ -1,5 +1,6 @@
 //! What the end-to-end tests, the demo and the benchmarks share: running the real binaries, plots, pages, sweeps.
 
+pub mod args;
 pub mod bench;
 pub mod page;
 pub mod plot;

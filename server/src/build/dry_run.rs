@@ -104,12 +104,6 @@ mod tests {
     use glam::DVec3;
     use ldi_protocol::codec::ColourMode;
 
-    struct Silent;
-    impl Progress for Silent {
-        fn stage(&self, _: &str, _: u64) {}
-        fn advance(&self, _: u64) {}
-    }
-
     fn audited(d: &Draft, change: impl FnOnce(&mut Index)) -> AuditReport {
         let mut index = d.index.clone();
         change(&mut index);
@@ -126,7 +120,7 @@ mod tests {
             settings: test_scenes::settings(6_000),
             colour: ColourMode::LOSSLESS,
         };
-        let d = draft(&options, &Silent).unwrap();
+        let d = draft(&options, &()).unwrap();
         let kept = audited(&d, |_| {});
         assert_eq!((kept.violations, kept.poses, kept.all_poses()), (0, 500, 1_900));
         assert!(Adversary::ALL.iter().all(|k| kept.adversarial[k.name()].poses == 200), "{:?}", kept.adversarial);

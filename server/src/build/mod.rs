@@ -15,7 +15,7 @@ mod report;
 
 pub use dry_run::{Draft, DryRun, draft, dry_run};
 pub use images::ImageFigures;
-pub use report::report_json;
+pub use report::{images_per_grid_point, report_json};
 
 use crate::construct::ConstructError;
 use crate::octree::{Clusters, Octree, RecountError};
@@ -55,6 +55,12 @@ pub trait Progress: Sync {
     fn stage(&self, name: &str, steps: u64);
     /// Steps are done.
     fn advance(&self, steps: u64);
+}
+
+/// Nobody listens.
+impl Progress for () {
+    fn stage(&self, _: &str, _: u64) {}
+    fn advance(&self, _: u64) {}
 }
 
 /// Why a dataset could not be built.

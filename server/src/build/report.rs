@@ -2,7 +2,7 @@
 
 use super::BuildFigures;
 use crate::store::Written;
-use ldi_protocol::index::{ChunkKind, Index};
+use ldi_protocol::index::{ChunkKind, ImageEntry, Index};
 use serde_json::{Value, json};
 
 /// The report as JSON.
@@ -35,7 +35,7 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
         },
         "placements": index.placements.len(),
         "ldis": f.images.images,
-        "images_per_grid_point": images_per_grid_point(index),
+        "images_per_grid_point": images_per_grid_point(index, |image| !image.chunks.is_empty()),
         "popt_closeness": {
             "optimize_budget": index.settings.optimize_budget,
             "histogram_percent": f.placement.popt_closeness,
@@ -73,14 +73,14 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
     })
 }
 
-/// How many grid points have 0, 1, 2 ... images that hold something.
-fn images_per_grid_point(index: &Index) -> Vec<u32> {
+/// How many grid points have 0, 1, 2 ... images that count.
+pub fn images_per_grid_point(index: &Index, counts: impl Fn(&ImageEntry) -> bool) -> Vec<u32> {
     let mut histogram = Vec::new();
     for point in &index.points {
         let mut used: Vec<u32> = point.bands.iter().flatten().filter_map(|r| r.placement).collect();
         used.sort_unstable();
         used.dedup();
-        let images = used.iter().flat_map(|p| index.images_of(*p)).filter(|(_, i)| !i.chunks.is_empty()).count();
+        let images = used.iter().flat_map(|p| index.images_of(*p)).filter(|(_, i)| counts(i)).count();
         if histogram.len() <= images {
             histogram.resize(images + 1, 0);
         }

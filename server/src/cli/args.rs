@@ -241,7 +241,8 @@ pub struct ServeArgs {
     pub token_file: Option<PathBuf>,
 }
 
-fn size(s: &str) -> Result<(u32, u32), String> {
+/// A picture size like 1280x720, with sides from 16 to 8192.
+pub fn size(s: &str) -> Result<(u32, u32), String> {
     let wrong = || format!("'{s}' is not a size like 1280x720, with sides from 16 to 8192");
     let (w, h) = s.split_once('x').ok_or_else(wrong)?;
     let side = |t: &str| t.parse::<u32>().ok().filter(|n| (16..=8192).contains(n)).ok_or_else(wrong);

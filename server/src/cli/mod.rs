@@ -4,6 +4,8 @@ mod args;
 mod commands;
 mod progress;
 
+pub use args::size;
+
 use clap::Parser as _;
 use std::process::ExitCode;
 

@@ -26,7 +26,7 @@ pub(super) fn plan(ctx: &Context, image: &Image, grid_point: u32, grid_position:
     let (scale, footprint_px) = ctx.footprint.scale(image.phi, plane_from_cop, ahead).unwrap_or((1.0, f64::INFINITY));
     let cop = centre(&image.users, &image.basis);
     let users = image.users.bounds();
-    let eyes = spread(&ctx.eyes.map_or(vec![], |tree| standing(tree, &[users])), cop);
+    let eyes = eyes_of(ctx, &[users], cop);
     PlacementPlan {
         grid_point,
         cop,
@@ -59,7 +59,7 @@ pub(super) fn plan_box(ctx: &Context, near: &NearBox, members: &[&Member], grid_
     let units: Vec<(u16, [f64; 2])> = units.into_iter().map(|u| (u, ctx.directions.unit(usize::from(u)).0)).collect();
     let gazes = gazes(ctx, members);
     let boxes: Vec<Aabb> = members.iter().map(|m| m.eyes).collect();
-    let eyes = spread(&ctx.eyes.map_or(vec![], |tree| standing(tree, &boxes)), near.cop);
+    let eyes = eyes_of(ctx, &boxes, near.cop);
     let mut images = Vec::new();
     for (face, image) in near.images.iter().enumerate() {
         let Some(image) = image else { continue };
@@ -90,6 +90,11 @@ pub(super) fn plan_box(ctx: &Context, near: &NearBox, members: &[&Member], grid_
     }
     let footprint_px = images.iter().map(|i| i.footprint_px).fold(0.0, f64::max);
     PlacementPlan { grid_point, cop: near.cop, culled: near.culled.iter().collect(), users, footprint_px, images }
+}
+
+/// The places from which an image for eyes in some boxes is made.
+fn eyes_of(ctx: &Context, boxes: &[Aabb], cop: DVec3) -> Vec<DVec3> {
+    spread(&ctx.eyes.map_or(vec![], |tree| standing(tree, boxes)), cop)
 }
 
 /// Where eyes within some boxes may stand: in every box of the walk volume that touches one, lowest and highest.

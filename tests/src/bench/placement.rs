@@ -155,16 +155,8 @@ fn fill(row: &mut Row, draft: &Draft, walk: Option<&Walk>, audit: AuditSize) {
     row.certified = statistics.coverage_certified;
     row.max_footprint_px = statistics.max_footprint_px;
     row.seconds = draft.seconds.iter().filter(|s| s.0 == "placement").map(|s| s.1).sum();
-    for point in &index.points {
-        let mut used: Vec<u32> = point.bands.iter().flatten().filter_map(|r| r.placement).collect();
-        used.sort_unstable();
-        used.dedup();
-        let images = used.iter().map(|p| index.placements[*p as usize].images.len()).sum();
-        if row.images_per_point.len() <= images {
-            row.images_per_point.resize(images + 1, 0);
-        }
-        row.images_per_point[images] += 1;
-    }
+    // No image is made yet: all count.
+    row.images_per_point = build::images_per_grid_point(index, |_| true);
     row.audit = Some(draft.audit(audit));
     for pose in walk.iter().flat_map(|w| &w.poses) {
         let drawn = plan_row(index, 0, pose).triangles;
@@ -185,17 +177,13 @@ pub struct PaperRow {
     pub budget_percent: f64,
     /// Its images, one per placement.
     pub images: u32,
-    /// Its megabytes, at 512 x 384.
-    pub megabytes: u32,
-    /// Its hours of preprocessing.
-    pub hours: f64,
 }
 
 /// Aliaga and Lastra 1999, Table 1; the torpedo room has no counterpart here.
 pub const TABLE_1: [PaperRow; 5] = [
-    PaperRow { scene: "plant", budget_percent: 12.5, images: 5815, megabytes: 3802, hours: 21.7 },
-    PaperRow { scene: "plant", budget_percent: 25.0, images: 239, megabytes: 156, hours: 1.2 },
-    PaperRow { scene: "house", budget_percent: 8.8, images: 2492, megabytes: 1725, hours: 28.4 },
-    PaperRow { scene: "pipes", budget_percent: 15.0, images: 893, megabytes: 554, hours: 4.6 },
-    PaperRow { scene: "pipes", budget_percent: 25.0, images: 282, megabytes: 175, hours: 2.4 },
+    PaperRow { scene: "plant", budget_percent: 12.5, images: 5815 },
+    PaperRow { scene: "plant", budget_percent: 25.0, images: 239 },
+    PaperRow { scene: "house", budget_percent: 8.8, images: 2492 },
+    PaperRow { scene: "pipes", budget_percent: 15.0, images: 893 },
+    PaperRow { scene: "pipes", budget_percent: 25.0, images: 282 },
 ];

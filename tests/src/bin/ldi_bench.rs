@@ -2,8 +2,9 @@
 
 use anyhow::{Context as _, Result, bail};
 use clap::{Parser, Subcommand};
-use ldi_server::build::Progress;
+use ldi_server::cli::size;
 use ldi_server::placement::AuditSize;
+use ldi_tests::args::percent;
 use ldi_tests::bench::{placement, placement_page};
 use std::path::{Path, PathBuf};
 
@@ -60,33 +61,12 @@ struct PlacementArgs {
     poses: u64,
 }
 
-fn percent(s: &str) -> Result<f64, String> {
-    s.parse::<f64>()
-        .ok()
-        .filter(|p| *p > 0.0 && *p <= 100.0)
-        .ok_or_else(|| format!("'{s}' is not a share in percent, above 0 and at most 100"))
-}
-
-fn size(s: &str) -> Result<(u32, u32), String> {
-    let side = |t: &str| t.parse::<u32>().ok().filter(|n| (16..=8192).contains(n));
-    s.split_once('x')
-        .and_then(|(w, h)| Some((side(w)?, side(h)?)))
-        .ok_or_else(|| format!("'{s}' is not a size like 1280x720, with sides from 16 to 8192"))
-}
-
 fn main() -> Result<()> {
     match Cli::parse().command {
         Command::Placement(a) => placement(a),
         Command::SpeedError(Later { .. }) => bail!("ldi-bench speed-error is not there yet"),
         Command::Numerics(Later { .. }) => bail!("ldi-bench numerics is not there yet"),
     }
-}
-
-struct Silent;
-
-impl Progress for Silent {
-    fn stage(&self, _: &str, _: u64) {}
-    fn advance(&self, _: u64) {}
 }
 
 fn placement(a: PlacementArgs) -> Result<()> {
@@ -99,7 +79,7 @@ fn placement(a: PlacementArgs) -> Result<()> {
         pitch_deg: a.pitch,
         audit: AuditSize { random: a.poses, adversarial: a.poses / 10 },
     };
-    let rows = placement::run(&sweep, &Silent, |r| match &r.error {
+    let rows = placement::run(&sweep, &(), |r| match &r.error {
         Some(e) => eprintln!("{} {} {}%: {e}", r.scene, r.grid, r.budget_percent),
         None => eprintln!(
             "{} {} {}%: {} points, {} placements, {} images, {:.0} Mpx, {:.1} s, {} violations",

@@ -2,6 +2,7 @@
 
 use anyhow::{Context as _, Result};
 use clap::Parser;
+use ldi_tests::args::percent;
 use ldi_tests::page::Page;
 use ldi_tests::run::{self, Server};
 use serde_json::{Value, json};
@@ -43,13 +44,6 @@ struct Options {
     /// A small and fast run, for tests.
     #[arg(long)]
     quick: bool,
-}
-
-fn percent(s: &str) -> Result<f64, String> {
-    s.parse::<f64>()
-        .ok()
-        .filter(|p| *p > 0.0 && *p <= 100.0)
-        .ok_or_else(|| format!("'{s}' is not a share in percent, above 0 and at most 100"))
 }
 
 /// Runs commands one after the other, shows them as one would type them, and remembers them with their seconds.
