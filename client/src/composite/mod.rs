@@ -273,12 +273,26 @@ impl<'a> Merge<'a> {
     fn sky_row(&self, row: usize, pixels: &mut Row<'_>) -> u64 {
         let mut sky = 0;
         for (column, (source, colour)) in pixels.source.iter_mut().zip(&mut *pixels.colour).enumerate() {
-            if *source == Source::Unpainted && self.images.iter().all(|i| i.is_sky(row, column)) {
+            if *source == Source::Unpainted && self.is_sky(row, column) {
                 (*source, *colour) = (Source::Sky, SKY);
                 sky += 1;
             }
         }
         sky
+    }
+
+    /// Whether sky is known in a pixel's direction: an image holds some, or none could hold anything. An image that is not there may hold a surface.
+    fn is_sky(&self, row: usize, column: usize) -> bool {
+        let (mut sky, mut held) = (false, false);
+        for image in &self.images {
+            match image.knows(row, column) {
+                Knows::Missing => return false,
+                Knows::Sky => sky = true,
+                Knows::Nothing => held = true,
+                Knows::Beside => {}
+            }
+        }
+        sky || !held
     }
 
     /// Whether a triangle behind the far surface is as near as the far surface's disparity is known.
@@ -324,26 +338,44 @@ impl<'a> Lookup<'a> {
         (ldi.codes.step * (f64::from(far) * self.eye_depth_m + forward)).max(0.0)
     }
 
-    /// Whether the image knows nothing but sky in a pixel's direction. Behind it and beside its window that is so: what is culled lies inside
-    /// its window, or in another's.
-    fn is_sky(&self, row: usize, column: usize) -> bool {
+    /// What the image says of a pixel's direction.
+    fn knows(&self, row: usize, column: usize) -> Knows {
         let [right, down, forward] = self.direction(row, column);
         if forward <= 0.0 {
-            return true;
+            return Knows::Beside;
         }
         let (x, y) = (right / forward, down / forward);
-        let (sky, [l, r, b, t]) = match self.image {
+        let within = |[l, r, b, t]: [f64; 4]| x >= l && x <= r && -y >= b && -y <= t;
+        match self.image {
             FarImage::Here(ldi, window) => {
                 let camera = &ldi.camera;
                 // Saturating conversions: far outside stays outside.
                 let column = (x * camera.pixels_per_unit - f64::from(camera.left)).floor() as i64;
                 let row = (y * camera.pixels_per_unit - f64::from(camera.top)).floor() as i64;
-                (ldi.is_sky(column, row), window)
+                match ldi.is_sky(column, row) {
+                    Some(true) => Knows::Sky,
+                    Some(false) => Knows::Nothing,
+                    None if within(window) => Knows::Nothing,
+                    None => Knows::Beside,
+                }
             }
-            FarImage::Absent(entry) => (None, entry.window),
-        };
-        sky.unwrap_or(x < l || x > r || -y < b || -y > t)
+            FarImage::Absent(entry) if within(entry.window) => Knows::Missing,
+            FarImage::Absent(_) => Knows::Beside,
+        }
     }
+}
+
+/// What an image says of a direction in which it shows nothing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Knows {
+    /// Someone sees sky there.
+    Sky,
+    /// It holds the direction, and nothing was found there.
+    Nothing,
+    /// It would hold the direction, but is not there.
+    Missing,
+    /// It does not hold the direction: what is replaced lies inside its window, or in another's.
+    Beside,
 }
 
 #[cfg(test)]

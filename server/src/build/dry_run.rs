@@ -1,6 +1,10 @@
 //! What a build would take: the plan and its audit, without an image.
 
-use super::{BuildError, BuildOptions, Clock, Planned, Progress, images::Images, index_of, plan, planned_camera};
+use super::{
+    BuildError, BuildOptions, Clock, Planned, Progress,
+    images::{Images, Indexed},
+    index_of, plan, planned_camera,
+};
 use crate::octree;
 use crate::pack;
 use crate::placement::{self, AuditReport, AuditSize, ImagePlan, PlacementStatistics};
@@ -91,7 +95,8 @@ pub fn draft(options: &BuildOptions, progress: &dyn Progress) -> Result<Draft, B
     let bounds: Vec<_> = geometry.cells.iter().map(|c| c.bounds).collect();
     let counts = octree::recount(&scene, &ranges, &bounds)?;
     let images: Vec<ImagePlan> = plan.plans.iter().flat_map(|p| p.images.iter().cloned()).collect();
-    let (placements, entries) = Images::none_of(&plan.plans).placements(&plan.plans, 0);
+    let none = Images::none_of(&plan.plans);
+    let Indexed { placements, images: entries, .. } = none.indexed(&plan.plans, 0);
     let statistics = plan.statistics.clone();
     let index = index_of(options, &scene, settings, plan, (geometry.cells, vec![]), vec![], (placements, entries));
     Ok(Draft { index, images, counts, statistics, seconds: clock.laps })

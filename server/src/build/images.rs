@@ -1,7 +1,7 @@
 //! Constructs, encodes and keeps the images of all placements.
 
 use super::{BuildError, Progress, key};
-use crate::construct::{self, ConstructOptions};
+use crate::construct::{self, ConstructOptions, Constructed};
 use crate::pack::PackError;
 use crate::placement::{ImagePlan, PlacementPlan};
 use crate::render::Caster;
@@ -53,12 +53,22 @@ pub struct Lost {
 pub const STEPS: [&str; 6] =
     ["sight", "central image", "construction images", "recast", "layers and colour", "encoding"];
 
-/// An image as it was made, and the time that its steps took.
+/// The images of a placement, and the time that their steps took.
 type Made = ((Kept, Vec<Vec<u8>>), [f64; STEPS.len()]);
+
+/// What is kept of a placement's images besides their chunks.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+struct Kept {
+    images: Vec<KeptImage>,
+    sight_rays: u64,
+}
 
 /// What is kept of an image besides its chunks.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
-struct Kept {
+struct KeptImage {
+    /// Position among the plan's images.
+    planned: usize,
+    window: [f64; 4],
     samples_by_layer: Vec<u32>,
     decoded_bytes: [u32; 2],
     pruned: u64,
@@ -67,29 +77,28 @@ struct Kept {
     stretch_p99_px: f64,
     stretch_max_px: f64,
     quantization_error_px: f64,
-    /// Lengths of the chunks that follow.
+    /// Lengths of its chunks; none if nobody sees anything of it.
     lengths: Vec<u32>,
 }
 
-/// All images of a build. Their bytes lie in the writer's pieces: images may take more than the memory.
+/// All images of a build. Their bytes lie in the writer's pieces, one for each placement: images may take more than the memory.
 #[derive(Debug, Default)]
 pub struct Images {
     /// Figures for the report.
     pub figures: ImageFigures,
-    all: Vec<Image>,
+    all: Vec<Piece>,
 }
 
-/// One image.
+/// The images of a placement.
 #[derive(Debug, Clone, Default)]
-struct Image {
+struct Piece {
     kept: Kept,
-    /// Of its piece.
     key: [u8; 32],
-    /// Of its chunks; none if nobody sees anything of it.
+    /// Of all chunks.
     hashes: Vec<ChunkHash>,
 }
 
-/// Makes every image that is not kept yet.
+/// Makes the images of every placement that are not kept yet.
 pub fn construct_all(
     caster: &Caster,
     plans: &[PlacementPlan],
@@ -101,94 +110,106 @@ pub fn construct_all(
 ) -> Result<Images, BuildError> {
     let start = std::time::Instant::now();
     let options = ConstructOptions::new(settings.camera);
-    // One image after the other leaves a core idle whenever one is encoded; rayon balances images and their rows alike.
-    let all: Vec<(&[u32], &ImagePlan)> =
-        plans.iter().flat_map(|p| p.images.iter().map(|i| (p.culled.as_slice(), i))).collect();
-    let made: Vec<Result<(Image, Option<[f64; STEPS.len()]>), BuildError>> = all
+    // One image after the other leaves a core idle whenever one is encoded; rayon balances placements and their rows alike.
+    let made: Vec<Result<(Piece, Option<[f64; STEPS.len()]>), BuildError>> = plans
         .par_iter()
         .with_max_len(1)
         .enumerate()
-        .map(|(number, (culled, plan))| {
-            let key = key::image_key(scene_key, settings, culled, plan);
+        .map(|(number, plan)| {
+            let key = key::images_key(scene_key, settings, plan);
             let found = writer.cached(&key).and_then(|bytes| unpack(&bytes));
             let ((kept, chunks), seconds) = match found {
                 Some(found) => (found, None),
                 None => {
-                    let (made, seconds) = one(caster, culled, plan, &options, colour, (number, all.len()))?;
+                    let (made, seconds) = one(caster, plan, &options, colour, (number, plans.len()))?;
                     writer.store(&key, &pack(&made))?;
                     (made, Some(seconds))
                 }
             };
             progress.advance(1);
             let hashes = chunks.iter().map(|bytes| ChunkHash(*blake3::hash(bytes).as_bytes())).collect();
-            Ok((Image { kept, key, hashes }, seconds))
+            Ok((Piece { kept, key, hashes }, seconds))
         })
         .collect();
     let mut images = Images::default();
     for made in made {
-        let (image, seconds) = made?;
-        let (f, kept) = (&mut images.figures, &image.kept);
-        f.images += u64::from(!image.hashes.is_empty());
-        f.made += u64::from(seconds.is_some());
-        seconds.iter().for_each(|s| f.step_seconds.iter_mut().zip(s).for_each(|(a, b)| *a += b));
-        f.pruned += kept.pruned;
-        f.lost.too_deep += kept.lost.too_deep;
-        f.lost.recast_missed += kept.lost.recast_missed;
-        f.stretch_max_px = f.stretch_max_px.max(kept.stretch_max_px);
-        f.quantization_error_px = f.quantization_error_px.max(kept.quantization_error_px);
-        // Rays of an earlier run took no time in this one.
-        f.rays += if seconds.is_none() { 0 } else { kept.rays };
-        if f.samples_by_layer.len() < kept.samples_by_layer.len() {
-            f.samples_by_layer.resize(kept.samples_by_layer.len(), 0);
-        }
-        f.samples_by_layer.iter_mut().zip(&kept.samples_by_layer).for_each(|(a, b)| *a += u64::from(*b));
-        images.all.push(image);
+        let (piece, seconds) = made?;
+        images.figures.add(&piece.kept, seconds.as_ref());
+        images.all.push(piece);
     }
     images.figures.seconds = start.elapsed().as_secs_f64();
     Ok(images)
 }
 
+impl ImageFigures {
+    /// Adds a placement's images; `seconds` of those made in this run.
+    fn add(&mut self, kept: &Kept, seconds: Option<&[f64; STEPS.len()]>) {
+        seconds.into_iter().for_each(|s| self.step_seconds.iter_mut().zip(s).for_each(|(a, b)| *a += b));
+        // Rays of an earlier run took no time in this one.
+        let of_this_run = u64::from(seconds.is_some());
+        self.rays += of_this_run * (kept.sight_rays + kept.images.iter().map(|i| i.rays).sum::<u64>());
+        for image in &kept.images {
+            let holds_something = u64::from(!image.lengths.is_empty());
+            self.images += holds_something;
+            self.made += of_this_run * holds_something;
+            self.pruned += image.pruned;
+            self.lost.too_deep += image.lost.too_deep;
+            self.lost.recast_missed += image.lost.recast_missed;
+            self.stretch_max_px = self.stretch_max_px.max(image.stretch_max_px);
+            self.quantization_error_px = self.quantization_error_px.max(image.quantization_error_px);
+            if self.samples_by_layer.len() < image.samples_by_layer.len() {
+                self.samples_by_layer.resize(image.samples_by_layer.len(), 0);
+            }
+            self.samples_by_layer.iter_mut().zip(&image.samples_by_layer).for_each(|(a, b)| *a += u64::from(*b));
+        }
+    }
+}
+
 fn one(
     caster: &Caster,
-    culled: &[u32],
-    plan: &ImagePlan,
+    plan: &PlacementPlan,
     options: &ConstructOptions,
     colour: ColourMode,
     (number, total): (usize, usize),
 ) -> Result<Made, BuildError> {
-    let [left, right, bottom, top] = plan.window;
-    if left >= right || bottom >= top {
-        // The replaced cells lie in the planning square but in nobody's picture.
-        return Ok(((Kept::default(), Vec::new()), [0.0; STEPS.len()]));
-    }
-    let made = construct::construct(caster, culled, plan, options).map_err(|source| BuildError::Construct {
+    let made = construct::construct(caster, plan, options).map_err(|source| BuildError::Construct {
         number,
         total,
         source,
     })?;
-    let mut kept = Kept {
-        samples_by_layer: made.stats.samples_by_layer.clone(),
-        pruned: made.stats.pruned,
-        lost: Lost { too_deep: made.stats.too_deep, recast_missed: made.stats.recast_missed },
-        stretch_max_px: made.stats.stretch_max_px,
-        rays: made.stats.rays.total(),
-        stretch_p99_px: made.stats.stretch_p99_px,
-        ..Kept::default()
-    };
-    let [sight, central, construction, recast, colour_and_layers] = made.stats.seconds;
-    let mut seconds = [sight, central, construction, recast, colour_and_layers, 0.0];
-    if made.ldi.samples() == 0 {
-        return Ok(((kept, Vec::new()), seconds));
+    let mut seconds = [0.0; STEPS.len()];
+    seconds[0] = made.sight_seconds;
+    let mut kept = Kept { images: Vec::new(), sight_rays: made.sight_rays };
+    let mut chunks = Vec::new();
+    for (planned, tiles) in made.images.iter().enumerate() {
+        for Constructed { window, ldi, stats } in tiles {
+            let mut image = KeptImage {
+                planned,
+                window: *window,
+                samples_by_layer: stats.samples_by_layer.clone(),
+                pruned: stats.pruned,
+                lost: Lost { too_deep: stats.too_deep, recast_missed: stats.recast_missed },
+                stretch_max_px: stats.stretch_max_px,
+                rays: stats.rays.total(),
+                stretch_p99_px: stats.stretch_p99_px,
+                ..KeptImage::default()
+            };
+            seconds[1..].iter_mut().zip(stats.seconds).for_each(|(a, b)| *a += b);
+            if ldi.samples() > 0 {
+                // Of no samples it says nothing.
+                image.quantization_error_px = stats.quantization_error_px;
+                let start = std::time::Instant::now();
+                let pack_error = |source| PackError { what: format!("an image of placement {number}"), source };
+                let mut coded = vec![ldi::encode_first(ldi, colour, LEVEL).map_err(pack_error)?];
+                coded.extend(ldi::encode_deeper(ldi, colour, LEVEL).map_err(pack_error)?);
+                image.decoded_bytes = ldi::decoded_bytes(ldi).map(|b| u32::try_from(b).unwrap_or(u32::MAX));
+                image.lengths = coded.iter().map(|c| c.len() as u32).collect();
+                chunks.extend(coded);
+                seconds[STEPS.len() - 1] += start.elapsed().as_secs_f64();
+            }
+            kept.images.push(image);
+        }
     }
-    // Of no samples it says nothing.
-    kept.quantization_error_px = made.stats.quantization_error_px;
-    let start = std::time::Instant::now();
-    let pack_error = |source| PackError { what: format!("image {number}"), source };
-    let mut chunks = vec![ldi::encode_first(&made.ldi, colour, LEVEL).map_err(pack_error)?];
-    chunks.extend(ldi::encode_deeper(&made.ldi, colour, LEVEL).map_err(pack_error)?);
-    kept.decoded_bytes = ldi::decoded_bytes(&made.ldi).map(|b| u32::try_from(b).unwrap_or(u32::MAX));
-    kept.lengths = chunks.iter().map(|c| c.len() as u32).collect();
-    seconds[5] = start.elapsed().as_secs_f64();
     Ok(((kept, chunks), seconds))
 }
 
@@ -206,7 +227,7 @@ fn unpack(bytes: &[u8]) -> Option<(Kept, Vec<Vec<u8>>)> {
     let (head, mut rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
     let kept: Kept = serde_json::from_slice(head).ok()?;
     let mut chunks = Vec::new();
-    for length in &kept.lengths {
+    for length in kept.images.iter().flat_map(|i| &i.lengths) {
         let (chunk, after) = rest.split_at_checked(*length as usize)?;
         chunks.push(chunk.to_vec());
         rest = after;
@@ -214,19 +235,29 @@ fn unpack(bytes: &[u8]) -> Option<(Kept, Vec<Vec<u8>>)> {
     rest.is_empty().then_some((kept, chunks))
 }
 
+/// A placement's images as the index names them.
+pub struct Indexed<'a> {
+    /// Placements.
+    pub placements: Vec<Placement>,
+    /// Images.
+    pub images: Vec<ImageEntry>,
+    /// Per image, the plan that it is a part of.
+    pub plans: Vec<&'a ImagePlan>,
+}
+
 impl Images {
     /// Images of plans before any is made: all empty.
     pub fn none_of(plans: &[PlacementPlan]) -> Self {
-        let count = plans.iter().map(|p| p.images.len()).sum();
-        Self { figures: ImageFigures::default(), all: vec![Image::default(); count] }
+        Self { figures: ImageFigures::default(), all: vec![Piece::default(); plans.len()] }
     }
 
     /// Entries of all chunks, in order.
     pub fn entries(&self) -> impl Iterator<Item = ChunkEntry> + '_ {
-        self.all.iter().flat_map(|Image { kept, hashes, .. }| {
-            hashes.iter().zip(&kept.lengths).zip(kept.decoded_bytes).map(|((hash, length), decoded_bytes)| ChunkEntry {
+        self.all.iter().flat_map(|Piece { kept, hashes, .. }| {
+            let sizes = kept.images.iter().flat_map(|i| i.lengths.iter().copied().zip(i.decoded_bytes));
+            hashes.iter().zip(sizes).map(|(hash, (stored_bytes, decoded_bytes))| ChunkEntry {
                 hash: *hash,
-                stored_bytes: *length,
+                stored_bytes,
                 decoded_bytes,
                 kind: ChunkKind::Ldi,
             })
@@ -235,56 +266,68 @@ impl Images {
 
     /// Reads chunks back, by their numbers among [`Images::entries`]. Quick in ascending order: a piece is read once.
     pub fn reader(&self) -> impl FnMut(&DatasetWriter, usize) -> Option<Vec<u8>> + '_ {
-        let of_image = |(image, i): (usize, &Image)| (0..i.hashes.len()).map(move |chunk| (image, chunk));
-        let places: Vec<(usize, usize)> = self.all.iter().enumerate().flat_map(of_image).collect();
+        let of_piece = |(piece, p): (usize, &Piece)| (0..p.hashes.len()).map(move |chunk| (piece, chunk));
+        let places: Vec<(usize, usize)> = self.all.iter().enumerate().flat_map(of_piece).collect();
         let mut open: (usize, Vec<Vec<u8>>) = (usize::MAX, Vec::new());
         move |writer, number| {
-            let (image, chunk) = *places.get(number)?;
-            if open.0 != image {
-                open = (image, unpack(&writer.cached(&self.all[image].key)?)?.1);
+            let (piece, chunk) = *places.get(number)?;
+            if open.0 != piece {
+                open = (piece, unpack(&writer.cached(&self.all[piece].key)?)?.1);
             }
             open.1.get(chunk).cloned()
         }
     }
 
-    /// Placements and images as the index names them.
-    pub fn placements(&self, plans: &[PlacementPlan], first_chunk: u32) -> (Vec<Placement>, Vec<ImageEntry>) {
-        let (mut placements, mut images) = (Vec::new(), Vec::new());
+    /// Placements and images as the index names them. A planned image of which nobody sees anything is one without chunks.
+    pub fn indexed<'a>(&self, plans: &'a [PlacementPlan], first_chunk: u32) -> Indexed<'a> {
+        let mut out = Indexed { placements: Vec::new(), images: Vec::new(), plans: Vec::new() };
         let mut next = first_chunk;
-        let mut all = self.all.iter();
-        for plan in plans {
-            let first_image = images.len() as u32;
-            for (image, Image { kept, hashes, .. }) in plan.images.iter().zip(&mut all) {
-                let first = next;
-                next += hashes.len() as u32;
-                images.push(ImageEntry {
-                    basis: image.basis,
-                    plane_distance: image.plane_distance,
-                    window: image.window,
-                    stretch_p99_px: kept.stretch_p99_px,
-                    chunks: (first..next).collect(),
-                    samples_by_layer: kept.samples_by_layer.clone(),
-                });
+        for (plan, Piece { kept, .. }) in plans.iter().zip(&self.all) {
+            let first_image = out.images.len() as u32;
+            let mut tiles = kept.images.iter().peekable();
+            for (number, image) in plan.images.iter().enumerate() {
+                let nothing = KeptImage { window: image.window, ..KeptImage::default() };
+                let mut of_image: Vec<&KeptImage> = Vec::new();
+                of_image.extend(std::iter::from_fn(|| tiles.next_if(|t| t.planned == number)));
+                for tile in if of_image.is_empty() { vec![&nothing] } else { of_image } {
+                    let first = next;
+                    next += tile.lengths.len() as u32;
+                    out.images.push(ImageEntry {
+                        basis: image.basis,
+                        plane_distance: image.plane_distance,
+                        window: tile.window,
+                        stretch_p99_px: tile.stretch_p99_px,
+                        chunks: (first..next).collect(),
+                        samples_by_layer: tile.samples_by_layer.clone(),
+                    });
+                    out.plans.push(image);
+                }
             }
-            placements.push(Placement {
+            out.placements.push(Placement {
                 grid_point: plan.grid_point,
                 cop: plan.cop,
                 culled: plan.culled.clone(),
                 footprint_px: plan.footprint_px,
                 users: plan.users,
-                images: first_image..images.len() as u32,
+                images: first_image..out.images.len() as u32,
             });
         }
-        (placements, images)
+        out
     }
 
     /// What was left out.
-    pub fn notes(&self) -> Vec<Note> {
-        let empty = self.all.iter().filter(|i| i.hashes.is_empty()).count();
+    pub fn notes(&self, plans: &[PlacementPlan]) -> Vec<Note> {
+        let planned: usize = plans.iter().map(|p| p.images.len()).sum();
+        let mut seen: Vec<(usize, usize)> = Vec::new();
+        for (piece, number) in self.all.iter().zip(0..) {
+            seen.extend(piece.kept.images.iter().filter(|i| !i.lengths.is_empty()).map(|i| (number, i.planned)));
+        }
+        seen.dedup();
+        let empty = planned - seen.len();
         let mut notes = Vec::new();
         if empty > 0 {
             notes.push(Note {
-                what: format!("{empty} of {} images", self.all.len()),
+                what: format!("{empty} of {planned} planned images"),
                 why: "no eye that may use them sees anything of the cells they replace".into(),
             });
         }
@@ -298,10 +341,11 @@ mod tests {
 
     #[test]
     fn kept_work_survives_packing_and_torn_work_is_refused() {
-        let kept = Kept { samples_by_layer: vec![3, 1], lengths: vec![2, 3], rays: 9, ..Kept::default() };
+        let image = |lengths| KeptImage { lengths, ..KeptImage::default() };
+        let kept = Kept { images: vec![image(vec![2]), image(vec![]), image(vec![3])], sight_rays: 9 };
         let packed = pack(&(kept, vec![vec![1, 2], vec![3, 4, 5]]));
         let (back, chunks) = unpack(&packed).expect("whole");
-        assert_eq!((back.rays, chunks), (9, vec![vec![1, 2], vec![3, 4, 5]]));
+        assert_eq!((back.sight_rays, chunks), (9, vec![vec![1, 2], vec![3, 4, 5]]));
         for cut in 0..packed.len() {
             assert!(unpack(&packed[..cut]).is_none(), "cut at {cut}");
         }

@@ -1,11 +1,11 @@
 //! Names of unfinished work: what an image depends on, hashed, so that a resumed build takes only what is still right.
 
-use crate::placement::ImagePlan;
+use crate::placement::PlacementPlan;
 use crate::scene::Scene;
 use ldi_protocol::index::BuildSettings;
 
 /// Raised whenever construction or coding gives other bytes for the same input.
-const VERSION: u32 = 7;
+const VERSION: u32 = 8;
 
 /// Hash of everything in a scene that a picture of it depends on.
 pub fn scene_key(scene: &Scene) -> [u8; 32] {
@@ -45,12 +45,12 @@ pub fn scene_key(scene: &Scene) -> [u8; 32] {
     *h.finalize().as_bytes()
 }
 
-/// Key of one image.
-pub fn image_key(scene: &[u8; 32], settings: &BuildSettings, culled: &[u32], plan: &ImagePlan) -> [u8; 32] {
+/// Key of the images of one placement.
+pub fn images_key(scene: &[u8; 32], settings: &BuildSettings, plan: &PlacementPlan) -> [u8; 32] {
     let mut h = blake3::Hasher::new();
     h.update(&VERSION.to_le_bytes());
     h.update(scene);
     // Debug prints every digit of a float, and every field there is.
-    h.update(format!("{settings:?}{culled:?}{plan:?}").as_bytes());
+    h.update(format!("{settings:?}{plan:?}").as_bytes());
     *h.finalize().as_bytes()
 }

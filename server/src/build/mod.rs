@@ -13,6 +13,8 @@ mod images;
 mod key;
 mod report;
 
+use images::Indexed;
+
 pub use dry_run::{Draft, DryRun, draft, dry_run};
 pub use images::ImageFigures;
 pub use report::{images_per_grid_point, report_json};
@@ -75,8 +77,8 @@ pub enum BuildError {
     /// Placement.
     #[error(transparent)]
     Placement(#[from] PlacementError),
-    /// An image.
-    #[error("image {number} of {total}")]
+    /// The images of a placement.
+    #[error("images of placement {number} of {total}")]
     Construct {
         /// Its number.
         number: usize,
@@ -229,7 +231,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     chunks.extend(textures.chunks);
     clock.lap("pack");
 
-    progress.stage("layered depth images", plan.plans.iter().map(|p| p.images.len() as u64).sum());
+    progress.stage("layered depth images, by placement", plan.plans.len() as u64);
     let (images, caster_seconds) = if plan.plans.is_empty() {
         (images::Images::default(), 0.0)
     } else {
@@ -253,12 +255,13 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
 
     progress.stage("writing", 0);
     let first_image_chunk = chunks.len() as u32;
-    let (placements, image_entries) = images.placements(&plan.plans, first_image_chunk);
+    let Indexed { placements, images: image_entries, plans } = images.indexed(&plan.plans, first_image_chunk);
+    let cameras: Vec<LdiCamera> = plans.into_iter().map(planned_camera).collect();
     let mut notes = scene.notes.clone();
     notes.extend(
         plan.statistics.nothing_to_do.iter().map(|why| Note { what: "grid and images".into(), why: why.clone() }),
     );
-    notes.extend(images.notes());
+    notes.extend(images.notes(&plan.plans));
     let entries = chunks
         .iter()
         .map(|c| ChunkEntry {
@@ -270,12 +273,11 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         .chain(images.entries())
         .collect();
     let placement = plan.statistics.clone();
-    let planned: Vec<ImagePlan> = plan.plans.iter().flat_map(|p| p.images.iter().cloned()).collect();
     let parts = (geometry.cells, textures.textures);
     let index = index_of(options, &scene, settings, plan, parts, entries, (placements, image_entries));
     let ranges = (0..octree.cells.len()).map(|c| octree.ranges(&scene, &clusters, c)).collect::<Vec<_>>();
     let counts: Vec<u64> = ranges.iter().map(|cell| cell.iter().map(|r| u64::from(r.count)).sum()).collect();
-    let audit = placement::audit(&index, &counts, &|i| planned.get(i as usize).map(planned_camera), AUDITED_POSES, 1);
+    let audit = placement::audit(&index, &counts, &|i| cameras.get(i as usize).copied(), AUDITED_POSES, 1);
     if audit.violations > 0 {
         tracing::error!(
             violations = audit.violations,

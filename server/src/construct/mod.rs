@@ -29,21 +29,28 @@ mod merge;
 mod quality;
 mod sample;
 mod sight;
+mod sums;
+mod tiles;
 mod view;
 
 #[cfg(test)]
 mod tests;
 
 pub use caster::{Facet, Met, SubsetCaster};
+pub use sight::Survey;
 
-use crate::{placement::ImagePlan, render::Caster};
+use crate::{
+    placement::{ImagePlan, PlacementPlan},
+    render::Caster,
+};
 use caster::Subset;
 use ldi_protocol::{OutputCamera, ldi::Ldi};
 use merge::{Known, Seen};
 use rayon::prelude::*;
 use sample::Tolerance;
-use sight::Sight;
+use sight::{Face, Sight};
 use std::time::Instant;
+use tiles::Tile;
 use view::{Rig, View};
 
 /// Settings of construction.
@@ -89,8 +96,6 @@ pub enum ConstructError {
 /// Rays cast, by step.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub struct RayCounts {
-    /// From eyes, to find what of the image they see.
-    pub sight: u64,
     /// Central image.
     pub central: u64,
     /// Construction images.
@@ -106,7 +111,7 @@ pub struct RayCounts {
 impl RayCounts {
     /// All of them.
     pub fn total(&self) -> u64 {
-        self.sight + self.central + self.construction + self.recast + self.ring + self.colour
+        self.central + self.construction + self.recast + self.ring + self.colour
     }
 }
 
@@ -135,59 +140,94 @@ pub struct ConstructStats {
     pub footprint_seen_px: f64,
     /// Bound on the error that rounding disparity causes, output pixels.
     pub quantization_error_px: f64,
-    /// Seconds: sight, central, construction, recast, colour and coding.
-    pub seconds: [f64; 5],
+    /// Seconds: central, construction, recast, colour and coding.
+    pub seconds: [f64; 4],
 }
 
 /// An image and its figures.
 #[derive(Debug, Clone)]
 pub struct Constructed {
-    /// The image, cut to what eyes see of it; passes [`Ldi::check`], unless it has no layers, as nobody sees anything of it.
+    /// The part of the plan's window that it stands for: left, right, bottom, top, as tangents. What eyes see there is in it.
+    pub window: [f64; 4],
+    /// The image, cut to what eyes see of it; passes [`Ldi::check`].
     pub ldi: Ldi,
     /// Figures.
     pub stats: ConstructStats,
 }
 
-/// Makes an image that replaces the cells `culled`. The caster should have mips ([`Caster::with_mips`]): colours are filtered over the pixel by them.
-///
-/// # Errors
-/// [`ConstructError`] if the plan is unusable or the image too large.
-pub fn construct(
-    caster: &Caster,
-    culled: &[u32],
-    plan: &ImagePlan,
-    options: &ConstructOptions,
-) -> Result<Constructed, ConstructError> {
-    let subset = Subset { caster, cells: caster.cell_set(culled), culled };
-    construct_subset(&subset, plan, options)
+/// All images of a placement.
+#[derive(Debug, Clone, Default)]
+pub struct Panorama {
+    /// Per planned image, its tiles; none where nobody sees anything of it.
+    pub images: Vec<Vec<Constructed>>,
+    /// Rays that eyes sent to find what they see.
+    pub sight_rays: u64,
+    /// Seconds of that.
+    pub sight_seconds: f64,
 }
 
-/// [`construct`] over anything that casts rays.
+/// Makes the images of a placement. The caster should have mips ([`Caster::with_mips`]): colours are filtered over the pixel by them.
+///
+/// # Errors
+/// [`ConstructError`] if the plan is unusable or an image too large.
+pub fn construct(
+    caster: &Caster,
+    plan: &PlacementPlan,
+    options: &ConstructOptions,
+) -> Result<Panorama, ConstructError> {
+    let subset = Subset { caster, cells: caster.cell_set(&plan.culled), culled: &plan.culled };
+    let start = Instant::now();
+    let survey = Survey::of(&subset, &plan.eyes, &plan.gaze);
+    let mut out = Panorama {
+        sight_rays: survey.as_ref().map_or(0, |s| s.rays),
+        sight_seconds: start.elapsed().as_secs_f64(),
+        images: Vec::new(),
+    };
+    for image in &plan.images {
+        out.images.push(construct_subset(&subset, survey.as_ref(), image, options)?);
+    }
+    Ok(out)
+}
+
+/// Makes a planned image, over anything that casts rays, from what eyes see of it; without a survey they may be anywhere. Returns its tiles.
 ///
 /// # Errors
 /// As [`construct`].
 pub fn construct_subset<C: SubsetCaster>(
     caster: &C,
+    survey: Option<&Survey>,
     plan: &ImagePlan,
     options: &ConstructOptions,
-) -> Result<Constructed, ConstructError> {
-    let mut rig = Rig::new(plan, &options.output, options.max_pixels)?;
+) -> Result<Vec<Constructed>, ConstructError> {
+    let whole = Rig::new(plan, &options.output)?;
+    let Some(survey) = survey else {
+        let made = tile(caster, whole, None, plan, options)?;
+        return Ok(made.map(|made| Constructed { window: plan.window, ..made }).into_iter().collect());
+    };
+    let face = Face::of(survey, plan, &whole);
+    let mut out = Vec::new();
+    for Tile { share, window } in face.tiles(&whole) {
+        let rig = Rig { window, ..whole.clone() };
+        if let Some(made) = tile(caster, rig, Some(&face), plan, options)? {
+            out.push(Constructed { window: share.tangents_within(&whole.window, plan), ..made });
+        }
+    }
+    Ok(out)
+}
+
+/// Makes the image of a rig's window; None: nobody sees anything of it.
+fn tile<C: SubsetCaster>(
+    caster: &C,
+    mut rig: Rig,
+    face: Option<&Face>,
+    plan: &ImagePlan,
+    options: &ConstructOptions,
+) -> Result<Option<Constructed>, ConstructError> {
     let tolerance = Tolerance { step: rig.step() as f32 };
     let mut stats = ConstructStats::default();
+    let Some(sight) = Sight::of(face, &mut rig) else { return Ok(None) };
+    rig.window.check(options.max_pixels)?;
     let started = Instant::now();
-
-    let sight = Sight::of(caster, &mut rig, &plan.eyes);
-    let after_sight = Instant::now();
-    stats.seconds[0] = (after_sight - started).as_secs_f64();
-    let sight = match sight {
-        Ok(sight) => sight,
-        Err(rays) => {
-            stats.rays.sight = rays;
-            let ldi = Ldi { camera: rig.ldi_camera(), codes: layers::NO_CODES, layers: vec![], sky: vec![] };
-            return Ok(Constructed { ldi, stats });
-        }
-    };
-    stats.rays.sight = sight.rays;
 
     let (central, rays) = central::central_image(caster, &rig, &sight.looked);
     stats.rays.central = rays;
@@ -244,16 +284,11 @@ pub fn construct_subset<C: SubsetCaster>(
     stats.samples_by_layer = layers.iter().map(|l| l.len() as u32).collect();
     stats.sky_pixels = sky.iter().map(|w| u64::from(w.count_ones())).sum();
     let construction = (after_merge - after_central).as_secs_f64() - recast_seconds;
-    stats.seconds = [
-        stats.seconds[0],
-        (after_central - after_sight).as_secs_f64(),
-        construction,
-        recast_seconds,
-        after_merge.elapsed().as_secs_f64(),
-    ];
+    stats.seconds =
+        [(after_central - started).as_secs_f64(), construction, recast_seconds, after_merge.elapsed().as_secs_f64()];
     let ldi = Ldi { camera: rig.ldi_camera(), codes, layers, sky };
     debug_assert_eq!(ldi.check(), Ok(()));
-    Ok(Constructed { ldi, stats })
+    Ok(Some(Constructed { window: plan.window, ldi, stats }))
 }
 
 /// One construction image: what its rays met, and (rays, pixels).

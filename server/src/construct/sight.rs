@@ -18,25 +18,28 @@
 use super::{
     caster::{Met, SubsetCaster},
     sample::{Sample, Tolerance},
+    sums::Sums,
+    tiles::{Tile, tiles},
     view::{ConstructionCamera, Rig, View, Window},
 };
-use crate::render::Ray;
-use glam::DVec3;
+use crate::placement::{Gaze, ImagePlan};
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-/// Side of a raster square of an eye's picture, pixels of its construction camera (two of the image's); one ray goes through each. Larger: quicker,
-/// and what few eyes see through narrow gaps is overlooked.
+/// Side of the squares in which a construction camera looks or does not, pixels of it (two of the image's). By judgement.
 pub(super) const SQUARE: usize = 16;
+/// It looks this many of its pixels around what rays met: as far as the next ray.
+const AROUND: f64 = 12.0;
 /// Side of the blocks of the image that are kept or left out, pixels. By judgement: half a square, so that borders follow what is seen.
 const BLOCK: usize = 16;
 /// What is seen is kept with this many pixels around it: eyes between those tried see a little further around things.
 const MARGIN: f64 = 16.0;
-/// Rays begin this far before the eye, metres: the viewer's near plane.
-const NEAR_M: f64 = 0.02;
+/// A direction is a place this far away, metres.
+const FAR_AWAY_M: f64 = 1e12;
 /// Most construction cameras of an image. By judgement; those that bring most come first.
-const MOST_CAMERAS: usize = 48;
+const MOST_CAMERAS: usize = 192;
 /// Side of a piece of surface, pixels: a square of the raster. Half of it found no more on the test scenes.
 const PIECE: f64 = 32.0;
 /// Two hits this much apart in depth, relatively, are different pieces. By judgement: smaller takes slanted surfaces to pieces, larger takes what stands
@@ -48,28 +51,9 @@ const HELD_STEPS: f32 = 8.0;
 
 /// Squares of an eye's picture in which it sees something new, from the corner of its camera's window.
 #[derive(Debug, Clone)]
-pub(super) struct Open {
-    /// How many such squares lie above and left of each corner of a square: one row and one column more than squares.
-    sums: Vec<u32>,
-    columns: usize,
-}
+pub(super) struct Open(Sums);
 
 impl Open {
-    /// Of squares, row-major.
-    fn new(squares: &[bool], columns: usize) -> Self {
-        let width = columns + 1;
-        let mut sums = vec![0; width];
-        for (row, line) in squares.chunks_exact(columns).enumerate() {
-            let mut left = 0;
-            sums.push(0);
-            for (column, open) in line.iter().enumerate() {
-                left += u32::from(*open);
-                sums.push(sums[row * width + column + 1] + left);
-            }
-        }
-        Self { sums, columns }
-    }
-
     /// Whether the pixel of the camera is in such a square.
     #[inline]
     pub fn holds(&self, column: usize, row: usize) -> bool {
@@ -79,10 +63,8 @@ impl Open {
     /// Whether one of the pixels is in such a square; the ranges are not empty.
     #[inline]
     pub fn any(&self, columns: Range<usize>, rows: Range<usize>) -> bool {
-        let (left, right) = (columns.start / SQUARE, (columns.end - 1) / SQUARE + 1);
-        let (top, bottom) = (rows.start / SQUARE, (rows.end - 1) / SQUARE + 1);
-        let sum = |row: usize, column: usize| self.sums[row * (self.columns + 1) + column];
-        sum(bottom, right) + sum(top, left) != sum(top, right) + sum(bottom, left)
+        let squares = |r: Range<usize>| r.start / SQUARE..(r.end - 1) / SQUARE + 1;
+        self.0.count(squares(columns), squares(rows)) > 0
     }
 }
 
@@ -113,12 +95,121 @@ impl Looked {
     }
 }
 
+/// What eyes see around them of what is replaced: the first thing on each of many rays.
+pub struct Survey {
+    eyes: Vec<(DVec3, Vec<Hit>)>,
+    /// Half the angle between rays.
+    half_angle: f64,
+    /// Rays cast.
+    pub rays: u64,
+}
+
+/// Something replaced, or sky, that an eye sees.
+struct Hit {
+    /// Of unit length.
+    direction: Vec3,
+    /// Metres; infinite for sky.
+    distance: f32,
+}
+
+impl Survey {
+    /// Casts rays from a placement's eyes in all directions that they look in. None: eyes may be anywhere.
+    pub fn of<C: SubsetCaster>(caster: &C, eyes: &[DVec3], gaze: &Gaze) -> Option<Self> {
+        let survey = |(number, eye): (usize, &DVec3)| {
+            let (mut hits, mut count) = (Vec::new(), 0);
+            for rays in gaze.rays(*eye, number) {
+                let mut met = vec![Met::Nothing; rays.len()];
+                caster.meet(&rays, &mut met);
+                count += rays.len() as u64;
+                hits.extend(rays.iter().zip(met).filter_map(|(ray, met)| {
+                    let distance = match met {
+                        Met::Stays => return None,
+                        Met::Nothing => f32::INFINITY,
+                        Met::Replaced(distance) => distance as f32,
+                    };
+                    Some(Hit { direction: ray.direction.as_vec3(), distance })
+                }));
+            }
+            ((*eye, hits), count)
+        };
+        let (seen, rays): (Vec<(DVec3, Vec<Hit>)>, Vec<u64>) = eyes.par_iter().enumerate().map(survey).unzip();
+        (!eyes.is_empty()).then(|| Self { eyes: seen, half_angle: gaze.half_angle(), rays: rays.iter().sum() })
+    }
+}
+
+/// What an eye sees of a face.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Glimpse {
+    /// Absolute coordinates in the image, and disparity there; 0 is sky.
+    pub at: [f64; 3],
+    /// How far what the ray stands for reaches there, to each side and up and down.
+    pub half: [f64; 2],
+    /// Absolute coordinates in the eye's own picture, at full scale.
+    pub ray: [f64; 2],
+    /// How far what it stands for reaches there.
+    pub ray_half: [f64; 2],
+}
+
+/// What eyes see of a face: each eye's offset from the centre of projection (right, up, forward), and its glimpses.
+pub(super) struct Face(Vec<(DVec3, Vec<Glimpse>)>);
+
+impl Face {
+    /// The part of a survey that is a planned image's to show; the rig's window is the whole of it.
+    pub fn of(survey: &Survey, plan: &ImagePlan, rig: &Rig) -> Self {
+        let eyes = survey.eyes.par_iter().map(|(eye, hits)| {
+            let offset = rig.lens.in_basis(*eye - rig.cop);
+            (offset, hits.iter().filter_map(|hit| Glimpse::of(hit, offset, survey.half_angle, plan, rig)).collect())
+        });
+        Self(eyes.collect())
+    }
+
+    /// Its tiles.
+    pub fn tiles(&self, rig: &Rig) -> Vec<Tile> {
+        tiles(&rig.window, self.0.iter().flat_map(|(_, glimpses)| glimpses))
+    }
+}
+
+impl Glimpse {
+    /// None: the image does not hold it.
+    fn of(hit: &Hit, offset: DVec3, half_angle: f64, plan: &ImagePlan, rig: &Rig) -> Option<Self> {
+        let ray = rig.lens.in_basis(hit.direction.as_dvec3());
+        // Toward the side there is no end to the plane.
+        const SIDEWAYS: f64 = 1e-3;
+        if ray.z < SIDEWAYS {
+            return None;
+        }
+        // A disc across a ray, of radius r at p, reaches r |grad x/z| to either side of x/z, and likewise y/z.
+        let s = rig.lens.pixels_per_unit;
+        let on_plane = |p: DVec3| [p.x / p.z * s, -p.y / p.z * s];
+        let reach = |p: DVec3, radius: f64| [p.x, p.y].map(|x| radius / p.z * (x / p.z).hypot(1.0) * s);
+        let sky = !hit.distance.is_finite();
+        let p = if sky { ray } else { offset + ray * f64::from(hit.distance) };
+        if p.z <= 0.0 || !plan.owns(if sky { ray * FAR_AWAY_M } else { p }) {
+            return None;
+        }
+        let [u, v] = on_plane(p);
+        let radius = half_angle * if sky { 1.0 } else { f64::from(hit.distance) };
+        let glimpse = Self {
+            at: [u, v, if sky { 0.0 } else { 1.0 / p.z }],
+            half: reach(p, radius),
+            ray: on_plane(ray),
+            ray_half: reach(ray, half_angle),
+        };
+        let held = rig.in_reach(u, v, glimpse.at[2]) && glimpse.touches(&rig.window);
+        held.then_some(glimpse)
+    }
+
+    /// Whether what it shows may be needed in a window.
+    fn touches(&self, window: &Window) -> bool {
+        let (across, down) = blocks_of(window, BLOCK, self);
+        !across.is_empty() && !down.is_empty()
+    }
+}
+
 /// What eyes see of an image.
 pub(super) struct Sight {
     /// The pixels to look at.
     pub looked: Looked,
-    /// Rays cast.
-    pub rays: u64,
     /// None: eyes may be anywhere.
     pictures: Option<Vec<Picture>>,
 }
@@ -129,52 +220,32 @@ struct Picture {
     /// Squares of the camera's window per row.
     columns: usize,
     rows: usize,
-    hits: Vec<Seen>,
-}
-
-/// Something replaced, or sky, that an eye sees.
-struct Seen {
-    /// Row-major in the eye's raster.
-    square: u32,
-    /// Absolute coordinates in the image, and disparity there; 0 is sky.
-    at: [f64; 3],
-    /// Half the side of the square there.
-    half: f64,
+    glimpses: Vec<Glimpse>,
 }
 
 impl Sight {
-    /// What `eyes` see; cuts the rig's window to it. Without eyes everything is looked at. Err: nobody sees anything, found by this many rays.
-    pub fn of<C: SubsetCaster>(caster: &C, rig: &mut Rig, eyes: &[DVec3]) -> Result<Self, u64> {
-        if eyes.is_empty() {
-            return Ok(Self { looked: Looked::everything(&rig.window), rays: 0, pictures: None });
-        }
-        let pictures: Vec<(Picture, u64)> = eyes
-            .par_iter()
-            .enumerate()
-            .filter_map(|(number, eye)| {
-                let camera = rig.camera_at(rig.lens.in_basis(*eye - rig.cop))?;
-                Some(Picture::of(caster, rig, camera, number))
-            })
-            .collect();
-        let rays = pictures.iter().map(|p| p.1).sum();
-        let pictures: Vec<Picture> = pictures.into_iter().map(|p| p.0).filter(|p| !p.hits.is_empty()).collect();
-        let looked = looked_at(&rig.window, pictures.iter().flat_map(|p| &p.hits));
-        let (looked, window) = cropped(looked, &rig.window).ok_or(rays)?;
+    /// What is seen of the rig's window, which is cut to it. Without a face everything is looked at. None: nobody sees anything.
+    pub fn of(face: Option<&Face>, rig: &mut Rig) -> Option<Self> {
+        let Some(face) = face else { return Some(Self { looked: Looked::everything(&rig.window), pictures: None }) };
+        let pictures: Vec<Picture> =
+            face.0.par_iter().filter_map(|(offset, glimpses)| Picture::of(rig, *offset, glimpses)).collect();
+        let looked = looked_at(&rig.window, pictures.iter().flat_map(|p| &p.glimpses));
+        let (looked, window) = cropped(looked, &rig.window)?;
         rig.window = window;
-        Ok(Self { looked, rays, pictures: Some(pictures) })
+        Some(Self { looked, pictures: Some(pictures) })
     }
 
     /// Rounds of cameras that together see every piece of surface that eyes see and the central image does not hold: always the eye that
     /// sees the most pieces that none before it did. Where eyes may be anywhere: the corners of the users' box.
     pub fn cameras(self, rig: &Rig, central: &[Sample], tolerance: &Tolerance) -> Vec<Vec<View>> {
         let Some(pictures) = self.pictures else { return rig.corner_cameras() };
-        // Per eye, its pieces and the squares that show them.
-        let pieces: Vec<BTreeMap<[i32; 3], Vec<u32>>> = pictures
+        // Per eye, its pieces and what shows them.
+        let pieces: Vec<BTreeMap<[i32; 3], Vec<&Glimpse>>> = pictures
             .par_iter()
             .map(|picture| {
-                let mut pieces: BTreeMap<[i32; 3], Vec<u32>> = BTreeMap::new();
-                for seen in picture.hits.iter().filter(|s| !held(rig, central, tolerance, s)) {
-                    pieces.entry(piece(seen)).or_default().push(seen.square);
+                let mut pieces: BTreeMap<[i32; 3], Vec<&Glimpse>> = BTreeMap::new();
+                for seen in picture.glimpses.iter().filter(|s| !held(rig, central, tolerance, s)) {
+                    pieces.entry(piece(seen)).or_default().push(seen);
                 }
                 pieces
             })
@@ -197,7 +268,7 @@ impl Sight {
                 break;
             }
             let new = pieces[best].iter().filter(|(k, _)| !known.contains(*k));
-            views.extend(pictures[best].view(new.flat_map(|(_, squares)| squares)));
+            views.extend(pictures[best].view(new.flat_map(|(_, seen)| seen.iter().copied())));
             known.extend(pieces[best].keys());
             gains[best] = 0;
         }
@@ -207,7 +278,7 @@ impl Sight {
 }
 
 /// Whether the central image holds what is seen.
-fn held(rig: &Rig, central: &[Sample], tolerance: &Tolerance, seen: &Seen) -> bool {
+fn held(rig: &Rig, central: &[Sample], tolerance: &Tolerance, seen: &Glimpse) -> bool {
     let [u, v, d] = seen.at;
     let (column, row) = (u.floor() as i64 - i64::from(rig.window.left), v.floor() as i64 - i64::from(rig.window.top));
     let Some(at) = rig.window.index(column, row) else { return true };
@@ -221,85 +292,44 @@ fn held(rig: &Rig, central: &[Sample], tolerance: &Tolerance, seen: &Seen) -> bo
 }
 
 /// Hits with one such number show one piece of surface.
-fn piece(seen: &Seen) -> [i32; 3] {
+fn piece(seen: &Glimpse) -> [i32; 3] {
     let [u, v, d] = seen.at;
     let depth = if d > 0.0 { (d.ln() / PIECE_DEPTH).floor() as i32 } else { i32::MIN };
     [(u / PIECE).floor() as i32, (v / PIECE).floor() as i32, depth]
 }
 
 impl Picture {
-    /// Casts the rays, and counts them.
-    fn of<C: SubsetCaster>(caster: &C, rig: &Rig, camera: ConstructionCamera, number: usize) -> (Self, u64) {
-        let (width, height) = (camera.window.width as usize, camera.window.height as usize);
-        let (columns, rows) = (width.div_ceil(SQUARE), height.div_ceil(SQUARE));
-        let back = camera.shift.reversed();
-        let (mut hits, mut count) = (Vec::new(), 0);
-        // Tiles of 8 by 8 rays: neighbours share most of their way.
-        const TILE: usize = 8;
-        for tile_row in (0..rows).step_by(TILE) {
-            for tile_column in (0..columns).step_by(TILE) {
-                let squares: Vec<(u32, f64, f64)> = (tile_row..(tile_row + TILE).min(rows))
-                    .flat_map(|r| (tile_column..(tile_column + TILE).min(columns)).map(move |c| (r, c)))
-                    .filter_map(|(r, c)| {
-                        let [x, y] = scattered((number * rows + r) * columns + c);
-                        let u = f64::from(camera.window.left) + (c as f64 + x) * SQUARE as f64;
-                        let v = f64::from(camera.window.top) + (r as f64 + y) * SQUARE as f64;
-                        let (u, v) = (u / camera.scale, v / camera.scale);
-                        rig.may_hold(&camera, u, v).then_some(((r * columns + c) as u32, u, v))
-                    })
-                    .collect();
-                let ray = |(_, u, v): &(u32, f64, f64)| Ray {
-                    origin: camera.position,
-                    direction: rig.lens.ray(*u, *v),
-                    t_min: NEAR_M,
-                    t_max: f64::INFINITY,
-                };
-                let rays: Vec<Ray> = squares.iter().map(ray).collect();
-                let mut met = vec![Met::Nothing; rays.len()];
-                caster.meet(&rays, &mut met);
-                count += rays.len() as u64;
-                for ((square, u, v), met) in squares.into_iter().zip(met) {
-                    let d = match met {
-                        Met::Stays => continue,
-                        Met::Nothing => 0.0,
-                        Met::Replaced(depth) => 1.0 / depth,
-                    };
-                    // Replaced cells that another image of the placement shows.
-                    if d > 1.0 / camera.near_m {
-                        continue;
-                    }
-                    let (u, v, home) = back.apply(u, v, d);
-                    let growth = 1.0 / (1.0 - back.forward * d);
-                    let half = 0.5 * SQUARE as f64 / camera.scale * growth;
-                    if rig.in_reach(u, v, home) && rig.window.distance(u, v) <= half + MARGIN {
-                        hits.push(Seen { square, at: [u, v, home], half });
-                    }
-                }
-            }
+    /// What an eye sees of the rig's window; None: nothing.
+    fn of(rig: &Rig, offset: DVec3, glimpses: &[Glimpse]) -> Option<Self> {
+        let within = |g: &&Glimpse| g.touches(&rig.window);
+        let glimpses: Vec<Glimpse> = glimpses.iter().filter(within).copied().collect();
+        if glimpses.is_empty() {
+            return None;
         }
-        (Self { camera, columns, rows, hits }, count)
+        let camera = rig.camera_at(offset)?;
+        let (columns, rows) = (camera.window.width as usize, camera.window.height as usize);
+        Some(Self { camera, columns: columns.div_ceil(SQUARE), rows: rows.div_ceil(SQUARE), glimpses })
     }
 
-    /// The camera cut to some squares and those around them.
-    fn view<'a>(&self, some: impl Iterator<Item = &'a u32>) -> Option<View> {
-        let (columns, rows) = (self.columns, self.rows);
+    /// The camera cut to some glimpses and what is around them.
+    fn view<'a>(&self, some: impl Iterator<Item = &'a Glimpse>) -> Option<View> {
+        let (columns, rows, scale) = (self.columns, self.rows, self.camera.scale);
         let mut wide = vec![false; columns * rows];
         let (mut c, mut r) = ([usize::MAX, 0], [usize::MAX, 0]);
-        for at in some {
-            let (row, column) = (*at as usize / columns, *at as usize % columns);
-            for row in row.saturating_sub(1)..(row + 2).min(rows) {
-                for column in column.saturating_sub(1)..(column + 2).min(columns) {
-                    wide[row * columns + column] = true;
-                    c = [c[0].min(column), c[1].max(column + 1)];
-                    r = [r[0].min(row), r[1].max(row + 1)];
-                }
+        for glimpse in some {
+            let (at, half) = (glimpse.ray.map(|x| x * scale), glimpse.ray_half.map(|h| h * scale + AROUND));
+            let (across, down) = blocks_around(&self.camera.window, SQUARE, at, half);
+            if across.is_empty() || down.is_empty() {
+                continue;
             }
+            (c, r) = ([c[0].min(across.start), c[1].max(across.end)], [r[0].min(down.start), r[1].max(down.end)]);
+            down.for_each(|row| wide[row * columns..][across.clone()].fill(true));
         }
         if c[0] >= c[1] {
             return None;
         }
         let squares = (r[0]..r[1]).flat_map(|row| &wide[row * columns + c[0]..row * columns + c[1]]);
-        let open = Open::new(&squares.copied().collect::<Vec<_>>(), c[1] - c[0]);
+        let open = Open(Sums::new(&squares.copied().collect::<Vec<_>>(), c[1] - c[0]));
         let mut camera = self.camera;
         camera.window = part(&camera.window, c, r, SQUARE);
         Some(View { camera, open: Some(open) })
@@ -314,33 +344,28 @@ fn part(w: &Window, columns: [usize; 2], rows: [usize; 2], side: usize) -> Windo
     Window { left: w.left + left, top: w.top + top, width, height }
 }
 
-/// A place in the unit square, another for each number: regular rasters overlook regular gaps.
-fn scattered(number: usize) -> [f64; 2] {
-    // SplitMix64's mixing step.
-    let mut z = (number as u64).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^= z >> 31;
-    [z >> 40, z >> 16 & 0xFF_FFFF].map(|b| b as f64 / f64::from(1u32 << 24))
+/// Blocks of a window, from its corner, that a rectangle of half sides `half` around a place touches; beside the window: empty ranges.
+fn blocks_around(window: &Window, side: usize, at: [f64; 2], half: [f64; 2]) -> (Range<usize>, Range<usize>) {
+    let span = |x: f64, half: f64, first: i32, size: u32| {
+        let place = |x: f64| ((x - f64::from(first)) / side as f64).floor();
+        let n = (size as usize).div_ceil(side) as f64;
+        (place(x - half).clamp(0.0, n) as usize)..((place(x + half) + 1.0).clamp(0.0, n) as usize)
+    };
+    (span(at[0], half[0], window.left, window.width), span(at[1], half[1], window.top, window.height))
+}
+
+/// The blocks of a window that hold something seen, and a margin.
+pub(super) fn blocks_of(window: &Window, side: usize, seen: &Glimpse) -> (Range<usize>, Range<usize>) {
+    blocks_around(window, side, [seen.at[0], seen.at[1]], seen.half.map(|h| h + MARGIN))
 }
 
 /// The blocks that hold what is seen, and a margin.
-fn looked_at<'a>(window: &Window, hits: impl Iterator<Item = &'a Seen>) -> Looked {
+fn looked_at<'a>(window: &Window, seen: impl Iterator<Item = &'a Glimpse>) -> Looked {
     let columns = (window.width as usize).div_ceil(BLOCK);
-    let rows = (window.height as usize).div_ceil(BLOCK);
-    let mut blocks = vec![false; columns * rows];
-    let span = |at: f64, half: f64, first: i32, n: usize| {
-        let place = |x: f64| ((x - f64::from(first)) / BLOCK as f64).floor();
-        let (low, high) = (place(at - half - MARGIN), place(at + half + MARGIN));
-        // Beside the window: an empty range.
-        (low.max(0.0) as usize)..((high + 1.0).clamp(0.0, n as f64) as usize)
-    };
-    for Seen { at: [u, v, _], half, .. } in hits {
-        for row in span(*v, *half, window.top, rows) {
-            for column in span(*u, *half, window.left, columns) {
-                blocks[row * columns + column] = true;
-            }
-        }
+    let mut blocks = vec![false; columns * (window.height as usize).div_ceil(BLOCK)];
+    for glimpse in seen {
+        let (across, down) = blocks_of(window, BLOCK, glimpse);
+        down.for_each(|row| blocks[row * columns..][across.clone()].fill(true));
     }
     Looked { blocks, columns }
 }

@@ -24,7 +24,7 @@ pub(super) struct Footprint {
     /// Largest footprint allowed, output pixels.
     pub limit_px: f64,
     /// Focal length of the output, pixels.
-    focal_px: f64,
+    pub focal_px: f64,
     /// LDI samples per output pixel at scale 1.
     density: f64,
 }

@@ -11,7 +11,7 @@
 //!                    └── refine <── paper: point (arcs -> view: angular ranges; subset: 6-tuples)
 //!                           │       cells: near_box (looks: certified counts; groups of points)
 //!                           v
-//!                         plan: cameras, and windows (paper: the frusta's reach; cells: tiles); footprint bounds
+//!                         plan: cameras, and windows (paper: the frusta's reach; cells: faces of the box); footprint bounds
 //! ```
 //!
 //! `--grid cells`, the default: every eye belongs to its closest point, groups of points share a near box, and the box's faces are images
@@ -33,6 +33,7 @@ mod error;
 mod eye_tree;
 mod floors;
 mod footprint;
+mod gaze;
 mod hull;
 mod lattice;
 mod looks;
@@ -46,12 +47,12 @@ mod stage;
 mod subset;
 #[cfg(test)]
 pub(crate) mod test_scenes;
-mod tiles;
 mod view;
 mod walk;
 
 pub use audit::{Adversary, AuditReport, AuditSize, AuditedPose, PlanRow, Tally, audit, plan_row};
 pub use error::PlacementError;
+pub use gaze::Gaze;
 pub use model::{DirectionRange, ImagePlan, PlacementPlan, PlacementResult, PlacementStatistics};
 pub use stage::{Parameters, plan_placements};
 pub use subset::CostBenefit;

@@ -1,5 +1,6 @@
 //! What the placement stage hands on: grid points with their angular ranges, and [`PlacementPlan`]s.
 
+use super::gaze::Gaze;
 use glam::DVec3;
 use ldi_protocol::{Aabb, ViewBasis, index::GridPoint, volume::WalkVolume};
 use serde::{Deserialize, Serialize};
@@ -27,9 +28,14 @@ pub struct PlacementPlan {
     pub culled: Vec<u32>,
     /// Box of all eyes that may use it.
     pub users: Aabb,
+    /// Places inside that box where eyes stand, spread over all of them: what they see of the replaced cells is what the images hold. Empty: anywhere
+    /// in the box, and past cells that stay as if they were not there.
+    pub eyes: Vec<DVec3>,
+    /// The directions in which they look.
+    pub gaze: Gaze,
     /// Largest bound of its images.
     pub footprint_px: f64,
-    /// Its images: one in the paper's scheme; up to six faces of a near box, possibly in tiles, with view cells.
+    /// Its images: one in the paper's scheme; up to six faces of a near box with view cells.
     pub images: Vec<ImagePlan>,
 }
 
@@ -50,6 +56,8 @@ pub struct ImagePlan {
     pub cop: DVec3,
     /// Distance from the centre of projection to the image plane along `basis.forward`, metres; positive.
     pub plane_distance: f64,
+    /// Distances of the planes of the images beside it, left, right, bottom, top, metres; infinite where there is none.
+    pub beside: [f64; 4],
     /// Samples per unit of the image plane at distance 1 from the centre of projection.
     pub pixels_per_unit: f64,
     /// Tangent extents of the image at distance 1 from the centre of projection: left, right (along `basis.right`), bottom, top
@@ -57,9 +65,6 @@ pub struct ImagePlan {
     pub window: [f64; 4],
     /// Box of all eyes that may use it.
     pub users: Aabb,
-    /// Places inside that box where eyes stand, spread over all of them: what they see of the replaced cells is what the image holds. Empty: anywhere
-    /// in the box, and past cells that stay as if they were not there.
-    pub eyes: Vec<DVec3>,
     /// The directions from which they do; disjoint but for borders.
     pub directions: Vec<DirectionRange>,
     /// Bound on the footprint of any sample from any of these eyes in any of these directions, output pixels.
@@ -67,6 +72,13 @@ pub struct ImagePlan {
 }
 
 impl ImagePlan {
+    /// Whether a place (right, up, forward from the centre of projection) is this image's to show: it lies beyond the plane, and if it lies beyond the plane
+    /// of an image beside, it is farther along this one's axis. A direction is a place far away.
+    pub fn owns(&self, p: DVec3) -> bool {
+        let [left, right, bottom, top] = self.beside.map(|d| d.max(p.z));
+        p.z >= self.plane_distance && -p.x <= left && p.x <= right && -p.y <= bottom && p.y <= top
+    }
+
     /// Pixels, before rounding to whole ones.
     pub fn pixels(&self) -> f64 {
         let side = |low: f64, high: f64| ((high - low) * self.pixels_per_unit).max(0.0);

@@ -2,8 +2,9 @@
 //!
 //! In: grid points with the eyes that use them. Out: an axis-aligned box around those eyes. Cells that touch the box are near and
 //! drawn; cells wholly beyond one of its six faces are far and replaced. From the centre of projection, amid the eyes, each
-//! face is the quadrilateral of an image: the six cones fill the space around, so whatever direction an eye looks in, what it sees beyond the
-//! box lies in one of the images, at a depth of at least the face's distance.
+//! face is the quadrilateral of an image. A place outside of the box belongs to the image of the face that it is beyond; if it is beyond several, to that
+//! whose axis it is farthest along: the flatter the box, the more askew its floor and ceiling would look at what is far away. So whatever an eye sees
+//! beyond the box lies in one of the images, at a depth of at least the face's distance.
 //!
 //! ```text
 //!      ·  image -z ·          D: distance of a face from the centre of projection
@@ -19,7 +20,7 @@
 //! is not there already.
 //!
 //! The six distances take the place of the paper's six border lists (section 3.3.2): the box starts at the smallest that the footprint
-//! bound allows, and grows by the move that saves the most pixels while every direction of every eye stays within Popt; the smallest box must keep
+//! bound allows, and grows by the move that saves the most samples while every direction of every eye stays within Popt; the smallest box must keep
 //! within P alone.
 
 use super::{
@@ -30,14 +31,18 @@ use super::{
 };
 use glam::DVec3;
 use ldi_protocol::{Aabb, ViewBasis};
+use rayon::prelude::*;
 use std::f64::consts::FRAC_PI_2;
 
 /// All replaced cells lie beyond a face by this much, metres: above the rounding of bounds and of the face itself.
 const FACE_GAP_M: f64 = 1e-4;
 /// A move takes faces this much farther. Smaller: fewer pixels, longer planning. By judgement.
 const STEP: f64 = 1.25;
-/// What an image costs besides its pixels: chunks, requests, a draw. In pixels, by judgement.
-const IMAGE_PIXELS: f64 = 50_000.0;
+/// Samples to expect of an image per pixel of its window, and per pixel that the bounds of a replaced cell cover, cells that overlap counted each. Half of
+/// what the clinic's images at a twentieth hold: of the two guesses neither alone gave the best plans (docs/decisions.md).
+const SAMPLES_PER_PIXEL: [f64; 2] = [0.05, 0.008];
+/// What a placement costs besides its samples: the rays that find what eyes see, a switch for whoever walks past. In samples, by judgement.
+const PLACEMENT_SAMPLES: f64 = 500_000.0;
 /// Faces, by (axis, side).
 pub(super) const FACES: [(usize, usize); 6] = [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)];
 /// Sets of faces that may move together, as bits of [`FACES`]: all, the walls, floor and ceiling, each.
@@ -100,7 +105,7 @@ pub(super) struct NearBox {
     pub images: [Option<FaceImage>; 6],
     /// Cells it replaces.
     pub culled: CellMask,
-    /// Pixels of all images, with a charge for each image.
+    /// Samples to expect of all images, with a charge for the placement.
     pub cost: f64,
     /// Largest number of triangles that stay in any direction that uses the box.
     pub max_triangles: u64,
@@ -112,6 +117,8 @@ pub(super) struct FaceImage {
     pub scale: f64,
     pub footprint_px: f64,
     pub window: [f64; 4],
+    /// What the bounds of replaced cells cover, added up, at distance 1.
+    pub covered: f64,
 }
 
 /// A group of members and the box that is being fitted to them.
@@ -208,14 +215,16 @@ impl<'a> Fit<'a> {
     /// The images of all faces.
     fn images(&self, distance: &[f64; 6], near: &CellMask) -> [Option<FaceImage>; 6] {
         let mut windows = [[f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY]; 6];
-        let cones: [Cone; 6] = std::array::from_fn(|f| Cone::new(f, distance));
+        let mut covered = [0.0; 6];
+        let regions: [Region; 6] = std::array::from_fn(|f| Region::new(f, distance));
         let mut far = self.seen.clone();
         far.remove(near);
         for cell in far.iter() {
             let b = &self.ctx.cells.bounds[cell as usize];
             let (low, high) = (b.min - self.cop, b.max - self.cop);
-            for (cone, w) in cones.iter().zip(&mut windows) {
-                if let Some(t) = cone.tangents_of(&cone.local(low, high)) {
+            for ((region, w), covered) in regions.iter().zip(&mut windows).zip(&mut covered) {
+                if let Some(t) = region.tangents_of(&region.local(low, high)) {
+                    *covered += (t[1] - t[0]) * (t[3] - t[2]);
                     *w = [w[0].min(t[0]), w[1].max(t[1]), w[2].min(t[2]), w[3].max(t[3])];
                 }
             }
@@ -227,42 +236,46 @@ impl<'a> Fit<'a> {
                 .footprint
                 .scale(FRAC_PI_2, distance[f], self.ahead[f])
                 .unwrap_or((f64::INFINITY, f64::INFINITY));
-            (window[0] < window[1] && window[2] < window[3]).then_some(FaceImage { scale, footprint_px, window })
+            (window[0] < window[1] && window[2] < window[3]).then_some(FaceImage {
+                scale,
+                footprint_px,
+                window,
+                covered: covered[f],
+            })
         })
     }
 
     fn cost(&self, images: &[Option<FaceImage>; 6]) -> f64 {
-        let pixels = |i: &FaceImage| {
+        let samples = |i: &FaceImage| {
             let w = i.window;
-            let side = self.ctx.footprint.pixels_per_unit(i.scale);
-            (w[1] - w[0]) * (w[3] - w[2]) * side * side + IMAGE_PIXELS
+            let per_unit = self.ctx.footprint.pixels_per_unit(i.scale).powi(2);
+            (SAMPLES_PER_PIXEL[0] * (w[1] - w[0]) * (w[3] - w[2]) + SAMPLES_PER_PIXEL[1] * i.covered) * per_unit
         };
-        images.iter().flatten().map(pixels).sum()
+        images.iter().flatten().map(samples).sum::<f64>() + PLACEMENT_SAMPLES
     }
 }
 
-/// The cone of a face as seen from the centre of projection.
-pub(super) struct Cone {
+/// The places that belong to a face.
+pub(super) struct Region {
     /// World axes of right, up and forward, and their signs.
     axes: [(usize, f64); 3],
-    /// Left, right, bottom, top.
-    limits: [f64; 4],
+    /// Distance of the face.
     distance: f64,
+    /// Distances of the faces beside it: left, right, bottom, top.
+    pub beside: [f64; 4],
 }
 
-impl Cone {
+impl Region {
     pub fn new(face: usize, distance: &[f64; 6]) -> Self {
         let basis = face_basis(face);
         let axes = [basis.right, basis.up, basis.forward].map(|v| {
             let axis = v.abs().max_position();
             (axis, v[axis])
         });
-        let reach = |axis: (usize, f64), positive: bool| {
-            let side = usize::from((axis.1 > 0.0) == positive);
-            distance[axis.0 * 2 + side] / distance[face]
-        };
-        let limits = [-reach(axes[0], false), reach(axes[0], true), -reach(axes[1], false), reach(axes[1], true)];
-        Self { axes, limits, distance: distance[face] }
+        let of =
+            |(axis, sign): (usize, f64), positive: bool| distance[axis * 2 + usize::from((sign > 0.0) == positive)];
+        let beside = [of(axes[0], false), of(axes[0], true), of(axes[1], false), of(axes[1], true)];
+        Self { axes, distance: distance[face], beside }
     }
 
     /// A box relative to the centre of projection, along right, up, forward.
@@ -275,14 +288,7 @@ impl Cone {
         out
     }
 
-    /// The reverse of [`Cone::local`].
-    pub fn world(face: usize, b: &Aabb, cop: DVec3) -> Aabb {
-        let basis = face_basis(face);
-        let at = |v: DVec3| cop + basis.right * v.x + basis.up * v.y + basis.forward * v.z;
-        Aabb::from_points([at(b.min), at(b.max)])
-    }
-
-    /// Tangents (left, right, bottom, top) of the part of a local box that lies in the cone beyond its face.
+    /// Tangents (left, right, bottom, top) around the part of a local box that is in the region; None if none is.
     pub fn tangents_of(&self, b: &Aabb) -> Option<[f64; 4]> {
         let (near, far) = (b.min.z.max(self.distance), b.max.z);
         if far <= self.distance {
@@ -290,10 +296,15 @@ impl Cone {
         }
         let mut out = [0.0; 4];
         for k in 0..2 {
+            let [low, high] = [self.beside[2 * k], self.beside[2 * k + 1]];
+            // At depth z the region reaches to the larger of z and the face beside it.
+            if b.min[k] > high.max(far) || b.max[k] < -low.max(far) {
+                return None;
+            }
             let least = b.min[k] / if b.min[k] < 0.0 { near } else { far };
             let most = b.max[k] / if b.max[k] > 0.0 { near } else { far };
-            out[2 * k] = least.max(self.limits[2 * k]);
-            out[2 * k + 1] = most.min(self.limits[2 * k + 1]);
+            out[2 * k] = least.max(-(low / near).max(1.0));
+            out[2 * k + 1] = most.min((high / near).max(1.0));
             if out[2 * k] >= out[2 * k + 1] {
                 return None;
             }
@@ -302,12 +313,62 @@ impl Cone {
     }
 }
 
-/// Groups members top-down: a group that one box serves stays together unless two boxes are cheaper; others are halved.
+/// Groups members: top-down, a group that one box serves stays together unless two boxes are cheaper, and others are halved; then groups beside each other
+/// are joined where one box is cheaper than two.
 ///
 /// Returns the groups, as positions in `members`, each with its box, in a fixed order. Err: a member that no box serves.
 pub(super) fn group(ctx: &Context, members: &[Member]) -> Result<Vec<(Vec<u32>, NearBox)>, (u32, TooNear)> {
     let all: Vec<u32> = (0..members.len() as u32).filter(|m| !members[*m as usize].units.is_empty()).collect();
-    if all.is_empty() { Ok(Vec::new()) } else { divide(ctx, members, all, None) }
+    if all.is_empty() {
+        return Ok(Vec::new());
+    }
+    Ok(join(ctx, members, divide(ctx, members, all, None)?))
+}
+
+/// Eyes of groups that are joined lie at most this far apart, as a share of their extents. By judgement.
+const CLOSE: f64 = 0.25;
+
+/// A group: positions of its members, its box, and the box around its eyes.
+type Group = (Vec<u32>, NearBox, Aabb);
+
+/// Two groups that one box serves for less.
+struct Joint {
+    groups: [usize; 2],
+    joined: Group,
+    saved: f64,
+}
+
+/// Joins neighbouring groups, always the two whose one box saves the most, as long as any does: halving cuts in the middle, wherever the scene would have it.
+fn join(ctx: &Context, members: &[Member], groups: Vec<(Vec<u32>, NearBox)>) -> Vec<(Vec<u32>, NearBox)> {
+    let eyes_of = |of: &[u32]| of.iter().fold(Aabb::EMPTY, |b, m| b.union(members[*m as usize].eyes));
+    let mut groups: Vec<Option<Group>> = groups
+        .into_iter()
+        .map(|(of, near)| (eyes_of(&of), of, near))
+        .map(|(e, of, near)| Some((of, near, e)))
+        .collect();
+    let close = |a: &Aabb, b: &Aabb| a.inflated(a.size().max(b.size()).max_element() * CLOSE).intersects(b);
+    let joint = |groups: &[Option<Group>], i: usize, j: usize| {
+        let (a, b) = (groups[i].as_ref()?, groups[j].as_ref()?);
+        if !close(&a.2, &b.2) {
+            return None;
+        }
+        let of: Vec<u32> = a.0.iter().chain(&b.0).copied().collect();
+        let near = fit_of(ctx, members, &of).ok()?;
+        let saved = a.1.cost + b.1.cost - near.cost;
+        (saved > 0.0).then(|| Joint { groups: [i, j], joined: (of, near, a.2.union(b.2)), saved })
+    };
+    let pairs: Vec<(usize, usize)> = (0..groups.len()).flat_map(|j| (0..j).map(move |i| (i, j))).collect();
+    let mut found: Vec<Joint> = pairs.into_par_iter().filter_map(|(i, j)| joint(&groups, i, j)).collect();
+    // Of equals the first: they stay in the order of their groups.
+    while let Some(best) = (0..found.len()).rev().max_by(|a, b| found[*a].saved.total_cmp(&found[*b].saved)) {
+        let Joint { groups: [i, j], joined, .. } = found.swap_remove(best);
+        (groups[i], groups[j]) = (Some(joined), None);
+        found.retain(|f| f.groups.iter().all(|g| *g != i && *g != j));
+        let others: Vec<usize> = (0..groups.len()).filter(|k| *k != i).collect();
+        found.par_extend(others.into_par_iter().filter_map(|k| joint(&groups, i.min(k), i.max(k))));
+        found.sort_unstable_by_key(|f| f.groups);
+    }
+    groups.into_iter().flatten().map(|(of, near, _)| (of, near)).collect()
 }
 
 /// A split is made where it costs less than this share of the whole. By judgement: a placement is worth a little.
@@ -361,7 +422,7 @@ mod tests {
         bands::Directions,
         cells::Cells,
         eye_tree::EyeTree,
-        model::PlacementPlan,
+        model::{ImagePlan, PlacementPlan},
         plan::plan_box,
         test_scenes::{Random, settings, strewn},
     };
@@ -508,27 +569,55 @@ mod tests {
     }
 
     #[test]
-    fn faces_look_outward_and_their_cones_meet_at_the_edges_of_the_box() {
+    fn faces_look_outward_and_their_regions_fill_what_is_outside_of_the_box() {
         let distance = [2.0, 3.0, 1.0, 4.0, 5.0, 2.5];
-        for face in 0..6 {
-            let b = face_basis(face);
-            assert!((b.right.cross(b.up) + b.forward).length() < 1e-12, "right-handed, as cameras are");
-            let cone = Cone::new(face, &distance);
-            // The whole face is in its cone, and nothing beside it.
-            let local = |w: DVec3| DVec3::new(w.dot(b.right), w.dot(b.up), w.dot(b.forward));
-            let mut corners = Aabb::EMPTY;
-            for k in 0..8usize {
-                let corner = DVec3::from_array(std::array::from_fn(|axis| {
-                    if k >> axis & 1 == 0 { -distance[2 * axis] } else { distance[2 * axis + 1] }
-                }));
-                if (local(corner).z - distance[face]).abs() < 1e-12 {
-                    corners = corners.grown_to(local(corner) / distance[face]);
+        let mut random = Random::new(17);
+        let mut outside = [0; 6];
+        for _ in 0..20_000 {
+            let p = DVec3::from_array(std::array::from_fn(|_| (random.unit() - 0.5) * 40.0));
+            let half = DVec3::from_array(std::array::from_fn(|_| random.unit()));
+            let mut owners = 0;
+            for (face, (axis, side)) in FACES.into_iter().enumerate() {
+                let b = face_basis(face);
+                assert!((b.right.cross(b.up) + b.forward).length() < 1e-12, "right-handed, as cameras are");
+                let region = Region::new(face, &distance);
+                let local = DVec3::new(p.dot(b.right), p.dot(b.up), p.dot(b.forward));
+                assert_eq!(region.local(p, p).min, local);
+                // Farthest along of those that it is beyond.
+                let along = |f: usize| if FACES[f].1 == 0 { -p[FACES[f].0] } else { p[FACES[f].0] };
+                let beyond = (0..6).filter(|f| along(*f) > distance[*f]);
+                let owner = beyond.max_by(|a, b| along(*a).total_cmp(&along(*b)));
+                let plan = ImagePlan { plane_distance: distance[face], beside: region.beside, ..plan_of_face(face) };
+                assert_eq!(plan.owns(local), owner == Some(face), "{p}, axis {axis}, side {side}");
+                if owner == Some(face) {
+                    owners += 1;
+                    outside[face] += 1;
+                    let t = region.tangents_of(&region.local(p - half, p + half)).expect("its middle is in there");
+                    let (x, y) = (local.x / local.z, local.y / local.z);
+                    assert!(x >= t[0] && x <= t[1] && y >= t[2] && y <= t[3], "{t:?} without {x} {y}");
                 }
             }
-            let want = [corners.min.x, corners.max.x, corners.min.y, corners.max.y];
-            let everything = Aabb { min: DVec3::splat(-1e3), max: DVec3::splat(1e3) };
-            let got = cone.tangents_of(&everything).expect("it reaches beyond the face");
-            assert!(got.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-12), "face {face}: {got:?}, {want:?}");
+            let inside = (0..3).all(|a| p[a] >= -distance[2 * a] && p[a] <= distance[2 * a + 1]);
+            assert_eq!(owners, usize::from(!inside));
+        }
+        assert!(outside.iter().all(|n| *n > 1000), "{outside:?}");
+        // What is far to the side is the side's.
+        let far = Aabb { min: DVec3::new(50.0, 5.0, -1.0), max: DVec3::new(60.0, 6.0, 1.0) };
+        let ceiling = Region::new(3, &distance);
+        assert_eq!(ceiling.tangents_of(&ceiling.local(far.min, far.max)), None);
+    }
+
+    fn plan_of_face(face: usize) -> ImagePlan {
+        ImagePlan {
+            basis: face_basis(face),
+            cop: DVec3::ZERO,
+            plane_distance: 1.0,
+            beside: [f64::INFINITY; 4],
+            pixels_per_unit: 1.0,
+            window: [-1.0, 1.0, -1.0, 1.0],
+            users: Aabb::EMPTY,
+            directions: vec![],
+            footprint_px: 1.0,
         }
     }
 }

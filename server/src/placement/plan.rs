@@ -5,9 +5,8 @@ use super::{
     eye_tree::EyeTree,
     hull::EyeHull,
     model::{DirectionRange, ImagePlan, PlacementPlan},
-    near_box::{Member, NearBox, face_basis},
+    near_box::{Member, NearBox, Region, face_basis},
     point::{Context, Image, centre, depths, tangents},
-    tiles::{gazes, windows},
 };
 use glam::DVec3;
 use ldi_protocol::{Aabb, ViewBasis};
@@ -26,26 +25,31 @@ pub(super) fn plan(ctx: &Context, image: &Image, grid_point: u32, grid_position:
     let (scale, footprint_px) = ctx.footprint.scale(image.phi, plane_from_cop, ahead).unwrap_or((1.0, f64::INFINITY));
     let cop = centre(&image.users, &image.basis);
     let users = image.users.bounds();
-    let eyes = eyes_of(ctx, &[users], cop);
+    let units: Vec<u16> = image.units.iter().map(|u| u.0).collect();
     PlacementPlan {
         grid_point,
         cop,
         culled: image.culled.clone(),
         users,
+        eyes: eyes_of(ctx, &[users], cop),
+        gaze: ctx.gaze_in(&units),
         footprint_px,
         images: vec![ImagePlan {
             basis: image.basis,
             cop,
             plane_distance: plane_from_cop,
+            beside: [f64::INFINITY; 4],
             pixels_per_unit: ctx.footprint.pixels_per_unit(scale),
             window: window(ctx, image, cop, plane_from_cop),
             users,
-            eyes,
             directions: directions(ctx, &image.units),
             footprint_px,
         }],
     }
 }
+
+/// Faces reach over their borders by this many pixels, so that surfaces join across them.
+const FACE_OVERLAP_PIXELS: f64 = 2.0;
 
 /// Most places that images are made from. More: fewer holes, longer building; 32, 256 and 512 are compared in docs/decisions.md.
 const MOST_EYES: usize = 256;
@@ -56,10 +60,9 @@ pub(super) fn plan_box(ctx: &Context, near: &NearBox, members: &[&Member], grid_
     let mut units: Vec<u16> = members.iter().flat_map(|m| m.units.iter().copied()).collect();
     units.sort_unstable();
     units.dedup();
+    let gaze = ctx.gaze_in(&units);
     let units: Vec<(u16, [f64; 2])> = units.into_iter().map(|u| (u, ctx.directions.unit(usize::from(u)).0)).collect();
-    let gazes = gazes(ctx, members);
     let boxes: Vec<Aabb> = members.iter().map(|m| m.eyes).collect();
-    let eyes = eyes_of(ctx, &boxes, near.cop);
     let mut images = Vec::new();
     for (face, image) in near.images.iter().enumerate() {
         let Some(image) = image else { continue };
@@ -74,22 +77,30 @@ pub(super) fn plan_box(ctx: &Context, near: &NearBox, members: &[&Member], grid_
             .copied()
             .collect();
         let pixels_per_unit = ctx.footprint.pixels_per_unit(image.scale);
-        for window in windows(ctx, near, face, &gazes) {
-            images.push(ImagePlan {
-                basis,
-                cop: near.cop,
-                plane_distance: near.distance[face],
-                pixels_per_unit,
-                window,
-                users,
-                eyes: eyes.clone(),
-                directions: directions(ctx, &facing),
-                footprint_px: image.footprint_px,
-            });
-        }
+        let overlap = FACE_OVERLAP_PIXELS / pixels_per_unit;
+        let [left, right, bottom, top] = image.window;
+        images.push(ImagePlan {
+            basis,
+            cop: near.cop,
+            plane_distance: near.distance[face],
+            beside: Region::new(face, &near.distance).beside,
+            pixels_per_unit,
+            window: [left - overlap, right + overlap, bottom - overlap, top + overlap],
+            users,
+            directions: directions(ctx, &facing),
+            footprint_px: image.footprint_px,
+        });
     }
-    let footprint_px = images.iter().map(|i| i.footprint_px).fold(0.0, f64::max);
-    PlacementPlan { grid_point, cop: near.cop, culled: near.culled.iter().collect(), users, footprint_px, images }
+    PlacementPlan {
+        grid_point,
+        cop: near.cop,
+        culled: near.culled.iter().collect(),
+        users,
+        eyes: eyes_of(ctx, &boxes, near.cop),
+        gaze,
+        footprint_px: images.iter().map(|i| i.footprint_px).fold(0.0, f64::max),
+        images,
+    }
 }
 
 /// The places from which an image for eyes in some boxes is made.

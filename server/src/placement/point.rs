@@ -21,12 +21,14 @@ use super::{
     coverage::PointUses,
     eye_tree::EyeTree,
     footprint::Footprint,
+    gaze::Gaze,
     hull::EyeHull,
     subset::{CostBenefit, Goal, Item, best_subset},
     view::BandView,
 };
 use glam::DVec3;
 use ldi_protocol::{Aabb, ViewBasis, camera::Frustum, index::BuildSettings, select::CELLS};
+use std::sync::OnceLock;
 
 /// Largest half extent of an image, as a tangent. Wider images serve more directions, but their outer samples are dense where nobody
 /// looks, and every frame warps the whole image: 1 (45 degrees) is a little under twice the picture's own extent.
@@ -72,6 +74,8 @@ pub(super) struct Context<'a> {
     pub longest_axis_m: f64,
     /// Constants of the cost-benefit function.
     pub constants: CostBenefit,
+    /// What pictures hold per unit of directions, once it is asked for.
+    gazes: OnceLock<Vec<Gaze>>,
 }
 
 impl<'a> Context<'a> {
@@ -102,7 +106,21 @@ impl<'a> Context<'a> {
             optimize_budget: settings.optimize_budget.min(settings.budget),
             longest_axis_m,
             constants,
+            gazes: OnceLock::new(),
         }
+    }
+
+    /// What pictures hold in some units of directions.
+    pub fn gaze_in(&self, units: &[u16]) -> Gaze {
+        let (tx, ty) = self.picture_tan;
+        let of = |unit: usize| {
+            let (yaw, pitch) = self.directions.unit(unit);
+            Gaze::of(&BinPlanes::new(yaw, pitch, tx, ty), self.footprint.focal_px)
+        };
+        let all = self.gazes.get_or_init(|| (0..self.directions.units()).map(of).collect());
+        let mut out = Gaze::nowhere(self.footprint.focal_px);
+        units.iter().for_each(|u| out.add(&all[usize::from(*u)]));
+        out
     }
 }
 

@@ -157,10 +157,10 @@ pub(super) fn plan(plane_m: f64, eyes: [f64; 3]) -> ImagePlan {
         basis: ViewBasis::from_yaw_pitch(0.0, 0.0),
         cop: DVec3::ZERO,
         plane_distance: plane_m,
+        beside: [f64::INFINITY; 4],
         pixels_per_unit: OUTPUT.focal_px(),
         window: [-1.1, 1.1, -0.9, 0.9],
         users: Aabb { min: -eyes, max: eyes },
-        eyes: vec![],
         directions: vec![DirectionRange { yaw_deg: [-5.0, 5.0], pitch_deg: [-3.0, 3.0] }],
         footprint_px: 2.0,
     }
