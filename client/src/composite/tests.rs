@@ -282,6 +282,44 @@ fn what_an_absent_image_would_show_is_unknown_and_the_rest_sky() {
     }
 }
 
+/// Windows of faces overlap: far places belong to one of them, and the other says nothing of them.
+#[test]
+fn sky_that_one_image_knows_is_sky_unless_one_is_missing() {
+    let mut knowing = image("frontal");
+    knowing.layers.clear();
+    let mut silent = knowing.clone();
+    knowing.sky.fill(u64::MAX);
+    silent.sky.fill(0);
+    let window = as_planned(&knowing);
+    let FarImage::Here(_, tangents) = window else { panic!("it is here") };
+    let entry = ImageEntry {
+        basis: ldi_protocol::ViewBasis::from_yaw_pitch(0.0, 0.0),
+        plane_distance: 5.0,
+        window: tangents,
+        stretch_p99_px: f64::NAN,
+        chunks: vec![0],
+        samples_by_layer: vec![1],
+    };
+    let picture = FarFrame::new(CAMERA.width, CAMERA.height);
+    for (images, sky) in [
+        ([window, as_planned(&silent)], true),
+        ([as_planned(&silent), window], true),
+        ([as_planned(&silent), as_planned(&silent)], false),
+        ([window, FarImage::Absent(&entry)], false),
+    ] {
+        let mut frame = Frame::new(CAMERA.width, CAMERA.height);
+        composite(
+            &mut frame,
+            Far::Images { picture: &picture, images: &images },
+            &ahead(),
+            &CAMERA,
+            &CompositeOptions::default(),
+        );
+        let middle = frame.source[frame.len() / 2 + 80];
+        assert_eq!(middle, if sky { Source::Sky } else { Source::Unpainted });
+    }
+}
+
 /// Two halves of an image that overlap by two pixels each way, as tiles do, draw what the whole draws.
 #[test]
 fn tiles_join_without_a_seam() {

@@ -22,7 +22,10 @@ pub use report::{images_per_grid_point, report_json};
 use crate::construct::ConstructError;
 use crate::octree::{Clusters, Octree, RecountError};
 use crate::pack::{self, PackError};
-use crate::placement::{self, AuditReport, AuditSize, ImagePlan, PlacementError, PlacementResult, PlacementStatistics};
+use crate::placement::{
+    self, AuditReport, AuditSize, ImagePlan, PlacementError, PlacementResult, PlacementStatistics, SearchCase,
+    SearchComparison,
+};
 use crate::render::Caster;
 use crate::scene::{self, Note, Scene, SceneError};
 use crate::store::{DatasetWriter, StoreError, Written};
@@ -134,6 +137,26 @@ struct Planned {
 }
 
 fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> Result<Planned, BuildError> {
+    let (scene, clusters, octree, settings) = read(options, clock, progress)?;
+    progress.stage("grid and placement", 0);
+    let plan = placement::plan_placements(&scene, &octree, &settings, &placement::Parameters::default())?;
+    clock.lap("placement");
+    Ok(Planned { scene, clusters, octree, settings, plan })
+}
+
+/// Compares ways to search for the near boxes of a build; nothing is written.
+///
+/// # Errors
+/// As [`build`].
+pub fn compare_searches(options: &BuildOptions, comparison: &SearchComparison) -> Result<Vec<SearchCase>, BuildError> {
+    let (scene, _, octree, settings) = read(options, &mut Clock::default(), &())?;
+    Ok(placement::compare_searches(&scene, &octree, &settings, comparison)?)
+}
+
+/// A scene in clusters and cells, and the settings with the optimization budget filled in.
+type Read = (Arc<Scene>, Clusters, Octree, BuildSettings);
+
+fn read(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> Result<Read, BuildError> {
     progress.stage("reading the scene", 0);
     let scene = Arc::new(scene::load(&options.scene)?);
     clock.lap("scene");
@@ -150,11 +173,7 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
         settings.optimize_budget = settings.budget.saturating_sub(slack).max(1);
     }
     clock.lap("octree");
-
-    progress.stage("grid and placement", 0);
-    let plan = placement::plan_placements(&scene, &octree, &settings, &placement::Parameters::default())?;
-    clock.lap("placement");
-    Ok(Planned { scene, clusters, octree, settings, plan })
+    Ok((scene, clusters, octree, settings))
 }
 
 /// Joins what the stages made.

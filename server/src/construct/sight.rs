@@ -1,8 +1,8 @@
 //! Where eyes see replaced cells at all, and from where they see what others do not.
 //!
 //! Cells that stay are drawn from any eye, and hide what lies behind them: on the clinic at a tenth of its triangles more than four fifths of what
-//! the faces of a near box could hold is behind walls that are drawn anyway. So before an image is made, rays go out from places where eyes stand,
-//! through a coarse raster of their pictures and through everything there is. Where the first thing they meet is replaced, or is nothing, the
+//! the faces of a near box could hold is behind walls that are drawn anyway. So before images are made, rays go out from places where eyes stand,
+//! in all directions that they look in and through everything there is. Where the first thing they meet is replaced, or is nothing, the
 //! eye needs the image. The image is made there alone, with a margin.
 //!
 //! ```text
@@ -13,7 +13,8 @@
 //! From one eye to the next little changes, and much in the end: many eyes with few rays each find more than few eyes with many. What they met
 //! also says which of them the construction images are best made from, and in which part of their pictures: each piece of surface from one.
 //!
-//! In: a caster, a rig, places where eyes stand. Out: the pixels of the image to look at ([`Looked`]); later, knowing the central image, the cameras.
+//! In: a caster, places where eyes stand, the directions they look in. Out: a [`Survey`] for a placement; of that the [`Face`] of each image, from which
+//! it is cut into tiles; for each tile the pixels to look at ([`Looked`]) and, knowing the central image, the cameras.
 
 use super::{
     caster::{Met, SubsetCaster},

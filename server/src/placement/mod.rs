@@ -34,6 +34,7 @@ mod eye_tree;
 mod floors;
 mod footprint;
 mod gaze;
+mod groups;
 mod hull;
 mod lattice;
 mod looks;
@@ -43,6 +44,7 @@ mod nearest;
 mod plan;
 mod point;
 mod refine;
+mod search;
 mod stage;
 mod subset;
 #[cfg(test)]
@@ -54,5 +56,6 @@ pub use audit::{Adversary, AuditReport, AuditSize, AuditedPose, PlanRow, Tally, 
 pub use error::PlacementError;
 pub use gaze::Gaze;
 pub use model::{DirectionRange, ImagePlan, PlacementPlan, PlacementResult, PlacementStatistics};
-pub use stage::{Parameters, plan_placements};
+pub use search::{Found, Search};
+pub use stage::{Parameters, SearchCase, SearchComparison, compare_searches, plan_placements};
 pub use subset::CostBenefit;

@@ -31,13 +31,12 @@ use super::{
 };
 use glam::DVec3;
 use ldi_protocol::{Aabb, ViewBasis};
-use rayon::prelude::*;
 use std::f64::consts::FRAC_PI_2;
 
 /// All replaced cells lie beyond a face by this much, metres: above the rounding of bounds and of the face itself.
 const FACE_GAP_M: f64 = 1e-4;
 /// A move takes faces this much farther. Smaller: fewer pixels, longer planning. By judgement.
-const STEP: f64 = 1.25;
+pub(super) const STEP: f64 = 1.25;
 /// Samples to expect of an image per pixel of its window, and per pixel that the bounds of a replaced cell cover, cells that overlap counted each. Half of
 /// what the clinic's images at a twentieth hold: of the two guesses neither alone gave the best plans (docs/decisions.md).
 const SAMPLES_PER_PIXEL: [f64; 2] = [0.05, 0.008];
@@ -46,7 +45,7 @@ const PLACEMENT_SAMPLES: f64 = 500_000.0;
 /// Faces, by (axis, side).
 pub(super) const FACES: [(usize, usize); 6] = [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)];
 /// Sets of faces that may move together, as bits of [`FACES`]: all, the walls, floor and ceiling, each.
-const MOVES: [u8; 9] = [0b11_1111, 0b11_0011, 0b00_1100, 1, 2, 4, 8, 16, 32];
+pub(super) const MOVES: [u8; 9] = [0b11_1111, 0b11_0011, 0b00_1100, 1, 2, 4, 8, 16, 32];
 
 /// A grid point, its eyes, and what it must be relieved of.
 #[derive(Debug, Clone)]
@@ -122,7 +121,7 @@ pub(super) struct FaceImage {
 }
 
 /// A group of members and the box that is being fitted to them.
-struct Fit<'a> {
+pub(super) struct Fit<'a> {
     ctx: &'a Context<'a>,
     members: &'a [&'a Member],
     seen: CellMask,
@@ -174,7 +173,7 @@ pub(super) fn fit(ctx: &Context, members: &[&Member]) -> Result<NearBox, TooNear
 }
 
 impl<'a> Fit<'a> {
-    fn new(ctx: &'a Context<'a>, members: &'a [&'a Member], extra_m: f64) -> Self {
+    pub fn new(ctx: &'a Context<'a>, members: &'a [&'a Member], extra_m: f64) -> Self {
         let mut hull = EyeHull::EMPTY;
         let mut seen = ctx.cells.none();
         for m in members {
@@ -194,6 +193,27 @@ impl<'a> Fit<'a> {
     /// The distances that the footprint bound asks for.
     fn smallest(&self) -> [f64; 6] {
         self.ahead.map(|e| self.ctx.footprint.nearest_plane_m(FRAC_PI_2, e).unwrap_or(f64::INFINITY))
+    }
+
+    /// How many times farther off than the smallest box's faces would have nothing beyond them.
+    pub fn farthest_steps(&self) -> [f64; 6] {
+        let seen = self.seen.iter().fold(Aabb::EMPTY, |b, c| b.union(self.ctx.cells.bounds[c as usize]));
+        let smallest = self.smallest();
+        std::array::from_fn(|f| {
+            let n = face_basis(f).forward;
+            if seen.is_empty() { 1.0 } else { (seen.support(n) - self.cop.dot(n)) / smallest[f] }
+        })
+    }
+
+    /// The cost of a box that stands `steps` times farther off than the smallest, face by face; None if it exceeds the budget.
+    pub fn try_steps(&self, steps: &[f64; 6]) -> Option<f64> {
+        let smallest = self.smallest();
+        let distance = std::array::from_fn(|f| smallest[f] * steps[f]);
+        let near = self.near(&distance);
+        let largest = if steps.iter().all(|s| *s == 1.0) { self.ctx.budget } else { self.ctx.optimize_budget };
+        let looks = self.members.iter().flat_map(|m| m.units.iter().map(|u| Look::new(self.ctx, m.eyes, *u)));
+        Counts::new(self.ctx, looks, &near, largest).ok()?;
+        Some(self.cost(&self.images(&distance, &near)))
     }
 
     /// What stays of `near` in every look of every member.
@@ -313,107 +333,6 @@ impl Region {
     }
 }
 
-/// Groups members: top-down, a group that one box serves stays together unless two boxes are cheaper, and others are halved; then groups beside each other
-/// are joined where one box is cheaper than two.
-///
-/// Returns the groups, as positions in `members`, each with its box, in a fixed order. Err: a member that no box serves.
-pub(super) fn group(ctx: &Context, members: &[Member]) -> Result<Vec<(Vec<u32>, NearBox)>, (u32, TooNear)> {
-    let all: Vec<u32> = (0..members.len() as u32).filter(|m| !members[*m as usize].units.is_empty()).collect();
-    if all.is_empty() {
-        return Ok(Vec::new());
-    }
-    Ok(join(ctx, members, divide(ctx, members, all, None)?))
-}
-
-/// Eyes of groups that are joined lie at most this far apart, as a share of their extents. By judgement.
-const CLOSE: f64 = 0.25;
-
-/// A group: positions of its members, its box, and the box around its eyes.
-type Group = (Vec<u32>, NearBox, Aabb);
-
-/// Two groups that one box serves for less.
-struct Joint {
-    groups: [usize; 2],
-    joined: Group,
-    saved: f64,
-}
-
-/// Joins neighbouring groups, always the two whose one box saves the most, as long as any does: halving cuts in the middle, wherever the scene would have it.
-fn join(ctx: &Context, members: &[Member], groups: Vec<(Vec<u32>, NearBox)>) -> Vec<(Vec<u32>, NearBox)> {
-    let eyes_of = |of: &[u32]| of.iter().fold(Aabb::EMPTY, |b, m| b.union(members[*m as usize].eyes));
-    let mut groups: Vec<Option<Group>> = groups
-        .into_iter()
-        .map(|(of, near)| (eyes_of(&of), of, near))
-        .map(|(e, of, near)| Some((of, near, e)))
-        .collect();
-    let close = |a: &Aabb, b: &Aabb| a.inflated(a.size().max(b.size()).max_element() * CLOSE).intersects(b);
-    let joint = |groups: &[Option<Group>], i: usize, j: usize| {
-        let (a, b) = (groups[i].as_ref()?, groups[j].as_ref()?);
-        if !close(&a.2, &b.2) {
-            return None;
-        }
-        let of: Vec<u32> = a.0.iter().chain(&b.0).copied().collect();
-        let near = fit_of(ctx, members, &of).ok()?;
-        let saved = a.1.cost + b.1.cost - near.cost;
-        (saved > 0.0).then(|| Joint { groups: [i, j], joined: (of, near, a.2.union(b.2)), saved })
-    };
-    let pairs: Vec<(usize, usize)> = (0..groups.len()).flat_map(|j| (0..j).map(move |i| (i, j))).collect();
-    let mut found: Vec<Joint> = pairs.into_par_iter().filter_map(|(i, j)| joint(&groups, i, j)).collect();
-    // Of equals the first: they stay in the order of their groups.
-    while let Some(best) = (0..found.len()).rev().max_by(|a, b| found[*a].saved.total_cmp(&found[*b].saved)) {
-        let Joint { groups: [i, j], joined, .. } = found.swap_remove(best);
-        (groups[i], groups[j]) = (Some(joined), None);
-        found.retain(|f| f.groups.iter().all(|g| *g != i && *g != j));
-        let others: Vec<usize> = (0..groups.len()).filter(|k| *k != i).collect();
-        found.par_extend(others.into_par_iter().filter_map(|k| joint(&groups, i.min(k), i.max(k))));
-        found.sort_unstable_by_key(|f| f.groups);
-    }
-    groups.into_iter().flatten().map(|(of, near, _)| (of, near)).collect()
-}
-
-/// A split is made where it costs less than this share of the whole. By judgement: a placement is worth a little.
-const WORTH_SPLITTING: f64 = 0.95;
-
-type Grouped = Result<Vec<(Vec<u32>, NearBox)>, (u32, TooNear)>;
-
-fn fit_of(ctx: &Context, members: &[Member], of: &[u32]) -> Result<NearBox, TooNear> {
-    fit(ctx, &of.iter().map(|m| &members[*m as usize]).collect::<Vec<_>>())
-}
-
-fn divide(ctx: &Context, members: &[Member], of: Vec<u32>, known: Option<Result<NearBox, TooNear>>) -> Grouped {
-    let whole = known.unwrap_or_else(|| fit_of(ctx, members, &of));
-    if of.len() == 1 {
-        return whole.map(|b| vec![(of.clone(), b)]).map_err(|e| (of[0], e));
-    }
-    let (low, high) = halve(members, &of);
-    let (mut of_low, mut of_high) = (None, None);
-    if let Ok(whole) = whole {
-        let (a, b) = rayon::join(|| fit_of(ctx, members, &low), || fit_of(ctx, members, &high));
-        if !matches!((&a, &b), (Ok(a), Ok(b)) if a.cost + b.cost < whole.cost * WORTH_SPLITTING) {
-            return Ok(vec![(of, whole)]);
-        }
-        (of_low, of_high) = (Some(a), Some(b));
-    }
-    let (low, high) = rayon::join(|| divide(ctx, members, low, of_low), || divide(ctx, members, high, of_high));
-    let mut groups = low?;
-    groups.extend(high?);
-    Ok(groups)
-}
-
-/// Two halves along the longest axis of the members' middles; heights count double, as storeys see different things.
-fn halve(members: &[Member], of: &[u32]) -> (Vec<u32>, Vec<u32>) {
-    let middle = |m: u32| members[m as usize].eyes.centre() * DVec3::new(1.0, 2.0, 1.0);
-    let bounds = of.iter().fold(Aabb::EMPTY, |b, m| b.grown_to(middle(*m)));
-    let axis = bounds.size().max_position();
-    let cut = bounds.centre()[axis];
-    let (mut low, mut high): (Vec<u32>, Vec<u32>) = of.iter().partition(|m| middle(**m)[axis] < cut);
-    if low.is_empty() || high.is_empty() {
-        low = of.to_vec();
-        high = low.split_off(of.len() / 2);
-    }
-    (low, high)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -422,8 +341,10 @@ mod tests {
         bands::Directions,
         cells::Cells,
         eye_tree::EyeTree,
+        groups::group,
         model::{ImagePlan, PlacementPlan},
         plan::plan_box,
+        search::{Search, search},
         test_scenes::{Random, settings, strewn},
     };
     use ldi_protocol::{camera::Frustum, index::BuildSettings, volume::WalkVolume};
@@ -556,6 +477,18 @@ mod tests {
         let all = [6_000, 7_500, 9_000].map(|popt| (popt, largest(popt)));
         assert!(all.iter().all(|(popt, n)| n <= popt && *n > popt / 2), "{all:?}");
         assert!(all.windows(2).all(|w| w[0].1 < w[1].1), "{all:?}");
+    }
+
+    #[test]
+    fn the_box_of_a_plan_is_that_of_a_descent() {
+        let (cells, directions) = hall();
+        let ctx = Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default());
+        for member in &members(&ctx) {
+            let near = fit(&ctx, &[member]).map_err(|e| e.needed).expect("feasible");
+            let found = search(&Fit::new(&ctx, &[member], 0.0), Search::Descent, 1, 100_000).expect("feasible");
+            assert!((near.cost / found.cost - 1.0).abs() < 1e-12, "{} {found:?}", near.cost);
+            assert!(found.complete && found.states > 9);
+        }
     }
 
     #[test]

@@ -9,10 +9,11 @@ use super::{
     bands::{Directions, YAW_BIN_DEG, YAW_BINS},
     coverage::{Coverage, PointUses},
     eye_tree::EyeTree,
+    groups::group,
     hull::EyeHull,
     lattice::Lattice,
     model::{PlacementPlan, PlacementStatistics},
-    near_box::{Member, feasible, group},
+    near_box::{Member, feasible},
     nearest::nearest,
     plan::{plan, plan_box},
     point::{Context, Scheme, Solution, TooNear, solve},
@@ -34,6 +35,8 @@ pub(super) struct Refined {
     pub left: Vec<u64>,
     /// Largest number of triangles left in any direction.
     pub max_triangles: u64,
+    /// The view cells of each placement; none with the paper's grid.
+    pub groups: Vec<Vec<Member>>,
 }
 
 /// A grid point in use.
@@ -189,7 +192,7 @@ fn finish(
     used.sort_by_key(|(i, _)| lattice.points[*i].place.to_array());
     let unused = (lattice.points.len() - used.len()) as u64;
     statistics.skipped.insert("no eye of the walk volume can select the point".into(), unused);
-    let Solved { plans, left, lists, max_triangles } = timed(statistics, "solve", || match ctx.scheme {
+    let Solved { plans, left, lists, max_triangles, groups } = timed(statistics, "solve", || match ctx.scheme {
         Scheme::Paper => solve_points(ctx, lattice, &used),
         Scheme::Cells => solve_groups(ctx, &used),
     })?;
@@ -203,7 +206,7 @@ fn finish(
             bands,
         })
         .collect();
-    Ok(Refined { points, plans, left, max_triangles })
+    Ok(Refined { points, plans, left, max_triangles, groups })
 }
 
 /// All points solved.
@@ -214,6 +217,7 @@ struct Solved {
     /// Per point.
     lists: Vec<Lists>,
     max_triangles: u64,
+    groups: Vec<Vec<Member>>,
 }
 
 /// The error for a point that cannot be served.
@@ -280,6 +284,7 @@ fn solve_groups(ctx: &Context, used: &[(usize, PointUses)]) -> Result<Solved, Ve
         lists(ctx.directions.bands(), |unit| placement.filter(|_| m.units.binary_search(&unit).is_ok()))
     };
     out.lists = members.iter().zip(&placement_of).map(lists_of).collect();
+    out.groups = groups.iter().map(|(of, _)| of.iter().map(|m| members[*m as usize].clone()).collect()).collect();
     Ok(out)
 }
 

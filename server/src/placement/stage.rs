@@ -6,13 +6,19 @@ use super::{
     cells::Cells,
     eye_tree::EyeTree,
     lattice::Lattice,
+    near_box::{Fit, Member},
     point::Context,
     refine::{Refined, refine, timed},
+    search::{Found, Search, search},
     subset::CostBenefit,
     walk::walk_volume,
 };
 use crate::{octree::Octree, scene::Scene};
-use ldi_protocol::index::{AngularRange, BuildSettings, GridPoint};
+use ldi_protocol::{
+    index::{AngularRange, BuildSettings, GridPoint},
+    volume::WalkVolume,
+};
+use rayon::prelude::*;
 
 /// Smallest field of view: below it the paper's star-shapes do not hold and the inflated grid need not cover all eyes.
 const SMALLEST_FOV_DEG: f64 = 54.0;
@@ -36,13 +42,7 @@ pub fn plan_placements(
     settings: &BuildSettings,
     parameters: &Parameters,
 ) -> Result<PlacementResult, PlacementError> {
-    check(settings)?;
-    let mut statistics = PlacementStatistics::default();
-    let bounds = scene.bounds();
-    let (volume, skipped) =
-        timed(&mut statistics, "walk volume", || walk_volume(scene, &bounds, settings.eye_height_m))?;
-    statistics.skipped.extend(skipped);
-    let total: u64 = octree.cells.iter().map(|c| u64::from(c.triangles)).sum();
+    let Ground { volume, total, mut statistics } = Ground::of(scene, octree, settings)?;
     if total <= settings.budget {
         statistics.nothing_to_do = Some(format!(
             "the whole scene has {total} triangles, within the budget of {} from everywhere",
@@ -52,10 +52,97 @@ pub fn plan_placements(
         statistics.max_triangles = total;
         return Ok(PlacementResult { points: vec![], plans: vec![], pitch_bands_deg: vec![], volume, statistics });
     }
+    refined(scene, octree, settings, parameters, &volume, &mut statistics, |ctx, refined, statistics| {
+        result(ctx, refined, volume.clone(), statistics)
+    })
+}
+
+/// A group of view cells of a plan, and what the ways to search for its box found.
+#[derive(Debug, Clone, serde::Serialize)]
+pub struct SearchCase {
+    /// View cells.
+    pub members: usize,
+    /// In the order of the ways that were asked for: what each found, and seconds.
+    pub found: Vec<(Search, Found, f64)>,
+}
+
+/// How to compare ways to search.
+#[derive(Debug, Clone)]
+pub struct SearchComparison<'a> {
+    /// The ways.
+    pub searches: &'a [Search],
+    /// Most groups, those of the fewest view cells first.
+    pub cases: usize,
+    /// A step of a search is so many of a plan's.
+    pub steps: u32,
+    /// Most boxes that a search may try.
+    pub most: usize,
+}
+
+/// Searches for the boxes of a plan's groups in several ways.
+///
+/// # Errors
+/// As [`plan_placements`]. A scene within its budget has no groups.
+pub fn compare_searches(
+    scene: &Scene,
+    octree: &Octree,
+    settings: &BuildSettings,
+    comparison: &SearchComparison,
+) -> Result<Vec<SearchCase>, PlacementError> {
+    let Ground { volume, total, mut statistics } = Ground::of(scene, octree, settings)?;
+    if total <= settings.budget {
+        return Ok(Vec::new());
+    }
+    refined(scene, octree, settings, &Parameters::default(), &volume, &mut statistics, |ctx, refined, _| {
+        let mut groups = refined.groups;
+        groups.sort_by_key(Vec::len);
+        groups.truncate(comparison.cases);
+        let case = |group: &Vec<Member>| {
+            let members: Vec<&Member> = group.iter().collect();
+            let fit = Fit::new(ctx, &members, 0.0);
+            let one = |by: &Search| {
+                let start = std::time::Instant::now();
+                search(&fit, *by, comparison.steps, comparison.most).map(|f| (*by, f, start.elapsed().as_secs_f64()))
+            };
+            SearchCase { members: group.len(), found: comparison.searches.iter().filter_map(one).collect() }
+        };
+        groups.par_iter().with_max_len(1).map(case).collect()
+    })
+}
+
+/// Where eyes can be, and how much there is to draw.
+struct Ground {
+    volume: WalkVolume,
+    total: u64,
+    statistics: PlacementStatistics,
+}
+
+impl Ground {
+    fn of(scene: &Scene, octree: &Octree, settings: &BuildSettings) -> Result<Self, PlacementError> {
+        check(settings)?;
+        let mut statistics = PlacementStatistics::default();
+        let (volume, skipped) =
+            timed(&mut statistics, "walk volume", || walk_volume(scene, &scene.bounds(), settings.eye_height_m))?;
+        statistics.skipped.extend(skipped);
+        Ok(Self { volume, total: octree.cells.iter().map(|c| u64::from(c.triangles)).sum(), statistics })
+    }
+}
+
+/// Refines the grid of a scene that exceeds its budget, and hands it on.
+fn refined<T>(
+    scene: &Scene,
+    octree: &Octree,
+    settings: &BuildSettings,
+    parameters: &Parameters,
+    volume: &WalkVolume,
+    statistics: &mut PlacementStatistics,
+    then: impl FnOnce(&Context, Refined, PlacementStatistics) -> T,
+) -> Result<T, PlacementError> {
     let cells =
         Cells::new(octree.cells.iter().map(|c| c.bounds).collect(), octree.cells.iter().map(|c| c.triangles).collect());
     let directions = Directions::new(settings.pitch_deg);
-    let tree = timed(&mut statistics, "walk volume", || EyeTree::new(&volume));
+    let tree = timed(statistics, "walk volume", || EyeTree::new(volume));
+    let bounds = scene.bounds();
     let mut ctx = Context::new(&cells, &directions, settings, bounds.size().max_element(), parameters.cost_benefit);
     ctx.eyes = Some(&tree);
     // The grid spans the model and every eye: walkers on a roof stand above the model's box.
@@ -66,8 +153,8 @@ pub fn plan_placements(
     for level in 0..=super::lattice::DEEPEST {
         statistics.paper_radius_m.insert(level, lattice.paper_radius(level));
     }
-    let refined = refine(&ctx, &tree, &directions, lattice, &mut statistics)?;
-    Ok(result(&ctx, refined, volume, statistics))
+    let refined = refine(&ctx, &tree, &directions, lattice, statistics)?;
+    Ok(then(&ctx, refined, std::mem::take(statistics)))
 }
 
 /// Refuses settings outside their ranges.
@@ -86,12 +173,7 @@ fn check(s: &BuildSettings) -> Result<(), PlacementError> {
 }
 
 /// Points, plans and figures from the refined grid.
-fn result(
-    ctx: &Context,
-    refined: Refined,
-    volume: ldi_protocol::volume::WalkVolume,
-    mut statistics: PlacementStatistics,
-) -> PlacementResult {
+fn result(ctx: &Context, refined: Refined, volume: WalkVolume, mut statistics: PlacementStatistics) -> PlacementResult {
     let mut points = Vec::new();
     for p in &refined.points {
         let range = |&(yaw_start_deg, placement): &(f64, Option<u32>)| AngularRange { yaw_start_deg, placement };

@@ -2,3 +2,4 @@
 
 pub mod placement;
 pub mod placement_page;
+pub mod searches;

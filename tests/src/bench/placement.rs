@@ -49,7 +49,7 @@ pub struct Row {
     pub points: usize,
     /// Placements; with view cells each is a near box of up to six faces, with the paper's grid a single image.
     pub placements: usize,
-    /// Images: faces in tiles of at most 3 million pixels.
+    /// Images as planned: faces. When they are made they are cut into tiles around what eyes see.
     pub images: usize,
     /// Their pixels, millions; what no eye sees of them is not made.
     pub megapixels: f64,
@@ -94,22 +94,7 @@ pub fn run(sweep: &Sweep, progress: &dyn Progress, mut done: impl FnMut(&Row)) -
                     budget,
                     ..Row::default()
                 };
-                let options = BuildOptions {
-                    scene: scene.clone(),
-                    output: PathBuf::new(),
-                    colour: ColourMode::LOSSLESS,
-                    settings: BuildSettings {
-                        budget,
-                        optimize_budget: 0,
-                        camera: OutputCamera { width: sweep.size.0, height: sweep.size.1, fov_deg: 60.0 },
-                        max_footprint_px: 2.0,
-                        pitch_deg: sweep.pitch_deg,
-                        density: 1.0,
-                        colour: "lossless".into(),
-                        grid: grid.clone(),
-                        eye_height_m: Some(walk.as_ref().and_then(|w| w.eye_height_m).unwrap_or(1.6)),
-                    },
-                };
+                let options = options(scene, budget, grid, sweep.size, sweep.pitch_deg, walk.as_ref());
                 match build::draft(&options, progress) {
                     Ok(draft) => fill(&mut row, &draft, walk.as_ref(), sweep.audit),
                     Err(BuildError::Placement(e @ PlacementError::Infeasible { .. })) => {
@@ -123,6 +108,43 @@ pub fn run(sweep: &Sweep, progress: &dyn Progress, mut done: impl FnMut(&Row)) -
         }
     }
     Ok(rows)
+}
+
+/// A build of which only the plan counts.
+fn options(
+    scene: &str,
+    budget: u64,
+    grid: &str,
+    (width, height): (u32, u32),
+    pitch_deg: f64,
+    walk: Option<&Walk>,
+) -> BuildOptions {
+    BuildOptions {
+        scene: scene.into(),
+        output: PathBuf::new(),
+        colour: ColourMode::LOSSLESS,
+        settings: BuildSettings {
+            budget,
+            optimize_budget: 0,
+            camera: OutputCamera { width, height, fov_deg: 60.0 },
+            max_footprint_px: 2.0,
+            pitch_deg,
+            density: 1.0,
+            colour: "lossless".into(),
+            grid: grid.into(),
+            eye_height_m: Some(walk.and_then(|w| w.eye_height_m).unwrap_or(1.6)),
+        },
+    }
+}
+
+/// Options of a plan with view cells at a share of a scene's triangles, 1280x720, free look of 60 degrees.
+///
+/// # Errors
+/// A scene or path that cannot be read.
+pub fn usual_options(scene: &str, budget_percent: f64) -> Result<BuildOptions> {
+    let triangles = ldi_server::scene::load(scene)?.triangles();
+    let budget = ((triangles as f64 * budget_percent / 100.0).round() as u64).max(1);
+    Ok(options(scene, budget, "cells", (1280, 720), 60.0, path_beside(scene)?.as_ref()))
 }
 
 /// Poses and eye height of a path file.

@@ -77,7 +77,7 @@ pub fn page(sweep: &Sweep, rows: &[Row], plots: &[(String, String)], command: &s
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
          <title>Image placement against budget</title><style>{STYLE}</style><main><h1>Image placement against budget</h1>\
          <p class=\"lead\">Plans for {} x {} pictures of 60 degrees, free look of {} degrees up and down, footprint at most 2 px. Each plan is audited over {} random and {} \
-         adversarial poses. An image is a face of a near box in tiles of at most 3 million pixels, or with --grid paper one quadrilateral; parts that no eye sees are not made.</p>",
+         adversarial poses. An image is a face of a near box, or with --grid paper one quadrilateral, as planned; when it is made, parts that no eye sees are left out and the rest is cut into tiles of at most 4 million pixels.</p>",
         sweep.size.0, sweep.size.1, sweep.pitch_deg, sweep.audit.random, sweep.audit.adversarial
     );
     h.push_str("<h2>Plans</h2><table><tr>");

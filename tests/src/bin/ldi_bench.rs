@@ -5,7 +5,7 @@ use clap::{Parser, Subcommand};
 use ldi_server::cli::size;
 use ldi_server::placement::AuditSize;
 use ldi_tests::args::percent;
-use ldi_tests::bench::{placement, placement_page};
+use ldi_tests::bench::{placement, placement_page, searches};
 use std::path::{Path, PathBuf};
 
 /// Measures the methods over scenes and settings; leaves tables (CSV, JSON), plots (SVG) and a page (HTML).
@@ -24,6 +24,11 @@ Examples:
   ldi-bench placement clinic.glb -o out/placement
   ldi-bench placement builtin:plant?triangles=2000000 --budgets 12.5,25 --size 512x384 --pitch 0 --grids cells,paper -o out/plant")]
     Placement(PlacementArgs),
+    /// Ways to search for near boxes, against trying every box: gap to the best, boxes tried, time.
+    #[command(after_help = "\
+Examples:
+  ldi-bench searches clinic.glb --budget 10 -o out/searches")]
+    Searches(SearchesArgs),
     /// Every method and setting, speed against error (not there yet).
     SpeedError(Later),
     /// Hard numerical cases (not there yet).
@@ -61,9 +66,26 @@ struct PlacementArgs {
     poses: u64,
 }
 
+#[derive(Debug, clap::Args)]
+struct SearchesArgs {
+    /// Scenes, as for `ldi-server build`.
+    #[arg(required = true)]
+    scenes: Vec<String>,
+    /// Folder for what is left.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Geometry budget, percent of the scene's triangles.
+    #[arg(long, default_value = "10", value_parser = percent)]
+    budget: f64,
+    /// Most groups of view cells of each scene, those of the fewest first.
+    #[arg(long, default_value_t = 24)]
+    cases: usize,
+}
+
 fn main() -> Result<()> {
     match Cli::parse().command {
         Command::Placement(a) => placement(a),
+        Command::Searches(a) => searches(a),
         Command::SpeedError(Later { .. }) => bail!("ldi-bench speed-error is not there yet"),
         Command::Numerics(Later { .. }) => bail!("ldi-bench numerics is not there yet"),
     }
@@ -104,6 +126,20 @@ fn placement(a: PlacementArgs) -> Result<()> {
     }
     write(&a.output.join("index.html"), &placement_page::page(&sweep, &rows, &plots, &command))?;
     println!("look at {}", a.output.join("index.html").display());
+    Ok(())
+}
+
+fn searches(a: SearchesArgs) -> Result<()> {
+    std::fs::create_dir_all(&a.output).with_context(|| format!("cannot make {}", a.output.display()))?;
+    let (mut rows, mut cases) = (Vec::new(), Vec::new());
+    for scene in &a.scenes {
+        eprintln!("{scene}");
+        let (of_scene, each) = searches::run(scene, a.budget, a.cases)?;
+        rows.extend(of_scene);
+        cases.push((scene, each));
+    }
+    write(&a.output.join("searches.json"), &serde_json::to_string_pretty(&(&rows, &cases))?)?;
+    print!("{}", searches::table(&rows));
     Ok(())
 }
 

@@ -1,0 +1,113 @@
+//! Which members share a near box.
+//!
+//! In: members. Out: groups of them, each with its box. Fewer, larger groups have fewer images; their boxes must stand farther off, and hold less of
+//! what is near in detail, until one box cannot keep the budget.
+
+use super::{
+    near_box::{Member, NearBox, fit},
+    point::{Context, TooNear},
+};
+use glam::DVec3;
+use ldi_protocol::Aabb;
+use rayon::prelude::*;
+
+/// Groups members: top-down, a group that one box serves stays together unless two boxes are cheaper, and others are halved; then groups beside each other
+/// are joined where one box is cheaper than two.
+///
+/// Returns the groups, as positions in `members`, each with its box, in a fixed order. Err: a member that no box serves.
+pub(super) fn group(ctx: &Context, members: &[Member]) -> Result<Vec<(Vec<u32>, NearBox)>, (u32, TooNear)> {
+    let all: Vec<u32> = (0..members.len() as u32).filter(|m| !members[*m as usize].units.is_empty()).collect();
+    if all.is_empty() {
+        return Ok(Vec::new());
+    }
+    Ok(join(ctx, members, divide(ctx, members, all, None)?))
+}
+
+/// Eyes of groups that are joined lie at most this far apart, as a share of their extents. By judgement.
+const CLOSE: f64 = 0.25;
+
+/// A group: positions of its members, its box, and the box around its eyes.
+type Group = (Vec<u32>, NearBox, Aabb);
+
+/// Two groups that one box serves for less.
+struct Joint {
+    groups: [usize; 2],
+    joined: Group,
+    saved: f64,
+}
+
+/// Joins neighbouring groups, always the two whose one box saves the most, as long as any does: halving cuts in the middle, wherever the scene would have it.
+fn join(ctx: &Context, members: &[Member], groups: Vec<(Vec<u32>, NearBox)>) -> Vec<(Vec<u32>, NearBox)> {
+    let eyes_of = |of: &[u32]| of.iter().fold(Aabb::EMPTY, |b, m| b.union(members[*m as usize].eyes));
+    let mut groups: Vec<Option<Group>> = groups
+        .into_iter()
+        .map(|(of, near)| (eyes_of(&of), of, near))
+        .map(|(e, of, near)| Some((of, near, e)))
+        .collect();
+    let close = |a: &Aabb, b: &Aabb| a.inflated(a.size().max(b.size()).max_element() * CLOSE).intersects(b);
+    let joint = |groups: &[Option<Group>], i: usize, j: usize| {
+        let (a, b) = (groups[i].as_ref()?, groups[j].as_ref()?);
+        if !close(&a.2, &b.2) {
+            return None;
+        }
+        let of: Vec<u32> = a.0.iter().chain(&b.0).copied().collect();
+        let near = fit_of(ctx, members, &of).ok()?;
+        let saved = a.1.cost + b.1.cost - near.cost;
+        (saved > 0.0).then(|| Joint { groups: [i, j], joined: (of, near, a.2.union(b.2)), saved })
+    };
+    let pairs: Vec<(usize, usize)> = (0..groups.len()).flat_map(|j| (0..j).map(move |i| (i, j))).collect();
+    let mut found: Vec<Joint> = pairs.into_par_iter().filter_map(|(i, j)| joint(&groups, i, j)).collect();
+    // Of equals the first: they stay in the order of their groups.
+    while let Some(best) = (0..found.len()).rev().max_by(|a, b| found[*a].saved.total_cmp(&found[*b].saved)) {
+        let Joint { groups: [i, j], joined, .. } = found.swap_remove(best);
+        (groups[i], groups[j]) = (Some(joined), None);
+        found.retain(|f| f.groups.iter().all(|g| *g != i && *g != j));
+        let others: Vec<usize> = (0..groups.len()).filter(|k| *k != i).collect();
+        found.par_extend(others.into_par_iter().filter_map(|k| joint(&groups, i.min(k), i.max(k))));
+        found.sort_unstable_by_key(|f| f.groups);
+    }
+    groups.into_iter().flatten().map(|(of, near, _)| (of, near)).collect()
+}
+
+/// A split is made where it costs less than this share of the whole. By judgement: a placement is worth a little.
+const WORTH_SPLITTING: f64 = 0.95;
+
+type Grouped = Result<Vec<(Vec<u32>, NearBox)>, (u32, TooNear)>;
+
+fn fit_of(ctx: &Context, members: &[Member], of: &[u32]) -> Result<NearBox, TooNear> {
+    fit(ctx, &of.iter().map(|m| &members[*m as usize]).collect::<Vec<_>>())
+}
+
+fn divide(ctx: &Context, members: &[Member], of: Vec<u32>, known: Option<Result<NearBox, TooNear>>) -> Grouped {
+    let whole = known.unwrap_or_else(|| fit_of(ctx, members, &of));
+    if of.len() == 1 {
+        return whole.map(|b| vec![(of.clone(), b)]).map_err(|e| (of[0], e));
+    }
+    let (low, high) = halve(members, &of);
+    let (mut of_low, mut of_high) = (None, None);
+    if let Ok(whole) = whole {
+        let (a, b) = rayon::join(|| fit_of(ctx, members, &low), || fit_of(ctx, members, &high));
+        if !matches!((&a, &b), (Ok(a), Ok(b)) if a.cost + b.cost < whole.cost * WORTH_SPLITTING) {
+            return Ok(vec![(of, whole)]);
+        }
+        (of_low, of_high) = (Some(a), Some(b));
+    }
+    let (low, high) = rayon::join(|| divide(ctx, members, low, of_low), || divide(ctx, members, high, of_high));
+    let mut groups = low?;
+    groups.extend(high?);
+    Ok(groups)
+}
+
+/// Two halves along the longest axis of the members' middles; heights count double, as storeys see different things.
+fn halve(members: &[Member], of: &[u32]) -> (Vec<u32>, Vec<u32>) {
+    let middle = |m: u32| members[m as usize].eyes.centre() * DVec3::new(1.0, 2.0, 1.0);
+    let bounds = of.iter().fold(Aabb::EMPTY, |b, m| b.grown_to(middle(*m)));
+    let axis = bounds.size().max_position();
+    let cut = bounds.centre()[axis];
+    let (mut low, mut high): (Vec<u32>, Vec<u32>) = of.iter().partition(|m| middle(**m)[axis] < cut);
+    if low.is_empty() || high.is_empty() {
+        low = of.to_vec();
+        high = low.split_off(of.len() / 2);
+    }
+    (low, high)
+}
