@@ -295,6 +295,22 @@ fn the_placement_bench_walks_the_path_beside_a_scene_and_leaves_a_page() {
 }
 
 #[test]
+fn the_search_bench_compares_with_the_best_box() {
+    let out = folder("searches");
+    let mut c = run::command("ldi-bench").expect("built");
+    c.args(["searches", "builtin:house?triangles=20000", "--budget", "20", "--cases", "3", "-o"]).arg(&out);
+    run::run(c).expect("a table");
+    let all = json(&out.join("searches.json"));
+    let rows = all[0].as_array().expect("rows");
+    assert_eq!(rows.len(), 9);
+    for row in rows {
+        assert_eq!(row["cases"].as_u64().zip(row["left_out"].as_u64()).map(|(a, b)| a + b), Some(3), "{row}");
+        assert!(row["gap_mean_percent"].as_f64() >= Some(-1e-9), "nothing is better than the best: {row}");
+    }
+    assert_eq!((&rows[8]["search"], &rows[8]["best_found"]), (&"exhaustive".into(), &1.0.into()));
+}
+
+#[test]
 fn the_audit_counts_over_the_scene_and_tells_another_scene() {
     let f = fixture();
     let audit = |scene: &std::ffi::OsStr| {
