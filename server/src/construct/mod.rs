@@ -184,7 +184,18 @@ pub fn construct(
         images: Vec::new(),
     };
     for image in &plan.images {
-        out.images.push(construct_subset(&subset, survey.as_ref(), image, options)?);
+        let [left, right, bottom, top] = image.window;
+        if left >= right || bottom >= top {
+            // The replaced cells lie in the planning square but in nobody's picture.
+            out.images.push(Vec::new());
+            continue;
+        }
+        let start = Instant::now();
+        let tiles = construct_subset(&subset, survey.as_ref(), image, options)?;
+        // What was met is shared out among tiles.
+        let making: f64 = tiles.iter().flat_map(|t| t.stats.seconds).sum();
+        out.sight_seconds += start.elapsed().as_secs_f64() - making;
+        out.images.push(tiles);
     }
     Ok(out)
 }

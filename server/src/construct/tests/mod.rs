@@ -5,13 +5,15 @@ mod scenes;
 use super::{
     ConstructError, ConstructOptions, Constructed,
     central::central_image,
-    construct_subset,
+    construct, construct_subset,
     explain::{Coarse, State, states},
     sample::Tolerance,
     sight::{Face, Sight, Survey},
     view::{Reach, Rig, View},
 };
-use crate::placement::{Gaze, ImagePlan};
+use crate::octree::{Clusters, Octree};
+use crate::placement::{Gaze, ImagePlan, PlacementPlan};
+use crate::render::Caster;
 use glam::DVec3;
 use ldi_protocol::{
     Aabb, ViewBasis,
@@ -379,6 +381,30 @@ fn an_image_that_nobody_sees_is_empty_and_costs_little() {
     let survey = survey(&scene, &eyes).expect("there are eyes");
     let made = construct_subset(&scene, Some(&survey), &plan, &options()).expect("sound");
     assert!(made.is_empty() && survey.rays > 0);
+}
+
+/// As the paper's grid may plan it: what is replaced lies in the planning square, but in nobody's picture.
+#[test]
+fn an_image_without_a_window_is_left_out_and_the_others_are_made() {
+    let scene = std::sync::Arc::new(crate::scene::load("builtin:pipes?triangles=2000").expect("built in"));
+    let clusters = Clusters::build(&scene);
+    let octree = Octree::build(&scene, &clusters, 500);
+    let caster = Caster::new(std::sync::Arc::clone(&scene), &clusters, &octree).with_mips();
+    let middle = scene.bounds().centre();
+    let image = ImagePlan { cop: middle, users: Aabb { min: middle, max: middle }, ..plan(0.5, [0.0; 3]) };
+    let placement = PlacementPlan {
+        grid_point: 0,
+        cop: middle,
+        culled: (0..octree.cells.len() as u32).collect(),
+        users: image.users,
+        eyes: vec![middle],
+        gaze: Gaze::everywhere(OUTPUT.focal_px()),
+        footprint_px: 2.0,
+        images: vec![ImagePlan { window: [0.3, 0.3, -0.1, 0.1], ..image.clone() }, image],
+    };
+    let made = construct(&caster, &placement, &options()).expect("sound");
+    assert!(made.images[0].is_empty() && made.sight_rays > 0);
+    assert!(made.images[1].iter().any(|t| t.ldi.samples() > 0));
 }
 
 #[test]
