@@ -158,7 +158,7 @@ pub struct ImageEntry {
     /// Distance from the centre of projection to the plane along `basis.forward`, metres. No sample lies nearer.
     pub plane_distance: f64,
     /// Tangents of the window that it stands for: left, right (along `basis.right`), bottom, top (along `basis.up`). The LDI may be smaller: it
-    /// is cut to what eyes see.
+    /// is cut to what eyes see. Windows of one placement may overlap: what lies beyond several planes is in one of the images.
     pub window: [f64; 4],
     /// 99th percentile of the stretch along surface tangents over samples and sampled eyes, output pixels; NaN if unknown.
     pub stretch_p99_px: f64,
