@@ -212,25 +212,23 @@ pub fn construct_subset<C: SubsetCaster>(
 ) -> Result<Vec<Constructed>, ConstructError> {
     let whole = Rig::new(plan, &options.output)?;
     let Some(survey) = survey else {
-        let made = tile(caster, whole, None, plan, options)?;
-        return Ok(made.map(|made| Constructed { window: plan.window, ..made }).into_iter().collect());
+        return Ok(tile(caster, whole, None, plan.window, plan, options)?.into_iter().collect());
     };
     let face = Face::of(survey, plan, &whole);
     let mut out = Vec::new();
     for Tile { share, window } in face.tiles(&whole) {
-        let rig = Rig { window, ..whole.clone() };
-        if let Some(made) = tile(caster, rig, Some(&face), plan, options)? {
-            out.push(Constructed { window: share.tangents_within(&whole.window, plan), ..made });
-        }
+        let share = share.tangents_within(&whole.window, plan);
+        out.extend(tile(caster, Rig { window, ..whole.clone() }, Some(&face), share, plan, options)?);
     }
     Ok(out)
 }
 
-/// Makes the image of a rig's window; None: nobody sees anything of it.
+/// Makes the image of a rig's window, which stands for a `share` of the plan's; None: nobody sees anything of it.
 fn tile<C: SubsetCaster>(
     caster: &C,
     mut rig: Rig,
     face: Option<&Face>,
+    share: [f64; 4],
     plan: &ImagePlan,
     options: &ConstructOptions,
 ) -> Result<Option<Constructed>, ConstructError> {
@@ -299,7 +297,7 @@ fn tile<C: SubsetCaster>(
         [(after_central - started).as_secs_f64(), construction, recast_seconds, after_merge.elapsed().as_secs_f64()];
     let ldi = Ldi { camera: rig.ldi_camera(), codes, layers, sky };
     debug_assert_eq!(ldi.check(), Ok(()));
-    Ok(Some(Constructed { window: plan.window, ldi, stats }))
+    Ok(Some(Constructed { window: share, ldi, stats }))
 }
 
 /// One construction image: what its rays met, and (rays, pixels).

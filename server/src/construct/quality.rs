@@ -92,7 +92,9 @@ fn sizes_of(
         let dv = (project(u, v + H, d + gv * H)? - project(u, v - H, d - gv * H)?) / (2.0 * H);
         Some(largest_singular_value(du, dv))
     };
-    Some((spread(0.0, 0.0)?, spread(f64::from(s.gradient[0]), f64::from(s.gradient[1]))?))
+    let sizes = (spread(0.0, 0.0)?, spread(f64::from(s.gradient[0]), f64::from(s.gradient[1]))?);
+    // A difference across a surface's horizon measures nothing, and would not survive being kept as JSON.
+    (sizes.0.is_finite() && sizes.1.is_finite()).then_some(sizes)
 }
 
 /// Of the matrix with these columns.

@@ -373,16 +373,9 @@ fn looked_at<'a>(window: &Window, seen: impl Iterator<Item = &'a Glimpse>) -> Lo
 
 /// The smallest window around what is looked at; None if nothing is.
 fn cropped(looked: Looked, window: &Window) -> Option<(Looked, Window)> {
-    let columns = looked.columns;
-    let (mut c, mut r) = ([usize::MAX, 0], [usize::MAX, 0]);
-    for at in (0..looked.blocks.len()).filter(|at| looked.blocks[*at]) {
-        c = [c[0].min(at % columns), c[1].max(at % columns + 1)];
-        r = [r[0].min(at / columns), r[1].max(at / columns + 1)];
-    }
-    if c[0] >= c[1] {
-        return None;
-    }
-    let blocks =
-        (r[0]..r[1]).flat_map(|row| &looked.blocks[row * columns + c[0]..row * columns + c[1]]).copied().collect();
-    Some((Looked { blocks, columns: c[1] - c[0] }, part(window, c, r, BLOCK)))
+    let Looked { blocks, columns } = looked;
+    let (c, r) = Sums::new(&blocks, columns).tight(0..columns, 0..blocks.len() / columns)?;
+    let window = part(window, [c.start, c.end], [r.start, r.end], BLOCK);
+    let blocks = r.flat_map(|row| &blocks[row * columns..][c.clone()]).copied().collect();
+    Some((Looked { blocks, columns: c.len() }, window))
 }

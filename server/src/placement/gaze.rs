@@ -61,24 +61,24 @@ impl Gaze {
     }
 
     /// Rows of squares of all faces.
-    pub fn rows(&self) -> usize {
+    fn rows(&self) -> usize {
         FACES.len() * self.side
     }
 
     /// Squares of a row.
-    pub fn columns(&self) -> usize {
+    fn columns(&self) -> usize {
         self.side
     }
 
     /// Whether some picture holds some of a square; row-major.
     #[inline]
-    pub fn looked(&self, square: usize) -> bool {
+    fn looked(&self, square: usize) -> bool {
         self.looked[square / 64] >> (square % 64) & 1 == 1
     }
 
     /// The unit vector through a place in a square, both coordinates from 0 to 1.
     #[inline]
-    pub fn direction(&self, square: usize, at: [f64; 2]) -> DVec3 {
+    fn direction(&self, square: usize, at: [f64; 2]) -> DVec3 {
         self.on_cube(square, at).normalize()
     }
 

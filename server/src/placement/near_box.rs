@@ -134,7 +134,7 @@ pub(super) struct Fit<'a> {
 pub(super) fn feasible(ctx: &Context, member: &Member, extra_m: f64) -> Result<(), TooNear> {
     let members = [member];
     let fit = Fit::new(ctx, &members, extra_m);
-    fit.counts(&fit.near(&fit.smallest())).map(|_| ())
+    fit.counts(&fit.near(&fit.smallest()), ctx.budget).map(|_| ())
 }
 
 /// Fits a box to a group of members. Err: some direction stays above the budget even with the smallest box.
@@ -142,7 +142,7 @@ pub(super) fn fit(ctx: &Context, members: &[&Member]) -> Result<NearBox, TooNear
     let fit = Fit::new(ctx, members, 0.0);
     let smallest = fit.smallest();
     let mut near = fit.near(&smallest);
-    let mut counts = fit.counts(&near)?;
+    let mut counts = fit.counts(&near, ctx.budget)?;
     let mut distance = smallest;
     let mut images = fit.images(&distance, &near);
     let mut cost = fit.cost(&images);
@@ -211,15 +211,14 @@ impl<'a> Fit<'a> {
         let distance = std::array::from_fn(|f| smallest[f] * steps[f]);
         let near = self.near(&distance);
         let largest = if steps.iter().all(|s| *s == 1.0) { self.ctx.budget } else { self.ctx.optimize_budget };
-        let looks = self.members.iter().flat_map(|m| m.units.iter().map(|u| Look::new(self.ctx, m.eyes, *u)));
-        Counts::new(self.ctx, looks, &near, largest).ok()?;
+        self.counts(&near, largest).ok()?;
         Some(self.cost(&self.images(&distance, &near)))
     }
 
-    /// What stays of `near` in every look of every member.
-    fn counts(&self, near: &CellMask) -> Result<Counts, TooNear> {
+    /// What stays of `near` in every look of every member. Err: a look that exceeds `limit`.
+    fn counts(&self, near: &CellMask, limit: u64) -> Result<Counts, TooNear> {
         let looks = self.members.iter().flat_map(|m| m.units.iter().map(|u| Look::new(self.ctx, m.eyes, *u)));
-        Counts::new(self.ctx, looks, near, self.ctx.budget)
+        Counts::new(self.ctx, looks, near, limit)
     }
 
     /// The cells that touch the box.

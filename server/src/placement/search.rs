@@ -121,7 +121,7 @@ impl Boxes<'_> {
 
     fn beam(&mut self, first: (State, f64), width: usize) -> f64 {
         let (mut front, mut best) = (vec![first], first.1);
-        // Costs may stay the same for some moves before they fall.
+        // Costs may stay the same for some moves before they fall: four steps of 1.25^3 take a face 15 times farther.
         let mut idle = 0;
         while !front.is_empty() && idle < 4 {
             let nexts: BTreeSet<State> = front.iter().flat_map(|(s, _)| self.next(s)).collect();
