@@ -308,6 +308,15 @@ fn the_search_bench_compares_with_the_best_box() {
         assert!(row["gap_mean_percent"].as_f64() >= Some(-1e-9), "nothing is better than the best: {row}");
     }
     assert_eq!((&rows[8]["search"], &rows[8]["best_found"]), (&"exhaustive".into(), &1.0.into()));
+    let sets = all[2][0][1].as_array().expect("sets of view cells");
+    assert!(!sets.is_empty());
+    for set in sets {
+        let [apart, halved, joined, best] =
+            ["apart", "halved", "joined", "best"].map(|way| set[way].as_f64().expect("cost"));
+        // Sums in another order.
+        let at_most = |a: f64, b: f64| a <= b * (1.0 + 1e-9);
+        assert!(best > 0.0 && at_most(best, joined) && at_most(joined, halved) && at_most(best, apart), "{set}");
+    }
 }
 
 #[test]

@@ -23,8 +23,8 @@ use crate::construct::ConstructError;
 use crate::octree::{Clusters, Octree, RecountError};
 use crate::pack::{self, PackError};
 use crate::placement::{
-    self, AuditReport, AuditSize, ImagePlan, PlacementError, PlacementResult, PlacementStatistics, SearchCase,
-    SearchComparison,
+    self, AuditReport, AuditSize, Groupings, ImagePlan, PlacementError, PlacementResult, PlacementStatistics,
+    SearchCase, SearchComparison,
 };
 use crate::render::Caster;
 use crate::scene::{self, Note, Scene, SceneError};
@@ -60,12 +60,15 @@ pub trait Progress: Sync {
     fn stage(&self, name: &str, steps: u64);
     /// Steps are done.
     fn advance(&self, steps: u64);
+    /// How far a stage is whose steps are not known.
+    fn note(&self, what: &str);
 }
 
 /// Nobody listens.
 impl Progress for () {
     fn stage(&self, _: &str, _: u64) {}
     fn advance(&self, _: u64) {}
+    fn note(&self, _: &str) {}
 }
 
 /// Why a dataset could not be built.
@@ -139,7 +142,9 @@ struct Planned {
 fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> Result<Planned, BuildError> {
     let (scene, clusters, octree, settings) = read(options, clock, progress)?;
     progress.stage("grid and placement", 0);
-    let plan = placement::plan_placements(&scene, &octree, &settings, &placement::Parameters::default())?;
+    let plan = placement::plan_placements(&scene, &octree, &settings, &placement::Parameters::default(), &|what| {
+        progress.note(what);
+    })?;
     clock.lap("placement");
     Ok(Planned { scene, clusters, octree, settings, plan })
 }
@@ -148,7 +153,10 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
 ///
 /// # Errors
 /// As [`build`].
-pub fn compare_searches(options: &BuildOptions, comparison: &SearchComparison) -> Result<Vec<SearchCase>, BuildError> {
+pub fn compare_searches(
+    options: &BuildOptions,
+    comparison: &SearchComparison,
+) -> Result<(Vec<SearchCase>, Vec<Groupings>), BuildError> {
     let (scene, _, octree, settings) = read(options, &mut Clock::default(), &())?;
     Ok(placement::compare_searches(&scene, &octree, &settings, comparison)?)
 }

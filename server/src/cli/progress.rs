@@ -82,6 +82,17 @@ impl Progress for Stderr {
         });
     }
 
+    fn note(&self, what: &str) {
+        self.with(|s| {
+            if let Some(bar) = &s.bar {
+                bar.set_message(format!("{}: {what}", s.name));
+            } else if s.said.elapsed() >= PLAIN_INTERVAL {
+                s.said = Instant::now();
+                eprintln!("{}: {what}", s.name);
+            }
+        });
+    }
+
     fn advance(&self, steps: u64) {
         self.with(|s| {
             s.done += steps;

@@ -33,9 +33,9 @@ pub enum PlacementError {
         /// Eye height.
         eye_height_m: f64,
     },
-    /// No image can bring some view within the budget although the grid is as fine as allowed.
+    /// No image can bring some view within the budget, however fine the grid.
     #[error(
-        "budget {budget}: near ({x:.2}, {y:.2}, {z:.2}), yaw {yaw_deg:.0}, pitch {pitch_deg:.0}, at grid level {level} (spacing {spacing_m:.2} m), {needed} triangles lie too near to be replaced by an image; use --budget {needed} or more, a larger --max-footprint, or a larger --density",
+        "budget {budget}: near ({x:.2}, {y:.2}, {z:.2}), yaw {yaw_deg:.0}, pitch {pitch_deg:.0}, {needed} triangles lie too near to be replaced by an image, however fine the grid; use --budget {needed} or more, a larger --max-footprint, or a larger --density",
         x = position.x, y = position.y, z = position.z
     )]
     Infeasible {
@@ -43,16 +43,12 @@ pub enum PlacementError {
         budget: u64,
         /// Smallest budget that would do there.
         needed: u64,
-        /// Grid point.
+        /// Eye or grid point.
         position: DVec3,
         /// Direction.
         yaw_deg: f64,
         /// Direction.
         pitch_deg: f64,
-        /// Level reached.
-        level: u8,
-        /// Spacing there.
-        spacing_m: f64,
     },
     /// The grid does not cover an eye.
     #[error("no grid point behind the eye at ({x:.3}, {y:.3}, {z:.3}), yaw {yaw_deg:.1}, pitch {pitch_deg:.1}; this is a fault of the grid: please report the scene", x = position.x, y = position.y, z = position.z)]

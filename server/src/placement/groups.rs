@@ -98,6 +98,46 @@ fn divide(ctx: &Context, members: &[Member], of: Vec<u32>, known: Option<Result<
     Ok(groups)
 }
 
+/// What ways to group the same view cells cost, in samples to expect.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Groupings {
+    /// View cells.
+    pub members: usize,
+    /// Each by itself.
+    pub apart: f64,
+    /// Halved as long as that is cheaper.
+    pub halved: f64,
+    /// Halved, then joined: the way in use.
+    pub joined: f64,
+    /// The best of all partitions.
+    pub best: f64,
+}
+
+/// Compares ways to group some members, by trying every partition; for few of them, as their subsets are fitted one by one. None: some member has no box.
+pub(super) fn compare(ctx: &Context, members: &[Member]) -> Option<Groupings> {
+    let n = members.len();
+    let every: Vec<u32> = (1..1 << n).collect();
+    let subset = |s: u32| (0..n as u32).filter(|m| s >> m & 1 == 1).collect::<Vec<u32>>();
+    let cost = |s: &u32| fit_of(ctx, members, &subset(*s)).map_or(f64::INFINITY, |b| b.cost);
+    let whole: Vec<f64> = std::iter::once(0.0).chain(every.par_iter().map(cost).collect::<Vec<_>>()).collect();
+    let mut best = vec![0.0; whole.len()];
+    for s in 1..whole.len() {
+        // The group of its first member, and the best of all others.
+        let first = s & s.wrapping_neg();
+        let with_first = (1..=s).filter(|t| t & !s == 0 && t & first != 0);
+        best[s] = with_first.map(|t| whole[t] + best[s & !t]).fold(f64::INFINITY, f64::min);
+    }
+    let sum = |groups: &[(Vec<u32>, NearBox)]| groups.iter().map(|g| g.1.cost).sum::<f64>();
+    let halved = divide(ctx, members, (0..n as u32).collect(), None).ok()?;
+    Some(Groupings {
+        members: n,
+        apart: (0..n).map(|m| whole[1 << m]).sum(),
+        halved: sum(&halved),
+        joined: sum(&join(ctx, members, halved)),
+        best: *best.last()?,
+    })
+}
+
 /// Two halves along the longest axis of the members' middles; heights count double, as storeys see different things.
 fn halve(members: &[Member], of: &[u32]) -> (Vec<u32>, Vec<u32>) {
     let middle = |m: u32| members[m as usize].eyes.centre() * DVec3::new(1.0, 2.0, 1.0);

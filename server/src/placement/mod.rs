@@ -55,6 +55,7 @@ mod walk;
 pub use audit::{Adversary, AuditReport, AuditSize, AuditedPose, PlanRow, Tally, audit, plan_row};
 pub use error::PlacementError;
 pub use gaze::Gaze;
+pub use groups::Groupings;
 pub use model::{DirectionRange, ImagePlan, PlacementPlan, PlacementResult, PlacementStatistics};
 pub use search::{Found, Search};
 pub use stage::{Parameters, SearchCase, SearchComparison, compare_searches, plan_placements};

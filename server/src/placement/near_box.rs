@@ -137,6 +137,18 @@ pub(super) fn feasible(ctx: &Context, member: &Member, extra_m: f64) -> Result<(
     fit.counts(&fit.near(&fit.smallest()), ctx.budget).map(|_| ())
 }
 
+/// The smallest budget that would serve all eyes of `member`; None if what there is does.
+pub(super) fn needed(ctx: &Context, member: &Member) -> Option<TooNear> {
+    let members = [member];
+    let fit = Fit::new(ctx, &members, 0.0);
+    let near = fit.near(&fit.smallest());
+    let mut worst = None;
+    while let Err(more) = fit.counts(&near, worst.map_or(ctx.budget, |w: TooNear| w.needed)) {
+        worst = Some(more);
+    }
+    worst
+}
+
 /// Fits a box to a group of members. Err: some direction stays above the budget even with the smallest box.
 pub(super) fn fit(ctx: &Context, members: &[&Member]) -> Result<NearBox, TooNear> {
     let fit = Fit::new(ctx, members, 0.0);

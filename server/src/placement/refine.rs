@@ -13,12 +13,13 @@ use super::{
     hull::EyeHull,
     lattice::Lattice,
     model::{PlacementPlan, PlacementStatistics},
-    near_box::{Member, feasible},
+    near_box::{Member, feasible, needed},
     nearest::nearest,
     plan::{plan, plan_box},
     point::{Context, Scheme, Solution, TooNear, solve},
 };
 use glam::DVec3;
+use ldi_protocol::Aabb;
 use rayon::prelude::*;
 use std::time::Instant;
 
@@ -50,14 +51,18 @@ pub(super) struct RefinedPoint {
 /// Blocks of the volume that the certificate treats as one, metres: about half a typical grid spacing of a building.
 const BLOCK_M: f64 = 4.0;
 
-/// Refines `lattice` until every point in use is solved.
+/// Refines `lattice` until every point in use is solved; `heard` is told of every round.
 pub(super) fn refine(
     ctx: &Context,
     tree: &EyeTree,
     directions: &Directions,
     mut lattice: Lattice,
     statistics: &mut PlacementStatistics,
+    heard: &dyn Fn(&str),
 ) -> Result<Refined, PlacementError> {
+    if let (Scheme::Cells, Some((eye, too_near))) = (ctx.scheme, hardest_eye(ctx, tree)) {
+        return Err(infeasible(ctx, eye, too_near));
+    }
     let mut cover = Cover::new(ctx, tree, directions);
     let mut solved: Vec<bool> = Vec::new();
     loop {
@@ -94,6 +99,7 @@ pub(super) fn refine(
             seconds = ?statistics.seconds,
             "grid refinement"
         );
+        heard(&format!("round {}: {} cells, {} to subdivide", statistics.rounds, positions.len(), failed.len()));
         if failed.is_empty() {
             match finish(ctx, &lattice, uses, statistics) {
                 Ok(refined) => {
@@ -118,7 +124,7 @@ pub(super) fn refine(
             };
             let too_fine = spacing_m < FINEST_SPACING_M || lattice.points.len() > most;
             if too_fine || !lattice.subdivide(i as u32, graded) {
-                return Err(infeasible(ctx, &lattice, i, too_near));
+                return Err(infeasible(ctx, lattice.position(i), too_near));
             }
         }
     }
@@ -220,18 +226,36 @@ struct Solved {
     groups: Vec<Vec<Member>>,
 }
 
-/// The error for a point that cannot be served.
-fn infeasible(ctx: &Context, lattice: &Lattice, point: usize, too_near: TooNear) -> PlacementError {
-    let level = lattice.points[point].level;
+/// The error for a place that cannot be served.
+fn infeasible(ctx: &Context, position: DVec3, too_near: TooNear) -> PlacementError {
     PlacementError::Infeasible {
         budget: ctx.budget,
         needed: too_near.needed,
-        position: lattice.position(point),
+        position,
         yaw_deg: too_near.direction_deg[0],
         pitch_deg: too_near.direction_deg[1],
-        level,
-        spacing_m: lattice.spacing_of(level),
     }
+}
+
+/// Eyes that are asked before any grid is made whether the budget can be met: enough for budgets that are wrong by a factor of ten, in a second.
+const PROBES: usize = 64;
+/// They stand in boxes of eyes of about this size, metres.
+const PROBED_M: f64 = 1.0;
+
+/// A quick proof that the budget cannot be met: of some eyes, spread over all, the one with the most triangles too near for an image that serves it alone,
+/// if they are more than the budget. A view cell that holds the eye needs as many or more.
+fn hardest_eye(ctx: &Context, tree: &EyeTree) -> Option<(DVec3, TooNear)> {
+    let blocks = tree.blocks(PROBED_M);
+    let every = blocks.len().div_ceil(PROBES).max(1);
+    let probes: Vec<u32> = blocks.into_iter().step_by(every).collect();
+    let needs = |block: &u32| {
+        let eye = tree.closest(tree.nodes[*block as usize].bounds.centre())?;
+        let mut hull = EyeHull::EMPTY;
+        hull.add(&Aabb { min: eye, max: eye });
+        Some((eye, needed(ctx, &Member::new(ctx, hull, false))?))
+    };
+    let found: Vec<(DVec3, TooNear)> = probes.par_iter().filter_map(needs).collect();
+    found.into_iter().rev().max_by_key(|f| f.1.needed)
 }
 
 /// Solves every point for itself.
@@ -321,7 +345,7 @@ pub(super) fn timed<T>(statistics: &mut PlacementStatistics, step: &str, f: impl
 #[cfg(test)]
 mod tests {
     use crate::octree::{Clusters, Octree};
-    use crate::placement::{Parameters, plan_placements, test_scenes};
+    use crate::placement::{Parameters, PlacementError, plan_placements, test_scenes};
     use ldi_protocol::index::BuildSettings;
 
     #[test]
@@ -332,8 +356,29 @@ mod tests {
         let settings = BuildSettings { pitch_deg: 0.0, grid: "paper".into(), ..test_scenes::settings(budget) };
         let clusters = Clusters::build(&scene);
         let octree = Octree::build(&scene, &clusters, budget);
-        let result = plan_placements(&scene, &octree, &settings, &Parameters::default()).unwrap();
+        let result = plan_placements(&scene, &octree, &settings, &Parameters::default(), &|_| ()).unwrap();
         assert!(result.statistics.coverage_certified && !result.plans.is_empty());
         assert!(result.statistics.max_triangles <= budget);
+    }
+
+    #[test]
+    fn budgets_far_too_small_are_refused_before_any_grid_is_made() {
+        let scene = crate::scene::load("builtin:church?triangles=20000").unwrap();
+        let refused = |budget: u64| {
+            let clusters = Clusters::build(&scene);
+            let octree = Octree::build(&scene, &clusters, 1_000);
+            let settings = test_scenes::settings(budget);
+            let no_grid = |what: &str| panic!("{what}");
+            match plan_placements(&scene, &octree, &settings, &Parameters::default(), &no_grid) {
+                Err(PlacementError::Infeasible { budget: given, needed, .. }) => {
+                    assert!(given == budget && needed > budget, "{needed} for {budget}");
+                    needed
+                }
+                other => panic!("{other:?}"),
+            }
+        };
+        let needed = refused(10);
+        // The least that would do does not depend on how far the budget is off.
+        assert_eq!(refused(needed - 1), needed);
     }
 }

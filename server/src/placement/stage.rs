@@ -5,6 +5,7 @@ use super::{
     bands::Directions,
     cells::Cells,
     eye_tree::EyeTree,
+    groups::{self, Groupings},
     lattice::Lattice,
     near_box::{Fit, Member},
     point::Context,
@@ -35,12 +36,13 @@ pub struct Parameters {
 /// Plans all images of a scene.
 ///
 /// The scene's bounds must be finite; cells come from its octree. Deterministic: the same input gives the same result whatever
-/// the number of threads. Errors: settings out of range, no eye position, or a budget that no image can meet somewhere.
+/// the number of threads. `heard` is told, in a few words, how far it is. Errors: settings out of range, no eye position, or a budget that no image can meet somewhere.
 pub fn plan_placements(
     scene: &Scene,
     octree: &Octree,
     settings: &BuildSettings,
     parameters: &Parameters,
+    heard: &dyn Fn(&str),
 ) -> Result<PlacementResult, PlacementError> {
     let Ground { volume, total, mut statistics } = Ground::of(scene, octree, settings)?;
     if total <= settings.budget {
@@ -52,7 +54,7 @@ pub fn plan_placements(
         statistics.max_triangles = total;
         return Ok(PlacementResult { points: vec![], plans: vec![], pitch_bands_deg: vec![], volume, statistics });
     }
-    refined(scene, octree, settings, parameters, &volume, &mut statistics, |ctx, refined, statistics| {
+    refined(scene, octree, settings, parameters, &volume, (&mut statistics, heard), |ctx, refined, statistics| {
         result(ctx, refined, volume.clone(), statistics)
     })
 }
@@ -77,9 +79,11 @@ pub struct SearchComparison<'a> {
     pub steps: u32,
     /// Most boxes that a search may try.
     pub most: usize,
+    /// View cells, close to each other, of which all partitions into groups are tried.
+    pub together: usize,
 }
 
-/// Searches for the boxes of a plan's groups in several ways.
+/// Searches for the boxes of a plan's groups in several ways, and groups some of its view cells in several ways.
 ///
 /// # Errors
 /// As [`plan_placements`]. A scene within its budget has no groups.
@@ -88,13 +92,26 @@ pub fn compare_searches(
     octree: &Octree,
     settings: &BuildSettings,
     comparison: &SearchComparison,
-) -> Result<Vec<SearchCase>, PlacementError> {
+) -> Result<(Vec<SearchCase>, Vec<Groupings>), PlacementError> {
     let Ground { volume, total, mut statistics } = Ground::of(scene, octree, settings)?;
     if total <= settings.budget {
-        return Ok(Vec::new());
+        return Ok(Default::default());
     }
-    refined(scene, octree, settings, &Parameters::default(), &volume, &mut statistics, |ctx, refined, _| {
+    refined(scene, octree, settings, &Parameters::default(), &volume, (&mut statistics, &|_| ()), |ctx, refined, _| {
         let mut groups = refined.groups;
+        let members: Vec<&Member> = groups.iter().flatten().filter(|m| !m.units.is_empty()).collect();
+        // The neighbours of view cells that are spread over the plan.
+        let middle = |m: &Member| m.eyes.centre();
+        let every = members.len().div_ceil(comparison.cases.max(1)).max(1);
+        let around = |first: &&Member| {
+            let mut near = members.clone();
+            near.sort_by(|a, b| {
+                let distance = |m: &Member| middle(m).distance_squared(middle(first));
+                distance(a).total_cmp(&distance(b))
+            });
+            groups::compare(ctx, &near.into_iter().take(comparison.together).cloned().collect::<Vec<_>>())
+        };
+        let groupings = members.iter().step_by(every).filter_map(around).collect();
         groups.sort_by_key(Vec::len);
         groups.truncate(comparison.cases);
         let case = |group: &Vec<Member>| {
@@ -106,7 +123,7 @@ pub fn compare_searches(
             };
             SearchCase { members: group.len(), found: comparison.searches.iter().filter_map(one).collect() }
         };
-        groups.par_iter().with_max_len(1).map(case).collect()
+        (groups.par_iter().with_max_len(1).map(case).collect(), groupings)
     })
 }
 
@@ -135,7 +152,7 @@ fn refined<T>(
     settings: &BuildSettings,
     parameters: &Parameters,
     volume: &WalkVolume,
-    statistics: &mut PlacementStatistics,
+    (statistics, heard): (&mut PlacementStatistics, &dyn Fn(&str)),
     then: impl FnOnce(&Context, Refined, PlacementStatistics) -> T,
 ) -> Result<T, PlacementError> {
     let cells =
@@ -153,7 +170,7 @@ fn refined<T>(
     for level in 0..=super::lattice::DEEPEST {
         statistics.paper_radius_m.insert(level, lattice.paper_radius(level));
     }
-    let refined = refine(&ctx, &tree, &directions, lattice, statistics)?;
+    let refined = refine(&ctx, &tree, &directions, lattice, statistics, heard)?;
     Ok(then(&ctx, refined, std::mem::take(statistics)))
 }
 

@@ -1,13 +1,13 @@
 //! How far from the best are the near boxes that plans use? Ways to search, on the groups of real plans.
 //!
-//! In: scenes, a budget. Out: per way the gap to the best box, the boxes that it tried, the time. The best is what trying every box gives; groups in
+//! And how far are its groups of view cells? In: scenes, a budget. Out: per way the gap to the best box, the boxes that it tried, the time. The best is what trying every box gives; groups in
 //! which that takes too long are left out and counted.
 
 use super::placement::usual_options;
 use anyhow::{Context as _, Result};
 use ldi_server::{
     build,
-    placement::{Search, SearchCase, SearchComparison},
+    placement::{Groupings, Search, SearchCase, SearchComparison},
 };
 use serde::Serialize;
 
@@ -53,10 +53,10 @@ pub struct Row {
 ///
 /// # Errors
 /// A scene that cannot be read, a budget that cannot be met.
-pub fn run(scene: &str, budget_percent: f64, cases: usize) -> Result<(Vec<Row>, Vec<SearchCase>)> {
+pub fn run(scene: &str, budget_percent: f64, cases: usize) -> Result<(Vec<Row>, Vec<SearchCase>, Vec<Groupings>)> {
     let options = usual_options(scene, budget_percent)?;
-    let comparison = SearchComparison { searches: &SEARCHES, cases, steps: 3, most: 20_000 };
-    let all =
+    let comparison = SearchComparison { searches: &SEARCHES, cases, steps: 3, most: 20_000, together: 6 };
+    let (all, groupings) =
         build::compare_searches(&options, &comparison).with_context(|| format!("{scene} at {budget_percent}%"))?;
     let (whole, left_out): (Vec<SearchCase>, Vec<SearchCase>) =
         all.into_iter().partition(|c| c.found.last().is_some_and(|f| f.0 == Search::Exhaustive && f.1.complete));
@@ -78,7 +78,22 @@ pub fn run(scene: &str, budget_percent: f64, cases: usize) -> Result<(Vec<Row>, 
         }
     });
     let rows = rows.collect();
-    Ok((rows, [whole, left_out].concat()))
+    Ok((rows, [whole, left_out].concat(), groupings))
+}
+
+/// How much dearer than the best partition ways to group are, for people.
+pub fn grouping_table(scene: &str, groupings: &[Groupings]) -> String {
+    let mut out = format!("{scene}: {} sets of view cells; dearer than the best partition:\n", groupings.len());
+    let ways: [(&str, fn(&Groupings) -> f64); 3] =
+        [("each by itself", |g| g.apart), ("halved", |g| g.halved), ("halved, then joined", |g| g.joined)];
+    for (name, cost) in ways {
+        let gaps: Vec<f64> = groupings.iter().map(|g| (cost(g) / g.best - 1.0) * 100.0).collect();
+        let found = gaps.iter().filter(|g| **g < 1e-6).count() as f64 / gaps.len().max(1) as f64;
+        let mean = gaps.iter().sum::<f64>() / gaps.len().max(1) as f64;
+        let worst = gaps.iter().copied().fold(0.0, f64::max);
+        out += &format!("{name:22} best found {:4.0}%  gap mean {mean:7.2}%  worst {worst:7.2}%\n", 100.0 * found);
+    }
+    out
 }
 
 fn gap_percent(case: &SearchCase, way: usize) -> f64 {

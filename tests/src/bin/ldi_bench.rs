@@ -131,15 +131,17 @@ fn placement(a: PlacementArgs) -> Result<()> {
 
 fn searches(a: SearchesArgs) -> Result<()> {
     std::fs::create_dir_all(&a.output).with_context(|| format!("cannot make {}", a.output.display()))?;
-    let (mut rows, mut cases) = (Vec::new(), Vec::new());
+    let (mut rows, mut cases, mut groupings) = (Vec::new(), Vec::new(), Vec::new());
     for scene in &a.scenes {
         eprintln!("{scene}");
-        let (of_scene, each) = searches::run(scene, a.budget, a.cases)?;
+        let (of_scene, each, sets) = searches::run(scene, a.budget, a.cases)?;
         rows.extend(of_scene);
         cases.push((scene, each));
+        groupings.push((scene, sets));
     }
-    write(&a.output.join("searches.json"), &serde_json::to_string_pretty(&(&rows, &cases))?)?;
+    write(&a.output.join("searches.json"), &serde_json::to_string_pretty(&(&rows, &cases, &groupings))?)?;
     print!("{}", searches::table(&rows));
+    groupings.iter().for_each(|(scene, sets)| print!("{}", searches::grouping_table(scene, sets)));
     Ok(())
 }
 
