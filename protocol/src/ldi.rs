@@ -104,6 +104,22 @@ pub struct LdiLayer {
     pub rgb: Vec<[u8; 3]>,
     /// [`LINK_RIGHT`] and [`LINK_DOWN`]: the neighbour in this layer continues the same surface.
     pub links: Vec<u8>,
+    /// How far the surface goes on beyond the sample's centre where no link leads on: [`END_BITS`] for each of [`SIDES`], in units of 1 / [`END_PARTS`] pixel,
+    /// at most [`END_PARTS`]; 0 where it is linked.
+    pub ends: Vec<u16>,
+}
+
+/// Sides of a sample, in the order of [`LdiLayer::ends`] from the lowest bits: left, right, up, down.
+pub const SIDES: [[i32; 2]; 4] = [[-1, 0], [1, 0], [0, -1], [0, 1]];
+/// Bits of an end.
+pub const END_BITS: usize = 4;
+/// Ends are told in this part of a pixel.
+pub const END_PARTS: u16 = 4;
+
+/// The end of a sample on a side.
+#[inline]
+pub fn end_of(ends: u16, side: usize) -> u16 {
+    ends >> (side * END_BITS) & ((1 << END_BITS) - 1)
 }
 
 /// The sample in the next column of the same row and layer exists and continues this surface.
@@ -116,10 +132,71 @@ impl LdiLayer {
     pub fn len(&self) -> usize {
         self.disparity.len()
     }
+    /// Per sample, a bit for each of [`SIDES`] on which it is linked. The layer's segments must be sound.
+    pub fn linked_sides(&self) -> Vec<u8> {
+        let mut out = vec![0; self.len()];
+        let places = self.segments.iter().flat_map(|s| {
+            let samples = s.first as usize..s.first as usize + usize::from(s.count);
+            samples.map(|i| (u32::from(s.row), u32::from(s.column_base) + u32::from(self.column[i])))
+        });
+        let places: Vec<(u32, u32)> = places.collect();
+        let mut below = 0;
+        for (i, (row, column)) in places.iter().enumerate() {
+            if self.links[i] & LINK_RIGHT != 0 && places.get(i + 1) == Some(&(*row, column + 1)) {
+                out[i] |= 2;
+                out[i + 1] |= 1;
+            }
+            below += places[below..].iter().take_while(|p| **p < (row + 1, *column)).count();
+            if self.links[i] & LINK_DOWN != 0 && places.get(below) == Some(&(row + 1, *column)) {
+                out[i] |= 8;
+                out[below] |= 4;
+            }
+        }
+        out
+    }
+
+    /// The layer with surfaces that end at the borders of their last pixels.
+    pub fn with_half_ends(mut self) -> Self {
+        let half =
+            |linked: u8| (0..4).filter(|side| linked >> side & 1 == 0).map(|s| (END_PARTS / 2) << (s * END_BITS)).sum();
+        self.ends = self.linked_sides().into_iter().map(half).collect();
+        self
+    }
+
     /// Whether the layer has no sample.
     pub fn is_empty(&self) -> bool {
         self.disparity.is_empty()
     }
+}
+
+/// A plane quadrilateral of one colour: a surface that the centre of projection sees so nearly edge-on, or so narrow, that its pixels cannot hold
+/// what eyes beside it see.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sliver {
+    /// Corners a, b (across from a), e (below a) and f (below b), as some eye sees them.
+    pub corners: [SliverCorner; 4],
+    /// sRGB.
+    pub rgb: [u8; 3],
+}
+
+/// A corner of a [`Sliver`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SliverCorner {
+    /// Column of the image, in units of 1 / [`Sliver::PARTS`]; at most [`Sliver::MARGIN`] columns outside.
+    pub u: i32,
+    /// Row, likewise.
+    pub v: i32,
+    /// Disparity code, 1 and up.
+    pub disparity: u16,
+}
+
+impl Sliver {
+    /// Parts of a pixel that corners are rounded to.
+    pub const PARTS: i32 = 16;
+    /// Pixels that a corner may lie outside of the image.
+    pub const MARGIN: i32 = 256;
+    /// Most slivers of an image.
+    pub const MOST: usize = 1 << 18;
 }
 
 /// A layered depth image. Layer 0 holds the nearest samples as seen from the centre of projection; in a
@@ -137,6 +214,8 @@ pub struct Ldi {
     /// One bit per pixel, rows padded to whole u64 words ([`Ldi::sky_words_per_row`]): from some eye that may
     /// use the image, nothing of the culled subset covers this direction.
     pub sky: Vec<u64>,
+    /// What the layers' pixels are too coarse for. Comes with the deeper layers.
+    pub slivers: Vec<Sliver>,
 }
 
 impl Ldi {

@@ -189,7 +189,7 @@ fn noise_image(side: u32) -> Ldi {
         l.disparity = vec![code; n];
         l.rgb = (0..n).map(|_| [noise(), noise(), noise()]).collect();
         l.links = vec![0; n];
-        l
+        l.with_half_ends()
     };
     let layers = vec![layer(side, 200), layer(1, 100)];
     let camera = LdiCamera {
@@ -202,7 +202,8 @@ fn noise_image(side: u32) -> Ldi {
         height: side,
     };
     let sky = vec![0; side as usize * (side as usize).div_ceil(64)];
-    Ldi { camera, codes: DisparityCodes { smallest: 0.001, step: 0.001, largest_code: 300 }, layers, sky }
+    let codes = DisparityCodes { smallest: 0.001, step: 0.001, largest_code: 300 };
+    Ldi { camera, codes, layers, sky, slivers: vec![] }
 }
 
 fn at(cell: u32) -> DAffine3 {

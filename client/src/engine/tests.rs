@@ -128,12 +128,15 @@ fn scene() -> MemoryFeed {
         links: (0..48 * 48)
             .map(|i| if i % 48 < 47 { LINK_RIGHT } else { 0 } | if i / 48 < 47 { LINK_DOWN } else { 0 })
             .collect(),
-    };
+        ends: vec![],
+    }
+    .with_half_ends();
     let ldi = Ldi {
         camera,
         codes: DisparityCodes { smallest: 0.1, step: 0.001, largest_code: 2 },
         layers: vec![layer],
         sky: vec![0; 48],
+        slivers: vec![],
     };
     memory.ldis.insert(0, Arc::new(ldi));
     index.chunks.push(ChunkEntry { hash: ChunkHash([9; 32]), stored_bytes: 1, decoded_bytes: 1, kind: ChunkKind::Ldi });

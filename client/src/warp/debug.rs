@@ -40,6 +40,9 @@ pub fn coloured_by_links(ldi: &Ldi) -> Ldi {
     recoloured(ldi, |_, s| [code(s.links & LINK_RIGHT == 0), code(s.links & LINK_DOWN == 0), 40])
 }
 
+/// The colour of slivers in all views.
+const SLIVERS: [u8; 3] = [204, 121, 167];
+
 /// A sample as the colouring sees it; image coordinates of its centre.
 struct Seen {
     u: f64,
@@ -50,6 +53,7 @@ struct Seen {
 
 fn recoloured(ldi: &Ldi, colour: impl Fn(usize, &Seen) -> [u8; 3]) -> Ldi {
     let mut out = ldi.clone();
+    out.slivers.iter_mut().for_each(|s| s.rgb = SLIVERS);
     for (number, layer) in out.layers.iter_mut().enumerate() {
         for segment in &layer.segments {
             let first = segment.first as usize;

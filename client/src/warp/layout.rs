@@ -2,8 +2,8 @@
 //!
 //! In: one layer of an [`Ldi`] and a row of tiles. Out: their [`Part`].
 //!
-//! **Micro-quads without cracks and without growth.** A sample is a cell of 1 x 1 LDI pixel around its centre; a layer
-//! covers exactly the union of its samples' cells. Look at the square between four neighbouring centres
+//! **Micro-quads without cracks and without growth.** A sample is a cell around its centre: half a pixel toward linked neighbours, as far as its surface goes
+//! elsewhere; a layer covers exactly the union of its samples' cells. Look at the square between four neighbouring centres
 //!
 //! ```text
 //!     a --- b      each quarter of the square belongs to the nearest centre; all four linked: one quad a b e f,
@@ -15,15 +15,12 @@
 //! (interpolated along the pair), single samples a quarter. A side that a linked pair spans is the straight line
 //! between the two centres in the squares on both its sides, so it cannot open. Where a sample has no linked
 //! neighbour, its cell continues on the plane given by the opposite link (planes are linear in disparity), or frontal
-//! without one, half a pixel outward: a surface ends at the pixel's border and not at the centre, and surfaces that
-//! meet across layers meet there. [`OVERLAP`] is added outward so that rounding and curvature do not open such seams.
+//! without one, as far as the image says that the surface goes on. [`OVERLAP`] is added outward so that rounding and curvature do not open seams
+//! between surfaces that meet.
 
-use super::{
-    lanes::LANES,
-    prepared::{OVERLAP, PADDING, Part, Pieces, Run, TILE_COLUMNS, TILE_ROWS, Tile},
-};
+use super::prepared::{OVERLAP, PADDING, Part, Pieces, Run, TILE_COLUMNS, TILE_ROWS, Tile};
 use crate::frame::{pack_rgb, unpack_rgb};
-use ldi_protocol::ldi::{LINK_DOWN, LINK_RIGHT, Ldi};
+use ldi_protocol::ldi::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, Sliver, SliverCorner, end_of};
 use std::ops::Range;
 
 /// A corner of a piece, relative to the row of tiles' upper left.
@@ -37,6 +34,51 @@ pub struct Vertex {
     pub disparity: f32,
     /// Packed sRGB.
     pub colour: u32,
+}
+
+/// The slivers of an image: pieces, each in the tile that holds its first corner, in a part per row of tiles.
+pub fn slivers(ldi: &Ldi) -> Vec<Part> {
+    let tile_of = |s: &Sliver| {
+        let [c, ..] = s.corners;
+        let along = |x: i32, side: u32, tile: usize| (x / Sliver::PARTS).clamp(0, side as i32 - 1) as usize / tile;
+        (along(c.v, ldi.camera.height, TILE_ROWS), along(c.u, ldi.camera.width, TILE_COLUMNS))
+    };
+    let mut sorted: Vec<&Sliver> = ldi.slivers.iter().collect();
+    sorted.sort_by_key(|s| tile_of(s));
+    let mut parts: Vec<Part> = Vec::new();
+    for of_row in sorted.chunk_by(|a, b| tile_of(a).0 == tile_of(b).0) {
+        let mut part = Part { layer: ldi.layers.len(), ..Part::default() };
+        for of_tile in of_row.chunk_by(|a, b| tile_of(a) == tile_of(b)) {
+            let (row, column) = tile_of(of_tile[0]);
+            let mut tile = Tile::new(row * TILE_ROWS, column * TILE_COLUMNS, &mut part);
+            let on = |c: &SliverCorner| {
+                let place = |x: i32| x as f32 / Sliver::PARTS as f32;
+                let v = place(c.v);
+                (place(c.u), v - tile.row as f32, ldi.codes.disparity(c.disparity) as f32)
+            };
+            for s in of_tile {
+                let colour = pack_rgb(s.rgb);
+                part.pieces.push(s.corners.each_ref().map(on).map(|(u, v, disparity)| Vertex {
+                    u,
+                    v,
+                    disparity,
+                    colour,
+                }));
+            }
+            tile.finish(&mut part);
+            part.tiles.push(tile);
+        }
+        pad(&mut part);
+        parts.push(part);
+    }
+    parts
+}
+
+/// Elements past the end of a part's arrays.
+fn pad(part: &mut Part) {
+    part.column.resize(part.column.len() + PADDING, 0);
+    part.disparity.resize(part.disparity.len() + PADDING, 0.0);
+    part.colour.resize(part.colour.len() + PADDING, 0);
 }
 
 /// Mean of two colours in approximately linear light (the square of the sRGB code).
@@ -85,6 +127,8 @@ pub struct Builder {
     disparity: Vec<f32>,
     /// Packed colours, same layout.
     colour: Vec<u32>,
+    /// Where surfaces end, same layout.
+    ends: Vec<u16>,
     stride: usize,
     /// Samples in the window.
     samples: usize,
@@ -108,6 +152,7 @@ impl Builder {
             link: vec![0; stride * ROWS],
             disparity: vec![0.0; stride * ROWS],
             colour: vec![0; stride * ROWS],
+            ends: vec![0; stride * ROWS],
             stride,
             samples: 0,
             occupied: vec![false; width.div_ceil(TILE_COLUMNS)],
@@ -144,6 +189,7 @@ impl Builder {
             builder.link[at] = bits;
             builder.disparity[at] = ldi.codes.disparity(layer.disparity[i]) as f32;
             builder.colour[at] = pack_rgb(layer.rgb[i]);
+            builder.ends[at] = layer.ends[i];
         }
         builder
     }
@@ -172,7 +218,8 @@ impl Builder {
         if let Some(n) = self.neighbour(at, step, bit, side) {
             return (0.5 * side as f32, (self.disparity[n] - here) * 0.5, mean_colour(own, self.colour[n]));
         }
-        let extent = 0.5 + OVERLAP;
+        let number = 2 * usize::from(bit == LINK_DOWN) + usize::from(side > 0);
+        let extent = f32::from(end_of(self.ends[at], number)) / f32::from(END_PARTS) + OVERLAP;
         let slope = self.neighbour(at, step, bit, -side).map_or(0.0, |n| here - self.disparity[n]);
         (extent * side as f32, slope * extent, own)
     }
@@ -320,9 +367,7 @@ impl Builder {
             let column = tile * TILE_COLUMNS;
             self.tile(column, (width - column).min(TILE_COLUMNS + 1), &mut part);
         }
-        part.column.resize(part.column.len() + PADDING, 0);
-        part.disparity.resize(part.disparity.len() + PADDING, 0.0);
-        part.colour.resize(part.colour.len() + PADDING, 0);
+        pad(&mut part);
         part
     }
 
@@ -330,18 +375,7 @@ impl Builder {
     fn tile(&self, first_column: usize, columns: usize, part: &mut Part) {
         let first = part.column.len();
         let mut local = [[0u16; TILE_COLUMNS + 1]; TILE_ROWS + 1];
-        let mut tile = Tile {
-            column: first_column as u32,
-            row: self.first_row as u32,
-            first,
-            row_start: [0; TILE_ROWS + 2],
-            own: 0,
-            runs: part.runs.len()..0,
-            groups: part.pieces.begin()..0,
-            pieces: 0,
-            disparity: [f32::MAX, 0.0],
-            bounds: [f32::MAX, f32::MAX, f32::MIN, f32::MIN],
-        };
+        let mut tile = Tile::new(self.first_row, first_column, part);
         for (row, local) in local.iter_mut().enumerate() {
             tile.row_start[row] = (part.column.len() - first) as u16;
             let start = self.at(row as i32, first_column as i32);
@@ -410,17 +444,7 @@ impl Builder {
             }
             part.runs.extend(run.take());
         }
-        tile.runs.end = part.runs.len();
-        tile.groups.end = part.pieces.groups.len();
-        tile.pieces = part.pieces.count();
-        for i in 0..tile.pieces {
-            let (group, lane) = (&mut part.pieces.groups[tile.groups.start + i / LANES], i % LANES);
-            for corner in 0..4 {
-                let v = group.v[corner][lane] + self.first_row as f32;
-                tile.grow(group.u[corner][lane], v, group.disparity[corner][lane]);
-                group.u[corner][lane] -= first_column as f32;
-            }
-        }
+        tile.finish(part);
         if tile.own > 0 || !tile.runs.is_empty() || tile.pieces > 0 {
             part.tiles.push(tile);
         } else {

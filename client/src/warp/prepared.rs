@@ -10,7 +10,7 @@
 
 use super::{
     lanes::LANES,
-    layout::{Builder, Vertex},
+    layout::{Builder, Vertex, slivers},
 };
 use ldi_protocol::ldi::{Ldi, LdiCamera};
 use rayon::prelude::*;
@@ -110,14 +110,14 @@ pub struct Part {
 pub struct PreparedLdi {
     /// The image's camera.
     pub camera: LdiCamera,
-    /// Parts in order of layer, then row.
+    /// Parts in order of layer, then row; slivers last.
     pub parts: Vec<Part>,
     /// Samples in all.
     pub samples: usize,
 }
 
 impl PreparedLdi {
-    /// Lays out all layers that are there. Links to samples that do not exist are ignored.
+    /// Lays out all layers that are there, and the slivers. Links to samples that do not exist are ignored.
     pub fn new(ldi: &Ldi) -> Self {
         let rows_of_tiles = (ldi.camera.height as usize).div_ceil(TILE_ROWS);
         let jobs = ldi.layers.len() * rows_of_tiles;
@@ -125,6 +125,7 @@ impl PreparedLdi {
             .into_par_iter()
             .map(|job| Builder::new(ldi, job / rows_of_tiles, (job % rows_of_tiles) * TILE_ROWS).build())
             .filter(|part| !part.tiles.is_empty())
+            .chain(slivers(ldi))
             .collect();
         Self { camera: ldi.camera, parts, samples: ldi.samples() }
     }
@@ -167,6 +168,37 @@ impl Pieces {
 }
 
 impl Tile {
+    /// Begins a tile, whose upper left is (row, column), at what a part holds so far.
+    pub(super) fn new(row: usize, column: usize, part: &mut Part) -> Self {
+        Self {
+            column: column as u32,
+            row: row as u32,
+            first: part.column.len(),
+            row_start: [0; TILE_ROWS + 2],
+            own: 0,
+            runs: part.runs.len()..0,
+            groups: part.pieces.begin()..0,
+            pieces: 0,
+            disparity: [f32::MAX, 0.0],
+            bounds: [f32::MAX, f32::MAX, f32::MIN, f32::MIN],
+        }
+    }
+
+    /// Ends it: what the part has got since is its own, and its pieces' columns become relative to it.
+    pub(super) fn finish(&mut self, part: &mut Part) {
+        self.runs.end = part.runs.len();
+        self.groups.end = part.pieces.groups.len();
+        self.pieces = part.pieces.count();
+        for i in 0..self.pieces {
+            let (group, lane) = (&mut part.pieces.groups[self.groups.start + i / LANES], i % LANES);
+            for corner in 0..4 {
+                let v = group.v[corner][lane] + self.row as f32;
+                self.grow(group.u[corner][lane], v, group.disparity[corner][lane]);
+                group.u[corner][lane] -= self.column as f32;
+            }
+        }
+    }
+
     /// Extends the bounds by a corner of what is drawn.
     pub(super) fn grow(&mut self, u: f32, v: f32, disparity: f32) {
         let [u0, v0, u1, v1] = &mut self.bounds;

@@ -7,7 +7,7 @@ use super::{FarFrame, Stamp, WarpMatrix, Warped, prepared::OVERLAP, stamps::LARG
 use crate::frame::{pack_rgb, unpack_rgb};
 use ldi_protocol::{
     OutputCamera, Pose,
-    ldi::{LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer},
+    ldi::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, SIDES, Sliver, SliverCorner, end_of},
 };
 use std::collections::BTreeMap;
 
@@ -25,6 +25,19 @@ pub fn warp(ldi: &Ldi, pose: &Pose, camera: &OutputCamera, stamp: Stamp) -> FarF
             grid.samples.iter().for_each(|(at, s)| paint_stamp(&matrix, *at, s, stamp, &mut frame));
         }
     }
+    if stamp == Stamp::Quads {
+        for s in &ldi.slivers {
+            let rgb = s.rgb.map(f64::from);
+            let place = |x: i32| f64::from(x) / f64::from(Sliver::PARTS);
+            let corner = |c: &SliverCorner| Vertex {
+                u: place(c.u),
+                v: place(c.v),
+                disparity: ldi.codes.disparity(c.disparity),
+                rgb,
+            };
+            paint_quad(&matrix, s.corners.each_ref().map(corner), &mut frame);
+        }
+    }
     frame
 }
 
@@ -34,6 +47,7 @@ struct Sample {
     disparity: f64,
     colour: u32,
     links: u8,
+    ends: u16,
 }
 
 /// A layer as a map from (row, column) to samples.
@@ -90,6 +104,7 @@ impl Grid {
                     disparity: ldi.codes.disparity(layer.disparity[i]),
                     colour: pack_rgb(layer.rgb[i]),
                     links: layer.links[i],
+                    ends: layer.ends[i],
                 };
                 samples.insert((i64::from(segment.row), column), sample);
             }
@@ -119,7 +134,9 @@ impl Grid {
             let change = |i: usize| ((a[i] * a[i] + b[i] * b[i]) * 0.5).sqrt() - a[i];
             return (0.5 * sign, (other.disparity - here.disparity) * 0.5, std::array::from_fn(change));
         }
-        let extent = 0.5 + f64::from(OVERLAP);
+        let side =
+            SIDES.iter().position(|s| [i64::from(s[1]), i64::from(s[0])] == [step.0, step.1]).unwrap_or_default();
+        let extent = f64::from(end_of(here.ends, side)) / f64::from(END_PARTS) + f64::from(OVERLAP);
         let back = (-step.0, -step.1);
         let slope = if self.linked(at, back) { here.disparity - beside(back).disparity } else { 0.0 };
         (extent * sign, slope * extent, [0.0; 3])

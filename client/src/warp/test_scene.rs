@@ -128,10 +128,10 @@ impl Scene {
                         }
                     }
                 }
-                layer
+                layer.with_half_ends()
             })
             .collect();
-        Ldi { camera, codes, layers, sky }
+        Ldi { camera, codes, layers, sky, slivers: vec![] }
     }
 
     /// What an eye sees at the pixel centres: the nearest hits.

@@ -11,7 +11,7 @@ use crate::frame::{pack_rgb, unpack_rgb};
 use glam::DVec3;
 use ldi_protocol::{
     OutputCamera, Pose,
-    ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, Segment},
+    ldi::{DisparityCodes, END_BITS, END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, Segment, Sliver, SliverCorner},
 };
 
 const SCENES: [&str; 5] = ["frontal", "slanted", "sphere", "fence", "floor"];
@@ -138,10 +138,62 @@ fn fast_equals_reference() {
     }
 }
 
+/// The image with surfaces that end anywhere between pixels, and slivers before it.
+fn with_ends_and_slivers(mut ldi: Ldi) -> Ldi {
+    let mut state = 5u64;
+    let mut below = |n: u64| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) % n
+    };
+    for layer in &mut ldi.layers {
+        let sides = layer.linked_sides();
+        for (ends, linked) in layer.ends.iter_mut().zip(sides) {
+            let open = (0..4).filter(|side| linked >> side & 1 == 0);
+            *ends = open.map(|side| (below(u64::from(END_PARTS) + 1) as u16) << (side * END_BITS)).sum();
+        }
+    }
+    let (width, height) = (ldi.camera.width as i32 * Sliver::PARTS, ldi.camera.height as i32 * Sliver::PARTS);
+    for k in 0..60 {
+        // Edge-on: narrow, and near at one end and far at the other.
+        let (u, v) = (below(width as u64) as i32, below(height as u64) as i32);
+        let far = 1 + below(u64::from(ldi.codes.largest_code) / 2) as u16;
+        let near = far + below(u64::from(ldi.codes.largest_code / 3)) as u16;
+        let corner = |u: i32, v: i32, disparity: u16| SliverCorner { u, v, disparity };
+        let tall = 8 + below(800) as i32;
+        let corners =
+            [corner(u, v, far), corner(u + 9, v, near), corner(u, v + tall, far), corner(u + 9, v + tall, near)];
+        ldi.slivers.push(Sliver { corners, rgb: [200, k, 40] });
+    }
+    assert_eq!(ldi.check(), Ok(()));
+    ldi
+}
+
+#[test]
+fn ends_and_slivers_are_drawn_as_by_the_reference() {
+    let mut tried = 0;
+    for name in SCENES {
+        let plain = image(name);
+        // Where there is one disparity alone, slivers and surfaces would be equally near.
+        if plain.codes.disparity(plain.codes.largest_code) < 1.1 * plain.codes.smallest {
+            continue;
+        }
+        tried += 1;
+        let ldi = with_ends_and_slivers(plain.clone());
+        for p in &poses()[1..] {
+            let fast = render(&ldi, p, &WarpOptions::default()).0;
+            let d = compare(pixels(&fast), pixels(&reference::warp(&ldi, p, &CAMERA, Stamp::Quads)));
+            assert!((d.one_only + d.other_surface) * 500 <= d.pixels && d.mean < 0.05, "{name}: {d:?}");
+            let plain = compare(pixels(&fast), pixels(&render(&plain, p, &WarpOptions::default()).0));
+            assert!((plain.one_only + plain.other_surface) * 1000 > plain.pixels, "{name}: they show: {plain:?}");
+        }
+    }
+    assert!(tried > 2);
+}
+
 #[test]
 fn threads_kernels_and_culling_do_not_change_a_bit() {
     for name in ["fence", "floor"] {
-        let prepared = PreparedLdi::new(&image(name));
+        let prepared = PreparedLdi::new(&with_ends_and_slivers(image(name)));
         for p in &poses() {
             for stamp in [Stamp::OnePixel, Stamp::Footprint, Stamp::Quads] {
                 let run = |threads: usize, options: WarpOptions| {
@@ -201,8 +253,9 @@ fn small(samples: &[(u16, u8, u8)], disparity: f64) -> Ldi {
     Ldi {
         camera,
         codes: DisparityCodes { smallest: disparity, step: 1e-3, largest_code: 2 },
-        layers: vec![layer],
+        layers: vec![layer.with_half_ends()],
         sky: vec![0; 12],
+        slivers: vec![],
     }
 }
 

@@ -1,9 +1,9 @@
 //! LDI chunks: an [`Ldi`] to two chunks and back.
 //!
 //! The first chunk holds the camera, the disparity codes, the sky bits and layer 0, so that it alone is a useful picture;
-//! the second holds the deeper layers. Per chunk: occupancy ([`runs`](super::runs)), links and disparities
+//! the second holds the deeper layers and the [slivers](super::slivers). Per chunk: occupancy ([`runs`](super::runs)), links, ends and disparities
 //! ([`surface`](super::surface)), colours ([`colour`](super::colour)); each stream is a zstd section shared by the chunk's
-//! layers, since deep layers are small. Disparities and links are exact; colours as the [`ColourMode`] says.
+//! layers, since deep layers are small. Disparities, links and ends are exact; colours as the [`ColourMode`] says.
 
 use super::{
     CodecError, ColourMode,
@@ -11,16 +11,16 @@ use super::{
     colour,
     residual::{Decoder, Encoder},
     runs::{OccupancyWriter, read_occupancy, runs_of_layer, segments_of_runs},
-    surface,
+    slivers, surface,
 };
 use crate::{
     ViewBasis,
-    ldi::{DisparityCodes, Ldi, LdiCamera, LdiLayer},
+    ldi::{DisparityCodes, Ldi, LdiCamera, LdiLayer, SIDES},
 };
 use glam::DVec3;
 
 /// Version of both LDI chunks.
-pub const VERSION: u8 = 2;
+pub const VERSION: u8 = 3;
 /// Most samples in one chunk: bounds what a forged chunk can make a reader allocate, about 150 MB. An LDI of the largest
 /// planned kind (2560 x 1440 at density 2) has 15 million.
 pub const MAX_SAMPLES: usize = 1 << 24;
@@ -58,13 +58,13 @@ pub fn encode_first(ldi: &Ldi, mode: ColourMode, level: i32) -> Result<Vec<u8>, 
     Ok(w.bytes)
 }
 
-/// Encodes the layers behind layer 0; None when there are none. `level` is zstd's, 1 to 19.
+/// Encodes the layers behind layer 0, and the slivers; None when there are none of either. `level` is zstd's, 1 to 19.
 ///
 /// # Errors
 /// As [`encode_first`].
 pub fn encode_deeper(ldi: &Ldi, mode: ColourMode, level: i32) -> Result<Option<Vec<u8>>, CodecError> {
     let layers = ldi.layers.get(1..).unwrap_or_default();
-    if layers.is_empty() {
+    if layers.is_empty() && ldi.slivers.is_empty() {
         return Ok(None);
     }
     let mut w = Writer::new(level)?;
@@ -73,6 +73,7 @@ pub fn encode_deeper(ldi: &Ldi, mode: ColourMode, level: i32) -> Result<Option<V
     w.u32(ldi.camera.width);
     w.u32(ldi.camera.height);
     encode_layers(&mut w, ldi, layers, mode)?;
+    slivers::encode(&mut w, &ldi.slivers)?;
     Ok(Some(w.bytes))
 }
 
@@ -104,7 +105,7 @@ pub fn decode_first(bytes: &[u8]) -> Result<Ldi, CodecError> {
     let words = (camera.width as usize).div_ceil(64) * camera.height as usize;
     let sky = r.section_of("sky bits", words * 8)?;
     let sky = sky.as_chunks().0.iter().map(|b| u64::from_le_bytes(*b)).collect();
-    let mut ldi = Ldi { camera, codes, layers: Vec::new(), sky };
+    let mut ldi = Ldi { camera, codes, layers: Vec::new(), sky, slivers: Vec::new() };
     ldi.layers = decode_layers(&mut r, (camera.width, camera.height), 1)?;
     r.finish("LDI")?;
     check(&ldi)?;
@@ -122,23 +123,28 @@ pub fn decode_deeper(bytes: &[u8], ldi: &mut Ldi) -> Result<(), CodecError> {
     if (r.u32("width")?, r.u32("height")?) != (ldi.camera.width, ldi.camera.height) {
         return Err(CodecError::mismatch("width", "the deeper layers belong to another image"));
     }
-    if ldi.layers.len() != 1 {
+    if ldi.layers.len() != 1 || !ldi.slivers.is_empty() {
         return Err(CodecError::mismatch(
             "layers",
             format!("{} layers are there, not just the first", ldi.layers.len()),
         ));
     }
     let layers = decode_layers(&mut r, (ldi.camera.width, ldi.camera.height), Ldi::MAX_LAYERS - 1)?;
+    let slivers = slivers::decode(&mut r)?;
     r.finish("deeper LDI layers")?;
     ldi.layers.extend(layers);
-    check(ldi).inspect_err(|_| ldi.layers.truncate(1))
+    ldi.slivers = slivers;
+    check(ldi).inspect_err(|_| {
+        ldi.layers.truncate(1);
+        ldi.slivers.clear();
+    })
 }
 
 /// Bytes that an LDI takes in memory, for [`crate::index::ChunkEntry::decoded_bytes`]: of the first chunk's part, and of the rest.
 pub fn decoded_bytes(ldi: &Ldi) -> [usize; 2] {
-    let layer = |l: &LdiLayer| l.len() * (1 + 2 + 3 + 1) + size_of_val(&l.segments[..]);
+    let layer = |l: &LdiLayer| l.len() * (1 + 2 + 3 + 1 + 2) + size_of_val(&l.segments[..]);
     let first = ldi.sky.len() * 8 + size_of::<Ldi>() + ldi.layers.first().map_or(0, layer);
-    [first, ldi.layers.iter().skip(1).map(layer).sum()]
+    [first, ldi.layers.iter().skip(1).map(layer).sum::<usize>() + size_of_val(&ldi.slivers[..])]
 }
 
 /// The sizes that memory depends on; the rest is left to [`Ldi::check`].
@@ -174,17 +180,20 @@ fn encode_layers(w: &mut Writer, ldi: &Ldi, layers: &[LdiLayer], mode: ColourMod
     let walker = colour::Walker::new(mode);
     let mut occupancy = OccupancyWriter::default();
     let mut links = surface::LinkEncoder::default();
+    let mut ends = Encoder::new(surface::END_STREAMS);
     let mut disparities = Encoder::new(surface::STREAMS);
     let mut colours = Encoder::new(colour::STREAMS);
     for layer in layers {
         let runs = runs_of_layer(layer, width, height)?;
         occupancy.layer(&runs, height);
         let joined = surface::walk_links(&runs, width, &mut layer.links.clone(), &mut links);
+        surface::walk_ends(&runs, width, &joined, &layer.links, &mut layer.ends.clone(), &mut ends);
         surface::walk_disparity(&runs, width, &joined, &mut layer.disparity.clone(), &mut disparities);
         walker.walk(&runs, width, &mut layer.rgb.clone(), &mut colours);
     }
     occupancy.finish(w)?;
     links.finish(w)?;
+    ends.finish(w, "ends")?;
     disparities.finish(w, "disparities")?;
     colours.finish(w, "colours")
 }
@@ -203,19 +212,29 @@ fn decode_layers(r: &mut Reader<'_>, (width, height): (u32, u32), most: usize) -
     }
     let occupancy = read_occupancy(r, (width, height), &counts)?;
     let mut links = surface::LinkDecoder::new(r, total)?;
+    let mut ends = Decoder::of_at_most(r, "ends", surface::END_STREAMS, total * SIDES.len())?;
     let mut disparities = Decoder::new(r, "disparities", surface::STREAMS, total)?;
     let mut colours = Decoder::new(r, "colours", colour::STREAMS, total * 3)?;
     let walker = colour::Walker::new(mode);
     let mut out = Vec::with_capacity(layers);
     for (runs, &n) in occupancy.iter().zip(&counts) {
         let (segments, column) = segments_of_runs(runs, n);
-        let mut layer = LdiLayer { segments, column, disparity: vec![0; n], rgb: vec![[0; 3]; n], links: vec![0; n] };
+        let mut layer = LdiLayer {
+            segments,
+            column,
+            disparity: vec![0; n],
+            rgb: vec![[0; 3]; n],
+            links: vec![0; n],
+            ends: vec![0; n],
+        };
         let joined = surface::walk_links(runs, width, &mut layer.links, &mut links);
+        surface::walk_ends(runs, width, &joined, &layer.links, &mut layer.ends, &mut ends);
         surface::walk_disparity(runs, width, &joined, &mut layer.disparity, &mut disparities);
         walker.walk(runs, width, &mut layer.rgb, &mut colours);
         out.push(layer);
     }
     links.finish()?;
+    ends.finish("ends")?;
     disparities.finish("disparities")?;
     colours.finish("colours")?;
     Ok(out)

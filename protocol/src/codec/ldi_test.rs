@@ -1,7 +1,7 @@
 //! LDI chunks on a synthetic image: two slanted walls, a sparse deep layer, holes, textured and noisy colours.
 
 use super::*;
-use crate::ldi::{LINK_DOWN, LINK_RIGHT};
+use crate::ldi::{END_BITS, LINK_DOWN, LINK_RIGHT, Sliver, SliverCorner, end_of};
 use proptest::prelude::*;
 
 /// xorshift64*: small, seeded, the same everywhere.
@@ -38,6 +38,11 @@ fn layer(width: u32, height: u32, random: &mut Random, code: impl Fn(u32, u32) -
         }
     }
     (out.segments, out.column) = segments_of_runs(&runs, out.disparity.len());
+    out = out.with_half_ends();
+    for ends in &mut out.ends {
+        let open = (0..4).filter(|side| end_of(*ends, *side) > 0).collect::<Vec<_>>();
+        *ends = open.into_iter().map(|side| (random.below(5) as u16) << (side * END_BITS)).sum();
+    }
     out
 }
 
@@ -55,7 +60,7 @@ fn image(width: u32, height: u32, layers: usize, seed: u64) -> Ldi {
     let holes: Vec<u64> = (0..64).map(|_| random.next()).collect();
     let hole =
         |k: usize, x: u32, y: u32| holes[(y as usize / 3 + 5 * k) % 64] >> ((x / 5 + 11 * k as u32) % 64) & 1 == 1;
-    let layers = (0..layers)
+    let layers: Vec<LdiLayer> = (0..layers)
         .map(|k| {
             let code = |x: u32, y: u32| {
                 let d = if x < width / 2 { 60_000 - x - 2 * y } else { 30_000 + 3 * x - y } as u16;
@@ -70,7 +75,16 @@ fn image(width: u32, height: u32, layers: usize, seed: u64) -> Ldi {
     let sky = (0..words * height as usize)
         .map(|i| random.next() & random.next() & if i % words == words - 1 { padding } else { !0 })
         .collect();
-    Ldi { camera, codes, layers, sky }
+    let mut within = |low: i32, high: i32| low + random.below((high - low) as u64) as i32;
+    let mut corner = || SliverCorner {
+        u: within(-Sliver::MARGIN * Sliver::PARTS, width as i32 * Sliver::PARTS),
+        v: within(0, (height as i32 + Sliver::MARGIN) * Sliver::PARTS),
+        disparity: within(1, 65_001) as u16,
+    };
+    let most = if layers.is_empty() { 0 } else { 50 };
+    let slivers =
+        (0..most).map(|k| Sliver { corners: std::array::from_fn(|_| corner()), rgb: [k, 0, 255 - k] }).collect();
+    Ldi { camera, codes, layers, sky, slivers }
 }
 
 fn round_trip(ldi: &Ldi, mode: ColourMode) -> Ldi {
@@ -99,8 +113,8 @@ fn near_lossless_keeps_its_bound_and_everything_else() {
         let mut worst = [0; 3];
         for (a, b) in ldi.layers.iter().zip(&out.layers) {
             assert_eq!(
-                (&a.segments, &a.column, &a.disparity, &a.links),
-                (&b.segments, &b.column, &b.disparity, &b.links)
+                (&a.segments, &a.column, &a.disparity, &a.links, &a.ends),
+                (&b.segments, &b.column, &b.disparity, &b.links, &b.ends)
             );
             for (x, y) in a.rgb.iter().zip(&b.rgb) {
                 for k in 0..3 {
@@ -138,6 +152,7 @@ fn the_strongest_contrasts_keep_the_bound_in_every_mode() {
 fn an_image_without_samples_comes_back() {
     let mut ldi = image(10, 10, 1, 1);
     ldi.layers.clear();
+    ldi.slivers.clear();
     assert_eq!(round_trip(&ldi, ColourMode::HIGH), ldi);
     ldi.layers.push(LdiLayer::default());
     assert_eq!(round_trip(&ldi, ColourMode::HIGH), ldi);
@@ -155,6 +170,7 @@ fn planes_cost_little() {
     for (i, l) in ldi.layers[0].links.iter_mut().enumerate() {
         *l = (u8::from(i % 512 < 511) * LINK_RIGHT) | (u8::from(i / 512 < 511) * LINK_DOWN);
     }
+    ldi.layers = vec![std::mem::take(&mut ldi.layers[0]).with_half_ends()];
     let bytes = encode_first(&ldi, ColourMode::LOSSLESS, 3).unwrap();
     assert!(bytes.len() < 1500, "{} bytes for {n} samples", bytes.len());
 }

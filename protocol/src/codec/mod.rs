@@ -14,6 +14,7 @@ mod normal;
 mod planes;
 mod residual;
 mod runs;
+mod slivers;
 mod surface;
 pub mod texture;
 

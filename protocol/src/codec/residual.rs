@@ -84,14 +84,26 @@ pub(super) struct Decoder {
 impl Decoder {
     /// Reads the sections of `streams` streams that hold `values` residuals altogether.
     pub fn new(r: &mut Reader<'_>, field: &'static str, streams: usize, values: usize) -> Result<Self, CodecError> {
+        let decoder = Self::of_at_most(r, field, streams, values)?;
+        let residuals = decoder.cursors[streams].0;
+        if residuals == values {
+            Ok(decoder)
+        } else {
+            Err(CodecError::mismatch(field, format!("{residuals} residuals for {values} values")))
+        }
+    }
+    /// The same for a number of values that is known later, but not larger than `most`.
+    pub fn of_at_most(
+        r: &mut Reader<'_>,
+        field: &'static str,
+        streams: usize,
+        most: usize,
+    ) -> Result<Self, CodecError> {
         let mut bytes = Vec::new();
         let mut cursors = Vec::with_capacity(streams + 1);
         for stream in 0..=streams {
             // An escaped residual takes at most three bytes.
-            let max = if stream < streams { values - bytes.len() } else { values * 3 };
-            if stream == streams && bytes.len() != values {
-                return Err(CodecError::mismatch(field, format!("{} residuals for {values} values", bytes.len())));
-            }
+            let max = if stream < streams { most - bytes.len() } else { bytes.len() * 3 };
             let section = r.section(field, max)?;
             cursors.push((bytes.len(), bytes.len() + section.len()));
             if bytes.is_empty() { bytes = section } else { bytes.extend_from_slice(&section) }

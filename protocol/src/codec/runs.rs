@@ -22,7 +22,7 @@ pub(super) struct Run {
 pub(super) fn runs_of_layer(layer: &LdiLayer, width: u32, height: u32) -> Result<Vec<Run>, CodecError> {
     let bad = |reason: &str| CodecError::mismatch("segments", reason);
     let n = layer.disparity.len();
-    if layer.column.len() != n || layer.rgb.len() != n || layer.links.len() != n {
+    if layer.column.len() != n || layer.rgb.len() != n || layer.links.len() != n || layer.ends.len() != n {
         return Err(bad("the layer's arrays differ in length"));
     }
     let mut runs: Vec<Run> = Vec::new();

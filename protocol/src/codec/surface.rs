@@ -20,7 +20,7 @@ use super::{
     residual::{Coder, median_edge},
     runs::Run,
 };
-use crate::ldi::{LINK_DOWN, LINK_RIGHT};
+use crate::ldi::{END_BITS, END_PARTS, LINK_DOWN, LINK_RIGHT, SIDES, end_of};
 
 /// The left neighbour exists and is linked to this sample.
 const LEFT: u8 = 1;
@@ -116,16 +116,19 @@ impl LinkCoder for LinkDecoder {
     }
 }
 
+/// A row or column that is before none.
+const NOWHERE: u32 = u32::MAX - 1;
+
 /// Codes the links of all samples; a decoder passes zeros. Returns per sample which neighbours its surface continues from.
 pub(super) fn walk_links(runs: &[Run], width: u32, links: &mut [u8], coder: &mut impl LinkCoder) -> Vec<u8> {
     let mut joined = vec![0u8; links.len()];
     // Row and number of the last sample seen in each column.
-    let mut last = vec![(u32::MAX, 0u32); width as usize];
+    let mut last = vec![(NOWHERE, 0u32); width as usize];
     let mut i = 0;
     for run in runs {
         for k in 0..run.count {
             let above = &mut last[(run.column + k) as usize];
-            let upper = (above.0.wrapping_add(1) == run.row).then_some(above.1 as usize);
+            let upper = (above.0 + 1 == run.row).then_some(above.1 as usize);
             let left_goes_up = usize::from(k > 0 && joined[i - 1] & UP != 0);
             let mut j = 0;
             if k > 0 {
@@ -152,6 +155,47 @@ pub(super) fn walk_links(runs: &[Run], width: u32, links: &mut [u8], coder: &mut
         }
     }
     joined
+}
+
+/// Streams of ends: for each side those with a neighbour to predict from, and those without.
+pub(super) const END_STREAMS: usize = 2 * SIDES.len();
+
+/// Codes the ends of all samples; a decoder passes zeros. An end to the left or right is predicted from the same end in the row above, one up or down from the
+/// column before: borders run on.
+pub(super) fn walk_ends(
+    runs: &[Run],
+    width: u32,
+    joined: &[u8],
+    links: &[u8],
+    ends: &mut [u16],
+    coder: &mut impl Coder,
+) {
+    const USUAL: u16 = END_PARTS / 2;
+    // Per column, row and value of the last end to either side.
+    let mut above = vec![[(NOWHERE, USUAL); 2]; width as usize];
+    let mut i = 0;
+    for run in runs {
+        // The same for the sample before, by column.
+        let mut before = [(NOWHERE, USUAL); 2];
+        for column in run.column..run.column + run.count {
+            let above = &mut above[column as usize];
+            let linked = [joined[i] & LEFT, links[i] & LINK_RIGHT, joined[i] & UP, links[i] & LINK_DOWN];
+            let actual = ends[i];
+            ends[i] = 0;
+            for side in (0..SIDES.len()).filter(|side| linked[*side] == 0) {
+                let (known, place) =
+                    if side < 2 { (&mut above[side], run.row) } else { (&mut before[side - 2], column) };
+                let neighbour = known.0 + 1 == place;
+                let predicted = if neighbour { known.1 } else { USUAL };
+                let stream = 2 * side + usize::from(neighbour);
+                let (_, end) = coder.byte::<true>(stream, 1, i32::from(predicted), i32::from(end_of(actual, side)));
+                // What a forged chunk holds beyond is found by the check.
+                *known = (place, end as u16 & ((1 << END_BITS) - 1));
+                ends[i] |= known.1 << (side * END_BITS);
+            }
+            i += 1;
+        }
+    }
 }
 
 /// Codes the disparities of all samples; a decoder passes any values and gets the true ones.

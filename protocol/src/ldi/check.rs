@@ -3,7 +3,7 @@
 //! A decoder calls [`Ldi::check`] before it hands an image on, tests call it after every construction; the
 //! warp may then index without looking. Cost: one visit per sample; memory: a few bytes per column.
 
-use super::{LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, Segment};
+use super::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, SIDES, Segment, Sliver, end_of};
 use glam::DVec3;
 
 /// The first promise that an LDI breaks.
@@ -75,6 +75,22 @@ pub enum LdiFault {
         /// What is wrong.
         what: &'static str,
     },
+    /// A surface ends beyond the next pixel's centre, or where it is linked.
+    #[error("LDI layer {layer}, sample {sample}: it ends too far off, or where it goes on")]
+    End {
+        /// Layer.
+        layer: usize,
+        /// Sample.
+        sample: usize,
+    },
+    /// A sliver lies outside of the image or its codes, or there are too many.
+    #[error("LDI sliver {sliver}: {what}")]
+    Sliver {
+        /// Which.
+        sliver: usize,
+        /// What is wrong.
+        what: &'static str,
+    },
     /// The sky's bits do not fit the image.
     #[error("LDI sky: {0}")]
     Sky(&'static str),
@@ -87,7 +103,7 @@ const BASIS_TOLERANCE: f64 = 1e-9;
 impl Ldi {
     /// Checks every promise of the format: bounded sizes, finite camera and codes, segments in row-major order that
     /// tile the arrays, columns ascending, codes in range, in each pixel no deeper layer nearer than one before it, links
-    /// that lead to samples, sky words that fit.
+    /// that lead to samples, ends within a pixel and only where nothing is linked, slivers on the image, sky words that fit.
     ///
     /// # Errors
     /// The first broken promise, with its place.
@@ -105,7 +121,48 @@ impl Ldi {
             self.check_segments(k, layer)?;
         }
         self.check_samples()?;
+        self.check_ends()?;
+        self.check_slivers()?;
         self.check_sky()
+    }
+
+    fn check_ends(&self) -> Result<(), LdiFault> {
+        for (layer, l) in self.layers.iter().enumerate() {
+            for (sample, (ends, linked)) in l.ends.iter().zip(l.linked_sides()).enumerate() {
+                let sound = |side: usize| match end_of(*ends, side) {
+                    0 => true,
+                    end => end <= END_PARTS && linked >> side & 1 == 0,
+                };
+                if !(0..SIDES.len()).all(sound) {
+                    return Err(LdiFault::End { layer, sample });
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn check_slivers(&self) -> Result<(), LdiFault> {
+        if self.slivers.len() > Sliver::MOST {
+            return Err(LdiFault::Sliver { sliver: Sliver::MOST, what: "an image has at most 2^18" });
+        }
+        if self.layers.is_empty() && !self.slivers.is_empty() {
+            return Err(LdiFault::Sliver { sliver: 0, what: "it comes with the deeper layers, and there is no first" });
+        }
+        let within = |x: i32, side: u32| {
+            let end = (side as i32 + Sliver::MARGIN) * Sliver::PARTS;
+            (-Sliver::MARGIN * Sliver::PARTS..=end).contains(&x)
+        };
+        for (sliver, s) in self.slivers.iter().enumerate() {
+            for c in &s.corners {
+                if !within(c.u, self.camera.width) || !within(c.v, self.camera.height) {
+                    return Err(LdiFault::Sliver { sliver, what: "a corner lies too far outside of the image" });
+                }
+                if c.disparity == 0 || c.disparity > self.codes.largest_code {
+                    return Err(LdiFault::Sliver { sliver, what: "disparity code out of range" });
+                }
+            }
+        }
+        Ok(())
     }
 
     fn check_camera(&self) -> Result<(), LdiFault> {
@@ -145,7 +202,12 @@ impl Ldi {
 
     fn check_segments(&self, k: usize, layer: &LdiLayer) -> Result<(), LdiFault> {
         let expected = layer.disparity.len();
-        for (what, found) in [("column", layer.column.len()), ("rgb", layer.rgb.len()), ("links", layer.links.len())] {
+        for (what, found) in [
+            ("column", layer.column.len()),
+            ("rgb", layer.rgb.len()),
+            ("links", layer.links.len()),
+            ("ends", layer.ends.len()),
+        ] {
             if found != expected {
                 return Err(LdiFault::Length { layer: k, what, found, expected });
             }
@@ -286,18 +348,15 @@ impl<'a> Rows<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{DisparityCodes, LdiCamera};
+    use super::super::{DisparityCodes, LdiCamera, SliverCorner};
     use super::*;
     use crate::ViewBasis;
 
     /// Three columns, two rows. Layer 0 is full and linked throughout; layer 1 holds the middle column.
     fn sound() -> Ldi {
-        let layer = |segments: Vec<Segment>, column: Vec<u8>, disparity: Vec<u16>, links: Vec<u8>| LdiLayer {
-            segments,
-            rgb: vec![[1, 2, 3]; column.len()],
-            column,
-            disparity,
-            links,
+        let layer = |segments: Vec<Segment>, column: Vec<u8>, disparity: Vec<u16>, links: Vec<u8>| {
+            let (rgb, ends) = (vec![[1, 2, 3]; column.len()], Vec::new());
+            LdiLayer { segments, rgb, column, disparity, links, ends }.with_half_ends()
         };
         let segment = |row, first, count| Segment { row, column_base: 0, first, count };
         Ldi {
@@ -321,6 +380,7 @@ mod tests {
                 layer(vec![segment(0, 0, 1), segment(1, 1, 1)], vec![1, 1], vec![9, 50], vec![2, 0]),
             ],
             sky: vec![0, 0b111],
+            slivers: vec![Sliver { corners: [SliverCorner { u: 16, v: 8, disparity: 90 }; 4], rgb: [1, 2, 3] }; 2],
         }
     }
 
@@ -360,6 +420,15 @@ mod tests {
             ("right off the image", |l| l.layers[0].links[5] = LINK_RIGHT),
             ("down into nothing", |l| l.layers[1].column[1] = 2),
             ("down off the image", |l| l.layers[0].links[4] = LINK_DOWN),
+            ("short ends", |l| _ = l.layers[0].ends.pop()),
+            ("end too far", |l| l.layers[0].ends[5] = 5 << (3 * 4)),
+            ("end where it goes on", |l| l.layers[0].ends[4] |= 1),
+            ("sliver outside", |l| l.slivers[1].corners[2].u = (3 + Sliver::MARGIN) * Sliver::PARTS + 1),
+            ("sliver above", |l| l.slivers[0].corners[3].v = -Sliver::MARGIN * Sliver::PARTS - 1),
+            ("sliver without a code", |l| l.slivers[1].corners[0].disparity = 0),
+            ("sliver beyond the codes", |l| l.slivers[1].corners[1].disparity = 91),
+            ("slivers alone", |l| l.layers.clear()),
+            ("too many slivers", |l| l.slivers = vec![l.slivers[0]; Sliver::MOST + 1]),
             ("short sky", |l| _ = l.sky.pop()),
             ("sky padding", |l| l.sky[0] = 8),
         ];

@@ -28,6 +28,8 @@ pub struct ImageFigures {
     pub pruned: u64,
     /// Samples that were found and are in no image.
     pub lost: Lost,
+    /// Slivers.
+    pub slivers: u64,
     /// Largest extent of a sample along its surface, output pixels.
     pub stretch_max_px: f64,
     /// Largest error that rounding disparity causes, output pixels.
@@ -73,6 +75,7 @@ struct KeptImage {
     decoded_bytes: [u32; 2],
     pruned: u64,
     lost: Lost,
+    slivers: u32,
     rays: u64,
     stretch_p99_px: f64,
     stretch_max_px: f64,
@@ -153,6 +156,7 @@ impl ImageFigures {
             self.images += holds_something;
             self.made += of_this_run * holds_something;
             self.pruned += image.pruned;
+            self.slivers += u64::from(image.slivers);
             self.lost.too_deep += image.lost.too_deep;
             self.lost.recast_missed += image.lost.recast_missed;
             self.stretch_max_px = self.stretch_max_px.max(image.stretch_max_px);
@@ -189,13 +193,14 @@ fn one(
                 samples_by_layer: stats.samples_by_layer.clone(),
                 pruned: stats.pruned,
                 lost: Lost { too_deep: stats.too_deep, recast_missed: stats.recast_missed },
+                slivers: stats.slivers,
                 stretch_max_px: stats.stretch_max_px,
                 rays: stats.rays.total(),
                 stretch_p99_px: stats.stretch_p99_px,
                 ..KeptImage::default()
             };
             seconds[1..].iter_mut().zip(stats.seconds).for_each(|(a, b)| *a += b);
-            if ldi.samples() > 0 {
+            if ldi.samples() > 0 || !ldi.slivers.is_empty() {
                 // Of no samples it says nothing.
                 image.quantization_error_px = stats.quantization_error_px;
                 let start = std::time::Instant::now();

@@ -41,7 +41,7 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
             "histogram_percent": f.placement.popt_closeness,
             "within_two_percent": f.placement.within_two_percent,
         },
-        "samples": { "total": samples, "by_layer": f.images.samples_by_layer, "pruned": f.images.pruned, "lost": f.images.lost },
+        "samples": { "total": samples, "by_layer": f.images.samples_by_layer, "pruned": f.images.pruned, "lost": f.images.lost, "slivers": f.images.slivers },
         "bytes": {
             // What lies on the disk: equal chunks are stored once.
             "total": written.total_bytes(),

@@ -9,6 +9,7 @@
 use super::{
     merge::{Known, Prediction},
     sample::Tolerance,
+    slivers::Found,
     view::Rig,
 };
 use ldi_protocol::ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, Segment};
@@ -19,6 +20,8 @@ use rayon::prelude::*;
 pub(super) struct RawLayer {
     pub samples: Vec<Prediction>,
     pub links: Vec<u8>,
+    /// As in [`LdiLayer::ends`].
+    pub ends: Vec<u16>,
 }
 
 /// Samples that no layer took.
@@ -41,7 +44,7 @@ pub(super) fn rank(known: &Known, rig: &Rig, tolerance: &Tolerance, bridges: boo
     let first: Vec<Prediction> = kept.map(|(p, s)| (p as u32, *s)).collect();
     let solid = known.central.iter().filter(|s| s.disparity > 0.0).count();
     let mut dropped = Dropped { too_deep: 0, out_of_reach: (solid - first.len()) as u64 };
-    let mut layers = vec![RawLayer { samples: first, links: Vec::new() }];
+    let mut layers = vec![RawLayer { samples: first, ..RawLayer::default() }];
     let mut start = 0;
     while start < known.deeper.len() {
         let pixel = known.deeper[start].0;
@@ -138,17 +141,21 @@ pub(super) fn for_each_link(layer: &RawLayer, width: u32, mut f: impl FnMut(usiz
 /// Of no samples: any sound codes do.
 pub(super) const NO_CODES: DisparityCodes = DisparityCodes { smallest: 1.0, step: 1.0, largest_code: 1 };
 
-/// Disparity codes for all samples.
-pub(super) fn codes(rig: &Rig, layers: &[RawLayer]) -> DisparityCodes {
+/// Disparity codes for all samples and slivers.
+pub(super) fn codes(rig: &Rig, layers: &[RawLayer], slivers: &[Found]) -> DisparityCodes {
     let (mut smallest, mut largest) = (f32::INFINITY, 0.0_f32);
     for s in layers.iter().flat_map(|l| &l.samples) {
         smallest = smallest.min(s.1.disparity);
         largest = largest.max(s.1.disparity);
     }
+    let (mut smallest, mut largest) = (f64::from(smallest), f64::from(largest));
+    for (_, d) in slivers.iter().flat_map(|s| s.corners) {
+        (smallest, largest) = (smallest.min(d), largest.max(d));
+    }
     if largest == 0.0 {
         return NO_CODES;
     }
-    rig.codes(f64::from(smallest), f64::from(largest))
+    rig.codes(smallest, largest)
 }
 
 /// The layer as it is stored.
@@ -160,6 +167,7 @@ pub(super) fn encode(layer: &RawLayer, width: u32, codes: &DisparityCodes) -> Ld
         disparity: Vec::with_capacity(n),
         rgb: Vec::with_capacity(n),
         links: layer.links.clone(),
+        ends: layer.ends.clone(),
     };
     for (pixel, s) in &layer.samples {
         let (row, column) = (pixel / width, pixel % width);

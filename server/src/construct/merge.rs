@@ -28,8 +28,8 @@ pub(super) enum Seen {
     Known,
     /// Outside of every user's picture.
     Pruned,
-    /// New.
-    New(Prediction),
+    /// New: what is predicted, and the pixel of the construction camera.
+    New(Prediction, u32),
 }
 
 /// Everything known of the image so far.
@@ -106,13 +106,13 @@ pub(super) fn trace_construction<C: SubsetCaster>(
         let (u, v) = camera.centre(*pixel as usize);
         Ray { origin: camera.position, direction: rig.lens.ray(u, v), t_min: camera.near_m, t_max: f64::INFINITY }
     };
-    traced(caster, rig, pixels, ray_of, |surveyor, pixel, ray, hit| {
-        let (u, v) = camera.centre(*pixel as usize);
+    traced(caster, rig, pixels, ray_of, |surveyor, from, ray, hit| {
+        let (u, v) = camera.centre(*from as usize);
         let home = |u: f64, v: f64| {
             rig.window
                 .index(u.floor() as i64 - i64::from(rig.window.left), v.floor() as i64 - i64::from(rig.window.top))
         };
-        let Some(hit) = hit else { return Seen::Sky(*pixel) };
+        let Some(hit) = hit else { return Seen::Sky(*from) };
         let (u, v, d) = back.apply(u, v, 1.0 / hit.t);
         let Some(pixel) = home(u, v) else { return Seen::Nothing };
         if !rig.in_reach(u, v, d) {
@@ -131,7 +131,7 @@ pub(super) fn trace_construction<C: SubsetCaster>(
             filtered: false,
         };
         let prediction = (pixel as u32, sample);
-        if known.has(&prediction, tolerance) { Seen::Known } else { Seen::New(prediction) }
+        if known.has(&prediction, tolerance) { Seen::Known } else { Seen::New(prediction, *from) }
     })
 }
 

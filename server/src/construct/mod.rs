@@ -23,12 +23,14 @@
 mod caster;
 mod central;
 mod colour;
+mod ends;
 mod explain;
 mod layers;
 mod merge;
 mod quality;
 mod sample;
 mod sight;
+mod slivers;
 mod sums;
 mod tiles;
 mod view;
@@ -49,6 +51,7 @@ use merge::{Known, Seen};
 use rayon::prelude::*;
 use sample::Tolerance;
 use sight::{Face, Sight};
+use slivers::Candidate;
 use std::time::Instant;
 use tiles::Tile;
 use view::{Rig, View};
@@ -106,12 +109,16 @@ pub struct RayCounts {
     pub ring: u64,
     /// Sub-rays for colour.
     pub colour: u64,
+    /// Slivers.
+    pub slivers: u64,
+    /// Ends of surfaces.
+    pub ends: u64,
 }
 
 impl RayCounts {
     /// All of them.
     pub fn total(&self) -> u64 {
-        self.central + self.construction + self.recast + self.ring + self.colour
+        self.central + self.construction + self.recast + self.ring + self.colour + self.slivers + self.ends
     }
 }
 
@@ -130,6 +137,8 @@ pub struct ConstructStats {
     pub recast_missed: u64,
     /// Samples dropped because their pixel had [`Ldi::MAX_LAYERS`] already.
     pub too_deep: u64,
+    /// Slivers.
+    pub slivers: u32,
     /// Pixels that are sky from somewhere.
     pub sky_pixels: u64,
     /// 99th percentile over sampled samples of the largest extent along the surface, output pixels.
@@ -245,12 +254,15 @@ fn tile<C: SubsetCaster>(
     let after_central = Instant::now();
 
     let mut recast_seconds = 0.0;
+    let (mut cameras, mut candidates) = (Vec::new(), Vec::new());
     let coarse = explain::Coarse::new(&known.central, rig.window.width as usize);
     for round in &sight.cameras(&rig, &known.central, &tolerance) {
         let seen: Vec<(Vec<Seen>, [u64; 2])> =
             round.par_iter().map(|view| look(caster, &rig, view, &known, &coarse, &tolerance)).collect();
         let mut predictions = Vec::new();
         for (View { camera, .. }, (seen, share)) in round.iter().zip(seen) {
+            let number = cameras.len() as u32;
+            cameras.push(*camera);
             stats.rays.construction += share[0];
             stats.unexplained.push(share);
             for s in seen {
@@ -259,7 +271,12 @@ fn tile<C: SubsetCaster>(
                         camera.same_directions(pixel, &rig.window).for_each(|p| set_sky(&mut sky, p, &rig))
                     }
                     Seen::Pruned => stats.pruned += 1,
-                    Seen::New(p) => predictions.push(p),
+                    Seen::New(home, pixel) => {
+                        predictions.push(home);
+                        if slivers::steep_axis(camera, &home.1).is_some() {
+                            candidates.push(Candidate { camera: number, pixel, home });
+                        }
+                    }
                     Seen::Known | Seen::Nothing => {}
                 }
             }
@@ -281,8 +298,12 @@ fn tile<C: SubsetCaster>(
     let (mut raw, dropped) = layers::rank(&known, &rig, &tolerance, options.bridges);
     stats.too_deep = dropped.too_deep;
     stats.pruned += dropped.out_of_reach;
+    let (slivers, rays) = slivers::find(caster, &rig, &raw, &cameras, candidates, &tolerance);
+    stats.rays.slivers = rays;
+    stats.slivers = slivers.len() as u32;
+    stats.rays.ends = raw.iter_mut().map(|l| ends::measure(caster, &rig, l, &tolerance)).sum();
     stats.rays.colour = colour::average(caster, &rig, &mut raw, &tolerance, options.sub_rays_per_side.min(8));
-    let codes = layers::codes(&rig, &raw);
+    let codes = layers::codes(&rig, &raw, &slivers);
     let sizes = quality::measure(&rig, plan, &options.output, &raw);
     stats.stretch_p99_px = sizes.stretch_p99;
     stats.stretch_max_px = sizes.stretch_max;
@@ -295,7 +316,8 @@ fn tile<C: SubsetCaster>(
     let construction = (after_merge - after_central).as_secs_f64() - recast_seconds;
     stats.seconds =
         [(after_central - started).as_secs_f64(), construction, recast_seconds, after_merge.elapsed().as_secs_f64()];
-    let ldi = Ldi { camera: rig.ldi_camera(), codes, layers, sky };
+    let slivers = slivers.iter().map(|s| s.coded(&codes)).collect();
+    let ldi = Ldi { camera: rig.ldi_camera(), codes, layers, sky, slivers };
     debug_assert_eq!(ldi.check(), Ok(()));
     Ok(Some(Constructed { window: share, ldi, stats }))
 }
@@ -318,7 +340,7 @@ fn look<C: SubsetCaster>(
         let mut new = Vec::new();
         for (pixel, s) in pixels.iter().zip(&seen) {
             match s {
-                Seen::New(_) => new.push(*pixel),
+                Seen::New(..) => new.push(*pixel),
                 Seen::Sky(_) => open.push(*pixel),
                 _ => {}
             }

@@ -47,14 +47,17 @@ fn cluster(shift: f32) -> Cluster {
 
 fn image() -> Ldi {
     let (width, height) = (40u32, 10u32);
-    let layer = |code: u16, count: u16| LdiLayer {
-        segments: (0..height as u16)
-            .map(|row| Segment { row, column_base: 0, first: u32::from(row * count), count })
-            .collect(),
-        column: (0..height).flat_map(|_| 0..count as u8).collect(),
-        disparity: vec![code; (u32::from(count) * height) as usize],
-        rgb: (0..u32::from(count) * height).map(|i| [(i * 7) as u8, (i * 3) as u8, 9]).collect(),
-        links: vec![0; (u32::from(count) * height) as usize],
+    let layer = |code: u16, count: u16| {
+        let rows = 0..height as u16;
+        LdiLayer {
+            segments: rows.map(|row| Segment { row, column_base: 0, first: u32::from(row * count), count }).collect(),
+            column: (0..height).flat_map(|_| 0..count as u8).collect(),
+            disparity: vec![code; (u32::from(count) * height) as usize],
+            rgb: (0..u32::from(count) * height).map(|i| [(i * 7) as u8, (i * 3) as u8, 9]).collect(),
+            links: vec![0; (u32::from(count) * height) as usize],
+            ends: vec![],
+        }
+        .with_half_ends()
     };
     Ldi {
         camera: LdiCamera {
@@ -69,6 +72,7 @@ fn image() -> Ldi {
         codes: DisparityCodes { smallest: 0.1, step: 0.001, largest_code: 300 },
         layers: vec![layer(200, 40), layer(100, 12)],
         sky: vec![0; height as usize],
+        slivers: vec![],
     }
 }
 

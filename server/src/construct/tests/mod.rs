@@ -17,7 +17,7 @@ use crate::render::Caster;
 use glam::DVec3;
 use ldi_protocol::{
     Aabb, ViewBasis,
-    ldi::{LINK_DOWN, LINK_RIGHT, Ldi},
+    ldi::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, SIDES, Sliver, SliverCorner, end_of},
 };
 use scenes::{Analytic, GREY, OUTPUT, RED, Random, plan, room};
 
@@ -186,6 +186,96 @@ fn a_surface_that_passes_behind_a_post_stays_linked() {
     for end in [behind.first(), behind.last()].into_iter().flatten() {
         assert!(front.iter().any(|f| f.1 == end.1 && f.3 == end.3), "the bridge repeats a sample of layer 0");
     }
+}
+
+/// How far a surface goes on from a pixel's centre, by many rays; at most 1.
+fn end_by_rays(scene: &Analytic, ldi: &Ldi, surface: usize, (column, row): (i64, i64), side: [i32; 2]) -> f64 {
+    const STEPS: i32 = 64;
+    let on = |k: &i32| {
+        let beyond = f64::from(*k) / f64::from(STEPS);
+        let (u, v) =
+            (column as f64 + 0.5 + beyond * f64::from(side[0]), row as f64 + 0.5 + beyond * f64::from(side[1]));
+        scene.all_hits(ldi.camera.cop, ldi.camera.ray(u, v)).iter().any(|h| h.1 == surface)
+    };
+    f64::from((1..=STEPS).take_while(on).count() as i32) / f64::from(STEPS)
+}
+
+#[test]
+fn surfaces_end_between_pixels_where_they_do() {
+    // A wall behind a slanted board that is turned away: its own ends, and what lies behind reaches under it.
+    let scene = Analytic::default().rect([-30.0, -20.0, -20.0], [60.0, 0.0, 0.0], [0.0, 40.0, 0.0], None, GREY).rect(
+        [-2.0, -1.5, -12.0],
+        [3.0, 0.7, -2.0],
+        [0.4, 2.5, 0.3],
+        None,
+        RED,
+    );
+    let ldi = made(&scene, &plan(9.0, [1.0, 0.6, 1.0])).ldi;
+    let mut found = [[0; 5]; 2];
+    for layer in &ldi.layers {
+        let linked = layer.linked_sides();
+        for s in &layer.segments {
+            for i in s.first as usize..s.first as usize + usize::from(s.count) {
+                let at = (i64::from(s.column_base) + i64::from(layer.column[i]), i64::from(s.row));
+                let direction = ldi.camera.ray(at.0 as f64 + 0.5, at.1 as f64 + 0.5);
+                let d = ldi.codes.disparity(layer.disparity[i]);
+                let hits = scene.all_hits(ldi.camera.cop, direction);
+                let off = |h: &(f64, usize, DVec3)| (1.0 / h.0 - d).abs();
+                let surface = hits.iter().min_by(|a, b| off(a).total_cmp(&off(b))).expect("a sample lies on one").1;
+                for side in (0..4).filter(|side| linked[i] >> side & 1 == 0) {
+                    let end = end_of(layer.ends[i], side);
+                    let want = end_by_rays(&scene, &ldi, surface, at, SIDES[side]);
+                    // Rays every quarter of a pixel, the first an eighth beyond the centre.
+                    let error = (f64::from(end) / f64::from(END_PARTS) - want).abs();
+                    assert!(error <= 0.125 + 2.0 / 64.0, "surface {surface} at {at:?}, side {side}: {end}, not {want}");
+                    found[surface][usize::from(end)] += 1;
+                }
+            }
+        }
+    }
+    assert!(found[1].iter().all(|n| *n > 5), "the board ends anywhere: {found:?}");
+    assert!(found[0][4] > 50, "the wall goes on behind it: {found:?}");
+}
+
+#[test]
+fn what_the_centre_sees_edge_on_is_held_by_slivers() {
+    // A post whose side is a third of a pixel wide for the centre of projection, with no pixel's centre on it; eyes beside it see it at 8 degrees and less.
+    let (x, z) = (0.1, [-14.0, -10.0]);
+    let scene = Analytic::default()
+        .rect([-30.0, -20.0, -20.0], [60.0, 0.0, 0.0], [0.0, 40.0, 0.0], None, GREY)
+        .rect([-x, -1.0, z[1]], [2.0 * x, 0.0, 0.0], [0.0, 2.0, 0.0], None, GREY)
+        .rect([x, -1.0, z[1]], [0.0, 0.0, z[0] - z[1]], [0.0, 2.0, 0.0], None, RED);
+    let ldi = made(&scene, &plan(9.0, [1.5, 0.6, 1.0])).ldi;
+    let world = |c: &SliverCorner| {
+        let place = |x: i32| f64::from(x) / f64::from(Sliver::PARTS);
+        ldi.camera.cop + ldi.camera.ray(place(c.u), place(c.v)) / ldi.codes.disparity(c.disparity)
+    };
+    let of_wall: Vec<[DVec3; 4]> =
+        ldi.slivers.iter().filter(|s| s.rgb[0] > s.rgb[1] + 50).map(|s| s.corners.each_ref().map(world)).collect();
+    assert!(!of_wall.is_empty());
+    // A part of a pixel at 14 m; along the wall as much more as it is askew to a camera, and a camera's pixel.
+    let part = 14.0 / (ldi.camera.pixels_per_unit * f64::from(Sliver::PARTS));
+    for p in of_wall.iter().flatten() {
+        let inside = p.y.abs() < 1.0 + 32.0 * part && (z[0] - 1.5..z[1] + 1.5).contains(&p.z);
+        assert!((p.x - x).abs() < part && inside, "{p}");
+    }
+    let (mut random, mut held, mut of_layers) = (Random(5), 0, 0);
+    for _ in 0..2000 {
+        // A pixel of a camera is 0.7 m of the wall.
+        let p = DVec3::new(x, random.within([-0.9, 0.9]), random.within([z[0] + 0.7, z[1] - 0.7]));
+        let around = |corners: &[DVec3; 4]| {
+            let bounds = corners.iter().fold(Aabb::EMPTY, |b, c| b.grown_to(DVec3::new(x, c.y, c.z)));
+            bounds.inflated(part).contains(p)
+        };
+        held += u32::from(of_wall.iter().any(around));
+        let (u, v, d) = ldi.camera.project(p).expect("ahead");
+        let near = |s: &(usize, i64, i64, f64, [u8; 3], u8)| {
+            (s.1, s.2) == (u.floor() as i64, v.floor() as i64) && (s.3 / d - 1.0).abs() < 0.01
+        };
+        of_layers += u32::from(samples(&ldi).iter().any(near));
+    }
+    assert!(held > 1900, "{held} of 2000 points in slivers");
+    assert!(of_layers < 1000, "{of_layers} of 2000 in layers: no slivers would be needed");
 }
 
 #[test]

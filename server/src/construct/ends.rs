@@ -1,0 +1,50 @@
+//! Where surfaces end between pixel centres.
+//!
+//! In: linked layers. Out: per sample, for each side without a link, how far its surface goes on beyond the pixel's centre.
+//!
+//! A pixel's centre is on a surface or is not, so a border drawn at the pixels' borders is off by up to half a pixel, twice that where surfaces part. Short rays beyond
+//! the centre, at every [`END_PARTS`]th of a pixel, tell where it is. They meet the surface also where something nearer hides it from the
+//! centre of projection: so what lies behind a border reaches under it, and neither cracks nor fringes are left.
+
+use super::{
+    caster::SubsetCaster,
+    central::{short_ray, traced},
+    layers::{RawLayer, for_each_link},
+    merge::Prediction,
+    sample::Tolerance,
+    view::Rig,
+};
+use ldi_protocol::ldi::{END_BITS, END_PARTS, SIDES};
+
+/// Sets the ends of a layer; returns the number of rays.
+pub(super) fn measure<C: SubsetCaster>(caster: &C, rig: &Rig, layer: &mut RawLayer, tolerance: &Tolerance) -> u64 {
+    let mut linked = vec![[false; SIDES.len()]; layer.samples.len()];
+    for_each_link(layer, rig.window.width, |i, j| {
+        let down = usize::from(layer.samples[j].0 != layer.samples[i].0 + 1);
+        (linked[i][2 * down + 1], linked[j][2 * down]) = (true, true);
+    });
+    let open = || {
+        linked.iter().enumerate().flat_map(|(i, linked)| (0..SIDES.len()).filter(|s| !linked[*s]).map(move |s| (i, s)))
+    };
+    let samples = &layer.samples;
+    let probes: Vec<(&Prediction, usize, u16)> =
+        open().flat_map(|(i, side)| (0..END_PARTS).map(move |k| (&samples[i], side, k))).collect();
+    let ray_of = |((pixel, s), side, k): &(&Prediction, usize, u16)| {
+        let beyond = (f64::from(*k) + 0.5) / f64::from(END_PARTS);
+        let [du, dv] = SIDES[*side].map(|x| f64::from(x) * beyond);
+        let (u, v) = rig.window.centre(*pixel as usize);
+        let (d, gu, gv) = (f64::from(s.disparity), f64::from(s.gradient[0]), f64::from(s.gradient[1]));
+        let predicted = (d + du * gu + dv * gv).clamp(0.25 * d, 4.0 * d);
+        short_ray(rig, u + du, v + dv, predicted, 0.25 * (gu.abs() + gv.abs()) + 2.0 * f64::from(tolerance.step))
+    };
+    let on = traced(caster, rig, &probes, ray_of, |surveyor, ((_, s), ..), ray, hit| {
+        hit.is_some_and(|h| surveyor.facet(ray, h).surface == s.surface)
+    });
+    let mut ends = vec![0; samples.len()];
+    for ((i, side), on) in open().zip(on.chunks_exact(usize::from(END_PARTS))) {
+        let end = on.iter().take_while(|on| **on).count() as u16;
+        ends[i] |= end << (side * END_BITS);
+    }
+    layer.ends = ends;
+    on.len() as u64
+}

@@ -1,0 +1,263 @@
+//! Slivers: surfaces that the image's pixels are too coarse for.
+//!
+//! In: hits of construction cameras, finished layers. Out: [`Sliver`]s.
+//!
+//! What the centre of projection sees edge-on takes a pixel there or none, and many pixels in the picture of an eye beside it: the jamb of a door, the
+//! side of a post. A hit is of that kind if a pixel's step along its surface is longer than [`STEEP`] pixels of its camera. Unless the layers hold its surface on both
+//! sides, so that micro-quads span it, the camera's pixel is kept as it is: a square of the camera's picture, cast again at full resolution, on the plane that was hit.
+//! Squares of one plane and colour are joined to rectangles, which is most of them where walls are plain.
+
+use super::{
+    caster::SubsetCaster,
+    central::traced,
+    layers::RawLayer,
+    merge::Prediction,
+    sample::{Sample, Tolerance},
+    view::{COARSENESS, ConstructionCamera, Rig},
+};
+use crate::render::Ray;
+use glam::DVec3;
+use ldi_protocol::{
+    ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Sliver, SliverCorner},
+    shade::srgb8_from_linear,
+};
+use std::collections::BTreeMap;
+
+/// Steps along a surface from a pixel to the next that are longer than this in the picture of a camera, pixels, show: a surface's border is off by up to
+/// half of it. By judgement.
+const STEEP: f64 = 2.0;
+/// Surfaces that a camera sees at less than this sine of an angle are not worth a sliver: its squares would be long and wrong.
+const GRAZING: f64 = 0.02;
+/// Colours of one rectangle differ by at most this in each channel (8-bit sRGB).
+const SAME_COLOUR: u8 = 3;
+/// Normals of one plane: cosine of the angle between them.
+const SAME_NORMAL: f64 = 1.0 - 1e-7;
+
+/// A hit that may become a sliver.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Candidate {
+    /// Number of its camera.
+    pub camera: u32,
+    /// Its pixel of the camera.
+    pub pixel: u32,
+    /// Its pixel of the image, and the sample that it predicts there.
+    pub home: Prediction,
+}
+
+/// Along which axis (0: to the next column, 1: row) a surface is steep for a camera; None: along neither.
+pub(super) fn steep_axis(camera: &ConstructionCamera, s: &Sample) -> Option<usize> {
+    let (k, d) = (camera.shift.k, f64::from(s.disparity));
+    let [gu, gv] = s.gradient.map(f64::from);
+    let w = 1.0 / (1.0 - camera.shift.forward * d);
+    let across = (1.0 - k.x * gu).hypot(k.y * gu) * w;
+    let down = (k.x * gv).hypot(1.0 - k.y * gv) * w;
+    (across.max(down) > STEEP).then_some(usize::from(down > across))
+}
+
+/// A square of a camera's picture at full resolution.
+#[derive(Debug, Clone, Copy)]
+struct Square {
+    camera: u32,
+    row: u32,
+    column: u32,
+    surface: u32,
+    plane: Plane,
+    rgb: [u8; 3],
+}
+
+/// A plane as a camera sees it: disparity at image coordinates.
+#[derive(Debug, Clone, Copy)]
+struct Plane {
+    normal: DVec3,
+    /// Disparity at (0, 0), and per pixel along each axis.
+    at: [f64; 3],
+}
+
+impl Plane {
+    /// Of a hit of a camera's ray; None if the camera sees it at a grazing angle.
+    fn of(rig: &Rig, normal: DVec3, ray: &Ray, t: f64) -> Option<Self> {
+        let facing = normal.dot(ray.direction);
+        if facing.abs() < GRAZING * ray.direction.length() {
+            return None;
+        }
+        // d(u, v) = n . r(u, v) / (n . (X - E)).
+        let (distance, s) = (facing * t, 1.0 / rig.lens.pixels_per_unit);
+        let b = &rig.lens.basis;
+        let along = [b.forward, b.right * s, -b.up * s];
+        Some(Self { normal, at: along.map(|v| normal.dot(v) / distance) })
+    }
+
+    fn disparity(&self, u: f64, v: f64) -> f64 {
+        self.at[0] + self.at[1] * u + self.at[2] * v
+    }
+}
+
+/// The slivers of the candidates that the layers do not hold, in a fixed order, and the number of rays. `cameras` are those of the candidates.
+pub(super) fn find<C: SubsetCaster>(
+    caster: &C,
+    rig: &Rig,
+    layers: &[RawLayer],
+    cameras: &[ConstructionCamera],
+    mut candidates: Vec<Candidate>,
+    tolerance: &Tolerance,
+) -> (Vec<Found>, u64) {
+    candidates.retain(|c| {
+        steep_axis(&cameras[c.camera as usize], &c.home.1)
+            .is_some_and(|axis| !held(rig, layers, &c.home, axis, tolerance))
+    });
+    // Of the cameras that see a surface through a pixel the one that sees most of the surface: pictures of several do not join without gaps.
+    let mut share: BTreeMap<(u32, u32), usize> = BTreeMap::new();
+    candidates.iter().for_each(|c| *share.entry((c.home.1.surface, c.camera)).or_default() += 1);
+    candidates.sort_by_key(|c| (c.home.0, c.home.1.surface, c.camera, c.pixel));
+    let best =
+        candidates.chunk_by(|a, b| (a.home.0, a.home.1.surface) == (b.home.0, b.home.1.surface)).flat_map(|seen| {
+            let by_camera = seen.chunk_by(|a, b| a.camera == b.camera);
+            by_camera.rev().max_by_key(|c| share.get(&(c[0].home.1.surface, c[0].camera))).unwrap_or_default()
+        });
+    let finer = COARSENESS as u32;
+    let items: Vec<(Candidate, u32, u32)> = best
+        .flat_map(|c| {
+            let width = cameras[c.camera as usize].window.width;
+            let (row, column) = (c.pixel / width * finer, c.pixel % width * finer);
+            (0..finer * finer).map(move |k| (*c, row + k / finer, column + k % finer))
+        })
+        .collect();
+    let ray_of = |(c, row, column): &(Candidate, u32, u32)| {
+        let camera = &cameras[c.camera as usize];
+        let (u, v) = place(camera, f64::from(*column) + 0.5, f64::from(*row) + 0.5);
+        Ray { origin: camera.position, direction: rig.lens.ray(u, v), t_min: camera.near_m, t_max: f64::INFINITY }
+    };
+    let squares = traced(caster, rig, &items, ray_of, |surveyor, (c, row, column), ray, hit| {
+        let hit = hit?;
+        let facet = surveyor.facet(ray, hit);
+        if facet.surface != c.home.1.surface {
+            return None;
+        }
+        Some(Square {
+            camera: c.camera,
+            row: *row,
+            column: *column,
+            surface: facet.surface,
+            plane: Plane::of(rig, facet.normal, ray, hit.t)?,
+            rgb: surveyor.linear(ray, hit).map(srgb8_from_linear),
+        })
+    });
+    let rays = squares.len() as u64;
+    let mut squares: Vec<Square> = squares.into_iter().flatten().collect();
+    squares.sort_by_key(|s| (s.camera, s.row, s.column));
+    let joined = rectangles(&squares, rig, cameras);
+    if joined.len() > Sliver::MOST {
+        tracing::warn!(
+            found = joined.len(),
+            kept = Sliver::MOST,
+            "more slivers than an image may have: the rest is left out"
+        );
+    }
+    let found = joined.iter().filter_map(|r| r.found(rig, cameras)).take(Sliver::MOST);
+    (found.collect(), rays)
+}
+
+/// Absolute image coordinates of a place in a camera's picture, in pixels at full resolution from its upper left.
+fn place(camera: &ConstructionCamera, column: f64, row: f64) -> (f64, f64) {
+    let of = |start: i32, x: f64| (f64::from(start) + x / COARSENESS as f64) / camera.scale;
+    (of(camera.window.left, column), of(camera.window.top, row))
+}
+
+/// Whether the layers hold a prediction's surface in its pixel and in both neighbours along an axis.
+fn held(rig: &Rig, layers: &[RawLayer], (pixel, s): &Prediction, axis: usize, tolerance: &Tolerance) -> bool {
+    let (step, bit) = if axis == 0 { (1, LINK_RIGHT) } else { (rig.window.width, LINK_DOWN) };
+    let at = |layer: &RawLayer, pixel: u32| layer.samples.binary_search_by_key(&pixel, |x| x.0).ok();
+    layers.iter().any(|layer| {
+        let linked = |i: usize| layer.links[i] & bit != 0;
+        at(layer, *pixel).is_some_and(|i| {
+            tolerance.same(&layer.samples[i].1, s)
+                && linked(i)
+                && pixel.checked_sub(step).and_then(|before| at(layer, before)).is_some_and(linked)
+        })
+    })
+}
+
+/// Squares of one plane and colour.
+#[derive(Debug, Clone, Copy)]
+struct Rectangle {
+    first: Square,
+    /// Row after the last, column after the last.
+    end: [u32; 2],
+}
+
+/// Joins squares, in order of camera, row, column: along rows, then runs of the same columns.
+fn rectangles(squares: &[Square], rig: &Rig, cameras: &[ConstructionCamera]) -> Vec<Rectangle> {
+    let step = 0.5 * rig.step();
+    let same = |a: &Square, b: &Square| {
+        let camera = &cameras[a.camera as usize];
+        let (u, v) = place(camera, f64::from(b.column) + 0.5, f64::from(b.row) + 0.5);
+        a.camera == b.camera
+            && a.surface == b.surface
+            && a.plane.normal.dot(b.plane.normal).abs() >= SAME_NORMAL
+            && (a.plane.disparity(u, v) - b.plane.disparity(u, v)).abs() <= step
+            && (0..3).all(|k| a.rgb[k].abs_diff(b.rgb[k]) <= SAME_COLOUR)
+    };
+    let runs = squares
+        .chunk_by(|a, b| a.row == b.row && a.column + 1 == b.column && same(a, b))
+        .map(|run| Rectangle { first: run[0], end: [run[0].row + 1, run[0].column + run.len() as u32] });
+    let mut done: Vec<Rectangle> = Vec::new();
+    // By camera and columns: the rectangle that a run may be added to.
+    let mut open: BTreeMap<(u32, u32, u32), usize> = BTreeMap::new();
+    for run in runs {
+        let key = (run.first.camera, run.first.column, run.end[1]);
+        match open.get(&key).map(|i| &mut done[*i]) {
+            Some(above) if above.end[0] == run.first.row && same(&above.first, &run.first) => above.end[0] += 1,
+            _ => {
+                open.insert(key, done.len());
+                done.push(run);
+            }
+        }
+    }
+    done
+}
+
+/// A sliver before its disparities are coded.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Found {
+    /// Places on the image, in parts of a pixel, and disparities.
+    pub corners: [([i32; 2], f64); 4],
+    pub rgb: [u8; 3],
+}
+
+impl Found {
+    pub fn coded(&self, codes: &DisparityCodes) -> Sliver {
+        let corner = |([u, v], d): ([i32; 2], f64)| SliverCorner { u, v, disparity: codes.code(d) };
+        Sliver { corners: self.corners.map(corner), rgb: self.rgb }
+    }
+}
+
+impl Rectangle {
+    /// As the image sees it; None where that is too far outside of it, or its plane runs behind its camera.
+    fn found(&self, rig: &Rig, cameras: &[ConstructionCamera]) -> Option<Found> {
+        let s = &self.first;
+        let camera = &cameras[s.camera as usize];
+        let back = camera.shift.reversed();
+        let middle = place(camera, f64::from(s.column) + 0.5, f64::from(s.row) + 0.5);
+        let believed = s.plane.disparity(middle.0, middle.1);
+        let w = &rig.window;
+        let part = |x: f64, start: i32, side: u32| {
+            let x = x - f64::from(start);
+            let margin = f64::from(Sliver::MARGIN);
+            (x > -margin && x < f64::from(side) + margin).then(|| (x * f64::from(Sliver::PARTS)).round() as i32)
+        };
+        let corner = |row: u32, column: u32| {
+            let (u, v) = place(camera, f64::from(column), f64::from(row));
+            let d = s.plane.disparity(u, v);
+            // Neither behind the camera nor at its feet.
+            if d < 0.125 * believed || d * camera.near_m > 1.0 + 1e-3 {
+                return None;
+            }
+            let (u, v, d) = back.apply(u, v, d);
+            let corner = ([part(u, w.left, w.width)?, part(v, w.top, w.height)?], d);
+            (d > 0.0 && d.is_finite()).then_some(corner)
+        };
+        let ([top, left], [bottom, right]) = ([s.row, s.column], self.end);
+        let corners = [corner(top, left)?, corner(top, right)?, corner(bottom, left)?, corner(bottom, right)?];
+        Some(Found { corners, rgb: s.rgb })
+    }
+}
