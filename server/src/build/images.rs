@@ -47,7 +47,7 @@ pub struct ImageFigures {
 pub struct Lost {
     /// Their pixel had all its layers.
     pub too_deep: u64,
-    /// The ray through their pixel's centre misses their surface: silhouettes, and surfaces that the centre of projection sees edge-on.
+    /// The ray through their pixel's centre misses their surface: silhouettes, and surfaces that the centre of projection sees edge-on, of which some become slivers.
     pub recast_missed: u64,
 }
 

@@ -2,7 +2,7 @@
 //!
 //! A hit that falls somewhere into a central pixel predicts, by its plane, the disparity at the pixel's centre. Predictions that agree
 //! with what is known there, or with each other, are one. Each that remains gets a short ray through the centre (recast): it misses, and
-//! the sample is dropped, or it gives the exact depth. Snapping hits to pixels instead would grow every silhouette by half a pixel; recasting
+//! the sample is dropped (or becomes a sliver, `slivers`), or it gives the exact depth. Snapping hits to pixels instead would grow every silhouette by half a pixel; recasting
 //! is the largest single gain in picture quality (1.3 to 3 dB).
 
 use super::{

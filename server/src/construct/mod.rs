@@ -14,6 +14,7 @@
 //!   surfaces through known emptiness bring nothing new. That is nine tenths of them.
 //! - Merging compares planes, not depths (`sample`), and each merged sample is cast again through its pixel's centre (`merge`):
 //!   all samples lie exactly on their pixel's ray, and silhouettes do not grow.
+//! - Where surfaces end between pixels' centres is measured (`ends`), and what the centre of projection sees edge-on is held as slivers (`slivers`).
 //! - Sky is a bit per direction: set where some construction ray of that direction meets nothing.
 //!
 //! # Practice
