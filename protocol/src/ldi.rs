@@ -113,7 +113,7 @@ pub struct LdiLayer {
 pub const SIDES: [[i32; 2]; 4] = [[-1, 0], [1, 0], [0, -1], [0, 1]];
 /// Bits of an end.
 pub const END_BITS: usize = 4;
-/// Ends are told in this part of a pixel.
+/// Ends are told in this part of a pixel, so that they are off by an eighth of one at most. By judgement.
 pub const END_PARTS: u16 = 4;
 
 /// The end of a sample on a side.
@@ -135,27 +135,30 @@ impl LdiLayer {
     /// Per sample, a bit for each of [`SIDES`] on which it is linked. The layer's segments must be sound.
     pub fn linked_sides(&self) -> Vec<u8> {
         let mut out = vec![0; self.len()];
-        let places = self.segments.iter().flat_map(|s| {
-            let samples = s.first as usize..s.first as usize + usize::from(s.count);
-            samples.map(|i| (u32::from(s.row), u32::from(s.column_base) + u32::from(self.column[i])))
-        });
-        let places: Vec<(u32, u32)> = places.collect();
-        let mut below = 0;
-        for (i, (row, column)) in places.iter().enumerate() {
-            if self.links[i] & LINK_RIGHT != 0 && places.get(i + 1) == Some(&(*row, column + 1)) {
+        let places = || {
+            let of = |s: &Segment| {
+                let (row, base) = (u32::from(s.row), u32::from(s.column_base));
+                let samples = s.first as usize..s.first as usize + usize::from(s.count);
+                samples.map(move |i| (i, (row, base + u32::from(self.column[i]))))
+            };
+            self.segments.iter().flat_map(of).peekable()
+        };
+        let (mut next, mut below) = (places(), places());
+        while let Some((i, (row, column))) = next.next() {
+            if self.links[i] & LINK_RIGHT != 0 && next.peek().is_some_and(|n| n.1 == (row, column + 1)) {
                 out[i] |= 2;
                 out[i + 1] |= 1;
             }
-            below += places[below..].iter().take_while(|p| **p < (row + 1, *column)).count();
-            if self.links[i] & LINK_DOWN != 0 && places.get(below) == Some(&(row + 1, *column)) {
+            while below.next_if(|b| b.1 < (row + 1, column)).is_some() {}
+            if let Some((j, _)) = below.peek().filter(|b| self.links[i] & LINK_DOWN != 0 && b.1 == (row + 1, column)) {
                 out[i] |= 8;
-                out[below] |= 4;
+                out[*j] |= 4;
             }
         }
         out
     }
 
-    /// The layer with surfaces that end at the borders of their last pixels.
+    /// The layer with surfaces that end at the borders of their last pixels: where nobody knows better.
     pub fn with_half_ends(mut self) -> Self {
         let half =
             |linked: u8| (0..4).filter(|side| linked >> side & 1 == 0).map(|s| (END_PARTS / 2) << (s * END_BITS)).sum();
@@ -191,11 +194,11 @@ pub struct SliverCorner {
 }
 
 impl Sliver {
-    /// Parts of a pixel that corners are rounded to.
+    /// Parts of a pixel that corners are rounded to: an eighth of a picture's pixel where an image's pixel is two.
     pub const PARTS: i32 = 16;
-    /// Pixels that a corner may lie outside of the image.
+    /// Pixels that a corner may lie outside of the image: surfaces that it holds go on beside it; what reaches farther is another image's.
     pub const MARGIN: i32 = 256;
-    /// Most slivers of an image.
+    /// Most slivers of an image: bounds what a forged chunk can make a reader allocate, to 10 MB.
     pub const MOST: usize = 1 << 18;
 }
 

@@ -1,7 +1,7 @@
-//! Whether an LDI keeps its promises, in one pass over its rows.
+//! Whether an LDI keeps its promises.
 //!
 //! A decoder calls [`Ldi::check`] before it hands an image on, tests call it after every construction; the
-//! warp may then index without looking. Cost: one visit per sample; memory: a few bytes per column.
+//! warp may then index without looking. Cost: two visits per sample; memory: a few bytes per column, a byte per sample.
 
 use super::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, SIDES, Segment, Sliver, end_of};
 use glam::DVec3;

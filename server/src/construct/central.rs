@@ -2,7 +2,7 @@
 
 use super::{
     caster::{Facet, SubsetCaster},
-    sample::{self, Sample},
+    sample::{self, Prediction, Sample, Tolerance},
     sight::Looked,
     view::{Lens, Rig},
 };
@@ -100,6 +100,15 @@ pub(super) fn short_ray(rig: &Rig, u: f64, v: f64, d: f64, margin: f64) -> Ray {
         t_min: (1.0 / (d + margin)).max(rig.near_m),
         t_max: 1.0 / farthest,
     }
+}
+
+/// A ray (`across`, `down`) pixels beside a sample's centre that can only hit its surface or what continues it.
+pub(super) fn ray_beside(rig: &Rig, (pixel, s): &Prediction, [across, down]: [f64; 2], tolerance: &Tolerance) -> Ray {
+    let (u, v) = rig.window.centre(*pixel as usize);
+    let (d, gu, gv) = (f64::from(s.disparity), f64::from(s.gradient[0]), f64::from(s.gradient[1]));
+    let predicted = (d + across * gu + down * gv).clamp(0.25 * d, 4.0 * d);
+    let margin = 0.25 * (gu.abs() + gv.abs()) + 2.0 * f64::from(tolerance.step);
+    short_ray(rig, u + across, v + down, predicted, margin)
 }
 
 /// Traces each prediction's pixel centre and maps it, in order, with its hit.

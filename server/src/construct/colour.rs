@@ -6,10 +6,9 @@
 
 use super::{
     caster::SubsetCaster,
-    central::{short_ray, traced},
+    central::{ray_beside, traced},
     layers::{RawLayer, for_each_link},
-    merge::Prediction,
-    sample::Tolerance,
+    sample::{Prediction, Tolerance},
     view::Rig,
 };
 use ldi_protocol::shade::srgb8_from_linear;
@@ -40,14 +39,7 @@ pub(super) fn average<C: SubsetCaster>(
             }
         }
         rays += items.len() as u64;
-        let ray_of = |(p, du, dv): &(Prediction, f64, f64)| {
-            let (u, v) = rig.window.centre(p.0 as usize);
-            let s = &p.1;
-            let (d, gu, gv) = (f64::from(s.disparity), f64::from(s.gradient[0]), f64::from(s.gradient[1]));
-            let predicted = (d + du * gu + dv * gv).clamp(0.25 * d, 4.0 * d);
-            let margin = 0.25 * (gu.abs() + gv.abs()) + 2.0 * f64::from(tolerance.step);
-            short_ray(rig, u + du, v + dv, predicted, margin)
-        };
+        let ray_of = |(p, du, dv): &(Prediction, f64, f64)| ray_beside(rig, p, [*du, *dv], tolerance);
         let colours = traced(caster, rig, &items, ray_of, |surveyor, _, ray, hit| hit.map(|h| surveyor.linear(ray, h)));
         for (i, seen) in marked.into_iter().zip(colours.chunks((per_side * per_side) as usize)) {
             let mut sum = [0.0_f32; 3];
@@ -68,7 +60,7 @@ pub(super) fn average<C: SubsetCaster>(
 /// Samples with a linked neighbour of a visibly different colour, ascending.
 fn uneven(layer: &RawLayer, width: u32) -> Vec<usize> {
     let mut marks = vec![false; layer.samples.len()];
-    for_each_link(layer, width, |i, j| {
+    for_each_link(layer, width, |i, j, _| {
         let (a, b) = (&layer.samples[i].1, &layer.samples[j].1);
         let filtered = a.surface == b.surface && a.filtered;
         if !filtered && (0..3).any(|k| a.rgb[k].abs_diff(b.rgb[k]) > VISIBLE) {

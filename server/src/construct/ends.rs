@@ -8,10 +8,9 @@
 
 use super::{
     caster::SubsetCaster,
-    central::{short_ray, traced},
+    central::{ray_beside, traced},
     layers::{RawLayer, for_each_link},
-    merge::Prediction,
-    sample::Tolerance,
+    sample::{Prediction, Tolerance},
     view::Rig,
 };
 use ldi_protocol::ldi::{END_BITS, END_PARTS, SIDES};
@@ -19,9 +18,8 @@ use ldi_protocol::ldi::{END_BITS, END_PARTS, SIDES};
 /// Sets the ends of a layer; returns the number of rays.
 pub(super) fn measure<C: SubsetCaster>(caster: &C, rig: &Rig, layer: &mut RawLayer, tolerance: &Tolerance) -> u64 {
     let mut linked = vec![[false; SIDES.len()]; layer.samples.len()];
-    for_each_link(layer, rig.window.width, |i, j| {
-        let down = usize::from(layer.samples[j].0 != layer.samples[i].0 + 1);
-        (linked[i][2 * down + 1], linked[j][2 * down]) = (true, true);
+    for_each_link(layer, rig.window.width, |i, j, axis| {
+        (linked[i][2 * axis + 1], linked[j][2 * axis]) = (true, true);
     });
     let open = || {
         linked.iter().enumerate().flat_map(|(i, linked)| (0..SIDES.len()).filter(|s| !linked[*s]).map(move |s| (i, s)))
@@ -29,13 +27,9 @@ pub(super) fn measure<C: SubsetCaster>(caster: &C, rig: &Rig, layer: &mut RawLay
     let samples = &layer.samples;
     let probes: Vec<(&Prediction, usize, u16)> =
         open().flat_map(|(i, side)| (0..END_PARTS).map(move |k| (&samples[i], side, k))).collect();
-    let ray_of = |((pixel, s), side, k): &(&Prediction, usize, u16)| {
+    let ray_of = |(sample, side, k): &(&Prediction, usize, u16)| {
         let beyond = (f64::from(*k) + 0.5) / f64::from(END_PARTS);
-        let [du, dv] = SIDES[*side].map(|x| f64::from(x) * beyond);
-        let (u, v) = rig.window.centre(*pixel as usize);
-        let (d, gu, gv) = (f64::from(s.disparity), f64::from(s.gradient[0]), f64::from(s.gradient[1]));
-        let predicted = (d + du * gu + dv * gv).clamp(0.25 * d, 4.0 * d);
-        short_ray(rig, u + du, v + dv, predicted, 0.25 * (gu.abs() + gv.abs()) + 2.0 * f64::from(tolerance.step))
+        ray_beside(rig, sample, SIDES[*side].map(|x| f64::from(x) * beyond), tolerance)
     };
     let on = traced(caster, rig, &probes, ray_of, |surveyor, ((_, s), ..), ray, hit| {
         hit.is_some_and(|h| surveyor.facet(ray, h).surface == s.surface)

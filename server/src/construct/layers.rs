@@ -7,9 +7,8 @@
 //! last sample before the change (a bridge), as the format allows: a few samples per occluder, and no crack along its border.
 
 use super::{
-    merge::{Known, Prediction},
-    sample::Tolerance,
-    slivers::Found,
+    merge::Known,
+    sample::{Prediction, Tolerance},
     view::Rig,
 };
 use ldi_protocol::ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, Segment};
@@ -122,18 +121,18 @@ fn links(samples: &[Prediction], width: u32, tolerance: &Tolerance) -> Vec<u8> {
         .collect()
 }
 
-/// Calls `f(i, j)` for every linked pair of a layer.
-pub(super) fn for_each_link(layer: &RawLayer, width: u32, mut f: impl FnMut(usize, usize)) {
+/// Calls `f(i, j, axis)` for every linked pair of a layer; axis 0: j is in the next column, 1: in the next row.
+pub(super) fn for_each_link(layer: &RawLayer, width: u32, mut f: impl FnMut(usize, usize, usize)) {
     let mut below = 0;
     for (i, ((pixel, _), bits)) in layer.samples.iter().zip(&layer.links).enumerate() {
         if bits & LINK_RIGHT != 0 {
-            f(i, i + 1);
+            f(i, i + 1, 0);
         }
         if bits & LINK_DOWN != 0 {
             while layer.samples[below].0 < pixel + width {
                 below += 1;
             }
-            f(i, below);
+            f(i, below, 1);
         }
     }
 }
@@ -141,15 +140,15 @@ pub(super) fn for_each_link(layer: &RawLayer, width: u32, mut f: impl FnMut(usiz
 /// Of no samples: any sound codes do.
 pub(super) const NO_CODES: DisparityCodes = DisparityCodes { smallest: 1.0, step: 1.0, largest_code: 1 };
 
-/// Disparity codes for all samples and slivers.
-pub(super) fn codes(rig: &Rig, layers: &[RawLayer], slivers: &[Found]) -> DisparityCodes {
+/// Disparity codes for all samples, and for `others`, 1/m.
+pub(super) fn codes(rig: &Rig, layers: &[RawLayer], others: impl Iterator<Item = f64>) -> DisparityCodes {
     let (mut smallest, mut largest) = (f32::INFINITY, 0.0_f32);
     for s in layers.iter().flat_map(|l| &l.samples) {
         smallest = smallest.min(s.1.disparity);
         largest = largest.max(s.1.disparity);
     }
     let (mut smallest, mut largest) = (f64::from(smallest), f64::from(largest));
-    for (_, d) in slivers.iter().flat_map(|s| s.corners) {
+    for d in others {
         (smallest, largest) = (smallest.min(d), largest.max(d));
     }
     if largest == 0.0 {

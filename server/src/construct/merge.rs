@@ -8,15 +8,12 @@
 use super::{
     caster::SubsetCaster,
     central::{Surveyor, short_ray, traced},
-    sample::{self, Sample, Tolerance},
+    sample::{self, Prediction, Sample, Tolerance},
     view::{ConstructionCamera, Rig},
 };
 use crate::render::{Hit, Ray};
 use rayon::prelude::*;
 use std::cmp::Ordering;
-
-/// A sample to be: its pixel, and the disparity at the pixel's centre that its plane predicts.
-pub(super) type Prediction = (u32, Sample);
 
 /// What became of a construction ray.
 pub(super) enum Seen {

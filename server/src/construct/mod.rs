@@ -150,7 +150,7 @@ pub struct ConstructStats {
     pub footprint_seen_px: f64,
     /// Bound on the error that rounding disparity causes, output pixels.
     pub quantization_error_px: f64,
-    /// Seconds: central, construction, recast, colour and coding.
+    /// Seconds: central, construction, recast, all the rest.
     pub seconds: [f64; 4],
 }
 
@@ -274,8 +274,8 @@ fn tile<C: SubsetCaster>(
                     Seen::Pruned => stats.pruned += 1,
                     Seen::New(home, pixel) => {
                         predictions.push(home);
-                        if slivers::steep_axis(camera, &home.1).is_some() {
-                            candidates.push(Candidate { camera: number, pixel, home });
+                        if let Some(axis) = slivers::steep_axis(camera, &home.1) {
+                            candidates.push(Candidate { camera: number, pixel, home, axis });
                         }
                     }
                     Seen::Known | Seen::Nothing => {}
@@ -304,7 +304,7 @@ fn tile<C: SubsetCaster>(
     stats.slivers = slivers.len() as u32;
     stats.rays.ends = raw.iter_mut().map(|l| ends::measure(caster, &rig, l, &tolerance)).sum();
     stats.rays.colour = colour::average(caster, &rig, &mut raw, &tolerance, options.sub_rays_per_side.min(8));
-    let codes = layers::codes(&rig, &raw, &slivers);
+    let codes = layers::codes(&rig, &raw, slivers.iter().flat_map(|s| s.disparities()));
     let sizes = quality::measure(&rig, plan, &options.output, &raw);
     stats.stretch_p99_px = sizes.stretch_p99;
     stats.stretch_max_px = sizes.stretch_max;

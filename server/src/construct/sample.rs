@@ -25,6 +25,9 @@ pub(super) struct Sample {
     pub filtered: bool,
 }
 
+/// A sample to be: its pixel, and the disparity at the pixel's centre that its plane predicts.
+pub(super) type Prediction = (u32, Sample);
+
 /// The disparity of a pixel of the central image that no eye looks at: nothing is known of it.
 pub(super) const UNSEEN: f32 = -1.0;
 

@@ -11,8 +11,7 @@ use super::{
     caster::SubsetCaster,
     central::traced,
     layers::RawLayer,
-    merge::Prediction,
-    sample::{Sample, Tolerance},
+    sample::{Prediction, Sample, Tolerance},
     view::{COARSENESS, ConstructionCamera, Rig},
 };
 use crate::render::Ray;
@@ -26,11 +25,11 @@ use std::collections::BTreeMap;
 /// Steps along a surface from a pixel to the next that are longer than this in the picture of a camera, pixels, show: a surface's border is off by up to
 /// half of it. By judgement.
 const STEEP: f64 = 2.0;
-/// Surfaces that a camera sees at less than this sine of an angle are not worth a sliver: its squares would be long and wrong.
+/// Surfaces that a camera sees at less than this sine of an angle, one degree, are left out: a square would be fifty pixels long there, whatever ends in it. By judgement.
 const GRAZING: f64 = 0.02;
-/// Colours of one rectangle differ by at most this in each channel (8-bit sRGB).
+/// Colours of one rectangle differ by at most this in each channel (8-bit sRGB). By judgement.
 const SAME_COLOUR: u8 = 3;
-/// Normals of one plane: cosine of the angle between them.
+/// Normals of one plane: cosine of the angle between them, 1.5 minutes; f32 positions give no better. That its squares lie in it is tested besides.
 const SAME_NORMAL: f64 = 1.0 - 1e-7;
 
 /// A hit that may become a sliver.
@@ -42,6 +41,8 @@ pub(super) struct Candidate {
     pub pixel: u32,
     /// Its pixel of the image, and the sample that it predicts there.
     pub home: Prediction,
+    /// The axis along which it is steep.
+    pub axis: usize,
 }
 
 /// Along which axis (0: to the next column, 1: row) a surface is steep for a camera; None: along neither.
@@ -101,10 +102,7 @@ pub(super) fn find<C: SubsetCaster>(
     mut candidates: Vec<Candidate>,
     tolerance: &Tolerance,
 ) -> (Vec<Found>, u64) {
-    candidates.retain(|c| {
-        steep_axis(&cameras[c.camera as usize], &c.home.1)
-            .is_some_and(|axis| !held(rig, layers, &c.home, axis, tolerance))
-    });
+    candidates.retain(|c| !held(rig, layers, c, tolerance));
     // Of the cameras that see a surface through a pixel the one that sees most of the surface: pictures of several do not join without gaps.
     let mut share: BTreeMap<(u32, u32), usize> = BTreeMap::new();
     candidates.iter().for_each(|c| *share.entry((c.home.1.surface, c.camera)).or_default() += 1);
@@ -163,9 +161,10 @@ fn place(camera: &ConstructionCamera, column: f64, row: f64) -> (f64, f64) {
     (of(camera.window.left, column), of(camera.window.top, row))
 }
 
-/// Whether the layers hold a prediction's surface in its pixel and in both neighbours along an axis.
-fn held(rig: &Rig, layers: &[RawLayer], (pixel, s): &Prediction, axis: usize, tolerance: &Tolerance) -> bool {
-    let (step, bit) = if axis == 0 { (1, LINK_RIGHT) } else { (rig.window.width, LINK_DOWN) };
+/// Whether the layers hold a candidate's surface in its pixel and in both neighbours along its axis.
+fn held(rig: &Rig, layers: &[RawLayer], Candidate { home, axis, .. }: &Candidate, tolerance: &Tolerance) -> bool {
+    let (pixel, s) = home;
+    let (step, bit) = if *axis == 0 { (1, LINK_RIGHT) } else { (rig.window.width, LINK_DOWN) };
     let at = |layer: &RawLayer, pixel: u32| layer.samples.binary_search_by_key(&pixel, |x| x.0).ok();
     layers.iter().any(|layer| {
         let linked = |i: usize| layer.links[i] & bit != 0;
@@ -220,11 +219,16 @@ fn rectangles(squares: &[Square], rig: &Rig, cameras: &[ConstructionCamera]) -> 
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Found {
     /// Places on the image, in parts of a pixel, and disparities.
-    pub corners: [([i32; 2], f64); 4],
-    pub rgb: [u8; 3],
+    corners: [([i32; 2], f64); 4],
+    rgb: [u8; 3],
 }
 
 impl Found {
+    /// Disparities of its corners, 1/m.
+    pub fn disparities(&self) -> impl Iterator<Item = f64> + use<> {
+        self.corners.into_iter().map(|c| c.1)
+    }
+
     pub fn coded(&self, codes: &DisparityCodes) -> Sliver {
         let corner = |([u, v], d): ([i32; 2], f64)| SliverCorner { u, v, disparity: codes.code(d) };
         Sliver { corners: self.corners.map(corner), rgb: self.rgb }
@@ -248,7 +252,7 @@ impl Rectangle {
         let corner = |row: u32, column: u32| {
             let (u, v) = place(camera, f64::from(column), f64::from(row));
             let d = s.plane.disparity(u, v);
-            // Neither behind the camera nor at its feet.
+            // A plane is believed up to eight times as far as it was hit; before the nearest replaced cell, but for rounding, there is nothing.
             if d < 0.125 * believed || d * camera.near_m > 1.0 + 1e-3 {
                 return None;
             }

@@ -137,11 +137,12 @@ pub(super) fn feasible(ctx: &Context, member: &Member, extra_m: f64) -> Result<(
     fit.counts(&fit.near(&fit.smallest()), ctx.budget).map(|_| ())
 }
 
-/// The smallest budget that would serve all eyes of `member`; None if what there is does.
+/// The smallest budget that any box around the eyes of `member` could keep; None if the budget is as large.
 pub(super) fn needed(ctx: &Context, member: &Member) -> Option<TooNear> {
     let members = [member];
     let fit = Fit::new(ctx, &members, 0.0);
-    let near = fit.near(&fit.smallest());
+    // What touches the eyes themselves is within every box.
+    let near = fit.near(&fit.ahead);
     let mut worst = None;
     while let Err(more) = fit.counts(&near, worst.map_or(ctx.budget, |w: TooNear| w.needed)) {
         worst = Some(more);

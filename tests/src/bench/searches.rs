@@ -55,6 +55,7 @@ pub struct Row {
 /// A scene that cannot be read, a budget that cannot be met.
 pub fn run(scene: &str, budget_percent: f64, cases: usize) -> Result<(Vec<Row>, Vec<SearchCase>, Vec<Groupings>)> {
     let options = usual_options(scene, budget_percent)?;
+    // Six view cells have 63 groups to fit and 203 partitions.
     let comparison = SearchComparison { searches: &SEARCHES, cases, steps: 3, most: 20_000, together: 6 };
     let (all, groupings) =
         build::compare_searches(&options, &comparison).with_context(|| format!("{scene} at {budget_percent}%"))?;

@@ -238,6 +238,14 @@ fn surfaces_end_between_pixels_where_they_do() {
 }
 
 #[test]
+fn an_image_of_one_column_is_sound() {
+    let pixel = 1.0 / OUTPUT.focal_px();
+    let narrow = ImagePlan { window: [0.2 * pixel, 0.8 * pixel, -0.5, 0.5], ..plan(9.0, [1.0, 0.6, 1.0]) };
+    let ldi = made(&room(), &narrow).ldi;
+    assert!(ldi.camera.width == 1 && ldi.layers[0].links.contains(&LINK_DOWN));
+}
+
+#[test]
 fn what_the_centre_sees_edge_on_is_held_by_slivers() {
     // A post whose side is a third of a pixel wide for the centre of projection, with no pixel's centre on it; eyes beside it see it at 8 degrees and less.
     let (x, z) = (0.1, [-14.0, -10.0]);
