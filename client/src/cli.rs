@@ -6,6 +6,7 @@ use anyhow::Context;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use ldi_client::{
+    composite::Fill,
     engine::{Cull, Feed, Method, Pace, Progress, WalkError, WalkJob, WalkOptions, pictures_of, run},
     near::MAX_SIDE_PX,
     report::{DatasetReport, MachineReport, Report, SceneReport},
@@ -83,9 +84,12 @@ struct WalkArgs {
     /// How what is far is shown.
     #[arg(long, value_enum, default_value = "auto")]
     method: Method,
-    /// How a warped sample becomes pixels: 1px, 2x2, 3x3, cross, footprint or quads [default: quads; 2x2 with --order epipole].
+    /// How a warped sample becomes pixels: 1px, 2x2, 3x3, cross, footprint, parallelogram, ewa or quads [default: quads; 2x2 with --order epipole].
     #[arg(long, value_name = "NAME")]
     stamp: Option<Stamp>,
+    /// What holes show: surface, the nearest farther surface beside them; last, the last frame, as in the portal system of 1998; off, nothing.
+    #[arg(long, value_enum, default_value = "surface")]
+    fill: Fill,
     /// Smooth what was warped with the 3 x 3 kernel of the 1999 system: fewer jaggies, less detail.
     #[arg(long)]
     smooth: bool,
@@ -283,6 +287,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         stamp: args.stamp.unwrap_or(if args.order == Order::Epipole { Stamp::TwoByTwo } else { Stamp::Quads }),
         order: args.order,
         cull: args.cull,
+        fill: args.fill,
         smooth: args.smooth,
         supersample: args.supersample,
         pace: args.pace,

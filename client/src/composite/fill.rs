@@ -4,13 +4,41 @@
 //! [`Source::Filled`]. A hole opens where something near moved away from something farther, so what belongs there is
 //! the farther: of the first surfaces met to the left, right, above and below, the one with the smallest disparity is
 //! taken, of equals the closest. Sky is no candidate: the direction is known not to be sky.
+//!
+//! The other way is that of Rafferty and others (1998): the warp paints over the last frame, and what shows between its samples is that.
 
 use crate::frame::{Frame, Source};
 use rayon::prelude::*;
+use serde::Serialize;
+
+/// What holes show.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Fill {
+    /// Nothing.
+    Off,
+    /// The nearest farther surface beside them.
+    #[default]
+    Surface,
+    /// The last frame.
+    Last,
+}
 
 /// How far a hole looks for a surface, in pixels. Wider holes are missing data rather than a gap between samples;
 /// a colour from farther away would be invented.
 const REACH_PX: usize = 48;
+
+/// Fills holes with the colours of the last frame, which has as many pixels; returns the number of filled pixels.
+pub fn from_last(frame: &mut Frame, last: &[u32]) -> u64 {
+    let mut filled = 0;
+    for ((source, colour), last) in frame.source.iter_mut().zip(&mut frame.colour).zip(last) {
+        if *source == Source::Unpainted {
+            (*source, *colour) = (Source::Filled, *last);
+            filled += 1;
+        }
+    }
+    filled
+}
 
 /// Fills what can be filled; returns the number of filled pixels.
 pub fn fill(frame: &mut Frame) -> u64 {

@@ -8,7 +8,7 @@
 //!    know where the far surface is, and not beyond: a rug of the images must stay above the floor of the geometry.
 //! 2. **Sky**: a pixel that nothing reached is sky where no image knows of anything else in its direction. Sky lies at infinity, so
 //!    the lookup is a rotation. Without an LDI nothing was culled, and what is left is sky.
-//! 3. **Fill** (`fill`, optional): remaining holes take the colour of the nearest farther surface and are marked
+//! 3. **Fill** (`fill`, optional): remaining holes take the colour of the nearest farther surface, or of the last frame, and are marked
 //!    [`Source::Filled`].
 //! 4. **Smoothing** (`smooth`, optional): the 3 x 3 kernel of Aliaga and Lastra's system, over far pixels.
 //! 5. **Averaging** ([`downsample()`]): a supersampled frame is averaged in linear light.
@@ -20,6 +20,7 @@ mod fill;
 mod smooth;
 
 pub use downsample::downsample;
+pub use fill::Fill;
 
 use crate::{
     frame::{Frame, SKY, Source},
@@ -62,18 +63,14 @@ impl<'a> FarImage<'a> {
 }
 
 /// Settings of the composite.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct CompositeOptions {
-    /// Fill holes from the nearest farther surface.
-    pub fill: bool,
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct CompositeOptions<'a> {
+    /// What holes show.
+    pub fill: Fill,
+    /// Colours of the last frame, for [`Fill::Last`]; without them, or of another size, holes stay.
+    pub last: &'a [u32],
     /// Smooth far pixels with a 3 x 3 kernel.
     pub smooth: bool,
-}
-
-impl Default for CompositeOptions {
-    fn default() -> Self {
-        Self { fill: true, smooth: false }
-    }
 }
 
 /// Pixels by origin after the composite.
@@ -128,7 +125,7 @@ pub fn composite(
     far: Far<'_>,
     pose: &Pose,
     camera: &OutputCamera,
-    options: &CompositeOptions,
+    options: &CompositeOptions<'_>,
 ) -> CompositeStats {
     let far = match far {
         Far::Images { picture, .. } if (picture.width, picture.height) != (frame.width, frame.height) => Far::Missing,
@@ -168,8 +165,12 @@ pub fn composite(
         .reduce(CompositeStats::default, CompositeStats::add);
     let worth_filling = stats.hole_before_fill * FILL_UP_TO < stats.pixels;
     let known = merge.is_some_and(|m| m.images.iter().any(|i| matches!(i.image, FarImage::Here(..))));
-    if options.fill && stats.hole_before_fill > 0 && worth_filling && known {
-        stats.filled = fill::fill(frame);
+    if stats.hole_before_fill > 0 && worth_filling && known {
+        stats.filled = match options.fill {
+            Fill::Surface => fill::fill(frame),
+            Fill::Last if options.last.len() == frame.len() => fill::from_last(frame, options.last),
+            Fill::Off | Fill::Last => 0,
+        };
         stats.unpainted -= stats.filled;
     }
     if options.smooth && stats.far > 0 {

@@ -140,7 +140,7 @@ fn outside_the_image_is_sky_and_a_missing_image_is_not() {
     let mut frame = Frame::new(CAMERA.width, CAMERA.height);
     let images = [FarImage::Here(&narrow, window(&ldi))];
     let far = Far::Images { picture: &picture, images: &images };
-    composite(&mut frame, far, &ahead(), &CAMERA, &CompositeOptions { fill: false, ..options });
+    composite(&mut frame, far, &ahead(), &CAMERA, &CompositeOptions { fill: Fill::Off, ..options });
     for at in 0..frame.len() {
         let want = if at % 160 < 80 { Source::Sky } else { Source::Unpainted };
         assert_eq!(frame.source[at], want, "column {}", at % 160);
@@ -182,13 +182,15 @@ fn a_hole_behind_a_sphere_is_filled_with_the_wall() {
     let pose = Pose { position: DVec3::new(1.0, 0.0, 0.0), ..ahead() };
     let picture = warped(&ldi, &pose);
     let far = Far::Images { picture: &picture, images: &[as_planned(&ldi)] };
-    let run = |fill: bool| {
+    let last = vec![pack_rgb([1, 2, 3]); 160 * 120];
+    let run = |fill: Fill, last: &[u32]| {
         let mut frame = Frame::new(CAMERA.width, CAMERA.height);
-        let stats = composite(&mut frame, far, &pose, &CAMERA, &CompositeOptions { fill, smooth: false });
+        let options = CompositeOptions { fill, last, ..CompositeOptions::default() };
+        let stats = composite(&mut frame, far, &pose, &CAMERA, &options);
         (frame, stats)
     };
-    let (_, without) = run(false);
-    let (frame, with) = run(true);
+    let (_, without) = run(Fill::Off, &[]);
+    let (frame, with) = run(Fill::Surface, &[]);
     assert!(without.hole_before_fill > 50 && without.unpainted == without.hole_before_fill && without.filled == 0);
     assert_eq!(
         (with.hole_before_fill, with.filled, with.unpainted),
@@ -197,6 +199,13 @@ fn a_hole_behind_a_sphere_is_filled_with_the_wall() {
     for at in (0..frame.len()).filter(|at| frame.source[*at] == Source::Filled) {
         assert!((frame.disparity[at] - 0.05).abs() < 1e-3, "the wall is at 20 m");
     }
+    let (over, stats) = run(Fill::Last, &last);
+    assert_eq!((stats.filled, stats.unpainted), (without.hole_before_fill, 0));
+    for at in 0..frame.len() {
+        assert_eq!(frame.source[at] == Source::Filled, over.colour[at] == last[at], "holes alone show the last frame");
+    }
+    let (_, none) = run(Fill::Last, &last[1..]);
+    assert_eq!(none.unpainted, without.hole_before_fill, "a frame of another size is none");
 }
 
 #[test]
@@ -337,7 +346,13 @@ fn tiles_join_without_a_seam() {
         let draw = |picture: &FarFrame, images: &[FarImage<'_>]| {
             let mut frame = Frame::new(CAMERA.width, CAMERA.height);
             let far = Far::Images { picture, images };
-            composite(&mut frame, far, &pose, &CAMERA, &CompositeOptions { fill: false, smooth: false });
+            composite(
+                &mut frame,
+                far,
+                &pose,
+                &CAMERA,
+                &CompositeOptions { fill: Fill::Off, ..CompositeOptions::default() },
+            );
             frame
         };
         let one = draw(&warped(&whole, &pose), &[as_planned(&whole)]);

@@ -1,6 +1,9 @@
 //! What a walk is asked to do.
 
-use crate::warp::{Order, Stamp};
+use crate::{
+    composite::Fill,
+    warp::{Order, Stamp},
+};
 use serde::Serialize;
 
 /// How far geometry is represented.
@@ -68,6 +71,8 @@ pub struct WalkOptions {
     pub order: Order,
     /// Rejection of samples by groups.
     pub cull: Cull,
+    /// What holes show.
+    pub fill: Fill,
     /// Smooth warped pixels with a 3 x 3 kernel.
     pub smooth: bool,
     /// Samples per output pixel along each side: 1 or 2.

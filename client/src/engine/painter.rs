@@ -5,7 +5,7 @@
 
 use super::options::{Cull, Method, WalkOptions};
 use crate::{
-    composite::{CompositeOptions, Far, FarImage, composite, downsample},
+    composite::{CompositeOptions, Far, FarImage, Fill, composite, downsample},
     frame::{Frame, Source, supersampled},
     near::Rasterizer,
     report::StageMs,
@@ -61,6 +61,8 @@ pub struct Painter {
     /// One image of several, where its order counts and must not mix with the others'.
     single: FarFrame,
     full: Frame,
+    /// Colours of the frame before, where holes are to show it.
+    last: Vec<u32>,
     /// Most recent last.
     prepared: Vec<(u32, Arc<Ldi>, PreparedLdi)>,
 }
@@ -137,6 +139,10 @@ impl Painter {
         let full_camera = supersampled(camera, options.supersample);
         let mut painted = Painted { ms, ..Painted::default() };
 
+        self.last.clear();
+        if options.fill == Fill::Last {
+            std::mem::swap(&mut self.last, &mut self.full.colour);
+        }
         let start = Instant::now();
         let near = self.rasterizer.draw(index, resident, &view.cells, &full_camera, pose, &mut self.full);
         painted.ms.near = ms_since(start);
@@ -206,7 +212,7 @@ impl Painter {
             [] => Far::Nothing,
             _ => Far::Images { picture: &self.far, images: &shown },
         };
-        let composite_options = CompositeOptions { smooth: options.smooth, ..CompositeOptions::default() };
+        let composite_options = CompositeOptions { fill: options.fill, last: &self.last, smooth: options.smooth };
         composite(&mut self.full, far, pose, &full_camera, &composite_options);
         if options.supersample > 1 {
             downsample(&self.full, options.supersample, out);

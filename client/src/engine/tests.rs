@@ -3,6 +3,7 @@
 use super::*;
 use crate::{
     cache::Incomplete,
+    composite::Fill,
     frame::{Frame, Source, unpack_rgb},
     report::StageMs,
     resident::Resident,
@@ -178,6 +179,7 @@ fn options(pace: Pace) -> WalkOptions {
         stamp: Stamp::Quads,
         order: Order::Z,
         cull: Cull::Auto,
+        fill: Fill::Surface,
         smooth: false,
         supersample: 1,
         pace,

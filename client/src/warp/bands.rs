@@ -1,12 +1,14 @@
-//! The driver: culls tiles, cuts the output into bands, runs the kernels.
+//! The driver: cuts the output into bands, runs the kernels.
 
 use super::{
     FarFrame, Order, Stamp, WarpError, WarpMatrix, WarpOptions, WarpStats,
+    cull::Reach,
+    ewa::Means,
     lanes::{Lanes, Portable},
     order::{Epipole, paint_place},
-    prepared::{Part, PreparedLdi, Tile},
+    prepared::PreparedLdi,
     quads::{Target, draw_tile},
-    stamps::{LARGEST_FOOTPRINT_STAMP, stamp_tile},
+    stamps::stamp_tile,
     transform::{Scratch, TileTransform, Window, transform_tile},
 };
 use ldi_protocol::{OutputCamera, Pose};
@@ -15,16 +17,6 @@ use rayon::prelude::*;
 /// Bands per thread: one alone would leave a thread waiting for the other's harder half; more repeat the tiles that
 /// straddle borders.
 const BANDS_PER_THREAD: usize = 2;
-
-/// A tile and the output rows that it may reach, `from` inclusive, `to` exclusive.
-pub struct Reach<'a> {
-    /// The part that holds the tile's arrays.
-    pub part: &'a Part,
-    /// The tile.
-    pub tile: &'a Tile,
-    from: u32,
-    to: u32,
-}
 
 /// What all bands share.
 struct Job<'a> {
@@ -70,17 +62,8 @@ fn run(
         into.reset(camera.width, camera.height);
     }
     let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
-    let all_rows = (0, into.height);
-    let mut tiles: Vec<Reach<'_>> = ldi
-        .parts
-        .iter()
-        .flat_map(|part| part.tiles.iter().map(move |tile| (part, tile)))
-        .filter_map(|(part, tile)| {
-            let reach = reach(&matrix, tile, into.width, into.height);
-            let (from, to) = if options.keep_all_tiles { Some(all_rows) } else { reach }?;
-            Some(Reach { part, tile, from, to })
-        })
-        .collect();
+    let size = (into.width, into.height);
+    let mut tiles = ldi.blocks.reaching(&ldi.parts, &matrix, size, options.keep_all_tiles);
     if let Some(epipole) = &epipole {
         epipole.sort_tiles(&mut tiles);
     }
@@ -125,43 +108,6 @@ fn run(
 pub fn warp_in_order(ldi: &PreparedLdi, pose: &Pose, order: &Pose, camera: &OutputCamera, into: &mut FarFrame) {
     let options = WarpOptions { stamp: Stamp::OnePixel, order: Order::Epipole, ..WarpOptions::default() };
     run(ldi, pose, camera, &options, Some(Epipole::new(&ldi.camera, order)), into);
-}
-
-/// The output rows that a tile may reach; None when it reaches none.
-fn reach(matrix: &WarpMatrix, tile: &Tile, width: u32, height: u32) -> Option<(u32, u32)> {
-    let [u0, v0, u1, v1] = tile.bounds.map(f64::from);
-    let mut low = [f64::MAX; 2];
-    let mut high = [f64::MIN; 2];
-    let mut behind = 0;
-    for d in tile.disparity.map(f64::from) {
-        for v in [v0, v1] {
-            for u in [u0, u1] {
-                let [x, y, w] = matrix.homogeneous(u, v, d);
-                if w <= 0.0 {
-                    behind += 1;
-                    continue;
-                }
-                for (axis, p) in [x / w, y / w].into_iter().enumerate() {
-                    low[axis] = low[axis].min(p);
-                    high[axis] = high[axis].max(p);
-                }
-            }
-        }
-    }
-    match behind {
-        8 => return None,
-        0 => {}
-        _ => return Some((0, height)),
-    }
-    // Stamps reach beyond their samples' cells; the additional pixel covers f32 rounding.
-    let margin = f64::from(LARGEST_FOOTPRINT_STAMP) * 0.5 + 1.0;
-    let [x0, y0] = low.map(|p| p - margin);
-    let [x1, y1] = high.map(|p| p + margin);
-    if x1 < 0.0 || y1 < 0.0 || x0 > f64::from(width) || y0 > f64::from(height) {
-        return None;
-    }
-    // Saturating conversions.
-    Some((y0.floor().max(0.0) as u32, (y1.ceil().max(0.0) as u32).min(height)))
 }
 
 /// Cuts the rows into bands (first row, rows) with about equal numbers of samples.
@@ -240,8 +186,16 @@ fn draw_band<L: Lanes>(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
             let stretch = |side2| stats.stretch.count(side2, home);
             draw_tile::<L>(target, &transform, t.part, t.tile, scratch, stretch);
         } else {
-            stamp_tile::<L>(target, t.part, t.tile, scratch, stamp);
+            stamp_tile::<L>(target, &TileTransform::new(matrix, t.tile), t.part, t.tile, scratch, stamp);
         }
+    }
+    if stamp == Stamp::Ewa {
+        let mut means = Means::new(target);
+        for t in job.tiles.iter().filter(|t| reaches(t)) {
+            transform_tile::<L>(matrix, t.part, t.tile, &window, scratch);
+            means.add_tile(target, &TileTransform::new(matrix, t.tile), t.part, t.tile, scratch);
+        }
+        means.write(target);
     }
     stats.footprint_max_px = footprint2.sqrt();
     stats

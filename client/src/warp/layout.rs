@@ -390,7 +390,8 @@ impl Builder {
                 part.column.push(c as u8);
                 part.disparity.push(d);
                 part.colour.push(self.colour[start + c]);
-                tile.disparity = [tile.disparity[0].min(d), tile.disparity[1].max(d)];
+                let [least, most] = tile.bounds.disparity;
+                tile.bounds.disparity = [least.min(d), most.max(d)];
                 leftmost = leftmost.min(c);
                 rightmost = c;
             }
@@ -402,9 +403,9 @@ impl Builder {
                 tile.own += (count - usize::from(rightmost == TILE_COLUMNS)) as u32;
             }
             let v = (self.first_row + row) as f32;
-            let d = tile.disparity[0];
-            tile.grow((first_column + leftmost) as f32, v, d);
-            tile.grow((first_column + rightmost + 1) as f32, v + 1.0, d);
+            let d = tile.bounds.disparity[0];
+            tile.bounds.grow((first_column + leftmost) as f32, v, d);
+            tile.bounds.grow((first_column + rightmost + 1) as f32, v + 1.0, d);
         }
         tile.row_start[TILE_ROWS + 1] = (part.column.len() - first) as u16;
         // Squares belong to the tile of their upper left pixel; the image's border squares to the first tiles.

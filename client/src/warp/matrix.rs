@@ -61,18 +61,22 @@ impl WarpMatrix {
         (w > 0.0 && disparity > 0.0).then(|| Warped { x: x / w, y: y / w, disparity: disparity / w })
     }
 
-    /// The footprint of a sample, in output pixels: the largest singular value of d(x, y)/d(u, v) at fixed disparity.
-    /// None where [`Self::warp`] has none.
-    pub fn footprint(&self, u: f64, v: f64, disparity: f64) -> Option<f64> {
+    /// d(x, y)/d(u, v) at fixed disparity, output pixels per LDI pixel: xu, xv, yu, yv. None where [`Self::warp`] has none.
+    pub fn jacobian(&self, u: f64, v: f64, disparity: f64) -> Option<[f64; 4]> {
         let p = self.warp(u, v, disparity)?;
         let w = self.homogeneous(u, v, disparity)[2];
         let [rx, ry, rw] = &self.rows;
-        let j = [
+        Some([
             (rx[0] - p.x * rw[0]) / w,
             (rx[1] - p.x * rw[1]) / w,
             (ry[0] - p.y * rw[0]) / w,
             (ry[1] - p.y * rw[1]) / w,
-        ];
+        ])
+    }
+
+    /// The footprint of a sample, in output pixels: the largest singular value of [`Self::jacobian`].
+    pub fn footprint(&self, u: f64, v: f64, disparity: f64) -> Option<f64> {
+        let j = self.jacobian(u, v, disparity)?;
         let trace = j.iter().map(|e| e * e).sum::<f64>();
         let det = j[0] * j[3] - j[1] * j[2];
         Some((0.5 * (trace + (trace * trace - 4.0 * det * det).max(0.0).sqrt())).sqrt())

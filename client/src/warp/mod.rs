@@ -8,8 +8,7 @@
 //! Reconstruction is where quality and time go: [`Stamp::Quads`] joins linked samples to micro-quads (`layout` tells
 //! how they meet, `quads` how they are drawn), the others write fixed sets of pixels (`stamps`).
 //!
-//! **Practice.** Tiles are bounded on the output by their corners and disparities (W is affine in u, v, d; x and y are
-//! monotone in each where W > 0, so that a box's corners bound it) and culled. The output is cut into bands of rows with
+//! **Practice.** Tiles that cannot reach the picture are clipped by blocks (`cull`). The output is cut into bands of rows with
 //! about equal numbers of samples; a task owns a band and draws every tile that reaches into it. No two tasks
 //! share a pixel, and a pixel takes a maximum over (disparity, colour): pictures do not depend on the number of
 //! threads, on the order of tiles, nor on whether AVX2 is there. Where disparities tie to the bit, the larger packed colour wins.
@@ -18,7 +17,9 @@
 //! keeps that for the stamps that are small. Micro-quads need depth: neighbouring quads overlap at folds.
 
 mod bands;
+mod cull;
 pub mod debug;
+mod ewa;
 mod lanes;
 mod layout;
 mod matrix;
@@ -52,6 +53,10 @@ pub enum Stamp {
     Cross,
     /// An axis-aligned square as large as the sample's footprint.
     Footprint,
+    /// The sample's square cell as the warp turns and stretches it, at the sample's disparity.
+    Parallelogram,
+    /// Elliptical Gaussians: the same cells decide what is seen, colours are their weighted means.
+    Ewa,
     /// Linked neighbours joined to small quads.
     #[default]
     Quads,
@@ -59,8 +64,16 @@ pub enum Stamp {
 
 impl Stamp {
     /// All stamps, cheapest first.
-    pub const ALL: [Self; 6] =
-        [Self::OnePixel, Self::TwoByTwo, Self::Cross, Self::ThreeByThree, Self::Footprint, Self::Quads];
+    pub const ALL: [Self; 8] = [
+        Self::OnePixel,
+        Self::TwoByTwo,
+        Self::Cross,
+        Self::ThreeByThree,
+        Self::Footprint,
+        Self::Parallelogram,
+        Self::Ewa,
+        Self::Quads,
+    ];
 
     /// The name used on the command line and in reports.
     pub const fn name(self) -> &'static str {
@@ -70,6 +83,8 @@ impl Stamp {
             Self::ThreeByThree => "3x3",
             Self::Cross => "cross",
             Self::Footprint => "footprint",
+            Self::Parallelogram => "parallelogram",
+            Self::Ewa => "ewa",
             Self::Quads => "quads",
         }
     }
@@ -137,7 +152,7 @@ pub struct WarpOptions {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum WarpError {
     /// No such stamp.
-    #[error("unknown stamp `{0}`; use 1px, 2x2, 3x3, cross, footprint or quads")]
+    #[error("unknown stamp `{0}`; use 1px, 2x2, 3x3, cross, footprint, parallelogram, ewa or quads")]
     UnknownStamp(String),
     /// No such order.
     #[error("unknown order `{0}`; use z or epipole")]

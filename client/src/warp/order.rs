@@ -16,7 +16,7 @@
 
 use super::{
     Stamp,
-    bands::Reach,
+    cull::Reach,
     lanes::Lanes,
     matrix::WarpMatrix,
     prepared::{TILE_COLUMNS, TILE_ROWS},

@@ -9,6 +9,7 @@
 //! How samples become quads and pieces is told in `layout`.
 
 use super::{
+    cull::{Blocks, Bounds},
     lanes::LANES,
     layout::{Builder, Vertex, slivers},
 };
@@ -80,10 +81,8 @@ pub struct Tile {
     pub groups: Range<usize>,
     /// Number of its border pieces; the last group may be incomplete.
     pub pieces: usize,
-    /// Smallest and largest disparity of all it draws, 1/m.
-    pub disparity: [f32; 2],
-    /// What it draws in LDI pixels of the image: u from, v from, u to, v to.
-    pub bounds: [f32; 4],
+    /// Of all that it draws.
+    pub bounds: Bounds,
 }
 
 /// The tiles of one layer and one row of tiles.
@@ -112,6 +111,8 @@ pub struct PreparedLdi {
     pub camera: LdiCamera,
     /// Parts in order of layer, then row; slivers last.
     pub parts: Vec<Part>,
+    /// The parts' tiles in blocks, for clipping.
+    pub blocks: Blocks,
     /// Samples in all.
     pub samples: usize,
 }
@@ -121,13 +122,13 @@ impl PreparedLdi {
     pub fn new(ldi: &Ldi) -> Self {
         let rows_of_tiles = (ldi.camera.height as usize).div_ceil(TILE_ROWS);
         let jobs = ldi.layers.len() * rows_of_tiles;
-        let parts = (0..jobs)
+        let parts: Vec<Part> = (0..jobs)
             .into_par_iter()
             .map(|job| Builder::new(ldi, job / rows_of_tiles, (job % rows_of_tiles) * TILE_ROWS).build())
             .filter(|part| !part.tiles.is_empty())
             .chain(slivers(ldi))
             .collect();
-        Self { camera: ldi.camera, parts, samples: ldi.samples() }
+        Self { camera: ldi.camera, blocks: Blocks::new(&parts), parts, samples: ldi.samples() }
     }
 
     /// Micro-quads and border pieces of a tile.
@@ -179,8 +180,7 @@ impl Tile {
             runs: part.runs.len()..0,
             groups: part.pieces.begin()..0,
             pieces: 0,
-            disparity: [f32::MAX, 0.0],
-            bounds: [f32::MAX, f32::MAX, f32::MIN, f32::MIN],
+            bounds: Bounds::NONE,
         }
     }
 
@@ -193,17 +193,9 @@ impl Tile {
             let (group, lane) = (&mut part.pieces.groups[self.groups.start + i / LANES], i % LANES);
             for corner in 0..4 {
                 let v = group.v[corner][lane] + self.row as f32;
-                self.grow(group.u[corner][lane], v, group.disparity[corner][lane]);
+                self.bounds.grow(group.u[corner][lane], v, group.disparity[corner][lane]);
                 group.u[corner][lane] -= self.column as f32;
             }
         }
-    }
-
-    /// Extends the bounds by a corner of what is drawn.
-    pub(super) fn grow(&mut self, u: f32, v: f32, disparity: f32) {
-        let [u0, v0, u1, v1] = &mut self.bounds;
-        (*u0, *v0) = (u0.min(u), v0.min(v));
-        (*u1, *v1) = (u1.max(u), v1.max(v));
-        self.disparity = [self.disparity[0].min(disparity), self.disparity[1].max(disparity)];
     }
 }

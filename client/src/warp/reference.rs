@@ -3,7 +3,12 @@
 //! In: a decoded image, a pose, the output camera. Out: a [`FarFrame`]. No tiles, no culling, no bands; every
 //! sample, square and pixel is looked at by the rules that `prepared` and `stamps` state, straight from the layers.
 
-use super::{FarFrame, Stamp, WarpMatrix, Warped, prepared::OVERLAP, stamps::LARGEST_FOOTPRINT_STAMP};
+use super::{
+    FarFrame, Stamp, WarpMatrix, Warped,
+    ewa::{CUT, PIXEL_VARIANCE, SAME_SURFACE, SAMPLE_VARIANCE},
+    prepared::OVERLAP,
+    stamps::LARGEST_FOOTPRINT_STAMP,
+};
 use crate::frame::{pack_rgb, unpack_rgb};
 use ldi_protocol::{
     OutputCamera, Pose,
@@ -21,9 +26,14 @@ pub fn warp(ldi: &Ldi, pose: &Pose, camera: &OutputCamera, stamp: Stamp) -> FarF
         let grid = Grid::new(ldi, layer);
         if stamp == Stamp::Quads {
             grid.quads(&matrix, &mut frame);
+        } else if matches!(stamp, Stamp::Parallelogram | Stamp::Ewa) {
+            grid.samples.iter().for_each(|(at, s)| paint_parallelogram(&matrix, *at, s, &mut frame));
         } else {
             grid.samples.iter().for_each(|(at, s)| paint_stamp(&matrix, *at, s, stamp, &mut frame));
         }
+    }
+    if stamp == Stamp::Ewa {
+        weighted_means(&matrix, ldi, &mut frame);
     }
     if stamp == Stamp::Quads {
         for s in &ldi.slivers {
@@ -80,7 +90,7 @@ fn paint_stamp(matrix: &WarpMatrix, (row, column): (i64, i64), s: &Sample, stamp
         Stamp::OnePixel => 1,
         Stamp::TwoByTwo => 2,
         Stamp::ThreeByThree | Stamp::Cross => 3,
-        Stamp::Footprint | Stamp::Quads => footprint.ceil().clamp(1.0, f64::from(LARGEST_FOOTPRINT_STAMP)) as i64,
+        _ => footprint.ceil().clamp(1.0, f64::from(LARGEST_FOOTPRINT_STAMP)) as i64,
     };
     let offset = 0.5 * (side - 1) as f64;
     let (left, top) = ((p.x - offset).floor() as i64, (p.y - offset).floor() as i64);
@@ -90,6 +100,68 @@ fn paint_stamp(matrix: &WarpMatrix, (row, column): (i64, i64), s: &Sample, stamp
                 put(frame, left + dx, top + dy, p.disparity, s.colour);
             }
         }
+    }
+}
+
+/// Pixel centres around a warped sample, within half of the largest stamp along each axis: column, row, offset.
+fn around(p: Warped) -> impl Iterator<Item = (i64, i64, [f64; 2])> {
+    let half = 0.5 * f64::from(LARGEST_FOOTPRINT_STAMP);
+    let reach = half as i64 + 1;
+    let (left, top) = (p.x.floor() as i64 - reach, p.y.floor() as i64 - reach);
+    let all = (0..=2 * reach).flat_map(move |dy| (0..=2 * reach).map(move |dx| (left + dx, top + dy)));
+    all.map(move |(column, row)| (column, row, [column as f64 + 0.5 - p.x, row as f64 + 0.5 - p.y]))
+        .filter(move |(_, _, [dx, dy])| dx.abs() <= half && dy.abs() <= half)
+}
+
+fn paint_parallelogram(matrix: &WarpMatrix, (row, column): (i64, i64), s: &Sample, frame: &mut FarFrame) {
+    let (u, v) = (column as f64 + 0.5, row as f64 + 0.5);
+    let (Some(p), Some([a, b, c, d])) = (matrix.warp(u, v, s.disparity), matrix.jacobian(u, v, s.disparity)) else {
+        return;
+    };
+    let (det, half) = (a * d - b * c, 0.5 + f64::from(OVERLAP));
+    for (column, row, [dx, dy]) in around(p) {
+        let (s_at, t_at) = ((d * dx - b * dy) / det, (a * dy - c * dx) / det);
+        if (s_at.abs() <= half && t_at.abs() <= half) || (dx.abs() <= 0.5 && dy.abs() <= 0.5) {
+            put(frame, column, row, p.disparity, s.colour);
+        }
+    }
+}
+
+/// The colours of [`Stamp::Ewa`] over a picture of parallelograms, by the formulas that `ewa` states.
+fn weighted_means(matrix: &WarpMatrix, ldi: &Ldi, frame: &mut FarFrame) {
+    let [sample, pixel, cut, same] = [SAMPLE_VARIANCE, PIXEL_VARIANCE, CUT, SAME_SURFACE].map(f64::from);
+    let mut sums = vec![[0.0f64; 4]; frame.packed.len()];
+    for layer in &ldi.layers {
+        for ((row, column), s) in &Grid::new(ldi, layer).samples {
+            let (u, v) = (*column as f64 + 0.5, *row as f64 + 0.5);
+            let (warped, jacobian) = (matrix.warp(u, v, s.disparity), matrix.jacobian(u, v, s.disparity));
+            let (Some(p), Some([a, b, c, d])) = (warped, jacobian) else { continue };
+            let variance = glam::DMat2::from_cols_array(&[
+                sample * (a * a + b * b) + pixel,
+                sample * (a * c + b * d),
+                sample * (a * c + b * d),
+                sample * (c * c + d * d) + pixel,
+            ]);
+            let inverse = variance.inverse();
+            for (column, row, offset) in around(p) {
+                let inside =
+                    (0..i64::from(frame.width)).contains(&column) && (0..i64::from(frame.height)).contains(&row);
+                let at = (row * i64::from(frame.width) + column) as usize;
+                let Some((_, seen)) = inside.then(|| frame.get(at)).flatten() else { continue };
+                let offset = glam::DVec2::from_array(offset);
+                let q = offset.dot(inverse * offset);
+                if (f64::from(seen) - p.disparity).abs() <= same * f64::from(seen) && q < cut {
+                    let weight = (1.0 - q / cut).powi(4);
+                    let light = unpack_rgb(s.colour).map(|c| f64::from(c).powi(2));
+                    let add = [light[0], light[1], light[2], 1.0].map(|x| x * weight);
+                    sums[at].iter_mut().zip(add).for_each(|(sum, x)| *sum += x);
+                }
+            }
+        }
+    }
+    for (packed, [r, g, b, w]) in frame.packed.iter_mut().zip(sums).filter(|(_, s)| s[3] > 0.0) {
+        let colour = pack_rgb([r, g, b].map(|sum| (sum / w).sqrt().round() as u8));
+        *packed = *packed >> 32 << 32 | u64::from(colour);
     }
 }
 

@@ -1,16 +1,18 @@
 //! Stamps: every sample paints a fixed set of pixels, with its own colour and disparity.
 //!
 //! In: a transformed tile. Out: pixels, as 64-bit maxima like the quads'. The cheap reconstructions of image-based
-//! rendering since McMillan: one pixel, 2 x 2, 3 x 3, the five-pixel cross, and the axis-aligned square as large as
-//! the sample's footprint. Even-sized stamps centre on the sample to half a pixel.
+//! rendering since McMillan: one pixel, 2 x 2, 3 x 3, the five-pixel cross, the axis-aligned square as large as
+//! the sample's footprint, and the parallelogram that the sample's own square becomes. Even-sized stamps centre on the
+//! sample to half a pixel.
 
 use super::{
     Stamp,
     lanes::{LANES, Lanes},
-    prepared::{Part, TILE_COLUMNS, TILE_ROWS, Tile},
+    prepared::{OVERLAP, Part, TILE_COLUMNS, TILE_ROWS, Tile},
     quads::Target,
-    transform::{LANE_NUMBERS, Scratch},
+    transform::{LANE_NUMBERS, Scratch, TileTransform, Window},
 };
+use std::ops::Range;
 
 /// Largest side of a footprint stamp, pixels. The image guarantee keeps footprints at about 2, or 4 supersampled; beyond
 /// 8 a stamp would smear one sample over what other samples know better.
@@ -18,20 +20,29 @@ pub const LARGEST_FOOTPRINT_STAMP: f32 = 8.0;
 
 /// Stamps all samples of a tile that are its own.
 #[inline(always)]
-pub fn stamp_tile<L: Lanes>(target: &mut Target<'_>, part: &Part, tile: &Tile, scratch: &Scratch, stamp: Stamp) {
-    for row in 0..TILE_ROWS {
-        let from = usize::from(tile.row_start[row]);
-        let mut to = usize::from(tile.row_start[row + 1]);
-        if to > from && usize::from(part.column[tile.first + to - 1]) == TILE_COLUMNS {
-            to -= 1;
-        }
-        for i in (from..to).step_by(LANES) {
-            let colours = &part.colour[tile.first + i..tile.first + to.min(i + LANES)];
+pub fn stamp_tile<L: Lanes>(
+    target: &mut Target<'_>,
+    transform: &TileTransform,
+    part: &Part,
+    tile: &Tile,
+    scratch: &Scratch,
+    stamp: Stamp,
+) {
+    for row in own_rows(part, tile) {
+        for i in row.clone().step_by(LANES) {
+            let colours = &part.colour[tile.first + i..tile.first + row.end.min(i + LANES)];
             match stamp {
                 Stamp::OnePixel => offsets8::<L>(target, scratch, colours, i, (0.0, &ONE_PIXEL)),
                 Stamp::TwoByTwo => offsets8::<L>(target, scratch, colours, i, (0.5, &TWO_BY_TWO)),
                 Stamp::ThreeByThree => offsets8::<L>(target, scratch, colours, i, (0.0, &THREE_BY_THREE)),
                 Stamp::Cross => offsets8::<L>(target, scratch, colours, i, (0.0, &CROSS)),
+                Stamp::Parallelogram | Stamp::Ewa => {
+                    for (at, colour) in colours.iter().enumerate() {
+                        if let Some(splat) = Splat::new(transform, part, tile, scratch, i + at) {
+                            splat.parallelogram(target, *colour);
+                        }
+                    }
+                }
                 Stamp::Footprint | Stamp::Quads => {
                     for (at, colour) in colours.iter().enumerate() {
                         footprint(target, *colour, scratch, i + at);
@@ -39,6 +50,80 @@ pub fn stamp_tile<L: Lanes>(target: &mut Target<'_>, part: &Part, tile: &Tile, s
                 }
             }
         }
+    }
+}
+
+/// Tile-local numbers of the samples of each row that are no halo.
+pub fn own_rows<'a>(part: &'a Part, tile: &'a Tile) -> impl Iterator<Item = Range<usize>> + 'a {
+    (0..TILE_ROWS).map(|row| {
+        let (from, to) = (usize::from(tile.row_start[row]), usize::from(tile.row_start[row + 1]));
+        let halo = to > from && usize::from(part.column[tile.first + to - 1]) == TILE_COLUMNS;
+        from..to - usize::from(halo)
+    })
+}
+
+/// A sample with what the warp does to its surroundings in the image.
+#[derive(Debug, Clone, Copy)]
+pub struct Splat {
+    /// Output pixels.
+    pub x: f32,
+    /// Output pixels.
+    pub y: f32,
+    /// 1/m.
+    pub disparity: f32,
+    /// d(x, y)/d(u, v) at fixed disparity: xu, xv, yu, yv.
+    pub jacobian: [f32; 4],
+}
+
+impl Splat {
+    /// Sample `i` of a transformed tile; None at or behind the eye's plane.
+    #[inline(always)]
+    pub fn new(transform: &TileTransform, part: &Part, tile: &Tile, scratch: &Scratch, i: usize) -> Option<Self> {
+        let (x, y, disparity) = (scratch.x[i], scratch.y[i], scratch.disparity[i]);
+        // Also refuses NaN.
+        if !(disparity > 0.0) {
+            return None;
+        }
+        let inverse = disparity / part.disparity[tile.first + i];
+        let [rx, ry, rw] = &transform.rows;
+        let entry = |slope: f32, p: f32, slope_w: f32| (slope - p * slope_w) * inverse;
+        let jacobian = [entry(rx[0], x, rw[0]), entry(rx[1], x, rw[1]), entry(ry[0], y, rw[0]), entry(ry[1], y, rw[1])];
+        Some(Self { x, y, disparity, jacobian })
+    }
+
+    /// Calls `visit` with the place in the window and the offset from the sample, pixels, of every pixel centre that is at most `reach` away along each axis, and
+    /// at most half of [`LARGEST_FOOTPRINT_STAMP`].
+    #[inline(always)]
+    pub fn pixels(&self, window: Window, reach: [f32; 2], mut visit: impl FnMut(usize, [f32; 2])) {
+        let [rx, ry] = reach.map(|r| r.min(0.5 * LARGEST_FOOTPRINT_STAMP));
+        let (x, y) = (self.x - 0.5, self.y - 0.5 - window.first_row as f32);
+        // Saturating conversions: far outside stays outside.
+        let span = |p: f32, r: f32, size: u32| {
+            let (from, to) = ((p - r).ceil().max(0.0) as usize, (p + r).floor().min(size as f32 - 1.0));
+            from..if to < 0.0 { 0 } else { to as usize + 1 }
+        };
+        for row in span(y, ry, window.rows) {
+            for column in span(x, rx, window.width) {
+                visit(row * window.width as usize + column, [column as f32 - x, row as f32 - y]);
+            }
+        }
+    }
+
+    /// Paints the pixel centres inside the sample's cell, and the pixel that contains the sample.
+    #[inline(always)]
+    fn parallelogram(&self, target: &mut Target<'_>, colour: u32) {
+        let [a, b, c, d] = self.jacobian;
+        let half = 0.5 + OVERLAP;
+        let reach = [(a.abs() + b.abs()) * half, (c.abs() + d.abs()) * half].map(|r| r.max(0.5));
+        let inverse = 1.0 / (a * d - b * c);
+        let bits = self.disparity.to_bits();
+        self.pixels(target.window, reach, |at, [dx, dy]| {
+            let (s, t) = ((d * dx - b * dy) * inverse, (a * dy - c * dx) * inverse);
+            let home = dx.abs().max(dy.abs()) <= 0.5;
+            if home || s.abs().max(t.abs()) <= half {
+                target.put(at, bits, colour);
+            }
+        });
     }
 }
 

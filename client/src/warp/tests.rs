@@ -102,8 +102,17 @@ fn quads_match_the_truth_from_shifted_eyes() {
 #[test]
 fn coarser_stamps_are_worse_and_a_wrong_pose_is_much_worse() {
     for p in &poses()[1..] {
-        let [one, two, three, quads] = [Stamp::OnePixel, Stamp::TwoByTwo, Stamp::ThreeByThree, Stamp::Quads]
-            .map(|stamp| against_truth("fence", p, stamp));
+        let [one, two, three, square, turned, ewa, quads] = [
+            Stamp::OnePixel,
+            Stamp::TwoByTwo,
+            Stamp::ThreeByThree,
+            Stamp::Footprint,
+            Stamp::Parallelogram,
+            Stamp::Ewa,
+            Stamp::Quads,
+        ]
+        .map(|stamp| against_truth("fence", p, stamp));
+        assert!(turned.mean < square.mean && ewa.mean < turned.mean, "{square:?} {turned:?} {ewa:?}");
         assert!(quads.mean * 3.0 < one.mean && one.mean < two.mean && two.mean < three.mean);
         assert!(quads.other_surface < one.other_surface && one.other_surface < three.other_surface);
         let wrong = Pose { yaw_deg: p.yaw_deg + 0.5, ..*p };
@@ -195,7 +204,7 @@ fn threads_kernels_and_culling_do_not_change_a_bit() {
     for name in ["fence", "floor"] {
         let prepared = PreparedLdi::new(&with_ends_and_slivers(image(name)));
         for p in &poses() {
-            for stamp in [Stamp::OnePixel, Stamp::Footprint, Stamp::Quads] {
+            for stamp in [Stamp::OnePixel, Stamp::Footprint, Stamp::Parallelogram, Stamp::Ewa, Stamp::Quads] {
                 let run = |threads: usize, options: WarpOptions| {
                     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
                     let mut frame = FarFrame::new(CAMERA.width, CAMERA.height);

@@ -1,0 +1,262 @@
+//! Clipping before the warp: which tiles can reach the picture, and which of its rows.
+//!
+//! In: the tiles of an image, a warp. Out: those that may paint something, with the rows that they may reach.
+//!
+//! After the recursive clipping of columns by their smallest and largest disparity (Rafferty, Aliaga, Popescu and Lastra 1998, section 4), with
+//! boxes in place of columns: u, v and disparity of all that a block of tiles draws are bounded by a box; W is affine in them, x and y are monotone in
+//! each where W > 0, so that the box's eight corners bound its picture. A block that misses the picture is left out as a whole, one that
+//! may reach it is looked into, down to single tiles. Boxes only grow upward, so nothing that a single tile's test keeps is lost.
+
+use super::{
+    matrix::WarpMatrix,
+    prepared::{Part, Tile},
+    stamps::LARGEST_FOOTPRINT_STAMP,
+};
+use std::ops::Range;
+
+/// A tile and the output rows that it may reach, `from` inclusive, `to` exclusive.
+pub struct Reach<'a> {
+    /// The part that holds the tile's arrays.
+    pub part: &'a Part,
+    /// The tile.
+    pub tile: &'a Tile,
+    /// First row.
+    pub from: u32,
+    /// After the last row.
+    pub to: u32,
+}
+
+/// What bounds something that is drawn.
+#[derive(Debug, Clone, Copy)]
+pub struct Bounds {
+    /// LDI pixels of the image: u from, v from, u to, v to.
+    pub place: [f32; 4],
+    /// Smallest and largest disparity, 1/m.
+    pub disparity: [f32; 2],
+}
+
+impl Bounds {
+    /// Of nothing.
+    pub const NONE: Self = Self { place: [f32::MAX, f32::MAX, f32::MIN, f32::MIN], disparity: [f32::MAX, 0.0] };
+
+    /// Extends them by a point.
+    pub fn grow(&mut self, u: f32, v: f32, disparity: f32) {
+        self.join(&Self { place: [u, v, u, v], disparity: [disparity, disparity] });
+    }
+
+    /// Extends them by others.
+    fn join(&mut self, other: &Self) {
+        let [u0, v0, u1, v1] = &mut self.place;
+        let [from_u, from_v, to_u, to_v] = other.place;
+        (*u0, *v0) = (u0.min(from_u), v0.min(from_v));
+        (*u1, *v1) = (u1.max(to_u), v1.max(to_v));
+        self.disparity = [self.disparity[0].min(other.disparity[0]), self.disparity[1].max(other.disparity[1])];
+    }
+
+    /// The output rows that may be reached; None where no pixel can be.
+    pub fn rows(&self, matrix: &WarpMatrix, width: u32, height: u32) -> Option<(u32, u32)> {
+        let [u0, v0, u1, v1] = self.place.map(f64::from);
+        let mut low = [f64::MAX; 2];
+        let mut high = [f64::MIN; 2];
+        let mut behind = 0;
+        for d in self.disparity.map(f64::from) {
+            for v in [v0, v1] {
+                for u in [u0, u1] {
+                    let [x, y, w] = matrix.homogeneous(u, v, d);
+                    if w <= 0.0 {
+                        behind += 1;
+                        continue;
+                    }
+                    for (axis, p) in [x / w, y / w].into_iter().enumerate() {
+                        low[axis] = low[axis].min(p);
+                        high[axis] = high[axis].max(p);
+                    }
+                }
+            }
+        }
+        match behind {
+            8 => return None,
+            0 => {}
+            _ => return Some((0, height)),
+        }
+        // Stamps reach beyond their samples' cells; the additional pixel covers f32 rounding.
+        let margin = f64::from(LARGEST_FOOTPRINT_STAMP) * 0.5 + 1.0;
+        let [x0, y0] = low.map(|p| p - margin);
+        let [x1, y1] = high.map(|p| p + margin);
+        if x1 < 0.0 || y1 < 0.0 || x0 > f64::from(width) || y0 > f64::from(height) {
+            return None;
+        }
+        // Saturating conversions.
+        Some((y0.floor().max(0.0) as u32, (y1.ceil().max(0.0) as u32).min(height)))
+    }
+}
+
+/// Tiles in a block that is not divided further.
+const TILES_PER_BLOCK: usize = 4;
+
+/// Blocks of tiles around blocks, before what they consist of.
+#[derive(Debug, Default)]
+pub struct Blocks {
+    blocks: Vec<Block>,
+    /// Tiles (part, tile) in the order of the blocks.
+    tiles: Vec<[u32; 2]>,
+}
+
+#[derive(Debug)]
+struct Block {
+    bounds: Bounds,
+    /// Where the next block lies that is not part of this one.
+    next: usize,
+    /// Its tiles if it is not divided.
+    tiles: Range<usize>,
+}
+
+impl Blocks {
+    /// Divides the tiles of an image.
+    pub fn new(parts: &[Part]) -> Self {
+        let numbers = |p: usize, part: &Part| (0..part.tiles.len()).map(move |t| [p as u32, t as u32]);
+        let tiles = parts.iter().enumerate().flat_map(|(p, part)| numbers(p, part)).collect();
+        let mut blocks = Self { blocks: Vec::new(), tiles };
+        blocks.divide(parts, 0..blocks.tiles.len());
+        blocks
+    }
+
+    fn divide(&mut self, parts: &[Part], range: Range<usize>) {
+        let tile = |[part, tile]: &[u32; 2]| &parts[*part as usize].tiles[*tile as usize];
+        let mut bounds = Bounds::NONE;
+        self.tiles[range.clone()].iter().for_each(|t| bounds.join(&tile(t).bounds));
+        let at = self.blocks.len();
+        let whole = range.len() <= TILES_PER_BLOCK;
+        self.blocks.push(Block { bounds, next: 0, tiles: if whole { range.clone() } else { 0..0 } });
+        if !whole {
+            let [u0, v0, u1, v1] = bounds.place;
+            let middle = range.start + range.len() / 2;
+            let wide = u1 - u0 >= v1 - v0;
+            let place = |t: &[u32; 2]| if wide { tile(t).column } else { tile(t).row };
+            // Numbers break ties: which tiles make a block does not depend on how they are sorted.
+            self.tiles[range.clone()].select_nth_unstable_by_key(range.len() / 2, |t| (place(t), *t));
+            self.divide(parts, range.start..middle);
+            self.divide(parts, middle..range.end);
+        } else {
+            self.tiles[range].sort_unstable();
+        }
+        self.blocks[at].next = self.blocks.len();
+    }
+
+    /// The tiles that may reach a picture of this size, always in the same order; with `all` every tile, as if it could reach every row.
+    pub fn reaching<'a>(
+        &self,
+        parts: &'a [Part],
+        matrix: &WarpMatrix,
+        (width, height): (u32, u32),
+        all: bool,
+    ) -> Vec<Reach<'a>> {
+        let mut out = Vec::new();
+        let rows = |bounds: &Bounds| {
+            let rows = bounds.rows(matrix, width, height);
+            if all { Some((0, height)) } else { rows }
+        };
+        let mut at = 0;
+        while let Some(block) = self.blocks.get(at) {
+            if rows(&block.bounds).is_none() {
+                at = block.next;
+                continue;
+            }
+            at += 1;
+            for [part, tile] in &self.tiles[block.tiles.clone()] {
+                let part = &parts[*part as usize];
+                let tile = &part.tiles[*tile as usize];
+                out.extend(rows(&tile.bounds).map(|(from, to)| Reach { part, tile, from, to }));
+            }
+        }
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use ldi_protocol::{OutputCamera, Pose};
+    use proptest::prelude::*;
+
+    const SIZE: (u32, u32) = (160, 120);
+
+    /// A part of tiles with nothing but bounds.
+    fn part_of(tiles: &[Bounds]) -> Part {
+        let mut part = Part::default();
+        for bounds in tiles {
+            let mut tile = Tile::new(bounds.place[1] as usize, bounds.place[0] as usize, &mut part);
+            tile.bounds = *bounds;
+            part.tiles.push(tile);
+        }
+        part
+    }
+
+    fn bounds() -> impl Strategy<Value = Bounds> {
+        ((0.0f32..320.0, 0.0f32..240.0), (0.1f32..70.0, 0.1f32..20.0), (0.01f32..2.0, 0.0f32..2.0))
+            .prop_map(|((u, v), (w, h), (d, more))| Bounds { place: [u, v, u + w, v + h], disparity: [d, d + more] })
+    }
+
+    fn matrix(eye: [f64; 3], yaw_deg: f64, pitch_deg: f64) -> WarpMatrix {
+        let camera = super::super::test_scene::ldi_camera(DVec3::ZERO, 320, 240, 90.0);
+        let pose = Pose { position: DVec3::from_array(eye), yaw_deg, pitch_deg };
+        WarpMatrix::new(&camera, &pose, &OutputCamera { width: SIZE.0, height: SIZE.1, fov_deg: 60.0 })
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(400))]
+
+        /// Blocks keep exactly the tiles that their own bounds keep, and no point of a dropped one lands on the picture or above its rows.
+        #[test]
+        fn what_is_clipped_cannot_be_seen(
+            tiles in proptest::collection::vec(bounds(), 1..60),
+            eye in prop::array::uniform3(-3.0f64..3.0),
+            yaw in -180.0f64..180.0,
+            pitch in -60.0f64..60.0,
+            inside in prop::array::uniform3(0.0f32..1.0),
+        ) {
+            let matrix = matrix(eye, yaw, pitch);
+            let parts = [part_of(&tiles)];
+            let kept = Blocks::new(&parts).reaching(&parts, &matrix, SIZE, false);
+            let mut alone: Vec<_> = tiles.iter().filter_map(|b| b.rows(&matrix, SIZE.0, SIZE.1)).collect();
+            let mut found: Vec<_> = kept.iter().map(|r| (r.from, r.to)).collect();
+            alone.sort_unstable();
+            found.sort_unstable();
+            prop_assert_eq!(alone, found);
+            for b in &tiles {
+                let mix = |from: f32, to: f32, t: f32| f64::from(from + (to - from) * t);
+                let [u0, v0, u1, v1] = b.place;
+                let at = (mix(u0, u1, inside[0]), mix(v0, v1, inside[1]), mix(b.disparity[0], b.disparity[1], inside[2]));
+                let Some(p) = matrix.warp(at.0, at.1, at.2) else { continue };
+                let on_picture = p.x >= 0.0 && p.x < f64::from(SIZE.0) && p.y >= 0.0 && p.y < f64::from(SIZE.1);
+                let rows = b.rows(&matrix, SIZE.0, SIZE.1);
+                prop_assert!(!on_picture || rows.is_some_and(|(from, to)| p.y >= f64::from(from) && p.y < f64::from(to)));
+            }
+        }
+    }
+
+    #[test]
+    fn most_of_a_large_image_is_clipped_without_looking_at_its_tiles() {
+        // 100 x 100 tiles of a frontal wall, of which the picture shows a corner.
+        let tiles: Vec<Bounds> = (0..10_000u32)
+            .map(|i| {
+                let (u, v) = ((i % 100) as f32 * 64.0, (i / 100) as f32 * 16.0);
+                Bounds { place: [u, v, u + 64.0, v + 16.0], disparity: [0.1, 0.1] }
+            })
+            .collect();
+        let parts = [part_of(&tiles)];
+        let matrix = matrix([0.0; 3], 0.0, 0.0);
+        let blocks = Blocks::new(&parts);
+        let kept = blocks.reaching(&parts, &matrix, SIZE, false).len();
+        assert!(kept > 10 && kept < 200, "{kept}");
+        let mut looked_at = 0;
+        let mut at = 0;
+        while let Some(block) = blocks.blocks.get(at) {
+            looked_at += 1;
+            at = if block.bounds.rows(&matrix, SIZE.0, SIZE.1).is_some() { at + 1 } else { block.next };
+        }
+        assert!(looked_at < 4 * kept, "{looked_at} blocks for {kept} tiles");
+        assert_eq!(blocks.reaching(&parts, &matrix, SIZE, true).len(), 10_000);
+    }
+}
