@@ -259,7 +259,7 @@ h1{margin:0 0 4px;font-size:28px}h2{margin:36px 0 10px;font-size:19px}.lead{colo
 figure{margin:0;background:var(--card);border:1px solid var(--line);border-radius:8px;overflow:hidden}figcaption{padding:6px 12px;color:var(--dim);font-size:14px}img{display:block;width:100%;background:#8884}\
 input[type=range]{width:min(100%,480px);vertical-align:middle;margin-right:12px}output{color:var(--dim);font-size:14px}\
 svg.plot{display:block;padding:10px;width:calc(100% - 20px)}svg text{fill:var(--dim);font:12px system-ui,sans-serif}svg .title{fill:var(--fg);font-weight:600;font-size:13px}\
-svg .grid{stroke:var(--line)}svg path,svg line.s0,svg line.s1,svg line.s2,svg line.s3{fill:none;stroke-width:1.8}.s0{stroke:var(--s0)}.s1{stroke:var(--s1)}.s2{stroke:var(--s2)}.s3{stroke:var(--s3)}\
+svg .grid{stroke:var(--line)}svg path,svg line.s0,svg line.s1,svg line.s2,svg line.s3{fill:none;stroke-width:1.8}.s0{stroke:var(--s0);color:var(--s0)}.s1{stroke:var(--s1);color:var(--s1)}.s2{stroke:var(--s2);color:var(--s2)}.s3{stroke:var(--s3);color:var(--s3)}\
 svg .bound{stroke:var(--bound);stroke-dasharray:5 4}svg .boundname{fill:var(--bound)}\
 table{border-collapse:collapse}th,td{text-align:left;padding:4px 18px 4px 0;border-bottom:1px solid var(--line);font-weight:400;vertical-align:top}th{color:var(--dim)}\
 pre{overflow-x:auto;background:var(--card);border:1px solid var(--line);border-radius:8px;padding:12px}pre i{color:var(--dim)}";

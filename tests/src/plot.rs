@@ -123,6 +123,112 @@ impl Plot<'_> {
     }
 }
 
+/// One point of a scatter plot.
+pub struct Dot {
+    /// What it is.
+    pub name: String,
+    /// Positive.
+    pub x: f64,
+    /// Vertical.
+    pub y: f64,
+    /// Colour, 0 to 3.
+    pub series: usize,
+}
+
+/// Points over a logarithmic horizontal axis, less of both being better: those that nothing beats in both are named and joined.
+pub struct Scatter<'a> {
+    /// Heading.
+    pub title: &'a str,
+    /// Name and unit of the horizontal axis.
+    pub x: &'a str,
+    /// Name and unit of the vertical axis.
+    pub y: &'a str,
+    /// The points.
+    pub dots: Vec<Dot>,
+}
+
+impl Scatter<'_> {
+    /// The plot as an `<svg>` element. The vertical axis starts at 0.
+    pub fn svg(&self) -> String {
+        const TALL: f64 = 380.0;
+        let mut dots: Vec<&Dot> =
+            self.dots.iter().filter(|d| d.x > 0.0 && d.x.is_finite() && d.y.is_finite()).collect();
+        if dots.is_empty() {
+            return format!("<p class=\"none\">{}: no data</p>", escape(self.title));
+        }
+        dots.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+        let (x0, x1) = (dots[0].x.log2().floor(), (dots[dots.len() - 1].x * 1.0001).log2().ceil());
+        let top = dots.iter().map(|d| d.y).fold(0.0, f64::max);
+        let step = tick_step(if top > 0.0 { top } else { 1.0 });
+        let y1 = (top / step).ceil().max(1.0) * step;
+        let px = |x: f64| LEFT + (x.log2() - x0) / (x1 - x0) * (WIDTH - LEFT - RIGHT);
+        let py = |y: f64| TALL - BOTTOM - y / y1 * (TALL - TOP - BOTTOM);
+        let mut s = format!(
+            "<svg class=\"plot\" viewBox=\"0 0 {WIDTH} {TALL}\" role=\"img\" aria-label=\"{0}\"><text class=\"title\" x=\"{LEFT}\" y=\"16\">{0}</text>",
+            escape(self.title)
+        );
+        for i in 0..=(y1 / step).round() as u32 {
+            let y = f64::from(i) * step;
+            let _ = write!(
+                s,
+                "<line class=\"grid\" x1=\"{LEFT}\" x2=\"{:.1}\" y1=\"{1:.1}\" y2=\"{1:.1}\"/><text class=\"tick\" text-anchor=\"end\" x=\"{2:.1}\" y=\"{3:.1}\">{4}</text>",
+                WIDTH - RIGHT,
+                py(y),
+                LEFT - 6.0,
+                py(y) + 4.0,
+                number(y)
+            );
+        }
+        for power in x0 as i32..=x1 as i32 {
+            let x = f64::from(power).exp2();
+            let _ = write!(
+                s,
+                "<text class=\"tick\" text-anchor=\"middle\" x=\"{:.1}\" y=\"{:.1}\">{}</text>",
+                px(x),
+                TALL - BOTTOM + 16.0,
+                number(x)
+            );
+        }
+        let _ = write!(
+            s,
+            "<text class=\"axis\" text-anchor=\"end\" x=\"{:.1}\" y=\"{:.1}\">{}</text><text class=\"axis\" x=\"4\" y=\"36\">{}</text>",
+            WIDTH - RIGHT,
+            TALL - 6.0,
+            escape(self.x),
+            escape(self.y)
+        );
+        // Fastest first: a point is in front if it errs less than all before.
+        let (mut least, mut line) = (f64::INFINITY, String::new());
+        for d in &dots {
+            let (x, y) = (px(d.x), py(d.y));
+            let front = d.y < least;
+            let _ = write!(
+                s,
+                "<circle class=\"s{}\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{}\" fill=\"currentColor\"><title>{}: {}, {}</title></circle>",
+                d.series.min(3),
+                if front { 4 } else { 3 },
+                escape(&d.name),
+                number(d.x),
+                number(d.y)
+            );
+            if front {
+                least = d.y;
+                let _ = write!(line, "{}{x:.1} {y:.1}", if line.is_empty() { "M" } else { "L" });
+                // To the left of a point there is less below it than to the right.
+                let (anchor, dx) = if x > WIDTH * 0.6 { ("end", -6.0) } else { ("start", 6.0) };
+                let _ = write!(
+                    s,
+                    "<text class=\"legend\" text-anchor=\"{anchor}\" x=\"{:.1}\" y=\"{:.1}\">{}</text>",
+                    x + dx,
+                    y - 6.0,
+                    escape(&d.name)
+                );
+            }
+        }
+        s + &format!("<path class=\"s0\" d=\"{line}\"/></svg>")
+    }
+}
+
 /// 1, 2 or 5 times a power of ten, so that three to seven ticks fit below `span`.
 fn tick_step(span: f64) -> f64 {
     let raw = span / 4.0;
@@ -188,6 +294,19 @@ mod tests {
     #[test]
     fn no_data_is_said() {
         assert!(plot(vec![]).contains("no data"));
+    }
+
+    #[test]
+    fn what_is_beaten_in_both_is_not_named() {
+        let dot = |name: &str, x: f64, y: f64| Dot { name: name.into(), x, y, series: 0 };
+        let dots =
+            vec![dot("slow best", 8.0, 0.1), dot("beaten", 4.0, 0.5), dot("fast", 1.0, 0.4), dot("bad", f64::NAN, 0.0)];
+        let svg = Scatter { title: "t", x: "ms", y: "FLIP", dots }.svg();
+        assert_eq!(svg.matches("<circle").count(), 3);
+        let named: Vec<&str> =
+            ["slow best", "beaten", "fast"].into_iter().filter(|n| svg.contains(&format!(">{n}</text>"))).collect();
+        assert_eq!(named, ["slow best", "fast"]);
+        assert!(Scatter { title: "t", x: "", y: "", dots: vec![] }.svg().contains("no data"));
     }
 
     #[test]

@@ -10,7 +10,7 @@ use crate::{
     near::Rasterizer,
     report::StageMs,
     resident::Resident,
-    warp::{FarFrame, Order, PreparedLdi, WarpError, WarpOptions, WarpStats, warp},
+    warp::{FarFrame, PreparedLdi, WarpError, WarpOptions, WarpStats, warp_images},
 };
 use ldi_protocol::{
     OutputCamera, Pose,
@@ -184,23 +184,19 @@ impl Painter {
             ..WarpOptions::default()
         };
         self.forget(&images);
-        for (number, ldi) in images.iter().filter_map(|(n, _, l)| Some((*n, l.as_ref()?))) {
+        let here: Vec<(u32, &Arc<Ldi>)> = images.iter().filter_map(|(n, _, l)| Some((*n, l.as_ref()?))).collect();
+        for (number, ldi) in &here {
             let start = Instant::now();
-            let (slot, new) = self.prepare(number, ldi);
+            let new = self.prepare(*number, ldi);
             painted.ms.prepare += if new { ms_since(start) } else { 0.0 };
+        }
+        if !here.is_empty() {
             let start = Instant::now();
-            let prepared = &self.prepared[slot].2;
-            let stats = if options.order == Order::Epipole && images.len() > 1 {
-                // The order holds within an image; between images depth decides.
-                self.single.reset(full_camera.width, full_camera.height);
-                let stats = warp(prepared, pose, &full_camera, &warp_options, &mut self.single)?;
-                self.far.take_nearer(&self.single);
-                stats
-            } else {
-                warp(prepared, pose, &full_camera, &warp_options, &mut self.far)?
-            };
-            painted.warp.get_or_insert_default().add(&stats);
-            painted.ms.warp += ms_since(start);
+            let laid_out = |number: &u32| self.prepared.iter().find(|(n, ..)| n == number).map(|p| &p.2);
+            let prepared: Vec<&PreparedLdi> = here.iter().filter_map(|(n, _)| laid_out(n)).collect();
+            let (far, spare) = (&mut self.far, &mut self.single);
+            painted.warp = Some(warp_images(&prepared, pose, &full_camera, &warp_options, far, spare)?);
+            painted.ms.warp = ms_since(start);
         }
 
         let start = Instant::now();
@@ -249,8 +245,8 @@ impl Painter {
         });
     }
 
-    /// Lays out an image unless it is laid out already, with the same layers. Returns its slot and whether it was new.
-    fn prepare(&mut self, number: u32, ldi: &Arc<Ldi>) -> (usize, bool) {
+    /// Lays out an image unless it is laid out already, with the same layers. Returns whether it was new.
+    fn prepare(&mut self, number: u32, ldi: &Arc<Ldi>) -> bool {
         let found = self.prepared.iter().position(|(n, held, _)| *n == number && Arc::ptr_eq(held, ldi));
         let entry = match found {
             Some(at) => self.prepared.remove(at),
@@ -260,6 +256,6 @@ impl Painter {
             }
         };
         self.prepared.push(entry);
-        (self.prepared.len() - 1, found.is_none())
+        found.is_none()
     }
 }

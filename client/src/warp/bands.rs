@@ -5,7 +5,7 @@ use super::{
     cull::Reach,
     ewa::Means,
     lanes::{Lanes, Portable},
-    order::{Epipole, paint_place},
+    order::{Epipole, Streams, paint_tile},
     prepared::PreparedLdi,
     quads::{Target, draw_tile},
     stamps::stamp_tile,
@@ -23,7 +23,9 @@ struct Job<'a> {
     matrix: &'a WarpMatrix,
     tiles: &'a [Reach<'a>],
     options: &'a WarpOptions,
-    epipole: Option<Epipole>,
+    in_order: Option<(Epipole, &'a Streams)>,
+    /// Whether samples are painted, or transformed only.
+    paint: bool,
 }
 
 /// Warps an image into `into`, keeping the nearer of what is already there and the image's samples.
@@ -46,7 +48,44 @@ pub fn warp(
         (Order::Epipole, Stamp::OnePixel | Stamp::TwoByTwo) => Some(Epipole::new(&ldi.camera, pose)),
         (Order::Epipole, stamp) => return Err(WarpError::OrderWithStamp(stamp)),
     };
-    Ok(run(ldi, pose, camera, options, epipole, into))
+    Ok(run(ldi, pose, camera, options, (epipole, true), into))
+}
+
+/// Warps several images to one picture: within an image by the given order, between images by depth. `spare` is memory.
+///
+/// # Errors
+///
+/// When the order cannot draw the stamp.
+pub fn warp_images(
+    images: &[&PreparedLdi],
+    pose: &Pose,
+    camera: &OutputCamera,
+    options: &WarpOptions,
+    into: &mut FarFrame,
+    spare: &mut FarFrame,
+) -> Result<WarpStats, WarpError> {
+    let mut stats = WarpStats::default();
+    for image in images {
+        if options.order == Order::Epipole && !into.is_untouched() {
+            spare.reset(camera.width, camera.height);
+            stats.add(&warp(image, pose, camera, options, spare)?);
+            into.take_nearer(spare);
+        } else {
+            stats.add(&warp(image, pose, camera, options, into)?);
+        }
+    }
+    Ok(stats)
+}
+
+/// Does everything that [`warp`] does for any stamp but paint: what computing alone costs.
+pub fn transform_only(
+    ldi: &PreparedLdi,
+    pose: &Pose,
+    camera: &OutputCamera,
+    options: &WarpOptions,
+    into: &mut FarFrame,
+) -> WarpStats {
+    run(ldi, pose, camera, options, (None, false), into)
 }
 
 /// Warps in a given order.
@@ -55,7 +94,7 @@ fn run(
     pose: &Pose,
     camera: &OutputCamera,
     options: &WarpOptions,
-    epipole: Option<Epipole>,
+    (epipole, paint): (Option<Epipole>, bool),
     into: &mut FarFrame,
 ) -> WarpStats {
     if (into.width, into.height) != (camera.width, camera.height) {
@@ -63,7 +102,10 @@ fn run(
     }
     let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
     let size = (into.width, into.height);
-    let mut tiles = ldi.blocks.reaching(&ldi.parts, &matrix, size, options.keep_all_tiles);
+    let mut tiles = match epipole {
+        Some(_) => ldi.streams().reaching(&matrix, size, options.keep_all_tiles),
+        None => ldi.blocks.reaching(&ldi.parts, &matrix, size, options.keep_all_tiles),
+    };
     if let Some(epipole) = &epipole {
         epipole.sort_tiles(&mut tiles);
     }
@@ -76,6 +118,8 @@ fn run(
             _ => samples_warped,
         },
         samples_culled: ldi.samples as u64 - samples_warped,
+        bytes: tiles.iter().map(|t| PreparedLdi::bytes(t.tile, options.stamp)).sum::<u64>()
+            + 2 * size_of_val(into.packed.as_slice()) as u64,
         ..WarpStats::default()
     };
     let clear = into.stale;
@@ -89,7 +133,7 @@ fn run(
         rest = later;
         jobs.push(Target { pixels, window: Window { width, first_row, rows } });
     }
-    let job = Job { matrix: &matrix, tiles: &tiles, options, epipole };
+    let job = Job { matrix: &matrix, tiles: &tiles, options, in_order: epipole.map(|e| (e, ldi.streams())), paint };
     let parts: Vec<WarpStats> = jobs
         .into_par_iter()
         .map(|mut target| {
@@ -107,7 +151,7 @@ fn run(
 #[cfg(test)]
 pub fn warp_in_order(ldi: &PreparedLdi, pose: &Pose, order: &Pose, camera: &OutputCamera, into: &mut FarFrame) {
     let options = WarpOptions { stamp: Stamp::OnePixel, order: Order::Epipole, ..WarpOptions::default() };
-    run(ldi, pose, camera, &options, Some(Epipole::new(&ldi.camera, order)), into);
+    run(ldi, pose, camera, &options, (Some(Epipole::new(&ldi.camera, order)), true), into);
 }
 
 /// Cuts the rows into bands (first row, rows) with about equal numbers of samples.
@@ -162,34 +206,34 @@ fn draw_band_avx2(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
 #[inline(always)]
 fn draw_band<L: Lanes>(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
     let mut stats = WarpStats::default();
-    let mut scratches = vec![Scratch::default()];
     let mut footprint2 = 0.0f32;
     let window = target.window;
     let (matrix, stamp) = (job.matrix, job.options.stamp);
     let reaches = |t: &Reach<'_>| t.to > window.first_row && t.from < window.first_row + window.rows;
-    if let Some(epipole) = &job.epipole {
-        let same_place = |a: &Reach<'_>, b: &Reach<'_>| (a.tile.row, a.tile.column) == (b.tile.row, b.tile.column);
-        for place in job.tiles.chunk_by(same_place).filter(|place| place.iter().any(reaches)) {
-            let largest = paint_place::<L>(target, matrix, epipole, place, stamp, &mut scratches);
-            footprint2 = footprint2.max(largest);
+    if let Some((epipole, streams)) = &job.in_order {
+        for t in job.tiles.iter().filter(|t| reaches(t)) {
+            footprint2 = footprint2.max(paint_tile::<L>(target, matrix, epipole, streams, t, stamp));
         }
         stats.footprint_max_px = footprint2.sqrt();
         return stats;
     }
-    let scratch = &mut scratches[0];
+    let scratch = &mut Scratch::default();
     for t in job.tiles.iter().filter(|t| reaches(t)) {
         footprint2 = footprint2.max(transform_tile::<L>(matrix, t.part, t.tile, &window, scratch));
+        if !job.paint {
+            continue;
+        }
+        let transform = TileTransform::new(matrix, t.tile);
         if stamp == Stamp::Quads {
-            let transform = TileTransform::new(matrix, t.tile);
             // A tile that straddles bands is counted in its first one.
             let home = t.from >= window.first_row;
             let stretch = |side2| stats.stretch.count(side2, home);
             draw_tile::<L>(target, &transform, t.part, t.tile, scratch, stretch);
         } else {
-            stamp_tile::<L>(target, &TileTransform::new(matrix, t.tile), t.part, t.tile, scratch, stamp);
+            stamp_tile::<L>(target, &transform, t.part, t.tile, scratch, stamp);
         }
     }
-    if stamp == Stamp::Ewa {
+    if stamp == Stamp::Ewa && job.paint {
         let mut means = Means::new(target);
         for t in job.tiles.iter().filter(|t| reaches(t)) {
             transform_tile::<L>(matrix, t.part, t.tile, &window, scratch);

@@ -20,6 +20,8 @@ pub struct Reach<'a> {
     pub part: &'a Part,
     /// The tile.
     pub tile: &'a Tile,
+    /// Their numbers: part, tile.
+    pub number: (u32, u32),
     /// First row.
     pub from: u32,
     /// After the last row.
@@ -45,7 +47,7 @@ impl Bounds {
     }
 
     /// Extends them by others.
-    fn join(&mut self, other: &Self) {
+    pub fn join(&mut self, other: &Self) {
         let [u0, v0, u1, v1] = &mut self.place;
         let [from_u, from_v, to_u, to_v] = other.place;
         (*u0, *v0) = (u0.min(from_u), v0.min(from_v));
@@ -163,10 +165,11 @@ impl Blocks {
                 continue;
             }
             at += 1;
-            for [part, tile] in &self.tiles[block.tiles.clone()] {
-                let part = &parts[*part as usize];
-                let tile = &part.tiles[*tile as usize];
-                out.extend(rows(&tile.bounds).map(|(from, to)| Reach { part, tile, from, to }));
+            for [p, t] in &self.tiles[block.tiles.clone()] {
+                let part = &parts[*p as usize];
+                let tile = &part.tiles[*t as usize];
+                let number = (*p, *t);
+                out.extend(rows(&tile.bounds).map(|(from, to)| Reach { part, tile, number, from, to }));
             }
         }
         out

@@ -377,7 +377,7 @@ impl Builder {
         let mut local = [[0u16; TILE_COLUMNS + 1]; TILE_ROWS + 1];
         let mut tile = Tile::new(self.first_row, first_column, part);
         for (row, local) in local.iter_mut().enumerate() {
-            tile.row_start[row] = (part.column.len() - first) as u16;
+            tile.row_start[row] = (part.column.len() - first) as u32;
             let start = self.at(row as i32, first_column as i32);
             let window = &self.sample[start..start + columns];
             let (mut leftmost, mut rightmost) = (usize::MAX, 0);
@@ -398,7 +398,7 @@ impl Builder {
             if leftmost == usize::MAX {
                 continue;
             }
-            let count = part.column.len() - first - usize::from(tile.row_start[row]);
+            let count = part.column.len() - first - tile.row_start[row] as usize;
             if row < TILE_ROWS {
                 tile.own += (count - usize::from(rightmost == TILE_COLUMNS)) as u32;
             }
@@ -407,7 +407,7 @@ impl Builder {
             tile.bounds.grow((first_column + leftmost) as f32, v, d);
             tile.bounds.grow((first_column + rightmost + 1) as f32, v + 1.0, d);
         }
-        tile.row_start[TILE_ROWS + 1] = (part.column.len() - first) as u16;
+        tile.row_start[TILE_ROWS + 1] = (part.column.len() - first) as u32;
         // Squares belong to the tile of their upper left pixel; the image's border squares to the first tiles.
         let top = if self.first_row == 0 { -1 } else { 0 };
         let left = if first_column == 0 { -1 } else { 0 };

@@ -34,7 +34,7 @@ pub(crate) mod test_scene;
 mod tests;
 mod transform;
 
-pub use bands::warp;
+pub use bands::{transform_only, warp, warp_images};
 pub use matrix::{WarpMatrix, Warped};
 pub use prepared::PreparedLdi;
 
@@ -173,6 +173,8 @@ pub struct WarpStats {
     pub samples_culled: u64,
     /// Micro-quads and border pieces, or stamps, of the tiles that were drawn.
     pub primitives: u64,
+    /// What any warp of these tiles has to move: their arrays read once, the picture cleared and written once.
+    pub bytes: u64,
     /// Largest footprint of a sample that landed on the picture, output pixels: the largest singular value of
     /// d(x, y)/d(u, v) at fixed disparity.
     pub footprint_max_px: f32,
@@ -187,6 +189,7 @@ impl WarpStats {
         self.samples_warped += other.samples_warped;
         self.samples_culled += other.samples_culled;
         self.primitives += other.primitives;
+        self.bytes += other.bytes;
         self.footprint_max_px = self.footprint_max_px.max(other.footprint_max_px);
         self.stretch.0.iter_mut().zip(other.stretch.0).for_each(|(a, b)| *a += b);
     }
@@ -199,6 +202,7 @@ impl Default for WarpStats {
             samples_warped: 0,
             samples_culled: 0,
             primitives: 0,
+            bytes: 0,
             footprint_max_px: 0.0,
             stretch: StretchHistogram([0; StretchHistogram::BINS]),
         }

@@ -11,19 +11,23 @@
 //! image falls into up to four sheets at e, each drawn row by row. Deeper layers of a pixel come first.
 //!
 //! **Practice.** The same argument holds for tiles, and then within tiles, so the order is: tiles by distance of their
-//! rows, then of their columns; within a tile rows, then columns, then layers. Threads share the output's rows as they do with the z-buffer; the papers cut sheets into
-//! fragments instead. Stamps larger than 2 x 2 overpaint what the order meant to keep in front, so they are refused.
+//! rows, then of their columns; within a tile rows, then columns, then layers. For this the samples of all layers are laid out anew
+//! ([`Streams`]): row by row in the order of painting, once for rising and once for falling columns, so that painting is a walk through memory
+//! in which nothing is compared. Threads share the output's rows as they do with the z-buffer; the papers cut sheets into
+//! fragments instead, whose borders then meet in the picture. Stamps larger than 2 x 2 overpaint what the order meant to keep in front, so they are refused.
 
 use super::{
     Stamp,
-    cull::Reach,
-    lanes::Lanes,
+    cull::{Blocks, Reach},
+    lanes::{LANES, Lanes},
     matrix::WarpMatrix,
-    prepared::{TILE_COLUMNS, TILE_ROWS},
+    prepared::{PADDING, Part, TILE_COLUMNS, TILE_ROWS, Tile},
     quads::Target,
-    transform::{Scratch, transform_tile},
+    stamps::own_rows,
+    transform::{Inside, Points, Slopes, TileTransform, first_lanes},
 };
 use ldi_protocol::{Pose, ldi::LdiCamera};
+use std::collections::BTreeMap;
 
 /// Stands for an epipole at infinity, LDI pixels: far beyond any image, small enough that f64 still tells columns apart.
 const INFINITE: f64 = 1e9;
@@ -60,79 +64,177 @@ impl Epipole {
         });
     }
 
-    /// Tiles in drawing order; those of one place follow one another, deepest layer first.
+    /// Tiles in drawing order.
     pub fn sort_tiles(&self, tiles: &mut [Reach<'_>]) {
         let gap =
             |from: u32, size: usize, e: f64| (f64::from(from) - e).max(e - f64::from(from) - size as f64).max(0.0);
         // Stable sorts, the least significant key first.
-        tiles.sort_by_key(|t| (t.tile.row, t.tile.column, std::cmp::Reverse(t.part.layer)));
+        tiles.sort_by_key(|t| (t.tile.row, t.tile.column));
         self.sort(tiles, |t| gap(t.tile.column, TILE_COLUMNS, self.u));
         self.sort(tiles, |t| gap(t.tile.row, TILE_ROWS, self.v));
     }
 
-    /// Numbers 0 to `count` by the distance of `first` + number + 0.5 from `e`.
-    fn order(&self, first: u32, count: usize, e: f64) -> Vec<usize> {
-        let mut numbers: Vec<usize> = (0..count).collect();
-        self.sort(&mut numbers, |i| (f64::from(first) + *i as f64 + 0.5 - e).abs());
-        numbers
+    /// Rows of a tile in drawing order.
+    fn rows(&self, tile: &Tile) -> Vec<usize> {
+        let mut rows: Vec<usize> = (0..TILE_ROWS).collect();
+        self.sort(&mut rows, |i| (f64::from(tile.row) + *i as f64 + 0.5 - self.v).abs());
+        rows
     }
 }
 
-/// Paints the tiles of one place in the image, deepest layer first, and returns the largest squared footprint.
+/// An image's samples in the order of painting.
+#[derive(Debug)]
+pub struct Streams {
+    /// Columns rise, and fall; of one pixel the deepest sample comes first in both. Their tiles hold all layers and have the same numbers.
+    parts: [Vec<Part>; 2],
+    /// Of the tiles of the first.
+    blocks: Blocks,
+}
+
+impl Streams {
+    /// Lays out the samples of all layers.
+    pub fn new(parts: &[Part]) -> Self {
+        // Tiles by place, deepest layer first.
+        let mut places: BTreeMap<(u32, u32), Vec<(&Part, &Tile)>> = BTreeMap::new();
+        for part in parts.iter().rev() {
+            for tile in &part.tiles {
+                places.entry((tile.row, tile.column)).or_default().push((part, tile));
+            }
+        }
+        let places: Vec<_> = places.into_values().collect();
+        let stream = |falling: bool| {
+            let of_row = places.chunk_by(|a, b| a[0].1.row == b[0].1.row);
+            of_row.map(|places| Self::part(places, falling)).filter(|p| !p.tiles.is_empty()).collect::<Vec<_>>()
+        };
+        let parts = [stream(false), stream(true)];
+        Self { blocks: Blocks::new(&parts[0]), parts }
+    }
+
+    fn part(places: &[Vec<(&Part, &Tile)>], falling: bool) -> Part {
+        let mut out = Part::default();
+        for place in places {
+            let first = place[0].1;
+            let mut tile = Tile::new(first.row as usize, first.column as usize, &mut out);
+            let mut rows: [Vec<(u8, &Part, usize)>; TILE_ROWS] = Default::default();
+            for (part, of_layer) in place {
+                tile.bounds.join(&of_layer.bounds);
+                for (row, samples) in rows.iter_mut().zip(own_rows(part, of_layer)) {
+                    let at = |i: usize| of_layer.first + i;
+                    row.extend(samples.map(|i| (part.column[at(i)], *part, at(i))));
+                }
+            }
+            for (row, samples) in rows.iter_mut().enumerate() {
+                // Stable: the layers of a pixel stay as they are.
+                samples.sort_by_key(|(column, ..)| if falling { u8::MAX - column } else { *column });
+                tile.row_start[row] = (out.column.len() - tile.first) as u32;
+                for (column, part, at) in samples.iter() {
+                    out.column.push(*column);
+                    out.disparity.push(part.disparity[*at]);
+                    out.colour.push(part.colour[*at]);
+                }
+                tile.own += samples.len() as u32;
+            }
+            tile.row_start[TILE_ROWS..].fill((out.column.len() - tile.first) as u32);
+            if tile.own > 0 {
+                out.tiles.push(tile);
+            }
+        }
+        for _ in 0..PADDING {
+            out.column.push(0);
+            out.disparity.push(0.0);
+            out.colour.push(0);
+        }
+        out
+    }
+
+    /// The tiles that may reach a picture, as [`Blocks::reaching`].
+    pub fn reaching(&self, matrix: &WarpMatrix, size: (u32, u32), all: bool) -> Vec<Reach<'_>> {
+        self.blocks.reaching(&self.parts[0], matrix, size, all)
+    }
+}
+
+/// Paints a tile and returns the largest squared footprint.
 #[inline(always)]
-pub fn paint_place<L: Lanes>(
+pub fn paint_tile<L: Lanes>(
     target: &mut Target<'_>,
     matrix: &WarpMatrix,
     epipole: &Epipole,
-    place: &[Reach<'_>],
+    streams: &Streams,
+    reach: &Reach<'_>,
     stamp: Stamp,
-    scratches: &mut Vec<Scratch>,
 ) -> f32 {
-    let Some(Reach { tile: first, .. }) = place.first() else { return 0.0 };
-    if scratches.len() < place.len() {
-        scratches.resize_with(place.len(), Scratch::default);
-    }
-    let mut footprint2 = 0.0f32;
-    for (t, scratch) in place.iter().zip(scratches.iter_mut()) {
-        footprint2 = footprint2.max(transform_tile::<L>(matrix, t.part, t.tile, &target.window, scratch));
-    }
-    let columns = epipole.order(first.column, TILE_COLUMNS, epipole.u);
-    // Per layer, the sample of each column of a row.
-    let mut samples = vec![[None::<u16>; TILE_COLUMNS]; place.len()];
-    for row in epipole.order(first.row, TILE_ROWS, epipole.v) {
-        for (t, samples) in place.iter().zip(&mut samples) {
-            *samples = [None; TILE_COLUMNS];
-            for i in t.tile.row_start[row]..t.tile.row_start[row + 1] {
-                let column = usize::from(t.part.column[t.tile.first + usize::from(i)]);
-                if column < TILE_COLUMNS {
-                    samples[column] = Some(i);
+    let transform = TileTransform::new(matrix, reach.tile);
+    let slopes = Slopes::<L>::new(&transform);
+    let inside = Inside::<L>::new(&target.window);
+    let mut largest = L::splat(0.0);
+    // Columns whose centres lie left of the epipole come from the stream that ends at it.
+    let split = (epipole.u - f64::from(reach.tile.column) + 0.5).floor().clamp(0.0, TILE_COLUMNS as f64) as u8;
+    let (part_number, tile_number) = reach.number;
+    for row in epipole.rows(reach.tile) {
+        let constants = transform.row_constants(matrix, row).map(L::splat);
+        for (left, falling) in [(true, !epipole.toward), (false, epipole.toward)] {
+            let part = &streams.parts[usize::from(falling)][part_number as usize];
+            let tile = &part.tiles[tile_number as usize];
+            let (from, to) = (tile.row_start[row] as usize, tile.row_start[row + 1] as usize);
+            let columns = &part.column[tile.first + from..tile.first + to];
+            let cut = from + columns.partition_point(|c| (*c < split) != falling);
+            // Left ones come first where columns rise, last where they fall.
+            let range = if left != falling { from..cut } else { cut..to };
+            for i in range.clone().step_by(LANES) {
+                let at = tile.first + i;
+                let p = slopes.warp(constants, L::load_bytes(&part.column[at..]), L::load(&part.disparity[at..]));
+                let on = first_lanes::<L>(range.end - i);
+                let seen = L::and(inside.test(&p), on);
+                largest = L::max(L::select(seen, p.footprint2, L::splat(0.0)), largest);
+                let colours = &part.colour[at..at + LANES];
+                match stamp {
+                    Stamp::TwoByTwo => two_by_two::<L>(target, &p, on, colours),
+                    _ => one_pixel::<L>(target, &p, seen, colours),
                 }
             }
         }
-        for column in &columns {
-            for ((t, samples), scratch) in place.iter().zip(&samples).zip(&*scratches) {
-                let Some(i) = samples[*column].map(usize::from) else { continue };
-                if scratch.disparity[i] > 0.0 {
-                    let value = (scratch.disparity[i].to_bits(), t.part.colour[t.tile.first + i]);
-                    overwrite(target, [scratch.x[i], scratch.y[i]], stamp, value);
-                }
-            }
-        }
     }
-    footprint2
+    L::array(largest).into_iter().fold(0.0, f32::max)
 }
 
-/// Writes a stamp over what is there.
+/// Writes the pixels that contain the points of a mask, all inside the window, one after the other.
 #[inline(always)]
-fn overwrite(target: &mut Target<'_>, [x, y]: [f32; 2], stamp: Stamp, (disparity, colour): (u32, u32)) {
-    let (side, shift) = if stamp == Stamp::TwoByTwo { (2, 0.5) } else { (1, 0.0) };
+fn one_pixel<L: Lanes>(target: &mut Target<'_>, p: &Points<L>, seen: L::I, colours: &[u32]) {
+    let mut bits = L::mask_bits(seen);
+    if bits == 0 {
+        return;
+    }
+    let row = L::to_int(L::sub(p.y, L::splat(target.window.first_row as f32)));
+    let at = L::array_int(L::add_int(L::mul_int(row, L::splat_int(target.window.width)), L::to_int(p.x)));
+    let disparities = L::array_int(L::bits(p.disparity));
+    while bits != 0 {
+        let lane = bits.trailing_zeros() as usize & (LANES - 1);
+        target.set(at[lane] as usize, disparities[lane], colours[lane]);
+        bits &= bits - 1;
+    }
+}
+
+/// Writes two by two pixels around the points of a mask, one point after the other.
+#[inline(always)]
+fn two_by_two<L: Lanes>(target: &mut Target<'_>, p: &Points<L>, on: L::I, colours: &[u32]) {
     let window = target.window;
-    // Saturating conversions: far outside stays outside, and NaN is excluded by its disparity.
-    let (left, top) = ((x - shift).floor() as i32, (y - shift).floor() as i32);
-    let top = top.saturating_sub(window.first_row as i32);
-    for row in top.max(0)..top.saturating_add(side).min(window.rows as i32) {
-        for column in left.max(0)..left.saturating_add(side).min(window.width as i32) {
-            target.set(row as usize * window.width as usize + column as usize, disparity, colour);
+    let mut bits = L::mask_bits(L::and(on, L::gt(p.disparity, L::splat(0.0))));
+    if bits == 0 {
+        return;
+    }
+    let half = L::splat(0.5);
+    let (x, y) = (L::array(L::floor(L::sub(p.x, half))), L::array(L::floor(L::sub(p.y, half))));
+    let disparities = L::array_int(L::bits(p.disparity));
+    while bits != 0 {
+        let lane = bits.trailing_zeros() as usize & (LANES - 1);
+        bits &= bits - 1;
+        // Saturating conversions: far outside stays outside.
+        let (left, top) = (x[lane] as i32, (y[lane] as i32).saturating_sub(window.first_row as i32));
+        for row in top.max(0)..top.saturating_add(2).min(window.rows as i32) {
+            for column in left.max(0)..left.saturating_add(2).min(window.width as i32) {
+                let at = row as usize * window.width as usize + column as usize;
+                target.set(at, disparities[lane], colours[lane]);
+            }
         }
     }
 }

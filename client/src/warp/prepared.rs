@@ -9,13 +9,15 @@
 //! How samples become quads and pieces is told in `layout`.
 
 use super::{
+    Stamp,
     cull::{Blocks, Bounds},
     lanes::LANES,
     layout::{Builder, Vertex, slivers},
+    order::Streams,
 };
 use ldi_protocol::ldi::{Ldi, LdiCamera};
 use rayon::prelude::*;
-use std::ops::Range;
+use std::{ops::Range, sync::OnceLock};
 
 /// Rows of a tile. Larger tiles cull worse and straddle more thread bands; smaller ones repeat more halo (17/16).
 pub const TILE_ROWS: usize = 16;
@@ -72,7 +74,7 @@ pub struct Tile {
     /// First sample.
     pub first: usize,
     /// Start of each row's samples relative to `first`, halo row and end included.
-    pub row_start: [u16; TILE_ROWS + 2],
+    pub row_start: [u32; TILE_ROWS + 2],
     /// Samples that are not halo.
     pub own: u32,
     /// Its quad runs.
@@ -113,6 +115,8 @@ pub struct PreparedLdi {
     pub parts: Vec<Part>,
     /// The parts' tiles in blocks, for clipping.
     pub blocks: Blocks,
+    /// The samples in another order, once it is asked for.
+    streams: OnceLock<Streams>,
     /// Samples in all.
     pub samples: usize,
 }
@@ -128,13 +132,26 @@ impl PreparedLdi {
             .filter(|part| !part.tiles.is_empty())
             .chain(slivers(ldi))
             .collect();
-        Self { camera: ldi.camera, blocks: Blocks::new(&parts), parts, samples: ldi.samples() }
+        let blocks = Blocks::new(&parts);
+        Self { camera: ldi.camera, parts, blocks, streams: OnceLock::new(), samples: ldi.samples() }
+    }
+
+    /// The samples in occlusion-compatible order, laid out when first asked for.
+    pub(super) fn streams(&self) -> &Streams {
+        self.streams.get_or_init(|| Streams::new(&self.parts))
     }
 
     /// Micro-quads and border pieces of a tile.
     pub(super) fn quads(part: &Part, tile: &Tile) -> u64 {
         let inner: u64 = part.runs[tile.runs.clone()].iter().map(|r| u64::from(r.count)).sum();
         inner + tile.pieces as u64
+    }
+
+    /// Bytes of a tile's arrays that a stamp reads.
+    pub(super) fn bytes(tile: &Tile, stamp: Stamp) -> u64 {
+        let samples = tile.row_start[TILE_ROWS + 1] as usize * (size_of::<u8>() + size_of::<f32>() + size_of::<u32>());
+        let joined = tile.runs.len() * size_of::<Run>() + tile.groups.len() * size_of::<PieceGroup>();
+        (samples + if stamp == Stamp::Quads { joined } else { 0 }) as u64
     }
 }
 

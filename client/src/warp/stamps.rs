@@ -10,7 +10,7 @@ use super::{
     lanes::{LANES, Lanes},
     prepared::{OVERLAP, Part, TILE_COLUMNS, TILE_ROWS, Tile},
     quads::Target,
-    transform::{LANE_NUMBERS, Scratch, TileTransform, Window},
+    transform::{Scratch, TileTransform, Window, first_lanes},
 };
 use std::ops::Range;
 
@@ -43,11 +43,7 @@ pub fn stamp_tile<L: Lanes>(
                         }
                     }
                 }
-                Stamp::Footprint | Stamp::Quads => {
-                    for (at, colour) in colours.iter().enumerate() {
-                        footprint(target, *colour, scratch, i + at);
-                    }
-                }
+                Stamp::Footprint | Stamp::Quads => footprint8::<L>(target, scratch, colours, i),
             }
         }
     }
@@ -56,7 +52,7 @@ pub fn stamp_tile<L: Lanes>(
 /// Tile-local numbers of the samples of each row that are no halo.
 pub fn own_rows<'a>(part: &'a Part, tile: &'a Tile) -> impl Iterator<Item = Range<usize>> + 'a {
     (0..TILE_ROWS).map(|row| {
-        let (from, to) = (usize::from(tile.row_start[row]), usize::from(tile.row_start[row + 1]));
+        let (from, to) = (tile.row_start[row] as usize, tile.row_start[row + 1] as usize);
         let halo = to > from && usize::from(part.column[tile.first + to - 1]) == TILE_COLUMNS;
         from..to - usize::from(halo)
     })
@@ -150,8 +146,7 @@ fn offsets8<L: Lanes>(
     let row = L::floor(L::sub(L::load(&scratch.y[i..]), shift));
     let row = L::sub(row, L::splat(window.first_row as f32));
     let disparity = L::load(&scratch.disparity[i..]);
-    let lane = L::from_int(L::load_int(&LANE_NUMBERS));
-    let ahead = L::and(L::gt(disparity, L::splat(0.0)), L::gt(L::splat(count as f32), lane));
+    let ahead = L::and(L::gt(disparity, L::splat(0.0)), first_lanes::<L>(count));
     if L::mask_bits(ahead) == 0 {
         return;
     }
@@ -173,29 +168,43 @@ fn offsets8<L: Lanes>(
     }
 }
 
-/// The square of the footprint's size whose centre is nearest to the sample.
+/// Squares of the footprints' sizes, each placed so that its centre is nearest to its sample, at eight samples, of which those with
+/// colours count.
 #[inline(always)]
-fn footprint(target: &mut Target<'_>, colour: u32, scratch: &Scratch, at: usize) {
-    let (x, y, disparity) = (scratch.x[at], scratch.y[at], scratch.disparity[at]);
-    let margin = LARGEST_FOOTPRINT_STAMP;
+fn footprint8<L: Lanes>(target: &mut Target<'_>, scratch: &Scratch, colours: &[u32], i: usize) {
     let window = target.window;
-    let last_row = (window.first_row + window.rows) as f32 + margin;
-    // Also false for NaN. The margin admits stamps that reach in from outside.
-    let near = disparity > 0.0
-        && x > -margin
-        && y > window.first_row as f32 - margin
-        && x < window.width as f32 + margin
-        && y < last_row;
-    if !near {
+    let (x, y) = (L::load(&scratch.x[i..]), L::load(&scratch.y[i..]));
+    let y = L::sub(y, L::splat(window.first_row as f32));
+    let disparity = L::load(&scratch.disparity[i..]);
+    // The margin admits stamps that reach in from outside. False for NaN.
+    let (low, margin) = (L::splat(-LARGEST_FOOTPRINT_STAMP), LARGEST_FOOTPRINT_STAMP);
+    let across = L::and(L::gt(x, low), L::gt(L::splat(window.width as f32 + margin), x));
+    let down = L::and(L::gt(y, low), L::gt(L::splat(window.rows as f32 + margin), y));
+    let ahead = L::and(L::gt(disparity, L::splat(0.0)), first_lanes::<L>(colours.len()));
+    let mut bits = L::mask_bits(L::and(ahead, L::and(across, down)));
+    if bits == 0 {
         return;
     }
-    let side = scratch.footprint2[at].sqrt().ceil().clamp(1.0, LARGEST_FOOTPRINT_STAMP);
-    let offset = 0.5 * (side - 1.0);
-    let (column, row) = ((x - offset).floor() as i32, (y - offset).floor() as i32 - window.first_row as i32);
-    let columns = column.max(0)..(column + side as i32).min(window.width as i32);
-    for row in row.max(0)..(row + side as i32).min(window.rows as i32) {
-        for column in columns.clone() {
-            target.put(row as usize * window.width as usize + column as usize, disparity.to_bits(), colour);
+    // The next integer up, in the range of sides: minus the floor of minus.
+    let zero = L::splat(0.0);
+    let up = L::sub(zero, L::floor(L::sub(zero, L::sqrt(L::load(&scratch.footprint2[i..])))));
+    let side = L::min(L::max(up, L::splat(1.0)), L::splat(LARGEST_FOOTPRINT_STAMP));
+    let offset = L::mul(L::splat(0.5), L::sub(side, L::splat(1.0)));
+    let left = L::array_int(L::to_int(L::floor(L::sub(x, offset))));
+    let top = L::array_int(L::to_int(L::floor(L::sub(y, offset))));
+    let (sides, disparities) = (L::array_int(L::to_int(side)), L::array_int(L::bits(disparity)));
+    let (width, height) = (window.width as i32, window.rows as i32);
+    while bits != 0 {
+        let lane = bits.trailing_zeros() as usize & (LANES - 1);
+        bits &= bits - 1;
+        let (left, top, side) = (left[lane] as i32, top[lane] as i32, sides[lane] as i32);
+        let colour = colours[lane.min(colours.len() - 1)];
+        let columns = left.max(0) as usize..(left + side).min(width).max(0) as usize;
+        for row in top.max(0)..(top + side).min(height) {
+            let first = row as usize * window.width as usize;
+            for column in columns.clone() {
+                target.put(first + column, disparities[lane], colour);
+            }
         }
     }
 }

@@ -363,7 +363,7 @@ fn f32_rows_of_8192_stay_within_their_bound() {
             for (part, tile) in prepared.parts.iter().flat_map(|p| p.tiles.iter().map(move |t| (p, t))) {
                 transform_tile::<Portable>(&matrix, part, tile, &window, &mut scratch);
                 for row in 0..3 {
-                    for i in usize::from(tile.row_start[row])..usize::from(tile.row_start[row + 1]) {
+                    for i in tile.row_start[row] as usize..tile.row_start[row + 1] as usize {
                         let at = tile.first + i;
                         let u = f64::from(tile.column) + f64::from(part.column[at]) + 0.5;
                         let v = f64::from(tile.row) + row as f64 + 0.5;
@@ -473,7 +473,8 @@ fn occlusion_compatible_order_agrees_with_depth() {
                 // farther sample may come after a nearer neighbour, at silhouettes.
                 let allowed = if stamp == Stamp::OnePixel { 4 } else { d.pixels / 12 };
                 assert!(d.one_only == 0 && d.other_surface <= allowed, "{name} {stamp} {p:?}: {d:?}");
-                assert_eq!(z.1.samples_warped, painter.1.samples_warped);
+                // Its tiles hold all layers of their place, so that fewer are clipped.
+                assert!(z.1.samples_warped <= painter.1.samples_warped);
                 assert!((z.1.footprint_max_px / painter.1.footprint_max_px - 1.0).abs() < 1e-6);
             }
         }

@@ -33,7 +33,7 @@ impl TileTransform {
     }
 
     /// The constant terms at the pixel centre of column 0 in a row of the tile, rounded once.
-    fn row_constants(&self, matrix: &WarpMatrix, row: usize) -> [f32; 3] {
+    pub fn row_constants(&self, matrix: &WarpMatrix, row: usize) -> [f32; 3] {
         let v = row as f64 + 0.5;
         std::array::from_fn(|i| (self.origin[i][0] + self.origin[i][1] * v + matrix.rows[i][0] * 0.5) as f32)
     }
@@ -98,6 +98,92 @@ fn largest_singular_value2<L: Lanes>(a: L::F, b: L::F, c: L::F, d: L::F) -> L::F
     L::mul(L::splat(0.5), L::add(trace, L::sqrt(L::max(discriminant, L::splat(0.0)))))
 }
 
+/// Eight samples on the output.
+#[derive(Clone, Copy)]
+pub struct Points<L: Lanes> {
+    /// Pixels.
+    pub x: L::F,
+    /// Pixels.
+    pub y: L::F,
+    /// 1/m; -1 at or behind the eye's plane.
+    pub disparity: L::F,
+    /// See [`Scratch::footprint2`].
+    pub footprint2: L::F,
+}
+
+/// A tile's coefficients in all lanes; rows X, Y, W.
+#[derive(Clone, Copy)]
+pub struct Slopes<L: Lanes> {
+    u: [L::F; 3],
+    v: [L::F; 3],
+    d: [L::F; 3],
+}
+
+impl<L: Lanes> Slopes<L> {
+    /// Of a tile.
+    #[inline(always)]
+    pub fn new(transform: &TileTransform) -> Self {
+        let column = |k: usize| transform.rows.map(|r| L::splat(r[k]));
+        Self { u: column(0), v: column(1), d: column(3) }
+    }
+
+    /// Warps eight samples of one row from its constants, their columns in the tile and their disparities.
+    #[inline(always)]
+    pub fn warp(&self, constants: [L::F; 3], u: L::F, d: L::F) -> Points<L> {
+        let [xu, yu, wu] = self.u;
+        let [xv, yv, wv] = self.v;
+        let [xd, yd, wd] = self.d;
+        let [x0, y0, w0] = constants;
+        let x = affine8::<L>(x0, [xu, u], [xd, d]);
+        let y = affine8::<L>(y0, [yu, u], [yd, d]);
+        let w = affine8::<L>(w0, [wu, u], [wd, d]);
+        let [x, y, inverse] = warp8::<L>([x, y, w]);
+        let ahead = L::gt(inverse, L::splat(0.0));
+        let footprint2 = largest_singular_value2::<L>(
+            entry::<L>(xu, x, wu, inverse),
+            entry::<L>(xv, x, wv, inverse),
+            entry::<L>(yu, y, wu, inverse),
+            entry::<L>(yv, y, wv, inverse),
+        );
+        Points { x, y, disparity: L::select(ahead, L::mul(d, inverse), L::splat(-1.0)), footprint2 }
+    }
+}
+
+/// Tells which points lie in a window, ahead of the eye.
+#[derive(Clone, Copy)]
+pub struct Inside<L: Lanes> {
+    right: L::F,
+    top: L::F,
+    bottom: L::F,
+}
+
+impl<L: Lanes> Inside<L> {
+    /// Of a window.
+    #[inline(always)]
+    pub fn new(window: &Window) -> Self {
+        Self {
+            right: L::splat(window.width as f32),
+            top: L::splat(window.first_row as f32),
+            bottom: L::splat((window.first_row + window.rows) as f32),
+        }
+    }
+
+    /// Mask.
+    #[inline(always)]
+    pub fn test(&self, p: &Points<L>) -> L::I {
+        let zero = L::splat(0.0);
+        let across = L::and(L::ge(p.x, zero), L::gt(self.right, p.x));
+        let down = L::and(L::ge(p.y, self.top), L::gt(self.bottom, p.y));
+        L::and(L::and(across, down), L::gt(p.disparity, zero))
+    }
+}
+
+/// Mask of the first `count` lanes.
+#[inline(always)]
+pub fn first_lanes<L: Lanes>(count: usize) -> L::I {
+    L::gt(L::splat(count as f32), L::from_int(L::load_int(&LANE_NUMBERS)))
+}
+
 /// Transforms all samples of a tile, halo included, into `scratch`; returns the largest squared footprint among those
 /// that land inside the window.
 #[inline(always)]
@@ -109,47 +195,24 @@ pub fn transform_tile<L: Lanes>(
     scratch: &mut Scratch,
 ) -> f32 {
     let transform = TileTransform::new(matrix, tile);
-    let [rx, ry, rw] = &transform.rows;
-    let (xu, yu, wu) = (L::splat(rx[0]), L::splat(ry[0]), L::splat(rw[0]));
-    let (xv, yv, wv) = (L::splat(rx[1]), L::splat(ry[1]), L::splat(rw[1]));
-    let (xd, yd, wd) = (L::splat(rx[3]), L::splat(ry[3]), L::splat(rw[3]));
-    let zero = L::splat(0.0);
-    let right = L::splat(window.width as f32);
-    let (top, bottom) = (L::splat(window.first_row as f32), L::splat((window.first_row + window.rows) as f32));
-    let mut largest = zero;
+    let slopes = Slopes::<L>::new(&transform);
+    let inside = Inside::<L>::new(window);
+    let mut largest = L::splat(0.0);
     for row in 0..=TILE_ROWS {
-        let [x0, y0, w0] = transform.row_constants(matrix, row);
-        let (x0, y0, w0) = (L::splat(x0), L::splat(y0), L::splat(w0));
-        let (from, to) = (usize::from(tile.row_start[row]), usize::from(tile.row_start[row + 1]));
+        let constants = transform.row_constants(matrix, row).map(L::splat);
+        let (from, to) = (tile.row_start[row] as usize, tile.row_start[row + 1] as usize);
         // The last group may spill into the next row's places, which are written afterwards.
         for i in (from..to).step_by(LANES) {
             let at = tile.first + i;
-            let u = L::load_bytes(&part.column[at..]);
-            let d = L::load(&part.disparity[at..]);
-            let x = affine8::<L>(x0, [xu, u], [xd, d]);
-            let y = affine8::<L>(y0, [yu, u], [yd, d]);
-            let w = affine8::<L>(w0, [wu, u], [wd, d]);
-            let [x, y, inverse] = warp8::<L>([x, y, w]);
-            let ahead = L::gt(inverse, zero);
-            let disparity = L::select(ahead, L::mul(d, inverse), L::splat(-1.0));
-            let footprint2 = largest_singular_value2::<L>(
-                entry::<L>(xu, x, wu, inverse),
-                entry::<L>(xv, x, wv, inverse),
-                entry::<L>(yu, y, wu, inverse),
-                entry::<L>(yv, y, wv, inverse),
-            );
-            L::store(x, &mut scratch.x[i..]);
-            L::store(y, &mut scratch.y[i..]);
-            L::store(disparity, &mut scratch.disparity[i..]);
-            L::store(footprint2, &mut scratch.footprint2[i..]);
-            let inside_x = L::and(L::ge(x, zero), L::gt(right, x));
-            let inside_y = L::and(L::ge(y, top), L::gt(bottom, y));
-            let inside = L::and(L::and(inside_x, inside_y), ahead);
+            let p = slopes.warp(constants, L::load_bytes(&part.column[at..]), L::load(&part.disparity[at..]));
+            L::store(p.x, &mut scratch.x[i..]);
+            L::store(p.y, &mut scratch.y[i..]);
+            L::store(p.disparity, &mut scratch.disparity[i..]);
+            L::store(p.footprint2, &mut scratch.footprint2[i..]);
             // Lanes past the row's end hold another row's samples with this row's constants: harmless on the picture,
             // because they are overwritten, but not for the maximum.
-            let lane = L::from_int(L::load_int(&LANE_NUMBERS));
-            let inside = L::and(inside, L::gt(L::splat((to - i) as f32), lane));
-            largest = L::max(L::select(inside, footprint2, zero), largest);
+            let seen = L::and(inside.test(&p), first_lanes::<L>(to - i));
+            largest = L::max(L::select(seen, p.footprint2, L::splat(0.0)), largest);
         }
     }
     L::array(largest).into_iter().fold(0.0, f32::max)

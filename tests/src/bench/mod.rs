@@ -3,3 +3,5 @@
 pub mod placement;
 pub mod placement_page;
 pub mod searches;
+pub mod speed_error;
+pub mod speed_error_page;

@@ -82,7 +82,7 @@ pub fn run(sweep: &Sweep, progress: &dyn Progress, mut done: impl FnMut(&Row)) -
     let mut rows = Vec::new();
     for scene in &sweep.scenes {
         let triangles = ldi_server::scene::load(scene)?.triangles();
-        let walk = path_beside(scene)?;
+        let walk = walk_beside(scene)?;
         for grid in &sweep.grids {
             for percent in &sweep.budgets_percent {
                 let budget = ((triangles as f64 * percent / 100.0).round() as u64).max(1);
@@ -144,7 +144,7 @@ fn options(
 pub fn usual_options(scene: &str, budget_percent: f64) -> Result<BuildOptions> {
     let triangles = ldi_server::scene::load(scene)?.triangles();
     let budget = ((triangles as f64 * budget_percent / 100.0).round() as u64).max(1);
-    Ok(options(scene, budget, "cells", (1280, 720), 60.0, path_beside(scene)?.as_ref()))
+    Ok(options(scene, budget, "cells", (1280, 720), 60.0, walk_beside(scene)?.as_ref()))
 }
 
 /// Poses and eye height of a path file.
@@ -154,15 +154,24 @@ struct Walk {
 }
 
 /// The path file beside a scene's file, if there is one.
-fn path_beside(scene: &str) -> Result<Option<Walk>> {
+///
+/// # Errors
+/// A file that cannot be read or is no path.
+pub fn path_beside(scene: &str) -> Result<Option<path::Walk>> {
     let file = Path::new(scene).with_extension("path.json");
     if scene.starts_with("builtin:") || !file.is_file() {
         return Ok(None);
     }
     let text = std::fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
-    let walk = path::parse(&text).with_context(|| file.display().to_string())?;
-    let step = walk.poses.len().div_ceil(PATH_POSES).max(1);
-    Ok(Some(Walk { poses: walk.poses.iter().step_by(step).map(|p| p.pose).collect(), eye_height_m: walk.eye_height }))
+    Ok(Some(path::parse(&text).with_context(|| file.display().to_string())?))
+}
+
+/// The walk along the path beside a scene, if there is one, in few poses.
+fn walk_beside(scene: &str) -> Result<Option<Walk>> {
+    Ok(path_beside(scene)?.map(|walk| {
+        let step = walk.poses.len().div_ceil(PATH_POSES).max(1);
+        Walk { poses: walk.poses.iter().step_by(step).map(|p| p.pose).collect(), eye_height_m: walk.eye_height }
+    }))
 }
 
 fn fill(row: &mut Row, draft: &Draft, walk: Option<&Walk>, audit: AuditSize) {

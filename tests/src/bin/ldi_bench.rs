@@ -5,7 +5,7 @@ use clap::{Parser, Subcommand};
 use ldi_server::cli::size;
 use ldi_server::placement::AuditSize;
 use ldi_tests::args::percent;
-use ldi_tests::bench::{placement, placement_page, searches};
+use ldi_tests::bench::{placement, placement_page, searches, speed_error, speed_error_page};
 use std::path::{Path, PathBuf};
 
 /// Measures the methods over scenes and settings; leaves tables (CSV, JSON), plots (SVG) and a page (HTML).
@@ -29,8 +29,13 @@ Examples:
 Examples:
   ldi-bench searches clinic.glb --budget 10 -o out/searches")]
     Searches(SearchesArgs),
-    /// Every method and setting, speed against error (not there yet).
-    SpeedError(Later),
+    /// Every reconstruction, order and density of the warp: milliseconds against error, on views of the scenes' paths.
+    #[command(after_help = "\
+Examples:
+  ldi-bench speed-error clinic.glb -o out/speed
+  ldi-bench speed-error clinic.glb house.glb --budget 10 --densities 1,2 --frames 12 -o out/speed
+  ldi-bench speed-error clinic.glb --datasets clinic10 -o out/speed")]
+    SpeedError(SpeedErrorArgs),
     /// Hard numerical cases (not there yet).
     Numerics(Later),
 }
@@ -67,6 +72,37 @@ struct PlacementArgs {
 }
 
 #[derive(Debug, clap::Args)]
+struct SpeedErrorArgs {
+    /// Scene files; beside NAME.glb the path NAME.path.json is walked.
+    #[arg(required = true)]
+    scenes: Vec<String>,
+    /// Folder for what is left, datasets and pictures included; datasets found there are used again.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Datasets to take instead of building, one per scene.
+    #[arg(long, value_delimiter = ',', conflicts_with_all = ["densities", "budget"])]
+    datasets: Vec<PathBuf>,
+    /// Geometry budget, percent of the scene's triangles.
+    #[arg(long, default_value = "10", value_parser = percent)]
+    budget: f64,
+    /// Samples per output pixel pitch of the datasets that are built.
+    #[arg(long, value_delimiter = ',', default_value = "1")]
+    densities: Vec<f64>,
+    /// Output size.
+    #[arg(long, default_value = "1280x720", value_parser = size)]
+    size: (u32, u32),
+    /// Views.
+    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
+    frames: u32,
+    /// Repetitions of each measurement; their median counts.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
+    repeat: u32,
+    /// Numbers of threads, the last for the pictures.
+    #[arg(long, value_delimiter = ',', default_value = "1,2", value_parser = clap::value_parser!(u32).range(1..))]
+    threads: Vec<u32>,
+}
+
+#[derive(Debug, clap::Args)]
 struct SearchesArgs {
     /// Scenes, as for `ldi-server build`.
     #[arg(required = true)]
@@ -86,7 +122,7 @@ fn main() -> Result<()> {
     match Cli::parse().command {
         Command::Placement(a) => placement(a),
         Command::Searches(a) => searches(a),
-        Command::SpeedError(Later { .. }) => bail!("ldi-bench speed-error is not there yet"),
+        Command::SpeedError(a) => speed_error(a),
         Command::Numerics(Later { .. }) => bail!("ldi-bench numerics is not there yet"),
     }
 }
@@ -117,8 +153,7 @@ fn placement(a: PlacementArgs) -> Result<()> {
         ),
     })?;
     let plots = placement_page::plots(&rows);
-    let command: Vec<String> = std::env::args().skip(1).collect();
-    let command = format!("ldi-bench {}", command.join(" "));
+    let command = typed();
     write(&a.output.join("placement.json"), &serde_json::to_string_pretty(&rows)?)?;
     write(&a.output.join("placement.csv"), &placement_page::csv(&rows))?;
     for (name, svg) in &plots {
@@ -127,6 +162,41 @@ fn placement(a: PlacementArgs) -> Result<()> {
     write(&a.output.join("index.html"), &placement_page::page(&sweep, &rows, &plots, &command))?;
     println!("look at {}", a.output.join("index.html").display());
     Ok(())
+}
+
+fn speed_error(a: SpeedErrorArgs) -> Result<()> {
+    if !a.datasets.is_empty() && a.datasets.len() != a.scenes.len() {
+        bail!("--datasets: {} for {} scenes; name one for each", a.datasets.len(), a.scenes.len());
+    }
+    std::fs::create_dir_all(&a.output).with_context(|| format!("cannot make {}", a.output.display()))?;
+    let job = speed_error::Job {
+        scenes: a.scenes,
+        output: a.output.clone(),
+        budget_percent: a.budget,
+        // A given dataset has its own density.
+        densities: if a.datasets.is_empty() { a.densities } else { vec![1.0] },
+        datasets: a.datasets,
+        size: a.size,
+        frames: a.frames as usize,
+        repeat: a.repeat as usize,
+        threads: a.threads.iter().map(|t| *t as usize).collect(),
+    };
+    let found = speed_error::run(&job, &(), |r| eprintln!("{}", speed_error_page::line(r)))?;
+    write(&a.output.join("speed-error.json"), &serde_json::to_string_pretty(&found)?)?;
+    write(&a.output.join("speed-error.csv"), &speed_error_page::csv(&found.rows))?;
+    let plots = speed_error_page::plots(&found.rows);
+    for (name, svg) in &plots {
+        write(&a.output.join(format!("{name}.svg")), &placement_page::standalone(svg))?;
+    }
+    write(&a.output.join("index.html"), &speed_error_page::page(&job, &found, &plots, &typed()))?;
+    println!("look at {}", a.output.join("index.html").display());
+    Ok(())
+}
+
+/// The command as it was typed.
+fn typed() -> String {
+    let command: Vec<String> = std::env::args().skip(1).collect();
+    format!("ldi-bench {}", command.join(" "))
 }
 
 fn searches(a: SearchesArgs) -> Result<()> {

@@ -1,0 +1,518 @@
+//! Speed against error: every reconstruction, order and density of the warp on real views.
+//!
+//! In: scenes with walk paths, datasets of several densities (built here, or given). Out: a [`Row`] per scene, density and setting: the time of the
+//! warp and of the frame, how near it is to what this machine could do, and how far the pictures are from the truth.
+//!
+//! All in one process: chunks come from the dataset's files, so that neither network nor decoding takes part. Views are those of the path that show
+//! images. A time is the median over the views of the median over the repetitions; limits are measured on the same views between them.
+
+use super::placement::path_beside;
+use anyhow::{Context as _, Result, bail};
+use ldi_client::{
+    cache::Cache,
+    composite::Fill,
+    engine::{Cull, Method, Pace, Painter, Truth, Verdict, View, WalkOptions, view_of},
+    frame::{Frame, Source, supersampled},
+    report::StageMs,
+    resident::Resident as _,
+    warp::{FarFrame, Order, PreparedLdi, Stamp, WarpOptions, WarpStats, transform_only, warp_images},
+};
+use ldi_protocol::{OutputCamera, Pose, codec::ColourMode, index::BuildSettings, path::Walk};
+use ldi_server::{
+    build::{self, BuildOptions, Progress},
+    render::{Caster, RenderOptions, render_path},
+    scene,
+    store::Dataset,
+};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Instant,
+};
+
+/// What to measure.
+#[derive(Debug, Clone)]
+pub struct Job {
+    /// Scene files; beside NAME.glb lies NAME.path.json.
+    pub scenes: Vec<String>,
+    /// Datasets to take instead of building, scene by scene; empty, or as many as scenes.
+    pub datasets: Vec<PathBuf>,
+    /// Folder for truths and datasets.
+    pub output: PathBuf,
+    /// Geometry budget, percent of the scene's triangles.
+    pub budget_percent: f64,
+    /// Samples per output pixel pitch.
+    pub densities: Vec<f64>,
+    /// Output size.
+    pub size: (u32, u32),
+    /// Views.
+    pub frames: usize,
+    /// Repetitions of each measurement.
+    pub repeat: usize,
+    /// Threads, the last for the pictures.
+    pub threads: Vec<usize>,
+}
+
+/// How a frame is made.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Setting {
+    /// Reconstruction; None draws all geometry instead of images.
+    #[serde(serialize_with = "by_name")]
+    pub stamp: Option<Stamp>,
+    /// Painted in occlusion-compatible order instead of by depth.
+    pub epipole: bool,
+    /// Tiles that cannot reach the picture are drawn as well.
+    pub unclipped: bool,
+    /// Samples per output pixel along each side.
+    pub supersample: u32,
+    /// 3 x 3 smoothing.
+    pub smooth: bool,
+    /// What holes show.
+    pub fill: Fill,
+    /// Threads.
+    pub threads: usize,
+}
+
+fn by_name<S: serde::Serializer>(stamp: &Option<Stamp>, s: S) -> Result<S::Ok, S::Error> {
+    s.serialize_str(stamp.map_or("geometry", Stamp::name))
+}
+
+/// One setting over all views of a scene.
+#[derive(Debug, Clone, Serialize)]
+pub struct Row {
+    /// Scene.
+    pub scene: String,
+    /// Density of its dataset.
+    pub density: f64,
+    /// Setting.
+    #[serde(flatten)]
+    pub setting: Setting,
+    /// Views.
+    pub frames: usize,
+    /// Samples in tiles that were drawn, mean.
+    pub samples: f64,
+    /// Milliseconds of the warp.
+    pub warp_ms: f64,
+    /// Milliseconds of the frame: selection, near geometry, warp, composite.
+    pub frame_ms: f64,
+    /// Millions of samples warped per second.
+    pub msamples_per_s: f64,
+    /// The time of transforming the same samples without painting, over that of the warp.
+    pub of_compute: f64,
+    /// The time of moving the same bytes once through memory, over that of the warp.
+    pub of_memory: f64,
+    /// Decibels, mean.
+    pub psnr_db: f64,
+    /// Mean.
+    pub ssim: f64,
+    /// Mean FLIP.
+    pub flip: f64,
+    /// Mean FLIP of pixels that came from images.
+    pub flip_far: f64,
+    /// Mean FLIP over that of drawing everything with one ray per pixel.
+    pub flip_over_baseline: f64,
+    /// The same over the pixels that came from images.
+    pub flip_far_over_baseline: f64,
+    /// Largest FLIP of a view over the largest of the baseline.
+    pub worst_over_baseline: f64,
+    /// Share of pixels where the truth has a surface and nothing known is shown.
+    pub holes: f64,
+    /// The same before averaging and filling.
+    pub holes_before_fill: f64,
+    /// Pixels that differ from those of the z-buffer, as a share: another surface (disparities a tenth apart, or painted in one alone).
+    pub orders_differ: Option<f64>,
+}
+
+/// Limits of this machine, measured between the settings.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Limits {
+    /// Threads.
+    pub threads: usize,
+    /// Bytes per second that a sum over a large array reads, billions.
+    pub memory_gb_per_s: f64,
+}
+
+/// What was found.
+#[derive(Debug, Clone, Serialize)]
+pub struct Found {
+    /// Rows.
+    pub rows: Vec<Row>,
+    /// Limits.
+    pub limits: Vec<Limits>,
+}
+
+/// What `ldi-client walk` does unless told otherwise.
+const PLAIN: Setting = Setting {
+    stamp: Some(Stamp::Quads),
+    epipole: false,
+    unclipped: false,
+    supersample: 1,
+    smooth: false,
+    fill: Fill::Surface,
+    threads: 1,
+};
+
+/// Every setting with its own picture, at the last number of threads, and the main ones at the others.
+fn settings(threads: &[usize]) -> Vec<Setting> {
+    let most = *threads.last().unwrap_or(&1);
+    let plain = Setting { threads: most, ..PLAIN };
+    let mut all = vec![Setting { stamp: None, ..plain }, Setting { stamp: None, supersample: 2, ..plain }];
+    for stamp in Stamp::ALL.map(Some) {
+        for supersample in [1, 2] {
+            all.push(Setting { stamp, supersample, ..plain });
+        }
+        let small = matches!(stamp, Some(Stamp::OnePixel | Stamp::TwoByTwo));
+        if small {
+            all.push(Setting { stamp, epipole: true, ..plain });
+        }
+        if small || matches!(stamp, Some(Stamp::Footprint | Stamp::Quads)) {
+            all.push(Setting { stamp, smooth: true, ..plain });
+        }
+        if matches!(stamp, Some(Stamp::TwoByTwo | Stamp::Quads)) {
+            all.push(Setting { stamp, fill: Fill::Off, ..plain });
+            all.push(Setting { stamp, fill: Fill::Last, ..plain });
+        }
+        if stamp == Some(Stamp::Quads) {
+            all.push(Setting { stamp, unclipped: true, ..plain });
+        }
+        for threads in threads.iter().copied().filter(|t| *t != most) {
+            all.push(Setting { stamp, threads, ..plain });
+            if small {
+                all.push(Setting { stamp, threads, epipole: true, ..plain });
+            }
+        }
+    }
+    all
+}
+
+impl Setting {
+    fn warp_options(&self) -> WarpOptions {
+        WarpOptions {
+            stamp: self.stamp.unwrap_or_default(),
+            order: if self.epipole { Order::Epipole } else { Order::Z },
+            keep_all_tiles: self.unclipped,
+            ..WarpOptions::default()
+        }
+    }
+
+    fn walk_options(&self, (width, height): (u32, u32)) -> WalkOptions {
+        let WarpOptions { stamp, order, .. } = self.warp_options();
+        WalkOptions {
+            width,
+            height,
+            method: if self.stamp.is_some() { Method::Auto } else { Method::Geometry },
+            stamp,
+            order,
+            cull: if self.unclipped { Cull::Off } else { Cull::On },
+            fill: self.fill,
+            smooth: self.smooth,
+            supersample: self.supersample,
+            pace: Pace::Wait,
+            every: 1,
+            cache_bytes: None,
+            debug_views: false,
+            baseline_frames: 0,
+        }
+    }
+}
+
+/// Measures everything; `done` hears of every row.
+///
+/// # Errors
+/// A scene, path or dataset that cannot be read; a path whose views use no image.
+pub fn run(job: &Job, progress: &dyn Progress, mut done: impl FnMut(&Row)) -> Result<Found> {
+    let pools = job
+        .threads
+        .iter()
+        .map(|n| rayon::ThreadPoolBuilder::new().num_threads(*n).build().context("cannot start threads"))
+        .collect::<Result<Vec<_>>>()?;
+    let limits: Vec<Limits> = pools
+        .iter()
+        .map(|pool| Limits { threads: pool.current_num_threads(), memory_gb_per_s: pool.install(memory_gb_per_s) })
+        .collect();
+    let mut rows = Vec::new();
+    for (i, spec) in job.scenes.iter().enumerate() {
+        let walk = path_beside(spec)?.with_context(|| {
+            let path = Path::new(spec).with_extension("path.json");
+            format!(
+                "{}: a path beside the scene is needed; `ldi-server scene` writes one with its scene",
+                path.display()
+            )
+        })?;
+        for density in &job.densities {
+            let dataset = match job.datasets.get(i) {
+                Some(path) => Dataset::open(path)?,
+                None => dataset_of(job, spec, *density, &walk, progress)?,
+            };
+            let views = views(job, spec, &dataset, &walk, progress)?;
+            let density = dataset.index().settings.density;
+            for setting in settings(&job.threads) {
+                let at = job.threads.iter().position(|t| *t == setting.threads).unwrap_or(0);
+                let row = pools[at].install(|| measure(job, &dataset, &views, &setting, limits[at].memory_gb_per_s))?;
+                let row = Row { scene: name_of(spec), density, ..row };
+                done(&row);
+                rows.push(row);
+            }
+        }
+    }
+    Ok(Found { rows, limits })
+}
+
+fn name_of(spec: &str) -> String {
+    Path::new(spec).file_stem().map_or_else(|| spec.to_string(), |n| n.to_string_lossy().into_owned())
+}
+
+/// The dataset of a scene at a density: the one that an earlier run left in the folder, or a new one.
+fn dataset_of(job: &Job, spec: &str, density: f64, walk: &Walk, progress: &dyn Progress) -> Result<Dataset> {
+    let output = job.output.join(format!("{}-{}pct-x{density}", name_of(spec), job.budget_percent));
+    if let Ok(found) = Dataset::open(&output) {
+        return Ok(found);
+    }
+    let triangles = scene::load(spec)?.triangles();
+    let (width, height) = job.size;
+    build::build(
+        &BuildOptions {
+            scene: spec.into(),
+            output: output.clone(),
+            colour: ColourMode::from_name("high").context("a profile of that name")?,
+            settings: BuildSettings {
+                budget: ((triangles as f64 * job.budget_percent / 100.0).round() as u64).max(1),
+                optimize_budget: 0,
+                camera: OutputCamera { width, height, fov_deg: 60.0 },
+                max_footprint_px: 2.0,
+                pitch_deg: 60.0,
+                density,
+                colour: "high".into(),
+                grid: "cells".into(),
+                eye_height_m: Some(walk.eye_height.unwrap_or(1.6)),
+            },
+        },
+        progress,
+    )?;
+    Ok(Dataset::open(&output)?)
+}
+
+/// A pose of the path that uses images, and the pictures that it is judged by.
+struct OneView {
+    pose: Pose,
+    truth: Truth,
+    baseline: Truth,
+}
+
+/// Whether a hundredth of a view's pixels comes from images: often all that they hold is hidden. Asked of a small picture.
+fn shows_images(dataset: &Dataset, pose: &Pose, camera: &OutputCamera) -> Result<bool> {
+    let small = OutputCamera { width: camera.width.div_ceil(4), height: camera.height.div_ceil(4), ..*camera };
+    let index = dataset.index();
+    let view = view_of(index, pose, &small, Method::Auto, &mut StageMs::default());
+    if view.images.is_empty() {
+        return Ok(false);
+    }
+    let options = PLAIN.walk_options((small.width, small.height));
+    let (cache, mut picture) = (resident(dataset, &view)?, Frame::default());
+    Painter::default().paint(index, &cache, &view, pose, &small, &options, StageMs::default(), &mut picture)?;
+    Ok(picture.count(Source::Far) * 100 >= picture.len())
+}
+
+/// Views spread evenly over those of 200 poses of the path that show images, with their truths.
+fn views(job: &Job, spec: &str, dataset: &Dataset, walk: &Walk, progress: &dyn Progress) -> Result<Vec<OneView>> {
+    let camera = camera_of(job);
+    let mut candidates = Vec::new();
+    for i in walk.evenly_spaced(200) {
+        if shows_images(dataset, &walk.poses[i].pose, &camera)? {
+            candidates.push(i);
+        }
+    }
+    if candidates.is_empty() {
+        bail!("{spec}: no view of its path shows an image at this budget; try a smaller --budget");
+    }
+    let n = job.frames.min(candidates.len());
+    let chosen: Vec<usize> = (0..n).map(|i| candidates[i * candidates.len() / n]).collect();
+    let path = Walk { poses: chosen.iter().map(|i| walk.poses[*i]).collect(), ..walk.clone() };
+    let loaded = Arc::new(scene::load(spec)?);
+    let folder = job.output.join(format!("{}-pictures", name_of(spec)));
+    for (name, samples, depth) in [("truth", 16, true), ("baseline", 1, false)] {
+        let folder = folder.join(name);
+        std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+        let options = RenderOptions { camera, samples, mips: samples == 1, depth, every: 1 };
+        let caster = Caster::of_scene(Arc::clone(&loaded), options.mips);
+        progress.stage(&format!("{} pictures", name), n as u64);
+        render_path(&caster, &path, &options, &folder, &mut |_, _| progress.advance(1))?;
+    }
+    let picture = |name: &str, i: usize| {
+        Truth::load(&folder.join(name), i)?.with_context(|| format!("{}: picture {i} is gone", folder.display()))
+    };
+    (0..n)
+        .map(|i| {
+            let pose = path.poses[i].pose;
+            Ok(OneView { pose, truth: picture("truth", i)?, baseline: picture("baseline", i)? })
+        })
+        .collect()
+}
+
+fn camera_of(job: &Job) -> OutputCamera {
+    OutputCamera { width: job.size.0, height: job.size.1, fov_deg: 60.0 }
+}
+
+/// A cache that holds what a view needs.
+fn resident(dataset: &Dataset, view: &View) -> Result<Cache> {
+    let cache = Cache::new(Arc::clone(dataset.index()), u64::MAX);
+    for chunk in view.needed(dataset.index()).all() {
+        let bytes = dataset.chunk(chunk).with_context(|| format!("chunk {chunk} is missing"))?;
+        cache.insert(chunk, bytes).with_context(|| format!("chunk {chunk}"))?;
+    }
+    Ok(cache)
+}
+
+fn measure(job: &Job, dataset: &Dataset, views: &[OneView], setting: &Setting, memory_gb_per_s: f64) -> Result<Row> {
+    let index = dataset.index();
+    let camera = camera_of(job);
+    let full = supersampled(&camera, setting.supersample);
+    let options = setting.walk_options(job.size);
+    let warp_options = setting.warp_options();
+    let (mut warp_ms, mut compute_ms, mut frame_ms) = (vec![], vec![], vec![]);
+    let mut stats = WarpStats::default();
+    let mut verdicts = Vec::new();
+    let mut differ = Vec::new();
+    let (mut far, mut spare, mut picture) = (FarFrame::default(), FarFrame::default(), Frame::default());
+    let mut painter = Painter::default();
+    for v in views {
+        let view = view_of(index, &v.pose, &camera, options.method, &mut StageMs::default());
+        let cache = resident(dataset, &view)?;
+        if setting.stamp.is_some() {
+            let images: Vec<PreparedLdi> =
+                view.images.iter().filter_map(|i| cache.ldi(*i)).map(|ldi| PreparedLdi::new(&ldi)).collect();
+            let images: Vec<&PreparedLdi> = images.iter().collect();
+            let mut timed =
+                |f: &mut dyn FnMut(&mut FarFrame) -> Result<WarpStats>| timed(job.repeat, &full, &mut far, f);
+            let transformed = |far: &mut FarFrame| {
+                let mut sum = WarpStats::default();
+                images.iter().for_each(|i| sum.add(&transform_only(i, &v.pose, &full, &warp_options, far)));
+                Ok(sum)
+            };
+            compute_ms.push(timed(&mut { transformed })?.0);
+            let mut by = |order: Order| {
+                let options = WarpOptions { order, ..warp_options };
+                timed(&mut |far| Ok(warp_images(&images, &v.pose, &full, &options, far, &mut spare)?))
+            };
+            let by_depth = setting.epipole.then(|| by(Order::Z)).transpose()?.map(|(.., far)| far);
+            let (ms, of_this, picture) = by(warp_options.order)?;
+            warp_ms.push(ms);
+            stats.add(&of_this);
+            differ.extend(by_depth.map(|z| share_of_other_surfaces(&z, &picture)));
+        }
+        let mut times = Vec::new();
+        for _ in 0..job.repeat.div_ceil(2) {
+            let painted =
+                painter.paint(index, &cache, &view, &v.pose, &camera, &options, StageMs::default(), &mut picture)?;
+            times.push(painted.ms.total);
+        }
+        frame_ms.push(median(times));
+        verdicts.push(v.truth.judge(&picture, painter.full(), Some(&v.baseline))?);
+    }
+    let n = views.len() as f64;
+    let (warp, compute) = (median(warp_ms), median(compute_ms));
+    let mean = |of: fn(&Verdict) -> Option<f64>| {
+        let known: Vec<f64> = verdicts.iter().filter_map(of).collect();
+        known.iter().sum::<f64>() / known.len().max(1) as f64
+    };
+    let most = |of: fn(&Verdict) -> Option<f64>| verdicts.iter().filter_map(of).fold(0.0, f64::max);
+    let samples = stats.samples_warped as f64 / n;
+    Ok(Row {
+        scene: String::new(),
+        density: 0.0,
+        setting: *setting,
+        frames: views.len(),
+        samples,
+        warp_ms: warp,
+        frame_ms: median(frame_ms),
+        msamples_per_s: samples / warp / 1e3,
+        of_compute: compute / warp,
+        of_memory: stats.bytes as f64 / n / memory_gb_per_s / 1e6 / warp,
+        psnr_db: mean(|v| v.psnr_db),
+        ssim: mean(|v| v.ssim),
+        flip: mean(|v| v.flip),
+        flip_far: mean(|v| v.flip_far),
+        flip_over_baseline: mean(|v| v.flip) / mean(|v| v.flip_baseline),
+        flip_far_over_baseline: mean(|v| v.flip_far) / mean(|v| v.flip_baseline_far),
+        worst_over_baseline: most(|v| v.flip) / most(|v| v.flip_baseline),
+        holes: mean(|v| v.hole_fraction),
+        holes_before_fill: mean(|v| v.hole_before_fill),
+        orders_differ: (!differ.is_empty()).then(|| differ.iter().sum::<f64>() / differ.len() as f64),
+    })
+}
+
+/// Runs a warp several times: the median of its milliseconds, its figures, its picture.
+fn timed(
+    repeat: usize,
+    camera: &OutputCamera,
+    far: &mut FarFrame,
+    warp: &mut dyn FnMut(&mut FarFrame) -> Result<WarpStats>,
+) -> Result<(f64, WarpStats, FarFrame)> {
+    let mut stats = WarpStats::default();
+    let mut times = Vec::new();
+    for _ in 0..repeat {
+        far.reset(camera.width, camera.height);
+        let start = Instant::now();
+        stats = warp(far)?;
+        times.push(start.elapsed().as_secs_f64() * 1e3);
+    }
+    Ok((median(times), stats, far.clone()))
+}
+
+/// See [`Row::orders_differ`].
+fn share_of_other_surfaces(a: &FarFrame, b: &FarFrame) -> f64 {
+    let differ = (0..a.packed.len()).filter(|i| match (a.get(*i), b.get(*i)) {
+        (Some((_, a)), Some((_, b))) => (a - b).abs() > 0.1 * a.max(b),
+        (None, None) => false,
+        _ => true,
+    });
+    differ.count() as f64 / a.packed.len().max(1) as f64
+}
+
+/// The middle value; NaN of none.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    match values.len() {
+        0 => f64::NAN,
+        n => 0.5 * (values[(n - 1) / 2] + values[n / 2]),
+    }
+}
+
+/// How fast the current pool's threads read an array that no cache holds: the best of five passes.
+fn memory_gb_per_s() -> f64 {
+    let words = vec![1u64; 32 << 20];
+    let pass = || {
+        let start = Instant::now();
+        let sum: u64 = words.par_chunks(1 << 16).map(|c| c.iter().copied().fold(0, u64::wrapping_add)).sum();
+        std::hint::black_box(sum);
+        size_of_val(words.as_slice()) as f64 / start.elapsed().as_secs_f64() / 1e9
+    };
+    (0..5).map(|_| pass()).fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn medians() {
+        assert_eq!([median(vec![3.0, 1.0, 2.0]), median(vec![1.0, 4.0])], [2.0, 2.5]);
+        assert!(median(vec![]).is_nan());
+    }
+
+    #[test]
+    fn settings_are_distinct_and_can_be_drawn() {
+        let all = settings(&[1, 2]);
+        for (i, a) in all.iter().enumerate() {
+            assert!(!all[..i].contains(a), "{a:?} twice");
+            assert!(!a.epipole || matches!(a.stamp, Some(Stamp::OnePixel | Stamp::TwoByTwo)));
+        }
+        for stamp in Stamp::ALL {
+            for threads in [1, 2] {
+                assert!(all.iter().any(|s| s.stamp == Some(stamp) && s.threads == threads));
+            }
+        }
+    }
+}
