@@ -4,7 +4,7 @@ use crate::{
     frame::pack_rgb,
     warp::{
         PreparedLdi, WarpOptions,
-        test_scene::{ldi_camera, scene},
+        analytic::{ldi_camera, scene},
         warp,
     },
 };

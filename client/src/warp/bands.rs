@@ -6,10 +6,10 @@ use super::{
     ewa::Means,
     lanes::{Lanes, Portable},
     order::{Epipole, Streams, paint_tile},
-    prepared::PreparedLdi,
+    prepared::{Part, PreparedLdi, Tile},
     quads::{Target, draw_tile},
-    stamps::stamp_tile,
-    transform::{Scratch, TileTransform, Window, transform_tile},
+    stamps::{own_rows, stamp_tile},
+    transform::{Scratch, TileTransform, Transformed, Window, transform_tile},
 };
 use ldi_protocol::{OutputCamera, Pose};
 use rayon::prelude::*;
@@ -145,6 +145,53 @@ fn run(
         .collect();
     parts.iter().for_each(|p| stats.add(p));
     stats
+}
+
+/// What the kernels make of every sample, clipped or not.
+pub fn transformed(ldi: &PreparedLdi, pose: &Pose, camera: &OutputCamera, portable: bool) -> Vec<Transformed> {
+    let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
+    let window = Window { width: camera.width, first_row: 0, rows: camera.height };
+    let mut scratch = Scratch::default();
+    let mut out = Vec::with_capacity(ldi.samples);
+    for (part, tile) in ldi.parts.iter().flat_map(|part| part.tiles.iter().map(move |tile| (part, tile))) {
+        transform_dispatch(&matrix, part, tile, (&window, portable), &mut scratch);
+        for (row, samples) in own_rows(part, tile).enumerate() {
+            out.extend(samples.map(|i| Transformed {
+                u: f64::from(tile.column) + f64::from(part.column[tile.first + i]) + 0.5,
+                v: f64::from(tile.row) + row as f64 + 0.5,
+                disparity: part.disparity[tile.first + i],
+                x: scratch.x[i],
+                y: scratch.y[i],
+                warped_disparity: scratch.disparity[i],
+                footprint: scratch.footprint2[i].sqrt(),
+            }));
+        }
+    }
+    out
+}
+
+/// Transforms a tile with the best kernels that this machine has.
+fn transform_dispatch(
+    matrix: &WarpMatrix,
+    part: &Part,
+    tile: &Tile,
+    (window, portable): (&Window, bool),
+    scratch: &mut Scratch,
+) {
+    #[cfg(target_arch = "x86_64")]
+    if !portable && std::arch::is_x86_feature_detected!("avx2") {
+        // SAFETY: AVX2 was detected.
+        unsafe { transform_tile_avx2(matrix, part, tile, window, scratch) };
+        return;
+    }
+    let _ = portable;
+    transform_tile::<Portable>(matrix, part, tile, window, scratch);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn transform_tile_avx2(matrix: &WarpMatrix, part: &Part, tile: &Tile, window: &Window, scratch: &mut Scratch) {
+    transform_tile::<super::lanes::Avx2>(matrix, part, tile, window, scratch);
 }
 
 /// Warps single pixels to one pose in the order of another: to show that the order matters.

@@ -202,7 +202,7 @@ mod tests {
     }
 
     fn matrix(eye: [f64; 3], yaw_deg: f64, pitch_deg: f64) -> WarpMatrix {
-        let camera = super::super::test_scene::ldi_camera(DVec3::ZERO, 320, 240, 90.0);
+        let camera = super::super::analytic::ldi_camera(DVec3::ZERO, 320, 240, 90.0);
         let pose = Pose { position: DVec3::from_array(eye), yaw_deg, pitch_deg };
         WarpMatrix::new(&camera, &pose, &OutputCamera { width: SIZE.0, height: SIZE.1, fov_deg: 60.0 })
     }

@@ -16,6 +16,7 @@
 //! What was changed against the papers: they warp segments in painter's order without a z-buffer; order `epipole`
 //! keeps that for the stamps that are small. Micro-quads need depth: neighbouring quads overlap at folds.
 
+pub mod analytic;
 mod bands;
 mod cull;
 pub mod debug;
@@ -29,14 +30,13 @@ mod quads;
 pub mod reference;
 mod stamps;
 #[cfg(test)]
-pub(crate) mod test_scene;
-#[cfg(test)]
 mod tests;
 mod transform;
 
-pub use bands::{transform_only, warp, warp_images};
+pub use bands::{transform_only, transformed, warp, warp_images};
 pub use matrix::{WarpMatrix, Warped};
 pub use prepared::PreparedLdi;
+pub use transform::Transformed;
 
 use std::{fmt, str::FromStr};
 

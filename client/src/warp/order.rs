@@ -48,6 +48,8 @@ impl Epipole {
     pub fn new(camera: &LdiCamera, pose: &Pose) -> Self {
         let e = pose.position - camera.cop;
         let (right, down, ahead) = (e.dot(camera.basis.right), -e.dot(camera.basis.up), e.dot(camera.basis.forward));
+        // Not -0, which would put the epipole on the wrong side.
+        let ahead = ahead + 0.0;
         // An eye beside the centre has no extent along the axis in question: lines run along the other, any order does.
         let coordinate = |p: f64, origin: i32| {
             let at = p / ahead * camera.pixels_per_unit - f64::from(origin);

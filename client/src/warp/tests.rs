@@ -1,9 +1,9 @@
 //! The warp against analytic scenes, against its f64 reference, and against itself.
 
 use super::{
+    analytic::*,
     lanes::Portable,
     prepared::{OVERLAP, TILE_SAMPLES},
-    test_scene::*,
     transform::{Scratch, Window, transform_tile},
     *,
 };

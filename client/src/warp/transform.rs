@@ -58,6 +58,25 @@ impl Default for Scratch {
     }
 }
 
+/// One sample before and after the f32 kernels, for those who judge them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Transformed {
+    /// Column of its centre in the image, LDI pixels.
+    pub u: f64,
+    /// Row of its centre.
+    pub v: f64,
+    /// Its disparity as the kernels got it, 1/m.
+    pub disparity: f32,
+    /// On the output, pixels.
+    pub x: f32,
+    /// On the output, pixels.
+    pub y: f32,
+    /// On the output, 1/m; -1 at or behind the eye's plane.
+    pub warped_disparity: f32,
+    /// Output pixels.
+    pub footprint: f32,
+}
+
 /// What lies on the picture: columns from 0, rows from `first_row`.
 #[derive(Debug, Clone, Copy)]
 pub struct Window {

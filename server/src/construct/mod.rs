@@ -41,6 +41,7 @@ mod tests;
 
 pub use caster::{Facet, Met, SubsetCaster};
 pub use sight::Survey;
+pub use view::parallax_bound;
 
 use crate::{
     placement::{ImagePlan, PlacementPlan},

@@ -335,8 +335,9 @@ fn pixel_window(extent: [f64; 4], side: f64) -> Result<Window, ConstructError> {
 /// Bound on f |t_xy - p t_z| / W over the users, t the eye's offset, p the picture coordinate at distance 1, W = d z_eye.
 ///
 /// With |p|^2 <= q: |t_xy - p t_z| <= |t| sqrt(1 + q), and z_eye >= |X - E| / sqrt(1 + q) inside the picture, and
-/// |X - E| d >= 1 - e_z d >= 1 - e_z / near. So the whole is at most f |t| (1 + q) / (1 - max e_z / near).
-fn parallax_bound(user_offsets: &[DVec3; 8], near_m: f64, output: &OutputCamera) -> f64 {
+/// |X - E| d >= 1 - e_z d >= 1 - e_z / near. So the whole is at most f |t| (1 + q) / (1 - max e_z / near). In pixel metres; lengths in metres,
+/// offsets as (right, up, forward) from the centre of projection, `near_m` the depth of the nearest surface.
+pub fn parallax_bound(user_offsets: &[DVec3; 8], near_m: f64, output: &OutputCamera) -> f64 {
     let q = output.half_tan_x().powi(2) + output.half_tan_y().powi(2);
     let farthest = user_offsets.iter().fold(0.0_f64, |m, e| m.max(e.length()));
     let most_ahead = user_offsets.iter().fold(0.0_f64, |m, e| m.max(e.z));

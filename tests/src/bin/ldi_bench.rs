@@ -5,7 +5,7 @@ use clap::{Parser, Subcommand};
 use ldi_server::cli::size;
 use ldi_server::placement::AuditSize;
 use ldi_tests::args::percent;
-use ldi_tests::bench::{placement, placement_page, searches, speed_error, speed_error_page};
+use ldi_tests::bench::{numerics, numerics_page, placement, placement_page, searches, speed_error, speed_error_page};
 use std::path::{Path, PathBuf};
 
 /// Measures the methods over scenes and settings; leaves tables (CSV, JSON), plots (SVG) and a page (HTML).
@@ -36,14 +36,25 @@ Examples:
   ldi-bench speed-error clinic.glb house.glb --budget 10 --densities 1,2 --frames 12 -o out/speed
   ldi-bench speed-error clinic.glb --datasets clinic10 -o out/speed")]
     SpeedError(SpeedErrorArgs),
-    /// Hard numerical cases (not there yet).
-    Numerics(Later),
+    /// Hard numerical cases: bound, why it holds, oracle, worst seen.
+    #[command(after_help = "\
+Examples:
+  ldi-bench numerics -o out/numerics
+  ldi-bench numerics --cases 10000000 --seed 2 -o out/numerics")]
+    Numerics(NumericsArgs),
 }
 
 #[derive(Debug, clap::Args)]
-struct Later {
-    #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
-    rest: Vec<String>,
+struct NumericsArgs {
+    /// Folder for what is left.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Random cases of each kind, at least.
+    #[arg(long, default_value_t = 1_000_000, value_parser = clap::value_parser!(u64).range(1..))]
+    cases: u64,
+    /// Seed.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
 }
 
 #[derive(Debug, clap::Args)]
@@ -123,7 +134,7 @@ fn main() -> Result<()> {
         Command::Placement(a) => placement(a),
         Command::Searches(a) => searches(a),
         Command::SpeedError(a) => speed_error(a),
-        Command::Numerics(Later { .. }) => bail!("ldi-bench numerics is not there yet"),
+        Command::Numerics(a) => numerics(a),
     }
 }
 
@@ -190,6 +201,21 @@ fn speed_error(a: SpeedErrorArgs) -> Result<()> {
     }
     write(&a.output.join("index.html"), &speed_error_page::page(&job, &found, &plots, &typed()))?;
     println!("look at {}", a.output.join("index.html").display());
+    Ok(())
+}
+
+fn numerics(a: NumericsArgs) -> Result<()> {
+    std::fs::create_dir_all(&a.output).with_context(|| format!("cannot make {}", a.output.display()))?;
+    let cases = numerics::run(a.cases, a.seed);
+    write(&a.output.join("numerics.json"), &serde_json::to_string_pretty(&cases)?)?;
+    write(&a.output.join("numerics.csv"), &numerics_page::csv(&cases))?;
+    write(&a.output.join("index.html"), &numerics_page::page(&cases, &typed()))?;
+    print!("{}", numerics_page::table(&cases));
+    println!("look at {}", a.output.join("index.html").display());
+    let broken = cases.iter().filter(|c| !c.holds()).count();
+    if broken > 0 {
+        bail!("{broken} of {} bounds are broken", cases.len());
+    }
     Ok(())
 }
 

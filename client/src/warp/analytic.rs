@@ -1,5 +1,5 @@
-//! Analytic scenes for tests: planes, spheres and fences with a smooth texture, their layered depth images by ray
-//! casting, and their true pictures from anywhere.
+//! Analytic scenes that judge the warp: planes, spheres and fences with a smooth texture, their layered depth images by ray
+//! casting, and their true pictures from anywhere. Used by tests and by `ldi-bench numerics`; no frame comes here.
 
 use glam::DVec3;
 use ldi_protocol::{
@@ -11,11 +11,32 @@ use ldi_protocol::{
 #[derive(Debug, Clone, Copy)]
 pub enum Surface {
     /// All points p with n . (p - point) = 0 that lie within `half` of the point along two axes.
-    Rectangle { point: DVec3, across: DVec3, up: DVec3, half: [f64; 2] },
+    Rectangle {
+        /// Its middle.
+        point: DVec3,
+        /// Unit vector.
+        across: DVec3,
+        /// Unit vector, perpendicular to it.
+        up: DVec3,
+        /// Half the extents along both, metres.
+        half: [f64; 2],
+    },
     /// A sphere.
-    Sphere { centre: DVec3, radius: f64 },
+    Sphere {
+        /// Middle.
+        centre: DVec3,
+        /// Metres.
+        radius: f64,
+    },
     /// Vertical bars in the plane z = `z`: solid where x modulo `period` is below `solid`.
-    Fence { z: f64, period: f64, solid: f64 },
+    Fence {
+        /// Metres.
+        z: f64,
+        /// Metres.
+        period: f64,
+        /// Metres.
+        solid: f64,
+    },
 }
 
 impl Surface {
@@ -47,19 +68,25 @@ impl Surface {
 /// Surfaces and a texture wavelength in metres.
 #[derive(Debug, Clone)]
 pub struct Scene {
+    /// What there is.
     pub surfaces: Vec<Surface>,
+    /// Of the texture.
     pub wavelength_m: f64,
 }
 
 /// A hit: eye-space depth for rays with unit forward component, colour, surface number.
 #[derive(Debug, Clone, Copy)]
 pub struct Hit {
+    /// Metres.
     pub depth: f64,
+    /// sRGB.
     pub rgb: [u8; 3],
+    /// Number of the surface.
     pub surface: usize,
 }
 
 impl Scene {
+    /// What a ray meets, nearest first.
     pub fn hits(&self, origin: DVec3, ray: DVec3) -> Vec<Hit> {
         let mut hits: Vec<Hit> = self
             .surfaces
@@ -161,7 +188,8 @@ pub fn ldi_camera(cop: DVec3, width: u32, height: u32, fov_deg: f64) -> LdiCamer
     }
 }
 
-/// The scenes by name, around the origin, looking along -Z.
+/// The scenes of the tests by name, around the origin, looking along -Z.
+#[cfg(test)]
 pub fn scene(name: &str) -> Scene {
     let wall = |z: f64, half: f64| Surface::Rectangle {
         point: DVec3::new(0.0, 0.0, z),
