@@ -393,13 +393,19 @@ fn crossing(cases: u64, seed: u64) -> Case {
         let point = DVec3::new(0.0, 0.0, -random.between(1.0, 5.0));
         let wall = Surface::Rectangle { point, across, up: DVec3::Y, half: [30.0; 2] };
         let ldi = Scene { surfaces: vec![wall], wavelength_m: 4.0 }.ldi(ldi_camera(DVec3::ZERO, 96, 72, 90.0), 1);
-        // On the wall, or a hair beside it.
-        let beside = random.sign() * if random.next() & 3 == 0 { 0.0 } else { random.scale(1e-9, 1e-1) };
+        // A hair to a metre beside it, looking along it: it passes by the eye, from ahead to behind.
+        let beside = random.sign() * random.scale(1e-4, 1.0);
         let eye = point + across * random.between(-0.5, 0.5) + across.cross(DVec3::Y) * beside;
-        let pose = Pose { position: eye, yaw_deg: random.between(-60.0, 60.0), pitch_deg: random.between(-20.0, 20.0) };
+        let along = across * random.sign();
+        let yaw_deg = (-along.x).atan2(-along.z).to_degrees() + random.between(-40.0, 40.0);
+        let pose = Pose { position: eye, yaw_deg, pitch_deg: random.between(-20.0, 20.0) };
         let fast =
             painted(&PreparedLdi::new(&ldi), &pose, &WarpOptions { keep_all_tiles: true, ..WarpOptions::default() });
         let exact = reference::warp(&ldi, &pose, &SMALL, Stamp::Quads);
+        // Nothing to see is no case.
+        if fast.painted() + exact.painted() == 0 {
+            continue;
+        }
         for i in 0..fast.packed.len() {
             pixels += 1;
             wrong += u64::from(match (fast.get(i), exact.get(i)) {
@@ -412,7 +418,7 @@ fn crossing(cases: u64, seed: u64) -> Case {
     Case {
         name: "micro-quads that cross the eye's plane",
         what: "share of pixels painted otherwise",
-        bound: 2e-3,
+        bound: 5e-4,
         why: "a quad with a corner at or behind the plane is left out; which ones touch it is decided in f32, and centres within rounding of an edge go either way",
         oracle: "the f64 reference",
         cases: pixels,
