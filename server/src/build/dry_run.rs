@@ -89,7 +89,7 @@ pub fn dry_run(options: &BuildOptions, size: AuditSize, progress: &dyn Progress)
 /// As [`super::build`]; also if a triangle is in no cell, in two, or outside of its cell.
 pub fn draft(options: &BuildOptions, progress: &dyn Progress) -> Result<Draft, BuildError> {
     let mut clock = Clock::default();
-    let Planned { scene, clusters, octree, settings, plan } = plan(options, &mut clock, progress)?;
+    let Planned { scene, clusters, octree, settings, plan, .. } = plan(options, &mut clock, progress)?;
     let geometry = pack::pack_geometry(&scene, &clusters, &octree, 0)?;
     let ranges: Vec<_> = (0..octree.cells.len()).map(|c| octree.ranges(&scene, &clusters, c)).collect();
     let bounds: Vec<_> = geometry.cells.iter().map(|c| c.bounds).collect();

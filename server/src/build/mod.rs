@@ -24,11 +24,12 @@ use crate::octree::{Clusters, Octree, RecountError};
 use crate::pack::{self, PackError};
 use crate::placement::{
     self, AuditReport, AuditSize, Groupings, ImagePlan, PlacementError, PlacementResult, PlacementStatistics,
-    SearchCase, SearchComparison,
+    SearchCase, SearchComparison, Sees,
 };
-use crate::render::Caster;
+use crate::render::{Caster, CellSet, Ray};
 use crate::scene::{self, Note, Scene, SceneError};
 use crate::store::{DatasetWriter, StoreError, Written};
+use glam::DVec3;
 use ldi_protocol::codec::ColourMode;
 use ldi_protocol::index::{
     BuildSettings, CellEntry, ChunkEntry, ChunkHash, ImageEntry, Index, Placement, SceneInfo, TextureEntry,
@@ -137,16 +138,28 @@ struct Planned {
     /// With the optimization budget filled in.
     settings: BuildSettings,
     plan: PlacementResult,
+    /// None for a scene within its budget.
+    caster: Option<Caster>,
+}
+
+/// Whether nothing lies between two places.
+fn sees(caster: &Caster, from: DVec3, to: DVec3) -> bool {
+    let ray = Ray { origin: from, direction: to - from, t_min: 0.0, t_max: 1.0 };
+    !caster.occluded(&ray, &CellSet::all())
 }
 
 fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> Result<Planned, BuildError> {
     let (scene, clusters, octree, settings) = read(options, clock, progress)?;
     progress.stage("grid and placement", 0);
-    let plan = placement::plan_placements(&scene, &octree, &settings, &placement::Parameters::default(), &|what| {
-        progress.note(what);
-    })?;
+    // A scene within its budget needs none.
+    let caster = (scene.triangles() > settings.budget).then(|| Caster::new(Arc::clone(&scene), &clusters, &octree));
+    clock.lap("caster");
+    let parameters = placement::Parameters::default();
+    let in_sight = |a, b| caster.as_ref().is_none_or(|c| sees(c, a, b));
+    let heard = |what: &str| progress.note(what);
+    let plan = placement::plan_placements(&scene, &octree, &settings, &parameters, Sees(&in_sight), &heard)?;
     clock.lap("placement");
-    Ok(Planned { scene, clusters, octree, settings, plan })
+    Ok(Planned { scene, clusters, octree, settings, plan, caster })
 }
 
 /// Compares ways to search for the near boxes of a build; nothing is written.
@@ -157,8 +170,10 @@ pub fn compare_searches(
     options: &BuildOptions,
     comparison: &SearchComparison,
 ) -> Result<(Vec<SearchCase>, Vec<Groupings>), BuildError> {
-    let (scene, _, octree, settings) = read(options, &mut Clock::default(), &())?;
-    Ok(placement::compare_searches(&scene, &octree, &settings, comparison)?)
+    let (scene, clusters, octree, settings) = read(options, &mut Clock::default(), &())?;
+    let caster = Caster::new(Arc::clone(&scene), &clusters, &octree);
+    let in_sight = |a, b| sees(&caster, a, b);
+    Ok(placement::compare_searches(&scene, &octree, &settings, Sees(&in_sight), comparison)?)
 }
 
 /// A scene in clusters and cells, and the settings with the optimization budget filled in.
@@ -241,7 +256,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     // First: whether the directory can be written is known at once, planning takes minutes.
     let writer = DatasetWriter::open(&options.output)?;
     let planned = plan(options, &mut clock, progress);
-    let Planned { scene, clusters, octree, settings, plan } = match planned {
+    let Planned { scene, clusters, octree, settings, plan, caster } = match planned {
         Ok(planned) => planned,
         Err(e) => {
             writer.give_up();
@@ -259,24 +274,17 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     clock.lap("pack");
 
     progress.stage("layered depth images, by placement", plan.plans.len() as u64);
-    let (images, caster_seconds) = if plan.plans.is_empty() {
-        (images::Images::default(), 0.0)
-    } else {
-        let start = Instant::now();
-        let caster = Caster::new(Arc::clone(&scene), &clusters, &octree).with_mips();
-        let seconds = start.elapsed().as_secs_f64();
-        (
-            images::construct_all(
-                &caster,
-                &plan.plans,
-                &settings,
-                options.colour,
-                &key::scene_key(&scene),
-                &writer,
-                progress,
-            )?,
-            seconds,
-        )
+    let images = match caster {
+        Some(caster) if !plan.plans.is_empty() => images::construct_all(
+            &caster.with_mips(),
+            &plan.plans,
+            &settings,
+            options.colour,
+            &key::scene_key(&scene),
+            &writer,
+            progress,
+        )?,
+        _ => images::Images::default(),
     };
     clock.lap("images");
 
@@ -312,8 +320,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         );
     }
     clock.lap("audit");
-    let mut seconds = clock.laps;
-    seconds.push(("of images: ray caster", caster_seconds));
+    let seconds = clock.laps;
     let octree_figures = BTreeMap::from([
         ("cells", octree.cells.len() as u64),
         ("depth", u64::from(octree.depth)),

@@ -1,7 +1,8 @@
 //! Which members share a near box.
 //!
 //! In: members. Out: groups of them, each with its box. Fewer, larger groups have fewer images; their boxes must stand farther off, and hold less of
-//! what is near in detail, until one box cannot keep the budget.
+//! what is near in detail, until one box cannot keep the budget. Walkers of storeys that do not see each other share none: from the one's rooms an image holds the
+//! other's only through the slab between, in deep layers and edge-on.
 
 use super::{
     near_box::{Member, NearBox, fit},
@@ -51,6 +52,9 @@ fn join(ctx: &Context, members: &[Member], groups: Vec<(Vec<u32>, NearBox)>) -> 
             return None;
         }
         let of: Vec<u32> = a.0.iter().chain(&b.0).copied().collect();
+        if apart(ctx, members, &of) {
+            return None;
+        }
         let near = fit_of(ctx, members, &of).ok()?;
         let saved = a.1.cost + b.1.cost - near.cost;
         (saved > 0.0).then(|| Joint { groups: [i, j], joined: (of, near, a.2.union(b.2)), saved })
@@ -69,6 +73,32 @@ fn join(ctx: &Context, members: &[Member], groups: Vec<(Vec<u32>, NearBox)>) -> 
     groups.into_iter().flatten().map(|(of, near, _)| (of, near)).collect()
 }
 
+/// Middles of view cells this far apart in height, metres, are of different storeys: more than the walk volume is high and half a flight of stairs.
+const STOREY_M: f64 = 2.5;
+/// Storeys that share a box see each other at least this often: an atrium's galleries and a hillside do, rooms above each other do not. By judgement.
+const IN_SIGHT: f64 = 0.25;
+/// View cells that are asked, at most.
+const ASKED: usize = 24;
+
+/// Whether members lie on different storeys that do not see each other.
+fn apart(ctx: &Context, members: &[Member], of: &[u32]) -> bool {
+    let eyes = |m: &u32| &members[*m as usize].eyes;
+    if of.iter().fold(Aabb::EMPTY, |b, m| b.union(*eyes(m))).size().y <= STOREY_M {
+        return false;
+    }
+    let mut middles: Vec<DVec3> = of.iter().map(|m| eyes(m).centre()).collect();
+    middles.sort_by(|a, b| a.y.total_cmp(&b.y));
+    let asked: Vec<DVec3> = middles.iter().copied().step_by(middles.len().div_ceil(ASKED)).collect();
+    let (mut pairs, mut seen) = (0, 0);
+    for (i, a) in asked.iter().enumerate() {
+        for b in asked[..i].iter().filter(|b| a.y - b.y > STOREY_M) {
+            pairs += 1;
+            seen += u32::from((ctx.sees.0)(*a, *b));
+        }
+    }
+    f64::from(seen) < IN_SIGHT * f64::from(pairs)
+}
+
 /// A split is made where it costs less than this share of the whole. By judgement: a placement is worth a little.
 const WORTH_SPLITTING: f64 = 0.95;
 
@@ -85,7 +115,7 @@ fn divide(ctx: &Context, members: &[Member], of: Vec<u32>, known: Option<Result<
     }
     let (low, high) = halve(members, &of);
     let (mut of_low, mut of_high) = (None, None);
-    if let Ok(whole) = whole {
+    if let (Ok(whole), false) = (whole, apart(ctx, members, &of)) {
         let (a, b) = rayon::join(|| fit_of(ctx, members, &low), || fit_of(ctx, members, &high));
         if !matches!((&a, &b), (Ok(a), Ok(b)) if a.cost + b.cost < whole.cost * WORTH_SPLITTING) {
             return Ok(vec![(of, whole)]);

@@ -142,7 +142,7 @@ mod tests {
         CostBenefit,
         bands::Directions,
         cells::Cells,
-        test_scenes::{Random, settings, strewn},
+        test_scenes::{NOTHING_BETWEEN, Random, settings, strewn},
     };
     use glam::DVec3;
     use ldi_protocol::{ViewBasis, camera::Frustum};
@@ -158,7 +158,8 @@ mod tests {
         let near = CellMask::of(900, &(0..900).filter(|c| c % 3 > 0).collect::<Vec<_>>());
         let (mut split, mut refused) = (0, 0);
         for unit in (0..directions.units() as u16).step_by(11) {
-            let all = Context::new(&cells, &directions, &settings(u64::MAX), 60.0, CostBenefit::default());
+            let all =
+                Context::new(&cells, &directions, &settings(u64::MAX), 60.0, CostBenefit::default(), NOTHING_BETWEEN);
             let whole = Look::new(&all, eyes, unit).count(&all, &near);
             // The largest frame by sampling is below every bound; a budget between the two is proved by subdivision alone.
             let (yaw, pitch) = directions.unit(usize::from(unit));
@@ -173,7 +174,8 @@ mod tests {
             }
             assert!(largest <= whole);
             let budget = (largest + whole) / 2;
-            let ctx = Context::new(&cells, &directions, &settings(budget), 60.0, CostBenefit::default());
+            let ctx =
+                Context::new(&cells, &directions, &settings(budget), 60.0, CostBenefit::default(), NOTHING_BETWEEN);
             match Counts::new(&ctx, std::iter::once(Look::new(&ctx, eyes, unit)), &near, ctx.budget) {
                 Ok(counts) => {
                     assert!(counts.largest() >= largest && counts.largest() <= budget);
@@ -186,7 +188,14 @@ mod tests {
                 }
             }
             if largest > 0 {
-                let less = Context::new(&cells, &directions, &settings(largest - 1), 60.0, CostBenefit::default());
+                let less = Context::new(
+                    &cells,
+                    &directions,
+                    &settings(largest - 1),
+                    60.0,
+                    CostBenefit::default(),
+                    NOTHING_BETWEEN,
+                );
                 assert!(Look::new(&less, eyes, unit).exceeds(&less, &near), "a frame was found that does");
             }
         }
@@ -198,7 +207,7 @@ mod tests {
         let (bounds, triangles) = strewn(600, 5);
         let cells = Cells::new(bounds, triangles);
         let directions = Directions::new(60.0);
-        let ctx = Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default());
+        let ctx = Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default(), NOTHING_BETWEEN);
         let eyes = Aabb { min: DVec3::new(-1.0, 1.0, -1.0), max: DVec3::new(1.0, 2.0, 1.0) };
         let looks = || (0..directions.units() as u16).map(|u| Look::new(&ctx, eyes, u));
         let some = |k: u32| CellMask::of(600, &(0..600).filter(|c| c % 7 < k).collect::<Vec<_>>());

@@ -57,6 +57,7 @@ pub use error::PlacementError;
 pub use gaze::Gaze;
 pub use groups::Groupings;
 pub use model::{DirectionRange, ImagePlan, PlacementPlan, PlacementResult, PlacementStatistics};
+pub use point::Sees;
 pub use search::{Found, Search};
 pub use stage::{Parameters, SearchCase, SearchComparison, compare_searches, plan_placements};
 pub use subset::CostBenefit;

@@ -357,7 +357,7 @@ mod tests {
         model::{ImagePlan, PlacementPlan},
         plan::plan_box,
         search::{Search, search},
-        test_scenes::{Random, settings, strewn},
+        test_scenes::{NOTHING_BETWEEN, Random, settings, strewn},
     };
     use ldi_protocol::{camera::Frustum, index::BuildSettings, volume::WalkVolume};
 
@@ -389,7 +389,7 @@ mod tests {
     #[test]
     fn groups_keep_the_budget_and_show_all_that_they_replace() {
         let (cells, directions) = hall();
-        let ctx = Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default());
+        let ctx = Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default(), NOTHING_BETWEEN);
         let members = members(&ctx);
         let groups = group(&ctx, &members).map_err(|(m, e)| (m, e.needed)).expect("feasible");
         let mut of = vec![usize::MAX; members.len()];
@@ -460,7 +460,8 @@ mod tests {
     #[test]
     fn the_centre_of_projection_is_where_an_eye_can_be() {
         let (cells, directions) = hall();
-        let mut ctx = Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default());
+        let mut ctx =
+            Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default(), NOTHING_BETWEEN);
         // Two storeys, 1 to 2 m and 4 to 5 m: the middle of their eyes is in the slab.
         let runs: Vec<Vec<[u16; 2]>> = (0..64).map(|_| vec![[10, 20], [40, 50]]).collect();
         let cut = Aabb { min: DVec3::new(-2.0, 0.0, -2.0), max: DVec3::new(2.0, 0.0, 2.0) };
@@ -481,7 +482,7 @@ mod tests {
         let (cells, directions) = hall();
         let largest = |optimize_budget: u64| {
             let settings = BuildSettings { optimize_budget, ..settings(9_000) };
-            let ctx = Context::new(&cells, &directions, &settings, 60.0, CostBenefit::default());
+            let ctx = Context::new(&cells, &directions, &settings, 60.0, CostBenefit::default(), NOTHING_BETWEEN);
             let members = members(&ctx);
             let near = fit(&ctx, &[&members[4]]).map_err(|e| e.needed).expect("feasible");
             near.max_triangles
@@ -494,7 +495,7 @@ mod tests {
     #[test]
     fn the_box_of_a_plan_is_that_of_a_descent() {
         let (cells, directions) = hall();
-        let ctx = Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default());
+        let ctx = Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default(), NOTHING_BETWEEN);
         for member in &members(&ctx) {
             let near = fit(&ctx, &[member]).map_err(|e| e.needed).expect("feasible");
             let found = search(&Fit::new(&ctx, &[member], 0.0), Search::Descent, 1, 100_000).expect("feasible");
@@ -506,7 +507,7 @@ mod tests {
     #[test]
     fn a_budget_that_nothing_meets_is_refused_with_the_need() {
         let (cells, directions) = hall();
-        let ctx = Context::new(&cells, &directions, &settings(40), 60.0, CostBenefit::default());
+        let ctx = Context::new(&cells, &directions, &settings(40), 60.0, CostBenefit::default(), NOTHING_BETWEEN);
         let members = members(&ctx);
         assert!(feasible(&ctx, &members[4], 0.0).is_err());
         let Err((_, too_near)) = group(&ctx, &members) else { panic!("no box can serve") };

@@ -45,6 +45,16 @@ pub(super) enum Scheme {
     Cells,
 }
 
+/// Tells whether two places see each other, nothing being between them.
+#[derive(Clone, Copy)]
+pub struct Sees<'a>(pub &'a (dyn Fn(DVec3, DVec3) -> bool + Sync));
+
+impl std::fmt::Debug for Sees<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Sees")
+    }
+}
+
 /// What all points share.
 #[derive(Debug)]
 pub(super) struct Context<'a> {
@@ -70,6 +80,8 @@ pub(super) struct Context<'a> {
     pub budget: u64,
     /// Popt.
     pub optimize_budget: u64,
+    /// Which places see each other.
+    pub sees: Sees<'a>,
     /// Longest axis of the model, metres.
     pub longest_axis_m: f64,
     /// Constants of the cost-benefit function.
@@ -86,6 +98,7 @@ impl<'a> Context<'a> {
         settings: &BuildSettings,
         longest_axis_m: f64,
         constants: CostBenefit,
+        sees: Sees<'a>,
     ) -> Self {
         let half_tan = settings.square_half_tan();
         let bin = |unit| {
@@ -104,6 +117,7 @@ impl<'a> Context<'a> {
             scheme: if settings.grid == CELLS { Scheme::Cells } else { Scheme::Paper },
             budget: settings.budget,
             optimize_budget: settings.optimize_budget.min(settings.budget),
+            sees,
             longest_axis_m,
             constants,
             gazes: OnceLock::new(),

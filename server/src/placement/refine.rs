@@ -356,7 +356,9 @@ mod tests {
         let settings = BuildSettings { pitch_deg: 0.0, grid: "paper".into(), ..test_scenes::settings(budget) };
         let clusters = Clusters::build(&scene);
         let octree = Octree::build(&scene, &clusters, budget);
-        let result = plan_placements(&scene, &octree, &settings, &Parameters::default(), &|_| ()).unwrap();
+        let result =
+            plan_placements(&scene, &octree, &settings, &Parameters::default(), test_scenes::NOTHING_BETWEEN, &|_| ())
+                .unwrap();
         assert!(result.statistics.coverage_certified && !result.plans.is_empty());
         assert!(result.statistics.max_triangles <= budget);
     }
@@ -369,7 +371,14 @@ mod tests {
             let octree = Octree::build(&scene, &clusters, 1_000);
             let settings = test_scenes::settings(budget);
             let no_grid = |what: &str| panic!("{what}");
-            match plan_placements(&scene, &octree, &settings, &Parameters::default(), &no_grid) {
+            match plan_placements(
+                &scene,
+                &octree,
+                &settings,
+                &Parameters::default(),
+                test_scenes::NOTHING_BETWEEN,
+                &no_grid,
+            ) {
                 Err(PlacementError::Infeasible { budget: given, needed, .. }) => {
                     assert!(given == budget && needed > budget, "{needed} for {budget}");
                     needed

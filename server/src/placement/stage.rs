@@ -8,7 +8,7 @@ use super::{
     groups::{self, Groupings},
     lattice::Lattice,
     near_box::{Fit, Member},
-    point::Context,
+    point::{Context, Sees},
     refine::{Refined, refine, timed},
     search::{Found, Search, search},
     subset::CostBenefit,
@@ -36,12 +36,13 @@ pub struct Parameters {
 /// Plans all images of a scene.
 ///
 /// The scene's bounds must be finite; cells come from its octree. Deterministic: the same input gives the same result whatever
-/// the number of threads. `heard` is told, in a few words, how far it is. Errors: settings out of range, no eye position, or a budget that no image can meet somewhere.
+/// the number of threads. `sees` is asked about storeys; `heard` is told, in a few words, how far it is. Errors: settings out of range, no eye position, or a budget that no image can meet somewhere.
 pub fn plan_placements(
     scene: &Scene,
     octree: &Octree,
     settings: &BuildSettings,
     parameters: &Parameters,
+    sees: Sees<'_>,
     heard: &dyn Fn(&str),
 ) -> Result<PlacementResult, PlacementError> {
     let Ground { volume, total, mut statistics } = Ground::of(scene, octree, settings)?;
@@ -54,9 +55,15 @@ pub fn plan_placements(
         statistics.max_triangles = total;
         return Ok(PlacementResult { points: vec![], plans: vec![], pitch_bands_deg: vec![], volume, statistics });
     }
-    refined(scene, octree, settings, parameters, &volume, (&mut statistics, heard), |ctx, refined, statistics| {
-        result(ctx, refined, volume.clone(), statistics)
-    })
+    refined(
+        scene,
+        octree,
+        settings,
+        (parameters, sees),
+        &volume,
+        (&mut statistics, heard),
+        |ctx, refined, statistics| result(ctx, refined, volume.clone(), statistics),
+    )
 }
 
 /// A group of view cells of a plan, and what the ways to search for its box found.
@@ -91,13 +98,15 @@ pub fn compare_searches(
     scene: &Scene,
     octree: &Octree,
     settings: &BuildSettings,
+    sees: Sees<'_>,
     comparison: &SearchComparison,
 ) -> Result<(Vec<SearchCase>, Vec<Groupings>), PlacementError> {
     let Ground { volume, total, mut statistics } = Ground::of(scene, octree, settings)?;
     if total <= settings.budget {
         return Ok(Default::default());
     }
-    refined(scene, octree, settings, &Parameters::default(), &volume, (&mut statistics, &|_| ()), |ctx, refined, _| {
+    let parameters = Parameters::default();
+    refined(scene, octree, settings, (&parameters, sees), &volume, (&mut statistics, &|_| ()), |ctx, refined, _| {
         let mut groups = refined.groups;
         let members: Vec<&Member> = groups.iter().flatten().filter(|m| !m.units.is_empty()).collect();
         // The neighbours of view cells that are spread over the plan.
@@ -150,7 +159,7 @@ fn refined<T>(
     scene: &Scene,
     octree: &Octree,
     settings: &BuildSettings,
-    parameters: &Parameters,
+    (parameters, sees): (&Parameters, Sees<'_>),
     volume: &WalkVolume,
     (statistics, heard): (&mut PlacementStatistics, &dyn Fn(&str)),
     then: impl FnOnce(&Context, Refined, PlacementStatistics) -> T,
@@ -160,7 +169,8 @@ fn refined<T>(
     let directions = Directions::new(settings.pitch_deg);
     let tree = timed(statistics, "walk volume", || EyeTree::new(volume));
     let bounds = scene.bounds();
-    let mut ctx = Context::new(&cells, &directions, settings, bounds.size().max_element(), parameters.cost_benefit);
+    let (longest, constants) = (bounds.size().max_element(), parameters.cost_benefit);
+    let mut ctx = Context::new(&cells, &directions, settings, longest, constants, sees);
     ctx.eyes = Some(&tree);
     // The grid spans the model and every eye: walkers on a roof stand above the model's box.
     let model = bounds.union(*volume.bounds());

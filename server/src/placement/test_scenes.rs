@@ -1,5 +1,6 @@
 //! Small scenes and random numbers for this stage's tests.
 
+use super::Sees;
 use crate::scene::{Instance, Mesh, Primitive, Scene};
 use glam::{DAffine3, DVec3, Vec3};
 use ldi_protocol::{Aabb, OutputCamera, index::BuildSettings, select::CELLS};
@@ -83,3 +84,6 @@ pub(crate) fn strewn(n: u32, seed: u64) -> (Vec<Aabb>, Vec<u32>) {
     bounds.sort_by_key(|b| ((b.min.x / 8.0) as i64, (b.min.z / 8.0) as i64));
     (bounds, (0..n).map(|i| 20 + i % 81).collect())
 }
+
+/// Everything sees everything.
+pub const NOTHING_BETWEEN: Sees<'static> = Sees(&|_, _| true);
