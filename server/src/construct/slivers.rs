@@ -5,6 +5,7 @@
 //! What the centre of projection sees edge-on takes a pixel there or none, and many pixels in the picture of an eye beside it: the jamb of a door, the
 //! side of a post. A hit is of that kind if a pixel's step along its surface is longer than [`STEEP`] pixels of its camera. Unless the layers hold its surface on both
 //! sides, so that micro-quads span it, the camera's pixel is kept as it is: a square of the camera's picture, cast again at full resolution, on the plane that was hit.
+//! It goes on along the axis as long as full-resolution rays meet the same plane, at most a pixel of the camera: the face of a post is few of them wide.
 //! Squares of one plane and colour are joined to rectangles, which is most of them where walls are plain.
 
 use super::{
@@ -31,6 +32,9 @@ const GRAZING: f64 = 0.02;
 const SAME_COLOUR: u8 = 3;
 /// Normals of one plane: cosine of the angle between them, 1.5 minutes; f32 positions give no better. That its squares lie in it is tested besides.
 const SAME_NORMAL: f64 = 1.0 - 1e-7;
+
+/// Squares at full resolution that are tried on either side of a camera's pixel.
+const BEYOND: u32 = COARSENESS as u32;
 
 /// A hit that may become a sliver.
 #[derive(Debug, Clone, Copy)]
@@ -64,6 +68,8 @@ struct Square {
     surface: u32,
     plane: Plane,
     rgb: [u8; 3],
+    /// How many squares it lies beyond the camera's pixel, up to [`BEYOND`], and the step (row, column) back to it.
+    beyond: (u32, [i32; 2]),
 }
 
 /// A plane as a camera sees it: disparity at image coordinates.
@@ -112,37 +118,33 @@ pub(super) fn find<C: SubsetCaster>(
             let by_camera = seen.chunk_by(|a, b| a.camera == b.camera);
             by_camera.rev().max_by_key(|c| share.get(&(c[0].home.1.surface, c[0].camera))).unwrap_or_default()
         });
-    let finer = COARSENESS as u32;
-    let items: Vec<(Candidate, u32, u32)> = best
-        .flat_map(|c| {
-            let width = cameras[c.camera as usize].window.width;
-            let (row, column) = (c.pixel / width * finer, c.pixel % width * finer);
-            (0..finer * finer).map(move |k| (*c, row + k / finer, column + k % finer))
-        })
-        .collect();
-    let ray_of = |(c, row, column): &(Candidate, u32, u32)| {
-        let camera = &cameras[c.camera as usize];
-        let (u, v) = place(camera, f64::from(*column) + 0.5, f64::from(*row) + 0.5);
+    let mut items: Vec<Item> = best.flat_map(|c| items_of(c, &cameras[c.camera as usize])).collect();
+    // Where pixels meet, what belongs to one lies beyond the other.
+    items.sort_by_key(|i| (i.candidate.camera, i.row, i.column, i.candidate.home.1.surface, i.beyond.0));
+    items.dedup_by_key(|i| (i.candidate.camera, i.row, i.column, i.candidate.home.1.surface));
+    let ray_of = |i: &Item| {
+        let camera = &cameras[i.candidate.camera as usize];
+        let (u, v) = place(camera, f64::from(i.column) + 0.5, f64::from(i.row) + 0.5);
         Ray { origin: camera.position, direction: rig.lens.ray(u, v), t_min: camera.near_m, t_max: f64::INFINITY }
     };
-    let squares = traced(caster, rig, &items, ray_of, |surveyor, (c, row, column), ray, hit| {
+    let squares = traced(caster, rig, &items, ray_of, |surveyor, i, ray, hit| {
         let hit = hit?;
         let facet = surveyor.facet(ray, hit);
-        if facet.surface != c.home.1.surface {
+        if facet.surface != i.candidate.home.1.surface {
             return None;
         }
         Some(Square {
-            camera: c.camera,
-            row: *row,
-            column: *column,
+            camera: i.candidate.camera,
+            row: i.row,
+            column: i.column,
             surface: facet.surface,
             plane: Plane::of(rig, facet.normal, ray, hit.t)?,
             rgb: surveyor.linear(ray, hit).map(srgb8_from_linear),
+            beyond: i.beyond,
         })
     });
     let rays = squares.len() as u64;
-    let mut squares: Vec<Square> = squares.into_iter().flatten().collect();
-    squares.sort_by_key(|s| (s.camera, s.row, s.column));
+    let squares = going_on(squares.into_iter().flatten().collect(), rig, cameras);
     let joined = rectangles(&squares, rig, cameras);
     if joined.len() > Sliver::MOST {
         tracing::warn!(
@@ -153,6 +155,61 @@ pub(super) fn find<C: SubsetCaster>(
     }
     let found = joined.iter().filter_map(|r| r.found(rig, cameras)).take(Sliver::MOST);
     (found.collect(), rays)
+}
+
+/// A square to try.
+#[derive(Debug, Clone, Copy)]
+struct Item {
+    candidate: Candidate,
+    row: u32,
+    column: u32,
+    /// As of its [`Square`].
+    beyond: (u32, [i32; 2]),
+}
+
+/// The squares of a candidate's pixel, and those beyond it along its axis.
+fn items_of(c: &Candidate, camera: &ConstructionCamera) -> impl Iterator<Item = Item> + use<> {
+    let finer = COARSENESS as u32;
+    let candidate = *c;
+    let (columns, rows) = (camera.window.width * finer, camera.window.height * finer);
+    let (row, column) = (c.pixel / camera.window.width * finer, c.pixel % camera.window.width * finer);
+    let along = finer + 2 * BEYOND;
+    (0..finer * along).filter_map(move |k| {
+        let (side, step) = (k / along, k % along);
+        let (beyond, back) = match step {
+            step if step < BEYOND => (BEYOND - step, 1),
+            step if step < BEYOND + finer => (0, 0),
+            step => (step + 1 - BEYOND - finer, -1),
+        };
+        let (r, c, back) = if candidate.axis == 0 {
+            (row + side, (column + step).checked_sub(BEYOND)?, [0, back])
+        } else {
+            ((row + step).checked_sub(BEYOND)?, column + side, [back, 0])
+        };
+        (r < rows && c < columns).then_some(Item { candidate, row: r, column: c, beyond: (beyond, back) })
+    })
+}
+
+/// Drops squares beyond a pixel that do not lie in the plane of the one before them; the rest in order of camera, row, column.
+fn going_on(mut squares: Vec<Square>, rig: &Rig, cameras: &[ConstructionCamera]) -> Vec<Square> {
+    squares.sort_by_key(|s| s.beyond.0);
+    let mut kept: BTreeMap<(u32, u32, u32), Square> = BTreeMap::new();
+    for s in squares {
+        let [row, column] = s.beyond.1;
+        let before = (s.camera, s.row.wrapping_add_signed(row), s.column.wrapping_add_signed(column));
+        if s.beyond.0 == 0 || kept.get(&before).is_some_and(|b| in_plane(b, &s, rig, cameras)) {
+            kept.entry((s.camera, s.row, s.column)).or_insert(s);
+        }
+    }
+    kept.into_values().collect()
+}
+
+/// Whether a square continues the plane of another of the same camera.
+fn in_plane(a: &Square, b: &Square, rig: &Rig, cameras: &[ConstructionCamera]) -> bool {
+    let (u, v) = place(&cameras[a.camera as usize], f64::from(b.column) + 0.5, f64::from(b.row) + 0.5);
+    a.surface == b.surface
+        && a.plane.normal.dot(b.plane.normal).abs() >= SAME_NORMAL
+        && (a.plane.disparity(u, v) - b.plane.disparity(u, v)).abs() <= 0.5 * rig.step()
 }
 
 /// Absolute image coordinates of a place in a camera's picture, in pixels at full resolution from its upper left.
@@ -186,14 +243,9 @@ struct Rectangle {
 
 /// Joins squares, in order of camera, row, column: along rows, then runs of the same columns.
 fn rectangles(squares: &[Square], rig: &Rig, cameras: &[ConstructionCamera]) -> Vec<Rectangle> {
-    let step = 0.5 * rig.step();
     let same = |a: &Square, b: &Square| {
-        let camera = &cameras[a.camera as usize];
-        let (u, v) = place(camera, f64::from(b.column) + 0.5, f64::from(b.row) + 0.5);
         a.camera == b.camera
-            && a.surface == b.surface
-            && a.plane.normal.dot(b.plane.normal).abs() >= SAME_NORMAL
-            && (a.plane.disparity(u, v) - b.plane.disparity(u, v)).abs() <= step
+            && in_plane(a, b, rig, cameras)
             && (0..3).all(|k| a.rgb[k].abs_diff(b.rgb[k]) <= SAME_COLOUR)
     };
     let runs = squares
