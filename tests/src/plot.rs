@@ -199,6 +199,7 @@ impl Scatter<'_> {
         );
         // Fastest first: a point is in front if it errs less than all before.
         let (mut least, mut line) = (f64::INFINITY, String::new());
+        let mut named: Vec<[f64; 2]> = Vec::new();
         for d in &dots {
             let (x, y) = (px(d.x), py(d.y));
             let front = d.y < least;
@@ -216,11 +217,17 @@ impl Scatter<'_> {
                 let _ = write!(line, "{}{x:.1} {y:.1}", if line.is_empty() { "M" } else { "L" });
                 // To the left of a point there is less below it than to the right.
                 let (anchor, dx) = if x > WIDTH * 0.6 { ("end", -6.0) } else { ("start", 6.0) };
+                // Names of neighbours go above each other.
+                let mut at = y - 6.0;
+                while named.iter().any(|[nx, ny]| (nx - x).abs() < 160.0 && (ny - at).abs() < 13.0) {
+                    at -= 13.0;
+                }
+                named.push([x, at]);
                 let _ = write!(
                     s,
                     "<text class=\"legend\" text-anchor=\"{anchor}\" x=\"{:.1}\" y=\"{:.1}\">{}</text>",
                     x + dx,
-                    y - 6.0,
+                    at,
                     escape(&d.name)
                 );
             }

@@ -22,21 +22,26 @@ fn name(r: &Row) -> String {
     name
 }
 
+/// A number, or nothing where there is none.
+fn known(v: f64, text: impl Fn(f64) -> String) -> String {
+    if v.is_finite() { text(v) } else { "-".into() }
+}
+
 /// Columns after the setting: heading, value.
 type Column = (&'static str, fn(&Row) -> String);
 const COLUMNS: [Column; 16] = [
     ("threads", |r| r.setting.threads.to_string()),
-    ("warp ms", |r| format!("{:.2}", r.warp_ms)),
+    ("warp ms", |r| known(r.warp_ms, |v| format!("{v:.2}"))),
     ("frame ms", |r| format!("{:.1}", r.frame_ms)),
     ("Msamples", |r| format!("{:.2}", r.samples / 1e6)),
-    ("Msamples/s", |r| format!("{:.0}", r.msamples_per_s)),
-    ("of compute", |r| format!("{:.0}%", 100.0 * r.of_compute)),
-    ("of memory", |r| format!("{:.0}%", 100.0 * r.of_memory)),
+    ("Msamples/s", |r| known(r.msamples_per_s, |v| format!("{v:.0}"))),
+    ("of compute", |r| known(r.of_compute, |v| format!("{:.0}%", 100.0 * v))),
+    ("of memory", |r| known(r.of_memory, |v| format!("{:.0}%", 100.0 * v))),
     ("PSNR dB", |r| format!("{:.2}", r.psnr_db)),
     ("SSIM", |r| format!("{:.4}", r.ssim)),
     ("FLIP", |r| format!("{:.4}", r.flip)),
     ("FLIP / 1 ray", |r| format!("{:.2}", r.flip_over_baseline)),
-    ("far / 1 ray", |r| format!("{:.2}", r.flip_far_over_baseline)),
+    ("far / 1 ray", |r| known(r.flip_far_over_baseline, |v| format!("{v:.2}"))),
     ("worst / 1 ray", |r| format!("{:.2}", r.worst_over_baseline)),
     ("holes", |r| format!("{:.3}%", 100.0 * r.holes)),
     ("before fill", |r| format!("{:.3}%", 100.0 * r.holes_before_fill)),
