@@ -181,3 +181,39 @@ fn halve(members: &[Member], of: &[u32]) -> (Vec<u32>, Vec<u32>) {
     }
     (low, high)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::placement::{
+        CostBenefit, Sees,
+        bands::Directions,
+        cells::Cells,
+        hull::EyeHull,
+        test_scenes::{settings, strewn},
+    };
+
+    #[test]
+    fn storeys_share_a_box_only_where_they_see_each_other() {
+        let (bounds, triangles) = strewn(1500, 33);
+        let (cells, directions) = (Cells::new(bounds, triangles), Directions::new(60.0));
+        // Three view cells on each of two floors, the upper above the lower.
+        let member = |ctx: &Context, k: u32| {
+            let at = DVec3::new(f64::from(k % 3) * 2.0, f64::from(k / 3) * 4.0, 0.0);
+            let mut hull = EyeHull::EMPTY;
+            hull.add(&Aabb { min: at + DVec3::new(-1.0, 1.1, -1.0), max: at + DVec3::new(1.0, 2.0, 1.0) });
+            Member::new(ctx, hull, true)
+        };
+        let mixed = |sees: Sees<'_>| {
+            let ctx = Context::new(&cells, &directions, &settings(20_000), 60.0, CostBenefit::default(), sees);
+            let members: Vec<Member> = (0..6).map(|k| member(&ctx, k)).collect();
+            assert!(members.iter().all(|m| !m.units.is_empty()), "each needs a box");
+            assert!(!apart(&ctx, &members, &[0, 1, 2]) && !apart(&ctx, &members, &[3, 4, 5]), "one floor");
+            let groups = group(&ctx, &members).map_err(|(m, e)| (m, e.needed)).expect("feasible");
+            let both = |of: &[u32]| of.iter().any(|m| *m < 3) && of.iter().any(|m| *m >= 3);
+            (apart(&ctx, &members, &[0, 1, 4]), groups.iter().any(|(of, _)| both(of)))
+        };
+        assert_eq!(mixed(Sees(&|_, _| false)), (true, false), "a slab between");
+        assert_eq!(mixed(Sees(&|_, _| true)), (false, true), "nothing between");
+    }
+}
