@@ -15,7 +15,7 @@
 //! - Merging compares planes, not depths (`sample`), and each merged sample is cast again through its pixel's centre (`merge`):
 //!   all samples lie exactly on their pixel's ray, and silhouettes do not grow.
 //! - Where surfaces end between pixels' centres is measured (`ends`), and what the centre of projection sees edge-on is held as slivers (`slivers`).
-//! - Sky is a bit per direction: set where some construction ray of that direction meets nothing, or some eye sees nothing.
+//! - Sky is a bit per direction: set where some construction ray of that direction meets nothing.
 //!
 //! # Practice
 //! Cells that are not culled are transparent to every ray. Work is parallel over rows, batches and cameras, and every result is collected in order: the
@@ -289,9 +289,6 @@ fn tile<C: SubsetCaster>(
         stats.recast_missed += recast.missed;
         recast_seconds += before_recast.elapsed().as_secs_f64();
     }
-    if let Some(face) = face {
-        add_sky(&mut sky, face, &rig);
-    }
     let before_ring = Instant::now();
     for sides in merge::RING_SIDES {
         let predictions = merge::ring(&rig, &known, &tolerance, sides);
@@ -366,25 +363,6 @@ fn sky_of(central: &[sample::Sample], rig: &Rig) -> Vec<u64> {
         set_sky(&mut sky, pixel as u32, rig);
     }
     sky
-}
-
-/// Adds the sky that eyes see: construction cameras stand at corners, and do not see it through every window.
-fn add_sky(sky: &mut [u64], face: &Face, rig: &Rig) {
-    let words = (rig.window.width as usize).div_ceil(64);
-    for [columns, rows] in face.sky(&rig.window) {
-        let known = |row: u32, column: u32| sky[row as usize * words + column as usize / 64] >> (column % 64) & 1 == 1;
-        let corners = |row: u32| known(row, columns.start) && known(row, columns.end - 1);
-        // Many eyes see the same sky.
-        if corners(rows.start)
-            && corners(rows.end - 1)
-            && known(rows.start.midpoint(rows.end), columns.start.midpoint(columns.end))
-        {
-            continue;
-        }
-        for row in rows {
-            columns.clone().for_each(|column| set_sky(sky, row * rig.window.width + column, rig));
-        }
-    }
 }
 
 fn set_sky(sky: &mut [u64], pixel: u32, rig: &Rig) {

@@ -37,6 +37,8 @@ const AROUND: f64 = 12.0;
 const BLOCK: usize = 16;
 /// What is seen is kept with this many pixels around it: eyes between those tried see a little further around things.
 const MARGIN: f64 = 16.0;
+/// A direction is a place this far away, metres.
+const FAR_AWAY_M: f64 = 1e12;
 /// Most construction cameras of an image. By judgement; those that bring most come first.
 const MOST_CAMERAS: usize = 192;
 /// Side of a piece of surface, pixels: a square of the raster. Half of it found no more on the test scenes.
@@ -162,22 +164,6 @@ impl Face {
         Self(eyes.collect())
     }
 
-    /// Pixels of a window that some eye sees sky through: all of what a ray stands for that met none. Yields most of them many times.
-    pub fn sky<'a>(&'a self, window: &'a Window) -> impl Iterator<Item = [Range<u32>; 2]> + 'a {
-        let glimpses = self.0.iter().flat_map(|(_, glimpses)| glimpses).filter(|g| g.at[2] == 0.0);
-        glimpses.filter_map(|g| {
-            let along = |at: f64, half: f64, start: i32, side: u32| {
-                let at = at - f64::from(start);
-                // Saturating conversions.
-                let range = (at - half).ceil().max(0.0) as u32..((at + half).floor() + 1.0).max(0.0) as u32;
-                range.start..range.end.min(side)
-            };
-            let columns = along(g.at[0], g.half[0], window.left, window.width);
-            let rows = along(g.at[1], g.half[1], window.top, window.height);
-            (!columns.is_empty() && !rows.is_empty()).then_some([columns, rows])
-        })
-    }
-
     /// Its tiles.
     pub fn tiles(&self, rig: &Rig) -> Vec<Tile> {
         tiles(&rig.window, self.0.iter().flat_map(|(_, glimpses)| glimpses))
@@ -199,8 +185,7 @@ impl Glimpse {
         let reach = |p: DVec3, radius: f64| [p.x, p.y].map(|x| radius / p.z * (x / p.z).hypot(1.0) * s);
         let sky = !hit.distance.is_finite();
         let p = if sky { ray } else { offset + ray * f64::from(hit.distance) };
-        // Sky is known by every image that holds its direction: the one that owns places far off there may be cut before it.
-        if p.z <= 0.0 || !(sky || plan.owns(p)) {
+        if p.z <= 0.0 || !plan.owns(if sky { ray * FAR_AWAY_M } else { p }) {
             return None;
         }
         let [u, v] = on_plane(p);

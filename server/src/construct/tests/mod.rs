@@ -326,19 +326,6 @@ fn sky_is_known_where_some_eye_sees_it() {
 }
 
 #[test]
-fn sky_beyond_what_an_image_owns_is_known_to_it() {
-    // At infinity the image beside owns what is more than 45 degrees aside; its own window may end before.
-    let mut plan = plan(9.0, [1.0, 0.1, 1.0]);
-    (plan.window, plan.beside) = ([-1.6, 1.6, -0.5, 0.5], [9.0; 4]);
-    plan.directions[0].yaw_deg = [-60.0, 60.0];
-    let ldi = made_for(&Analytic::default(), &plan, &[plan.cop]).ldi;
-    for x in [-1.5, -0.9, 0.0, 1.1, 1.5] {
-        let column = (x * ldi.camera.pixels_per_unit).floor() as i64 - i64::from(ldi.camera.left);
-        assert_eq!(ldi.is_sky(column, -i64::from(ldi.camera.top)), Some(true), "{x} aside");
-    }
-}
-
-#[test]
 fn the_same_image_from_any_number_of_threads() {
     let pool = |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("threads start");
     let (scene, plan) = (room(), plan(9.0, [2.0, 1.0, 2.0]));
