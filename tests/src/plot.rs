@@ -47,23 +47,8 @@ impl Plot<'_> {
         let px = |x: f64| LEFT + (x - x0) / (x1 - x0) * (WIDTH - LEFT - RIGHT);
         let py = |y: f64| HEIGHT - BOTTOM - y / y1 * (HEIGHT - TOP - BOTTOM);
 
-        let mut s = format!(
-            "<svg class=\"plot\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{0}\"><text class=\"title\" x=\"{LEFT}\" y=\"16\">{0}</text>",
-            escape(self.title)
-        );
-        let mut y = 0.0;
-        while y <= y1 * 1.0001 {
-            let _ = write!(
-                s,
-                "<line class=\"grid\" x1=\"{LEFT}\" x2=\"{:.1}\" y1=\"{1:.1}\" y2=\"{1:.1}\"/><text class=\"tick\" text-anchor=\"end\" x=\"{2:.1}\" y=\"{3:.1}\">{4}</text>",
-                WIDTH - RIGHT,
-                py(y),
-                LEFT - 6.0,
-                py(y) + 4.0,
-                number(y)
-            );
-            y += step;
-        }
+        let mut s = open(self.title, HEIGHT);
+        s += &levels(y1, step, py);
         let x_step = tick_step((x1 - x0) / 1.6);
         let mut x = (x0 / x_step).ceil() * x_step;
         while x <= x1 + x_step * 1e-6 {
@@ -76,14 +61,7 @@ impl Plot<'_> {
             );
             x += x_step;
         }
-        let _ = write!(
-            s,
-            "<text class=\"axis\" text-anchor=\"end\" x=\"{:.1}\" y=\"{:.1}\">{}</text><text class=\"axis\" x=\"4\" y=\"36\">{}</text>",
-            WIDTH - RIGHT,
-            HEIGHT - 6.0,
-            escape(self.x),
-            escape(self.y)
-        );
+        s += &axes(self.x, self.y, HEIGHT);
         if let Some((name, y)) = self.bound {
             let _ = write!(
                 s,
@@ -163,22 +141,8 @@ impl Scatter<'_> {
         let y1 = (top / step).ceil().max(1.0) * step;
         let px = |x: f64| LEFT + (x.log2() - x0) / (x1 - x0) * (WIDTH - LEFT - RIGHT);
         let py = |y: f64| TALL - BOTTOM - y / y1 * (TALL - TOP - BOTTOM);
-        let mut s = format!(
-            "<svg class=\"plot\" viewBox=\"0 0 {WIDTH} {TALL}\" role=\"img\" aria-label=\"{0}\"><text class=\"title\" x=\"{LEFT}\" y=\"16\">{0}</text>",
-            escape(self.title)
-        );
-        for i in 0..=(y1 / step).round() as u32 {
-            let y = f64::from(i) * step;
-            let _ = write!(
-                s,
-                "<line class=\"grid\" x1=\"{LEFT}\" x2=\"{:.1}\" y1=\"{1:.1}\" y2=\"{1:.1}\"/><text class=\"tick\" text-anchor=\"end\" x=\"{2:.1}\" y=\"{3:.1}\">{4}</text>",
-                WIDTH - RIGHT,
-                py(y),
-                LEFT - 6.0,
-                py(y) + 4.0,
-                number(y)
-            );
-        }
+        let mut s = open(self.title, TALL);
+        s += &levels(y1, step, py);
         for power in x0 as i32..=x1 as i32 {
             let x = f64::from(power).exp2();
             let _ = write!(
@@ -189,14 +153,7 @@ impl Scatter<'_> {
                 number(x)
             );
         }
-        let _ = write!(
-            s,
-            "<text class=\"axis\" text-anchor=\"end\" x=\"{:.1}\" y=\"{:.1}\">{}</text><text class=\"axis\" x=\"4\" y=\"36\">{}</text>",
-            WIDTH - RIGHT,
-            TALL - 6.0,
-            escape(self.x),
-            escape(self.y)
-        );
+        s += &axes(self.x, self.y, TALL);
         // Fastest first: a point is in front if it errs less than all before.
         let (mut least, mut line) = (f64::INFINITY, String::new());
         let mut named: Vec<[f64; 2]> = Vec::new();
@@ -234,6 +191,43 @@ impl Scatter<'_> {
         }
         s + &format!("<path class=\"s0\" d=\"{line}\"/></svg>")
     }
+}
+
+/// The element's beginning, with its heading.
+fn open(title: &str, height: f64) -> String {
+    format!(
+        "<svg class=\"plot\" viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{0}\"><text class=\"title\" x=\"{LEFT}\" y=\"16\">{0}</text>",
+        escape(title)
+    )
+}
+
+/// Lines at every `step` of the vertical axis, from 0 to `top`; `py` gives their places.
+fn levels(top: f64, step: f64, py: impl Fn(f64) -> f64) -> String {
+    let mut s = String::new();
+    for i in 0..=(top / step).round() as u32 {
+        let y = f64::from(i) * step;
+        let _ = write!(
+            s,
+            "<line class=\"grid\" x1=\"{LEFT}\" x2=\"{:.1}\" y1=\"{1:.1}\" y2=\"{1:.1}\"/><text class=\"tick\" text-anchor=\"end\" x=\"{2:.1}\" y=\"{3:.1}\">{4}</text>",
+            WIDTH - RIGHT,
+            py(y),
+            LEFT - 6.0,
+            py(y) + 4.0,
+            number(y)
+        );
+    }
+    s
+}
+
+/// The axes' names.
+fn axes(x: &str, y: &str, height: f64) -> String {
+    format!(
+        "<text class=\"axis\" text-anchor=\"end\" x=\"{:.1}\" y=\"{:.1}\">{}</text><text class=\"axis\" x=\"4\" y=\"36\">{}</text>",
+        WIDTH - RIGHT,
+        height - 6.0,
+        escape(x),
+        escape(y)
+    )
 }
 
 /// 1, 2 or 5 times a power of ten, so that three to seven ticks fit below `span`.

@@ -154,10 +154,7 @@ impl Blocks {
         all: bool,
     ) -> Vec<Reach<'a>> {
         let mut out = Vec::new();
-        let rows = |bounds: &Bounds| {
-            let rows = bounds.rows(matrix, width, height);
-            if all { Some((0, height)) } else { rows }
-        };
+        let rows = |bounds: &Bounds| if all { Some((0, height)) } else { bounds.rows(matrix, width, height) };
         let mut at = 0;
         while let Some(block) = self.blocks.get(at) {
             if rows(&block.bounds).is_none() {

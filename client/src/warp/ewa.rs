@@ -16,13 +16,14 @@ use super::{
 };
 use crate::frame::{pack_rgb, unpack_rgb};
 
-/// Variance of a sample's Gaussian, squared LDI pixels: 0.4 of their distance.
+/// Variance of a sample's Gaussian, squared LDI pixels: 0.4 of their distance. By judgement: narrower ones show the samples, wider ones blur.
 pub const SAMPLE_VARIANCE: f32 = 0.16;
 /// Variance of a pixel's Gaussian, squared output pixels: about that of a box one pixel wide, 1/12.
 pub const PIXEL_VARIANCE: f32 = 0.09;
 /// Squared distance, in standard deviations, where the tail is cut.
 pub const CUT: f32 = 8.0;
-/// Samples whose disparities differ from the pixel's by more than this fraction belong to another surface.
+/// Samples whose disparities differ from the pixel's by more than this fraction belong to another surface. By judgement: a row of a
+/// floor at a grazing angle is nearly as much apart.
 pub const SAME_SURFACE: f32 = 1.0 / 16.0;
 
 /// Weighted sums for the pixels of a band.

@@ -75,7 +75,7 @@ pub fn slivers(ldi: &Ldi) -> Vec<Part> {
 }
 
 /// Elements past the end of a part's arrays.
-fn pad(part: &mut Part) {
+pub(super) fn pad(part: &mut Part) {
     part.column.resize(part.column.len() + PADDING, 0);
     part.disparity.resize(part.disparity.len() + PADDING, 0.0);
     part.colour.resize(part.colour.len() + PADDING, 0);

@@ -20,8 +20,9 @@ use super::{
     Stamp,
     cull::{Blocks, Reach},
     lanes::{LANES, Lanes},
+    layout::pad,
     matrix::WarpMatrix,
-    prepared::{PADDING, Part, TILE_COLUMNS, TILE_ROWS, Tile},
+    prepared::{Part, TILE_COLUMNS, TILE_ROWS, Tile},
     quads::Target,
     stamps::own_rows,
     transform::{Inside, Points, Slopes, TileTransform, first_lanes},
@@ -141,11 +142,7 @@ impl Streams {
                 out.tiles.push(tile);
             }
         }
-        for _ in 0..PADDING {
-            out.column.push(0);
-            out.disparity.push(0.0);
-            out.colour.push(0);
-        }
+        pad(&mut out);
         out
     }
 

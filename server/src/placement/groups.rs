@@ -77,7 +77,7 @@ fn join(ctx: &Context, members: &[Member], groups: Vec<(Vec<u32>, NearBox)>) -> 
 const STOREY_M: f64 = 2.5;
 /// Storeys that share a box see each other at least this often: an atrium's galleries and a hillside do, rooms above each other do not. By judgement.
 const IN_SIGHT: f64 = 0.25;
-/// View cells that are asked, at most.
+/// View cells that are asked, at most: some hundred rays tell a quarter from nothing, and joining asks for thousands of pairs of groups.
 const ASKED: usize = 24;
 
 /// Whether members lie on different storeys that do not see each other.
@@ -109,13 +109,14 @@ fn fit_of(ctx: &Context, members: &[Member], of: &[u32]) -> Result<NearBox, TooN
 }
 
 fn divide(ctx: &Context, members: &[Member], of: Vec<u32>, known: Option<Result<NearBox, TooNear>>) -> Grouped {
-    let whole = known.unwrap_or_else(|| fit_of(ctx, members, &of));
+    let fitted = |of: &[u32]| known.unwrap_or_else(|| fit_of(ctx, members, of));
     if of.len() == 1 {
-        return whole.map(|b| vec![(of.clone(), b)]).map_err(|e| (of[0], e));
+        return fitted(&of).map(|b| vec![(of.clone(), b)]).map_err(|e| (of[0], e));
     }
+    let whole = if apart(ctx, members, &of) { None } else { fitted(&of).ok() };
     let (low, high) = halve(members, &of);
     let (mut of_low, mut of_high) = (None, None);
-    if let (Ok(whole), false) = (whole, apart(ctx, members, &of)) {
+    if let Some(whole) = whole {
         let (a, b) = rayon::join(|| fit_of(ctx, members, &low), || fit_of(ctx, members, &high));
         if !matches!((&a, &b), (Ok(a), Ok(b)) if a.cost + b.cost < whole.cost * WORTH_SPLITTING) {
             return Ok(vec![(of, whole)]);
@@ -148,7 +149,15 @@ pub(super) fn compare(ctx: &Context, members: &[Member]) -> Option<Groupings> {
     let n = members.len();
     let every: Vec<u32> = (1..1 << n).collect();
     let subset = |s: u32| (0..n as u32).filter(|m| s >> m & 1 == 1).collect::<Vec<u32>>();
-    let cost = |s: &u32| fit_of(ctx, members, &subset(*s)).map_or(f64::INFINITY, |b| b.cost);
+    let cost = |s: &u32| {
+        let of = subset(*s);
+        // No way may take what the plan may not.
+        if apart(ctx, members, &of) {
+            f64::INFINITY
+        } else {
+            fit_of(ctx, members, &of).map_or(f64::INFINITY, |b| b.cost)
+        }
+    };
     let whole: Vec<f64> = std::iter::once(0.0).chain(every.par_iter().map(cost).collect::<Vec<_>>()).collect();
     let mut best = vec![0.0; whole.len()];
     for s in 1..whole.len() {

@@ -45,7 +45,7 @@ pub(super) enum Scheme {
     Cells,
 }
 
-/// Tells whether two places see each other, nothing being between them.
+/// Tells whether two places (world, metres) see each other, nothing being between them.
 #[derive(Clone, Copy)]
 pub struct Sees<'a>(pub &'a (dyn Fn(DVec3, DVec3) -> bool + Sync));
 

@@ -6,7 +6,7 @@
 //! All in one process: chunks come from the dataset's files, so that neither network nor decoding takes part. Views are those of the path that show
 //! images. A time is the median over the views of the median over the repetitions; limits are measured on the same views between them.
 
-use super::placement::path_beside;
+use super::placement::{path_beside, usual_options};
 use anyhow::{Context as _, Result, bail};
 use ldi_client::{
     cache::Cache,
@@ -17,9 +17,9 @@ use ldi_client::{
     resident::Resident as _,
     warp::{FarFrame, Order, PreparedLdi, Stamp, WarpOptions, WarpStats, transform_only, warp_images},
 };
-use ldi_protocol::{OutputCamera, Pose, codec::ColourMode, index::BuildSettings, path::Walk};
+use ldi_protocol::{OutputCamera, Pose, codec::ColourMode, path::Walk};
 use ldi_server::{
-    build::{self, BuildOptions, Progress},
+    build::{self, Progress},
     render::{Caster, RenderOptions, render_path},
     scene,
     store::Dataset,
@@ -241,17 +241,21 @@ pub fn run(job: &Job, progress: &dyn Progress, mut done: impl FnMut(&Row)) -> Re
                 path.display()
             )
         })?;
-        for density in &job.densities {
-            let dataset = match job.datasets.get(i) {
-                Some(path) => Dataset::open(path)?,
-                None => dataset_of(job, spec, *density, &walk, progress)?,
-            };
-            let views = views(job, spec, &dataset, &walk, progress)?;
-            let density = dataset.index().settings.density;
+        let datasets = match job.datasets.get(i) {
+            Some(path) => vec![Dataset::open(path)?],
+            None => {
+                let each = job.densities.iter().map(|density| dataset_of(job, spec, *density, progress));
+                each.collect::<Result<Vec<_>>>()?
+            }
+        };
+        let Some(first) = datasets.first() else { continue };
+        // The same for all densities, so that they can be compared.
+        let views = views(job, spec, first, &walk, progress)?;
+        for dataset in &datasets {
             for setting in settings(&job.threads) {
                 let at = job.threads.iter().position(|t| *t == setting.threads).unwrap_or(0);
-                let row = pools[at].install(|| measure(job, &dataset, &views, &setting, limits[at].memory_gb_per_s))?;
-                let row = Row { scene: name_of(spec), density, ..row };
+                let row =
+                    pools[at].install(|| measure(job, spec, dataset, &views, &setting, limits[at].memory_gb_per_s))?;
                 done(&row);
                 rows.push(row);
             }
@@ -265,32 +269,21 @@ fn name_of(spec: &str) -> String {
 }
 
 /// The dataset of a scene at a density: the one that an earlier run left in the folder, or a new one.
-fn dataset_of(job: &Job, spec: &str, density: f64, walk: &Walk, progress: &dyn Progress) -> Result<Dataset> {
-    let output = job.output.join(format!("{}-{}pct-x{density}", name_of(spec), job.budget_percent));
+fn dataset_of(job: &Job, spec: &str, density: f64, progress: &dyn Progress) -> Result<Dataset> {
+    let (width, height) = job.size;
+    let name = format!("{}-{}pct-{width}x{height}-x{density}", name_of(spec), job.budget_percent);
+    let output = job.output.join(name);
     if let Ok(found) = Dataset::open(&output) {
         return Ok(found);
     }
-    let triangles = scene::load(spec)?.triangles();
-    let (width, height) = job.size;
-    build::build(
-        &BuildOptions {
-            scene: spec.into(),
-            output: output.clone(),
-            colour: ColourMode::from_name("high").context("a profile of that name")?,
-            settings: BuildSettings {
-                budget: ((triangles as f64 * job.budget_percent / 100.0).round() as u64).max(1),
-                optimize_budget: 0,
-                camera: OutputCamera { width, height, fov_deg: 60.0 },
-                max_footprint_px: 2.0,
-                pitch_deg: 60.0,
-                density,
-                colour: "high".into(),
-                grid: "cells".into(),
-                eye_height_m: Some(walk.eye_height.unwrap_or(1.6)),
-            },
-        },
-        progress,
-    )?;
+    let mut options = usual_options(spec, job.budget_percent)?;
+    let colour = "high";
+    options.output = output.clone();
+    options.colour = ColourMode::from_name(colour).context("a profile of that name")?;
+    options.settings.camera = camera_of(job);
+    options.settings.colour = colour.into();
+    options.settings.density = density;
+    build::build(&options, progress)?;
     Ok(Dataset::open(&output)?)
 }
 
@@ -365,7 +358,14 @@ fn resident(dataset: &Dataset, view: &View) -> Result<Cache> {
     Ok(cache)
 }
 
-fn measure(job: &Job, dataset: &Dataset, views: &[OneView], setting: &Setting, memory_gb_per_s: f64) -> Result<Row> {
+fn measure(
+    job: &Job,
+    spec: &str,
+    dataset: &Dataset,
+    views: &[OneView],
+    setting: &Setting,
+    memory_gb_per_s: f64,
+) -> Result<Row> {
     let index = dataset.index();
     let camera = camera_of(job);
     let full = supersampled(&camera, setting.supersample);
@@ -420,8 +420,8 @@ fn measure(job: &Job, dataset: &Dataset, views: &[OneView], setting: &Setting, m
     let most = |of: fn(&Verdict) -> Option<f64>| verdicts.iter().filter_map(of).fold(0.0, f64::max);
     let samples = stats.samples_warped as f64 / n;
     Ok(Row {
-        scene: String::new(),
-        density: 0.0,
+        scene: name_of(spec),
+        density: index.settings.density,
         setting: *setting,
         frames: views.len(),
         samples,
