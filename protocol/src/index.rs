@@ -2,7 +2,7 @@
 //!
 //! Numbers that name things (`u32`) are positions in the vectors of [`Index`].
 
-use crate::{Aabb, OutputCamera, ViewBasis, mesh::Material, volume::WalkVolume};
+use crate::{Aabb, OutputCamera, ViewBasis, mesh::Material, sky::SkyMap, volume::WalkVolume};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -148,6 +148,8 @@ pub struct Placement {
     pub users: Aabb,
     /// Its images, as positions in [`Index::images`]; those of one placement follow those of the one before.
     pub images: Range<u32>,
+    /// Where its eyes see sky, roughly: images know it by the pixel, but not all directions.
+    pub sky: SkyMap,
 }
 
 /// An image: a window of a plane as seen from its placement's centre of projection.

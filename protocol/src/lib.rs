@@ -22,6 +22,7 @@ pub mod need;
 pub mod path;
 pub mod select;
 pub mod shade;
+pub mod sky;
 pub mod texture;
 pub mod volume;
 pub mod wire;

@@ -42,6 +42,7 @@ fn row_of_cells() -> Index {
         footprint_px: 1.0,
         users: Aabb { min: DVec3::new(x, 0.0, 0.0), max: DVec3::new(x, 0.0, 0.0) },
         images,
+        sky: Default::default(),
     };
     let image = |chunks| ImageEntry {
         basis: ViewBasis::from_yaw_pitch(0.0, 0.0),

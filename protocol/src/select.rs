@@ -226,6 +226,7 @@ mod tests {
                 footprint_px: 1.5,
                 users: Aabb::EMPTY,
                 images: 0..3,
+                sky: Default::default(),
             }],
             images: [0.0, 90.0, 40.0].map(image).to_vec(),
         }

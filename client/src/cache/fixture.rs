@@ -120,6 +120,7 @@ pub fn street(cells: u32, side: u32) -> Street {
             footprint_px: 1.0,
             users: Aabb { min: DVec3::new(-1.0, -1.0, -5.0), max: DVec3::ONE },
             images: 0..1,
+            sky: Default::default(),
         }],
         images: vec![ImageEntry {
             basis: ViewBasis::from_yaw_pitch(0.0, 0.0),

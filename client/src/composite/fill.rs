@@ -3,11 +3,11 @@
 //! In: a merged frame with unpainted pixels. Out: the same with them coloured where a surface is near enough, marked
 //! [`Source::Filled`]. A hole opens where something near moved away from something farther, so what belongs there is
 //! the farther: of the first surfaces met to the left, right, above and below, the one with the smallest disparity is
-//! taken, of equals the closest. Sky is no candidate: the direction is known not to be sky.
+//! taken, of equals the closest. A hole that meets sky on two sides or more is sky that no eye was found to see; one side alone may be a surface's border.
 //!
 //! The other way is that of Rafferty and others (1998): the warp paints over the last frame, and what shows between its samples is that.
 
-use crate::frame::{Frame, Source};
+use crate::frame::{Frame, SKY, Source};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -27,6 +27,8 @@ pub enum Fill {
 /// How far a hole looks for a surface, in pixels. Wider holes are missing data rather than a gap between samples;
 /// a colour from farther away would be invented.
 const REACH_PX: usize = 48;
+/// A hole that meets sky on so many of its four sides is sky.
+const SKY_SIDES: u32 = 2;
 
 /// Fills holes with the colours of the last frame, which has as many pixels; returns the number of filled pixels.
 pub fn from_last(frame: &mut Frame, last: &[u32]) -> u64 {
@@ -47,8 +49,8 @@ pub fn fill(frame: &mut Frame) -> u64 {
         let sources = &frame.source[row * width..(row + 1) * width];
         let holes = sources.iter().enumerate().filter(|(_, s)| **s == Source::Unpainted);
         let filled = holes.filter_map(|(column, _)| {
-            let from = find(frame, row, column)?;
-            Some((row * width + column, frame.colour[from], frame.disparity[from]))
+            let (colour, disparity) = find(frame, row, column)?;
+            Some((row * width + column, colour, disparity))
         });
         filled.collect::<Vec<_>>()
     };
@@ -63,11 +65,12 @@ pub fn fill(frame: &mut Frame) -> u64 {
     count
 }
 
-/// The pixel to copy from.
-fn find(frame: &Frame, row: usize, column: usize) -> Option<usize> {
+/// What a hole shows: colour and disparity.
+fn find(frame: &Frame, row: usize, column: usize) -> Option<(u32, f32)> {
     let (width, height) = (frame.width as usize, frame.height as usize);
     let at = row * width + column;
     let mut best: Option<(f32, usize, usize)> = None;
+    let mut sky = 0;
     let rooms = [column, width - 1 - column, row, height - 1 - row];
     for (steps, room) in [-1isize, 1, -(width as isize), width as isize].into_iter().zip(rooms) {
         for distance in 1..=room.min(REACH_PX) {
@@ -80,10 +83,14 @@ fn find(frame: &Frame, row: usize, column: usize) -> Option<usize> {
                         best = Some(candidate);
                     }
                 }
-                Source::Sky | Source::Filled => {}
+                Source::Sky => sky += 1,
+                Source::Filled => {}
             }
             break;
         }
     }
-    best.map(|(_, _, other)| other)
+    if sky >= SKY_SIDES {
+        return Some((SKY, 0.0));
+    }
+    best.map(|(_, _, other)| (frame.colour[other], frame.disparity[other]))
 }

@@ -8,7 +8,7 @@
 //!    know where the far surface is, and not beyond: a rug of the images must stay above the floor of the geometry.
 //! 2. **Sky**: a pixel that nothing reached is sky where no image knows of anything else in its direction. Sky lies at infinity, so
 //!    the lookup is a rotation. Without an LDI nothing was culled, and what is left is sky.
-//! 3. **Fill** (`fill`, optional): remaining holes take the colour of the nearest farther surface, or of the last frame, and are marked
+//! 3. **Fill** (`fill`, optional): remaining holes take the colour of the nearest farther surface, of sky around them, or of the last frame, and are marked
 //!    [`Source::Filled`].
 //! 4. **Smoothing** (`smooth`, optional): the 3 x 3 kernel of Aliaga and Lastra's system, over far pixels.
 //! 5. **Averaging** ([`downsample()`]): a supersampled frame is averaged in linear light.
@@ -26,7 +26,8 @@ use crate::{
     frame::{Frame, SKY, Source},
     warp::FarFrame,
 };
-use ldi_protocol::{OutputCamera, Pose, index::ImageEntry, ldi::Ldi};
+use glam::DVec3;
+use ldi_protocol::{OutputCamera, Pose, index::ImageEntry, ldi::Ldi, sky::SkyMap};
 use rayon::prelude::*;
 
 /// What stands for the cells that were not drawn.
@@ -42,6 +43,8 @@ pub enum Far<'a> {
         picture: &'a FarFrame,
         /// All images of the placement that are in view, absent ones too.
         images: &'a [FarImage<'a>],
+        /// Where the placement's eyes see sky, also beside its images.
+        sky: Option<&'a SkyMap>,
     },
 }
 
@@ -136,7 +139,7 @@ pub fn composite(
         return CompositeStats::default();
     }
     let merge = match far {
-        Far::Images { picture, images } => Some(Merge::new(picture, images, pose, camera)),
+        Far::Images { picture, images, sky } => Some(Merge::new(picture, (images, sky), pose, camera)),
         Far::Nothing | Far::Missing => None,
     };
     let chunk = width * ROWS_PER_TASK;
@@ -216,22 +219,55 @@ impl Row<'_> {
 struct Merge<'a> {
     picture: &'a FarFrame,
     images: Vec<Lookup<'a>>,
+    sky: Option<&'a SkyMap>,
+    world: Directions,
+}
+
+/// Directions of output pixels' centres in some frame: affine in column and row.
+struct Directions {
+    /// At pixel (0, 0).
+    first: [f64; 3],
+    per_column: [f64; 3],
+    per_row: [f64; 3],
+}
+
+impl Directions {
+    /// `local` takes a direction in the world to the frame.
+    fn new(pose: &Pose, camera: &OutputCamera, local: impl Fn(DVec3) -> [f64; 3]) -> Self {
+        let basis = pose.basis();
+        let at = |u: f64, v: f64| local(camera.ray(&basis, u, v));
+        let (first, right, below) = (at(0.5, 0.5), at(1.5, 0.5), at(0.5, 1.5));
+        Self {
+            first,
+            per_column: std::array::from_fn(|i| right[i] - first[i]),
+            per_row: std::array::from_fn(|i| below[i] - first[i]),
+        }
+    }
+
+    fn of(&self, row: usize, column: usize) -> [f64; 3] {
+        let (row, column) = (row as f64, column as f64);
+        std::array::from_fn(|i| self.first[i] + self.per_row[i] * row + self.per_column[i] * column)
+    }
 }
 
 /// Where directions of output pixels meet an image.
 struct Lookup<'a> {
     image: FarImage<'a>,
-    /// Directions of output pixels in the image's frame, affine in column and row: (right, down, forward) at pixel (0, 0).
-    direction: [f64; 3],
-    per_column: [f64; 3],
-    per_row: [f64; 3],
+    /// In the image's frame: right, down, forward.
+    directions: Directions,
     /// Eye's depth in the image's frame, m; 0 for absent ones.
     eye_depth_m: f64,
 }
 
 impl<'a> Merge<'a> {
-    fn new(picture: &'a FarFrame, images: &[FarImage<'a>], pose: &Pose, camera: &OutputCamera) -> Self {
-        Self { picture, images: images.iter().map(|i| Lookup::new(*i, pose, camera)).collect() }
+    fn new(
+        picture: &'a FarFrame,
+        (images, sky): (&[FarImage<'a>], Option<&'a SkyMap>),
+        pose: &Pose,
+        camera: &OutputCamera,
+    ) -> Self {
+        let images = images.iter().map(|i| Lookup::new(*i, pose, camera)).collect();
+        Self { picture, images, sky, world: Directions::new(pose, camera, |w| w.to_array()) }
     }
     fn row(&self, row: usize, pixels: &mut Row<'_>, stats: &mut CompositeStats) {
         let width = pixels.colour.len();
@@ -282,7 +318,8 @@ impl<'a> Merge<'a> {
         sky
     }
 
-    /// Whether sky is known in a pixel's direction: an image holds some, or none could hold anything. An image that is not there may hold a surface.
+    /// Whether sky is known in a pixel's direction: an image holds some, the placement's eyes see it, or none could hold anything. An image that is
+    /// not there may hold a surface.
     fn is_sky(&self, row: usize, column: usize) -> bool {
         let (mut sky, mut held) = (false, false);
         for image in &self.images {
@@ -293,7 +330,7 @@ impl<'a> Merge<'a> {
                 Knows::Beside => {}
             }
         }
-        sky || !held
+        sky || !held || self.sky.is_some_and(|s| s.holds(DVec3::from_array(self.world.of(row, column))))
     }
 
     /// Whether a triangle behind the far surface is as near as the far surface's disparity is known.
@@ -305,35 +342,20 @@ impl<'a> Merge<'a> {
 
 impl<'a> Lookup<'a> {
     fn new(image: FarImage<'a>, pose: &Pose, camera: &OutputCamera) -> Self {
-        let basis = pose.basis();
         let (to, eye_depth_m) = match image {
             FarImage::Here(ldi, _) => {
                 (&ldi.camera.basis, (pose.position - ldi.camera.cop).dot(ldi.camera.basis.forward))
             }
             FarImage::Absent(entry) => (&entry.basis, 0.0),
         };
-        let local = |w: glam::DVec3| [w.dot(to.right), -w.dot(to.up), w.dot(to.forward)];
-        let at = |u: f64, v: f64| local(camera.ray(&basis, u, v));
-        let (origin, right, below) = (at(0.5, 0.5), at(1.5, 0.5), at(0.5, 1.5));
-        Self {
-            image,
-            direction: origin,
-            per_column: std::array::from_fn(|i| right[i] - origin[i]),
-            per_row: std::array::from_fn(|i| below[i] - origin[i]),
-            eye_depth_m,
-        }
-    }
-
-    /// Direction of a pixel's centre in the image's frame.
-    fn direction(&self, row: usize, column: usize) -> [f64; 3] {
-        let (row, column) = (row as f64, column as f64);
-        std::array::from_fn(|i| self.direction[i] + self.per_row[i] * row + self.per_column[i] * column)
+        let local = |w: DVec3| [w.dot(to.right), -w.dot(to.up), w.dot(to.forward)];
+        Self { image, directions: Directions::new(pose, camera, local), eye_depth_m }
     }
 
     /// How far one step of the image's disparity codes moves the disparity of a far surface in the picture.
     fn step(&self, row: usize, column: usize, far: f32) -> f64 {
         let FarImage::Here(ldi, _) = self.image else { return 0.0 };
-        let forward = self.direction(row, column)[2];
+        let [.., forward] = self.directions.of(row, column);
         // d2 = d1 / W and W = depth2 / depth1, so that a step in d1 becomes step * d2 * depth1 in d2, and
         // d2 * depth1 = d2 (eye depth + forward / d2).
         (ldi.codes.step * (f64::from(far) * self.eye_depth_m + forward)).max(0.0)
@@ -341,7 +363,7 @@ impl<'a> Lookup<'a> {
 
     /// What the image says of a pixel's direction.
     fn knows(&self, row: usize, column: usize) -> Knows {
-        let [right, down, forward] = self.direction(row, column);
+        let [right, down, forward] = self.directions.of(row, column);
         if forward <= 0.0 {
             return Knows::Beside;
         }

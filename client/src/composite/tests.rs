@@ -62,7 +62,7 @@ fn with_step(ldi: &Ldi, step: f64, near_disparity: f32, pose: &Pose) -> (Frame, 
     ldi.codes.step = step;
     let ldi = &ldi;
     let mut frame = half_near(near_disparity);
-    let far = Far::Images { picture: &picture, images: &[as_planned(ldi)] };
+    let far = Far::Images { picture: &picture, images: &[as_planned(ldi)], sky: None };
     let stats = composite(&mut frame, far, pose, &CAMERA, &CompositeOptions::default());
     (frame, stats)
 }
@@ -114,7 +114,7 @@ fn sky_is_looked_up_by_rotation() {
         let pose = Pose { position: DVec3::new(0.4, 0.2, -0.3), yaw_deg, pitch_deg: 0.0 };
         let mut frame = Frame::new(CAMERA.width, CAMERA.height);
         let picture = warped(&ldi, &pose);
-        let far = Far::Images { picture: &picture, images: &[as_planned(&ldi)] };
+        let far = Far::Images { picture: &picture, images: &[as_planned(&ldi)], sky: None };
         let stats = composite(&mut frame, far, &pose, &CAMERA, &CompositeOptions::default());
         for at in (0..frame.len()).filter(|at| at / 160 < 59) {
             assert_eq!((frame.source[at], frame.colour[at]), (Source::Sky, SKY));
@@ -139,7 +139,7 @@ fn outside_the_image_is_sky_and_a_missing_image_is_not() {
     let picture = FarFrame::new(CAMERA.width, CAMERA.height);
     let mut frame = Frame::new(CAMERA.width, CAMERA.height);
     let images = [FarImage::Here(&narrow, window(&ldi))];
-    let far = Far::Images { picture: &picture, images: &images };
+    let far = Far::Images { picture: &picture, images: &images, sky: None };
     composite(&mut frame, far, &ahead(), &CAMERA, &CompositeOptions { fill: Fill::Off, ..options });
     for at in 0..frame.len() {
         let want = if at % 160 < 80 { Source::Sky } else { Source::Unpainted };
@@ -175,13 +175,28 @@ fn holes_take_the_farther_neighbour() {
 }
 
 #[test]
+fn a_hole_amid_sky_is_sky() {
+    // Rows: sky, hole, surface; the hole's ends are sky and a surface.
+    for (right, expected) in [(Source::Sky, SKY), (Source::Near, pack_rgb([30; 3]))] {
+        let mut frame = Frame::new(3, 3);
+        frame.colour.fill(pack_rgb([30; 3]));
+        frame.disparity.fill(0.2);
+        frame
+            .source
+            .copy_from_slice(&[[Source::Sky; 3], [Source::Near, Source::Unpainted, right], [Source::Near; 3]].concat());
+        assert_eq!(fill::fill(&mut frame), 1);
+        assert_eq!((frame.colour[4], frame.source[4]), (expected, Source::Filled));
+    }
+}
+
+#[test]
 fn a_hole_behind_a_sphere_is_filled_with_the_wall() {
     // One layer only, so that the wall behind the sphere is unknown.
     let s = scene("sphere");
     let ldi = s.ldi(ldi_camera(DVec3::ZERO, 320, 240, 90.0), 1);
     let pose = Pose { position: DVec3::new(1.0, 0.0, 0.0), ..ahead() };
     let picture = warped(&ldi, &pose);
-    let far = Far::Images { picture: &picture, images: &[as_planned(&ldi)] };
+    let far = Far::Images { picture: &picture, images: &[as_planned(&ldi)], sky: None };
     let last = vec![pack_rgb([1, 2, 3]); 160 * 120];
     let run = |fill: Fill, last: &[u32]| {
         let mut frame = Frame::new(CAMERA.width, CAMERA.height);
@@ -216,7 +231,7 @@ fn a_picture_that_is_mostly_holes_is_not_invented() {
         let mut picture = warped(&ldi, &ahead());
         picture.packed.iter_mut().enumerate().filter(|(at, _)| at % 160 >= columns).for_each(|(_, p)| *p = 0);
         let mut frame = Frame::new(CAMERA.width, CAMERA.height);
-        let far = Far::Images { picture: &picture, images: &[as_planned(&ldi)] };
+        let far = Far::Images { picture: &picture, images: &[as_planned(&ldi)], sky: None };
         composite(&mut frame, far, &ahead(), &CAMERA, &CompositeOptions::default())
     };
     let (few, many) = (run(130), run(60));
@@ -281,7 +296,7 @@ fn what_an_absent_image_would_show_is_unknown_and_the_rest_sky() {
     };
     let picture = FarFrame::new(CAMERA.width, CAMERA.height);
     let mut frame = Frame::new(CAMERA.width, CAMERA.height);
-    let far = Far::Images { picture: &picture, images: &[FarImage::Absent(&entry)] };
+    let far = Far::Images { picture: &picture, images: &[FarImage::Absent(&entry)], sky: None };
     composite(&mut frame, far, &ahead(), &CAMERA, &CompositeOptions::default());
     let f = CAMERA.focal_px();
     for at in 0..frame.len() {
@@ -319,13 +334,38 @@ fn sky_that_one_image_knows_is_sky_unless_one_is_missing() {
         let mut frame = Frame::new(CAMERA.width, CAMERA.height);
         composite(
             &mut frame,
-            Far::Images { picture: &picture, images: &images },
+            Far::Images { picture: &picture, images: &images, sky: None },
             &ahead(),
             &CAMERA,
             &CompositeOptions::default(),
         );
         let middle = frame.source[frame.len() / 2 + 80];
         assert_eq!(middle, if sky { Source::Sky } else { Source::Unpainted });
+    }
+}
+
+/// Directions that no image holds: sky where the placement's map says so, and nowhere else.
+#[test]
+fn sky_beside_the_images_is_sky() {
+    let mut silent = image("frontal");
+    silent.sky.fill(0);
+    let picture = FarFrame::new(CAMERA.width, CAMERA.height);
+    let mut squares = vec![false; SkyMap::SQUARES as usize];
+    let right = |column: usize| column >= 80;
+    for (row, column) in (0..120).flat_map(|r| (0..160).map(move |c| (r, c))).filter(|(_, c)| right(*c)) {
+        let at = (f64::from(column as u32) + 0.5, f64::from(row as u32) + 0.5);
+        squares[SkyMap::square(CAMERA.ray(&ahead().basis(), at.0, at.1)) as usize] = true;
+    }
+    let map = SkyMap::of(&squares);
+    for (sky, expected) in [(None, [false, false]), (Some(&map), [false, true])] {
+        let mut frame = Frame::new(CAMERA.width, CAMERA.height);
+        let far = Far::Images { picture: &picture, images: &[as_planned(&silent)], sky };
+        let options = CompositeOptions { fill: Fill::Off, ..CompositeOptions::default() };
+        composite(&mut frame, far, &ahead(), &CAMERA, &options);
+        for (at, source) in frame.source.iter().enumerate() {
+            let known = expected[usize::from(right(at % 160))];
+            assert_eq!(*source, if known { Source::Sky } else { Source::Unpainted }, "{at}");
+        }
     }
 }
 
@@ -345,7 +385,7 @@ fn tiles_join_without_a_seam() {
         assert_ne!(picture.packed, untouched);
         let draw = |picture: &FarFrame, images: &[FarImage<'_>]| {
             let mut frame = Frame::new(CAMERA.width, CAMERA.height);
-            let far = Far::Images { picture, images };
+            let far = Far::Images { picture, images, sky: None };
             composite(
                 &mut frame,
                 far,

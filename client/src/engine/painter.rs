@@ -206,7 +206,10 @@ impl Painter {
             // What was dropped may lie anywhere: the rest is not known to be sky.
             _ if view.dropped > 0 && images.is_empty() => Far::Missing,
             [] => Far::Nothing,
-            _ => Far::Images { picture: &self.far, images: &shown },
+            _ => {
+                let placement = view.selection.placement.and_then(|p| index.placements.get(p as usize));
+                Far::Images { picture: &self.far, images: &shown, sky: placement.map(|p| &p.sky) }
+            }
         };
         let composite_options = CompositeOptions { fill: options.fill, last: &self.last, smooth: options.smooth };
         composite(&mut self.full, far, pose, &full_camera, &composite_options);

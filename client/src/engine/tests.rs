@@ -159,6 +159,7 @@ fn scene() -> MemoryFeed {
         footprint_px: 1.5,
         users: index.cells[0].bounds,
         images: 0..1,
+        sky: Default::default(),
     });
     index.images.push(ImageEntry {
         basis,

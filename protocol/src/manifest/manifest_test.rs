@@ -7,6 +7,7 @@ use crate::{
         AngularRange, CellEntry, ChunkEntry, ChunkKind, GridPoint, ImageEntry, Placement, TextureChunk, TextureEntry,
     },
     mesh::{Alpha, Material, Wrap},
+    sky::SkyMap,
     volume::WalkVolume,
 };
 use glam::DVec3;
@@ -106,6 +107,7 @@ fn index(n: usize) -> Index {
                 footprint_px: 1.7,
                 users: bounds,
                 images: images_before(i)..images_before(i + 1),
+                sky: SkyMap::of_runs((0..i as u32 % 3).map(|k| [9 + 700 * k, 1 + k * 300]).collect()).expect("apart"),
             })
             .collect(),
         images: (0..images_before(n) as usize)

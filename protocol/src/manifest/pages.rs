@@ -15,6 +15,7 @@ use crate::{
         AngularRange, CellEntry, ChunkEntry, ChunkHash, ChunkKind, GridPoint, ImageEntry, Index, Placement,
         TextureChunk, TextureEntry,
     },
+    sky::SkyMap,
 };
 use glam::DVec3;
 use std::ops::Range;
@@ -173,6 +174,31 @@ fn take_ascending(n: &mut Numbers, field: &'static str, budget: &mut usize) -> R
         next = first + length;
     }
     Ok(out)
+}
+
+/// Runs of squares: their number, then of each the gap before it and its length less one.
+fn put_sky(out: &mut Vec<u8>, sky: &SkyMap) {
+    put_varint(out, sky.runs().len() as u64);
+    let mut next = 0;
+    for [first, length] in sky.runs() {
+        put_varint(out, u64::from(first - next));
+        put_varint(out, u64::from(length - 1));
+        next = first + length;
+    }
+}
+
+fn take_sky(n: &mut Numbers, budget: &mut usize) -> Result<SkyMap, CodecError> {
+    let count = n.count("sky runs", (*budget / 2).min(SkyMap::SQUARES as usize))?;
+    *budget -= 2 * count;
+    let mut runs = Vec::new();
+    let mut next = 0u32;
+    for _ in 0..count {
+        let first = next.saturating_add(n.next("sky")?);
+        let length = n.next("sky")?.saturating_add(1);
+        next = first.saturating_add(length);
+        runs.push([first, length]);
+    }
+    SkyMap::of_runs(runs).ok_or_else(|| CodecError::mismatch("sky", "runs of squares that touch or leave the cube"))
 }
 
 fn put_chunks(w: &mut Writer, chunks: &[ChunkEntry]) -> Result<(), CodecError> {
@@ -358,17 +384,19 @@ const MAX_IMAGES: usize = 4096;
 
 /// Placements and, behind them, their images.
 fn put_placements(w: &mut Writer, placements: &[Placement], all: &[ImageEntry]) -> Result<(), CodecError> {
-    let (mut rows, mut numbers, mut culled) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut rows, mut numbers, mut culled, mut sky) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for p in placements {
         put_varint(&mut numbers, p.grid_point.into());
         put_varint(&mut numbers, p.images.len() as u64);
         put_ascending(&mut culled, &p.culled);
+        put_sky(&mut sky, &p.sky);
         let vectors = [p.cop, p.users.min, p.users.max];
         rows.push(std::array::from_fn(|k| if k < 9 { vectors[k / 3][k % 3] } else { p.footprint_px }));
     }
     put_rows::<PLACEMENT_NUMBERS>(w, "placement numbers", &rows)?;
     w.section("placements", &numbers)?;
     w.section("culled cells", &culled)?;
+    w.section("sky", &sky)?;
     let images = match (placements.first(), placements.last()) {
         (Some(first), Some(last)) => &all[first.images.start as usize..last.images.end as usize],
         _ => &[],
@@ -408,6 +436,7 @@ fn take_placements(
     let rows = take_rows::<PLACEMENT_NUMBERS>(r, "placement numbers", n)?;
     let mut numbers = Numbers::take(r, "placements")?;
     let mut culled = Numbers::take(r, "culled cells")?;
+    let mut sky = Numbers::take(r, "sky")?;
     let mut placements = Vec::with_capacity(n);
     let mut total = 0;
     for row in &rows {
@@ -421,10 +450,12 @@ fn take_placements(
             footprint_px: row[9],
             culled: take_ascending(&mut culled, "culled cells", budget)?,
             images: first as u32..(first_image + total) as u32,
+            sky: take_sky(&mut sky, budget)?,
         });
     }
     numbers.finish("placements")?;
     culled.finish("culled cells")?;
+    sky.finish("sky")?;
     let rows = take_rows::<IMAGE_NUMBERS>(r, "image numbers", total)?;
     let mut numbers = Numbers::take(r, "images")?;
     let mut images = Vec::with_capacity(total);

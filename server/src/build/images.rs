@@ -9,6 +9,7 @@ use crate::scene::Note;
 use crate::store::DatasetWriter;
 use ldi_protocol::codec::{ColourMode, ldi};
 use ldi_protocol::index::{BuildSettings, ChunkEntry, ChunkHash, ChunkKind, ImageEntry, Placement};
+use ldi_protocol::sky::SkyMap;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -63,6 +64,7 @@ type Made = ((Kept, Vec<Vec<u8>>), [f64; STEPS.len()]);
 struct Kept {
     images: Vec<KeptImage>,
     sight_rays: u64,
+    sky: SkyMap,
 }
 
 /// What is kept of an image besides its chunks.
@@ -183,7 +185,7 @@ fn one(
     })?;
     let mut seconds = [0.0; STEPS.len()];
     seconds[0] = made.sight_seconds;
-    let mut kept = Kept { images: Vec::new(), sight_rays: made.sight_rays };
+    let mut kept = Kept { images: Vec::new(), sight_rays: made.sight_rays, sky: made.sky };
     let mut chunks = Vec::new();
     for (planned, tiles) in made.images.iter().enumerate() {
         for Constructed { window, ldi, stats } in tiles {
@@ -315,6 +317,7 @@ impl Images {
                 footprint_px: plan.footprint_px,
                 users: plan.users,
                 images: first_image..out.images.len() as u32,
+                sky: kept.sky.clone(),
             });
         }
         out
@@ -347,7 +350,8 @@ mod tests {
     #[test]
     fn kept_work_survives_packing_and_torn_work_is_refused() {
         let image = |lengths| KeptImage { lengths, ..KeptImage::default() };
-        let kept = Kept { images: vec![image(vec![2]), image(vec![]), image(vec![3])], sight_rays: 9 };
+        let kept =
+            Kept { images: vec![image(vec![2]), image(vec![]), image(vec![3])], sight_rays: 9, sky: SkyMap::default() };
         let packed = pack(&(kept, vec![vec![1, 2], vec![3, 4, 5]]));
         let (back, chunks) = unpack(&packed).expect("whole");
         assert_eq!((back.sight_rays, chunks), (9, vec![vec![1, 2], vec![3, 4, 5]]));

@@ -48,7 +48,7 @@ use crate::{
     render::Caster,
 };
 use caster::Subset;
-use ldi_protocol::{OutputCamera, ldi::Ldi};
+use ldi_protocol::{OutputCamera, ldi::Ldi, sky::SkyMap};
 use merge::{Known, Seen};
 use rayon::prelude::*;
 use sample::Tolerance;
@@ -171,6 +171,8 @@ pub struct Constructed {
 pub struct Panorama {
     /// Per planned image, its tiles; none where nobody sees anything of it.
     pub images: Vec<Vec<Constructed>>,
+    /// Where eyes see sky.
+    pub sky: SkyMap,
     /// Rays that eyes sent to find what they see.
     pub sight_rays: u64,
     /// Seconds of that.
@@ -190,6 +192,7 @@ pub fn construct(
     let start = Instant::now();
     let survey = Survey::of(&subset, &plan.eyes, &plan.gaze);
     let mut out = Panorama {
+        sky: survey.as_ref().map_or_else(SkyMap::default, Survey::sky),
         sight_rays: survey.as_ref().map_or(0, |s| s.rays),
         sight_seconds: start.elapsed().as_secs_f64(),
         images: Vec::new(),

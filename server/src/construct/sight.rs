@@ -25,6 +25,7 @@ use super::{
 };
 use crate::placement::{Gaze, ImagePlan};
 use glam::{DVec3, Vec3};
+use ldi_protocol::sky::SkyMap;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -136,6 +137,40 @@ impl Survey {
         let (seen, rays): (Vec<(DVec3, Vec<Hit>)>, Vec<u64>) = eyes.par_iter().enumerate().map(survey).unzip();
         (!eyes.is_empty()).then(|| Self { eyes: seen, half_angle: gaze.half_angle(), rays: rays.iter().sum() })
     }
+
+    /// Where eyes see sky. Images hold it as well, pixel by pixel, but only what is theirs: the one that owns a direction may be cut before it, as a box's faces stand
+    /// at different distances.
+    pub fn sky(&self) -> SkyMap {
+        let mut squares = vec![false; SkyMap::SQUARES as usize];
+        for hit in self.eyes.iter().flat_map(|(_, hits)| hits).filter(|hit| !hit.distance.is_finite()) {
+            squares[SkyMap::square(hit.direction.as_dvec3()) as usize] = true;
+        }
+        if squares.contains(&true) {
+            squares.chunks_mut((SkyMap::SIDE * SkyMap::SIDE) as usize).for_each(close_gaps);
+        }
+        SkyMap::of(&squares)
+    }
+}
+
+/// Rays lie a few squares of a [`SkyMap`] apart; gaps up to twice this many between them are sky as well.
+const SKY_GAP: usize = 2;
+
+/// Morphological closing of a face of a [`SkyMap`] by a square.
+fn close_gaps(face: &mut [bool]) {
+    let side = SkyMap::SIDE as usize;
+    // A square is set if any (or, eroding, all) within reach along a row or column are.
+    let mut pass = |across: bool, grow: bool| {
+        let before = face.to_vec();
+        for at in 0..face.len() {
+            let (place, step) = if across { (at % side, 1) } else { (at / side, side) };
+            let (back, ahead) = (place.min(SKY_GAP), (side - 1 - place).min(SKY_GAP));
+            let mut reach = (at - back * step..=at + ahead * step).step_by(step);
+            face[at] = if grow { reach.any(|i| before[i]) } else { reach.all(|i| before[i]) };
+        }
+    };
+    [(true, true), (false, true), (true, false), (false, false)]
+        .into_iter()
+        .for_each(|(across, grow)| pass(across, grow));
 }
 
 /// What an eye sees of a face.

@@ -5,7 +5,7 @@
 //! other's only through the slab between, in deep layers and edge-on.
 
 use super::{
-    near_box::{Member, NearBox, fit},
+    near_box::{Member, NearBox, fill, fit},
     point::{Context, TooNear},
 };
 use glam::DVec3;
@@ -13,7 +13,7 @@ use ldi_protocol::Aabb;
 use rayon::prelude::*;
 
 /// Groups members: top-down, a group that one box serves stays together unless two boxes are cheaper, and others are halved; then groups beside each other
-/// are joined where one box is cheaper than two.
+/// are joined where one box is cheaper than two. The boxes that are left take up what they leave of the budget.
 ///
 /// Returns the groups, as positions in `members`, each with its box, in a fixed order. Err: a member that no box serves.
 pub(super) fn group(ctx: &Context, members: &[Member]) -> Result<Vec<(Vec<u32>, NearBox)>, (u32, TooNear)> {
@@ -21,7 +21,12 @@ pub(super) fn group(ctx: &Context, members: &[Member]) -> Result<Vec<(Vec<u32>, 
     if all.is_empty() {
         return Ok(Vec::new());
     }
-    Ok(join(ctx, members, divide(ctx, members, all, None)?))
+    let groups = join(ctx, members, divide(ctx, members, all, None)?);
+    let filled = |(of, near): (Vec<u32>, NearBox)| {
+        let near = fill(ctx, &of.iter().map(|m| &members[*m as usize]).collect::<Vec<_>>(), &near);
+        (of, near)
+    };
+    Ok(groups.into_par_iter().map(filled).collect())
 }
 
 /// Eyes of groups that are joined lie at most this far apart, as a share of their extents. By judgement.

@@ -37,6 +37,8 @@ use std::f64::consts::FRAC_PI_2;
 const FACE_GAP_M: f64 = 1e-4;
 /// A move takes faces this much farther. Smaller: fewer pixels, longer planning. By judgement.
 pub(super) const STEP: f64 = 1.25;
+/// The box that a plan uses goes on in steps of these powers of [`STEP`]: 1.12, 1.06, 1.03, 1.01.
+const FINER: [f64; 4] = [0.5, 0.25, 0.125, 0.05];
 /// Samples to expect of an image per pixel of its window, and per pixel that the bounds of a replaced cell cover, cells that overlap counted each. Half of
 /// what the clinic's images at a twentieth hold: of the two guesses neither alone gave the best plans (docs/decisions.md).
 const SAMPLES_PER_PIXEL: [f64; 2] = [0.05, 0.008];
@@ -154,35 +156,73 @@ pub(super) fn needed(ctx: &Context, member: &Member) -> Option<TooNear> {
 pub(super) fn fit(ctx: &Context, members: &[&Member]) -> Result<NearBox, TooNear> {
     let fit = Fit::new(ctx, members, 0.0);
     let smallest = fit.smallest();
-    let mut near = fit.near(&smallest);
-    let mut counts = fit.counts(&near, ctx.budget)?;
-    let mut distance = smallest;
-    let mut images = fit.images(&distance, &near);
-    let mut cost = fit.cost(&images);
-    let mut stuck = 0u16;
-    loop {
-        let mut best: Option<(f64, usize, [f64; 6], CellMask, [Option<FaceImage>; 6])> = None;
-        for (number, moved) in MOVES.iter().enumerate().filter(|(n, _)| stuck >> n & 1 == 0) {
-            let to: [f64; 6] =
-                std::array::from_fn(|f| if moved >> f & 1 == 1 { distance[f] * STEP } else { distance[f] });
-            let wider = fit.near(&to);
-            let images = fit.images(&to, &wider);
-            let c = fit.cost(&images);
-            if c < cost && best.as_ref().is_none_or(|b| c < b.0) {
-                best = Some((c, number, to, wider, images));
+    let near = fit.near(&smallest);
+    let counts = fit.counts(&near, ctx.budget)?;
+    let mut descent = Descent::new(fit, smallest, near, counts);
+    descent.descend(STEP);
+    Ok(descent.finish())
+}
+
+/// The box of a group, grown on in ever smaller steps: what is left of the budget after the last whole step is worth some pixels yet.
+pub(super) fn fill(ctx: &Context, members: &[&Member], near_box: &NearBox) -> NearBox {
+    let fit = Fit::new(ctx, members, 0.0);
+    let near = fit.near(&near_box.distance);
+    // A box that is the smallest may exceed Popt.
+    let Ok(counts) = fit.counts(&near, ctx.optimize_budget) else { return near_box.clone() };
+    let mut descent = Descent::new(fit, near_box.distance, near, counts);
+    FINER.iter().for_each(|part| descent.descend(STEP.powf(*part)));
+    descent.finish()
+}
+
+/// A box while it grows.
+struct Descent<'a> {
+    fit: Fit<'a>,
+    distance: [f64; 6],
+    near: CellMask,
+    counts: Counts,
+    images: [Option<FaceImage>; 6],
+    cost: f64,
+}
+
+impl<'a> Descent<'a> {
+    fn new(fit: Fit<'a>, distance: [f64; 6], near: CellMask, counts: Counts) -> Self {
+        let images = fit.images(&distance, &near);
+        let cost = fit.cost(&images);
+        Self { fit, distance, near, counts, images, cost }
+    }
+
+    /// Takes faces `step` times farther, always by the move that saves the most, until none that keeps Popt saves anything.
+    fn descend(&mut self, step: f64) {
+        let fit = &self.fit;
+        let mut stuck = 0u16;
+        loop {
+            let mut best: Option<(f64, usize, [f64; 6], CellMask, [Option<FaceImage>; 6])> = None;
+            for (number, moved) in MOVES.iter().enumerate().filter(|(n, _)| stuck >> n & 1 == 0) {
+                let to: [f64; 6] =
+                    std::array::from_fn(|f| self.distance[f] * if moved >> f & 1 == 1 { step } else { 1.0 });
+                let wider = fit.near(&to);
+                let images = fit.images(&to, &wider);
+                let c = fit.cost(&images);
+                if c < self.cost && best.as_ref().is_none_or(|b| c < b.0) {
+                    best = Some((c, number, to, wider, images));
+                }
+            }
+            let Some((c, number, to, wider, images)) = best else { break };
+            if self.counts.grow(fit.ctx, &self.near, &wider, fit.ctx.optimize_budget) {
+                (self.cost, self.distance, self.near, self.images) = (c, to, wider, images);
+            } else {
+                // Counts only grow: what does not fit now never will.
+                stuck |= 1 << number;
             }
         }
-        let Some((c, number, to, wider, to_images)) = best else { break };
-        if counts.grow(ctx, &near, &wider, ctx.optimize_budget) {
-            (cost, distance, near, images) = (c, to, wider, to_images);
-        } else {
-            // Counts only grow: what does not fit now never will.
-            stuck |= 1 << number;
-        }
     }
-    let mut culled = fit.seen.clone();
-    culled.remove(&near);
-    Ok(NearBox { cop: fit.cop, distance, images, culled, cost, max_triangles: counts.largest() })
+
+    fn finish(self) -> NearBox {
+        let Self { fit, distance, near, counts, images, cost } = self;
+        let mut culled = fit.seen;
+        culled.remove(&near);
+        NearBox { cop: fit.cop, distance, images, culled, cost, max_triangles: counts.largest() }
+    }
 }
 
 impl<'a> Fit<'a> {
@@ -490,6 +530,25 @@ mod tests {
         let all = [6_000, 7_500, 9_000].map(|popt| (popt, largest(popt)));
         assert!(all.iter().all(|(popt, n)| n <= popt && *n > popt / 2), "{all:?}");
         assert!(all.windows(2).all(|w| w[0].1 < w[1].1), "{all:?}");
+    }
+
+    #[test]
+    fn a_filled_box_keeps_popt_and_costs_less() {
+        let (cells, directions) = hall();
+        let settings = BuildSettings { optimize_budget: 8_000, ..settings(9_000) };
+        let ctx = Context::new(&cells, &directions, &settings, 60.0, CostBenefit::default(), NOTHING_BETWEEN);
+        let mut saved = 0.0;
+        for member in &members(&ctx) {
+            let near = fit(&ctx, &[member]).map_err(|e| e.needed).expect("feasible");
+            let filled = fill(&ctx, &[member], &near);
+            assert!((0..6).all(|f| filled.distance[f] >= near.distance[f]) && filled.cost <= near.cost);
+            assert!(filled.max_triangles >= near.max_triangles && filled.max_triangles <= 8_000);
+            let alone = [member];
+            let of = Fit::new(&ctx, &alone, 0.0);
+            assert!(of.counts(&of.near(&filled.distance), 8_000).is_ok());
+            saved += 1.0 - filled.cost / near.cost;
+        }
+        assert!(saved > 0.0);
     }
 
     #[test]

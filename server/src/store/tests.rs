@@ -161,6 +161,7 @@ fn sample() -> Sample {
             footprint_px: 1.5,
             users: bounds,
             images: 0..1,
+            sky: Default::default(),
         }],
         images: vec![ImageEntry {
             basis: ViewBasis::from_yaw_pitch(0.0, 0.0),

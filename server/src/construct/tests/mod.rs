@@ -325,6 +325,20 @@ fn sky_is_known_where_some_eye_sees_it() {
     assert!(!at(0.0, 0.0), "behind its middle");
 }
 
+/// Sky is a direction: where an eye sees it, and where none does, away from the borders by the distance of rays.
+#[test]
+fn the_sky_of_a_survey_is_what_its_eyes_see() {
+    // A wall ahead, up to a height; nothing else.
+    let scene = Analytic::default().rect([-50.0, -2.0, -10.0], [100.0, 0.0, 0.0], [0.0, 4.0, 0.0], None, GREY);
+    let eyes: Vec<DVec3> = (0..64).map(|k| DVec3::new(f64::from(k % 8) * 0.1, f64::from(k / 8) * 0.1, 0.0)).collect();
+    let sky = survey(&scene, &eyes).expect("there are eyes").sky();
+    let ahead = |elevation: f64| sky.holds(DVec3::new(0.3, elevation, -10.0));
+    // The highest eye, at 0.7 m, sees the wall's upper border 1.3 m above itself, the lowest 2 m.
+    assert!((-19..12).all(|k| !ahead(f64::from(k) * 0.1)), "the wall, for every eye");
+    assert!((15..100).all(|k| ahead(f64::from(k) * 0.1)), "above it, for some");
+    assert!(sky.holds(DVec3::Z) && sky.holds(DVec3::Y), "behind and above");
+}
+
 #[test]
 fn the_same_image_from_any_number_of_threads() {
     let pool = |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("threads start");
