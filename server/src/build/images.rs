@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// zstd level of images: beyond it, time grows faster than bytes shrink.
-const LEVEL: i32 = 6;
+pub const IMAGE_LEVEL: i32 = 6;
 
 /// Figures over all images.
 #[derive(Debug, Clone, Default)]
@@ -207,8 +207,8 @@ fn one(
                 image.quantization_error_px = stats.quantization_error_px;
                 let start = std::time::Instant::now();
                 let pack_error = |source| PackError { what: format!("an image of placement {number}"), source };
-                let mut coded = vec![ldi::encode_first(ldi, colour, LEVEL).map_err(pack_error)?];
-                coded.extend(ldi::encode_deeper(ldi, colour, LEVEL).map_err(pack_error)?);
+                let mut coded = vec![ldi::encode_first(ldi, colour, IMAGE_LEVEL).map_err(pack_error)?];
+                coded.extend(ldi::encode_deeper(ldi, colour, IMAGE_LEVEL).map_err(pack_error)?);
                 image.decoded_bytes = ldi::decoded_bytes(ldi).map(|b| u32::try_from(b).unwrap_or(u32::MAX));
                 image.lengths = coded.iter().map(|c| c.len() as u32).collect();
                 chunks.extend(coded);

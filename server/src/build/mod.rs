@@ -16,7 +16,7 @@ mod report;
 use images::Indexed;
 
 pub use dry_run::{Draft, DryRun, draft, dry_run};
-pub use images::ImageFigures;
+pub use images::{IMAGE_LEVEL, ImageFigures};
 pub use report::{images_per_grid_point, report_json};
 
 use crate::construct::ConstructError;

@@ -6,7 +6,10 @@
 //! All in one process: chunks come from the dataset's files, so that neither network nor decoding takes part. Views are those of the path that show
 //! images. A time is the median over the views of the median over the repetitions; limits are measured on the same views between them.
 
-use super::placement::{path_beside, usual_options};
+use super::{
+    colours::{self, ColourRow},
+    placement::{path_beside, usual_options},
+};
 use anyhow::{Context as _, Result, bail};
 use ldi_client::{
     cache::Cache,
@@ -53,6 +56,8 @@ pub struct Job {
     pub repeat: usize,
     /// Threads, the last for the pictures.
     pub threads: Vec<usize>,
+    /// Reconstructions.
+    pub stamps: Vec<Stamp>,
 }
 
 /// How a frame is made.
@@ -141,10 +146,12 @@ pub struct Found {
     pub rows: Vec<Row>,
     /// Limits.
     pub limits: Vec<Limits>,
+    /// Colour profiles, of datasets with exact colours.
+    pub colours: Vec<ColourRow>,
 }
 
 /// What `ldi-client walk` does unless told otherwise.
-const PLAIN: Setting = Setting {
+pub(super) const PLAIN: Setting = Setting {
     stamp: Some(Stamp::Quads),
     epipole: false,
     unclipped: false,
@@ -155,11 +162,11 @@ const PLAIN: Setting = Setting {
 };
 
 /// Every setting with its own picture, at the last number of threads, and the main ones at the others.
-fn settings(threads: &[usize]) -> Vec<Setting> {
+fn settings(threads: &[usize], stamps: &[Stamp]) -> Vec<Setting> {
     let most = *threads.last().unwrap_or(&1);
     let plain = Setting { threads: most, ..PLAIN };
     let mut all = vec![Setting { stamp: None, ..plain }, Setting { stamp: None, supersample: 2, ..plain }];
-    for stamp in Stamp::ALL.map(Some) {
+    for stamp in stamps.iter().copied().map(Some) {
         for supersample in [1, 2] {
             all.push(Setting { stamp, supersample, ..plain });
         }
@@ -197,7 +204,7 @@ impl Setting {
         }
     }
 
-    fn walk_options(&self, (width, height): (u32, u32)) -> WalkOptions {
+    pub(super) fn walk_options(&self, (width, height): (u32, u32)) -> WalkOptions {
         let WarpOptions { stamp, order, .. } = self.warp_options();
         WalkOptions {
             width,
@@ -232,7 +239,7 @@ pub fn run(job: &Job, progress: &dyn Progress, mut done: impl FnMut(&Row)) -> Re
         .iter()
         .map(|pool| Limits { threads: pool.current_num_threads(), memory_gb_per_s: pool.install(memory_gb_per_s) })
         .collect();
-    let mut rows = Vec::new();
+    let (mut rows, mut profiles) = (Vec::new(), Vec::new());
     for (i, spec) in job.scenes.iter().enumerate() {
         let walk = path_beside(spec)?.with_context(|| {
             let path = Path::new(spec).with_extension("path.json");
@@ -252,7 +259,8 @@ pub fn run(job: &Job, progress: &dyn Progress, mut done: impl FnMut(&Row)) -> Re
         // The same for all densities, so that they can be compared.
         let views = views(job, spec, first, &walk, progress)?;
         for dataset in &datasets {
-            for setting in settings(&job.threads) {
+            profiles.extend(colours::compare(&name_of(spec), dataset, &camera_of(job), &views)?);
+            for setting in settings(&job.threads, &job.stamps) {
                 let at = job.threads.iter().position(|t| *t == setting.threads).unwrap_or(0);
                 let row =
                     pools[at].install(|| measure(job, spec, dataset, &views, &setting, limits[at].memory_gb_per_s))?;
@@ -261,7 +269,7 @@ pub fn run(job: &Job, progress: &dyn Progress, mut done: impl FnMut(&Row)) -> Re
             }
         }
     }
-    Ok(Found { rows, limits })
+    Ok(Found { rows, limits, colours: profiles })
 }
 
 fn name_of(spec: &str) -> String {
@@ -277,7 +285,8 @@ fn dataset_of(job: &Job, spec: &str, density: f64, progress: &dyn Progress) -> R
         return Ok(found);
     }
     let mut options = usual_options(spec, job.budget_percent)?;
-    let colour = "high";
+    // Speed does not depend on it, and profiles are compared with it.
+    let colour = colours::PROFILES[0];
     options.output = output.clone();
     options.colour = ColourMode::from_name(colour).context("a profile of that name")?;
     options.settings.camera = camera_of(job);
@@ -288,10 +297,13 @@ fn dataset_of(job: &Job, spec: &str, density: f64, progress: &dyn Progress) -> R
 }
 
 /// A pose of the path that uses images, and the pictures that it is judged by.
-struct OneView {
-    pose: Pose,
-    truth: Truth,
-    baseline: Truth,
+pub struct OneView {
+    /// The pose.
+    pub pose: Pose,
+    /// 16 rays per pixel.
+    pub truth: Truth,
+    /// One ray per pixel.
+    pub baseline: Truth,
 }
 
 /// Whether a hundredth of a view's pixels comes from images: often all that they hold is hidden. Asked of a small picture.
@@ -349,7 +361,7 @@ fn camera_of(job: &Job) -> OutputCamera {
 }
 
 /// A cache that holds what a view needs.
-fn resident(dataset: &Dataset, view: &View) -> Result<Cache> {
+pub(super) fn resident(dataset: &Dataset, view: &View) -> Result<Cache> {
     let cache = Cache::new(Arc::clone(dataset.index()), u64::MAX);
     for chunk in view.needed(dataset.index()).all() {
         let bytes = dataset.chunk(chunk).with_context(|| format!("chunk {chunk} is missing"))?;
@@ -472,7 +484,7 @@ fn share_of_other_surfaces(a: &FarFrame, b: &FarFrame) -> f64 {
 }
 
 /// The middle value; NaN of none.
-fn median(mut values: Vec<f64>) -> f64 {
+pub(super) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     match values.len() {
         0 => f64::NAN,
@@ -504,7 +516,7 @@ mod tests {
 
     #[test]
     fn settings_are_distinct_and_can_be_drawn() {
-        let all = settings(&[1, 2]);
+        let all = settings(&[1, 2], &Stamp::ALL);
         for (i, a) in all.iter().enumerate() {
             assert!(!all[..i].contains(a), "{a:?} twice");
             assert!(!a.epipole || matches!(a.stamp, Some(Stamp::OnePixel | Stamp::TwoByTwo)));

@@ -1,6 +1,9 @@
 //! The page, the plots and the table of speed against error.
 
-use super::speed_error::{Found, Job, Row};
+use super::{
+    colours::ColourRow,
+    speed_error::{Found, Job, Row},
+};
 use crate::page::STYLE;
 use crate::plot::{Dot, Scatter, escape, number};
 use std::fmt::Write as _;
@@ -80,6 +83,34 @@ pub fn csv(rows: &[Row]) -> String {
     out + "\n"
 }
 
+/// Columns of the colour profiles: heading, value.
+type ColourColumn = (&'static str, fn(&ColourRow) -> String);
+const COLOUR_COLUMNS: [ColourColumn; 8] = [
+    ("images", |r| r.images.to_string()),
+    ("Msamples", |r| format!("{:.2}", r.samples as f64 / 1e6)),
+    ("bytes per sample", |r| format!("{:.3}", r.bytes_per_sample)),
+    ("of colours", |r| format!("{:.3}", r.colour_bytes_per_sample)),
+    ("decoded Msamples/s", |r| format!("{:.0}", r.decoded_msamples_per_s)),
+    ("dB lost", |r| format!("{:.3}", r.db_lost)),
+    ("FLIP / exact", |r| format!("{:.3}", r.flip_ratio)),
+    ("far FLIP / exact", |r| format!("{:.3}", r.flip_far_ratio)),
+];
+
+/// The colour profiles as CSV.
+pub fn colours_csv(rows: &[ColourRow]) -> String {
+    let mut out = String::from("scene,density,profile");
+    COLOUR_COLUMNS.iter().for_each(|(head, _)| {
+        let _ = write!(out, ",{head}");
+    });
+    for r in rows {
+        let _ = write!(out, "\n{},{},{}", r.scene, r.density, r.profile);
+        COLOUR_COLUMNS.iter().for_each(|(_, of)| {
+            let _ = write!(out, ",{}", of(r));
+        });
+    }
+    out + "\n"
+}
+
 /// Rows by scene, in order.
 fn by_scene(rows: &[Row]) -> impl Iterator<Item = &[Row]> {
     rows.chunk_by(|a, b| a.scene == b.scene)
@@ -143,6 +174,21 @@ pub fn page(job: &Job, found: &Found, plots: &[(String, String)], command: &str)
         for r in of_scene {
             let _ = write!(h, "</tr><tr><td>x{}</td><td>{}</td>", r.density, escape(&name(r)));
             COLUMNS.iter().for_each(|(_, of)| {
+                let _ = write!(h, "<td>{}</td>", of(r));
+            });
+        }
+        h.push_str("</tr></table></div>");
+        let colours: Vec<&ColourRow> = found.colours.iter().filter(|r| r.scene == *scene).collect();
+        if colours.is_empty() {
+            continue;
+        }
+        h.push_str("<h3>Colour profiles</h3><p>The images of the views, coded in each profile.</p><div class=\"wide\"><table><tr><th>density</th><th>profile</th>");
+        COLOUR_COLUMNS.iter().for_each(|(head, _)| {
+            let _ = write!(h, "<th>{head}</th>");
+        });
+        for r in colours {
+            let _ = write!(h, "</tr><tr><td>x{}</td><td>{}</td>", r.density, r.profile);
+            COLOUR_COLUMNS.iter().for_each(|(_, of)| {
                 let _ = write!(h, "<td>{}</td>", of(r));
             });
         }
@@ -215,9 +261,28 @@ mod tests {
             frames: 1,
             repeat: 1,
             threads: vec![2],
+            stamps: vec![],
         };
-        let page = page(&job, &Found { rows: rows.to_vec(), limits: vec![] }, &plots, "ldi-bench x");
+        let profile = ColourRow {
+            scene: "c".into(),
+            density: 1.0,
+            profile: "high",
+            images: 2,
+            samples: 2_000_000,
+            bytes_per_sample: 0.5,
+            colour_bytes_per_sample: 0.3,
+            decoded_msamples_per_s: 20.0,
+            db_lost: 0.01,
+            flip_ratio: 1.01,
+            flip_far_ratio: 1.02,
+        };
+        let table = colours_csv(std::slice::from_ref(&profile));
+        let columns = table.lines().map(|l| l.split(',').count()).collect::<Vec<_>>();
+        assert!(columns.len() == 2 && columns[0] == columns[1], "{columns:?}");
+        let page =
+            page(&job, &Found { rows: rows.to_vec(), limits: vec![], colours: vec![profile] }, &plots, "ldi-bench x");
         assert!(page.contains("a&lt;b") && !page.contains("<h2>a<b") && page.contains("geometry"));
         assert_eq!(page.matches("<figure>").count(), 4);
+        assert_eq!(page.matches("Colour profiles").count(), 1, "only of the scene that has them");
     }
 }

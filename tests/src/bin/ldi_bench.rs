@@ -2,6 +2,7 @@
 
 use anyhow::{Context as _, Result, bail};
 use clap::{Parser, Subcommand};
+use ldi_client::warp::Stamp;
 use ldi_server::cli::size;
 use ldi_server::placement::AuditSize;
 use ldi_tests::args::percent;
@@ -111,6 +112,9 @@ struct SpeedErrorArgs {
     /// Numbers of threads, the last for the pictures.
     #[arg(long, value_delimiter = ',', default_value = "1,2", value_parser = clap::value_parser!(u32).range(1..))]
     threads: Vec<u32>,
+    /// Reconstructions [default: all].
+    #[arg(long, value_delimiter = ',')]
+    stamps: Vec<Stamp>,
 }
 
 #[derive(Debug, clap::Args)]
@@ -191,10 +195,14 @@ fn speed_error(a: SpeedErrorArgs) -> Result<()> {
         frames: a.frames as usize,
         repeat: a.repeat as usize,
         threads: a.threads.iter().map(|t| *t as usize).collect(),
+        stamps: if a.stamps.is_empty() { Stamp::ALL.to_vec() } else { a.stamps },
     };
     let found = speed_error::run(&job, &(), |r| eprintln!("{}", speed_error_page::line(r)))?;
     write(&a.output.join("speed-error.json"), &serde_json::to_string_pretty(&found)?)?;
     write(&a.output.join("speed-error.csv"), &speed_error_page::csv(&found.rows))?;
+    if !found.colours.is_empty() {
+        write(&a.output.join("colours.csv"), &speed_error_page::colours_csv(&found.colours))?;
+    }
     let plots = speed_error_page::plots(&found.rows);
     for (name, svg) in &plots {
         write(&a.output.join(format!("{name}.svg")), &placement_page::standalone(svg))?;
