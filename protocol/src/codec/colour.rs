@@ -3,7 +3,7 @@
 //! G is predicted by the median-edge rule; R and B are predicted as differences to the *decoded* G, so that in the
 //! near-lossless modes a channel's error is its own quantization only: at most (step - 1) / 2 codes, rounded up.
 //!
-//! Where the neighbourhood varies little, all three are exact whatever the mode: there an error lies over whole surfaces and is seen, and
+//! Where the neighbourhood varies little, how little depends on the mode, all three are exact: there an error lies over whole surfaces and is seen, and
 //! residuals are small and cheap; amid detail errors differ from pixel to pixel, the eye averages them away, and most bits are saved.
 //!
 //! Holes: a row buffer keeps, per column, the last colour seen in it, however many rows above. Where old values stand
@@ -15,54 +15,116 @@
 
 use super::{
     CodecError,
+    bytes::Reader,
     residual::{Coder, median_edge},
     runs::Run,
 };
 
-/// How exactly colours are kept amid detail: quantizer steps of the prediction residuals. One mechanism, three settings.
+/// How exactly colours are kept amid detail: quantizer steps of the prediction residuals. One mechanism, many settings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ColourMode {
     /// Step of G, 1 to 32. The error is at most half of it.
     pub green_step: u8,
     /// Step of R and B, 1 to 32.
     pub red_blue_step: u8,
+    /// Contexts of G, from the smoothest on, in which all three are exact: 0 to 8.
+    pub exact_contexts: u8,
 }
 
 impl ColourMode {
     /// Exact.
-    pub const LOSSLESS: Self = Self { green_step: 1, red_blue_step: 1 };
-    /// Error at most 2 codes in G and 3 in R and B.
-    pub const HIGH: Self = Self { green_step: 5, red_blue_step: 7 };
-    /// Error at most 3 codes in G and 4 in R and B.
-    pub const COMPACT: Self = Self { green_step: 7, red_blue_step: 9 };
+    pub const LOSSLESS: Self = Self::new(1, 1, GREEN as u8);
     /// Largest step.
     pub const MAX_STEP: u8 = 32;
 
-    /// The mode of a build setting: `lossless`, `high` or `compact`.
-    pub fn from_name(name: &str) -> Option<Self> {
-        match name {
-            "lossless" => Some(Self::LOSSLESS),
-            "high" => Some(Self::HIGH),
-            "compact" => Some(Self::COMPACT),
-            _ => None,
-        }
+    const fn new(green_step: u8, red_blue_step: u8, exact_contexts: u8) -> Self {
+        Self { green_step, red_blue_step, exact_contexts }
     }
 
-    /// A mode of these steps, if they are within range.
-    pub(super) fn checked(green_step: u8, red_blue_step: u8) -> Result<Self, CodecError> {
-        for step in [green_step, red_blue_step] {
+    /// Its three bytes, if they are within range.
+    pub(super) fn bytes(self) -> Result<[u8; 3], CodecError> {
+        for step in [self.green_step, self.red_blue_step] {
             if !(1..=Self::MAX_STEP).contains(&step) {
                 return Err(CodecError::range("colour step", step, "it must be 1 to 32"));
             }
         }
-        Ok(Self { green_step, red_blue_step })
+        if usize::from(self.exact_contexts) > GREEN {
+            return Err(CodecError::range("exact contexts", self.exact_contexts, "there are 8"));
+        }
+        Ok([self.green_step, self.red_blue_step, self.exact_contexts])
+    }
+
+    /// Reads what [`ColourMode::bytes`] gives.
+    pub(super) fn read(r: &mut Reader<'_>) -> Result<Self, CodecError> {
+        let mode = Self::new(r.u8("green step")?, r.u8("red and blue step")?, r.u8("exact contexts")?);
+        mode.bytes().map(|_| mode)
+    }
+}
+
+/// What colours may cost: a build's `--colour`. Each image gets the first mode of a ladder, from exact on, with which it takes no more bytes than the profile grants.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ColourProfile {
+    /// Exact, whatever it costs.
+    Lossless,
+    /// Exact as long as an image takes at most 0.95 bytes per sample; errors up to 3 codes in G and 4 in R and B.
+    High,
+    /// Exact as long as an image takes at most 0.55 bytes per sample; errors up to 6 codes in G and 8 in R and B.
+    Compact,
+}
+
+impl ColourProfile {
+    /// All profiles, the exact one first.
+    pub const ALL: [Self; 3] = [Self::Lossless, Self::High, Self::Compact];
+    /// Ever fewer bytes and larger errors; by judgement (docs/decisions.md).
+    const LADDER: [ColourMode; 6] = [
+        ColourMode::LOSSLESS,
+        ColourMode::new(3, 3, 4),
+        ColourMode::new(3, 5, 2),
+        ColourMode::new(5, 7, 1),
+        ColourMode::new(7, 9, 1),
+        ColourMode::new(13, 17, 1),
+    ];
+
+    /// The profile of this name: `lossless`, `high` or `compact`.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|p| p.name() == name)
+    }
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Lossless => "lossless",
+            Self::High => "high",
+            Self::Compact => "compact",
+        }
+    }
+
+    /// The modes to try, in order.
+    pub fn modes(self) -> &'static [ColourMode] {
+        match self {
+            Self::Lossless => &Self::LADDER[..1],
+            Self::High => &Self::LADDER[..5],
+            Self::Compact => &Self::LADDER,
+        }
+    }
+
+    /// Bytes that an image may take per sample before a mode with larger errors is tried.
+    pub fn bytes_per_sample(self) -> f64 {
+        match self {
+            Self::Lossless => f64::INFINITY,
+            Self::High => 0.95,
+            Self::Compact => 0.55,
+        }
+    }
+
+    /// The mode of textures, which are drawn near the eye, where an error of one code is seen as FLIP 0.02: exact unless bytes come first.
+    pub fn of_textures(self) -> ColourMode {
+        if self == Self::Compact { ColourMode::new(7, 9, 1) } else { ColourMode::LOSSLESS }
     }
 }
 
 /// Contexts of G.
 const GREEN: usize = 8;
-/// Those below this one are smooth: exact. Larger: more bytes for little quality (docs/decisions.md compares 1, 2 and 4).
-const SMOOTH: usize = 1;
 /// Contexts of R and of B.
 const OTHER: usize = 9;
 /// Streams that `walk` uses.
@@ -91,7 +153,8 @@ impl Walker {
     /// Codes the colours of all samples. A decoder passes black ones and gets the colours; an encoder passes the colours and gets
     /// them as the decoder will.
     pub fn walk(&self, runs: &[Run], width: u32, rgb: &mut [[u8; 3]], coder: &mut impl Coder) {
-        if self.mode == ColourMode::LOSSLESS {
+        let ColourMode { green_step, red_blue_step, exact_contexts } = self.mode;
+        if (green_step, red_blue_step) == (1, 1) || usize::from(exact_contexts) == GREEN {
             self.walk_as::<true>(runs, width, rgb, coder);
         } else {
             self.walk_as::<false>(runs, width, rgb, coder);
@@ -100,6 +163,7 @@ impl Walker {
 
     fn walk_as<const LOSSLESS: bool>(&self, runs: &[Run], width: u32, rgb: &mut [[u8; 3]], coder: &mut impl Coder) {
         let steps = (i32::from(self.mode.green_step), i32::from(self.mode.red_blue_step));
+        let exact = usize::from(self.mode.exact_contexts);
         let mut above: Vec<Decoded> = vec![[0; 3]; width as usize + 1];
         let mut last_row = vec![u32::MAX; width as usize];
         let mut next = 0;
@@ -120,7 +184,7 @@ impl Walker {
                 let [red, green, blue] = sample.map(i32::from);
                 let variation = (left[0] - corner[0]).abs() + (up[0] - corner[0]).abs() + (up[0] - up_right[0]).abs();
                 let context = self.green_context[variation as usize] as usize;
-                let (green_step, other_step) = if LOSSLESS || context < SMOOTH { (1, 1) } else { steps };
+                let (green_step, other_step) = if LOSSLESS || context < exact { (1, 1) } else { steps };
                 let predicted = median_edge(left[0], up[0], corner[0]);
                 let (q_green, green) = coder.byte::<LOSSLESS>(context, green_step, predicted, green);
                 let other = |i: usize| {

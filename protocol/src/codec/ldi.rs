@@ -6,7 +6,7 @@
 //! layers, since deep layers are small. Disparities, links and ends are exact; colours as the [`ColourMode`] says.
 
 use super::{
-    CodecError, ColourMode,
+    CodecError, ColourMode, ColourProfile,
     bytes::{Reader, Writer},
     colour,
     residual::{Decoder, Encoder},
@@ -20,13 +20,30 @@ use crate::{
 use glam::DVec3;
 
 /// Version of both LDI chunks.
-pub const VERSION: u8 = 3;
+pub const VERSION: u8 = 4;
 /// Most samples in one chunk: bounds what a forged chunk can make a reader allocate, about 150 MB. An LDI of the largest
 /// planned kind (2560 x 1440 at density 2) has 15 million.
 pub const MAX_SAMPLES: usize = 1 << 24;
 
 const FIRST: [u8; 3] = *b"LDF";
 const DEEPER: [u8; 3] = *b"LDD";
+
+/// Encodes an LDI as a profile asks: its first chunk and, if there are deeper layers or slivers, its second. `level` is zstd's, 1 to 19.
+///
+/// # Errors
+/// As [`encode_first`].
+pub fn encode(ldi: &Ldi, profile: ColourProfile, level: i32) -> Result<Vec<Vec<u8>>, CodecError> {
+    let granted = profile.bytes_per_sample() * ldi.samples() as f64;
+    let mut chunks = Vec::new();
+    for mode in profile.modes() {
+        chunks = vec![encode_first(ldi, *mode, level)?];
+        chunks.extend(encode_deeper(ldi, *mode, level)?);
+        if chunks.iter().map(Vec::len).sum::<usize>() as f64 <= granted {
+            break;
+        }
+    }
+    Ok(chunks)
+}
 
 /// Encodes camera, codes, sky bits and layer 0. `level` is zstd's, 1 to 19.
 ///
@@ -171,9 +188,7 @@ fn encode_layers(w: &mut Writer, ldi: &Ldi, layers: &[LdiLayer], mode: ColourMod
     if total > MAX_SAMPLES || layers.len() > Ldi::MAX_LAYERS {
         return Err(CodecError::range("samples", total, "a chunk holds at most 2^24 samples in 32 layers"));
     }
-    let mode = ColourMode::checked(mode.green_step, mode.red_blue_step)?;
-    w.u8(mode.green_step);
-    w.u8(mode.red_blue_step);
+    w.raw(&mode.bytes()?);
     w.u8(layers.len() as u8);
     layers.iter().for_each(|l| w.varint(l.len() as u64));
 
@@ -199,7 +214,7 @@ fn encode_layers(w: &mut Writer, ldi: &Ldi, layers: &[LdiLayer], mode: ColourMod
 }
 
 fn decode_layers(r: &mut Reader<'_>, (width, height): (u32, u32), most: usize) -> Result<Vec<LdiLayer>, CodecError> {
-    let mode = ColourMode::checked(r.u8("green step")?, r.u8("red and blue step")?)?;
+    let mode = ColourMode::read(r)?;
     let layers = usize::from(r.u8("layers")?);
     if layers > most {
         return Err(CodecError::range("layers", layers, "too many for this chunk"));

@@ -87,6 +87,8 @@ fn image(width: u32, height: u32, layers: usize, seed: u64) -> Ldi {
     Ldi { camera, codes, layers, sky, slivers }
 }
 
+const LOSSY: ColourMode = ColourMode { green_step: 5, red_blue_step: 7, exact_contexts: 1 };
+
 fn round_trip(ldi: &Ldi, mode: ColourMode) -> Ldi {
     let first = encode_first(ldi, mode, 3).unwrap();
     let mut out = decode_first(&first).unwrap();
@@ -105,10 +107,46 @@ fn lossless_comes_back_exactly() {
 }
 
 #[test]
+fn an_image_is_exact_as_long_as_its_profile_grants_the_bytes() {
+    // All but colours takes little.
+    let mut flat = image(257, 90, 2, 9);
+    flat.slivers.clear();
+    for l in &mut flat.layers {
+        l.disparity.fill(500);
+        l.links.fill(0);
+        l.ends.fill(0);
+    }
+    let mut noisy = flat.clone();
+    flat.layers.iter_mut().for_each(|l| l.rgb.fill([90, 80, 70]));
+    for (k, rgb) in noisy.layers.iter_mut().flat_map(|l| &mut l.rgb).enumerate() {
+        *rgb = std::array::from_fn(|c| (k.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> (20 + 9 * c)) as u8);
+    }
+    for profile in ColourProfile::ALL {
+        assert_eq!(ColourProfile::from_name(profile.name()), Some(profile));
+        let coded = |ldi: &Ldi| {
+            let chunks = encode(ldi, profile, 3).unwrap();
+            let mut out = decode_first(&chunks[0]).unwrap();
+            decode_deeper(&chunks[1], &mut out).unwrap();
+            (chunks.iter().map(Vec::len).sum::<usize>(), out)
+        };
+        let ((_, cheap), (bytes, dear)) = (coded(&flat), coded(&noisy));
+        assert!(cheap == flat);
+        assert_eq!(dear == noisy, profile == ColourProfile::Lossless, "{profile:?}");
+        // The last of its modes, as no other is small enough.
+        let last = *profile.modes().last().unwrap();
+        assert!(dear == round_trip(&noisy, last), "{profile:?}");
+        assert!(
+            bytes as f64 > profile.bytes_per_sample() * noisy.samples() as f64 || profile == ColourProfile::Lossless
+        );
+    }
+    assert_eq!(ColourProfile::from_name("exact"), None);
+}
+
+#[test]
 fn near_lossless_keeps_its_bound_and_everything_else() {
     let ldi = image(257, 40, 3, 9);
-    let steps = |green_step, red_blue_step| ColourMode { green_step, red_blue_step };
-    for mode in [ColourMode::HIGH, ColourMode::COMPACT, steps(4, 32), steps(1, 2), steps(3, 1)] {
+    let steps = |green_step, red_blue_step| ColourMode { green_step, red_blue_step, exact_contexts: 1 };
+    for mode in ColourProfile::Compact.modes().iter().copied().chain([steps(4, 32), steps(1, 2), steps(3, 1)]) {
         let out = round_trip(&ldi, mode);
         let mut worst = [0; 3];
         for (a, b) in ldi.layers.iter().zip(&out.layers) {
@@ -137,7 +175,7 @@ fn the_strongest_contrasts_keep_the_bound_in_every_mode() {
         *rgb = std::array::from_fn(|c| if (k * 0x9E37_79B9) >> (9 + c) & 1 == 0 { 0 } else { 255 });
     }
     for (green_step, red_blue_step) in [(1, 1), (1, 2), (1, 3), (2, 1), (3, 1), (3, 5), (32, 1), (1, 32)] {
-        let out = round_trip(&ldi, ColourMode { green_step, red_blue_step });
+        let out = round_trip(&ldi, ColourMode { green_step, red_blue_step, exact_contexts: 0 });
         for (a, b) in ldi.layers.iter().zip(&out.layers) {
             for (x, y) in a.rgb.iter().zip(&b.rgb) {
                 for (k, step) in [red_blue_step, green_step, red_blue_step].into_iter().enumerate() {
@@ -153,9 +191,9 @@ fn an_image_without_samples_comes_back() {
     let mut ldi = image(10, 10, 1, 1);
     ldi.layers.clear();
     ldi.slivers.clear();
-    assert_eq!(round_trip(&ldi, ColourMode::HIGH), ldi);
+    assert_eq!(round_trip(&ldi, LOSSY), ldi);
     ldi.layers.push(LdiLayer::default());
-    assert_eq!(round_trip(&ldi, ColourMode::HIGH), ldi);
+    assert_eq!(round_trip(&ldi, LOSSY), ldi);
 }
 
 #[test]
@@ -178,12 +216,12 @@ fn planes_cost_little() {
 #[test]
 fn deeper_layers_only_join_their_own_first() {
     let ldi = image(64, 32, 3, 2);
-    let deeper = encode_deeper(&ldi, ColourMode::HIGH, 3).unwrap().unwrap();
-    let mut other = decode_first(&encode_first(&image(65, 32, 1, 2), ColourMode::HIGH, 3).unwrap()).unwrap();
+    let deeper = encode_deeper(&ldi, LOSSY, 3).unwrap().unwrap();
+    let mut other = decode_first(&encode_first(&image(65, 32, 1, 2), LOSSY, 3).unwrap()).unwrap();
     let before = other.clone();
     assert!(decode_deeper(&deeper, &mut other).is_err());
     assert_eq!(other, before);
-    let mut own = decode_first(&encode_first(&ldi, ColourMode::HIGH, 3).unwrap()).unwrap();
+    let mut own = decode_first(&encode_first(&ldi, LOSSY, 3).unwrap()).unwrap();
     decode_deeper(&deeper, &mut own).unwrap();
     let whole = own.clone();
     assert!(decode_deeper(&deeper, &mut own).is_err(), "twice is once too often");
@@ -193,8 +231,8 @@ fn deeper_layers_only_join_their_own_first() {
 #[test]
 fn every_truncation_and_random_damage_is_an_error_or_a_valid_image() {
     let ldi = image(150, 30, 3, 77);
-    let first = encode_first(&ldi, ColourMode::HIGH, 3).unwrap();
-    let deeper = encode_deeper(&ldi, ColourMode::HIGH, 3).unwrap().unwrap();
+    let first = encode_first(&ldi, LOSSY, 3).unwrap();
+    let deeper = encode_deeper(&ldi, LOSSY, 3).unwrap().unwrap();
     let good = decode_first(&first).unwrap();
     for n in 0..first.len() {
         assert!(decode_first(&first[..n]).is_err(), "cut at {n}");
@@ -229,7 +267,7 @@ fn every_truncation_and_random_damage_is_an_error_or_a_valid_image() {
 
 #[test]
 fn forged_sizes_are_refused_before_they_are_allocated() {
-    let bytes = encode_first(&image(64, 8, 1, 2), ColourMode::HIGH, 3).unwrap();
+    let bytes = encode_first(&image(64, 8, 1, 2), LOSSY, 3).unwrap();
     // Width and height follow magic, twelve vector components, the scale and two borders.
     let size_at = 4 + 13 * 8 + 8;
     let mut huge = bytes.clone();

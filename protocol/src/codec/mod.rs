@@ -18,5 +18,5 @@ mod slivers;
 mod surface;
 pub mod texture;
 
-pub use colour::ColourMode;
+pub use colour::{ColourMode, ColourProfile};
 pub use error::CodecError;

@@ -16,7 +16,7 @@ use crate::texture::{MipLevel, level_count, level_size};
 use std::ops::RangeInclusive;
 
 /// Version of texture chunks.
-pub const VERSION: u8 = 2;
+pub const VERSION: u8 = 3;
 /// Longer side of the finest level in a texture's first chunk. Larger delays the first useful picture, smaller saves nothing.
 pub const COARSE_SIDE: u32 = 64;
 /// Largest side of a texture.
@@ -56,7 +56,7 @@ pub fn chunk_ranges(width: u32, height: u32) -> Vec<RangeInclusive<u8>> {
 /// If a level's size is not what the pyramid has there, or there are too many texels.
 pub fn encode(texture: &TextureLevels, mode: ColourMode, level: i32) -> Result<Vec<u8>, CodecError> {
     let t = texture;
-    let mode = ColourMode::checked(mode.green_step, mode.red_blue_step)?;
+    let mode_bytes = mode.bytes()?;
     let sizes = sizes(t.width, t.height, t.first_level, t.levels.len())?;
     if let Some(l) =
         t.levels.iter().zip(&sizes).position(|(l, &s)| (l.width, l.height) != s || l.rgba.len() != texels(s))
@@ -71,8 +71,7 @@ pub fn encode(texture: &TextureLevels, mode: ColourMode, level: i32) -> Result<V
     w.u32(t.height);
     w.u8(t.first_level);
     w.u8(t.levels.len() as u8);
-    w.u8(mode.green_step);
-    w.u8(mode.red_blue_step);
+    w.raw(&mode_bytes);
     w.u8(u8::from(!opaque));
     let walker = colour::Walker::new(mode);
     let mut colours = Encoder::new(colour::STREAMS);
@@ -101,7 +100,7 @@ pub fn decode(bytes: &[u8]) -> Result<TextureLevels, CodecError> {
     let (width, height) = (r.u32("width")?, r.u32("height")?);
     let (first_level, count) = (r.u8("first level")?, r.u8("levels")?);
     let sizes = sizes(width, height, first_level, count.into())?;
-    let mode = ColourMode::checked(r.u8("green step")?, r.u8("red and blue step")?)?;
+    let mode = ColourMode::read(&mut r)?;
     let alpha = r.u8("alpha flag")?;
     if alpha > 1 {
         return Err(CodecError::range("alpha flag", alpha, "it is 0 or 1"));
@@ -178,6 +177,7 @@ fn walk_alpha(width: u32, rgba: &mut [[u8; 4]], coder: &mut impl Coder) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::ColourProfile;
     use crate::texture::Texture;
     use proptest::prelude::*;
 
@@ -221,7 +221,7 @@ mod tests {
     #[test]
     fn alpha_is_exact_and_absent_when_opaque() {
         let levels = pyramid(90, 70, true);
-        for (t, bytes) in chunks(90, 70, &levels, ColourMode::COMPACT) {
+        for (t, bytes) in chunks(90, 70, &levels, ColourProfile::Compact.of_textures()) {
             let out = decode(&bytes).unwrap();
             assert_ne!(out, t);
             for (a, b) in t.levels.iter().zip(&out.levels) {

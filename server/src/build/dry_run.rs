@@ -107,7 +107,7 @@ mod tests {
     use super::*;
     use crate::placement::{Adversary, test_scenes};
     use glam::DVec3;
-    use ldi_protocol::codec::ColourMode;
+    use ldi_protocol::codec::ColourProfile;
 
     fn audited(d: &Draft, change: impl FnOnce(&mut Index)) -> AuditReport {
         let mut index = d.index.clone();
@@ -123,7 +123,7 @@ mod tests {
             scene: "builtin:house?triangles=20000".into(),
             output: "".into(),
             settings: test_scenes::settings(6_000),
-            colour: ColourMode::LOSSLESS,
+            colour: ColourProfile::Lossless,
         };
         let d = draft(&options, &()).unwrap();
         let kept = audited(&d, |_| {});

@@ -7,7 +7,7 @@ use crate::placement::{ImagePlan, PlacementPlan};
 use crate::render::Caster;
 use crate::scene::Note;
 use crate::store::DatasetWriter;
-use ldi_protocol::codec::{ColourMode, ldi};
+use ldi_protocol::codec::{ColourProfile, ldi};
 use ldi_protocol::index::{BuildSettings, ChunkEntry, ChunkHash, ChunkKind, ImageEntry, Placement};
 use ldi_protocol::sky::SkyMap;
 use rayon::prelude::*;
@@ -108,7 +108,7 @@ pub fn construct_all(
     caster: &Caster,
     plans: &[PlacementPlan],
     settings: &BuildSettings,
-    colour: ColourMode,
+    colour: ColourProfile,
     scene_key: &[u8; 32],
     writer: &DatasetWriter,
     progress: &dyn Progress,
@@ -175,7 +175,7 @@ fn one(
     caster: &Caster,
     plan: &PlacementPlan,
     options: &ConstructOptions,
-    colour: ColourMode,
+    colour: ColourProfile,
     (number, total): (usize, usize),
 ) -> Result<Made, BuildError> {
     let made = construct::construct(caster, plan, options).map_err(|source| BuildError::Construct {
@@ -207,8 +207,7 @@ fn one(
                 image.quantization_error_px = stats.quantization_error_px;
                 let start = std::time::Instant::now();
                 let pack_error = |source| PackError { what: format!("an image of placement {number}"), source };
-                let mut coded = vec![ldi::encode_first(ldi, colour, IMAGE_LEVEL).map_err(pack_error)?];
-                coded.extend(ldi::encode_deeper(ldi, colour, IMAGE_LEVEL).map_err(pack_error)?);
+                let coded = ldi::encode(ldi, colour, IMAGE_LEVEL).map_err(pack_error)?;
                 image.decoded_bytes = ldi::decoded_bytes(ldi).map(|b| u32::try_from(b).unwrap_or(u32::MAX));
                 image.lengths = coded.iter().map(|c| c.len() as u32).collect();
                 chunks.extend(coded);

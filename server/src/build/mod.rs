@@ -30,7 +30,7 @@ use crate::render::{Caster, CellSet, Ray};
 use crate::scene::{self, Note, Scene, SceneError};
 use crate::store::{DatasetWriter, StoreError, Written};
 use glam::DVec3;
-use ldi_protocol::codec::ColourMode;
+use ldi_protocol::codec::ColourProfile;
 use ldi_protocol::index::{
     BuildSettings, CellEntry, ChunkEntry, ChunkHash, ImageEntry, Index, Placement, SceneInfo, TextureEntry,
 };
@@ -52,7 +52,7 @@ pub struct BuildOptions {
     /// Settings; an `optimize_budget` of 0 stands for the default: P with view cells, P - max(10% of P, 2 x the largest cell) with the paper's grid.
     pub settings: BuildSettings,
     /// Colour coding; `settings.colour` is its name.
-    pub colour: ColourMode,
+    pub colour: ColourProfile,
 }
 
 /// Hears of progress: bars on a terminal, plain lines elsewhere, nothing in tests.
@@ -266,9 +266,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
 
     progress.stage("near geometry and textures", 0);
     let geometry = pack::pack_geometry(&scene, &clusters, &octree, 0)?;
-    // Textures are drawn near the eye, where an error of one code is seen as FLIP 0.02: exact unless bytes come first.
-    let texture_colour = if settings.colour == "compact" { options.colour } else { ColourMode::LOSSLESS };
-    let textures = pack::pack_textures(&scene, texture_colour, geometry.chunks.len() as u32)?;
+    let textures = pack::pack_textures(&scene, options.colour.of_textures(), geometry.chunks.len() as u32)?;
     let mut chunks = geometry.chunks;
     chunks.extend(textures.chunks);
     clock.lap("pack");

@@ -12,7 +12,7 @@ use crate::serve::{self, ServeConfig, ServeError};
 use crate::store::{self, Dataset};
 use anyhow::{Context as _, anyhow};
 use ldi_protocol::OutputCamera;
-use ldi_protocol::codec::ColourMode;
+use ldi_protocol::codec::ColourProfile;
 use ldi_protocol::index::BuildSettings;
 use ldi_protocol::path::Walk;
 use std::io::{BufWriter, Write as _};
@@ -70,7 +70,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         }
     }
     threads(a.threads)?;
-    let colour = ColourMode::from_name(&a.colour)
+    let colour = ColourProfile::from_name(&a.colour)
         .ok_or_else(|| Failure::usage(anyhow!("--colour: there is no '{}'", a.colour)))?;
     if let Some(popt) = a.optimize_budget.filter(|p| *p == 0 || *p > a.budget) {
         return Err(Failure::usage(anyhow!(

@@ -107,8 +107,8 @@ fn sample() -> Sample {
         add(kind, cell::encode(g, &steps(g.clusters.len()), 3).unwrap(), cell::decoded_bytes(g));
     }
     let [first, deeper] = ldi_codec::decoded_bytes(&ldi);
-    add(ChunkKind::Ldi, ldi_codec::encode_first(&ldi, ColourMode::HIGH, 3).unwrap(), first);
-    add(ChunkKind::Ldi, ldi_codec::encode_deeper(&ldi, ColourMode::HIGH, 3).unwrap().unwrap(), deeper);
+    add(ChunkKind::Ldi, ldi_codec::encode_first(&ldi, ColourMode::LOSSLESS, 3).unwrap(), first);
+    add(ChunkKind::Ldi, ldi_codec::encode_deeper(&ldi, ColourMode::LOSSLESS, 3).unwrap().unwrap(), deeper);
     let encoded = texture_codec::encode(&texture, ColourMode::LOSSLESS, 3).unwrap();
     add(ChunkKind::Texture, encoded, texture_codec::decoded_bytes(&texture));
     let cell_entry = |chunk: u32, low: f64, high: f64, triangles: u32| CellEntry {

@@ -4,7 +4,7 @@
 //! place of the exact ones; nothing else differs.
 
 use super::speed_error::{OneView, PLAIN, median, resident};
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use ldi_client::{
     cache::Cache,
     engine::{Painter, Verdict, view_of},
@@ -14,7 +14,7 @@ use ldi_client::{
 };
 use ldi_protocol::{
     OutputCamera,
-    codec::{ColourMode, ldi},
+    codec::{ColourProfile, ldi},
     ldi::Ldi,
     mesh::CellGeometry,
     texture::Texture,
@@ -26,9 +26,6 @@ use std::{
     sync::Arc,
     time::Instant,
 };
-
-/// The profiles, the exact one first.
-pub const PROFILES: [&str; 3] = ["lossless", "high", "compact"];
 
 /// A profile over all views of a scene.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -84,7 +81,7 @@ impl Resident for Recoded<'_> {
 /// A dataset that cannot be read.
 pub fn compare(scene: &str, dataset: &Dataset, camera: &OutputCamera, views: &[OneView]) -> Result<Vec<ColourRow>> {
     let index = dataset.index();
-    if index.settings.colour != PROFILES[0] {
+    if index.settings.colour != ColourProfile::Lossless.name() {
         return Ok(vec![]);
     }
     let options = PLAIN.walk_options((camera.width, camera.height));
@@ -99,11 +96,10 @@ pub fn compare(scene: &str, dataset: &Dataset, camera: &OutputCamera, views: &[O
     let exact: BTreeMap<u32, Arc<Ldi>> =
         numbers.iter().filter_map(|n| Some((*n, seen.iter().find_map(|(cache, _)| cache.ldi(*n))?))).collect();
     let samples: u64 = exact.values().map(|l| l.samples() as u64).sum();
-    let black = coded(exact.values().map(|l| in_black(l)), ColourMode::LOSSLESS)?.0;
+    let black = coded(exact.values().map(|l| in_black(l)), ColourProfile::Lossless)?.0;
     let mut rows: Vec<(ColourRow, [f64; 3])> = Vec::new();
-    for profile in PROFILES {
-        let mode = ColourMode::from_name(profile).context("a profile of that name")?;
-        let (bytes, seconds, decoded) = coded(exact.values().map(|l| Ldi::clone(l)), mode)?;
+    for profile in ColourProfile::ALL {
+        let (bytes, seconds, decoded) = coded(exact.values().map(|l| Ldi::clone(l)), profile)?;
         let images = exact.keys().copied().zip(decoded).collect();
         let (mut painter, mut picture) = (Painter::default(), Frame::default());
         let verdicts = views
@@ -125,7 +121,7 @@ pub fn compare(scene: &str, dataset: &Dataset, camera: &OutputCamera, views: &[O
         let row = ColourRow {
             scene: scene.into(),
             density: index.settings.density,
-            profile,
+            profile: profile.name(),
             images: exact.len(),
             samples,
             bytes_per_sample: per_sample(bytes),
@@ -140,19 +136,18 @@ pub fn compare(scene: &str, dataset: &Dataset, camera: &OutputCamera, views: &[O
     Ok(rows.into_iter().map(|r| r.0).collect())
 }
 
-/// Bytes of images in a mode, seconds to decode them (of three times the median), and what they become.
-fn coded(images: impl Iterator<Item = Ldi>, mode: ColourMode) -> Result<(u64, f64, Vec<Arc<Ldi>>)> {
+/// Bytes of images in a profile, seconds to decode them (of three times the median), and what they become.
+fn coded(images: impl Iterator<Item = Ldi>, profile: ColourProfile) -> Result<(u64, f64, Vec<Arc<Ldi>>)> {
     let (mut bytes, mut seconds, mut out) = (0, 0.0, Vec::new());
     for image in images {
-        let first = ldi::encode_first(&image, mode, IMAGE_LEVEL)?;
-        let deeper = ldi::encode_deeper(&image, mode, IMAGE_LEVEL)?;
-        bytes += (first.len() + deeper.as_ref().map_or(0, Vec::len)) as u64;
+        let chunks = ldi::encode(&image, profile, IMAGE_LEVEL)?;
+        bytes += chunks.iter().map(|c| c.len() as u64).sum::<u64>();
         let mut times = Vec::new();
         let mut decoded = None;
         for _ in 0..3 {
             let start = Instant::now();
-            let mut image = ldi::decode_first(&first)?;
-            deeper.as_ref().map(|d| ldi::decode_deeper(d, &mut image)).transpose()?;
+            let mut image = ldi::decode_first(&chunks[0])?;
+            chunks.get(1).map(|d| ldi::decode_deeper(d, &mut image)).transpose()?;
             times.push(start.elapsed().as_secs_f64());
             decoded = Some(Arc::new(image));
         }

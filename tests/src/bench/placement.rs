@@ -3,7 +3,7 @@
 //! In: scenes, budgets, ways to cover the eyes. Out: a [`Row`] per combination. Plans only, no image is made; every plan is audited.
 
 use anyhow::{Context as _, Result};
-use ldi_protocol::codec::ColourMode;
+use ldi_protocol::codec::ColourProfile;
 use ldi_protocol::index::BuildSettings;
 use ldi_protocol::{OutputCamera, path};
 use ldi_server::build::{self, BuildError, BuildOptions, Draft, Progress};
@@ -122,7 +122,7 @@ fn options(
     BuildOptions {
         scene: scene.into(),
         output: PathBuf::new(),
-        colour: ColourMode::LOSSLESS,
+        colour: ColourProfile::Lossless,
         settings: BuildSettings {
             budget,
             optimize_budget: 0,

@@ -20,7 +20,7 @@ use ldi_client::{
     resident::Resident as _,
     warp::{FarFrame, Order, PreparedLdi, Stamp, WarpOptions, WarpStats, transform_only, warp_images},
 };
-use ldi_protocol::{OutputCamera, Pose, codec::ColourMode, path::Walk};
+use ldi_protocol::{OutputCamera, Pose, codec::ColourProfile, path::Walk};
 use ldi_server::{
     build::{self, Progress},
     render::{Caster, RenderOptions, render_path},
@@ -286,11 +286,11 @@ fn dataset_of(job: &Job, spec: &str, density: f64, progress: &dyn Progress) -> R
     }
     let mut options = usual_options(spec, job.budget_percent)?;
     // Speed does not depend on it, and profiles are compared with it.
-    let colour = colours::PROFILES[0];
+    let colour = ColourProfile::Lossless;
     options.output = output.clone();
-    options.colour = ColourMode::from_name(colour).context("a profile of that name")?;
+    options.colour = colour;
     options.settings.camera = camera_of(job);
-    options.settings.colour = colour.into();
+    options.settings.colour = colour.name().into();
     options.settings.density = density;
     build::build(&options, progress)?;
     Ok(Dataset::open(&output)?)
