@@ -1,7 +1,7 @@
 //! Colour planes of LDI layers and textures.
 //!
 //! G is predicted by the median-edge rule; R and B are predicted as differences to the *decoded* G, so that in the
-//! near-lossless modes a channel's error is its own quantization only: at most (step - 1) / 2 codes, rounded up.
+//! near-lossless modes a channel's error is its own quantization only: less than its step.
 //!
 //! Where the neighbourhood varies little, how little depends on the mode, all three are exact: there an error lies over whole surfaces and is seen, and
 //! residuals are small and cheap; amid detail errors differ from pixel to pixel, the eye averages them away, and most bits are saved.
@@ -23,7 +23,7 @@ use super::{
 /// How exactly colours are kept amid detail: quantizer steps of the prediction residuals. One mechanism, many settings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ColourMode {
-    /// Step of G, 1 to 32. The error is at most half of it.
+    /// Step of G, 1 to 32. The error is less than that.
     pub green_step: u8,
     /// Step of R and B, 1 to 32.
     pub red_blue_step: u8,
@@ -66,9 +66,9 @@ impl ColourMode {
 pub enum ColourProfile {
     /// Exact, whatever it costs.
     Lossless,
-    /// Exact as long as an image takes at most 0.95 bytes per sample; errors up to 3 codes in G and 4 in R and B.
+    /// Exact as long as an image takes at most 0.95 bytes per sample; errors up to 3 codes in G and 7 in R and B.
     High,
-    /// Exact as long as an image takes at most 0.55 bytes per sample; errors up to 6 codes in G and 8 in R and B.
+    /// Exact as long as an image takes at most 0.55 bytes per sample; errors up to 15 codes in G and 23 in R and B.
     Compact,
 }
 
@@ -76,13 +76,14 @@ impl ColourProfile {
     /// All profiles, the exact one first.
     pub const ALL: [Self; 3] = [Self::Lossless, Self::High, Self::Compact];
     /// Ever fewer bytes and larger errors; by judgement (docs/decisions.md).
-    const LADDER: [ColourMode; 6] = [
+    const LADDER: [ColourMode; 7] = [
         ColourMode::LOSSLESS,
-        ColourMode::new(3, 3, 4),
-        ColourMode::new(3, 5, 2),
-        ColourMode::new(5, 7, 1),
-        ColourMode::new(7, 9, 1),
-        ColourMode::new(13, 17, 1),
+        ColourMode::new(2, 2, 2),
+        ColourMode::new(2, 3, 1),
+        ColourMode::new(3, 5, 1),
+        ColourMode::new(4, 8, 1),
+        ColourMode::new(8, 12, 1),
+        ColourMode::new(16, 24, 1),
     ];
 
     /// The profile of this name: `lossless`, `high` or `compact`.
@@ -119,7 +120,7 @@ impl ColourProfile {
 
     /// The mode of textures, which are drawn near the eye, where an error of one code is seen as FLIP 0.02: exact unless bytes come first.
     pub fn of_textures(self) -> ColourMode {
-        if self == Self::Compact { ColourMode::new(7, 9, 1) } else { ColourMode::LOSSLESS }
+        if self == Self::Compact { ColourMode::new(3, 5, 1) } else { ColourMode::LOSSLESS }
     }
 }
 

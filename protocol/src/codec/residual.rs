@@ -8,9 +8,9 @@
 //!
 //! Encoder and decoder run the same walk; only the coder differs. So they cannot disagree about a prediction.
 //!
-//! With a step q > 1 coding is near-lossless: the residual is divided by q and the value *as decoded* becomes the
-//! neighbour of later ones, so that errors do not add up: each stays within q / 2 (JPEG-LS, section III-F). With step 1
-//! residuals wrap at 256, so that they fit a byte.
+//! With a step q > 1 coding is near-lossless: the residual is divided by q, rounded toward zero, and the value *as decoded* becomes the
+//! neighbour of later ones, so that errors do not add up: each stays below q. JPEG-LS (section III-F) rounds to the nearest, with half the error for a
+//! step, but more bytes for an error (docs/decisions.md). With step 1 residuals wrap at 256, so that they fit a byte.
 
 use super::{
     CodecError,
@@ -57,8 +57,8 @@ impl Coder for Encoder {
     #[inline]
     fn byte<const LOSSLESS: bool>(&mut self, stream: usize, step: i32, predicted: i32, actual: i32) -> (i32, i32) {
         let r = actual - predicted;
-        let q =
-            if LOSSLESS || step == 1 { i32::from(r as i8) } else { r.signum() * ((r.abs() + (step - 1) / 2) / step) };
+        // Toward the prediction: a rounded residual overshoots half the time, and what overshoots is noise to all predictions after it.
+        let q = if LOSSLESS || step == 1 { i32::from(r as i8) } else { r / step };
         self.streams[stream].push(zigzag(q.into()) as u8);
         (q, restored::<LOSSLESS>(step, predicted, q))
     }
