@@ -162,8 +162,8 @@ fn near_lossless_keeps_its_bound_and_everything_else() {
         }
         let bound = |step: u8| step - 1;
         for (k, step) in [mode.red_blue_step, mode.green_step, mode.red_blue_step].into_iter().enumerate() {
-            // Where much is exact, nothing need be off.
-            let off = worst[k] > 0 || step == 1 || mode.exact_contexts > 1;
+            // Differences of this image's greens are even.
+            let off = worst[k] > 0 || step < 3;
             assert!(worst[k] <= bound(step) && off, "{mode:?}: {worst:?}");
         }
     }
