@@ -101,7 +101,7 @@ pub struct BuildArgs {
     /// LDI samples per output pixel pitch: 1, 1.5 or 2.
     #[arg(long, default_value_t = 1.0, value_parser = density)]
     pub density: f64,
-    /// Colour coding of images and textures.
+    /// Colour coding of images: exact, or exact as long as an image takes at most 0.95 (high) or 0.55 (compact) bytes per sample; compact codes textures nearly, too.
     #[arg(long, default_value = "high", value_parser = ["lossless", "high", "compact"])]
     pub colour: String,
     /// How the eyes are covered.
