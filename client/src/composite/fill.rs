@@ -27,7 +27,8 @@ pub enum Fill {
 /// How far a hole looks for a surface, in pixels. Wider holes are missing data rather than a gap between samples;
 /// a colour from farther away would be invented.
 const REACH_PX: usize = 48;
-/// A hole that meets sky on so many of its four sides is sky.
+/// A hole that meets sky on so many of its four sides is sky. By judgement: one may be a surface's border against the sky;
+/// with two the far FLIP of the clinic at a tenth fell from 1.27 to 1.26 times the baseline's.
 const SKY_SIDES: u32 = 2;
 
 /// Fills holes with the colours of the last frame, which has as many pixels; returns the number of filled pixels.

@@ -109,7 +109,8 @@ impl ColourProfile {
         }
     }
 
-    /// Bytes that an image may take per sample before a mode with larger errors is tried.
+    /// Bytes that an image may take per sample before a mode with larger errors is tried: what indoor scenes take with exact colours and a textured one nearly, and half of
+    /// what exact colours of a textured one take.
     pub fn bytes_per_sample(self) -> f64 {
         match self {
             Self::Lossless => f64::INFINITY,
