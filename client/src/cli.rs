@@ -218,20 +218,14 @@ fn refuse_what_is_not_there(args: &WalkArgs) -> Result<(), Failure> {
     if args.renderer == Renderer::Gpu {
         return Err(not_there("--renderer gpu", "use --renderer cpu"));
     }
-    if matches!(
-        args.method,
-        Method::Texture | Method::Warp1 | Method::Warp2 | Method::Portals | Method::Tree | Method::Cache
-    ) {
-        return Err(not_there("this --method", "use auto, geometry, ldi or grid"));
+    if matches!(args.method, Method::Texture | Method::Warp1 | Method::Warp2 | Method::Portals | Method::Cache) {
+        return Err(not_there("this --method", "use auto, geometry, ldi, grid or tree"));
     }
     if args.link.is_some() {
         return Err(not_there("--link", "walk over the link that there is"));
     }
-    if let Some(ms) = args.frame_ms {
-        if !(ms.is_finite() && ms > 0.0) {
-            return Err(Failure::usage("--frame-ms is a positive number of milliseconds"));
-        }
-        tracing::warn!("--frame-ms has no effect yet: no method adapts to the time that a frame takes");
+    if args.frame_ms.is_some_and(|ms| !(ms.is_finite() && ms > 0.0)) {
+        return Err(Failure::usage("--frame-ms is a positive number of milliseconds"));
     }
     if !(prefetch_m(args).is_finite() && prefetch_m(args) >= 0.0) {
         return Err(Failure::usage("--prefetch-m is a number of metres, 0 or more"));
@@ -289,6 +283,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         cull: args.cull,
         fill: args.fill,
         smooth: args.smooth,
+        frame_ms: args.frame_ms,
         supersample: args.supersample,
         pace: args.pace,
         every: args.every as usize,

@@ -9,8 +9,7 @@ use ldi_protocol::{
     shade::{SKY_SRGB, linear_from_srgb8_table, srgb8_from_linear},
 };
 
-/// What a pixel's colour came from. The numbers are stable: they are what `--debug-views` encodes and what metrics
-/// select by. Later ones are more doubtful, which [`Frame::resolve`] uses to break ties.
+/// What a pixel's colour came from. Later ones are more doubtful, which [`Frame::resolve`] uses to break ties.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 #[repr(u8)]
 pub enum Source {
@@ -20,11 +19,13 @@ pub enum Source {
     Near = 1,
     /// A sample of a layered depth image, warped.
     Far = 2,
+    /// A sample of the LDI tree, in place of something finer that is not there.
+    Tree = 3,
     /// Extrapolated from neighbouring pixels: nothing that is known reached it.
-    Filled = 3,
+    Filled = 4,
     /// Nothing reached it, and it was not filled.
     #[default]
-    Unpainted = 4,
+    Unpainted = 5,
 }
 
 /// Packs 8-bit sRGB as 0x00BBGGRR: in memory the bytes are R, G, B, 0.
@@ -122,7 +123,7 @@ impl Frame {
         let scale = 1.0 / (factor * factor) as f32;
         for row in 0..height {
             for column in 0..width {
-                let (mut sum, mut nearest, mut votes) = ([0.0f32; 3], 0.0f32, [0u32; 5]);
+                let (mut sum, mut nearest, mut votes) = ([0.0f32; 3], 0.0f32, [0u32; 6]);
                 for dy in 0..factor {
                     let first = ((row * factor + dy) * self.width + column * factor) as usize;
                     for i in first..first + factor as usize {
@@ -143,8 +144,8 @@ impl Frame {
 }
 
 /// The source with the most votes; ties go to the later one.
-fn most_frequent(votes: [u32; 5]) -> Source {
-    const ALL: [Source; 5] = [Source::Sky, Source::Near, Source::Far, Source::Filled, Source::Unpainted];
+fn most_frequent(votes: [u32; 6]) -> Source {
+    const ALL: [Source; 6] = [Source::Sky, Source::Near, Source::Far, Source::Tree, Source::Filled, Source::Unpainted];
     let mut best = 0;
     for (i, n) in votes.iter().enumerate() {
         if *n >= votes[best] {

@@ -11,4 +11,5 @@ pub mod resident;
 pub mod stream;
 #[cfg(test)]
 mod test_support;
+pub mod tree;
 pub mod warp;

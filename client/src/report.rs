@@ -69,8 +69,12 @@ pub struct FrameReport {
     pub unpainted_fraction: f64,
     /// Share of pixels extrapolated from neighbours.
     pub filled_fraction: f64,
-    /// Share of pixels whose colour came from a warp.
+    /// Share of pixels whose colour came from an image.
     pub far_fraction: f64,
+    /// Share of pixels whose colour came from the LDI tree.
+    pub tree_fraction: f64,
+    /// Samples of the LDI tree that were looked at.
+    pub tree_samples: u64,
     /// Share of hole pixels; null without truth.
     pub hole_fraction: Option<f64>,
     /// The same before averaging and filling.
@@ -373,7 +377,7 @@ impl Summary {
             hole_fraction_max: largest(frames.iter().filter_map(|f| f.hole_fraction)),
             hole_before_fill_mean: mean(frames.iter().filter_map(|f| f.hole_before_fill)),
             filled_fraction_mean: over(&|f| f.filled_fraction),
-            tree_fraction_mean: 0.0,
+            tree_fraction_mean: mean(frames.iter().map(|f| f.tree_fraction)).unwrap_or(0.0),
             all_geometry_frame_ms: all_geometry,
             speedup: all_geometry.filter(|_| ours > 0.0).map(|g| g.p50 / ours),
             all_geometry_bytes: totals.all_geometry_bytes,

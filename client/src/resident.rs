@@ -1,6 +1,6 @@
 //! What the renderer asks of whoever holds the decoded chunks.
 
-use ldi_protocol::{ldi::Ldi, mesh::CellGeometry, texture::Texture};
+use ldi_protocol::{ldi::Ldi, mesh::CellGeometry, texture::Texture, tree::Brood};
 use std::sync::Arc;
 
 /// Decoded data that is at hand now. Absent data is None: the frame is drawn without it and says so.
@@ -13,4 +13,6 @@ pub trait Resident: Sync {
     fn texture(&self, texture: u32) -> Option<Arc<Texture>>;
     /// The LDI of an image with the layers that are there; None without the first.
     fn ldi(&self, image: u32) -> Option<Arc<Ldi>>;
+    /// Nodes of the LDI tree, by chunk number.
+    fn brood(&self, chunk: u32) -> Option<Arc<Brood>>;
 }

@@ -8,6 +8,7 @@ use ldi_protocol::{
     ldi::Ldi,
     mesh::{Alpha, CellGeometry, Cluster, ClusterInstance, ClusterRef, Material, Wrap},
     texture::Texture,
+    tree::Brood,
 };
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -22,6 +23,8 @@ pub struct Memory {
     pub textures: BTreeMap<u32, Arc<Texture>>,
     /// By image number.
     pub ldis: BTreeMap<u32, Arc<Ldi>>,
+    /// By chunk number.
+    pub broods: BTreeMap<u32, Arc<Brood>>,
 }
 
 impl Resident for Memory {
@@ -36,6 +39,9 @@ impl Resident for Memory {
     }
     fn ldi(&self, image: u32) -> Option<Arc<Ldi>> {
         self.ldis.get(&image).cloned()
+    }
+    fn brood(&self, chunk: u32) -> Option<Arc<Brood>> {
+        self.broods.get(&chunk).cloned()
     }
 }
 
@@ -126,6 +132,7 @@ pub fn dataset(camera: OutputCamera, materials: Vec<Material>, clusters: Vec<Clu
         textures: Vec::new(),
         pitch_bands_deg: Vec::new(),
         volume: None,
+        tree: None,
         points: Vec::new(),
         placements: Vec::new(),
         images: Vec::new(),

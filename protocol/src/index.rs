@@ -2,7 +2,7 @@
 //!
 //! Numbers that name things (`u32`) are positions in the vectors of [`Index`].
 
-use crate::{Aabb, OutputCamera, ViewBasis, mesh::Material, sky::SkyMap, volume::WalkVolume};
+use crate::{Aabb, OutputCamera, ViewBasis, mesh::Material, sky::SkyMap, tree::Tree, volume::WalkVolume};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -35,6 +35,8 @@ pub enum ChunkKind {
     Ldi,
     /// Mip levels of a texture.
     Texture,
+    /// Nodes of the LDI tree.
+    Tree,
 }
 
 /// A chunk as the dataset stores and sends it.
@@ -217,9 +219,16 @@ pub struct Index {
     pub images: Vec<ImageEntry>,
     /// Where eyes may be: what every promise is made for. None in a dataset that promises nothing of the kind (tests).
     pub volume: Option<WalkVolume>,
+    /// The base layer: what stands in for whatever else is not there. None for a scene without surfaces that an eye sees.
+    pub tree: Option<Tree>,
 }
 
 impl Index {
+    /// Whether what lies beyond the budget comes from the LDI tree: there are no placements that would replace it.
+    pub fn walks_by_tree(&self) -> bool {
+        self.tree.is_some() && self.points.is_empty() && self.scene.triangles > self.settings.budget
+    }
+
     /// The images of a placement, with their numbers; none where the index has no such placement.
     pub fn images_of(&self, placement: u32) -> impl Iterator<Item = (u32, &ImageEntry)> {
         let range = self.placements.get(placement as usize).map_or(0..0, |p| p.images.clone());

@@ -24,6 +24,7 @@ pub mod select;
 pub mod shade;
 pub mod sky;
 pub mod texture;
+pub mod tree;
 pub mod volume;
 pub mod wire;
 

@@ -31,7 +31,7 @@ use crate::{
 };
 
 /// Version of root and pages. Raised with every change that an older reader would misunderstand.
-pub const VERSION: u8 = 4;
+pub const VERSION: u8 = 5;
 /// Largest root that a build writes.
 pub const MAX_ROOT_BYTES: usize = 256_000;
 
@@ -66,12 +66,25 @@ pub enum PageKind {
     Placements,
     /// The walk volume; always one entry.
     Volume,
+    /// The LDI tree but its nodes; at most one entry.
+    Tree,
+    /// Nodes of the LDI tree.
+    TreeNodes,
 }
 
 impl PageKind {
     /// All kinds in the order of the page list.
-    pub const ALL: [Self; 7] =
-        [Self::Chunks, Self::Cells, Self::Materials, Self::Textures, Self::Points, Self::Placements, Self::Volume];
+    pub const ALL: [Self; 9] = [
+        Self::Chunks,
+        Self::Cells,
+        Self::Materials,
+        Self::Textures,
+        Self::Points,
+        Self::Placements,
+        Self::Volume,
+        Self::Tree,
+        Self::TreeNodes,
+    ];
 }
 
 /// A page as the root lists it.
@@ -99,7 +112,7 @@ pub struct Root {
     /// Borders of the pitch bands.
     pub pitch_bands_deg: Vec<f64>,
     /// Entries per kind, in the order of [`PageKind::ALL`].
-    pub counts: [u32; 7],
+    pub counts: [u32; PageKind::ALL.len()],
     /// The pages, by kind, then by first entry; they cover all entries once.
     pub pages: Vec<PageEntry>,
     /// BLAKE3 of the root's bytes: the dataset's name.
@@ -129,6 +142,8 @@ pub fn encode(index: &Index) -> Result<Encoded, CodecError> {
         index.points.len(),
         index.placements.len(),
         usize::from(index.volume.is_some()),
+        usize::from(index.tree.is_some()),
+        index.tree.as_ref().map_or(0, |t| t.nodes.len()),
     ];
     let total: usize = lengths.iter().sum();
     // The page list may need one more page per kind than the division gives.
@@ -197,7 +212,7 @@ pub fn decode_root(bytes: &[u8]) -> Result<Root, CodecError> {
         rmp_serde::from_slice(&settings).map_err(|e| CodecError::mismatch("settings", e.to_string()))?;
     let bands = r.count("pitch bands", 1024)?;
     let pitch_bands_deg = (0..bands).map(|_| r.finite("pitch bands")).collect::<Result<_, _>>()?;
-    let mut counts = [0; 7];
+    let mut counts = [0; PageKind::ALL.len()];
     for c in &mut counts {
         *c = r.varint("counts", MAX_ENTRIES)? as u32;
     }
@@ -207,7 +222,7 @@ pub fn decode_root(bytes: &[u8]) -> Result<Root, CodecError> {
         let kind = r.u8("page kind")?;
         let kind = *PageKind::ALL
             .get(usize::from(kind))
-            .ok_or_else(|| CodecError::range("page kind", kind, "there are seven kinds, from 0 on"))?;
+            .ok_or_else(|| CodecError::range("page kind", kind, "there are nine kinds, from 0 on"))?;
         pages.push(PageEntry {
             kind,
             first: r.varint("page first", MAX_ENTRIES)? as u32,
@@ -248,6 +263,7 @@ pub fn assemble<B: AsRef<[u8]>>(root: &Root, pages: &[B]) -> Result<Index, Codec
         placements: Vec::new(),
         images: Vec::new(),
         volume: None,
+        tree: None,
     };
     let mut room = pages::Room::of_index();
     for (entry, bytes) in root.pages.iter().zip(pages) {
@@ -273,7 +289,7 @@ pub fn check_page_hash(entry: &PageEntry, bytes: &[u8]) -> Result<(), CodecError
 impl Root {
     /// Pages come by kind and cover every entry once, in order.
     fn check_pages(&self) -> Result<(), CodecError> {
-        let mut next = [0u64; 7];
+        let mut next = [0u64; PageKind::ALL.len()];
         let mut last = 0;
         for p in &self.pages {
             let kind = p.kind as usize;
@@ -283,7 +299,9 @@ impl Root {
             last = kind;
             next[kind] += u64::from(p.count);
         }
-        if next != self.counts.map(u64::from) || self.counts[PageKind::Volume as usize] > 1 {
+        if next != self.counts.map(u64::from)
+            || [PageKind::Volume, PageKind::Tree].iter().any(|k| self.counts[*k as usize] > 1)
+        {
             return Err(CodecError::mismatch("pages", "they do not cover all entries"));
         }
         // Before anything is fetched. Sections that do not shrink are stored as they are.

@@ -28,6 +28,8 @@ pub const PREFETCH_SHARE: f64 = 0.75;
 /// The chunks of one view; no number twice over both lists.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Needed {
+    /// The base layer: the pinned levels of the LDI tree. It comes before everything and stays, whatever the view.
+    pub base: Vec<u32>,
     /// Without these the view has gaps. In the order of sending.
     pub now: Vec<u32>,
     /// Without these the view is coarser. In the order of sending.
@@ -35,9 +37,9 @@ pub struct Needed {
 }
 
 impl Needed {
-    /// All numbers, `now` first.
+    /// All numbers in the order of sending.
     pub fn all(&self) -> impl Iterator<Item = u32> + '_ {
-        self.now.iter().chain(&self.fine).copied()
+        self.base.iter().chain(&self.now).chain(&self.fine).copied()
     }
 }
 
@@ -63,9 +65,11 @@ impl OrderedSet {
     }
 }
 
-/// What a view needs that draws `drawn_cells` (near to far) and warps `images`.
-pub fn needed(index: &Index, images: &[u32], drawn_cells: &[u32]) -> Needed {
+/// What a view needs that draws `drawn_cells` (near to far), warps `images` and refines the LDI tree by the chunks `tree`.
+pub fn needed(index: &Index, images: &[u32], drawn_cells: &[u32], tree: &[u32]) -> Needed {
     let mut set = OrderedSet::new(index.chunks.len());
+    index.tree.iter().flat_map(|t| t.pinned_chunks()).for_each(|c| set.insert(c));
+    let base = set.take();
     let layers = || images.iter().filter_map(|i| index.images.get(*i as usize)).map(|i| &i.chunks);
     let cells = || drawn_cells.iter().filter_map(|c| index.cells.get(*c as usize));
     layers().for_each(|c| c.iter().take(1).for_each(|c| set.insert(*c)));
@@ -75,11 +79,12 @@ pub fn needed(index: &Index, images: &[u32], drawn_cells: &[u32]) -> Needed {
         texture_chunks(index, &cell.materials, 0).for_each(|t| set.insert(t));
     }
     let now = set.take();
+    tree.iter().for_each(|c| set.insert(*c));
     layers().for_each(|c| c.iter().skip(1).for_each(|c| set.insert(*c)));
     for cell in cells() {
         texture_chunks(index, &cell.materials, 1).for_each(|t| set.insert(t));
     }
-    Needed { now, fine: set.take() }
+    Needed { base, now, fine: set.take() }
 }
 
 /// Chunks of the materials' textures: the coarsest range of levels (`skip` 0) or all finer ones (`skip` 1).

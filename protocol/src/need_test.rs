@@ -102,6 +102,7 @@ fn row_of_cells() -> Index {
         }],
         pitch_bands_deg: vec![-90.0, 90.0],
         volume: None,
+        tree: None,
         points: vec![point(5.0), point(25.0)],
         placements: vec![placement(5.0, 0..1), placement(25.0, 1..2)],
         images: vec![image(vec![7, 8]), image(vec![9])],
@@ -110,18 +111,18 @@ fn row_of_cells() -> Index {
 
 #[test]
 fn a_view_takes_the_first_layer_then_cells_near_to_far_then_what_sharpens() {
-    let n = needed(&row_of_cells(), &[0], &[0, 1, 2, 3]);
+    let n = needed(&row_of_cells(), &[0], &[0, 1, 2, 3], &[]);
     assert_eq!(n.now, [7, 0, 1, 5, 2, 4, 3]);
     assert_eq!(n.fine, [8, 6]);
     // The order of the cells is the caller's, and what nobody refers to stays away.
-    let n = needed(&row_of_cells(), &[], &[2, 0]);
+    let n = needed(&row_of_cells(), &[], &[2, 0], &[]);
     assert_eq!(n.now, [2, 4, 0]);
     assert!(n.fine.is_empty());
 }
 
 #[test]
 fn numbers_beyond_the_index_are_left_out() {
-    let n = needed(&row_of_cells(), &[99], &[77, 1]);
+    let n = needed(&row_of_cells(), &[99], &[77, 1], &[]);
     assert_eq!(n.now, [1, 5]);
     assert_eq!(n.fine, [6]);
 }

@@ -5,7 +5,12 @@
 //! -> cells in view that the placement does not replace. The build counts for every grid point what these steps can draw for any of
 //! its users; [`draw_list`] keeps the budget for all other poses too.
 
-use crate::{Aabb, Pose, camera::Frustum, index::Index};
+use crate::{
+    Aabb, Pose,
+    camera::Frustum,
+    index::Index,
+    tree::{CutOptions, Lens, cut},
+};
 use glam::DVec3;
 
 /// Samples may lie before their image's plane by this share of its distance: depths are rounded.
@@ -110,6 +115,8 @@ pub struct DrawList {
     /// Cells in view that were left out, farthest first, because the budget was used up. Always 0 for eyes of the walk volume that look
     /// within the built range of pitch.
     pub dropped: u32,
+    /// Chunks that refine the LDI tree to this view, coarse ones first; empty where the tree is only what lies under images.
+    pub tree: Vec<u32>,
 }
 
 /// The cells that a pose draws: those in view that its placement does not replace. `picture_half_tan`: tangents of half the picture's
@@ -140,7 +147,22 @@ pub fn draw_list(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> Dr
         dropped += 1;
     }
     let images = selection.placement.map_or_else(Vec::new, |p| frusta.images_in_view(index, p, pose));
-    DrawList { selection, cells: seen.into_iter().map(|s| s.1).collect(), images, triangles, dropped }
+    let tree = if index.walks_by_tree() { tree_chunks(index, pose, picture_half_tan) } else { Vec::new() };
+    DrawList { selection, cells: seen.into_iter().map(|s| s.1).collect(), images, triangles, dropped, tree }
+}
+
+/// Chunks of all nodes that a view of the planned picture's pixels descends to.
+fn tree_chunks(index: &Index, pose: &Pose, (half_tan_x, half_tan_y): (f64, f64)) -> Vec<u32> {
+    let Some(tree) = &index.tree else { return Vec::new() };
+    let lens = Lens { half_tan_x, half_tan_y, focal_px: index.settings.camera.focal_px() };
+    let mut homes: Vec<(u8, u32)> = cut(tree, pose, &lens, &CutOptions::default(), |_| true)
+        .nodes
+        .iter()
+        .map(|n| (tree.nodes[n.node as usize].level, n.home.0))
+        .collect();
+    homes.sort_unstable();
+    homes.dedup();
+    homes.into_iter().map(|h| h.1).collect()
 }
 
 /// The placement that a grid point names for the direction of a pose.
@@ -218,6 +240,7 @@ mod tests {
             textures: vec![],
             pitch_bands_deg: vec![-30.0, 30.0],
             volume: None,
+            tree: None,
             points: vec![point(3.0, None), point(0.0, Some(0)), point(-0.9, None)],
             placements: vec![Placement {
                 grid_point: 1,

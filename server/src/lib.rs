@@ -1,7 +1,7 @@
 //! The server: builds datasets from scenes and serves them.
 //!
 //! Folders are stages; a module imports only from stages before it:
-//! [`scene`] -> [`octree`] -> [`render`] -> [`placement`] -> [`construct`] -> [`pack`] -> [`store`] -> [`serve`];
+//! [`scene`] -> [`octree`] -> [`render`] -> [`placement`] -> [`construct`] -> [`pack`] -> [`tree`] -> [`store`] -> [`serve`];
 //! [`build`] joins them, [`cli`] is the command line.
 
 pub mod build;
@@ -14,3 +14,4 @@ pub mod render;
 pub mod scene;
 pub mod serve;
 pub mod store;
+pub mod tree;

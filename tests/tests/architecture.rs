@@ -98,7 +98,7 @@ fn assert_one_way(folder: &str, stages: &[&str]) {
 fn server_stages_import_backward_only() {
     assert_one_way(
         "server/src",
-        &["scene", "octree", "render", "placement", "construct", "pack", "store", "serve", "build", "cli"],
+        &["scene", "octree", "render", "placement", "construct", "pack", "tree", "store", "serve", "build", "cli"],
     );
 }
 
@@ -106,7 +106,7 @@ fn server_stages_import_backward_only() {
 fn client_stages_import_backward_only() {
     assert_one_way(
         "client/src",
-        &["resident", "frame", "cache", "stream", "near", "warp", "composite", "metrics", "report", "engine"],
+        &["resident", "frame", "cache", "stream", "near", "warp", "tree", "composite", "metrics", "report", "engine"],
     );
 }
 

@@ -1,7 +1,7 @@
 //! What is held, in what order it was used, and how many bytes that is. No locks, no decoding.
 
 use super::{Usage, layout::Layout};
-use ldi_protocol::{index::Index, ldi::Ldi, mesh::CellGeometry, texture::Texture};
+use ldi_protocol::{index::Index, ldi::Ldi, mesh::CellGeometry, texture::Texture, tree::Brood};
 use std::{
     collections::{BTreeMap, BTreeSet},
     sync::Arc,
@@ -18,6 +18,7 @@ pub(super) enum Value {
     /// Deeper layers of an LDI whose first is not there yet.
     WaitingLayers(Vec<u8>),
     Texture(Arc<Texture>),
+    Brood(Arc<Brood>),
 }
 
 #[derive(Debug, Default)]

@@ -8,7 +8,7 @@ use ldi_protocol::{
     manifest,
     texture::Texture,
 };
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
 /// A cell.
 pub(super) fn cell(index: &Index, cell: u32, bytes: &[u8]) -> Result<Value, DecodeError> {
@@ -24,6 +24,14 @@ pub(super) fn bundle(index: &Index, chunk: u32, bytes: &[u8]) -> Result<Value, D
     manifest::check_bundle(index, &geometry)?;
     manifest::check_decoded_bytes(index, chunk, codec::cell::decoded_bytes(&geometry))?;
     Ok(Value::Geometry(Arc::new(geometry)))
+}
+
+/// Nodes of the LDI tree.
+pub(super) fn brood(index: &Index, chunk: u32, nodes: Range<u32>, bytes: &[u8]) -> Result<Value, DecodeError> {
+    let tree = index.tree.as_ref().ok_or(DecodeError::Unreferenced)?;
+    let brood = tree.decode(nodes, bytes)?;
+    manifest::check_decoded_bytes(index, chunk, brood.decoded_bytes())?;
+    Ok(Value::Brood(Arc::new(brood)))
 }
 
 /// Joins a chunk to an LDI. Deeper layers that come before the first wait as bytes.

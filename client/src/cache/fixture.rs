@@ -131,6 +131,7 @@ pub fn street(cells: u32, side: u32) -> Street {
             samples_by_layer: vec![side * side, side],
         }],
         volume: None,
+        tree: None,
     };
     Street { index, chunks: street.chunks }
 }

@@ -1,7 +1,7 @@
 //! Which chunk belongs to which object: an LDI and a texture arrive in several chunks, a cell and a bundle in one.
 
 use ldi_protocol::index::{ChunkKind, Index, TextureChunk};
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, ops::Range};
 
 /// Most chunks of one object: a bit each in a mask. Textures of the largest side have fewer than half of it.
 pub(super) const MAX_PARTS: usize = 32;
@@ -17,6 +17,8 @@ pub(super) enum ObjectKind {
     Ldi(u32),
     /// The texture with this number.
     Texture(u32),
+    /// These nodes of the LDI tree.
+    Brood(Range<u32>),
 }
 
 /// An object: its kind and its chunks, in the order of sending.
@@ -45,6 +47,8 @@ pub(super) struct Layout {
     pub of_texture: Vec<Option<u32>>,
     /// Per image.
     pub of_image: Vec<Option<u32>>,
+    /// Per chunk, for those of the LDI tree.
+    pub brood_of_chunk: Vec<Option<u32>>,
 }
 
 impl Layout {
@@ -56,6 +60,7 @@ impl Layout {
             geometry_of_chunk: vec![None; n],
             of_texture: Vec::new(),
             of_image: Vec::new(),
+            brood_of_chunk: vec![None; n],
         };
         for (number, cell) in (0u32..).zip(&index.cells) {
             let object = layout.add(ObjectKind::Cell(number), vec![cell.chunk]);
@@ -85,6 +90,12 @@ impl Layout {
                 }
             };
             layout.of_image.push(object);
+        }
+        for (chunk, nodes) in index.tree.iter().flat_map(|t| t.broods()) {
+            // Equal chunks are one: whichever nodes it was listed for, the samples are the same.
+            if layout.brood_of_chunk.get(chunk as usize) == Some(&None) {
+                layout.brood_of_chunk[chunk as usize] = layout.add(ObjectKind::Brood(nodes), vec![chunk]);
+            }
         }
         layout
     }

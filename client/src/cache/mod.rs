@@ -20,7 +20,7 @@ mod layout;
 use crate::resident::Resident;
 use accounts::{Inner, Object, Value};
 use layout::{Layout, ObjectKind, Part};
-use ldi_protocol::{codec::CodecError, index::Index, ldi::Ldi, mesh::CellGeometry, texture::Texture};
+use ldi_protocol::{codec::CodecError, index::Index, ldi::Ldi, mesh::CellGeometry, texture::Texture, tree::Brood};
 use std::{
     collections::{BTreeMap, BTreeSet},
     sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
@@ -166,6 +166,7 @@ impl Cache {
                     decode::texture(&old, &self.index.textures[*t as usize], levels)
                 }
                 (ObjectKind::Ldi(p), _) => decode::ldi(&self.index, *p, &old, part.part, bytes)?,
+                (ObjectKind::Brood(nodes), _) => decode::brood(&self.index, chunk, nodes.clone(), bytes)?,
                 (ObjectKind::Cell(c), _) => decode::cell(&self.index, *c, bytes)?,
                 (ObjectKind::Bundle | ObjectKind::Texture(_), _) => decode::bundle(&self.index, chunk, bytes)?,
             };
@@ -356,6 +357,10 @@ impl Resident for Cache {
     fn ldi(&self, image: u32) -> Option<Arc<Ldi>> {
         let number = *self.layout.of_image.get(image as usize)?;
         self.object(number, |v| if let Value::Ldi(l) = v { Some(l.clone()) } else { None })
+    }
+    fn brood(&self, chunk: u32) -> Option<Arc<Brood>> {
+        let number = *self.layout.brood_of_chunk.get(chunk as usize)?;
+        self.object(number, |v| if let Value::Brood(b) = v { Some(b.clone()) } else { None })
     }
 }
 

@@ -78,7 +78,7 @@ fn find(frame: &Frame, row: usize, column: usize) -> Option<(u32, f32)> {
             let other = at.wrapping_add_signed(steps * distance as isize);
             match frame.source[other] {
                 Source::Unpainted => continue,
-                Source::Near | Source::Far => {
+                Source::Near | Source::Far | Source::Tree => {
                     let candidate = (frame.disparity[other], distance, other);
                     if best.is_none_or(|b| candidate < b) {
                         best = Some(candidate);

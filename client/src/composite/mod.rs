@@ -8,19 +8,22 @@
 //!    know where the far surface is, and not beyond: a rug of the images must stay above the floor of the geometry.
 //! 2. **Sky**: a pixel that nothing reached is sky where no image knows of anything else in its direction. Sky lies at infinity, so
 //!    the lookup is a rotation. Without an LDI nothing was culled, and what is left is sky.
-//! 3. **Fill** (`fill`, optional): remaining holes take the colour of the nearest farther surface, of sky around them, or of the last frame, and are marked
+//! 3. **Under it** (`under`): where pixels are left, or data is missing, the LDI tree shows through.
+//! 4. **Fill** (`fill`, optional): remaining holes take the colour of the nearest farther surface, of sky around them, or of the last frame, and are marked
 //!    [`Source::Filled`].
-//! 4. **Smoothing** (`smooth`, optional): the 3 x 3 kernel of Aliaga and Lastra's system, over far pixels.
-//! 5. **Averaging** ([`downsample()`]): a supersampled frame is averaged in linear light.
+//! 5. **Smoothing** (`smooth`, optional): the 3 x 3 kernel of Aliaga and Lastra's system, over far pixels.
+//! 6. **Averaging** ([`downsample()`]): a supersampled frame is averaged in linear light.
 //!
 //! All stages run on the current rayon pool by rows; their results do not depend on its size.
 
 mod downsample;
 mod fill;
 mod smooth;
+mod under;
 
 pub use downsample::downsample;
 pub use fill::Fill;
+pub use under::{Doubt, Under, lay_under, wanted_under};
 
 use crate::{
     frame::{Frame, SKY, Source},
@@ -85,6 +88,8 @@ pub struct CompositeStats {
     pub near: u64,
     /// From a warped image.
     pub far: u64,
+    /// From the LDI tree.
+    pub tree: u64,
     /// Known sky.
     pub sky: u64,
     /// Reached by nothing that is known, before the fill.
@@ -105,6 +110,7 @@ impl CompositeStats {
         self.pixels += other.pixels;
         self.near += other.near;
         self.far += other.far;
+        self.tree += other.tree;
         self.sky += other.sky;
         self.hole_before_fill += other.hole_before_fill;
         self.filled += other.filled;
@@ -120,7 +126,7 @@ const ROWS_PER_TASK: usize = 16;
 /// would cost more than drawing it and show nothing true.
 const FILL_UP_TO: u64 = 2;
 
-/// Merges `far` into `frame`, which holds the near geometry of the same pose and camera.
+/// Merges `far` into `frame`, which holds the near geometry of the same pose and camera, and fills what is left.
 ///
 /// A far picture of another size than the frame counts as missing.
 pub fn composite(
@@ -130,6 +136,14 @@ pub fn composite(
     camera: &OutputCamera,
     options: &CompositeOptions<'_>,
 ) -> CompositeStats {
+    let mut stats = merge(frame, far, pose, camera);
+    let known = matches!(far, Far::Images { images, .. } if images.iter().any(|i| matches!(i, FarImage::Here(..))));
+    finish(frame, known, &mut stats, options);
+    stats
+}
+
+/// The first half of [`composite()`]: near, far and sky.
+pub fn merge(frame: &mut Frame, far: Far<'_>, pose: &Pose, camera: &OutputCamera) -> CompositeStats {
     let far = match far {
         Far::Images { picture, .. } if (picture.width, picture.height) != (frame.width, frame.height) => Far::Missing,
         other => other,
@@ -143,7 +157,7 @@ pub fn composite(
         Far::Nothing | Far::Missing => None,
     };
     let chunk = width * ROWS_PER_TASK;
-    let mut stats = frame
+    frame
         .colour
         .par_chunks_mut(chunk)
         .zip(frame.disparity.par_chunks_mut(chunk))
@@ -165,10 +179,13 @@ pub fn composite(
             }
             stats
         })
-        .reduce(CompositeStats::default, CompositeStats::add);
-    let worth_filling = stats.hole_before_fill * FILL_UP_TO < stats.pixels;
-    let known = merge.is_some_and(|m| m.images.iter().any(|i| matches!(i.image, FarImage::Here(..))));
-    if stats.hole_before_fill > 0 && worth_filling && known {
+        .reduce(CompositeStats::default, CompositeStats::add)
+}
+
+/// The second half: fill and smoothing. `known`: an image or the tree was there, so that holes are gaps in it.
+pub fn finish(frame: &mut Frame, known: bool, stats: &mut CompositeStats, options: &CompositeOptions<'_>) {
+    let worth_filling = stats.unpainted * FILL_UP_TO < stats.pixels;
+    if stats.unpainted > 0 && worth_filling && known {
         stats.filled = match options.fill {
             Fill::Surface => fill::fill(frame),
             Fill::Last if options.last.len() == frame.len() => fill::from_last(frame, options.last),
@@ -179,7 +196,6 @@ pub fn composite(
     if options.smooth && stats.far > 0 {
         smooth::smooth(frame);
     }
-    stats
 }
 
 /// One row of the frame.
@@ -199,7 +215,7 @@ impl Row<'_> {
     }
 
     fn count(&self, stats: &mut CompositeStats) {
-        let mut by_source = [0u64; 5];
+        let mut by_source = [0u64; 6];
         for s in &*self.source {
             by_source[*s as usize] += 1;
         }
@@ -207,6 +223,7 @@ impl Row<'_> {
             pixels: self.source.len() as u64,
             near: by_source[Source::Near as usize],
             far: by_source[Source::Far as usize],
+            tree: by_source[Source::Tree as usize],
             sky: by_source[Source::Sky as usize],
             hole_before_fill: by_source[Source::Unpainted as usize],
             filled: by_source[Source::Filled as usize],
@@ -224,7 +241,7 @@ struct Merge<'a> {
 }
 
 /// Directions of output pixels' centres in some frame: affine in column and row.
-struct Directions {
+pub struct Directions {
     /// At pixel (0, 0).
     first: [f64; 3],
     per_column: [f64; 3],
@@ -299,6 +316,7 @@ impl<'a> Merge<'a> {
             pixels: width as u64,
             near: u64::from(near_count),
             far: u64::from(far_count),
+            tree: 0,
             sky,
             hole_before_fill: left - sky,
             filled: 0,

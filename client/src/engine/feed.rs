@@ -5,7 +5,7 @@ use crate::{
     resident::Resident,
     stream::{Connection, Stats},
 };
-use ldi_protocol::{Pose, index::Index, ldi::Ldi, mesh::CellGeometry, need::Needed, texture::Texture};
+use ldi_protocol::{Pose, index::Index, ldi::Ldi, mesh::CellGeometry, need::Needed, texture::Texture, tree::Brood};
 use std::{sync::Arc, time::Duration};
 
 /// What came over the line so far.
@@ -63,6 +63,9 @@ impl Resident for Connection {
     }
     fn ldi(&self, image: u32) -> Option<Arc<Ldi>> {
         self.cache().ldi(image)
+    }
+    fn brood(&self, chunk: u32) -> Option<Arc<Brood>> {
+        self.cache().brood(chunk)
     }
 }
 

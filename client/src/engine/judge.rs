@@ -130,7 +130,7 @@ impl Truth {
         let failed = |source| JudgeError::Metric { path: self.path.clone(), source };
         let test = Picture::new(frame.width, frame.height, frame.to_rgb8()).map_err(failed)?;
         let flip = FlipMap::new(&self.picture, &test).map_err(failed)?;
-        let far = |i: usize| frame.source[i] == Source::Far;
+        let far = |i: usize| matches!(frame.source[i], Source::Far | Source::Tree);
         let compared = |other: &Self| {
             FlipMap::new(&self.picture, &other.picture)
                 .map_err(|source| JudgeError::Metric { path: other.path.clone(), source })

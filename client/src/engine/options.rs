@@ -75,6 +75,8 @@ pub struct WalkOptions {
     pub fill: Fill,
     /// Smooth warped pixels with a 3 x 3 kernel.
     pub smooth: bool,
+    /// Milliseconds that the LDI tree may take of a frame; None for as many as its finest samples in view take.
+    pub frame_ms: Option<f64>,
     /// Samples per output pixel along each side: 1 or 2.
     pub supersample: u32,
     /// Pacing.

@@ -5,11 +5,14 @@
 
 use super::options::{Cull, Method, WalkOptions};
 use crate::{
-    composite::{CompositeOptions, Far, FarImage, Fill, composite, downsample},
+    composite::{
+        CompositeOptions, Doubt, Far, FarImage, Fill, Under, downsample, finish, lay_under, merge, wanted_under,
+    },
     frame::{Frame, Source, supersampled},
     near::Rasterizer,
     report::StageMs,
     resident::Resident,
+    tree::{TreeOptions, TreePainter, TreeStats},
     warp::{FarFrame, PreparedLdi, WarpError, WarpOptions, WarpStats, warp_images},
 };
 use ldi_protocol::{
@@ -18,6 +21,7 @@ use ldi_protocol::{
     ldi::Ldi,
     need::{Needed, needed},
     select::{DrawFrusta, DrawList, Selection, draw_list, select},
+    tree::CutOptions,
 };
 use std::{sync::Arc, time::Instant};
 
@@ -38,6 +42,10 @@ pub struct View {
     pub dropped: u32,
     /// Triangles of all cells in the frustum, drawn or culled.
     pub triangles_in_frustum: u64,
+    /// What the cells leave comes from the LDI tree.
+    pub by_tree: bool,
+    /// Chunks that refine it.
+    pub tree: Vec<u32>,
 }
 
 /// What a frame took and lacked.
@@ -47,6 +55,8 @@ pub struct Painted {
     pub triangles: u64,
     /// The warp's figures; None when nothing was warped.
     pub warp: Option<WarpStats>,
+    /// What the LDI tree gave; None when it was not drawn.
+    pub tree: Option<TreeStats>,
     /// Chunks that the view needs and that were not resident, finer levels and deeper layers included; ascending.
     pub missing_chunks: Vec<u32>,
     /// Time by stage. `total` is without `prepare`.
@@ -61,6 +71,11 @@ pub struct Painter {
     /// One image of several, where its order counts and must not mix with the others'.
     single: FarFrame,
     full: Frame,
+    tree: TreePainter,
+    /// The tree's picture.
+    under: FarFrame,
+    /// Samples of the tree per millisecond, as measured; 0 before the first.
+    tree_rate: f64,
     /// Colours of the frame before, where holes are to show it.
     last: Vec<u32>,
     /// Most recent last.
@@ -86,6 +101,8 @@ pub fn view_of(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method
             images: Vec::new(),
             dropped: 0,
             triangles_in_frustum,
+            by_tree: false,
+            tree: Vec::new(),
         };
     }
     // `draw_list` selects as well: its share is measured apart.
@@ -93,10 +110,30 @@ pub fn view_of(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method
     std::hint::black_box(select(index, pose));
     ms.select = ms_since(start);
     let start = Instant::now();
-    let list = draw_list(index, pose, half_tan);
+    let list = match method {
+        Method::Tree => tree_list(index, pose, half_tan),
+        _ => draw_list(index, pose, half_tan),
+    };
     ms.cull = (ms_since(start) - ms.select).max(0.0);
-    let DrawList { selection, cells, images, dropped, .. } = list;
-    View { selection, cells, images, dropped, triangles_in_frustum }
+    let by_tree = method == Method::Tree || index.walks_by_tree();
+    let DrawList { selection, cells, images, dropped, tree, .. } = list;
+    View { selection, cells, images, dropped, triangles_in_frustum, by_tree, tree }
+}
+
+/// The nearest cells that the budget allows, and no images.
+fn tree_list(index: &Index, pose: &Pose, half_tan: (f64, f64)) -> DrawList {
+    let list = draw_list(index, pose, half_tan);
+    let in_view = near_to_far(index, pose, cells_in_frustum(index, pose, half_tan));
+    let triangles = |c: &u32| u64::from(index.cells[*c as usize].triangles);
+    let mut total = 0;
+    let within = |c: &u32| {
+        total += triangles(c);
+        total <= index.settings.budget
+    };
+    let n = in_view.len();
+    let cells: Vec<u32> = in_view.into_iter().take_while(within).collect();
+    let dropped = (n - cells.len()) as u32;
+    DrawList { triangles: cells.iter().map(triangles).sum(), cells, images: Vec::new(), dropped, ..list }
 }
 
 fn cells_in_frustum(index: &Index, pose: &Pose, half_tan: (f64, f64)) -> Vec<u32> {
@@ -114,7 +151,7 @@ fn near_to_far(index: &Index, pose: &Pose, cells: Vec<u32>) -> Vec<u32> {
 impl View {
     /// The chunks that complete the view.
     pub fn needed(&self, index: &Index) -> Needed {
-        needed(index, &self.images, &self.cells)
+        needed(index, &self.images, &self.cells, &self.tree)
     }
 }
 
@@ -147,6 +184,7 @@ impl Painter {
         let near = self.rasterizer.draw(index, resident, &view.cells, &full_camera, pose, &mut self.full);
         painted.ms.near = ms_since(start);
         painted.triangles = near.triangles;
+        let near_gaps = !near.missing_chunks.is_empty();
         painted.missing_chunks = near.missing_chunks;
         let absent_levels = |textures: &[u32], first: usize| {
             let chunks = textures
@@ -176,6 +214,7 @@ impl Painter {
         painted.missing_chunks.sort_unstable();
         painted.missing_chunks.dedup();
 
+        let gaps = near_gaps || images.iter().any(|(.., l)| l.is_none());
         self.far.reset(full_camera.width, full_camera.height);
         let warp_options = WarpOptions {
             stamp: options.stamp,
@@ -204,24 +243,81 @@ impl Painter {
             images.iter().map(|(_, entry, ldi)| FarImage::new(entry, ldi.as_deref())).collect();
         let far = match shown[..] {
             // What was dropped may lie anywhere: the rest is not known to be sky.
-            _ if view.dropped > 0 && images.is_empty() => Far::Missing,
+            _ if (view.dropped > 0 || gaps) && images.is_empty() => Far::Missing,
             [] => Far::Nothing,
             _ => {
                 let placement = view.selection.placement.and_then(|p| index.placements.get(p as usize));
                 Far::Images { picture: &self.far, images: &shown, sky: placement.map(|p| &p.sky) }
             }
         };
+        let mut stats = merge(&mut self.full, far, pose, &full_camera);
+        let mut known = images.iter().any(|(.., l)| l.is_some());
+        if let Some(tree) = &index.tree {
+            let doubt = match gaps || (view.by_tree && view.dropped > 0) {
+                true => Doubt::Missing { margin_m: 2.0 * tree.pitch_of(tree.pinned_levels.saturating_sub(1)) as f32 },
+                false => Doubt::None,
+            };
+            let start = Instant::now();
+            painted.tree = self.lay_tree_under(index, resident, pose, &full_camera, options, doubt, start);
+            if let Some(t) = &painted.tree {
+                (stats.tree, stats.unpainted) = (t.painted + t.gaps_filled, self.full.count(Source::Unpainted) as u64);
+                known = true;
+            }
+            painted.ms.warp += ms_since(start);
+        }
         let composite_options = CompositeOptions { fill: options.fill, last: &self.last, smooth: options.smooth };
-        composite(&mut self.full, far, pose, &full_camera, &composite_options);
+        finish(&mut self.full, known, &mut stats, &composite_options);
+        if gaps && index.tree.is_none() && images.is_empty() && view.dropped == 0 {
+            // Nothing better is known than that nothing was found there.
+            self.full.paint_rest_as_sky();
+        }
         if options.supersample > 1 {
             downsample(&self.full, options.supersample, out);
         } else {
             out.clone_from(&self.full);
         }
-        painted.ms.composite = ms_since(start);
+        painted.ms.composite = ms_since(start) - painted.tree.as_ref().map_or(0.0, |t| t.ms);
         let m = &mut painted.ms;
         m.total = m.select + m.cull + m.near + m.warp + m.composite;
         Ok(painted)
+    }
+
+    /// Draws the LDI tree where it is wanted and lays it under the frame. None where nothing is.
+    #[expect(clippy::too_many_arguments, reason = "each is another thing that a frame depends on")]
+    fn lay_tree_under(
+        &mut self,
+        index: &Index,
+        resident: &dyn Resident,
+        pose: &Pose,
+        camera: &OutputCamera,
+        options: &WalkOptions,
+        doubt: Doubt,
+        start: Instant,
+    ) -> Option<TreeStats> {
+        let tree = index.tree.as_ref()?;
+        let mut wanted = wanted_under(&self.full, doubt);
+        if wanted.is_empty() {
+            return None;
+        }
+        let max_samples = match options.frame_ms {
+            Some(ms) if self.tree_rate > 0.0 => (ms * self.tree_rate) as u64,
+            _ => u64::MAX,
+        };
+        let tree_options = TreeOptions { cut: CutOptions { max_samples, ..CutOptions::default() }, fill_gaps: true };
+        let under = Under::new(pose, camera, tree.sky_near(pose.position));
+        let (full, width) = (&self.full, self.full.width as usize);
+        let no_gap = |row: usize, column: usize| {
+            matches!(full.source[row * width + column], Source::Near | Source::Far) || under.is_sky(row, column)
+        };
+        let out = &mut self.under;
+        let mut stats = self.tree.draw(tree, resident, pose, camera, &tree_options, &mut wanted, &no_gap, out);
+        lay_under(&mut self.full, &self.under, doubt, &under);
+        stats.ms = ms_since(start);
+        if stats.samples > 10_000 {
+            let rate = stats.samples as f64 / stats.ms.max(0.1);
+            self.tree_rate = if self.tree_rate > 0.0 { 0.8 * self.tree_rate + 0.2 * rate } else { rate };
+        }
+        Some(stats)
     }
 
     /// The last frame before averaging: what the warp and the rasterizer left, pixel by pixel.

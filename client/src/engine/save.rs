@@ -23,7 +23,8 @@ pub struct SaveError {
 const NOTHING: [u8; 3] = [24, 24, 28];
 
 /// False colours of `source` views: sky, near, far, filled, unpainted. Chosen to stay apart for colour-blind eyes (Okabe and Ito).
-const SOURCE_COLOURS: [[u8; 3]; 5] = [[198, 214, 235], [230, 159, 0], [0, 114, 178], [204, 121, 167], [213, 94, 0]];
+const SOURCE_COLOURS: [[u8; 3]; 6] =
+    [[198, 214, 235], [230, 159, 0], [0, 114, 178], [0, 158, 115], [204, 121, 167], [213, 94, 0]];
 
 /// Writes RGB bytes as PNG.
 fn save_rgb(path: &Path, width: u32, height: u32, rgb: &[u8]) -> Result<(), SaveError> {
@@ -41,7 +42,7 @@ pub fn save_frame(folder: &Path, index: usize, frame: &Frame) -> Result<(), Save
 }
 
 /// Writes `frame_NNNNN.near.png` (what was drawn as geometry), `.far.png` (what came from images) and `.source.png` (which is
-/// which: orange geometry, blue images, pink filled, red unpainted, sky as sky).
+/// which: orange geometry, blue images, green the LDI tree, pink filled, red unpainted, sky as sky).
 pub fn save_debug_views(folder: &Path, index: usize, frame: &Frame) -> Result<(), SaveError> {
     let only = |wanted: Source| -> Vec<u8> {
         let pixels = frame.source.iter().zip(&frame.colour);

@@ -19,6 +19,7 @@ use ldi_protocol::{
     need::Needed,
     path::{self, Walk},
     texture::Texture,
+    tree::Brood,
 };
 use std::{
     collections::BTreeSet,
@@ -65,6 +66,9 @@ impl Resident for MemoryFeed {
     }
     fn ldi(&self, image: u32) -> Option<Arc<Ldi>> {
         self.holds(*self.index.images[image as usize].chunks.first()?).then(|| self.memory.ldi(image))?
+    }
+    fn brood(&self, chunk: u32) -> Option<Arc<Brood>> {
+        self.memory.brood(chunk)
     }
 }
 
@@ -182,6 +186,7 @@ fn options(pace: Pace) -> WalkOptions {
         cull: Cull::Auto,
         fill: Fill::Surface,
         smooth: false,
+        frame_ms: None,
         supersample: 1,
         pace,
         every: 2,

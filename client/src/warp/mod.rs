@@ -267,6 +267,18 @@ impl FarFrame {
         self.stale = true;
     }
 
+    /// Makes every pixel empty at once, to be written to directly.
+    pub fn clear(&mut self) {
+        self.packed.fill(0);
+        self.stale = false;
+    }
+
+    /// An element of `packed`: of two the larger is nearer. Disparity (1/m) must be positive.
+    #[inline]
+    pub fn pack(disparity: f32, colour: u32) -> u64 {
+        u64::from(disparity.to_bits()) << 32 | u64::from(colour)
+    }
+
     /// Packed colour and disparity of a pixel (1/m); None where no sample came.
     #[inline]
     pub fn get(&self, at: usize) -> Option<(u32, f32)> {

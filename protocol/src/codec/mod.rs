@@ -17,6 +17,7 @@ mod runs;
 mod slivers;
 mod surface;
 pub mod texture;
+pub mod tree;
 
 pub use colour::{ColourMode, ColourProfile};
 pub use error::CodecError;

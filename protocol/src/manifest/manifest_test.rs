@@ -8,6 +8,7 @@ use crate::{
     },
     mesh::{Alpha, Material, Wrap},
     sky::SkyMap,
+    tree::{SkyPlace, Tree, TreeNode},
     volume::WalkVolume,
 };
 use glam::DVec3;
@@ -24,9 +25,10 @@ fn index(n: usize) -> Index {
         0 => ChunkKind::Bundle,
         1 => ChunkKind::Texture,
         i if i < n + 2 => ChunkKind::Cell,
-        _ => ChunkKind::Ldi,
+        i if i < 2 + 3 * n => ChunkKind::Ldi,
+        _ => ChunkKind::Tree,
     };
-    let chunks = (0..2 + 3 * n)
+    let chunks = (0..2 + 3 * n + 2)
         .map(|i| ChunkEntry {
             hash: hash(i),
             stored_bytes: 100 + i as u32,
@@ -121,6 +123,30 @@ fn index(n: usize) -> Index {
             })
             .collect(),
         volume: WalkVolume::of_box(&bounds).ok(),
+        tree: Some(tree(2 + 3 * n as u32)),
+    }
+}
+
+/// A root with two children, and the sky of two places.
+fn tree(first_chunk: u32) -> Tree {
+    let node = |cell: [u16; 3]| TreeNode {
+        level: 1,
+        cell,
+        samples: 900,
+        unfiltered: 17,
+        first_child: 0,
+        children: 0,
+        chunk: 0,
+    };
+    let root = TreeNode { level: 0, first_child: 1, children: 2, chunk: first_chunk + 1, ..node([0; 3]) };
+    let sky = |k: u32| SkyMap::of_runs(vec![[k, 3], [k + 9, 1]]).expect("apart");
+    Tree {
+        origin: DVec3::new(-1.0 / 3.0, 2.0, 1e6),
+        edge_m: 10.0 / 3.0,
+        root_chunk: first_chunk,
+        pinned_levels: 1,
+        skies: (0..2).map(|k| SkyPlace { position: DVec3::splat(0.1 * f64::from(k)), sky: sky(k) }).collect(),
+        nodes: vec![root, node([1, 0, 0]), node([0, 1, 1])],
     }
 }
 
@@ -149,9 +175,11 @@ fn unknown_stretch_and_no_volume_come_back() {
     let mut original = index(2);
     original.images[0].stretch_p99_px = f64::NAN;
     original.volume = None;
+    original.tree = None;
     let out = decode(&encode(&original).unwrap()).unwrap();
     assert!(out.images[0].stretch_p99_px.is_nan());
     assert_eq!(out.volume, None);
+    assert_eq!(out.tree, None);
 }
 
 #[test]
@@ -164,9 +192,11 @@ fn bounds_that_are_not_f32_are_refused() {
 #[test]
 fn every_broken_rule_is_named() {
     type Break = fn(&mut Index);
-    let breaks: [(&str, Break); 26] = [
+    let breaks: [(&str, Break); 28] = [
         ("chunk", |i| i.chunks[3].kind = ChunkKind::Page),
         ("cell", |i| i.cells[1].chunk = 0),
+        ("tree", |i| i.tree.as_mut().unwrap().root_chunk = 0),
+        ("tree", |i| i.tree.as_mut().unwrap().nodes[2].level = 7),
         ("cell", |i| i.cells[1].chunk = 9999),
         ("cell", |i| i.cells[0].bundles = vec![2]),
         ("cell", |i| i.cells[0].materials = vec![1, 0]),
@@ -263,6 +293,7 @@ fn forged_pages_never_panic() {
         placements: vec![],
         images: vec![],
         volume: None,
+        tree: Some(Tree { nodes: vec![], ..tree(2) }),
         ..index(0)
     };
     for (entry, page) in root.pages.iter().zip(&encoded.pages) {

@@ -4,6 +4,8 @@
 //! LEB128. Ascending lists (bundles, materials, culled cells) are runs: gap to the run, length of the run less one. Culled
 //! subsets are boxes of Morton-ordered cells, so their runs are long.
 
+mod tree;
+
 use super::{PageEntry, PageKind, VERSION};
 use crate::{
     Aabb, ViewBasis,
@@ -40,7 +42,8 @@ impl Room {
         Self { bytes: INDEX_BYTES, numbers: 1 << 26 }
     }
 }
-const KINDS: [ChunkKind; 5] = [ChunkKind::Page, ChunkKind::Cell, ChunkKind::Bundle, ChunkKind::Ldi, ChunkKind::Texture];
+const KINDS: [ChunkKind; 6] =
+    [ChunkKind::Page, ChunkKind::Cell, ChunkKind::Bundle, ChunkKind::Ldi, ChunkKind::Texture, ChunkKind::Tree];
 
 /// Encodes a range of the entries of one kind.
 pub(super) fn encode(index: &Index, kind: PageKind, range: Range<usize>, level: i32) -> Result<Vec<u8>, CodecError> {
@@ -58,6 +61,8 @@ pub(super) fn encode(index: &Index, kind: PageKind, range: Range<usize>, level: 
         PageKind::Points => put_points(&mut w, &index.points[range])?,
         PageKind::Placements => put_placements(&mut w, &index.placements[range], &index.images)?,
         PageKind::Volume => put_packed(&mut w, "walk volume", &index.volume)?,
+        PageKind::Tree => index.tree.iter().try_for_each(|t| tree::put_head(&mut w, t))?,
+        PageKind::TreeNodes => index.tree.iter().try_for_each(|t| tree::put_nodes(&mut w, &t.nodes[range.clone()]))?,
     }
     Ok(w.bytes)
 }
@@ -94,6 +99,11 @@ pub(super) fn decode_into(
             index.images.extend(images);
         }
         PageKind::Volume => index.volume = take_packed(&mut r, "walk volume")?,
+        PageKind::Tree => index.tree = Some(tree::take_head(&mut r, &mut room.numbers)?),
+        PageKind::TreeNodes => match &mut index.tree {
+            Some(t) => t.nodes.extend(tree::take_nodes(&mut r, n)?),
+            None => return Err(CodecError::mismatch("tree nodes", "there are nodes without a tree")),
+        },
     }
     room.bytes = r.room();
     r.finish("manifest page")
@@ -228,7 +238,7 @@ fn take_chunks(r: &mut Reader<'_>, n: usize) -> Result<Vec<ChunkEntry>, CodecErr
             decoded_bytes: sizes.next("chunk sizes")?,
             kind: *KINDS
                 .get(usize::from(kind))
-                .ok_or_else(|| CodecError::range("chunk kind", kind, "there are five kinds"))?,
+                .ok_or_else(|| CodecError::range("chunk kind", kind, "there are six kinds"))?,
         });
     }
     sizes.finish("chunk sizes")?;

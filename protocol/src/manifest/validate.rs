@@ -61,6 +61,11 @@ pub fn validate(index: &Index) -> Result<(), CodecError> {
     each("image", &index.images, |i| {
         check_image(i)?;
         i.chunks.iter().try_for_each(|&c| is(c, ChunkKind::Ldi))
+    })?;
+    index.tree.iter().try_for_each(|t| {
+        t.check()
+            .and_then(|()| t.broods().try_for_each(|(c, _)| is(c, ChunkKind::Tree)))
+            .map_err(|why| CodecError::mismatch("tree", why))
     })
 }
 

@@ -98,7 +98,8 @@ pub fn draft(options: &BuildOptions, progress: &dyn Progress) -> Result<Draft, B
     let none = Images::none_of(&plan.plans);
     let Indexed { placements, images: entries, .. } = none.indexed(&plan.plans, 0);
     let statistics = plan.statistics.clone();
-    let index = index_of(options, &scene, settings, plan, (geometry.cells, vec![]), vec![], (placements, entries));
+    let index =
+        index_of(options, &scene, settings, plan, (geometry.cells, vec![]), vec![], (placements, entries, None));
     Ok(Draft { index, images, counts, statistics, seconds: clock.laps })
 }
 
@@ -120,6 +121,7 @@ mod tests {
     #[test]
     fn the_audit_passes_a_plan_and_finds_every_promise_that_is_broken() {
         let options = BuildOptions {
+            represent: crate::build::Represent::Grid,
             scene: "builtin:house?triangles=20000".into(),
             output: "".into(),
             settings: test_scenes::settings(6_000),

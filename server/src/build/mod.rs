@@ -29,6 +29,7 @@ use crate::placement::{
 use crate::render::{Caster, CellSet, Ray};
 use crate::scene::{self, Note, Scene, SceneError};
 use crate::store::{DatasetWriter, StoreError, Written};
+use crate::tree::{self, BuiltTree, Depth, TreeFigures};
 use glam::DVec3;
 use ldi_protocol::codec::ColourProfile;
 use ldi_protocol::index::{
@@ -36,6 +37,7 @@ use ldi_protocol::index::{
 };
 use ldi_protocol::ldi::LdiCamera;
 use ldi_protocol::select::CELLS;
+use ldi_protocol::tree::Tree;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -53,6 +55,23 @@ pub struct BuildOptions {
     pub settings: BuildSettings,
     /// Colour coding; `settings.colour` is its name.
     pub colour: ColourProfile,
+    /// Images and a base layer, or the LDI tree alone.
+    pub represent: Represent,
+}
+
+/// How what is far is represented.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Represent {
+    /// Images of placements, with the coarse levels of an LDI tree under them.
+    #[default]
+    Grid,
+    /// The LDI tree alone: no placements, so that no budget is promised.
+    Tree {
+        /// Smallest distance of samples, metres.
+        pitch_m: f64,
+        /// Pixels along a side of a reference image.
+        side: u32,
+    },
 }
 
 /// Hears of progress: bars on a terminal, plain lines elsewhere, nothing in tests.
@@ -115,6 +134,8 @@ pub struct BuildFigures {
     pub audit: AuditReport,
     /// Images.
     pub images: ImageFigures,
+    /// The LDI tree; None without one.
+    pub tree: Option<TreeFigures>,
     /// What was skipped or changed.
     pub notes: Vec<Note>,
     /// Seconds per stage.
@@ -157,7 +178,12 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
     let parameters = placement::Parameters::default();
     let in_sight = |a, b| caster.as_ref().is_none_or(|c| sees(c, a, b));
     let heard = |what: &str| progress.note(what);
-    let plan = placement::plan_placements(&scene, &octree, &settings, &parameters, Sees(&in_sight), &heard)?;
+    let mut planned_for = settings.clone();
+    if options.represent != Represent::Grid {
+        // Nothing to place: what remains of a plan is the walk volume.
+        planned_for.budget = planned_for.budget.max(scene.triangles());
+    }
+    let plan = placement::plan_placements(&scene, &octree, &planned_for, &parameters, Sees(&in_sight), &heard)?;
     clock.lap("placement");
     Ok(Planned { scene, clusters, octree, settings, plan, caster })
 }
@@ -207,7 +233,7 @@ fn index_of(
     plan: PlacementResult,
     (cells, textures): (Vec<CellEntry>, Vec<TextureEntry>),
     chunks: Vec<ChunkEntry>,
-    (placements, images): (Vec<Placement>, Vec<ImageEntry>),
+    (placements, images, tree): (Vec<Placement>, Vec<ImageEntry>, Option<Tree>),
 ) -> Index {
     Index {
         scene: SceneInfo {
@@ -227,6 +253,7 @@ fn index_of(
         placements,
         images,
         volume: Some(plan.volume),
+        tree,
     }
 }
 
@@ -272,9 +299,10 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     clock.lap("pack");
 
     progress.stage("layered depth images, by placement", plan.plans.len() as u64);
-    let images = match caster {
-        Some(caster) if !plan.plans.is_empty() => images::construct_all(
-            &caster.with_mips(),
+    let caster = caster.unwrap_or_else(|| Caster::new(Arc::clone(&scene), &clusters, &octree)).with_mips();
+    let images = match plan.plans.is_empty() {
+        false => images::construct_all(
+            &caster,
             &plan.plans,
             &settings,
             options.colour,
@@ -282,9 +310,26 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
             &writer,
             progress,
         )?,
-        _ => images::Images::default(),
+        true => images::Images::default(),
     };
     clock.lap("images");
+
+    progress.stage("LDI tree", 0);
+    let first_tree_chunk = chunks.len() as u32;
+    let depth = match options.represent {
+        Represent::Grid => Depth::Base,
+        Represent::Tree { pitch_m, side } => Depth::Fine { pitch_m, side },
+    };
+    let heard = |what: &str| progress.note(what);
+    let built = tree::build_tree(&caster, &scene.bounds(), &plan.volume, depth, first_tree_chunk, &heard)?;
+    let (tree, tree_figures) = match built {
+        Some(BuiltTree { tree, chunks: of_tree, figures }) => {
+            chunks.extend(of_tree);
+            (Some(tree), Some(figures))
+        }
+        None => (None, None),
+    };
+    clock.lap("tree");
 
     progress.stage("writing", 0);
     let first_image_chunk = chunks.len() as u32;
@@ -307,7 +352,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         .collect();
     let placement = plan.statistics.clone();
     let parts = (geometry.cells, textures.textures);
-    let index = index_of(options, &scene, settings, plan, parts, entries, (placements, image_entries));
+    let index = index_of(options, &scene, settings, plan, parts, entries, (placements, image_entries, tree));
     let ranges = (0..octree.cells.len()).map(|c| octree.ranges(&scene, &clusters, c)).collect::<Vec<_>>();
     let counts: Vec<u64> = ranges.iter().map(|cell| cell.iter().map(|r| u64::from(r.count)).sum()).collect();
     let audit = placement::audit(&index, &counts, &|i| cameras.get(i as usize).copied(), AUDITED_POSES, 1);
@@ -338,6 +383,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         placement,
         audit,
         images: images.figures.clone(),
+        tree: tree_figures,
         notes,
         seconds,
     };

@@ -12,6 +12,7 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
         index.chunks.iter().filter(|c| c.kind == kind).map(|c| u64::from(c.stored_bytes)).sum()
     };
     let (ldi, textures) = (bytes(ChunkKind::Ldi), bytes(ChunkKind::Texture));
+    let tree = bytes(ChunkKind::Tree);
     let geometry = bytes(ChunkKind::Cell) + bytes(ChunkKind::Bundle);
     let samples: u64 = f.images.samples_by_layer.iter().sum();
     json!({
@@ -45,8 +46,9 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
         "bytes": {
             // What lies on the disk: equal chunks are stored once.
             "total": written.total_bytes(),
-            "ldi": ldi, "geometry": geometry, "textures": textures, "tree": 0, "manifest": written.manifest_bytes,
+            "ldi": ldi, "geometry": geometry, "textures": textures, "tree": tree, "manifest": written.manifest_bytes,
         },
+        "tree": f.tree,
         "bytes_per_sample": if samples > 0 { json!(ldi as f64 / samples as f64) } else { Value::Null },
         "guarantee": {
             "budget": index.settings.budget,

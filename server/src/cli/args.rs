@@ -125,9 +125,16 @@ pub struct BuildArgs {
     /// Walk volume: the whole box of the scene.
     #[arg(long)]
     pub fly: bool,
-    /// Representations to build.
+    /// Representations to build: grid (images of placements, over the coarse levels of an LDI tree) or tree (the LDI tree alone);
+    /// auto is grid.
     #[arg(long, default_value = "auto", value_delimiter = ',')]
     pub represent: Vec<String>,
+    /// With --represent tree: smallest distance of samples, metres.
+    #[arg(long, value_name = "M", default_value_t = 0.01, value_parser = positive)]
+    pub tree_pitch: f64,
+    /// With --represent tree: pixels along a side of each of a reference's six images.
+    #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=2048))]
+    pub tree_reference: u32,
     /// Threads [default: all cores].
     #[arg(long)]
     pub threads: Option<usize>,
@@ -247,6 +254,10 @@ pub fn size(s: &str) -> Result<(u32, u32), String> {
     let (w, h) = s.split_once('x').ok_or_else(wrong)?;
     let side = |t: &str| t.parse::<u32>().ok().filter(|n| (16..=8192).contains(n)).ok_or_else(wrong);
     Ok((side(w)?, side(h)?))
+}
+
+fn positive(s: &str) -> Result<f64, String> {
+    s.parse().ok().filter(|v: &f64| *v > 0.0 && v.is_finite()).ok_or_else(|| "a number above 0 is needed".to_string())
 }
 
 fn density(s: &str) -> Result<f64, String> {

@@ -3,7 +3,7 @@
 use super::Failure;
 use super::args::{BuildArgs, Command, InspectArgs, PlanArgs, RenderArgs, SceneArgs, ServeArgs, VerifyArgs};
 use super::progress::Stderr;
-use crate::build::{self, BuildError, BuildOptions, Progress as _};
+use crate::build::{self, BuildError, BuildOptions, Progress as _, Represent};
 use crate::octree;
 use crate::placement::{self, PlacementError};
 use crate::render::{self, Caster};
@@ -60,8 +60,8 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
     }
     for r in &a.represent {
         match r.as_str() {
-            "auto" | "grid" => {}
-            "portals" | "tree" | "cache" => return Err(Failure::absent(&format!("--represent {r}"))),
+            "auto" | "grid" | "tree" => {}
+            "portals" | "cache" => return Err(Failure::absent(&format!("--represent {r}"))),
             _ => {
                 return Err(Failure::usage(anyhow!(
                     "--represent: there is no '{r}'; choose auto, grid, portals, tree or cache"
@@ -78,10 +78,15 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
             a.budget
         )));
     }
+    let represent = match a.represent.iter().all(|r| r == "tree") {
+        true => Represent::Tree { pitch_m: a.tree_pitch, side: a.tree_reference },
+        false => Represent::Grid,
+    };
     let options = BuildOptions {
         scene: a.scene,
         output: a.output.unwrap_or_default(),
         colour,
+        represent,
         settings: BuildSettings {
             budget: a.budget,
             optimize_budget: a.optimize_budget.unwrap_or(0),

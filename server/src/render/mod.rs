@@ -26,7 +26,7 @@ mod ray;
 mod shading;
 mod single;
 #[cfg(test)]
-mod test_scenes;
+pub(crate) mod test_scenes;
 mod triangles;
 mod truth;
 

@@ -22,6 +22,7 @@ pub(super) fn to_json(served: &Served) -> Vec<u8> {
         ("bundles", ChunkKind::Bundle),
         ("LDI layers", ChunkKind::Ldi),
         ("textures", ChunkKind::Texture),
+        ("LDI tree", ChunkKind::Tree),
     ]
     .map(|(name, kind)| json!({ "name": name, "chunks": count(kind), "bytes": stored(kind) }))
     .into();

@@ -351,7 +351,7 @@ impl Planner {
     fn plan_view(&mut self, now: Duration) {
         let Some(motion) = self.motion else { return };
         let needed = self.views.needed(&motion.newest.pose);
-        self.lists[Urgency::Now as usize] = List::new(needed.now);
+        self.lists[Urgency::Now as usize] = List::new([needed.base, needed.now].concat());
         self.lists[Urgency::Fine as usize] = List::new(needed.fine);
         // The old predicted list stays until the next one is made: what flies for it is not stale yet.
         self.predicted = false;

@@ -25,6 +25,6 @@ impl SelectViews {
 impl Views for SelectViews {
     fn needed(&self, pose: &Pose) -> Needed {
         let list = draw_list(&self.index, pose, self.picture_half_tan);
-        needed(&self.index, &list.images, &list.cells)
+        needed(&self.index, &list.images, &list.cells, &list.tree)
     }
 }

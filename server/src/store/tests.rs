@@ -172,6 +172,7 @@ fn sample() -> Sample {
             samples_by_layer: vec![400, 120],
         }],
         volume: None,
+        tree: None,
     };
     let range = |node, count| SourceRange { node, mesh: 0, primitive: 1, first: 300, count };
     Sample { index, chunks, ranges: vec![vec![range(1, 2), range(2, 2)], vec![range(70_000, 2)]] }

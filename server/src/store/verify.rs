@@ -18,7 +18,7 @@ use ldi_protocol::{
 use memmap2::Mmap;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::{collections::BTreeMap, path::Path};
+use std::{collections::BTreeMap, ops::Range, path::Path};
 
 /// One fault of a dataset.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -250,6 +250,17 @@ impl Places<'_> {
             .filter(|&(t, k)| is_intact(&self.index.textures[t].chunks[k].chunk))
             .collect();
         check(textures.len(), textures.par_iter().map(|&(t, k)| self.check_texture(t, k)).collect());
+        if let Some(tree) = &self.index.tree {
+            let broods: Vec<(u32, Range<u32>)> = tree.broods().filter(|(c, _)| is_intact(c)).collect();
+            let results = broods.into_par_iter().map(|(chunk, nodes)| {
+                let decoded = tree
+                    .decode(nodes, self.bytes(chunk))
+                    .and_then(|brood| manifest::check_decoded_bytes(self.index, chunk, brood.decoded_bytes()));
+                decoded.map_err(|e| self.fault(chunk as usize, format!("LDI tree: {e}")))
+            });
+            let results: Vec<_> = results.collect();
+            check(results.len(), results);
+        }
     }
 
     fn bundle(&self, chunk: u32) -> Result<CellGeometry, CodecError> {

@@ -18,6 +18,7 @@ use ldi_protocol::{
     ldi::Ldi,
     mesh::CellGeometry,
     texture::Texture,
+    tree::Brood,
 };
 use ldi_server::{build::IMAGE_LEVEL, store::Dataset};
 use serde::Serialize;
@@ -72,6 +73,9 @@ impl Resident for Recoded<'_> {
     }
     fn ldi(&self, image: u32) -> Option<Arc<Ldi>> {
         self.images.get(&image).cloned()
+    }
+    fn brood(&self, chunk: u32) -> Option<Arc<Brood>> {
+        self.cache.brood(chunk)
     }
 }
 

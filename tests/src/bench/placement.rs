@@ -6,7 +6,7 @@ use anyhow::{Context as _, Result};
 use ldi_protocol::codec::ColourProfile;
 use ldi_protocol::index::BuildSettings;
 use ldi_protocol::{OutputCamera, path};
-use ldi_server::build::{self, BuildError, BuildOptions, Draft, Progress};
+use ldi_server::build::{self, BuildError, BuildOptions, Draft, Progress, Represent};
 use ldi_server::placement::{AuditReport, AuditSize, PlacementError, plan_row};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -120,6 +120,7 @@ fn options(
     walk: Option<&Walk>,
 ) -> BuildOptions {
     BuildOptions {
+        represent: Represent::Grid,
         scene: scene.into(),
         output: PathBuf::new(),
         colour: ColourProfile::Lossless,

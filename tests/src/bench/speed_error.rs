@@ -215,6 +215,7 @@ impl Setting {
             cull: if self.unclipped { Cull::Off } else { Cull::On },
             fill: self.fill,
             smooth: self.smooth,
+            frame_ms: None,
             supersample: self.supersample,
             pace: Pace::Wait,
             every: 1,

@@ -15,7 +15,7 @@ struct ByX;
 impl Views for ByX {
     fn needed(&self, pose: &Pose) -> Needed {
         let n = pose.position.x.floor() as u32;
-        Needed { now: vec![n.min(CHUNKS - 1)], fine: vec![(n + 1).min(CHUNKS - 1)] }
+        Needed { base: vec![], now: vec![n.min(CHUNKS - 1)], fine: vec![(n + 1).min(CHUNKS - 1)] }
     }
 }
 
@@ -55,6 +55,7 @@ fn index() -> Arc<Index> {
         textures: vec![],
         pitch_bands_deg: vec![],
         volume: None,
+        tree: None,
         points: vec![],
         placements: vec![],
         images: vec![],

@@ -1,0 +1,93 @@
+//! The reference: output as lists per pixel (section 3.3).
+//!
+//! Every tile adds an entry to the list of each pixel that its wide tile covers. A list is sorted by depth; entries within the coarser one's merge threshold of the
+//! first are one surface, their weights add up; surfaces are blended front to back. Slow, and no z-buffer decides anything.
+
+use super::{TreeOptions, paint::Wanted, tiles};
+use crate::{frame::pack_rgb, resident::Resident, warp::FarFrame};
+use ldi_protocol::{
+    OutputCamera, Pose,
+    shade::{linear_from_srgb8_table, srgb8_from_linear},
+    tree::{Lens, Tree, cut},
+};
+
+/// An entry of a pixel's list.
+#[derive(Clone, Copy)]
+struct Entry {
+    depth_m: f32,
+    merge_m: f32,
+    weight: f32,
+    colour: [f32; 3],
+}
+
+/// Draws a tree without gap filling. Returns the picture and the mean length of lists that are not empty.
+pub fn draw(
+    tree: &Tree,
+    resident: &dyn Resident,
+    pose: &Pose,
+    camera: &OutputCamera,
+    options: &TreeOptions,
+) -> (FarFrame, f64) {
+    let view = tiles::Eye::new(pose, camera);
+    let nodes = cut(tree, pose, &Lens::from(camera), &options.cut, |c| resident.brood(c).is_some());
+    let wanted = Wanted::all(camera.width, camera.height);
+    let mut lists: Vec<Vec<Entry>> = vec![Vec::new(); camera.width as usize * camera.height as usize];
+    let linear = linear_from_srgb8_table();
+    for n in &nodes.nodes {
+        let Some(brood) = resident.brood(n.home.0) else { continue };
+        let mut found = Vec::new();
+        let samples = &brood.nodes[usize::from(n.home.1)].samples;
+        view.tiles(tree, &tree.nodes[n.node as usize], n.filtered, samples, &wanted, &mut found);
+        for tile in &found {
+            for row in tile.rows[0]..=tile.rows[1] {
+                for column in tile.columns[0]..=tile.columns[1] {
+                    let Some((disparity, s, t)) = tile.at(column as f32 + 0.5, row as f32 + 0.5) else { continue };
+                    lists[row as usize * camera.width as usize + column as usize].push(Entry {
+                        depth_m: 1.0 / disparity,
+                        merge_m: tile.merge_m,
+                        weight: (1.0 - s.abs()) * (1.0 - t.abs()) * tile.alpha,
+                        colour: tile.rgb.map(|c| linear[usize::from(c)]),
+                    });
+                }
+            }
+        }
+    }
+    let mut out = FarFrame::new(camera.width, camera.height);
+    out.clear();
+    let (mut entries, mut filled) = (0usize, 0usize);
+    for (packed, list) in out.packed.iter_mut().zip(&mut lists) {
+        entries += list.len();
+        filled += usize::from(!list.is_empty());
+        if let Some((rgb, depth_m)) = blend(list) {
+            *packed = FarFrame::pack(1.0 / depth_m, pack_rgb(rgb.map(srgb8_from_linear)));
+        }
+    }
+    (out, entries as f64 / filled.max(1) as f64)
+}
+
+/// A list's colour and the depth of the surface that gives the most of it; None if hardly anything covers the pixel.
+fn blend(list: &mut [Entry]) -> Option<([f32; 3], f32)> {
+    list.sort_by(|a, b| a.depth_m.total_cmp(&b.depth_m));
+    let (mut colour, mut left) = ([0.0f32; 3], 1.0f32);
+    let (mut most, mut depth_m) = (0.0, 0.0);
+    let mut at = 0;
+    while at < list.len() && left > 1e-3 {
+        let first = list[at];
+        let (mut weight, mut sum) = (0.0, [0.0f32; 3]);
+        while let Some(e) = list.get(at).filter(|e| e.depth_m - first.depth_m <= first.merge_m.max(e.merge_m)) {
+            weight += e.weight;
+            sum = std::array::from_fn(|k| sum[k] + e.colour[k] * e.weight);
+            at += 1;
+        }
+        let share = left * weight.min(1.0);
+        if weight > 0.0 {
+            colour = std::array::from_fn(|k| colour[k] + sum[k] / weight * share);
+        }
+        left -= share;
+        if share > most {
+            (most, depth_m) = (share, first.depth_m);
+        }
+    }
+    let covered = 1.0 - left;
+    (covered > 0.25).then(|| (colour.map(|c| c / covered), depth_m))
+}

@@ -1,0 +1,257 @@
+//! Tiles into pixels: a z-buffer of opaque tiles, then weighted colours of what lies on it.
+
+use super::tiles::Tile;
+use crate::{frame::pack_rgb, warp::FarFrame};
+use ldi_protocol::{
+    OutputCamera,
+    shade::{linear_from_srgb8_table, srgb8_from_linear},
+};
+use rayon::prelude::*;
+
+/// Side of the blocks in which wanted pixels are counted.
+pub const BLOCK: usize = 16;
+/// Samples that cover at least this of their pixel hide what lies behind. Lower: foliage grows fat; higher: what is behind shows through borders of faces.
+const OPAQUE_FROM: f32 = 0.4;
+/// Marks a packed colour that hides nothing: its highest byte is free.
+const THIN: u32 = 1 << 24;
+/// A pixel with less weight than this shows the z-buffer's own colour.
+const LEAST_WEIGHT: f32 = 0.02;
+/// Bands of rows per thread: enough to balance.
+const BANDS_PER_THREAD: usize = 4;
+
+/// The pixels of a picture that still want a colour.
+#[derive(Debug, Clone, Default)]
+pub struct Wanted {
+    width: usize,
+    blocks_across: usize,
+    pixels: Vec<bool>,
+    /// Wanted pixels of each block.
+    blocks: Vec<u32>,
+    /// Smallest disparity that a sample needs to show in some wanted pixel of each block; infinite in blocks without.
+    floors: Vec<f32>,
+    total: u64,
+}
+
+impl Wanted {
+    /// From a flag per pixel, and what disparity hides samples in each (none where it is empty).
+    pub fn new(width: u32, height: u32, pixels: Vec<bool>, hidden_below: &[f32]) -> Self {
+        let (width, height) = (width as usize, height as usize);
+        assert_eq!(pixels.len(), width * height, "a flag per pixel");
+        let blocks_across = width.div_ceil(BLOCK).max(1);
+        let mut blocks = vec![0; blocks_across * height.div_ceil(BLOCK)];
+        for (at, _) in pixels.iter().enumerate().filter(|(_, w)| **w) {
+            blocks[at / width / BLOCK * blocks_across + at % width / BLOCK] += 1;
+        }
+        let total = blocks.iter().map(|b| u64::from(*b)).sum();
+        let floors = Vec::new();
+        let mut wanted = Self { width, blocks_across, pixels, blocks, floors, total };
+        wanted.floors = wanted.floors_of(|at| hidden_below.get(at).copied().unwrap_or(0.0));
+        wanted
+    }
+
+    /// The smallest of `hidden_below` over the wanted pixels of each block.
+    fn floors_of(&self, hidden_below: impl Fn(usize) -> f32 + Sync) -> Vec<f32> {
+        let height = self.pixels.len() / self.width.max(1);
+        let floor = |block: usize| {
+            let (row, column) = (block / self.blocks_across * BLOCK, block % self.blocks_across * BLOCK);
+            let mut floor = f32::INFINITY;
+            for r in row..(row + BLOCK).min(height) {
+                for at in r * self.width + column..r * self.width + (column + BLOCK).min(self.width) {
+                    if self.pixels[at] {
+                        floor = floor.min(hidden_below(at));
+                    }
+                }
+            }
+            floor
+        };
+        (0..self.blocks.len()).into_par_iter().map(floor).collect()
+    }
+
+    /// Samples behind what `frame` shows by more than `margin` (a share of the disparity) need no longer be drawn.
+    pub(super) fn raise_floors(&mut self, frame: &FarFrame, margin: f32) {
+        let found = self.floors_of(|at| FarFrame::unpack(frame.packed[at]).map_or(0.0, |(_, d)| d * (1.0 - margin)));
+        self.floors.iter_mut().zip(found).for_each(|(a, b)| *a = a.max(b));
+    }
+
+    /// All pixels.
+    pub fn all(width: u32, height: u32) -> Self {
+        Self::new(width, height, vec![true; width as usize * height as usize], &[])
+    }
+
+    /// Whether nothing is wanted.
+    pub fn is_empty(&self) -> bool {
+        self.total == 0
+    }
+
+    /// Pixels wanted.
+    pub fn count(&self) -> u64 {
+        self.total
+    }
+
+    /// Whether a pixel is wanted.
+    pub fn holds(&self, at: usize) -> bool {
+        self.pixels[at]
+    }
+
+    /// Whether something of this disparity shows in a block that a rectangle (first and last columns and rows, within the picture) touches.
+    pub(super) fn any(&self, columns: [i32; 2], rows: [i32; 2], disparity: f32) -> bool {
+        let block = |v: i32| v as usize / BLOCK;
+        (block(rows[0])..=block(rows[1])).any(|r| {
+            let row = &self.floors[r * self.blocks_across..][..self.blocks_across];
+            row[block(columns[0])..=block(columns[1])].iter().any(|floor| disparity >= *floor)
+        })
+    }
+
+    /// Pixels of which `unwanted` holds, by row and column, are no longer wanted.
+    pub(super) fn drop_where(&mut self, unwanted: &(dyn Fn(usize, usize) -> bool + Sync)) {
+        let dropped: Vec<usize> = (0..self.pixels.len())
+            .into_par_iter()
+            .filter(|at| self.pixels[*at] && unwanted(at / self.width, at % self.width))
+            .collect();
+        dropped.into_iter().for_each(|at| self.drop_one(at));
+    }
+
+    fn drop_one(&mut self, at: usize) {
+        self.pixels[at] = false;
+        let block = at / self.width / BLOCK * self.blocks_across + at % self.width / BLOCK;
+        self.blocks[block] -= 1;
+        if self.blocks[block] == 0 {
+            self.floors[block] = f32::INFINITY;
+        }
+        self.total -= 1;
+    }
+
+    /// What `frame` shows is no longer wanted; returns how many pixels that are.
+    pub(super) fn settle(&mut self, frame: &FarFrame) -> u64 {
+        let before = self.total;
+        for at in 0..self.pixels.len() {
+            if self.pixels[at] && FarFrame::unpack(frame.packed[at]).is_some() {
+                self.drop_one(at);
+            }
+        }
+        before - self.total
+    }
+}
+
+/// Memory of the second pass.
+#[derive(Debug, Default)]
+pub struct Painting {
+    /// Sums of linear colour and weight.
+    sums: Vec<[f32; 4]>,
+}
+
+impl Painting {
+    /// First pass: the z-buffer of opaque tiles, in wanted pixels of `out` that show nothing yet.
+    pub fn cover(&mut self, tiles: &[Vec<Tile>], camera: &OutputCamera, wanted: &Wanted, out: &mut FarFrame) {
+        self.bands(camera, wanted, out, |band| tiles.iter().flatten().for_each(|t| band.cover(t)));
+    }
+
+    /// Second pass: colours of what lies on it.
+    pub fn mix(&mut self, tiles: &[Vec<Tile>], camera: &OutputCamera, wanted: &Wanted, out: &mut FarFrame) {
+        self.sums.clear();
+        self.sums.resize(out.packed.len(), [0.0; 4]);
+        self.bands(camera, wanted, out, |band| {
+            tiles.iter().flatten().for_each(|t| band.cover_thinly(t));
+            tiles.iter().flatten().for_each(|t| band.mix(t));
+            band.resolve();
+        });
+    }
+
+    fn bands(&mut self, camera: &OutputCamera, wanted: &Wanted, out: &mut FarFrame, f: impl Fn(&mut Band<'_>) + Sync) {
+        let (width, height) = (camera.width as usize, camera.height as usize);
+        self.sums.resize(width * height, [0.0; 4]);
+        let rows = height.div_ceil(rayon::current_num_threads() * BANDS_PER_THREAD).max(1);
+        let bands = out.packed.par_chunks_mut(rows * width).zip(self.sums.par_chunks_mut(rows * width)).enumerate();
+        bands.for_each(|(k, (packed, sums))| {
+            f(&mut Band { first_row: (k * rows) as i32, width, packed, sums, wanted });
+        });
+    }
+}
+
+/// Some rows of the picture.
+struct Band<'a> {
+    first_row: i32,
+    width: usize,
+    packed: &'a mut [u64],
+    sums: &'a mut [[f32; 4]],
+    wanted: &'a Wanted,
+}
+
+impl Band<'_> {
+    /// Calls `f` with the pixels of a tile in this band: position in it, disparity, place on the tile.
+    fn each(&mut self, tile: &Tile, mut f: impl FnMut(&mut Self, usize, (f32, f32, f32))) {
+        let last_row = self.first_row + (self.packed.len() / self.width) as i32 - 1;
+        for row in tile.rows[0].max(self.first_row)..=tile.rows[1].min(last_row) {
+            let first = (row - self.first_row) as usize * self.width;
+            for column in tile.columns[0]..=tile.columns[1] {
+                if !self.wanted.holds(row as usize * self.width + column as usize) {
+                    continue;
+                }
+                if let Some(place) = tile.at(column as f32 + 0.5, row as f32 + 0.5) {
+                    f(self, first + column as usize, place);
+                }
+            }
+        }
+    }
+
+    /// First pass: opaque tiles by depth.
+    fn cover(&mut self, tile: &Tile) {
+        if tile.alpha < OPAQUE_FROM {
+            return;
+        }
+        let half = Tile::half_width();
+        let colour = pack_rgb(tile.rgb);
+        self.each(tile, |band, at, (disparity, s, t)| {
+            if s.abs() <= half && t.abs() <= half {
+                let packed = FarFrame::pack(disparity, colour);
+                band.packed[at] = band.packed[at].max(packed);
+            }
+        });
+    }
+
+    /// Between the passes: where nothing opaque is, the nearest of what covers a part.
+    fn cover_thinly(&mut self, tile: &Tile) {
+        if tile.alpha >= OPAQUE_FROM {
+            return;
+        }
+        let half = Tile::half_width();
+        let colour = pack_rgb(tile.rgb) | THIN;
+        self.each(tile, |band, at, (disparity, s, t)| {
+            let there = band.packed[at];
+            if s.abs() <= half && t.abs() <= half && (there == 0 || there as u32 & THIN != 0) {
+                band.packed[at] = there.max(FarFrame::pack(disparity, colour));
+            }
+        });
+    }
+
+    /// Second pass: weighted colours of what is not hidden.
+    fn mix(&mut self, tile: &Tile) {
+        let linear = linear_from_srgb8_table();
+        let colour = tile.rgb.map(|c| linear[usize::from(c)]);
+        self.each(tile, |band, at, (disparity, s, t)| {
+            if let Some((_, front)) = FarFrame::unpack(band.packed[at]) {
+                // Behind the front by more than a merge threshold.
+                if front > disparity && 1.0 / disparity - 1.0 / front > tile.merge_m {
+                    return;
+                }
+            }
+            let weight = (1.0 - s.abs()) * (1.0 - t.abs()) * tile.alpha;
+            let sum = &mut band.sums[at];
+            for (sum, c) in sum.iter_mut().zip(colour) {
+                *sum += c * weight;
+            }
+            sum[3] += weight;
+        });
+    }
+
+    fn resolve(&mut self) {
+        for (packed, sum) in self.packed.iter_mut().zip(&*self.sums) {
+            let Some((colour, disparity)) = FarFrame::unpack(*packed) else { continue };
+            *packed = FarFrame::pack(disparity, colour & !THIN);
+            if sum[3] > LEAST_WEIGHT {
+                let rgb = std::array::from_fn(|k| srgb8_from_linear(sum[k] / sum[3]));
+                *packed = FarFrame::pack(disparity, pack_rgb(rgb));
+            }
+        }
+    }
+}

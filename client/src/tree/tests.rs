@@ -1,0 +1,242 @@
+//! The tree's picture against analytic scenes and against the reference of lists per pixel.
+
+use super::*;
+use crate::{frame::unpack_rgb, test_support::Memory};
+use glam::DVec3;
+use ldi_protocol::tree::{Brood, DEPTH_STEPS, NodeSamples, OPAQUE, SIDE, TreeNode, TreeSample};
+use std::sync::Arc;
+
+const CAMERA: OutputCamera = OutputCamera { width: 160, height: 120, fov_deg: 60.0 };
+
+/// A root cube of `edge` around the origin, and samples put there by hand.
+struct Made {
+    tree: Tree,
+    memory: Memory,
+}
+
+impl Made {
+    fn new(edge: f64, samples: Vec<TreeSample>) -> Self {
+        let unfiltered = samples.iter().filter(|s| !s.filtered).count() as u32;
+        let n = samples.len() as u32;
+        let root = TreeNode { level: 0, cell: [0; 3], samples: n, unfiltered, first_child: 0, children: 0, chunk: 0 };
+        let origin = DVec3::splat(-edge / 2.0);
+        let tree = Tree { origin, edge_m: edge, root_chunk: 0, pinned_levels: 1, skies: Vec::new(), nodes: vec![root] };
+        let mut memory = Memory::default();
+        memory.broods.insert(0, Arc::new(Brood { nodes: vec![NodeSamples { samples }] }));
+        Self { tree, memory }
+    }
+
+    fn draw(&self, pose: &Pose, options: &TreeOptions) -> (FarFrame, TreeStats) {
+        let mut out = FarFrame::default();
+        let mut wanted = Wanted::all(CAMERA.width, CAMERA.height);
+        let stats = TreePainter::default().draw(
+            &self.tree,
+            &self.memory,
+            pose,
+            &CAMERA,
+            options,
+            &mut wanted,
+            &|_, _| false,
+            &mut out,
+        );
+        (out, stats)
+    }
+}
+
+/// A wall that fills the plane z = `depth` steps of the root's +z face, sloping by `slope`, coloured by column.
+fn wall(depth: f64, slope: [i8; 2], colour: impl Fn(u8, u8) -> [u8; 3]) -> Vec<TreeSample> {
+    let mut out = Vec::new();
+    for row in 0..SIDE as u8 {
+        for column in 0..SIDE as u8 {
+            let middle = f64::from(SIDE) / 2.0 - 0.5;
+            let (c, r) = (f64::from(column) - middle, f64::from(row) - middle);
+            let at = depth + c * f64::from(slope[0]) + r * f64::from(slope[1]);
+            if (0.0..f64::from(SIDE * DEPTH_STEPS)).contains(&at) {
+                let rgb = colour(column, row);
+                out.push(TreeSample {
+                    face: 5,
+                    column,
+                    row,
+                    alpha: OPAQUE,
+                    depth: at as u16,
+                    slope,
+                    rgb,
+                    filtered: false,
+                });
+            }
+        }
+    }
+    out
+}
+
+fn ahead(z: f64) -> Pose {
+    Pose { position: DVec3::new(0.0, 0.0, z), yaw_deg: 0.0, pitch_deg: 0.0 }
+}
+
+const ONCE: TreeOptions = TreeOptions { cut: CutOptions { stamp_px: 1.0, max_samples: u64::MAX }, fill_gaps: false };
+
+#[test]
+fn a_wall_has_no_holes_and_the_plane_s_own_depth_at_every_pixel() {
+    for (slope, z) in [([0i8, 0i8], 30.0), ([20, -7], 12.0), ([60, 33], 9.0), ([0, 0], 5.2)] {
+        let made = Made::new(10.0, wall(2048.0, slope, |_, _| [90, 120, 150]));
+        let (picture, stats) = made.draw(&ahead(z), &ONCE);
+        let plane = |u: f64, v: f64| {
+            // World: z = x s0 + y' s1, with rows along +y.
+            let f = CAMERA.focal_px();
+            let ray = DVec3::new((u - 80.0) / f, -(v - 60.0) / f, -1.0);
+            let (a, b) = (f64::from(slope[0]) / 64.0, f64::from(slope[1]) / 64.0);
+            // position + t ray on z - a x - b y = 0.
+            let t = z / -(ray.z - a * ray.x - b * ray.y);
+            (t, (DVec3::new(0.0, 0.0, z) + ray * t))
+        };
+        let mut seen = 0;
+        for row in 0..CAMERA.height as usize {
+            for column in 0..CAMERA.width as usize {
+                let (depth, at) = plane(column as f64 + 0.5, row as f64 + 0.5);
+                let steep = at.z.abs() < 4.5;
+                if depth > 0.05 && at.x.abs().max(at.y.abs()) < 4.7 && steep {
+                    let got = picture.get(row * CAMERA.width as usize + column);
+                    let (colour, disparity) =
+                        got.unwrap_or_else(|| panic!("a hole at {column}, {row}, slope {slope:?}"));
+                    assert_eq!(unpack_rgb(colour), [90, 120, 150]);
+                    let wrong = (1.0 / f64::from(disparity) - depth).abs();
+                    assert!(wrong < 10.0 / 64.0 / 32.0 * 2.0, "{wrong} m at {column}, {row}, slope {slope:?}");
+                    seen += 1;
+                }
+            }
+        }
+        assert!(seen > 500 && stats.painted >= seen, "{seen} of {}", stats.painted);
+    }
+}
+
+#[test]
+fn the_fast_path_shows_what_lists_show() {
+    // A wall with stripes, a smaller one before it, and a half-covered one between.
+    let mut samples = wall(1000.0, [3, 5], |c, _| if c % 8 < 4 { [200, 60, 40] } else { [40, 60, 200] });
+    samples.extend(wall(3000.0, [0, 0], |_, _| [30, 160, 30]).into_iter().filter(|s| s.column > 20 && s.row < 40));
+    samples.extend(
+        wall(2000.0, [0, 0], |_, _| [240, 240, 0])
+            .into_iter()
+            .filter(|s| s.column < 12)
+            .map(|s| TreeSample { alpha: 5, ..s }),
+    );
+    let made = Made::new(10.0, samples);
+    for pose in [ahead(14.0), Pose { yaw_deg: 15.0, pitch_deg: -6.0, position: DVec3::new(2.0, 1.0, 12.0) }] {
+        let (fast, _) = made.draw(&pose, &ONCE);
+        let (lists, length) = lists::draw(&made.tree, &made.memory, &pose, &CAMERA, &ONCE);
+        assert!(length > 3.0);
+        let (mut same, mut apart, mut only_one) = (0u32, 0u32, 0u32);
+        for at in 0..fast.packed.len() {
+            match (fast.get(at), lists.get(at)) {
+                (Some((a, _)), Some((b, _))) => {
+                    let off = unpack_rgb(a).into_iter().zip(unpack_rgb(b)).map(|(x, y)| x.abs_diff(y)).max();
+                    *if off <= Some(2) { &mut same } else { &mut apart } += 1;
+                }
+                (None, None) => {}
+                _ => only_one += 1,
+            }
+        }
+        // Where one opaque surface is in front, to rounding. They differ under what is half covered, and along outlines: lists end where they cover a quarter of a
+        // pixel, 0.75 pitches from the last sample's middle, opaque tiles 0.55 pitches. A pitch is 1.5 pixels here, and outlines are some 700 pixels long.
+        assert!(same > 6000 && apart * 5 < same && only_one < 300, "{same} same, {apart} apart, {only_one} in one");
+    }
+}
+
+#[test]
+fn gaps_are_filled_from_filtered_samples_and_only_there() {
+    // Children of the root: one octant holds a wall, of which the root has a copy that goes on beyond it.
+    let coarse: Vec<TreeSample> =
+        wall(2048.0, [0, 0], |_, _| [100, 100, 100]).into_iter().map(|s| TreeSample { filtered: true, ..s }).collect();
+    let mut made = Made::new(10.0, coarse);
+    // The upper right octant in front: its wall at the same place is at depth 0 of the child.
+    let child: Vec<TreeSample> =
+        wall(32.0, [0, 0], |_, _| [200, 50, 50]).into_iter().filter(|s| s.column < 40).collect();
+    let n = child.len() as u32;
+    made.tree.nodes[0] = TreeNode { first_child: 1, children: 1, chunk: 1, ..made.tree.nodes[0] };
+    made.tree.nodes.push(TreeNode {
+        level: 1,
+        cell: [1; 3],
+        samples: n,
+        unfiltered: n,
+        first_child: 0,
+        children: 0,
+        chunk: 0,
+    });
+    made.tree.check().unwrap();
+    made.memory.broods.insert(1, Arc::new(Brood { nodes: vec![NodeSamples { samples: child }] }));
+    let pose = ahead(12.0);
+    let (bare, _) = made.draw(&pose, &ONCE);
+    let (filled, stats) = made.draw(&pose, &TreeOptions { fill_gaps: true, ..ONCE });
+    let red = |f: &FarFrame, at: usize| f.get(at).is_some_and(|(c, _)| unpack_rgb(c)[0] > 150);
+    let (mut kept, mut gaps) = (0, 0u64);
+    for at in 0..bare.packed.len() {
+        match bare.get(at) {
+            Some(_) => {
+                assert_eq!(bare.get(at), filled.get(at), "what stands is left alone");
+                kept += u32::from(red(&bare, at));
+            }
+            None => gaps += u64::from(filled.get(at).is_some()),
+        }
+    }
+    assert!(kept > 500 && gaps > 2000 && stats.gaps_filled == gaps, "{kept}, {gaps}, {stats:?}");
+}
+
+#[test]
+fn an_eye_within_a_cell_beside_a_wall_and_far_out_in_the_world_sees_it_whole() {
+    for offset in [0.0, 1e6, 1e7] {
+        let mut made = Made::new(10.0, wall(2048.0, [0, 0], |_, _| [90, 120, 150]));
+        made.tree.origin += DVec3::splat(offset);
+        // 0.1 m from the wall: tiles of 0.16 m, larger than the picture is wide at that distance, some partly behind the eye.
+        for (distance, yaw) in [(0.1, 0.0), (0.1, 60.0), (3.0, 0.0)] {
+            let pose = Pose { position: DVec3::new(offset, offset, offset + distance), yaw_deg: yaw, pitch_deg: 0.0 };
+            let (picture, _) = made.draw(&pose, &ONCE);
+            let shown = (0..picture.packed.len()).filter(|at| picture.get(*at).is_some()).count();
+            let f = CAMERA.focal_px();
+            let (sy, cy) = f64::to_radians(yaw).sin_cos();
+            let on_wall = |at: usize| {
+                let (u, v) = ((at % 160) as f64 + 0.5 - 80.0, (at / 160) as f64 + 0.5 - 60.0);
+                // Ray in the world.
+                let (x, y, z) = (u / f * cy - sy, -v / f, -cy - u / f * sy);
+                let t = distance / -z;
+                z < 0.0 && (x * t).abs() < 4.5 && (y * t).abs() < 4.5
+            };
+            let expected = (0..picture.packed.len()).filter(|at| on_wall(*at)).count();
+            assert!(
+                shown >= expected * 99 / 100,
+                "offset {offset}, {distance} m, {yaw} degrees: {shown} of {expected}"
+            );
+        }
+    }
+}
+
+#[test]
+fn what_turns_away_or_is_not_wanted_is_not_drawn() {
+    let made = Made::new(10.0, wall(2048.0, [0, 0], |_, _| [90, 120, 150]));
+    let behind = Pose { position: DVec3::new(0.0, 0.0, -12.0), yaw_deg: 180.0, pitch_deg: 0.0 };
+    assert_eq!(made.draw(&behind, &ONCE).1.painted, 0);
+    let mut wanted = Wanted::new(160, 120, (0..160 * 120).map(|at| at % 160 < 40).collect(), &[]);
+    let mut out = FarFrame::default();
+    let stats = TreePainter::default().draw(
+        &made.tree,
+        &made.memory,
+        &ahead(14.0),
+        &CAMERA,
+        &ONCE,
+        &mut wanted,
+        &|_, _| false,
+        &mut out,
+    );
+    assert!(stats.painted > 0 && (0..out.packed.len()).all(|at| out.get(at).is_none() || at % 160 < 40));
+    let nothing = Memory::default();
+    let stats = TreePainter::default().draw(
+        &made.tree,
+        &nothing,
+        &ahead(14.0),
+        &CAMERA,
+        &ONCE,
+        &mut Wanted::all(160, 120),
+        &|_, _| false,
+        &mut out,
+    );
+    assert_eq!((stats.painted, &stats.missing[..]), (0, &[0u32][..]));
+}

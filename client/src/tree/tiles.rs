@@ -1,0 +1,227 @@
+//! From a sample to a quadrilateral of the picture.
+
+use super::paint::Wanted;
+use glam::{DVec3, Vec3};
+use ldi_protocol::{
+    Aabb, OutputCamera, Pose,
+    tree::{DEPTH_STEPS, SIDE, Tree, TreeNode, TreeSample, across},
+};
+
+/// Nothing is drawn nearer than this, metres.
+const NEAR_M: f32 = 0.02;
+/// Tiles are this much wider than their pitch, so that those of a curved surface meet.
+const OVERLAP: f32 = 1.1;
+/// Half the diagonal of a wide tile, in pitches, at most: both sides a pitch across and two along the axis, as slopes are coded.
+const LARGEST_REACH: f32 = 4.6 * OVERLAP;
+/// How much a ball beside the line of sight is stretched in the picture, at most: fields of view up to 100 degrees and their corners.
+const SLANT: f32 = 2.5;
+/// A surface is left out when it turns away from the eye by more than this (cosine): normals are means, and a surface seen edge-on must not fall out.
+const TURNED_AWAY: f32 = 0.2;
+/// Samples of one surface lie this many pitches apart in depth, at most: what the merge threshold of the tree is, and half a pitch for coded depth and slope.
+const MERGE_PITCHES: f32 = 1.5;
+
+/// A tile in the picture. Pixel coordinates, centres at +0.5.
+#[derive(Debug, Clone, Copy)]
+pub struct Tile {
+    /// Columns and rows that the wide tile (bilinear weights) may touch: first and last.
+    pub columns: [i32; 2],
+    pub rows: [i32; 2],
+    /// Plane through the eye's rays: disparity at (u, v) is `plane . (u, v, 1)`.
+    pub plane: [f32; 3],
+    /// Position along the tile's two sides, in pitches from the middle, times disparity: `along[k] . (u, v, 1)`.
+    pub along: [[f32; 3]; 2],
+    /// Disparity of the middle, and the smallest and largest of the wide tile.
+    pub disparity: [f32; 3],
+    /// Metres of depth within which tiles are one surface.
+    pub merge_m: f32,
+    /// 0 to 1.
+    pub alpha: f32,
+    pub rgb: [u8; 3],
+}
+
+/// The camera, ready for tiles.
+pub struct Eye {
+    position: DVec3,
+    /// Right, down, forward.
+    axes: [DVec3; 3],
+    focal: f32,
+    centre: [f32; 2],
+    size: [i32; 2],
+}
+
+impl Eye {
+    pub fn new(pose: &Pose, camera: &OutputCamera) -> Self {
+        let basis = pose.basis();
+        Self {
+            position: pose.position,
+            axes: [basis.right, -basis.up, basis.forward],
+            focal: camera.focal_px() as f32,
+            centre: [camera.width as f32 * 0.5, camera.height as f32 * 0.5],
+            size: [camera.width as i32, camera.height as i32],
+        }
+    }
+
+    /// A world vector in eye space: right, down, forward.
+    fn turn(&self, v: DVec3) -> Vec3 {
+        Vec3::from_array(self.axes.map(|a| a.dot(v) as f32))
+    }
+
+    /// The tiles of a node's samples that may paint a wanted pixel.
+    pub fn tiles(
+        &self,
+        tree: &Tree,
+        node: &TreeNode,
+        filtered: bool,
+        samples: &[TreeSample],
+        wanted: &Wanted,
+        out: &mut Vec<Tile>,
+    ) {
+        let pitch = tree.pitch_of(node.level);
+        // Relative to the eye in f64, then f32: offsets of the world cost nothing.
+        let corner = self.turn(tree.corner_of(node) - self.position);
+        for of_face in samples.chunk_by(|a, b| a.face == b.face) {
+            let axis = usize::from(of_face[0].face / 2);
+            let [a, b] = across(axis);
+            let unit = |k: usize| {
+                let mut v = DVec3::ZERO;
+                v[k] = pitch;
+                self.turn(v)
+            };
+            let (column, row, depth) = (unit(a), unit(b), unit(axis) / DEPTH_STEPS as f32);
+            let outward = unit(axis) * if of_face[0].face % 2 == 1 { 1.0 } else { -1.0 };
+            for s in of_face.iter().filter(|s| filtered || !s.filtered) {
+                let middle = corner
+                    + column * (f32::from(s.column) + 0.5)
+                    + row * (f32::from(s.row) + 0.5)
+                    + depth * (f32::from(s.depth) + 0.5);
+                // Most samples are hidden or outside of what is wanted: that is found out before anything is made of them.
+                if !self.may_show(middle, pitch as f32, wanted) {
+                    continue;
+                }
+                let sides = [column + depth * f32::from(s.slope[0]), row + depth * f32::from(s.slope[1])];
+                if let Some(tile) = self.tile(middle, sides, outward, pitch as f32, s)
+                    && wanted.any(tile.columns, tile.rows, tile.disparity[2])
+                {
+                    out.push(tile);
+                }
+            }
+        }
+    }
+
+    /// Whether something in a box shows in a wanted pixel.
+    pub fn sees(&self, bounds: &Aabb, wanted: &Wanted) -> bool {
+        let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
+        let mut nearest = f32::MAX;
+        for corner in bounds.corners() {
+            let c = self.turn(corner - self.position);
+            if c.z < NEAR_M {
+                // It reaches behind the eye: wherever it is in the picture, it may be near.
+                return !wanted.is_empty();
+            }
+            for (k, v) in [c.x, c.y].into_iter().enumerate() {
+                let p = self.centre[k] + v * self.focal / c.z;
+                low[k] = low[k].min(p);
+                high[k] = high[k].max(p);
+            }
+            nearest = nearest.min(c.z);
+        }
+        let inside = |k: usize| [low[k].max(0.0) as i32, high[k].min((self.size[k] - 1) as f32) as i32];
+        let (columns, rows) = (inside(0), inside(1));
+        columns[0] <= columns[1] && rows[0] <= rows[1] && wanted.any(columns, rows, 1.0 / nearest)
+    }
+
+    /// False where no tile around `middle` can show: a ball that holds any wide tile of this pitch.
+    fn may_show(&self, middle: Vec3, pitch: f32, wanted: &Wanted) -> bool {
+        let reach = pitch * LARGEST_REACH;
+        let nearest = middle.z - reach;
+        if nearest < NEAR_M {
+            return middle.z >= NEAR_M;
+        }
+        let (scale, radius) = (self.focal / middle.z, reach * self.focal / nearest * SLANT);
+        let inside = |k: usize, v: f32| {
+            let p = self.centre[k] + v * scale;
+            [(p - radius).max(0.0) as i32, (p + radius).min((self.size[k] - 1) as f32) as i32]
+        };
+        let (columns, rows) = (inside(0, middle.x), inside(1, middle.y));
+        columns[0] <= columns[1] && rows[0] <= rows[1] && wanted.any(columns, rows, 1.0 / nearest)
+    }
+
+    /// The tile around `middle` with these sides (eye space, metres). None: behind the eye, turned away, or outside of the picture.
+    fn tile(&self, middle: Vec3, sides: [Vec3; 2], outward: Vec3, pitch: f32, s: &TreeSample) -> Option<Tile> {
+        if middle.z < NEAR_M {
+            return None;
+        }
+        let cross = sides[0].cross(sides[1]);
+        let normal = if cross.dot(outward) < 0.0 { -cross } else { cross };
+        let facing = normal.dot(middle);
+        if facing > TURNED_AWAY * normal.length() * middle.length() {
+            return None;
+        }
+        // The wide tile reaches a pitch to each side; what would reach behind the eye is cut shorter.
+        let reach = (sides[0].z.abs() + sides[1].z.abs()) * OVERLAP;
+        let shrink = if middle.z - reach < NEAR_M { ((middle.z - NEAR_M) / reach).clamp(0.0, 1.0) } else { 1.0 };
+        let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
+        let (mut nearest, mut farthest) = (middle.z, middle.z);
+        for (i, j) in [(-1.0f32, -1.0f32), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)] {
+            let corner = middle + (sides[0] * i + sides[1] * j) * (OVERLAP * shrink);
+            let scale = self.focal / corner.z.max(NEAR_M);
+            for (k, v) in [corner.x, corner.y].into_iter().enumerate() {
+                let p = self.centre[k] + v * scale;
+                low[k] = low[k].min(p);
+                high[k] = high[k].max(p);
+            }
+            nearest = nearest.min(corner.z.max(NEAR_M));
+            farthest = farthest.max(corner.z);
+        }
+        let range = |k: usize| {
+            let first = ((low[k] - 0.5).ceil().max(0.0)) as i32;
+            let last = ((high[k] - 0.5).floor().min((self.size[k] - 1) as f32)) as i32;
+            (first <= last).then_some([first, last])
+        };
+        let (columns, rows) = (range(0)?, range(1)?);
+        // The ray of pixel (u, v) is (u - cx, v - cy, f) / f with component 1 forward. On the plane n . X = n . M the disparity is n . ray / n . M, which is
+        // (n.x u + n.y v + (n.z f - n.x cx - n.y cy)) / (f n . M). Seen edge-on that is a quotient of small numbers, and the middle's is taken.
+        let level = |n: Vec3, by: f32| {
+            [n.x, n.y, n.z * self.focal - n.x * self.centre[0] - n.y * self.centre[1]].map(|v| v / (self.focal * by))
+        };
+        let edge_on = facing.abs() < 0.02 * normal.length() * middle.length();
+        let plane = if edge_on { [0.0, 0.0, 1.0 / middle.z] } else { level(normal, facing) };
+        // Position along side k of X = ray / disparity: dual vector . (X - M), times disparity: dual . ray - disparity * dual . M.
+        let dual = [sides[1].cross(cross), cross.cross(sides[0])].map(|d| d / cross.length_squared().max(1e-30));
+        let along: [[f32; 3]; 2] = std::array::from_fn(|k| {
+            let ray = level(dual[k], 1.0);
+            let offset = dual[k].dot(middle);
+            std::array::from_fn(|c| ray[c] - plane[c] * offset)
+        });
+        Some(Tile {
+            columns,
+            rows,
+            plane,
+            along,
+            disparity: [1.0 / middle.z, 1.0 / farthest, 1.0 / nearest],
+            merge_m: MERGE_PITCHES * pitch,
+            alpha: f32::from(s.alpha) / f32::from(ldi_protocol::tree::OPAQUE),
+            rgb: s.rgb,
+        })
+    }
+}
+
+impl Tile {
+    /// Disparity at a pixel's centre, and where that is on the tile in pitches from its middle; None beyond the wide tile.
+    pub fn at(&self, u: f32, v: f32) -> Option<(f32, f32, f32)> {
+        let of = |c: &[f32; 3]| c[0] * u + c[1] * v + c[2];
+        let disparity = of(&self.plane);
+        if !(disparity > 0.0) {
+            return None;
+        }
+        let (s, t) = (of(&self.along[0]) / disparity, of(&self.along[1]) / disparity);
+        (s.abs() < 1.0 && t.abs() < 1.0).then_some((disparity.clamp(self.disparity[1], self.disparity[2]), s, t))
+    }
+
+    /// Half the width of the opaque tile, in pitches.
+    pub const fn half_width() -> f32 {
+        0.5 * OVERLAP
+    }
+}
+
+const _: () = assert!(SIDE == 64);

@@ -1,0 +1,167 @@
+//! Builds the LDI tree (Chang, Bishop, Lastra 1999) from reference images taken where eyes can be.
+//!
+//! In: a caster and the walk volume. Out: a [`Tree`] with its chunks.
+//!
+//! 1. [`places`]: reference positions, chosen so that together they see as much as all of many candidates do.
+//! 2. [`reference`]: six square images of 90 degrees at each; of every pixel the point, the normal, the colour and the stamp.
+//! 3. [`grow`]: each pixel goes to the level whose pitch matches its stamp (section 3.1), bilinearly; filtered copies go up, level by level.
+//! 4. [`shape`]: what was grown, as nodes and chunks.
+//!
+//! Where it differs from the paper: six faces per node instead of one (see [`ldi_protocol::tree`]); the stamp is measured along the surface, not across the ray, so that
+//! floors seen at a grazing angle do not fall apart; a pixel's filtered copies come from the level below and not from the pixel itself, which is the same sum in
+//! another order; what several references cover is covered once.
+
+mod grow;
+mod places;
+mod reference;
+mod shape;
+#[cfg(test)]
+mod tests;
+
+use crate::pack::{Chunk, PackError};
+use crate::render::Caster;
+use glam::DVec3;
+use grow::Forest;
+use ldi_protocol::{
+    Aabb,
+    tree::{MAX_LEVEL, SIDE, SkyPlace, Tree},
+    volume::WalkVolume,
+};
+use rayon::prelude::*;
+use reference::Reference;
+
+/// Samples that the finest pinned level is planned for: about two bytes each, and a third more for the levels above.
+const PINNED_SAMPLES: f64 = 650_000.0;
+/// The pinned levels take at most this many bytes: less than a second over 20 Mbit/s.
+pub const PINNED_BYTES: u64 = 2_000_000;
+/// Pixels of all reference images of a base layer: some twenty for every sample of its finest level, ten to twenty seconds on two cores.
+const BASE_PIXELS: f64 = 24e6;
+/// Pixels along a side of a reference image, at least and at most.
+const REFERENCE_SIDES: [f64; 2] = [16.0, 512.0];
+/// Of so many references the sky is kept: the first, which see the most. About a kilobyte each, before anything is drawn.
+const SKY_PLACES: usize = 64;
+/// References that are held in memory at a time, pixels of a point each.
+const BATCH_POINTS: usize = 2_000_000;
+
+/// How fine the tree is made.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Depth {
+    /// As fine as the pinned levels can be: the base layer of a dataset that has other representations.
+    Base,
+    /// Samples as fine as this, metres, wherever a reference sees that finely (the paper's smallest feature d, equation for H in section 3.6);
+    /// with reference images of so many pixels along a side.
+    Fine {
+        /// Smallest pitch, metres.
+        pitch_m: f64,
+        /// Pixels along a side of a reference image.
+        side: u32,
+    },
+}
+
+/// What the build of a tree found.
+#[derive(Debug, Clone, Default, serde::Serialize)]
+pub struct TreeFigures {
+    /// Reference positions.
+    pub references: usize,
+    /// Candidates among which they were chosen.
+    pub candidates: usize,
+    /// How much of what all candidates see the references see, 0 to 1.
+    pub coverage: f64,
+    /// Pixels along a side of each of a reference's six images.
+    pub reference_side: u32,
+    /// Reference pixels with a surface.
+    pub reference_pixels: u64,
+    /// Nodes.
+    pub nodes: usize,
+    /// Samples by level.
+    pub samples_by_level: Vec<u64>,
+    /// Stored bytes by level.
+    pub bytes_by_level: Vec<u64>,
+    /// Levels that are pinned.
+    pub pinned_levels: u8,
+    /// Their stored bytes.
+    pub pinned_bytes: u64,
+    /// Pitch of the finest level, metres.
+    pub finest_pitch_m: f64,
+    /// Samples of all levels over reference pixels; the paper's about 5.
+    pub samples_per_reference_pixel: f64,
+    /// Rays cast.
+    pub rays: u64,
+}
+
+/// A tree and its chunks; its chunk numbers count from `first_chunk`.
+pub struct BuiltTree {
+    /// For the index.
+    pub tree: Tree,
+    /// In the order of their numbers.
+    pub chunks: Vec<Chunk>,
+    /// For the report.
+    pub figures: TreeFigures,
+}
+
+/// The cube of a tree around a scene's bounds: shifted by an odd part of a pitch, so that walls and floors at round numbers do not lie on the borders of cells.
+fn cube(bounds: &Aabb) -> (DVec3, f64) {
+    let edge = bounds.size().max_element().max(1e-3) * (1.0 + 3.0 / f64::from(SIDE));
+    (bounds.min - DVec3::new(0.731, 0.617, 0.853) * (edge / f64::from(SIDE)), edge)
+}
+
+/// Builds the tree. None: no eye sees any surface.
+///
+/// # Errors
+/// If a chunk cannot be encoded.
+pub fn build_tree(
+    caster: &Caster,
+    bounds: &Aabb,
+    volume: &WalkVolume,
+    depth: Depth,
+    first_chunk: u32,
+    heard: &dyn Fn(&str),
+) -> Result<Option<BuiltTree>, PackError> {
+    let chosen = places::choose(caster, volume);
+    heard(&format!("{} reference positions of {} candidates", chosen.positions.len(), chosen.candidates));
+    let (origin, edge_m) = cube(bounds);
+    let pitch_at = |level: u8| edge_m / f64::from(SIDE) / f64::from(1u32 << level);
+    let (finest, side) = match depth {
+        Depth::Base => {
+            let pitch = (chosen.area_m2 / PINNED_SAMPLES).sqrt();
+            let side = (BASE_PIXELS / (6 * chosen.positions.len().max(1)) as f64).sqrt();
+            (pitch, side.clamp(REFERENCE_SIDES[0], REFERENCE_SIDES[1]) as u32)
+        }
+        Depth::Fine { pitch_m, side } => (pitch_m, side),
+    };
+    // Larger pitches than asked for would not be what was planned; one level deeper is at most four times the samples.
+    let max_level = (0..=MAX_LEVEL).find(|l| pitch_at(*l) <= finest).unwrap_or(MAX_LEVEL);
+    let mut forest = Forest::new(origin, edge_m, max_level);
+    let (mut skies, mut reference_pixels, mut rays) = (Vec::new(), 0u64, 0u64);
+    let batch = (BATCH_POINTS / (6 * (side * side) as usize)).max(2);
+    for (k, positions) in chosen.positions.chunks(batch).enumerate() {
+        let references: Vec<Reference> = positions.par_iter().map(|p| Reference::take(caster, *p, side)).collect();
+        forest.splat(&references, k * batch);
+        for r in references {
+            reference_pixels += r.points.len() as u64;
+            rays += r.rays;
+            if skies.len() < SKY_PLACES {
+                skies.push(SkyPlace { position: r.position, sky: r.sky });
+            }
+        }
+        heard(&format!("{} of {} references", (k * batch + positions.len()), chosen.positions.len()));
+    }
+    if reference_pixels == 0 {
+        return Ok(None);
+    }
+    let grown = forest.filter();
+    let mut built = shape::shape(grown, origin, edge_m, skies, first_chunk)?;
+    built.figures = TreeFigures {
+        references: chosen.positions.len(),
+        candidates: chosen.candidates,
+        coverage: chosen.coverage,
+        reference_side: side,
+        reference_pixels,
+        rays: rays + chosen.rays,
+        finest_pitch_m: pitch_at(built.figures.samples_by_level.len().saturating_sub(1) as u8),
+        samples_per_reference_pixel: built.figures.samples_by_level.iter().sum::<u64>() as f64
+            / reference_pixels as f64,
+        ..built.figures
+    };
+    Ok(Some(built))
+}

@@ -1,0 +1,165 @@
+//! Where reference images are taken: greedily, always where an eye sees the most that none of those before sees well.
+//!
+//! In: the walk volume. Out: positions. What is seen is counted in cubes by face: a cube of the scene and the direction its surface looks to. A reference near
+//! a surface sees it well, one far off in part ([`FAR_VALUE`]). The gain of a place only shrinks while others are chosen, so that a place whose old gain is beaten
+//! by another's need not be counted anew (lazy greedy); the greedy choice covers at least 63% of what the best choice of as many places could.
+
+use super::reference::direction;
+use crate::render::{Caster, CellSet, Ray};
+use glam::{DVec3, IVec3};
+use ldi_protocol::volume::WalkVolume;
+use rayon::prelude::*;
+use std::collections::{BinaryHeap, HashMap};
+
+/// Most candidates.
+const MAX_CANDIDATES: usize = 2500;
+/// Most positions.
+const MAX_POSITIONS: usize = 800;
+/// Rays along a side of each of a candidate's six pictures. More find smaller gaps; time grows with the square.
+const PROBES: u32 = 16;
+/// Edge of the cubes in which what is seen is counted, in parts of the median distance to what candidates see.
+const CUBES: f64 = 0.25;
+/// Within so many median distances a surface is seen well.
+const WELL: f64 = 2.0;
+/// What a surface that is seen from afar counts.
+const FAR_VALUE: f32 = 0.3;
+/// A position that adds less than this part of everything is not taken.
+const LEAST_GAIN: f64 = 2e-4;
+
+/// The positions and what was found on the way.
+pub struct Chosen {
+    /// Where to take references.
+    pub positions: Vec<DVec3>,
+    /// Among how many they were chosen.
+    pub candidates: usize,
+    /// What they see over what all candidates see.
+    pub coverage: f64,
+    /// Area of what all candidates see, square metres, roughly.
+    pub area_m2: f64,
+    /// Rays cast.
+    pub rays: u64,
+}
+
+/// What a candidate sees: elements, and how much each counts.
+type Seen = Vec<(u32, f32)>;
+
+/// Middles of the volume's boxes, thinned to one per cube of a size that leaves few enough.
+fn candidates(volume: &WalkVolume) -> Vec<DVec3> {
+    let all: Vec<DVec3> = volume.boxes().map(|b| b.centre()).collect();
+    if all.len() < 8 {
+        // Flying: one large box.
+        let sampler = volume.sampler();
+        let radical = |mut k: usize, base: usize| {
+            let (mut value, mut scale) = (0.0, 1.0 / base as f64);
+            while k > 0 {
+                value += (k % base) as f64 * scale;
+                k /= base;
+                scale /= base as f64;
+            }
+            value
+        };
+        let point = |k: usize| [radical(k, 7), radical(k, 2), radical(k, 3), radical(k, 5)];
+        return (1..=MAX_CANDIDATES / 2).filter_map(|k| sampler.point(point(k))).chain(all).collect();
+    }
+    let mut edge = 0.5;
+    loop {
+        let mut taken = HashMap::new();
+        let kept: Vec<DVec3> =
+            all.iter().copied().filter(|p| taken.insert((*p / edge).floor().as_ivec3(), ()).is_none()).collect();
+        if kept.len() <= MAX_CANDIDATES {
+            return kept;
+        }
+        edge *= 1.2;
+    }
+}
+
+/// Chooses positions.
+pub fn choose(caster: &Caster, volume: &WalkVolume) -> Chosen {
+    let candidates = candidates(volume);
+    let probe = |eye: &DVec3| -> Vec<(DVec3, DVec3, f64)> {
+        let rays: Vec<Ray> = (0..6)
+            .flat_map(|face| (0..PROBES * PROBES).map(move |k| (face, k % PROBES, k / PROBES)))
+            .map(|(f, c, r)| Ray::new(*eye, direction(f, f64::from(c) + 0.5, f64::from(r) + 0.5, PROBES)))
+            .collect();
+        let mut hits = vec![None; rays.len()];
+        caster.trace_batch(&rays, &CellSet::all(), &mut hits);
+        let seen = rays.iter().zip(&hits).filter_map(|(ray, hit)| {
+            let s = caster.surface(hit.as_ref()?, ray);
+            let towards = if s.geometric_normal.dot(ray.direction) > 0.0 { -1.0 } else { 1.0 };
+            let (normal, away) = (s.geometric_normal * towards, s.position_world.distance(*eye));
+            Some((s.position_world, normal, away))
+        });
+        seen.collect()
+    };
+    let views: Vec<Vec<(DVec3, DVec3, f64)>> = candidates.par_iter().map(probe).collect();
+    let rays = candidates.len() as u64 * u64::from(6 * PROBES * PROBES);
+    let mut distances: Vec<f64> = views.iter().flatten().map(|v| v.2).collect();
+    let middle = distances.len() / 2;
+    let median =
+        if distances.is_empty() { 1.0 } else { distances.select_nth_unstable_by(middle, f64::total_cmp).1.max(1e-3) };
+    let edge = median * CUBES;
+
+    let mut numbers: HashMap<(IVec3, usize), u32> = HashMap::new();
+    let seen: Vec<Seen> = views
+        .into_iter()
+        .map(|view| {
+            let mut best: HashMap<u32, f32> = HashMap::new();
+            for (at, normal, distance) in view {
+                let axis = normal.abs().max_position();
+                let face = 2 * axis + usize::from(normal[axis] > 0.0);
+                let next = numbers.len() as u32;
+                let element = *numbers.entry(((at / edge).floor().as_ivec3(), face)).or_insert(next);
+                let value = if distance <= WELL * median { 1.0 } else { FAR_VALUE };
+                let b = best.entry(element).or_insert(0.0);
+                *b = b.max(value);
+            }
+            let mut list: Seen = best.into_iter().collect();
+            list.sort_unstable_by_key(|e| e.0);
+            list
+        })
+        .collect();
+    let mut most = vec![0.0f32; numbers.len()];
+    for (element, value) in seen.iter().flatten() {
+        most[*element as usize] = most[*element as usize].max(*value);
+    }
+    let everything: f64 = most.iter().map(|v| f64::from(*v)).sum();
+    let (chosen, covered) = greedy(&seen, most.len(), everything);
+    Chosen {
+        positions: chosen.into_iter().map(|k| candidates[k]).collect(),
+        candidates: candidates.len(),
+        coverage: if everything > 0.0 { covered / everything } else { 0.0 },
+        // A cube that a plane crosses holds about two thirds of its face's area.
+        area_m2: numbers.len() as f64 * edge * edge * 2.0 / 3.0,
+        rays,
+    }
+}
+
+/// Lazy greedy choice: candidates in order, and the value covered.
+fn greedy(seen: &[Seen], elements: usize, everything: f64) -> (Vec<usize>, f64) {
+    let mut have = vec![0.0f32; elements];
+    let gain_of = |k: usize, have: &[f32]| -> f64 {
+        seen[k].iter().map(|(e, v)| f64::from((v - have[*e as usize]).max(0.0))).sum()
+    };
+    // Gains in whole millionths, so that they have an order; of equal gains the first candidate.
+    let key = |gain: f64, k: usize| ((gain * 1e6) as u64, usize::MAX - k);
+    let mut heap: BinaryHeap<(u64, usize)> = (0..seen.len()).map(|k| key(gain_of(k, &have), k)).collect();
+    let (mut chosen, mut covered) = (Vec::new(), 0.0);
+    while let Some((_, k)) = heap.pop() {
+        let k = usize::MAX - k;
+        let gain = gain_of(k, &have);
+        let now = key(gain, k);
+        if heap.peek().is_some_and(|next| *next > now) {
+            heap.push(now);
+            continue;
+        }
+        if gain <= everything * LEAST_GAIN || chosen.len() == MAX_POSITIONS {
+            break;
+        }
+        covered += gain;
+        chosen.push(k);
+        for (e, v) in &seen[k] {
+            have[*e as usize] = have[*e as usize].max(*v);
+        }
+    }
+    (chosen, covered)
+}

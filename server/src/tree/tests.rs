@@ -1,0 +1,186 @@
+//! Trees of analytic scenes, and the cases that numbers break on.
+
+use super::*;
+use crate::octree::{Clusters, Octree};
+use crate::render::test_scenes::{plain, quad, scene, soup};
+use crate::scene::Scene;
+use glam::Vec3;
+use ldi_protocol::tree::{Brood, OPAQUE, TreeSample, across};
+use std::sync::Arc;
+
+/// References at these places, grown and shaped.
+fn built(scene: Scene, places: &[DVec3], side: u32, max_level: u8) -> (BuiltTree, Vec<Reference>) {
+    let scene = Arc::new(scene);
+    let clusters = Clusters::build(&scene);
+    let octree = Octree::build(&scene, &clusters, 1000);
+    let caster = Caster::new(Arc::clone(&scene), &clusters, &octree).with_mips();
+    let (origin, edge_m) = cube(&scene.bounds());
+    let mut forest = Forest::new(origin, edge_m, max_level);
+    let references: Vec<Reference> = places.iter().map(|p| Reference::take(&caster, *p, side)).collect();
+    forest.splat(&references, 0);
+    let tree = shape::shape(forest.filter(), origin, edge_m, Vec::new(), 0).expect("it can be encoded");
+    tree.tree.check().expect("a good tree");
+    (tree, references)
+}
+
+/// All samples with their places in the world, by node.
+fn samples(built: &BuiltTree) -> Vec<(u8, TreeSample, DVec3)> {
+    let mut out = Vec::new();
+    for (chunk, nodes) in built.tree.broods() {
+        let brood: Brood = built.tree.decode(nodes.clone(), &built.chunks[chunk as usize].bytes).expect("as encoded");
+        assert_eq!(brood.decoded_bytes(), built.chunks[chunk as usize].decoded_bytes);
+        for (number, node) in nodes.zip(&brood.nodes) {
+            let entry = &built.tree.nodes[number as usize];
+            let pitch = built.tree.pitch_of(entry.level);
+            for s in &node.samples {
+                let axis = usize::from(s.face / 2);
+                let [a, b] = across(axis);
+                let mut p = built.tree.corner_of(entry);
+                p[axis] += (f64::from(s.depth) + 0.5) * pitch / 64.0;
+                p[a] += (f64::from(s.column) + 0.5) * pitch;
+                p[b] += (f64::from(s.row) + 0.5) * pitch;
+                out.push((entry.level, *s, p));
+            }
+        }
+    }
+    out
+}
+
+/// A wall of 4 x 4 m in the plane z = -2, seen from the origin's side.
+fn wall(z: f32) -> Scene {
+    let part = quad(Vec3::new(-2.0, 2.0, z), Vec3::X * 4.0, Vec3::NEG_Y * 4.0);
+    scene(vec![(part, plain([0.8, 0.4, 0.2, 1.0]))], Vec::new())
+}
+
+#[test]
+fn a_wall_is_covered_once_on_every_level_down_to_its_stamp() {
+    let (tree, references) = built(wall(-2.0), &[DVec3::new(0.3, 0.1, 0.2)], 128, 6);
+    let found = samples(&tree);
+    let levels = tree.figures.samples_by_level.len();
+    // 2.2 m x 2 / 128 = 34 mm in front, more askew; the pitch of level 0 is 65 mm.
+    assert!((1..=2).contains(&levels), "{:?}", tree.figures.samples_by_level);
+    for level in 0..levels as u8 {
+        let of_level: Vec<_> = found.iter().filter(|f| f.0 == level).collect();
+        assert!(of_level.iter().all(|(_, s, p)| s.face == 5 && (p.z + 2.0).abs() < tree.tree.pitch_of(level) / 64.0));
+        // The wall looks to +z, one layer, and inside its border each pixel of the root is covered.
+        let pitch = tree.tree.pitch_of(level);
+        let inner = |p: &DVec3| p.x.abs().max(p.y.abs()) < 2.0 - pitch;
+        if level == 0 {
+            let covered = of_level.iter().filter(|(_, s, p)| inner(p) && s.alpha >= OPAQUE - 1).count() as f64;
+            let pixels = (4.0 - 2.0 * pitch).powi(2) / pitch.powi(2);
+            assert!((covered / pixels - 1.0).abs() < 0.05, "{covered} of {pixels}");
+        }
+        let mut places: Vec<[i64; 2]> =
+            of_level.iter().map(|(_, _, p)| [(p.x / pitch).round() as i64, (p.y / pitch).round() as i64]).collect();
+        let n = places.len();
+        places.sort_unstable();
+        places.dedup();
+        assert_eq!(places.len(), n, "one layer on level {level}");
+    }
+    assert!(found.iter().all(|(_, s, _)| s.rgb == found[0].1.rgb), "one colour stays one");
+    // Unfiltered: what a reference pixel chose. All of the deepest level is.
+    assert!(found.iter().filter(|f| usize::from(f.0) + 1 == levels).all(|(_, s, _)| !s.filtered));
+    assert!(found.iter().any(|(l, s, _)| *l == 0 && s.filtered) || levels == 1);
+    assert!(references[0].points.len() > 1000);
+}
+
+/// The pixel of every reference is near a sample on each level from its own up to the root, whatever the scene.
+#[test]
+fn every_reference_pixel_has_a_sample_on_each_level_above() {
+    let scene = scene(vec![(soup(3, 200), plain([0.5, 0.7, 0.9, 1.0]))], Vec::new());
+    let eyes = [DVec3::new(0.0, 0.1, 0.0), DVec3::new(0.7, -0.2, 0.4)];
+    let (tree, references) = built(scene, &eyes, 48, 8);
+    let found = samples(&tree);
+    for level in 0..tree.figures.samples_by_level.len() as u8 {
+        let pitch = tree.tree.pitch_of(level);
+        let cells: std::collections::HashSet<[i64; 3]> =
+            found.iter().filter(|f| f.0 == level).map(|f| f.2.to_array().map(|v| (v / pitch).floor() as i64)).collect();
+        let near = |p: DVec3| {
+            let c = p.to_array().map(|v| (v / pitch).floor() as i64);
+            (0..27).any(|k| cells.contains(&[c[0] + k % 3 - 1, c[1] + k / 3 % 3 - 1, c[2] + k / 9 - 1]))
+        };
+        let own_or_above = |stamp: f32| f64::from(stamp) <= pitch;
+        let of_level = references.iter().flat_map(|r| &r.points).filter(|p| own_or_above(p.stamp_m));
+        let (mut all, mut lost) = (0, 0);
+        for p in of_level {
+            all += 1;
+            lost += usize::from(!near(p.position));
+        }
+        // Slivers of triangles cover too little of a pixel to be kept.
+        assert!(lost * 50 <= all, "level {level}: {lost} of {all}");
+    }
+}
+
+#[test]
+fn the_same_tree_whatever_the_number_of_threads() {
+    let make = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        pool.install(|| {
+            let scene = scene(vec![(soup(5, 300), plain([0.2, 0.7, 0.4, 1.0]))], Vec::new());
+            let (tree, _) = built(scene, &[DVec3::ZERO, DVec3::splat(0.3)], 32, 7);
+            (tree.tree, tree.chunks.into_iter().map(|c| c.bytes).collect::<Vec<_>>())
+        })
+    };
+    assert!(make(1) == make(4));
+}
+
+/// A wall exactly on the border between cells of every level neither doubles nor vanishes.
+#[test]
+fn a_wall_on_a_border_of_cells_is_one_wall() {
+    let (plain_tree, _) = built(wall(-2.0), &[DVec3::new(0.3, 0.1, 0.2)], 96, 3);
+    let edge = plain_tree.tree.edge_m;
+    let middle = plain_tree.tree.origin.z + edge / 2.0;
+    // The same wall where the cells of level 1 meet, within a root that another wall spans.
+    let far = quad(Vec3::new(-2.0, 2.0, -4.0), Vec3::X * 4.0, Vec3::NEG_Y * 4.0);
+    let near = quad(Vec3::new(-2.0, 2.0, 0.0), Vec3::X * 4.0, Vec3::NEG_Y * 4.0);
+    let both = scene(vec![(far.clone(), plain([1.0; 4])), (near.clone(), plain([1.0; 4]))], Vec::new());
+    let (origin, root) = cube(&both.bounds());
+    let border = (origin.z + root / 2.0) as f32;
+    let on_border = quad(Vec3::new(-2.0, 2.0, border), Vec3::X * 4.0, Vec3::NEG_Y * 4.0);
+    let all = scene(
+        vec![(far, plain([1.0; 4])), (near, plain([1.0; 4])), (on_border, plain([0.1, 0.9, 0.1, 1.0]))],
+        Vec::new(),
+    );
+    let (tree, _) = built(all, &[DVec3::new(0.1, 0.2, f64::from(border) + 1.0)], 96, 3);
+    let found = samples(&tree);
+    let pitch = tree.tree.pitch_of(0);
+    let on_root = found.iter().filter(|(l, s, p)| *l == 0 && s.face == 5 && (p.z - f64::from(border)).abs() < pitch);
+    let (mut count, mut cover) = (0, 0.0);
+    for (_, s, p) in on_root.filter(|(_, _, p)| p.x.abs().max(p.y.abs()) < 2.0 - pitch) {
+        count += 1;
+        cover += f64::from(s.alpha) / f64::from(OPAQUE);
+        assert!((p.z - f64::from(border)).abs() < pitch / 32.0);
+    }
+    let pixels = (4.0 - 2.0 * pitch).powi(2) / pitch.powi(2);
+    assert!((cover / pixels - 1.0).abs() < 0.06 && f64::from(count) / pixels < 1.1, "{cover}, {count} of {pixels}");
+    assert!(middle.is_finite());
+}
+
+/// Hard cases: none panics, every number is in range (`Tree::check`, the decoder), and something is there.
+#[test]
+fn scenes_that_numbers_break_on() {
+    let tiny = quad(Vec3::new(0.0, 0.0, -1.0), Vec3::X * 1e-4, Vec3::NEG_Y * 1e-4);
+    let deep = {
+        // A corridor of 1 m x 1 m, 1,000 km long.
+        let floor = quad(Vec3::new(-0.5, -0.5, 0.0), Vec3::X, Vec3::NEG_Z * 1e6);
+        scene(vec![(floor, plain([0.5; 4]))], Vec::new())
+    };
+    let cases: [(&str, Scene, DVec3); 4] = [
+        ("one point", scene(vec![(tiny, plain([1.0; 4]))], Vec::new()), DVec3::new(5e-5, -5e-5, -0.5)),
+        ("1e6 times deeper than wide", deep, DVec3::new(0.0, 0.0, -10.0)),
+        ("edge-on", wall(-2.0), DVec3::new(0.0, 0.0, -1.999)),
+        ("in the plane", wall(-2.0), DVec3::new(-3.0, 0.0, -2.0)),
+    ];
+    for (name, scene, eye) in cases {
+        let (tree, references) = built(scene, &[eye], 64, MAX_LEVEL);
+        let found = samples(&tree);
+        let seen = references[0].points.len();
+        assert!(
+            found.is_empty() == (seen == 0) || name == "one point",
+            "{name}: {seen} points, {} samples",
+            found.len()
+        );
+        assert!(found.iter().all(|(_, _, p)| p.is_finite()), "{name}");
+        assert!(references[0].points.iter().all(|p| p.stamp_m > 0.0 && p.area_m2.is_finite()), "{name}");
+    }
+}
