@@ -204,6 +204,7 @@ impl Walker<'_> {
         let step = if options.pace == Pace::Wait { every } else { 1 };
         let poses = &self.job.path.poses;
         let total = poses.len().div_ceil(step);
+        self.wait_for_a_picture();
         let start = Instant::now();
         let mut frame = Frame::default();
         for (done, at) in (0..poses.len()).step_by(step).enumerate() {
@@ -246,6 +247,18 @@ impl Walker<'_> {
             }
         }
         Ok(())
+    }
+
+    /// A walk that does not wait for the network waits for its first picture: for the coarsest level of the LDI tree. Time counts from the connection on.
+    fn wait_for_a_picture(&mut self) {
+        let index = self.feed.index();
+        if let (Some(tree), Some(first)) = (&index.tree, self.job.path.poses.first()) {
+            let view = view_of(index, &first.pose, &self.camera, self.job.options.method, &mut StageMs::default());
+            self.feed.look(&first.pose, &view.needed(index));
+            if let Err(e) = self.feed.wait_for(&[tree.root_chunk], PATIENCE) {
+                tracing::warn!("the first picture: {e}");
+            }
+        }
     }
 
     /// Asks for what a view needs, and for `--pace wait` waits for it.

@@ -119,8 +119,6 @@ pub fn build_tree(
 ) -> Result<Option<BuiltTree>, PackError> {
     let chosen = places::choose(caster, volume);
     heard(&format!("{} reference positions of {} candidates", chosen.positions.len(), chosen.candidates));
-    let (origin, edge_m) = cube(bounds);
-    let pitch_at = |level: u8| edge_m / f64::from(SIDE) / f64::from(1u32 << level);
     let (finest, side) = match depth {
         Depth::Base => {
             let pitch = (chosen.area_m2 / PINNED_SAMPLES).sqrt();
@@ -129,39 +127,95 @@ pub fn build_tree(
         }
         Depth::Fine { pitch_m, side } => (pitch_m, side),
     };
-    // Larger pitches than asked for would not be what was planned; one level deeper is at most four times the samples.
-    let max_level = (0..=MAX_LEVEL).find(|l| pitch_at(*l) <= finest).unwrap_or(MAX_LEVEL);
-    let mut forest = Forest::new(origin, edge_m, max_level);
-    let (mut skies, mut reference_pixels, mut rays) = (Vec::new(), 0u64, 0u64);
+    let mut grower = Grower::new(bounds, finest);
+    let mut skies = Vec::new();
     let batch = (BATCH_POINTS / (6 * (side * side) as usize)).max(2);
     for (k, positions) in chosen.positions.chunks(batch).enumerate() {
-        let references: Vec<Reference> = positions.par_iter().map(|p| Reference::take(caster, *p, side)).collect();
-        forest.splat(&references, k * batch);
-        for r in references {
-            reference_pixels += r.points.len() as u64;
-            rays += r.rays;
-            if skies.len() < SKY_PLACES {
-                skies.push(SkyPlace { position: r.position, sky: r.sky });
-            }
-        }
+        let places: Vec<Vec<(DVec3, usize)>> = positions.iter().map(|p| (0..6).map(|f| (*p, f)).collect()).collect();
+        let seen = grower.add_together(caster, &places, side);
+        skies.extend(seen.into_iter().take(SKY_PLACES.saturating_sub(skies.len())));
         heard(&format!("{} of {} references", (k * batch + positions.len()), chosen.positions.len()));
     }
-    if reference_pixels == 0 {
+    if grower.reference_pixels == 0 {
         return Ok(None);
     }
-    let grown = forest.filter();
-    let mut built = shape::shape(grown, origin, edge_m, skies, first_chunk)?;
+    let mut built = grower.finish(skies, first_chunk)?;
     built.figures = TreeFigures {
         references: chosen.positions.len(),
         candidates: chosen.candidates,
         coverage: chosen.coverage,
         reference_side: side,
-        reference_pixels,
-        rays: rays + chosen.rays,
-        finest_pitch_m: pitch_at(built.figures.samples_by_level.len().saturating_sub(1) as u8),
-        samples_per_reference_pixel: built.figures.samples_by_level.iter().sum::<u64>() as f64
-            / reference_pixels as f64,
+        rays: built.figures.rays + chosen.rays,
         ..built.figures
     };
     Ok(Some(built))
+}
+
+/// Where a build would take references, those that see the most first.
+pub fn positions(caster: &Caster, volume: &WalkVolume) -> Vec<DVec3> {
+    places::choose(caster, volume).positions
+}
+
+/// A tree that grows by reference images.
+pub struct Grower {
+    forest: Forest,
+    origin: DVec3,
+    edge_m: f64,
+    taken: usize,
+    reference_pixels: u64,
+    rays: u64,
+}
+
+impl Grower {
+    /// A tree for a scene, with samples at most this far apart on its finest level: one level deeper is at most four times the samples.
+    pub fn new(bounds: &Aabb, pitch_m: f64) -> Self {
+        let (origin, edge_m) = cube(bounds);
+        let max_level = (0..=MAX_LEVEL).find(|l| pitch_of(edge_m, *l) <= pitch_m).unwrap_or(MAX_LEVEL);
+        Self { forest: Forest::new(origin, edge_m, max_level), origin, edge_m, taken: 0, reference_pixels: 0, rays: 0 }
+    }
+
+    /// Adds images of 90 degrees, `side` pixels wide: places and faces (0 to 5: -x, +x, -y, +y, -z, +z).
+    pub fn add(&mut self, caster: &Caster, images: &[(DVec3, usize)], side: u32) {
+        let one_by_one: Vec<Vec<(DVec3, usize)>> = images.iter().map(|i| vec![*i]).collect();
+        self.add_together(caster, &one_by_one, side);
+    }
+
+    /// Adds references of several images from one place each; returns where they saw sky.
+    fn add_together(&mut self, caster: &Caster, places: &[Vec<(DVec3, usize)>], side: u32) -> Vec<SkyPlace> {
+        let take = |images: &Vec<(DVec3, usize)>| {
+            let faces: Vec<usize> = images.iter().map(|i| i.1).collect();
+            Reference::take(caster, images[0].0, &faces, side)
+        };
+        let references: Vec<Reference> = places.par_iter().map(take).collect();
+        self.forest.splat(&references, self.taken);
+        self.taken += references.len();
+        self.reference_pixels += references.iter().map(|r| r.points.len() as u64).sum::<u64>();
+        self.rays += references.iter().map(|r| r.rays).sum::<u64>();
+        references.into_iter().map(|r| SkyPlace { position: r.position, sky: r.sky }).collect()
+    }
+
+    /// Pixels so far that met a surface.
+    pub fn reference_pixels(&self) -> u64 {
+        self.reference_pixels
+    }
+
+    /// The tree; its chunk numbers count from `first_chunk`.
+    ///
+    /// # Errors
+    /// If a chunk cannot be encoded.
+    pub fn finish(self, skies: Vec<SkyPlace>, first_chunk: u32) -> Result<BuiltTree, PackError> {
+        let mut built = shape::shape(self.forest.filter(), self.origin, self.edge_m, skies, first_chunk)?;
+        let figures = &mut built.figures;
+        let samples: u64 = figures.samples_by_level.iter().sum();
+        figures.reference_pixels = self.reference_pixels;
+        figures.rays = self.rays;
+        figures.samples_per_reference_pixel = samples as f64 / self.reference_pixels.max(1) as f64;
+        figures.finest_pitch_m = pitch_of(self.edge_m, figures.samples_by_level.len().saturating_sub(1) as u8);
+        Ok(built)
+    }
+}
+
+/// Pitch of a level of a root cube.
+fn pitch_of(edge_m: f64, level: u8) -> f64 {
+    edge_m / f64::from(SIDE) / f64::from(1u32 << level)
 }

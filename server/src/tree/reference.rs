@@ -53,12 +53,12 @@ pub fn direction(face: usize, column: f64, row: f64, side: u32) -> DVec3 {
 }
 
 impl Reference {
-    /// The reference at a place, six images of `side` x `side` pixels.
-    pub fn take(caster: &Caster, position: DVec3, side: u32) -> Self {
+    /// The reference at a place: images of `side` x `side` pixels to these faces.
+    pub fn take(caster: &Caster, position: DVec3, faces: &[usize], side: u32) -> Self {
         let mut out = Self { position, points: Vec::new(), sky: SkyMap::default(), rays: 0 };
         let mut sky = vec![false; (6 * side * side) as usize];
         let (mut rays, mut hits, mut places) = (Vec::new(), Vec::new(), Vec::new());
-        for face in 0..6 {
+        for &face in faces {
             let step = |c: f64, r: f64| direction(face, c, r, side) - direction(face, 0.0, 0.0, side);
             let footprint = RayFootprint { direction_dx: step(1.0, 0.0), direction_dy: step(0.0, 1.0) };
             for top in (0..side).step_by(BLOCK as usize) {
@@ -84,7 +84,7 @@ impl Reference {
                 }
             }
         }
-        out.rays = u64::from(6 * side * side);
+        out.rays = faces.len() as u64 * u64::from(side * side);
         out.sky = sky_map(&sky, side);
         out
     }

@@ -16,7 +16,8 @@ fn built(scene: Scene, places: &[DVec3], side: u32, max_level: u8) -> (BuiltTree
     let caster = Caster::new(Arc::clone(&scene), &clusters, &octree).with_mips();
     let (origin, edge_m) = cube(&scene.bounds());
     let mut forest = Forest::new(origin, edge_m, max_level);
-    let references: Vec<Reference> = places.iter().map(|p| Reference::take(&caster, *p, side)).collect();
+    let references: Vec<Reference> =
+        places.iter().map(|p| Reference::take(&caster, *p, &[0, 1, 2, 3, 4, 5], side)).collect();
     forest.splat(&references, 0);
     let tree = shape::shape(forest.filter(), origin, edge_m, Vec::new(), 0).expect("it can be encoded");
     tree.tree.check().expect("a good tree");

@@ -8,3 +8,4 @@ pub mod placement_page;
 pub mod searches;
 pub mod speed_error;
 pub mod speed_error_page;
+pub mod tree;

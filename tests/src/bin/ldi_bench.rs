@@ -6,7 +6,9 @@ use ldi_client::warp::Stamp;
 use ldi_server::cli::size;
 use ldi_server::placement::AuditSize;
 use ldi_tests::args::percent;
-use ldi_tests::bench::{numerics, numerics_page, placement, placement_page, searches, speed_error, speed_error_page};
+use ldi_tests::bench::{
+    numerics, numerics_page, placement, placement_page, searches, speed_error, speed_error_page, tree,
+};
 use std::path::{Path, PathBuf};
 
 /// Measures the methods over scenes and settings; leaves tables (CSV, JSON), plots (SVG) and a page (HTML).
@@ -37,12 +39,42 @@ Examples:
   ldi-bench speed-error clinic.glb house.glb --budget 10 --densities 1,2 --frames 12 -o out/speed
   ldi-bench speed-error clinic.glb --datasets clinic10 -o out/speed")]
     SpeedError(SpeedErrorArgs),
+    /// The LDI tree against the number of its reference images (charts 1 to 3 of Chang, Bishop and Lastra 1999).
+    #[command(after_help = "\
+Examples:
+  ldi-bench tree 'builtin:church?triangles=300000' -o out/tree
+  ldi-bench tree clinic.glb --images 1,8,64 --side 256 -o out/tree")]
+    Tree(TreeArgs),
     /// Hard numerical cases: bound, why it holds, oracle, worst seen.
     #[command(after_help = "\
 Examples:
   ldi-bench numerics -o out/numerics
   ldi-bench numerics --cases 10000000 --seed 2 -o out/numerics")]
     Numerics(NumericsArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct TreeArgs {
+    /// Scene, as for `ldi-server build`; beside NAME.glb the path NAME.path.json is walked.
+    scene: String,
+    /// Folder for what is left.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Numbers of reference images.
+    #[arg(long, value_delimiter = ',', default_value = "1,2,4,8,16,32,64,128")]
+    images: Vec<usize>,
+    /// Pixels along a side of a reference image.
+    #[arg(long, default_value_t = 512, value_parser = clap::value_parser!(u32).range(16..=2048))]
+    side: u32,
+    /// Smallest distance of samples, metres.
+    #[arg(long, default_value_t = 0.005)]
+    pitch: f64,
+    /// Output size.
+    #[arg(long, default_value = "512x512", value_parser = size)]
+    size: (u32, u32),
+    /// Views along the path.
+    #[arg(long, default_value_t = 24)]
+    frames: usize,
 }
 
 #[derive(Debug, clap::Args)]
@@ -139,6 +171,7 @@ fn main() -> Result<()> {
         Command::Searches(a) => searches(a),
         Command::SpeedError(a) => speed_error(a),
         Command::Numerics(a) => numerics(a),
+        Command::Tree(a) => ldi_tree(a),
     }
 }
 
@@ -209,6 +242,26 @@ fn speed_error(a: SpeedErrorArgs) -> Result<()> {
     }
     write(&a.output.join("index.html"), &speed_error_page::page(&job, &found, &plots, &typed()))?;
     println!("look at {}", a.output.join("index.html").display());
+    Ok(())
+}
+
+fn ldi_tree(a: TreeArgs) -> Result<()> {
+    std::fs::create_dir_all(&a.output).with_context(|| format!("cannot make {}", a.output.display()))?;
+    let study = tree::Study {
+        scene: a.scene,
+        images: a.images,
+        side: a.side,
+        pitch_m: a.pitch,
+        size: a.size,
+        frames: a.frames,
+    };
+    let rows = tree::run(&study, |r| eprintln!("{}", tree::line(r)))?;
+    write(&a.output.join("tree.json"), &serde_json::to_string_pretty(&rows)?)?;
+    write(&a.output.join("tree.csv"), &tree::csv(&rows))?;
+    for (name, svg) in tree::plots(&rows) {
+        write(&a.output.join(format!("{name}.svg")), &placement_page::standalone(&svg))?;
+    }
+    println!("look at {}", a.output.join("chart1.svg").display());
     Ok(())
 }
 
