@@ -18,6 +18,8 @@ pub(super) enum Value {
     /// Deeper layers of an LDI whose first is not there yet.
     WaitingLayers(Vec<u8>),
     Texture(Arc<Texture>),
+    /// There, as far as the accounts are concerned.
+    Undecoded,
 }
 
 #[derive(Debug, Default)]

@@ -28,7 +28,7 @@ pub struct ServeConfig {
     /// Bytes that one connection may have on the way, unacknowledged. Smaller: less memory and fresher priorities; larger
     /// than bandwidth times round trip brings nothing.
     pub send_window: u64,
-    /// Which congestion controller: `cubic` (fair to others) or `bbr` (keeps its rate on lossy links).
+    /// Which congestion controller: `cubic` or `newreno` (fair to others) or `bbr` (keeps its rate on lossy links).
     pub congestion: Congestion,
 }
 
@@ -38,6 +38,8 @@ pub struct ServeConfig {
 pub enum Congestion {
     /// The default.
     Cubic,
+    /// The oldest, for comparison.
+    NewReno,
     /// For lossy links.
     Bbr,
 }

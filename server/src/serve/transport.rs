@@ -73,6 +73,7 @@ fn transport(config: &ServeConfig) -> TransportConfig {
         .send_window(config.send_window);
     match config.congestion {
         Congestion::Cubic => t.congestion_controller_factory(Arc::new(congestion::CubicConfig::default())),
+        Congestion::NewReno => t.congestion_controller_factory(Arc::new(congestion::NewRenoConfig::default())),
         Congestion::Bbr => t.congestion_controller_factory(Arc::new(congestion::BbrConfig::default())),
     };
     t
