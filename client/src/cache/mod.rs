@@ -230,11 +230,6 @@ impl Cache {
         self.layout.parts(chunk).iter().any(|p| inner.objects[p.object as usize].pinned_in == inner.tick)
     }
 
-    /// A chunk came and was not taken in: the server is told with those evicted.
-    pub fn give_up(&self, chunk: u32) {
-        self.lock().evicted.push(chunk);
-    }
-
     /// Counts what is held of these as used now.
     pub fn touch(&self, chunks: impl IntoIterator<Item = u32>) {
         let mut inner = self.lock();

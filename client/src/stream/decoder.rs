@@ -22,11 +22,11 @@ use tokio::sync::{Semaphore, mpsc};
 
 /// Chunks per thread that the view waits for. With the streams being read they bound the memory of what is not decoded yet.
 const PRESSING: usize = 8;
-/// Chunks of one connection that were sent ahead and wait. Larger: more memory, and less given up while the decoding is behind; smaller: a pause
-/// between two bursts leaves the threads idle.
-const AHEAD: usize = 32;
+/// Bytes of chunks of one connection that were sent ahead and wait, beside those of the cache. Larger: more memory; smaller: more of what a fast link
+/// brings at the beginning is given up and sent again.
+const AHEAD_BYTES: usize = 32 << 20;
 /// How many of those sent ahead are looked through for one that the view has come to need.
-const LOOK_THROUGH: usize = 64;
+const LOOK_THROUGH: usize = 512;
 
 /// Where the chunks of one connection go.
 #[derive(Debug)]
@@ -37,8 +37,22 @@ pub(super) struct Target {
     pub damaged: mpsc::UnboundedSender<u32>,
     /// See [`super::ConnectConfig::arrivals`].
     pub arrivals: Option<mpsc::UnboundedSender<(u32, Instant)>>,
-    /// Chunks sent ahead that wait.
-    pub ahead: AtomicUsize,
+    /// Bytes of chunks sent ahead that wait.
+    pub ahead_bytes: AtomicUsize,
+    /// Chunks that were given up and not told yet.
+    pub given_up: Mutex<Vec<u32>>,
+}
+
+impl Target {
+    /// Given up chunks that the server should send again: those that the view has come to need, or all once the decoding has caught up. Told
+    /// earlier, the rest would come again at once and be given up again.
+    pub fn to_tell(&self) -> Vec<u32> {
+        let mut given_up = self.given_up.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.ahead_bytes.load(Relaxed) <= AHEAD_BYTES / 4 {
+            return std::mem::take(&mut given_up);
+        }
+        given_up.extract_if(.., |c| self.cache.is_pinned(*c)).collect()
+    }
 }
 
 /// A chunk as it arrived.
@@ -99,7 +113,7 @@ impl Queue {
             if job.urgency.is_pressing() {
                 self.places.add_permits(1);
             } else {
-                job.target.ahead.fetch_sub(1, Relaxed);
+                job.target.ahead_bytes.fetch_sub(job.bytes.len(), Relaxed);
             }
         }
     }
@@ -137,12 +151,16 @@ impl DecodePool {
                 place.forget();
             }
             self.queue.lock().pressing.push(job);
-        } else if job.target.ahead.fetch_add(1, Relaxed) < AHEAD || job.target.cache.is_pinned(job.chunk) {
-            self.queue.lock().ahead.push_back(job);
         } else {
-            job.target.ahead.fetch_sub(1, Relaxed);
-            job.target.stats.given_up(job.bytes.len() as u64);
-            return job.target.cache.give_up(job.chunk);
+            let bytes = job.bytes.len();
+            let target = job.target.clone();
+            if target.ahead_bytes.fetch_add(bytes, Relaxed) + bytes > AHEAD_BYTES && !target.cache.is_pinned(job.chunk)
+            {
+                target.ahead_bytes.fetch_sub(bytes, Relaxed);
+                target.stats.given_up(bytes as u64);
+                return target.given_up.lock().unwrap_or_else(PoisonError::into_inner).push(job.chunk);
+            }
+            self.queue.lock().ahead.push_back(job);
         }
         self.queue.came.notify_one();
     }
@@ -201,7 +219,17 @@ mod tests {
         let (damaged, damage) = mpsc::unbounded_channel();
         let cache = Arc::new(Cache::new(Arc::new(street(60, 8).index), 1 << 30));
         let stats = Arc::new(Collector::new());
-        (Arc::new(Target { cache, stats, damaged, arrivals: None, ahead: AtomicUsize::new(0) }), damage)
+        (
+            Arc::new(Target {
+                cache,
+                stats,
+                damaged,
+                arrivals: None,
+                ahead_bytes: AtomicUsize::new(0),
+                given_up: Mutex::default(),
+            }),
+            damage,
+        )
     }
 
     fn job(target: &Arc<Target>, chunk: u32, urgency: Urgency) -> Job {
@@ -228,17 +256,24 @@ mod tests {
         let queue =
             Arc::new(Queue { waiting: Mutex::default(), came: Condvar::new(), places: Semaphore::new(PRESSING) });
         let pool = DecodePool { queue, threads: Vec::new() };
-        for chunk in 0..AHEAD as u32 + 2 {
-            pool.send(job(&target, FIRST_CELL + chunk, Urgency::Around)).await;
+        let big = |chunk| Job { bytes: vec![0; AHEAD_BYTES / 4], ..job(&target, chunk, Urgency::Around) };
+        for chunk in 0..6 {
+            pool.send(big(FIRST_CELL + chunk)).await;
         }
         target.cache.pin([LDI[0]]);
-        pool.send(job(&target, LDI[0], Urgency::Around)).await;
+        pool.send(big(LDI[0])).await;
         pool.send(job(&target, LDI[1], Urgency::Now)).await;
-        let told = target.cache.take_evicted(Instant::now());
-        assert_eq!(told, [FIRST_CELL + AHEAD as u32, FIRST_CELL + AHEAD as u32 + 1]);
-        assert_eq!(target.stats.snapshot(0).lost_bytes, 20);
-        let waiting = pool.queue.lock();
-        assert_eq!((waiting.ahead.len(), waiting.pressing.len()), (AHEAD + 1, 1));
+        {
+            let waiting = pool.queue.lock();
+            assert_eq!((waiting.ahead.len(), waiting.pressing.len()), (4 + 1, 1));
+        }
+        assert_eq!(target.stats.snapshot(0).lost_bytes, AHEAD_BYTES as u64 / 2);
+        assert!(target.to_tell().is_empty(), "it would come again at once");
+        target.cache.pin([FIRST_CELL + 5]);
+        assert_eq!(target.to_tell(), [FIRST_CELL + 5], "the view has come to need it");
+        target.ahead_bytes.store(0, Relaxed);
+        assert_eq!(target.to_tell(), [FIRST_CELL + 4]);
+        assert!(target.to_tell().is_empty(), "once");
     }
 
     #[test]

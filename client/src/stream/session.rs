@@ -19,7 +19,7 @@ use ldi_protocol::{
 use quinn::{Connection, RecvStream, SendStream, VarInt};
 use std::{
     collections::HashMap,
-    sync::{Arc, atomic::AtomicUsize},
+    sync::{Arc, Mutex, atomic::AtomicUsize},
     time::{Duration, Instant},
 };
 use tokio::{
@@ -99,7 +99,8 @@ pub(super) async fn stream(
         stats: stats.clone(),
         damaged,
         arrivals: config.arrivals.clone(),
-        ahead: AtomicUsize::new(0),
+        ahead_bytes: AtomicUsize::new(0),
+        given_up: Mutex::default(),
     });
     stats.watch(opened.connection.clone(), opened.link.clone());
     cache.set_disconnected(None);
@@ -265,7 +266,8 @@ impl Session {
             let reach = Reach { radius_m: self.prefetch_m, decoded_bytes };
             self.cache.touch(near_to_far(self.cache.index(), p.position, reach));
         }
-        let gone = self.cache.take_evicted(Instant::now());
+        let mut gone = self.cache.take_evicted(Instant::now());
+        gone.extend(self.target.to_tell());
         self.tell(gone, |chunks| ClientMessage::Drop { chunks }).await
     }
 }

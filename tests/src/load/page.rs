@@ -12,7 +12,9 @@ use std::fmt::Write as _;
 /// The page of a report; `command` as typed.
 pub fn html(report: &Value, seen: &Seen, command: &str) -> String {
     let f = |v: &Value| v.as_f64().unwrap_or(f64::NAN);
-    let shown = |v: &Value, unit: &str| v.as_f64().map_or("-".into(), |v| format!("{} {unit}", number(v)));
+    let shown = |v: &Value, unit: &str| {
+        v.as_f64().map_or("-".into(), |v| format!("{} {unit}", number((v * 10.0).round() / 10.0)))
+    };
     let percent = |v: &Value| v.as_f64().map_or("-".into(), |v| format!("{:.2}%", 100.0 * v));
     let title = format!("{} walkers for {} s", report["walkers"], report["seconds"]);
     let mut h = String::from(
@@ -70,8 +72,8 @@ pub fn html(report: &Value, seen: &Seen, command: &str) -> String {
             report["ratio_to_raw_quic"].as_f64().map_or("-".into(), |r| format!("{r:.2}")),
             "of a bare QUIC transfer's bytes per processor second",
             format!(
-                "{} s of the server's time, {} MB resident",
-                shown(&report["server_cpu_s"], ""),
+                "{} of the server's time, {} MB resident",
+                shown(&report["server_cpu_s"], "s"),
                 number(f(&report["server_rss_bytes"]) / 1e6)
             ),
         ),

@@ -106,7 +106,7 @@ pub fn report(load: &Load, seen: &Seen) -> Value {
             "size": format!("{}x{}", load.config.picture.width, load.config.picture.height),
             "random_seed": if let super::track::Route::Random(seed) = load.route { Some(seed) } else { None },
         },
-        "by_second": by_second(&inside, seen),
+        "by_second": by_second(load, &inside, seen),
     });
     if let (Value::Object(report), Value::Object(more)) = (&mut report, more) {
         report.extend(more);
@@ -133,8 +133,9 @@ fn link(walkers: &[&Outcome], direction: usize) -> Value {
     json!({ "sent": c.sent, "delivered": c.delivered, "lost": c.lost, "dropped": c.dropped, "bytes": c.bytes })
 }
 
-fn by_second(walkers: &[&Outcome], seen: &Seen) -> Vec<Value> {
-    let seconds = walkers.iter().map(|w| w.by_second.len()).max().unwrap_or(0);
+/// Whole seconds, and what began of the last one.
+fn by_second(load: &Load, walkers: &[&Outcome], seen: &Seen) -> Vec<Value> {
+    let seconds = (load.ramp_s + load.seconds).ceil() as usize;
     let cpu = |i: usize| seen.server.get(i).map(|s| s.cpu_s);
     (0..seconds)
         .map(|i| {
