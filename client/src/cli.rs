@@ -9,8 +9,8 @@ use ldi_client::{
     composite::Fill,
     engine::{Cull, Feed, Method, Pace, Progress, WalkError, WalkJob, WalkOptions, pictures_of, run},
     near::MAX_SIDE_PX,
-    report::{DatasetReport, MachineReport, Report, SceneReport},
-    stream::{ConnectConfig, ConnectError, Connection, Fingerprint},
+    report::{DatasetReport, LinkReport, MachineReport, Report, SceneReport},
+    stream::{ConnectConfig, ConnectError, Connection, Fingerprint, LinkSpec},
     warp::{Order, Stamp},
 };
 use ldi_protocol::{path, wire::Picture};
@@ -42,7 +42,8 @@ enum Command {
     /// Walk along a path without a window: numbered frames and a report.
     #[command(after_help = "Examples:\n  \
         ldi-client walk localhost --fingerprint HEX --path clinic.path.json --size 1280x720 --pace wait --every 200 -o frames --report walk.json\n  \
-        ldi-client walk localhost --fingerprint HEX --path clinic.path.json --size 1280x720 --truth truth -o frames --report walk.json\n\n\
+        ldi-client walk localhost --fingerprint HEX --path clinic.path.json --size 1280x720 --truth truth -o frames --report walk.json\n  \
+        ldi-client walk localhost --fingerprint HEX --path clinic.path.json --size 1280x720 --link rate=25mbit,delay=40ms,loss=2% -o frames --report walk.json\n\n\
         Exit codes: 0 done, 2 wrong usage, 1 a retry may help, 42 a retry will not help.")]
     Walk(Box<WalkArgs>),
     /// Walk freely, in a window.
@@ -102,7 +103,7 @@ struct WalkArgs {
     /// Reject samples by groups before the warp.
     #[arg(long, value_enum, default_value = "auto")]
     cull: Cull,
-    /// Time for a frame, milliseconds (no effect yet: nothing adapts to it).
+    /// Time that the LDI tree may take of a frame, milliseconds [default: what its finest samples in view take].
     #[arg(long, value_name = "MS")]
     frame_ms: Option<f64>,
     /// File with the shared secret that the server asks for.
@@ -132,9 +133,10 @@ struct WalkArgs {
     /// Frames drawn again with all geometry after the walk, for the speedup; 0 for none.
     #[arg(long, value_name = "N", default_value_t = 20)]
     baseline_frames: u32,
-    /// Behave as if this link lay before the server: rate=20mbit,delay=20ms,jitter=5ms,loss=2%,queue=100ms,seed=1.
+    /// Behave as if this link, in both directions, lay before the server: rate=20mbit,delay=20ms,jitter=5ms,loss=2%,queue=100ms,seed=1;
+    /// each key optional, delay one way.
     #[arg(long, value_name = "LINK")]
-    link: Option<String>,
+    link: Option<LinkSpec>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -221,9 +223,6 @@ fn refuse_what_is_not_there(args: &WalkArgs) -> Result<(), Failure> {
     if matches!(args.method, Method::Texture | Method::Warp1 | Method::Warp2 | Method::Portals | Method::Cache) {
         return Err(not_there("this --method", "use auto, geometry, ldi, grid or tree"));
     }
-    if args.link.is_some() {
-        return Err(not_there("--link", "walk over the link that there is"));
-    }
     if args.frame_ms.is_some_and(|ms| !(ms.is_finite() && ms > 0.0)) {
         return Err(Failure::usage("--frame-ms is a positive number of milliseconds"));
     }
@@ -267,6 +266,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     config.fingerprint = args.fingerprint.as_deref().map(str::parse::<Fingerprint>).transpose()?;
     config.token = token;
     config.prefetch_m = prefetch_m(args);
+    config.link = args.link;
     if let Some(bytes) = args.cache_bytes {
         config.cache_bytes = bytes;
     }
@@ -318,6 +318,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         },
         machine: MachineReport::here(),
         options: options_as_json(args, &options),
+        link: connection.stats().link.map(|[up, down]| LinkReport { up, down }),
         summary,
         frames,
     };
@@ -353,6 +354,7 @@ fn options_as_json(args: &WalkArgs, options: &WalkOptions) -> serde_json::Value 
         map.insert("baseline".into(), args.baseline.as_ref().map(|t| t.display().to_string()).into());
         map.insert("prefetch_m".into(), prefetch_m(args).into());
         map.insert("frame_ms".into(), args.frame_ms.into());
+        map.insert("link".into(), args.link.map(|l| l.to_string()).into());
         map.insert("server".into(), args.server.clone().into());
     }
     json

@@ -3,6 +3,7 @@
 //! In: one [`FrameReport`] per kept frame and the totals of the walk. Out: [`Report`]. Unknown values are null.
 //! Percentiles are by nearest rank: the smallest value that at least the given share of the values does not exceed.
 
+use crate::stream::LinkCounts;
 use serde::Serialize;
 
 /// Milliseconds per stage of a frame.
@@ -314,10 +315,21 @@ pub struct Report {
     pub machine: MachineReport,
     /// The command's options.
     pub options: serde_json::Value,
+    /// What became of the packets on the link that `--link` put before the server; None without one.
+    pub link: Option<LinkReport>,
     /// Over all frames.
     pub summary: Summary,
     /// Each kept frame.
     pub frames: Vec<FrameReport>,
+}
+
+/// Packets of both directions.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct LinkReport {
+    /// From the client.
+    pub up: LinkCounts,
+    /// To the client.
+    pub down: LinkCounts,
 }
 
 /// The value that a share `q` of the values does not exceed, by nearest rank; 0 for no values.

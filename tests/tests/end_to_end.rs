@@ -161,6 +161,34 @@ fn a_walk_keeps_the_budget_and_looks_like_the_truth() {
 }
 
 #[test]
+fn a_walk_over_a_bad_link_draws_the_same_frames() {
+    let f = fixture();
+    let out = folder("link");
+    let served = Server::start(&f.dataset).expect("serves");
+    let pictures = |name: &str, more: &[&str]| {
+        let out = out.join(name);
+        std::fs::create_dir_all(&out).expect("writable");
+        let report = walk(&served, f, &out, more);
+        assert_eq!(report["summary"]["frames_incomplete"], 0, "{name}");
+        let frame = |i: usize| std::fs::read(out.join(format!("frames/frame_{i:05}.png"))).expect("a picture");
+        ((0..5).map(frame).collect::<Vec<_>>(), report)
+    };
+    let bad = "rate=60mbit,delay=4ms,jitter=3ms,loss=3%,queue=40ms,seed=5";
+    let (clean, quick) = pictures("clean", &[]);
+    let (lossy, slow) = pictures("lossy", &["--link", bad]);
+    assert!(clean == lossy, "what arrives over a bad link is the same data");
+    assert!(quick["options"]["link"].is_null());
+    assert_eq!(slow["options"]["link"], "rate=60000kbit,delay=4ms,jitter=3ms,loss=3%,queue=40ms,seed=5");
+    let lost = slow["link"]["down"]["lost"].as_u64().expect("a count");
+    assert!(lost > 0 && slow["link"]["down"]["delivered"].as_u64() > Some(10 * lost), "{}", slow["link"]);
+
+    let mut c = run::command("ldi-client").expect("built");
+    c.args(["walk", &served.quic, "--link", "rate=20", "--size", SIZE, "--path"]).arg(&f.poses);
+    let (code, said) = outcome(&c.arg("-o").arg(&out).arg("--report").arg(out.join("r.json")).output().expect("runs"));
+    assert!(code == Some(2) && said.contains("for example rate=20mbit,delay=20ms"), "{code:?} {said}");
+}
+
+#[test]
 fn one_thread_and_two_give_the_same_bytes() {
     let f = fixture();
     let out = folder("threads");

@@ -2,10 +2,13 @@
 
 #[path = "../../client/src/cache/fixture.rs"]
 mod fixture;
+#[path = "streaming/host.rs"]
+mod host;
 #[path = "streaming/stranger.rs"]
 mod stranger;
 
-use fixture::{FIRST_CELL, LDI, STEP_M, Street, street};
+use fixture::{FIRST_CELL, LDI, STEP_M, street};
+use host::{Host, Memory, PATIENCE, PICTURE, folder};
 use ldi_client::{
     cache::Incomplete,
     resident::Resident,
@@ -13,126 +16,17 @@ use ldi_client::{
 };
 use ldi_protocol::{
     Pose,
-    index::{ChunkHash, Index},
-    manifest,
+    index::ChunkHash,
     need::Needed,
     select::select,
-    wire::{Picture, RefusalCode, Request},
+    wire::{RefusalCode, Request},
 };
-use ldi_server::serve::{ChunkSource, SelectViews, ServeConfig, Server, planner::Views};
-use std::{
-    io::{Read, Write},
-    net::{SocketAddr, TcpStream},
-    path::PathBuf,
-    sync::Arc,
-    time::Duration,
-};
-use tokio::runtime::Runtime;
-
-const PATIENCE: Duration = Duration::from_secs(20);
-const PICTURE: Picture = Picture { width: 64, height: 36, fov_deg: None };
-
-/// A dataset that lies nowhere but here.
-struct Memory {
-    index: Arc<Index>,
-    encoded: manifest::Encoded,
-    chunks: Vec<Vec<u8>>,
-}
-
-impl Memory {
-    fn new(street: Street) -> Self {
-        let encoded = manifest::encode(&street.index).unwrap();
-        Self { index: Arc::new(street.index), encoded, chunks: street.chunks }
-    }
-}
-
-impl ChunkSource for Memory {
-    fn index(&self) -> &Arc<Index> {
-        &self.index
-    }
-    fn root(&self) -> &[u8] {
-        &self.encoded.root
-    }
-    fn pages(&self) -> u32 {
-        self.encoded.pages.len() as u32
-    }
-    fn page(&self, number: u32) -> Option<&[u8]> {
-        self.encoded.pages.get(number as usize).map(Vec::as_slice)
-    }
-    fn chunk(&self, number: u32) -> Option<&[u8]> {
-        self.chunks.get(number as usize).map(Vec::as_slice)
-    }
-}
-
-/// A server on free ports, with a runtime and an identity of its own.
-struct Host {
-    runtime: Runtime,
-    server: Option<Server>,
-    folder: PathBuf,
-}
-
-impl Host {
-    fn start(name: &str, dataset: Memory) -> Self {
-        Self::start_with(name, dataset, ServeConfig::default())
-    }
-
-    fn start_with(name: &str, dataset: Memory, config: ServeConfig) -> Self {
-        let folder = folder(name);
-        let any = SocketAddr::from(([127, 0, 0, 1], 0));
-        let config = ServeConfig { listen: any, http: any, identity: Some(folder.join("identity")), ..config };
-        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
-        let server = runtime.block_on(Server::start(Arc::new(dataset), &config)).unwrap();
-        Self { runtime, server: Some(server), folder }
-    }
-
-    fn server(&self) -> &Server {
-        self.server.as_ref().unwrap()
-    }
-
-    fn config(&self) -> ConnectConfig {
-        let mut config = ConnectConfig::new(self.server().quic().to_string(), PICTURE);
-        config.fingerprint = Some(self.server().fingerprint().parse().unwrap());
-        config.prefetch_m = 0.0;
-        config
-    }
-
-    fn connect(&self) -> Connection {
-        Connection::connect(self.config()).unwrap()
-    }
-
-    fn get(&self, path: &str) -> (String, String) {
-        let mut stream = TcpStream::connect(self.server().http()).unwrap();
-        write!(stream, "GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").unwrap();
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).unwrap();
-        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
-        (head.to_owned(), body.to_owned())
-    }
-
-    fn stop(&mut self) {
-        if let Some(server) = self.server.take() {
-            let stopped = async { tokio::time::timeout(PATIENCE, server.shutdown()).await };
-            self.runtime.block_on(stopped).expect("the server stops in time");
-        }
-    }
-}
-
-impl Drop for Host {
-    fn drop(&mut self) {
-        self.stop();
-        let _ = std::fs::remove_dir_all(&self.folder);
-    }
-}
+use ldi_server::serve::{SelectViews, ServeConfig, planner::Views};
+use std::time::Duration;
 
 /// A walker on the street's axis.
 fn pose(z: f64, yaw_deg: f64) -> Pose {
     Pose { position: glam::DVec3::new(0.0, 0.0, z), yaw_deg, pitch_deg: 0.0 }
-}
-
-fn folder(name: &str) -> PathBuf {
-    let folder = std::env::temp_dir().join(format!("ldi-streaming-{name}-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    folder
 }
 
 fn needs(connection: &Connection, pose: &Pose) -> Needed {

@@ -19,6 +19,8 @@ pub(super) enum Value {
     WaitingLayers(Vec<u8>),
     Texture(Arc<Texture>),
     Brood(Arc<Brood>),
+    /// There, as far as the accounts are concerned.
+    Undecoded,
 }
 
 #[derive(Debug, Default)]

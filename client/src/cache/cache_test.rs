@@ -217,3 +217,33 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn without_decoding_the_accounts_are_the_same_and_nothing_is_given_out() {
+    let (decoding, street) = empty(1 << 30);
+    let bare = Cache::without_decoding(decoding.index().clone(), 1 << 30);
+    for chunk in 0..street.chunks.len() as u32 {
+        put(&decoding, &street, chunk);
+        assert_eq!(put(&bare, &street, chunk), Inserted::Held);
+        assert_eq!(put(&bare, &street, chunk), Inserted::Duplicate);
+    }
+    assert_eq!(bare.usage(), decoding.usage());
+    assert_eq!(bare.held(), decoding.held());
+    assert!(bare.cell(0).is_none() && bare.ldi(0).is_none() && bare.texture(0).is_none());
+}
+
+#[test]
+fn what_is_counted_as_used_counts_once_and_only_when_it_is_there() {
+    let (cache, street) = empty(1 << 30);
+    let stored = |c: u32| u64::from(street.index.chunks[c as usize].stored_bytes);
+    put(&cache, &street, LDI[0]);
+    cache.count_used([LDI[0], LDI[1], FIRST_CELL]);
+    assert_eq!(cache.usage().useful_bytes, stored(LDI[0]));
+    put(&cache, &street, LDI[1]);
+    cache.count_used([LDI[0], LDI[1]]);
+    cache.count_used([LDI[0], LDI[1]]);
+    assert_eq!(cache.usage().useful_bytes, stored(LDI[0]) + stored(LDI[1]));
+    // A frame that draws it finds nothing new.
+    assert!(cache.ldi(0).is_some());
+    assert_eq!(cache.usage().useful_bytes, stored(LDI[0]) + stored(LDI[1]));
+}

@@ -14,7 +14,7 @@
 mod accounts;
 mod decode;
 #[cfg(test)]
-mod fixture;
+pub(crate) mod fixture;
 mod layout;
 
 use crate::resident::Resident;
@@ -94,6 +94,7 @@ pub enum Incomplete {
 pub struct Cache {
     index: Arc<Index>,
     layout: Layout,
+    decoding: bool,
     inner: Mutex<Inner>,
     changed: Condvar,
 }
@@ -113,7 +114,12 @@ impl Cache {
             refusals_told: None,
             disconnected: None,
         };
-        Self { index, layout, inner: Mutex::new(inner), changed: Condvar::new() }
+        Self { index, layout, decoding: true, inner: Mutex::new(inner), changed: Condvar::new() }
+    }
+
+    /// One that keeps the accounts of what would be held, decodes nothing and gives nothing out: for load tests.
+    pub fn without_decoding(index: Arc<Index>, cap_bytes: u64) -> Self {
+        Self { decoding: false, ..Self::new(index, cap_bytes) }
     }
 
     /// The index whose chunks are held.
@@ -149,7 +155,7 @@ impl Cache {
     fn insert_part(&self, part: Part, chunk: u32, bytes: &[u8]) -> Result<Inserted, DecodeError> {
         let entry = &self.layout.objects[part.object as usize];
         let levels = match entry.kind {
-            ObjectKind::Texture(t) => Some(decode::texture_levels(&self.index, t, part.part, bytes)?),
+            ObjectKind::Texture(t) if self.decoding => Some(decode::texture_levels(&self.index, t, part.part, bytes)?),
             _ => None,
         };
         loop {
@@ -162,6 +168,7 @@ impl Cache {
                 (object.value.clone(), object.version)
             };
             let new = match (&entry.kind, &levels) {
+                _ if !self.decoding => Value::Undecoded,
                 (ObjectKind::Texture(t), Some(levels)) => {
                     decode::texture(&old, &self.index.textures[*t as usize], levels)
                 }
@@ -218,6 +225,12 @@ impl Cache {
         }
     }
 
+    /// Whether the current view needs a chunk.
+    pub fn is_pinned(&self, chunk: u32) -> bool {
+        let inner = self.lock();
+        self.layout.parts(chunk).iter().any(|p| inner.objects[p.object as usize].pinned_in == inner.tick)
+    }
+
     /// Counts what is held of these as used now.
     pub fn touch(&self, chunks: impl IntoIterator<Item = u32>) {
         let mut inner = self.lock();
@@ -225,6 +238,21 @@ impl Cache {
         for chunk in chunks {
             for part in self.layout.parts(chunk) {
                 inner.use_at(part.object, tick);
+            }
+        }
+    }
+
+    /// Counts what is held of these as used by a frame, without giving it out.
+    pub fn count_used(&self, chunks: impl IntoIterator<Item = u32>) {
+        let mut inner = self.lock();
+        for chunk in chunks {
+            for part in self.layout.parts(chunk) {
+                let object = &mut inner.objects[part.object as usize];
+                let fresh = object.present & !object.used & 1 << part.part;
+                object.used |= fresh;
+                if fresh != 0 {
+                    inner.usage.useful_bytes += u64::from(self.index.chunks[chunk as usize].stored_bytes);
+                }
             }
         }
     }
@@ -263,6 +291,11 @@ impl Cache {
     pub fn set_disconnected(&self, reason: Option<String>) {
         self.lock().disconnected = reason;
         self.changed.notify_all();
+    }
+
+    /// Why nothing will arrive any more.
+    pub fn disconnected(&self) -> Option<String> {
+        self.lock().disconnected.clone()
     }
 
     /// Waits until all of `chunks` are at hand, or will not come.

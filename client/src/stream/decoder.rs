@@ -1,17 +1,59 @@
-//! Verifies and decodes chunks on threads of their own.
+//! Verifies and decodes chunks on threads of their own, what the view waits for first.
+//!
+//! Decoding an image takes tens of milliseconds, so the order matters as much here as on the wire: in one queue for all, a cell that the view
+//! lacks waits behind images that nobody looks at yet. Chunks that the view waits for have a queue of their own, most urgent first; when it is full
+//! reading stops, and QUIC's windows stop the server. What was sent ahead comes after, those first that the view has come to need meanwhile;
+//! when too much of it waits, the rest is given up and the server is told, so that it never takes the streams that the view needs.
 
 use super::stats::Collector;
 use crate::cache::{Cache, Inserted};
 use ldi_protocol::wire::Urgency;
 use std::{
+    collections::VecDeque,
     io,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{
+        Arc, Condvar, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicUsize, Ordering::Relaxed},
+    },
     thread::JoinHandle,
+    time::Instant,
 };
-use tokio::sync::mpsc;
+use tokio::sync::{Semaphore, mpsc};
 
-/// Chunks that wait for a thread. With the streams being read they bound the memory of what is not decoded yet.
-const QUEUE: usize = 8;
+/// Chunks per thread that the view waits for. With the streams being read they bound the memory of what is not decoded yet.
+const PRESSING: usize = 8;
+/// Bytes of chunks of one connection that were sent ahead and wait, beside those of the cache. Larger: more memory; smaller: more of what a fast link
+/// brings at the beginning is given up and sent again.
+const AHEAD_BYTES: usize = 32 << 20;
+/// How many of those sent ahead are looked through for one that the view has come to need.
+const LOOK_THROUGH: usize = 512;
+
+/// Where the chunks of one connection go.
+#[derive(Debug)]
+pub(super) struct Target {
+    pub cache: Arc<Cache>,
+    pub stats: Arc<Collector>,
+    /// Numbers of chunks whose hash is wrong.
+    pub damaged: mpsc::UnboundedSender<u32>,
+    /// See [`super::ConnectConfig::arrivals`].
+    pub arrivals: Option<mpsc::UnboundedSender<(u32, Instant)>>,
+    /// Bytes of chunks sent ahead that wait.
+    pub ahead_bytes: AtomicUsize,
+    /// Chunks that were given up and not told yet.
+    pub given_up: Mutex<Vec<u32>>,
+}
+
+impl Target {
+    /// Given up chunks that the server should send again: those that the view has come to need, or all once the decoding has caught up. Told
+    /// earlier, the rest would come again at once and be given up again.
+    pub fn to_tell(&self) -> Vec<u32> {
+        let mut given_up = self.given_up.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.ahead_bytes.load(Relaxed) <= AHEAD_BYTES / 4 {
+            return std::mem::take(&mut given_up);
+        }
+        given_up.extract_if(.., |c| self.cache.is_pinned(*c)).collect()
+    }
+}
 
 /// A chunk as it arrived.
 #[derive(Debug)]
@@ -19,48 +61,123 @@ pub(super) struct Job {
     pub chunk: u32,
     pub urgency: Urgency,
     pub bytes: Vec<u8>,
+    pub target: Arc<Target>,
 }
 
-/// The threads; they end when the queue's sender is dropped.
+#[derive(Debug, Default)]
+struct Waiting {
+    pressing: Vec<Job>,
+    ahead: VecDeque<Job>,
+    closed: bool,
+}
+
+impl Waiting {
+    /// The next job, most urgent first; among equals the one that came first.
+    fn take(&mut self) -> Option<Job> {
+        if let Some(at) = (0..self.pressing.len()).min_by_key(|i| self.pressing[*i].urgency) {
+            return Some(self.pressing.remove(at));
+        }
+        let needed = self.ahead.iter().take(LOOK_THROUGH).position(|j| j.target.cache.is_pinned(j.chunk));
+        self.ahead.remove(needed.unwrap_or(0))
+    }
+}
+
 #[derive(Debug)]
-pub(super) struct Decoders {
+struct Queue {
+    waiting: Mutex<Waiting>,
+    came: Condvar,
+    /// Places for pressing chunks, waiting or being decoded.
+    places: Semaphore,
+}
+
+impl Queue {
+    fn lock(&self) -> MutexGuard<'_, Waiting> {
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What a thread does.
+    fn work(&self) {
+        loop {
+            let mut waiting = self.lock();
+            let job = loop {
+                if waiting.closed {
+                    return;
+                }
+                match waiting.take() {
+                    Some(job) => break job,
+                    None => waiting = self.came.wait(waiting).unwrap_or_else(PoisonError::into_inner),
+                }
+            };
+            drop(waiting);
+            decode(&job);
+            if job.urgency.is_pressing() {
+                self.places.add_permits(1);
+            } else {
+                job.target.ahead_bytes.fetch_sub(job.bytes.len(), Relaxed);
+            }
+        }
+    }
+}
+
+/// Threads that verify and decode, for one connection or for many. They end, and are waited for, when the last owner drops the pool.
+#[derive(Debug)]
+pub struct DecodePool {
+    queue: Arc<Queue>,
     threads: Vec<JoinHandle<()>>,
 }
 
-impl Decoders {
-    /// Starts `count` threads. Numbers of chunks whose hash is wrong go to `damaged`.
-    pub fn start(
-        count: usize,
-        cache: &Arc<Cache>,
-        stats: &Arc<Collector>,
-        damaged: &mpsc::UnboundedSender<u32>,
-    ) -> io::Result<(Self, mpsc::Sender<Job>)> {
-        let (sender, receiver) = mpsc::channel::<Job>(QUEUE);
-        let receiver = Arc::new(Mutex::new(receiver));
-        let mut threads = Vec::new();
-        for i in 0..count.max(1) {
-            let (receiver, cache, stats, damaged) = (receiver.clone(), cache.clone(), stats.clone(), damaged.clone());
-            threads.push(std::thread::Builder::new().name(format!("ldi-decode-{i}")).spawn(move || {
-                loop {
-                    // The lock is held while waiting: the next job goes to whoever holds it, the others queue behind.
-                    let job = receiver.lock().unwrap_or_else(PoisonError::into_inner).blocking_recv();
-                    let Some(job) = job else { return };
-                    decode(&cache, &stats, &damaged, &job);
-                }
-            })?);
+impl DecodePool {
+    /// Starts `count` threads, at least one.
+    ///
+    /// # Errors
+    /// If the system has no more threads.
+    pub fn new(count: usize) -> io::Result<Self> {
+        let count = count.max(1);
+        let places = Semaphore::new(PRESSING * count);
+        let queue = Arc::new(Queue { waiting: Mutex::default(), came: Condvar::new(), places });
+        let mut pool = Self { queue, threads: Vec::new() };
+        for i in 0..count {
+            let queue = pool.queue.clone();
+            pool.threads.push(std::thread::Builder::new().name(format!("ldi-decode-{i}")).spawn(move || queue.work())?);
         }
-        Ok((Self { threads }, sender))
+        Ok(pool)
     }
 
-    /// Waits for the threads. Drop the queue's sender first.
-    pub fn join(self) {
-        for t in self.threads {
+    /// Hands over a chunk. Waits for a place if the view waits for the chunk; gives it up if it was sent ahead and there is none.
+    pub(super) async fn send(&self, job: Job) {
+        if job.urgency.is_pressing() {
+            // The semaphore is never closed.
+            if let Ok(place) = self.queue.places.acquire().await {
+                place.forget();
+            }
+            self.queue.lock().pressing.push(job);
+        } else {
+            let bytes = job.bytes.len();
+            let target = job.target.clone();
+            if target.ahead_bytes.fetch_add(bytes, Relaxed) + bytes > AHEAD_BYTES && !target.cache.is_pinned(job.chunk)
+            {
+                target.ahead_bytes.fetch_sub(bytes, Relaxed);
+                target.stats.given_up(bytes as u64);
+                return target.given_up.lock().unwrap_or_else(PoisonError::into_inner).push(job.chunk);
+            }
+            self.queue.lock().ahead.push_back(job);
+        }
+        self.queue.came.notify_one();
+    }
+}
+
+impl Drop for DecodePool {
+    fn drop(&mut self) {
+        self.queue.lock().closed = true;
+        self.queue.came.notify_all();
+        for t in self.threads.drain(..) {
             let _ = t.join();
         }
     }
 }
 
-fn decode(cache: &Cache, stats: &Collector, damaged: &mpsc::UnboundedSender<u32>, job: &Job) {
+fn decode(job: &Job) {
+    let Target { cache, stats, damaged, arrivals, .. } = &*job.target;
     let Some(entry) = cache.index().chunks.get(job.chunk as usize) else { return };
     let bytes = job.bytes.len() as u64;
     if blake3::hash(&job.bytes).as_bytes() != &entry.hash.0 {
@@ -72,7 +189,12 @@ fn decode(cache: &Cache, stats: &Collector, damaged: &mpsc::UnboundedSender<u32>
     stats.arrived(job.chunk, entry.stored_bytes, job.urgency);
     match cache.insert(job.chunk, &job.bytes) {
         // Refused for want of room is received all the same; no frame uses it.
-        Ok(Inserted::Held | Inserted::NoRoom) => {}
+        Ok(Inserted::NoRoom) => {}
+        Ok(Inserted::Held) => {
+            if let Some(arrivals) = arrivals {
+                let _ = arrivals.send((job.chunk, Instant::now()));
+            }
+        }
         Ok(Inserted::Duplicate) => {
             stats.take_back(entry.stored_bytes);
             stats.duplicate(bytes);
@@ -84,5 +206,97 @@ fn decode(cache: &Cache, stats: &Collector, damaged: &mpsc::UnboundedSender<u32>
             cache.mark_damaged(job.chunk);
             tracing::warn!(chunk = job.chunk, "given up: {e}");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cache::fixture::{FIRST_CELL, LDI, street};
+
+    /// Chunks of a street whose far half is an image; nothing decodes.
+    fn target() -> (Arc<Target>, mpsc::UnboundedReceiver<u32>) {
+        let (damaged, damage) = mpsc::unbounded_channel();
+        let cache = Arc::new(Cache::new(Arc::new(street(60, 8).index), 1 << 30));
+        let stats = Arc::new(Collector::new());
+        (
+            Arc::new(Target {
+                cache,
+                stats,
+                damaged,
+                arrivals: None,
+                ahead_bytes: AtomicUsize::new(0),
+                given_up: Mutex::default(),
+            }),
+            damage,
+        )
+    }
+
+    fn job(target: &Arc<Target>, chunk: u32, urgency: Urgency) -> Job {
+        Job { chunk, urgency, bytes: vec![0; 10], target: target.clone() }
+    }
+
+    #[test]
+    fn what_the_view_waits_for_comes_first_whatever_came_before() {
+        let (target, _damage) = target();
+        let mut waiting = Waiting::default();
+        let now = |chunk| job(&target, chunk, Urgency::Now);
+        waiting.ahead.extend([10, 11, 12].map(|c| job(&target, c, Urgency::Around)));
+        waiting.pressing.extend([job(&target, 20, Urgency::Fine), now(21), now(22)]);
+        // The view has come to need one of those sent ahead.
+        target.cache.pin([11]);
+        let order: Vec<u32> = std::iter::from_fn(|| waiting.take()).map(|j| j.chunk).collect();
+        assert_eq!(order, [21, 22, 20, 11, 10, 12]);
+    }
+
+    #[tokio::test]
+    async fn too_much_sent_ahead_is_given_up_and_told_and_what_the_view_needs_is_not() {
+        let (target, _damage) = target();
+        // Without threads: nothing leaves the queue.
+        let queue =
+            Arc::new(Queue { waiting: Mutex::default(), came: Condvar::new(), places: Semaphore::new(PRESSING) });
+        let pool = DecodePool { queue, threads: Vec::new() };
+        let big = |chunk| Job { bytes: vec![0; AHEAD_BYTES / 4], ..job(&target, chunk, Urgency::Around) };
+        for chunk in 0..6 {
+            pool.send(big(FIRST_CELL + chunk)).await;
+        }
+        target.cache.pin([LDI[0]]);
+        pool.send(big(LDI[0])).await;
+        pool.send(job(&target, LDI[1], Urgency::Now)).await;
+        {
+            let waiting = pool.queue.lock();
+            assert_eq!((waiting.ahead.len(), waiting.pressing.len()), (4 + 1, 1));
+        }
+        assert_eq!(target.stats.snapshot(0).lost_bytes, AHEAD_BYTES as u64 / 2);
+        assert!(target.to_tell().is_empty(), "it would come again at once");
+        target.cache.pin([FIRST_CELL + 5]);
+        assert_eq!(target.to_tell(), [FIRST_CELL + 5], "the view has come to need it");
+        target.ahead_bytes.store(0, Relaxed);
+        assert_eq!(target.to_tell(), [FIRST_CELL + 4]);
+        assert!(target.to_tell().is_empty(), "once");
+    }
+
+    #[test]
+    fn threads_decode_and_end_with_the_pool() {
+        let (target, mut damage) = target();
+        let pool = DecodePool::new(2).expect("threads");
+        let runtime = tokio::runtime::Builder::new_current_thread().build().expect("a runtime");
+        runtime.block_on(async {
+            for chunk in 0..40 {
+                let urgency = if chunk % 2 == 0 { Urgency::Now } else { Urgency::Around };
+                pool.send(job(&target, FIRST_CELL + chunk, urgency)).await;
+            }
+        });
+        // Their bytes are not what the index says: each is told as damaged, or was given up.
+        let mut damaged = 0;
+        let until = Instant::now() + std::time::Duration::from_secs(20);
+        while target.stats.snapshot(0).damaged + target.stats.snapshot(0).given_up < 40 && Instant::now() < until {
+            std::thread::yield_now();
+        }
+        while damage.try_recv().is_ok() {
+            damaged += 1;
+        }
+        assert!(damaged >= 20, "all that the view waits for: {damaged}");
+        drop(pool);
     }
 }

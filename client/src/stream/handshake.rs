@@ -2,6 +2,7 @@
 
 use super::{
     ConnectConfig, ConnectError,
+    link_socket::LinkSocket,
     receive::{self, Broken},
     transport,
     trust::PinnedVerifier,
@@ -18,6 +19,7 @@ use tokio::time::timeout;
 /// An open connection whose manifest is here.
 pub(super) struct Opened {
     pub endpoint: Endpoint,
+    pub link: Option<Arc<LinkSocket>>,
     pub connection: Connection,
     pub send: SendStream,
     pub recv: RecvStream,
@@ -30,9 +32,7 @@ pub(super) async fn open(config: &ConnectConfig) -> Result<Opened, ConnectError>
     let mut last = None;
     for address in transport::resolve(&config.server)? {
         match dial(config, address).await {
-            Ok((endpoint, connection)) => {
-                return converse(config, endpoint, connection).await;
-            }
+            Ok(dialed) => return converse(config, dialed).await,
             // Only silence makes another address worth a try.
             Err(e @ ConnectError::Unreachable { .. }) => last = Some(e),
             Err(e) => return Err(e),
@@ -41,14 +41,16 @@ pub(super) async fn open(config: &ConnectConfig) -> Result<Opened, ConnectError>
     Err(last.unwrap_or_else(|| ConnectError::Local("no address".into())))
 }
 
-async fn dial(config: &ConnectConfig, address: SocketAddr) -> Result<(Endpoint, Connection), ConnectError> {
+type Dialed = (Endpoint, Option<Arc<LinkSocket>>, Connection);
+
+async fn dial(config: &ConnectConfig, address: SocketAddr) -> Result<Dialed, ConnectError> {
     let provider = Arc::new(rustls::crypto::ring::default_provider());
     let verifier = PinnedVerifier::new(config.fingerprint, provider);
-    let endpoint = transport::open(address, verifier.clone())?;
+    let (endpoint, link) = transport::open(address, verifier.clone(), config.link)?;
     let unreachable = |reason: String| ConnectError::Unreachable { address: address.to_string(), reason };
     let connecting = endpoint.connect(address, "ldi-server").map_err(|e| unreachable(e.to_string()))?;
     match timeout(config.timeout, connecting).await {
-        Ok(Ok(connection)) => Ok((endpoint, connection)),
+        Ok(Ok(connection)) => Ok((endpoint, link, connection)),
         Ok(Err(e)) => Err(verifier.refusal().unwrap_or_else(|| match e {
             ConnectionError::ConnectionClosed(c) if c.error_code == quinn::TransportErrorCode::CONNECTION_REFUSED => {
                 ConnectError::Busy
@@ -69,7 +71,7 @@ async fn step<T>(
     timeout(config.timeout, what).await.unwrap_or_else(|_| Err(late()))
 }
 
-async fn converse(config: &ConnectConfig, endpoint: Endpoint, connection: Connection) -> Result<Opened, ConnectError> {
+async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) -> Result<Opened, ConnectError> {
     let (mut send, mut recv) = connection.open_bi().await.map_err(|e| lost(&e))?;
     let hello = ClientMessage::Hello(Hello {
         version: wire::VERSION,
@@ -88,7 +90,7 @@ async fn converse(config: &ConnectConfig, endpoint: Endpoint, connection: Connec
         ServerMessage::Unavailable { .. } => return Err(ConnectError::Protocol("no welcome".into())),
     };
     let (dataset, index) = fetch_manifest(config, &welcome, &mut recv, &connection).await?;
-    Ok(Opened { endpoint, connection, send, recv, dataset, index: Arc::new(index) })
+    Ok(Opened { endpoint, link, connection, send, recv, dataset, index: Arc::new(index) })
 }
 
 async fn fetch_manifest(

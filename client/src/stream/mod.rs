@@ -3,21 +3,25 @@
 //! In: poses and needs from the render thread. Out: decoded objects in the [`Cache`], statistics. The render thread never
 //! waits for the network unless it asks to ([`Connection::wait_until_complete`]).
 //!
-//! One named thread runs a small async runtime with all of QUIC; a few more verify hashes and decode. Between them bounded
-//! queues: when decoding falls behind, reading stops, and QUIC's windows stop the server.
+//! One named thread runs a small async runtime with all of QUIC; a few more verify hashes and decode, what the view waits for first. Between
+//! them bounded queues: when decoding falls behind, reading stops, and QUIC's windows stop the server.
 //!
 //! A damaged chunk is asked for again [`MAX_RETRIES`] times, then given up; the walk goes on without it.
 
 mod decoder;
 mod error;
 mod handshake;
+mod link;
+mod link_socket;
 mod receive;
 mod session;
 mod stats;
 mod transport;
 mod trust;
 
+pub use decoder::DecodePool;
 pub use error::ConnectError;
+pub use link::{Direction, Fate, HEADER_BYTES, Link, LinkCounts, LinkError, LinkSpec};
 pub use session::MAX_RETRIES;
 pub use stats::{Arrival, Stats};
 pub use trust::Fingerprint;
@@ -29,7 +33,7 @@ use ldi_protocol::{
     need::Needed,
     wire::{Picture, Request},
 };
-use session::{Command, Ready};
+use session::{Command, Ready, SayReady};
 use stats::Collector;
 use std::{
     sync::Arc,
@@ -61,8 +65,18 @@ pub struct ConnectConfig {
     pub name: String,
     /// The cache of an earlier connection: what it holds of the same dataset is not sent again.
     pub resume: Option<Arc<Cache>>,
-    /// Threads that verify and decode.
+    /// The index of an earlier connection, to be shared instead of holding an equal one again.
+    pub index: Option<Arc<Index>>,
+    /// Threads that verify and decode, unless there is a pool.
     pub decode_threads: usize,
+    /// Threads that several connections share.
+    pub decode_pool: Option<Arc<DecodePool>>,
+    /// False: chunks are verified and counted as held, but not decoded, so that nothing can be drawn. For load tests.
+    pub decoding: bool,
+    /// Is told of every chunk when the cache holds it.
+    pub arrivals: Option<mpsc::UnboundedSender<(u32, Instant)>>,
+    /// Behave as if this link lay between client and server.
+    pub link: Option<LinkSpec>,
     /// Time for connecting, and for each step of fetching the manifest.
     pub timeout: Duration,
 }
@@ -82,12 +96,17 @@ impl ConnectConfig {
             resume: None,
             // Half: the other half draws.
             decode_threads: (threads / 2).clamp(1, 4),
+            index: None,
+            decode_pool: None,
+            decoding: true,
+            arrivals: None,
+            link: None,
             timeout: Duration::from_secs(10),
         }
     }
 }
 
-/// A connection with its threads. Dropping it says goodbye and waits for them.
+/// A connection. Dropping it says goodbye, and waits for its threads if it has any.
 #[derive(Debug)]
 pub struct Connection {
     index: Arc<Index>,
@@ -100,7 +119,7 @@ pub struct Connection {
 }
 
 impl Connection {
-    /// Connects, and returns when the whole manifest is there.
+    /// Connects with threads of its own, and returns when the whole manifest is there.
     ///
     /// # Errors
     /// See [`ConnectError`].
@@ -110,14 +129,37 @@ impl Connection {
         let (commands, commands_seen) = mpsc::unbounded_channel();
         let (ready, connected) = std::sync::mpsc::channel();
         let collector = stats.clone();
+        let say: SayReady = Box::new(move |r| drop(ready.send(r)));
         let thread = std::thread::Builder::new()
             .name("ldi-stream".into())
-            .spawn(move || session::run(config, collector, poses_seen, commands_seen, &ready))
+            .spawn(move || session::run(config, collector, poses_seen, commands_seen, say))
             .map_err(|e| ConnectError::Local(e.to_string()))?;
         let ended = || Err(ConnectError::Local("the streaming thread ended".into()));
         let Ready { dataset, cache } = connected.recv().unwrap_or_else(|_| ended())?;
         let index = cache.index().clone();
         Ok(Self { index, dataset, cache, stats, poses, commands, thread: Some(thread) })
+    }
+
+    /// Connects on the runtime that this is called in, as a task: many connections in one process. Dropping it does not wait.
+    ///
+    /// # Errors
+    /// See [`ConnectError`].
+    pub async fn open(config: ConnectConfig) -> Result<Self, ConnectError> {
+        let stats = Arc::new(Collector::new());
+        let (poses, poses_seen) = watch::channel(None);
+        let (commands, commands_seen) = mpsc::unbounded_channel();
+        let (ready, connected) = oneshot::channel();
+        let say: SayReady = Box::new(move |r| drop(ready.send(r)));
+        tokio::spawn(session::stream(config, stats.clone(), poses_seen, commands_seen, say));
+        let ended = |_| Err(ConnectError::Local("the streaming task ended".into()));
+        let Ready { dataset, cache } = connected.await.unwrap_or_else(ended)?;
+        let index = cache.index().clone();
+        Ok(Self { index, dataset, cache, stats, poses, commands, thread: None })
+    }
+
+    /// Why nothing will arrive any more; None while the connection stands.
+    pub fn lost(&self) -> Option<String> {
+        self.cache.disconnected()
     }
 
     /// The dataset's index.

@@ -2,7 +2,7 @@
 
 use super::{
     ConnectConfig, ConnectError,
-    decoder::{Decoders, Job},
+    decoder::{DecodePool, Job, Target},
     handshake::{self, Opened},
     receive::{self, Broken},
     stats::{Collector, SAMPLE_EVERY},
@@ -19,7 +19,7 @@ use ldi_protocol::{
 use quinn::{Connection, RecvStream, SendStream, VarInt};
 use std::{
     collections::HashMap,
-    sync::Arc,
+    sync::{Arc, Mutex, atomic::AtomicUsize},
     time::{Duration, Instant},
 };
 use tokio::{
@@ -52,67 +52,86 @@ pub(super) struct Ready {
     pub cache: Arc<Cache>,
 }
 
-/// The thread's body. Says once on `ready` how connecting went.
+/// Says once how connecting went.
+pub(super) type SayReady = Box<dyn FnOnce(Result<Ready, ConnectError>) + Send>;
+
+/// The body of a thread of its own: a small runtime with one connection.
 pub(super) fn run(
     config: ConnectConfig,
     stats: Arc<Collector>,
     poses: watch::Receiver<Option<Pose>>,
     commands: mpsc::UnboundedReceiver<Command>,
-    ready: &std::sync::mpsc::Sender<Result<Ready, ConnectError>>,
+    ready: SayReady,
 ) {
-    let runtime = match tokio::runtime::Builder::new_current_thread().enable_all().build() {
-        Ok(r) => r,
-        Err(e) => {
-            let _ = ready.send(Err(ConnectError::Local(e.to_string())));
-            return;
-        }
+    match tokio::runtime::Builder::new_current_thread().enable_all().build() {
+        Ok(runtime) => runtime.block_on(stream(config, stats, poses, commands, ready)),
+        Err(e) => ready(Err(ConnectError::Local(e.to_string()))),
+    }
+}
+
+/// One connection from the first to the last byte.
+pub(super) async fn stream(
+    config: ConnectConfig,
+    stats: Arc<Collector>,
+    poses: watch::Receiver<Option<Pose>>,
+    commands: mpsc::UnboundedReceiver<Command>,
+    ready: SayReady,
+) {
+    let pool = match &config.decode_pool {
+        Some(shared) => Ok(shared.clone()),
+        None => DecodePool::new(config.decode_threads).map(Arc::new),
     };
-    runtime.block_on(async {
-        let opened = match handshake::open(&config).await {
-            Ok(o) => o,
-            Err(e) => {
-                let _ = ready.send(Err(e));
-                return;
-            }
-        };
-        let cache = cache_for(&config, &opened);
-        let (damaged, damage) = mpsc::unbounded_channel();
-        let (decoders, jobs) = match Decoders::start(config.decode_threads, &cache, &stats, &damaged) {
-            Ok(d) => d,
-            Err(e) => {
-                let _ = ready.send(Err(ConnectError::Local(e.to_string())));
-                return;
-            }
-        };
-        stats.watch(opened.connection.clone());
-        cache.set_disconnected(None);
-        let _ = ready.send(Ok(Ready { dataset: opened.dataset, cache: cache.clone() }));
-        let endpoint = opened.endpoint.clone();
-        let session = Session {
-            connection: opened.connection.clone(),
-            send: opened.send,
-            cache: cache.clone(),
-            stats,
-            tries: HashMap::new(),
-            sequence: 0,
-            started: Instant::now(),
-            touched_at: None,
-            prefetch_m: config.prefetch_m,
-        };
-        let end = session.run(opened.recv, poses, commands, damage, jobs).await;
-        let reason = end.map_or_else(|e| e.to_string(), |()| "the connection was closed".into());
-        cache.set_disconnected(Some(reason));
-        opened.connection.close(VarInt::from_u32(code::BYE), b"bye");
-        let _ = timeout(GOODBYE, endpoint.wait_idle()).await;
-        decoders.join();
+    let pool = match pool {
+        Ok(p) => p,
+        Err(e) => return ready(Err(ConnectError::Local(e.to_string()))),
+    };
+    let mut opened = match handshake::open(&config).await {
+        Ok(o) => o,
+        Err(e) => return ready(Err(e)),
+    };
+    if let Some(known) = config.index.as_ref().filter(|i| **i == opened.index) {
+        opened.index = known.clone();
+    }
+    let cache = cache_for(&config, &opened);
+    let (damaged, damage) = mpsc::unbounded_channel();
+    let target = Arc::new(Target {
+        cache: cache.clone(),
+        stats: stats.clone(),
+        damaged,
+        arrivals: config.arrivals.clone(),
+        ahead_bytes: AtomicUsize::new(0),
+        given_up: Mutex::default(),
     });
+    stats.watch(opened.connection.clone(), opened.link.clone());
+    cache.set_disconnected(None);
+    ready(Ok(Ready { dataset: opened.dataset, cache: cache.clone() }));
+    let endpoint = opened.endpoint.clone();
+    let session = Session {
+        connection: opened.connection.clone(),
+        send: opened.send,
+        cache: cache.clone(),
+        stats,
+        tries: HashMap::new(),
+        sequence: 0,
+        started: Instant::now(),
+        touched_at: None,
+        prefetch_m: config.prefetch_m,
+        pool,
+        target,
+    };
+    let end = session.run(opened.recv, poses, commands, damage).await;
+    let reason = end.map_or_else(|e| e.to_string(), |()| "the connection was closed".into());
+    cache.set_disconnected(Some(reason));
+    opened.connection.close(VarInt::from_u32(code::BYE), b"bye");
+    let _ = timeout(GOODBYE, endpoint.wait_idle()).await;
 }
 
 /// The cache of an earlier connection when it is of the same dataset, else a new one.
 fn cache_for(config: &ConnectConfig, opened: &Opened) -> Arc<Cache> {
     match &config.resume {
         Some(old) if old.index() == &opened.index => old.clone(),
-        _ => Arc::new(Cache::new(opened.index.clone(), config.cache_bytes)),
+        _ if config.decoding => Arc::new(Cache::new(opened.index.clone(), config.cache_bytes)),
+        _ => Arc::new(Cache::without_decoding(opened.index.clone(), config.cache_bytes)),
     }
 }
 
@@ -126,6 +145,8 @@ struct Session {
     started: Instant,
     touched_at: Option<DVec3>,
     prefetch_m: f64,
+    pool: Arc<DecodePool>,
+    target: Arc<Target>,
 }
 
 impl Session {
@@ -135,7 +156,6 @@ impl Session {
         mut poses: watch::Receiver<Option<Pose>>,
         mut commands: mpsc::UnboundedReceiver<Command>,
         mut damage: mpsc::UnboundedReceiver<u32>,
-        jobs: mpsc::Sender<Job>,
     ) -> Result<(), ConnectError> {
         self.tell(self.cache.held(), |chunks| ClientMessage::Have { chunks }).await?;
         let (messages, mut heard) = mpsc::channel(16);
@@ -149,7 +169,7 @@ impl Session {
                 // A stream that was read to its end no longer counts for QUIC: chunks that wait for a decoder must count here.
                 stream = self.connection.accept_uni(), if tasks.len() <= MAX_STREAMS as usize => {
                     let stream = stream.map_err(|e| handshake::lost(&e))?;
-                    tasks.spawn(take_in(stream, self.cache.clone(), self.stats.clone(), jobs.clone()));
+                    tasks.spawn(take_in(stream, self.target.clone(), self.pool.clone()));
                 }
                 Ok(()) = poses.changed() => {
                     let pose = *poses.borrow_and_update();
@@ -177,7 +197,10 @@ impl Session {
                 },
                 Some(message) = heard.recv() => self.hear(message?),
                 Some(chunk) = damage.recv() => self.ask_again(chunk).await?,
-                _ = tick.tick() => self.tick(*poses.borrow()).await?,
+                _ = tick.tick() => {
+                    let pose = *poses.borrow();
+                    self.tick(pose).await?;
+                }
                 Some(_) = tasks.join_next() => {}
             }
         }
@@ -243,7 +266,8 @@ impl Session {
             let reach = Reach { radius_m: self.prefetch_m, decoded_bytes };
             self.cache.touch(near_to_far(self.cache.index(), p.position, reach));
         }
-        let gone = self.cache.take_evicted(Instant::now());
+        let mut gone = self.cache.take_evicted(Instant::now());
+        gone.extend(self.target.to_tell());
         self.tell(gone, |chunks| ClientMessage::Drop { chunks }).await
     }
 }
@@ -260,7 +284,8 @@ async fn listen(mut recv: RecvStream, connection: Connection, out: mpsc::Sender<
 }
 
 /// Takes one chunk in and hands it to the decoding threads.
-async fn take_in(mut stream: RecvStream, cache: Arc<Cache>, stats: Arc<Collector>, jobs: mpsc::Sender<Job>) {
+async fn take_in(mut stream: RecvStream, target: Arc<Target>, pool: Arc<DecodePool>) {
+    let Target { cache, stats, .. } = &*target;
     let taken = async {
         let header = receive::header(&mut stream).await?;
         let entry = cache.index().chunks.get(header.number as usize).filter(|_| header.kind == StreamKind::Chunk);
@@ -274,11 +299,12 @@ async fn take_in(mut stream: RecvStream, cache: Arc<Cache>, stats: Arc<Collector
             return Ok(None);
         }
         let bytes = receive::body(&mut stream, &header).await?;
-        Ok(Some(Job { chunk: header.number, urgency: header.urgency, bytes }))
+        Ok(Some((header, bytes)))
     };
     match taken.await {
-        Ok(Some(job)) => {
-            let _ = jobs.send(job).await;
+        Ok(Some((header, bytes))) => {
+            let job = Job { chunk: header.number, urgency: header.urgency, bytes, target: target.clone() };
+            pool.send(job).await;
         }
         Ok(None) => {}
         Err(Broken::Off { bytes }) => stats.broken_off(bytes),

@@ -1,7 +1,8 @@
 //! What came over the wire and what it was good for.
 
+use super::{link::LinkCounts, link_socket::LinkSocket};
 use std::{
-    sync::{Mutex, OnceLock, PoisonError},
+    sync::{Arc, Mutex, OnceLock, PoisonError},
     time::{Duration, Instant},
 };
 
@@ -46,6 +47,8 @@ pub struct Stats {
     pub duplicates: u64,
     /// Streams that the server gave up.
     pub broken_off: u64,
+    /// Chunks sent ahead of need that the client gave up, because it was behind with decoding.
+    pub given_up: u64,
     /// [`Stats::lost_bytes`], and chunks that no frame has used.
     pub wasted_bytes: u64,
     /// Mean over the connection.
@@ -56,6 +59,8 @@ pub struct Stats {
     pub rtt_ms: f64,
     /// Packets that the client's own sending lost.
     pub lost_packets: u64,
+    /// What became of the packets on [`super::ConnectConfig::link`], up and down; None without one.
+    pub link: Option<[LinkCounts; 2]>,
 }
 
 #[derive(Debug, Default)]
@@ -72,12 +77,13 @@ pub(super) struct Collector {
     start: Instant,
     /// Once it is open.
     wire: OnceLock<quinn::Connection>,
+    link: OnceLock<Arc<LinkSocket>>,
     inner: Mutex<Inner>,
 }
 
 impl Collector {
     pub fn new() -> Self {
-        Self { start: Instant::now(), wire: OnceLock::new(), inner: Mutex::default() }
+        Self { start: Instant::now(), wire: OnceLock::new(), link: OnceLock::new(), inner: Mutex::default() }
     }
     fn with<T>(&self, f: impl FnOnce(&mut Inner) -> T) -> T {
         f(&mut self.inner.lock().unwrap_or_else(PoisonError::into_inner))
@@ -113,6 +119,12 @@ impl Collector {
             i.stats.lost_bytes += bytes;
         });
     }
+    pub fn given_up(&self, bytes: u64) {
+        self.with(|i| {
+            i.stats.given_up += 1;
+            i.stats.lost_bytes += bytes;
+        });
+    }
     /// What counted as arrived was there before, or is no object.
     pub fn take_back(&self, bytes: u32) {
         self.with(|i| {
@@ -120,9 +132,12 @@ impl Collector {
             i.stats.chunk_bytes -= u64::from(bytes);
         });
     }
-    /// The connection whose bytes are counted.
-    pub fn watch(&self, connection: quinn::Connection) {
+    /// The connection whose bytes are counted, and the link before it.
+    pub fn watch(&self, connection: quinn::Connection, link: Option<Arc<LinkSocket>>) {
         let _ = self.wire.set(connection);
+        if let Some(link) = link {
+            let _ = self.link.set(link);
+        }
     }
     /// A tenth of a second has passed.
     pub fn tick(&self) {
@@ -152,6 +167,7 @@ impl Collector {
                 s.rtt_ms = wire.path.rtt.as_secs_f64() * 1e3;
                 s.lost_packets = wire.path.lost_packets;
             }
+            s.link = self.link.get().map(|l| l.counts());
             s.wasted_bytes = s.chunk_bytes.saturating_sub(useful_bytes) + s.lost_bytes;
             s.mbit_per_s_mean = s.bytes_total as f64 * 8e-6 / elapsed.as_secs_f64().max(1e-9);
             s.mbit_per_s_p99_1s = p99_of_windows(&i.samples);

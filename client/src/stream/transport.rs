@@ -1,8 +1,8 @@
 //! The client's endpoint: a socket with large buffers, windows that bound memory, the pinned certificate.
 
-use super::{ConnectError, trust::PinnedVerifier};
+use super::{ConnectError, LinkSpec, link_socket::LinkSocket, trust::PinnedVerifier};
 use ldi_protocol::wire::{ALPN, DEFAULT_PORT, PoseDatagram};
-use quinn::{ClientConfig, Endpoint, EndpointConfig, IdleTimeout, TransportConfig, VarInt};
+use quinn::{ClientConfig, Endpoint, EndpointConfig, IdleTimeout, Runtime as _, TransportConfig, VarInt};
 use std::{
     net::{Ipv4Addr, Ipv6Addr, SocketAddr, ToSocketAddrs, UdpSocket},
     sync::Arc,
@@ -36,8 +36,12 @@ pub(super) fn resolve(text: &str) -> Result<Vec<SocketAddr>, ConnectError> {
     if found.is_empty() { Err(wrong("no address".into())) } else { Ok(found) }
 }
 
-/// A socket of the right family and an endpoint on it. Call within a tokio runtime.
-pub(super) fn open(remote: SocketAddr, verifier: Arc<PinnedVerifier>) -> Result<Endpoint, ConnectError> {
+/// A socket of the right family, behind a link if one is asked for, and an endpoint on it. Call within a tokio runtime.
+pub(super) fn open(
+    remote: SocketAddr,
+    verifier: Arc<PinnedVerifier>,
+    link: Option<LinkSpec>,
+) -> Result<(Endpoint, Option<Arc<LinkSocket>>), ConnectError> {
     let local = |e: &dyn std::fmt::Display| ConnectError::Local(e.to_string());
     let provider = Arc::new(rustls::crypto::ring::default_provider());
     let mut crypto = rustls::ClientConfig::builder_with_provider(provider)
@@ -62,9 +66,13 @@ pub(super) fn open(remote: SocketAddr, verifier: Arc<PinnedVerifier>) -> Result<
         tracing::debug!("socket buffers stay small: {e}");
     }
     let runtime = Arc::new(quinn::TokioRuntime);
-    let mut endpoint = Endpoint::new(EndpointConfig::default(), None, socket, runtime).map_err(|e| local(&e))?;
+    let bare = runtime.wrap_udp_socket(socket).map_err(|e| local(&e))?;
+    let link = link.map(|spec| LinkSocket::new(bare.clone(), spec));
+    let socket = link.clone().map_or(bare, |l| l);
+    let mut endpoint =
+        Endpoint::new_with_abstract_socket(EndpointConfig::default(), None, socket, runtime).map_err(|e| local(&e))?;
     endpoint.set_default_client_config(config);
-    Ok(endpoint)
+    Ok((endpoint, link))
 }
 
 fn transport() -> TransportConfig {

@@ -28,7 +28,7 @@ pub struct ServeConfig {
     /// Bytes that one connection may have on the way, unacknowledged. Smaller: less memory and fresher priorities; larger
     /// than bandwidth times round trip brings nothing.
     pub send_window: u64,
-    /// Which congestion controller: `cubic` (fair to others) or `bbr` (keeps its rate on lossy links).
+    /// Which congestion controller: `cubic` or `newreno` (each loss slows them), `veno` (only losses with a queue), `bbr` (keeps its rate and floods queues).
     pub congestion: Congestion,
 }
 
@@ -36,9 +36,13 @@ pub struct ServeConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Congestion {
-    /// The default.
+    /// Shrinks at each loss.
     Cubic,
-    /// For lossy links.
+    /// Shrinks more at each loss, and grows more slowly.
+    NewReno,
+    /// Tells losses by chance from congestion: the default.
+    Veno,
+    /// Keeps its rate whatever is lost.
     Bbr,
 }
 
@@ -53,7 +57,7 @@ impl Default for ServeConfig {
             max_connections_per_address: 1_000,
             messages_per_second: 500.0,
             send_window: 4 << 20,
-            congestion: Congestion::Cubic,
+            congestion: Congestion::Veno,
         }
     }
 }
@@ -155,6 +159,12 @@ mod tests {
         let c: ServeConfig = toml::from_str("listen = '0.0.0.0:0'\ncongestion = 'bbr'").unwrap();
         assert_eq!(c.listen.port(), 0);
         assert_eq!(c.congestion, Congestion::Bbr);
+        for (name, expected) in
+            [("cubic", Congestion::Cubic), ("newreno", Congestion::NewReno), ("veno", Congestion::Veno)]
+        {
+            let c: ServeConfig = toml::from_str(&format!("congestion = '{name}'")).unwrap();
+            assert_eq!(c.congestion, expected);
+        }
         assert_eq!(c.http, ServeConfig::default().http);
         assert!(toml::from_str::<ServeConfig>("listne = '0.0.0.0:0'").is_err());
     }

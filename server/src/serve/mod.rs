@@ -6,7 +6,7 @@
 //! - [`planner`]: what to send next; pure, time comes in.
 //! - [`session`]: one connection; [`control`]: its messages; [`push`]: one chunk; [`requests`]: chunks by number or name.
 //! - [`source`]: where bytes come from; [`views`]: what a pose needs; [`walkers`]: who is connected.
-//! - [`transport`], [`identity`], [`limits`], [`config`]: the door.
+//! - [`transport`], [`identity`], [`limits`], [`config`]: the door. [`veno`]: congestion control.
 //! - [`http`], [`plan`]: health, metrics and the page.
 //!
 //! `docs/protocol.md` describes what travels.
@@ -25,6 +25,7 @@ mod server;
 mod session;
 mod source;
 mod transport;
+mod veno;
 mod views;
 mod walkers;
 

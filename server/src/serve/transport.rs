@@ -4,6 +4,7 @@ use super::{
     config::{Congestion, ServeConfig},
     error::ServeError,
     identity::Identity,
+    veno::VenoConfig,
 };
 use ldi_protocol::wire::ALPN;
 use quinn::{Endpoint, EndpointConfig, IdleTimeout, ServerConfig, TransportConfig, VarInt, congestion};
@@ -73,6 +74,8 @@ fn transport(config: &ServeConfig) -> TransportConfig {
         .send_window(config.send_window);
     match config.congestion {
         Congestion::Cubic => t.congestion_controller_factory(Arc::new(congestion::CubicConfig::default())),
+        Congestion::NewReno => t.congestion_controller_factory(Arc::new(congestion::NewRenoConfig::default())),
+        Congestion::Veno => t.congestion_controller_factory(Arc::new(VenoConfig)),
         Congestion::Bbr => t.congestion_controller_factory(Arc::new(congestion::BbrConfig::default())),
     };
     t

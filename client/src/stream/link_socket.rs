@@ -1,0 +1,390 @@
+//! A socket with a [`Link`] before it: QUIC above and the wire below notice nothing but the link's behaviour.
+//!
+//! ```text
+//!   quinn ── try_send ──▶ Lane up ──▶ a task sends when due ──▶ the runtime's socket
+//!   quinn ◀─ poll_recv ── Lane down ◀── read as it comes ◀───── the runtime's socket
+//! ```
+//!
+//! Segments of one transmit, and of one received buffer, are packets each. Time is that of the runtime, whose timers have steps of a millisecond: what is
+//! due within one arrives together, at most a millisecond late. Packets that wait lie in memory, [`MAX_WAITING`] per direction.
+
+use super::link::{Direction, Fate, Link, LinkCounts, LinkSpec};
+use quinn::{
+    AsyncUdpSocket, UdpPoller,
+    udp::{EcnCodepoint, RecvMeta, Transmit},
+};
+use std::{
+    cmp::Reverse,
+    collections::BinaryHeap,
+    future::poll_fn,
+    io::{self, IoSliceMut},
+    net::{IpAddr, SocketAddr},
+    pin::Pin,
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{
+            AtomicBool,
+            Ordering::{Acquire, Release},
+        },
+    },
+    task::{Context, Poll, ready},
+    time::Duration,
+};
+use tokio::{
+    sync::Notify,
+    time::{Instant, Sleep, sleep, sleep_until},
+};
+
+/// Packets on their way in one direction: 100 MB, a second at 800 Mbit/s. What comes beyond is dropped and counted.
+const MAX_WAITING: usize = 1 << 16;
+/// Buffers for one read of the socket below, each as large as the system may fill it.
+const BUFFERS: usize = 8;
+/// See [`BUFFERS`].
+const BUFFER_BYTES: usize = 1 << 16;
+/// Reads of the socket below in one go; then others have their turn.
+const READS: usize = 16;
+
+/// A packet on its way.
+#[derive(Debug)]
+struct Packet {
+    bytes: Vec<u8>,
+    /// Where it comes from, or goes to.
+    remote: SocketAddr,
+    local: Option<IpAddr>,
+    ecn: Option<EcnCodepoint>,
+}
+
+/// A packet with its time of arrival; a number keeps the order of those that arrive together.
+#[derive(Debug)]
+struct Waiting {
+    at: Duration,
+    number: u64,
+    packet: Packet,
+}
+
+impl PartialEq for Waiting {
+    fn eq(&self, other: &Self) -> bool {
+        (self.at, self.number) == (other.at, other.number)
+    }
+}
+impl Eq for Waiting {}
+impl PartialOrd for Waiting {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+impl Ord for Waiting {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        (self.at, self.number).cmp(&(other.at, other.number))
+    }
+}
+
+/// One direction: the link, and what is on its way.
+#[derive(Debug)]
+struct Lane {
+    link: Link,
+    waiting: BinaryHeap<Reverse<Waiting>>,
+    next: u64,
+}
+
+impl Lane {
+    fn new(spec: LinkSpec, direction: Direction) -> Self {
+        Self { link: Link::new(spec, direction), waiting: BinaryHeap::new(), next: 0 }
+    }
+
+    fn send(&mut self, now: Duration, packet: Packet) {
+        let Fate::Arrives(at) = self.link.send(now, packet.bytes.len()) else { return };
+        if self.waiting.len() >= MAX_WAITING {
+            return self.link.take_back(packet.bytes.len());
+        }
+        self.waiting.push(Reverse(Waiting { at, number: self.next, packet }));
+        self.next += 1;
+    }
+
+    fn next_at(&self) -> Option<Duration> {
+        self.waiting.peek().map(|w| w.0.at)
+    }
+
+    /// The next packet that has arrived by now.
+    fn arrived(&mut self, now: Duration) -> Option<Packet> {
+        if self.next_at()? > now {
+            return None;
+        }
+        self.waiting.pop().map(|w| w.0.packet)
+    }
+}
+
+/// What the sending task shares with the socket.
+#[derive(Debug)]
+struct Up {
+    lane: Mutex<Lane>,
+    /// A packet was put in, or the socket is gone.
+    changed: Notify,
+    gone: AtomicBool,
+}
+
+#[derive(Debug)]
+struct Down {
+    lane: Lane,
+    timer: Pin<Box<Sleep>>,
+    buffers: Vec<Vec<u8>>,
+}
+
+/// See the module.
+#[derive(Debug)]
+pub(super) struct LinkSocket {
+    inner: Arc<dyn AsyncUdpSocket>,
+    start: Instant,
+    up: Arc<Up>,
+    down: Mutex<Down>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl LinkSocket {
+    /// Puts a link before a socket. Call within a tokio runtime; the sending task ends when the socket is gone and all it sent has left.
+    pub fn new(inner: Arc<dyn AsyncUdpSocket>, spec: LinkSpec) -> Arc<Self> {
+        let start = Instant::now();
+        let up = Arc::new(Up {
+            lane: Mutex::new(Lane::new(spec, Direction::Up)),
+            changed: Notify::new(),
+            gone: AtomicBool::new(false),
+        });
+        let down = Down {
+            lane: Lane::new(spec, Direction::Down),
+            timer: Box::pin(sleep(Duration::ZERO)),
+            buffers: vec![vec![0; BUFFER_BYTES]; BUFFERS],
+        };
+        tokio::spawn(send_when_due(inner.clone(), up.clone(), start));
+        Arc::new(Self { inner, start, up, down: Mutex::new(down) })
+    }
+
+    /// What became of the packets, up and down.
+    pub fn counts(&self) -> [LinkCounts; 2] {
+        [lock(&self.up.lane).link.counts(), lock(&self.down).lane.link.counts()]
+    }
+}
+
+impl Drop for LinkSocket {
+    fn drop(&mut self) {
+        self.up.gone.store(true, Release);
+        self.up.changed.notify_one();
+    }
+}
+
+/// Sends what has passed the link upward.
+async fn send_when_due(inner: Arc<dyn AsyncUdpSocket>, up: Arc<Up>, start: Instant) {
+    let mut poller = inner.clone().create_io_poller();
+    loop {
+        let next = lock(&up.lane).next_at();
+        match next {
+            Some(at) => tokio::select! {
+                () = sleep_until(start + at) => {}
+                () = up.changed.notified() => {}
+            },
+            None if up.gone.load(Acquire) => return,
+            None => up.changed.notified().await,
+        }
+        loop {
+            let Some(packet) = lock(&up.lane).arrived(start.elapsed()) else { break };
+            let transmit = Transmit {
+                destination: packet.remote,
+                ecn: packet.ecn,
+                contents: &packet.bytes,
+                segment_size: None,
+                src_ip: packet.local,
+            };
+            while let Err(e) = inner.try_send(&transmit) {
+                if e.kind() != io::ErrorKind::WouldBlock {
+                    // As any link, this one owes nobody a packet.
+                    tracing::debug!("a packet could not be sent: {e}");
+                    break;
+                }
+                if poll_fn(|cx| poller.as_mut().poll_writable(cx)).await.is_err() {
+                    break;
+                }
+            }
+        }
+    }
+}
+
+/// Room is always: what is too much for the link it drops.
+#[derive(Debug)]
+struct AlwaysWritable;
+
+impl UdpPoller for AlwaysWritable {
+    fn poll_writable(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl AsyncUdpSocket for LinkSocket {
+    fn create_io_poller(self: Arc<Self>) -> Pin<Box<dyn UdpPoller>> {
+        Box::pin(AlwaysWritable)
+    }
+
+    fn try_send(&self, transmit: &Transmit<'_>) -> io::Result<()> {
+        let now = self.start.elapsed();
+        let mut lane = lock(&self.up.lane);
+        for segment in segments(transmit.contents, transmit.segment_size) {
+            let packet = Packet {
+                bytes: segment.to_vec(),
+                remote: transmit.destination,
+                local: transmit.src_ip,
+                ecn: transmit.ecn,
+            };
+            lane.send(now, packet);
+        }
+        drop(lane);
+        self.up.changed.notify_one();
+        Ok(())
+    }
+
+    fn poll_recv(
+        &self,
+        cx: &mut Context<'_>,
+        bufs: &mut [IoSliceMut<'_>],
+        meta: &mut [RecvMeta],
+    ) -> Poll<io::Result<usize>> {
+        let mut down = lock(&self.down);
+        let down = &mut *down;
+        take_in(&*self.inner, cx, down, self.start)?;
+        loop {
+            let now = self.start.elapsed();
+            let mut count = 0;
+            for (buf, meta) in bufs.iter_mut().zip(meta.iter_mut()) {
+                let Some(packet) = down.lane.arrived(now) else { break };
+                let len = packet.bytes.len().min(buf.len());
+                buf[..len].copy_from_slice(&packet.bytes[..len]);
+                let mut m = RecvMeta::default();
+                (m.addr, m.len, m.stride, m.ecn, m.dst_ip) = (packet.remote, len, len, packet.ecn, packet.local);
+                *meta = m;
+                count += 1;
+            }
+            if count > 0 {
+                return Poll::Ready(Ok(count));
+            }
+            // Without a packet on its way the socket below wakes.
+            let Some(at) = down.lane.next_at() else { return Poll::Pending };
+            down.timer.as_mut().reset(self.start + at);
+            ready!(down.timer.as_mut().poll(cx));
+        }
+    }
+
+    fn local_addr(&self) -> io::Result<SocketAddr> {
+        self.inner.local_addr()
+    }
+
+    fn max_transmit_segments(&self) -> usize {
+        self.inner.max_transmit_segments()
+    }
+
+    fn may_fragment(&self) -> bool {
+        self.inner.may_fragment()
+    }
+}
+
+/// Reads what the socket below has, and sends it down the lane.
+fn take_in(inner: &dyn AsyncUdpSocket, cx: &mut Context<'_>, down: &mut Down, start: Instant) -> io::Result<()> {
+    for _ in 0..READS {
+        let mut slices: Vec<IoSliceMut<'_>> = down.buffers.iter_mut().map(|b| IoSliceMut::new(b)).collect();
+        let mut metas = [RecvMeta::default(); BUFFERS];
+        let Poll::Ready(count) = inner.poll_recv(cx, &mut slices, &mut metas) else { return Ok(()) };
+        let now = start.elapsed();
+        for (m, buffer) in metas[..count?].iter().zip(&down.buffers) {
+            for segment in segments(&buffer[..m.len], Some(m.stride)) {
+                let packet = Packet { bytes: segment.to_vec(), remote: m.addr, local: m.dst_ip, ecn: m.ecn };
+                down.lane.send(now, packet);
+            }
+        }
+    }
+    cx.waker().wake_by_ref();
+    Ok(())
+}
+
+/// The packets that a buffer holds.
+fn segments(bytes: &[u8], size: Option<usize>) -> impl Iterator<Item = &[u8]> {
+    bytes.chunks(size.unwrap_or(bytes.len()).max(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn packet(byte: u8, bytes: usize) -> Packet {
+        Packet { bytes: vec![byte; bytes], remote: ([127, 0, 0, 1], 1).into(), local: None, ecn: None }
+    }
+
+    #[test]
+    fn a_lane_gives_packets_out_in_the_order_of_arrival() {
+        let spec = "rate=8mbit,delay=10ms".parse().expect("a link");
+        let mut lane = Lane::new(spec, Direction::Down);
+        let ms = Duration::from_millis;
+        // 972 bytes and 28 of headers take 1 ms.
+        (0..3).for_each(|i| lane.send(ms(0), packet(i, 972)));
+        assert_eq!(lane.next_at(), Some(ms(11)));
+        assert!(lane.arrived(ms(10)).is_none());
+        let mut out = Vec::new();
+        while let Some(p) = lane.arrived(ms(12)) {
+            out.push(p.bytes[0]);
+        }
+        assert_eq!((out, lane.next_at()), (vec![0, 1], Some(ms(13))));
+    }
+
+    #[test]
+    fn what_cannot_be_held_is_dropped_and_counted() {
+        let mut lane = Lane::new(LinkSpec { delay: Duration::from_secs(1), ..LinkSpec::default() }, Direction::Up);
+        (0..MAX_WAITING + 3).for_each(|_| lane.send(Duration::ZERO, packet(0, 10)));
+        let c = lane.link.counts();
+        assert_eq!((c.sent, c.delivered, c.dropped), (MAX_WAITING as u64 + 3, MAX_WAITING as u64, 3));
+        assert_eq!(c.bytes, 10 * MAX_WAITING as u64);
+    }
+
+    #[test]
+    fn segments_of_a_buffer_are_packets_each() {
+        let sizes = |n: usize, s| segments(&vec![0; n], s).map(<[u8]>::len).collect::<Vec<_>>();
+        assert_eq!(sizes(2500, Some(1200)), [1200, 1200, 100]);
+        assert_eq!(sizes(1200, Some(1200)), [1200]);
+        assert_eq!(sizes(700, None), [700]);
+        assert_eq!(sizes(0, Some(0)), [0; 0]);
+    }
+
+    /// Virtual time: the runtime's clock stands still but for its timers.
+    #[tokio::test(start_paused = true)]
+    async fn two_sockets_over_a_link_see_its_delay_and_its_loss() {
+        let runtime = quinn::TokioRuntime;
+        let socket = || std::net::UdpSocket::bind("127.0.0.1:0").expect("loopback");
+        let far = socket();
+        far.set_nonblocking(true).expect("a socket");
+        let to = far.local_addr().expect("bound");
+        let inner = quinn::Runtime::wrap_udp_socket(&runtime, socket()).expect("a socket");
+        let spec = "delay=30ms,loss=50%,seed=3".parse().expect("a link");
+        let link = LinkSocket::new(inner, spec);
+        let mut expected = Link::new(spec, Direction::Up);
+        let mut arrive = Vec::new();
+        for i in 0..64u8 {
+            let contents = [i; 100];
+            let transmit =
+                Transmit { destination: to, ecn: None, contents: &contents, segment_size: Some(50), src_ip: None };
+            link.try_send(&transmit).expect("always room");
+            for _ in 0..2 {
+                if matches!(expected.send(Duration::ZERO, 50), Fate::Arrives(_)) {
+                    arrive.push(i);
+                }
+            }
+        }
+        assert_eq!(link.counts()[0], expected.counts());
+        let mut buffer = [0; 200];
+        sleep(Duration::from_millis(29)).await;
+        assert!(far.recv(&mut buffer).is_err(), "too early");
+        sleep(Duration::from_millis(3)).await;
+        let mut got = Vec::new();
+        while let Ok(n) = far.recv(&mut buffer) {
+            assert_eq!(n, 50);
+            got.push(buffer[0]);
+        }
+        assert_eq!(got, arrive);
+    }
+}

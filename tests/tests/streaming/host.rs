@@ -1,0 +1,116 @@
+//! A server over a dataset in memory, on free ports, in the test's own process.
+
+use crate::fixture::Street;
+use ldi_client::stream::{ConnectConfig, Connection};
+use ldi_protocol::{index::Index, manifest, wire::Picture};
+use ldi_server::serve::{ChunkSource, ServeConfig, Server};
+use std::{
+    io::{Read, Write},
+    net::{SocketAddr, TcpStream},
+    path::PathBuf,
+    sync::Arc,
+    time::Duration,
+};
+use tokio::runtime::Runtime;
+
+pub const PATIENCE: Duration = Duration::from_secs(20);
+pub const PICTURE: Picture = Picture { width: 64, height: 36, fov_deg: None };
+
+/// A dataset that lies nowhere but here.
+pub struct Memory {
+    index: Arc<Index>,
+    encoded: manifest::Encoded,
+    chunks: Vec<Vec<u8>>,
+}
+
+impl Memory {
+    pub fn new(street: Street) -> Self {
+        let encoded = manifest::encode(&street.index).unwrap();
+        Self { index: Arc::new(street.index), encoded, chunks: street.chunks }
+    }
+}
+
+impl ChunkSource for Memory {
+    fn index(&self) -> &Arc<Index> {
+        &self.index
+    }
+    fn root(&self) -> &[u8] {
+        &self.encoded.root
+    }
+    fn pages(&self) -> u32 {
+        self.encoded.pages.len() as u32
+    }
+    fn page(&self, number: u32) -> Option<&[u8]> {
+        self.encoded.pages.get(number as usize).map(Vec::as_slice)
+    }
+    fn chunk(&self, number: u32) -> Option<&[u8]> {
+        self.chunks.get(number as usize).map(Vec::as_slice)
+    }
+}
+
+/// A server on free ports, with a runtime and an identity of its own.
+pub struct Host {
+    pub runtime: Runtime,
+    server: Option<Server>,
+    folder: PathBuf,
+}
+
+impl Host {
+    pub fn start(name: &str, dataset: Memory) -> Self {
+        Self::start_with(name, dataset, ServeConfig::default())
+    }
+
+    pub fn start_with(name: &str, dataset: Memory, config: ServeConfig) -> Self {
+        let folder = folder(name);
+        let any = SocketAddr::from(([127, 0, 0, 1], 0));
+        let config = ServeConfig { listen: any, http: any, identity: Some(folder.join("identity")), ..config };
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+        let server = runtime.block_on(Server::start(Arc::new(dataset), &config)).unwrap();
+        Self { runtime, server: Some(server), folder }
+    }
+
+    pub fn server(&self) -> &Server {
+        self.server.as_ref().unwrap()
+    }
+
+    pub fn config(&self) -> ConnectConfig {
+        let mut config = ConnectConfig::new(self.server().quic().to_string(), PICTURE);
+        config.fingerprint = Some(self.server().fingerprint().parse().unwrap());
+        config.prefetch_m = 0.0;
+        config
+    }
+
+    pub fn connect(&self) -> Connection {
+        Connection::connect(self.config()).unwrap()
+    }
+
+    pub fn get(&self, path: &str) -> (String, String) {
+        let mut stream = TcpStream::connect(self.server().http()).unwrap();
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+        (head.to_owned(), body.to_owned())
+    }
+
+    pub fn stop(&mut self) {
+        if let Some(server) = self.server.take() {
+            let stopped = async { tokio::time::timeout(PATIENCE, server.shutdown()).await };
+            self.runtime.block_on(stopped).expect("the server stops in time");
+        }
+    }
+}
+
+impl Drop for Host {
+    fn drop(&mut self) {
+        self.stop();
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}
+
+/// A folder of its own for a test.
+pub fn folder(name: &str) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("ldi-streaming-{name}-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    folder
+}
