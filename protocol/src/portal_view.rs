@@ -215,7 +215,8 @@ impl Walk<'_> {
             let portal = &self.rooms.portals()[number as usize];
             let Some(beyond) = portal.beyond(cell) else { continue };
             // Beyond the plane for an eye on this side of it.
-            let ahead = (portal.corners[0] - eye).dot(portal.normal()) * if portal.cells[0] == cell { 1.0 } else { -1.0 };
+            let ahead =
+                (portal.corners[0] - eye).dot(portal.normal()) * if portal.cells[0] == cell { 1.0 } else { -1.0 };
             if ahead < -margin {
                 continue;
             }

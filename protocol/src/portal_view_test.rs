@@ -241,8 +241,7 @@ fn two_doors_in_line_narrow_the_view_and_out_of_line_close_it() {
         Portal { cells: [Some(a), Some(a + 1)], kind: PortalKind::Door, corners }
     };
     let sees = |z: f64| {
-        let rooms =
-            Rooms::new(0.05, (0..3).map(room).collect(), vec![door(0, 4.0, 4.0), door(1, 8.0, z)]).unwrap();
+        let rooms = Rooms::new(0.05, (0..3).map(room).collect(), vec![door(0, 4.0, 4.0), door(1, 8.0, z)]).unwrap();
         let eye = DVec3::new(1.0, 1.5, 4.5);
         let f = Frustum::new(eye, &ViewBasis::from_yaw_pitch(-90.0, 0.0), 1.0, 1.0);
         let found = portal_view(&rooms, &f);

@@ -267,7 +267,8 @@ impl Rooms {
             .filter(|c| self.cells[*c as usize].distance_m(p) <= margin_m)
             .map(Some)
             .collect();
-        let held = |q: DVec3| near.iter().flatten().any(|c| self.cells[*c as usize].boxes.iter().any(|b| b.contains(q)));
+        let held =
+            |q: DVec3| near.iter().flatten().any(|c| self.cells[*c as usize].boxes.iter().any(|b| b.contains(q)));
         let around = Aabb { min: p - margin_m, max: p + margin_m };
         if !(held(p) && around.corners().into_iter().all(held)) {
             near.push(None);

@@ -32,7 +32,9 @@ fn a_portal_points_from_its_first_cell_into_its_second() {
 #[test]
 fn distances_to_a_portal_are_those_to_its_polygon() {
     let p = door();
-    for (at, distance) in [([5.0, 1.0, 1.5], 1.0), ([4.0, 1.0, 4.0], 2.0), ([7.0, 6.0, 1.5], 5.0), ([4.0, 1.9, 1.1], 0.0)] {
+    for (at, distance) in
+        [([5.0, 1.0, 1.5], 1.0), ([4.0, 1.0, 4.0], 2.0), ([7.0, 6.0, 1.5], 5.0), ([4.0, 1.9, 1.1], 0.0)]
+    {
         assert!((p.distance_m(DVec3::from(at)) - distance).abs() < 1e-12, "{at:?}");
     }
 }

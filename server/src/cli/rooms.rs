@@ -120,11 +120,7 @@ pub(super) fn plan_of_dataset(dataset: &Path, plan: &Path) -> Result<(), Failure
     let file = dataset.join(FILE);
     let read = || -> anyhow::Result<Rooms> {
         let length = std::fs::metadata(&file).with_context(|| {
-            format!(
-                "{} is missing; write it with `ldi-server rooms SCENE --json {}`",
-                file.display(),
-                file.display()
-            )
+            format!("{} is missing; write it with `ldi-server rooms SCENE --json {}`", file.display(), file.display())
         })?;
         if length.len() > rooms::MAX_JSON_BYTES as u64 {
             return Err(anyhow!("{}: {} bytes are too many", file.display(), length.len()));

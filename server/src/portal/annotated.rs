@@ -17,8 +17,7 @@ pub fn annotated_rooms(scene: &Scene) -> Result<Option<Rooms>, RoomsError> {
     if scene.rooms.is_empty() {
         return Ok(None);
     }
-    let cells: Vec<Cell> =
-        scene.rooms.iter().map(|r| Cell { name: r.name.clone(), boxes: vec![r.bounds] }).collect();
+    let cells: Vec<Cell> = scene.rooms.iter().map(|r| Cell { name: r.name.clone(), boxes: vec![r.bounds] }).collect();
     // The importer has checked that every name is known.
     let id = |name: &str| -> CellId {
         if name == OUTSIDE { None } else { cells.iter().position(|c| c.name == name).map(|c| c as u32) }

@@ -91,7 +91,9 @@ impl Flood {
         let narrower = pa.0.min(pb.0);
         let lintel = f64::from(clearance) + LINTEL_M <= f64::from(pa.1.min(pb.1));
         let share = if lintel { LINTEL_SHARE } else { NECK_SHARE };
-        f64::from(d) <= WIDEST_NECK_M && f64::from(narrower) >= NARROWEST_M && f64::from(d) < share * f64::from(narrower)
+        f64::from(d) <= WIDEST_NECK_M
+            && f64::from(narrower) >= NARROWEST_M
+            && f64::from(d) < share * f64::from(narrower)
     }
 }
 
@@ -142,7 +144,13 @@ const SOLID_RAYS: u32 = 64;
 const SOLID_SHARE: f64 = 0.95;
 
 /// Forgets the basins that lie within solids (a block, a wide pillar): no opening, and only back faces all around.
-pub(super) fn drop_solids(caster: &Caster, ground: &Ground, s: &Storey, b: &mut Basins, has_opening: &dyn Fn(u32) -> bool) {
+pub(super) fn drop_solids(
+    caster: &Caster,
+    ground: &Ground,
+    s: &Storey,
+    b: &mut Basins,
+    has_opening: &dyn Fn(u32) -> bool,
+) {
     let mut widest = vec![(f32::NEG_INFINITY, 0); b.outside.len()];
     for p in (0..b.of.len()).filter(|p| b.of[*p] != NONE) {
         let w = &mut widest[b.of[p] as usize];
@@ -158,8 +166,8 @@ pub(super) fn drop_solids(caster: &Caster, ground: &Ground, s: &Storey, b: &mut 
         let m = ground.middle(p);
         let eye = DVec3::new(m.x, f64::from(s.floor_m[p]) + SIGHT_M[1], m.y);
         let back = (0..SOLID_RAYS).filter(|k| {
-            // Fibonacci's sphere.
-            let y = 1.0 - (2.0 * f64::from(*k) + 1.0) / f64::from(SOLID_RAYS);
+            // Fibonacci's sphere, without what is far below: solids stand on floors.
+            let y = 1.0 - 1.2 * (f64::from(*k) + 0.5) / f64::from(SOLID_RAYS);
             let around = DVec2::from_angle(2.399_963 * f64::from(*k)) * (1.0 - y * y).sqrt();
             let ray = Ray::new(eye, DVec3::new(around.x, y, around.y));
             let hit = caster.trace(&ray, &CellSet::all());

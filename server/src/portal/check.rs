@@ -56,9 +56,10 @@ pub fn check_sight(caster: &Caster, rooms: &Rooms, poses: &[Pose], camera: &Outp
         let mut reached = std::collections::BTreeSet::new();
         for v in 0..camera.height {
             rays.clear();
-            rays.extend((0..camera.width).map(|u| {
-                Ray::new(pose.position, camera.ray(&basis, f64::from(u) + 0.5, f64::from(v) + 0.5))
-            }));
+            rays.extend(
+                (0..camera.width)
+                    .map(|u| Ray::new(pose.position, camera.ray(&basis, f64::from(u) + 0.5, f64::from(v) + 0.5))),
+            );
             caster.trace_batch(&rays, &CellSet::all(), &mut hits);
             for (ray, hit) in rays.iter().zip(&hits) {
                 let Some(hit) = hit else { continue };

@@ -15,7 +15,7 @@ use std::time::Instant;
 /// Places this close to a portal's plane belong to the side they lie on, metres.
 const NEAR_PLANE_M: f64 = 0.7;
 /// Margin of found rooms, in places of the raster.
-const MARGIN_PLACES: f64 = 1.5;
+pub(super) const MARGIN_PLACES: f64 = 1.5;
 /// Rounds of looking for leaks.
 const ROUNDS: u64 = 3;
 /// Rays per round: for each m² so many, within bounds.

@@ -44,8 +44,7 @@ pub(super) fn area(polygon: &[DVec2]) -> f64 {
 
 /// The rectangle along the axes where a hull nearly fills it or has too many corners, else the hull.
 pub(super) fn rectangle_if_nearly(hull: Vec<DVec2>) -> Vec<DVec2> {
-    let (Some(min), Some(max)) =
-        (hull.iter().copied().reduce(DVec2::min), hull.iter().copied().reduce(DVec2::max))
+    let (Some(min), Some(max)) = (hull.iter().copied().reduce(DVec2::min), hull.iter().copied().reduce(DVec2::max))
     else {
         return hull;
     };

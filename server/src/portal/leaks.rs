@@ -7,6 +7,7 @@
 //!
 //! What is left after the last round is counted by rays that were not used to find it.
 
+use super::find::MARGIN_PLACES;
 use super::hull::hull;
 use super::storeys::{Ground, SIGHT_M, is_free};
 use super::volumes::{OUTSIDE, Volumes, id};
@@ -87,8 +88,7 @@ pub(super) fn leaks(
     let one = |n: usize| {
         let mut r = Random(seed.wrapping_add(n as u64).wrapping_mul(0x2545_f491_4f6c_dd1d));
         let stand = stands[(r.unit() * stands.len() as f64) as usize];
-        let m = ground.middle(stand.place)
-            + (DVec2::new(r.unit(), r.unit()) - 0.5) * (0.9 * ground.raster.pitch_m);
+        let m = ground.middle(stand.place) + (DVec2::new(r.unit(), r.unit()) - 0.5) * (0.9 * ground.raster.pitch_m);
         // From where sight is free, so that no eye starts within a wall.
         let sure = ground.middle(stand.place);
         let sure = DVec3::new(sure.x, stand.floor_m + SIGHT_M[1], sure.y);
@@ -145,7 +145,11 @@ fn along(
             continue;
         }
         if from + 2 == stretches.len() {
-            if end - t <= LAST_M {
+            // What lies within the margin of a border belongs to both sides.
+            let hit = ray.at(reach);
+            let m = MARGIN_PLACES * ground.raster.pitch_m;
+            let near = ldi_protocol::Aabb { min: hit - m, max: hit + m };
+            if end - t <= LAST_M || near.corners().iter().any(|p| volumes.at(ground, *p) == a) {
                 return None;
             }
         } else if end - t <= SHORT_M {

@@ -107,9 +107,7 @@ fn necks(ground: &Ground, s: &Storey, basins: &Basins) -> Vec<Neck> {
 
 /// How far one sees from a point, at most `reach_m`.
 fn sight_m(caster: &Caster, from: DVec3, direction: DVec3, reach_m: f64) -> f64 {
-    caster
-        .trace(&Ray { origin: from, direction, t_min: 0.0, t_max: reach_m }, &CellSet::all())
-        .map_or(reach_m, |h| h.t)
+    caster.trace(&Ray { origin: from, direction, t_min: 0.0, t_max: reach_m }, &CellSet::all()).map_or(reach_m, |h| h.t)
 }
 
 /// Sight to both sides along a direction, at the height at which it is widest: what hangs or stands in the opening does not count.
@@ -222,9 +220,8 @@ impl Plane {
         let [left, right] = reach.map(|r| (r / SAMPLE_M).ceil() as i32 + 1);
         let [down, up] = [(0.3 / SAMPLE_M) as i32, ((cap_m - self.floor_m) / SAMPLE_M).floor() as i32];
         // Samples lie at half pitches, so that none lies exactly on a floor or a sill.
-        let sample = |i: i32, k: i32| {
-            DVec2::new(f64::from(i) * SAMPLE_M, self.floor_m + (f64::from(k) + 0.5) * SAMPLE_M)
-        };
+        let sample =
+            |i: i32, k: i32| DVec2::new(f64::from(i) * SAMPLE_M, self.floor_m + (f64::from(k) + 0.5) * SAMPLE_M);
         let counts = |i: i32, k: i32| {
             let p = self.point(sample(i, k));
             is_free(caster, p, p + n) || is_free(caster, p, p - n)

@@ -119,12 +119,10 @@ pub fn apply_overrides(rooms: &Rooms, path: &Path, text: &str) -> Result<Rooms, 
         return Err(fail(1, format!("{} bytes, at most {MAX_BYTES} are read", text.len())));
     }
     let line_of = |at: usize| text.as_bytes()[..at.min(text.len())].iter().filter(|b| **b == b'\n').count() + 1;
-    let file: File = toml::from_str(text)
-        .map_err(|e| fail(e.span().map_or(1, |s| line_of(s.start)), e.message().to_string()))?;
-    let mut draft = Draft {
-        cells: rooms.cells().iter().cloned().map(Some).collect(),
-        portals: rooms.portals().to_vec(),
-    };
+    let file: File =
+        toml::from_str(text).map_err(|e| fail(e.span().map_or(1, |s| line_of(s.start)), e.message().to_string()))?;
+    let mut draft =
+        Draft { cells: rooms.cells().iter().cloned().map(Some).collect(), portals: rooms.portals().to_vec() };
     // One list of (line, correction), in the order of kinds.
     let mut last = 1;
     let mut run = |at: usize, result: Result<(), String>| {
@@ -239,7 +237,9 @@ impl Draft {
                 self.portals.remove(p);
                 Ok(())
             }
-            Some((d, _)) => Err(format!("the nearest portal between them lies {d:.2} m from `at`, more than {NEAR_M} m")),
+            Some((d, _)) => {
+                Err(format!("the nearest portal between them lies {d:.2} m from `at`, more than {NEAR_M} m"))
+            }
             None => Err(format!("there is no portal between \"{}\" and \"{}\"", r.cells[0], r.cells[1])),
         }
     }
@@ -322,12 +322,8 @@ impl Draft {
                 p
             };
             let (a, b) = (cut.min, cut.max);
-            let corners = vec![
-                corner(a[other], a.y),
-                corner(b[other], a.y),
-                corner(b[other], b.y),
-                corner(a[other], b.y),
-            ];
+            let corners =
+                vec![corner(a[other], a.y), corner(b[other], a.y), corner(b[other], b.y), corner(a[other], b.y)];
             self.add(Portal { cells: [Some(c as u32), Some(second)], kind: PortalKind::Given, corners });
         }
         Ok(())

@@ -96,7 +96,11 @@ pub fn plan_svg(rooms: &Rooms, title: &str) -> String {
             }
             let points: Vec<(f64, f64)> = p.corners.iter().map(|c| at(c.x, c.z)).collect();
             let text: Vec<String> = points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
-            let style = if p.normal().y.abs() > 0.5 { "stroke-dasharray=\"5 3\" stroke-width=\"1.5\"" } else { "stroke-width=\"3\"" };
+            let style = if p.normal().y.abs() > 0.5 {
+                "stroke-dasharray=\"5 3\" stroke-width=\"1.5\""
+            } else {
+                "stroke-width=\"3\""
+            };
             let _ = writeln!(
                 out,
                 "<polygon points=\"{}\" fill=\"none\" stroke=\"{}\" {style}><title>{} - {}: {:.2} m²</title></polygon>",
@@ -139,12 +143,8 @@ fn draw_cell(out: &mut String, number: usize, cell: &Cell, scale: f64, at: &dyn 
     let _ = writeln!(out, "<g fill=\"hsl({hue:.0},70%,{light}%)\"><title>{}</title>", escaped(&cell.name));
     for b in &cell.boxes {
         let ((x, y), s) = (at(b.min.x, b.min.z), b.size() * scale);
-        let _ = writeln!(
-            out,
-            "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"{:.1}\"/>",
-            s.x + 0.3,
-            s.z + 0.3
-        );
+        let _ =
+            writeln!(out, "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"{:.1}\"/>", s.x + 0.3, s.z + 0.3);
     }
     out.push_str("</g>\n");
 }

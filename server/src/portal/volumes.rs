@@ -156,7 +156,9 @@ fn border(ground: &Ground, place: usize, floor_m: f64, upper_floor_m: f64, upper
     // What the upper storey only looks over may end some way above its floor: a parapet.
     let limit = upper_floor_m + if upper_stands { -0.01 } else { super::storeys::SIGHT_M[0] };
     let at = surfaces.partition_point(|y| f64::from(*y) <= limit);
-    let below = surfaces[..at].iter().rev().map(|y| f64::from(*y)).find(|y| *y > floor_m + CEILING_M);
+    // Far below the upper floor it is the flight of a stair or a low roof: the upper storey looks down on it.
+    let least = (floor_m + CEILING_M).max(upper_floor_m - SLAB_M);
+    let below = surfaces[..at].iter().rev().map(|y| f64::from(*y)).find(|y| *y > least);
     if upper_stands {
         let slab = below.map_or(0.0, |b| upper_floor_m - b);
         let into = if slab > 0.0 && slab <= SLAB_M { INTO_SLAB_M.min(0.5 * slab) } else { 0.0 };
@@ -259,7 +261,8 @@ impl Volumes {
         }
         done.sort_by_key(|(from, to, first, last, run)| (run.label, *first, *from, *last, *to, run.low_m.to_bits()));
         for (from, to, first, last, run) in done {
-            let corner = |i: usize, k: usize| ground.raster.origin + DVec2::new(i as f64, k as f64) * ground.raster.pitch_m;
+            let corner =
+                |i: usize, k: usize| ground.raster.origin + DVec2::new(i as f64, k as f64) * ground.raster.pitch_m;
             let (a, b) = (corner(from, first), corner(to, last));
             cells[run.label as usize].boxes.push(Aabb {
                 min: DVec3::new(a.x, f64::from(run.low_m), a.y),
@@ -315,8 +318,7 @@ fn hatches(ground: &Ground, wells: Vec<Well>) -> Vec<Portal> {
             });
             let outline = super::hull::rectangle_if_nearly(hull(corners.collect()));
             // Counter-clockwise in (x, z) looks down; reversed, the normal points up, from below to above.
-            let corners: Vec<DVec3> =
-                outline.iter().rev().map(|p| DVec3::new(p.x, f64::from(top), p.y)).collect();
+            let corners: Vec<DVec3> = outline.iter().rev().map(|p| DVec3::new(p.x, f64::from(top), p.y)).collect();
             if corners.len() >= 3 {
                 portals.push(Portal { cells: [id(below), id(above)], kind: PortalKind::Hatch, corners });
             }
