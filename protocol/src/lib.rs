@@ -20,6 +20,8 @@ pub mod manifest;
 pub mod mesh;
 pub mod need;
 pub mod path;
+pub mod portal_view;
+pub mod rooms;
 pub mod select;
 pub mod shade;
 pub mod sky;

@@ -1,7 +1,7 @@
 //! The server: builds datasets from scenes and serves them.
 //!
 //! Folders are stages; a module imports only from stages before it:
-//! [`scene`] -> [`octree`] -> [`render`] -> [`placement`] -> [`construct`] -> [`pack`] -> [`tree`] -> [`store`] -> [`serve`];
+//! [`scene`] -> [`octree`] -> [`render`] -> [`placement`] -> [`portal`] -> [`construct`] -> [`pack`] -> [`tree`] -> [`store`] -> [`serve`];
 //! [`build`] joins them, [`cli`] is the command line.
 
 pub mod build;
@@ -10,6 +10,7 @@ pub mod construct;
 pub mod octree;
 pub mod pack;
 pub mod placement;
+pub mod portal;
 pub mod render;
 pub mod scene;
 pub mod serve;

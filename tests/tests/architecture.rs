@@ -98,7 +98,20 @@ fn assert_one_way(folder: &str, stages: &[&str]) {
 fn server_stages_import_backward_only() {
     assert_one_way(
         "server/src",
-        &["scene", "octree", "render", "placement", "construct", "pack", "tree", "store", "serve", "build", "cli"],
+        &[
+            "scene",
+            "octree",
+            "render",
+            "placement",
+            "portal",
+            "construct",
+            "pack",
+            "tree",
+            "store",
+            "serve",
+            "build",
+            "cli",
+        ],
     );
 }
 

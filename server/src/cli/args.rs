@@ -41,6 +41,14 @@ A build that was stopped goes on where it was when the same command is given aga
     /// Say what is in a dataset, how big it is, what was skipped and why.
     #[command(after_help = "Example: ldi-server inspect clinic.ldi --json | jq .bytes")]
     Inspect(InspectArgs),
+    /// Find rooms and the openings between them, or read them from the scene; draw the plan.
+    #[command(after_help = "\
+Examples:
+  ldi-server rooms clinic.glb -o plan.svg
+  ldi-server rooms clinic.glb --override corrections.toml -o plan.svg --json clinic.ldi/rooms.json
+  ldi-server rooms builtin:house --auto --check 1000      found, compared with the scene's own rooms, and judged by rays
+The file of corrections is described in docs/portals.md.")]
+    Rooms(RoomsArgs),
     /// Check every hash and every bound of a dataset; with --guarantee, audit both promises over many poses.
     #[command(after_help = "\
 Examples:
@@ -154,6 +162,37 @@ pub struct InspectArgs {
     /// JSON, with every cell's bounds, triangles and source ranges.
     #[arg(long)]
     pub json: bool,
+    /// Draw the floor plan of the dataset's rooms.json.
+    #[arg(long, value_name = "FILE.svg")]
+    pub plan: Option<PathBuf>,
+}
+
+/// `ldi-server rooms`.
+#[derive(Debug, Args)]
+pub struct RoomsArgs {
+    /// Scene, as for `build`.
+    pub scene: String,
+    /// Draw the plan: storeys below each other, cells coloured and named, portals as lines.
+    #[arg(short, long, value_name = "FILE.svg")]
+    pub output: Option<PathBuf>,
+    /// Write cells and portals; as rooms.json in a dataset, `inspect --plan` draws them.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// TOML file of corrections: rename, merge, split, remove, add.
+    #[arg(long = "override", value_name = "FILE")]
+    pub overrides: Option<PathBuf>,
+    /// Find rooms even if the scene names its own, and compare with those.
+    #[arg(long)]
+    pub auto: bool,
+    /// Judge culling from this many random poses by a ray per pixel of 320x200.
+    #[arg(long, default_value_t = 0, value_name = "POSES")]
+    pub check: u32,
+    /// Write figures as JSON.
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
+    /// Threads [default: all cores].
+    #[arg(long)]
+    pub threads: Option<usize>,
 }
 
 /// `ldi-server verify`.

@@ -25,6 +25,7 @@ pub fn run(command: Command) -> Result<(), Failure> {
         Command::Scene(a) => write_scene(&a),
         Command::Build(a) => build_dataset(*a),
         Command::Inspect(a) => inspect(&a),
+        Command::Rooms(a) => super::rooms::rooms(&a),
         Command::Verify(a) => verify(&a),
         Command::Plan(a) => plan(&a),
         Command::Render(a) => render(&a),
@@ -136,6 +137,10 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
 }
 
 fn inspect(a: &InspectArgs) -> Result<(), Failure> {
+    if let Some(plan) = &a.plan {
+        open(&a.dataset)?;
+        return super::rooms::plan_of_dataset(&a.dataset, plan);
+    }
     let value = store::inspect(&open(&a.dataset)?, a.json).map_err(|e| Failure::of(e.permanent(), e))?;
     print(&if a.json { format!("{value:#}") } else { store::inspect_text(&value) })
 }
@@ -279,7 +284,7 @@ fn read_walk(path: &Path) -> Result<Walk, Failure> {
     ldi_protocol::path::parse(&text).with_context(|| path.display().to_string()).map_err(Failure::permanent)
 }
 
-fn threads(n: Option<usize>) -> Result<(), Failure> {
+pub(super) fn threads(n: Option<usize>) -> Result<(), Failure> {
     match n {
         None => Ok(()),
         Some(0) => Err(Failure::usage(anyhow!("--threads 0: at least one is needed"))),
@@ -287,18 +292,18 @@ fn threads(n: Option<usize>) -> Result<(), Failure> {
     }
 }
 
-fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     std::fs::write(path, bytes)
         .with_context(|| format!("cannot write {}", path.display()))
         .map_err(|e| Failure::of(false, e))
 }
 
-fn write_json(path: &Path, value: &serde_json::Value) -> Result<(), Failure> {
+pub(super) fn write_json(path: &Path, value: &serde_json::Value) -> Result<(), Failure> {
     write_file(path, format!("{value:#}\n").as_bytes())
 }
 
 /// A line to stdout; a reader that has gone is no failure.
-fn print(text: &str) -> Result<(), Failure> {
+pub(super) fn print(text: &str) -> Result<(), Failure> {
     match writeln!(std::io::stdout().lock(), "{text}") {
         Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(Failure::of(false, e)),
         _ => Ok(()),

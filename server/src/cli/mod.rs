@@ -3,6 +3,7 @@
 mod args;
 mod commands;
 mod progress;
+mod rooms;
 
 pub use args::size;
 

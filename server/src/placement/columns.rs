@@ -10,7 +10,7 @@ use ldi_protocol::Aabb;
 
 /// A raster of vertical lines over x and z.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Raster {
+pub(crate) struct Raster {
     /// Corner of cell (0, 0): smallest x and z.
     pub origin: DVec2,
     /// Edge of a cell, metres.
@@ -42,7 +42,7 @@ fn jitter(i: u32, k: u32) -> DVec2 {
 }
 
 /// Heights along the lines of raster rows `rows`: (cell within these rows, height), ascending.
-pub(super) fn heights(
+pub(crate) fn heights(
     scene: &Scene,
     mesh_bounds: &[Aabb],
     raster: &Raster,
@@ -73,7 +73,7 @@ pub(super) fn heights(
 }
 
 /// Bounds of every mesh in its own space.
-pub(super) fn mesh_bounds(scene: &Scene) -> Vec<Aabb> {
+pub(crate) fn mesh_bounds(scene: &Scene) -> Vec<Aabb> {
     let of = |m: &crate::scene::Mesh| {
         Aabb::from_points(m.primitives.iter().flat_map(|p| &p.positions).map(|p| p.as_dvec3()))
     };

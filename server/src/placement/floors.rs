@@ -23,7 +23,7 @@ const ROOF_SHARE: f64 = 0.7;
 
 /// A floor on one line.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Floor {
+pub(crate) struct Floor {
     /// Line, row-major over the raster.
     pub line: u32,
     /// Its height, metres.
@@ -33,7 +33,7 @@ pub(super) struct Floor {
 }
 
 /// Finds the floors. `heights`: (line, height), ascending; `head_room_m`: least distance to the surface above.
-pub(super) fn floors(heights: &[(u32, f32)], raster: &Raster, head_room_m: f64) -> (Vec<Floor>, BTreeMap<String, u64>) {
+pub(crate) fn floors(heights: &[(u32, f32)], raster: &Raster, head_room_m: f64) -> (Vec<Floor>, BTreeMap<String, u64>) {
     let lines = raster.size[0] as usize * raster.size[1] as usize;
     let mut found: Vec<Floor> = Vec::new();
     // Position of each line's first floor, and one more.

@@ -1,0 +1,133 @@
+//! `ldi-server rooms`: cells and portals of a scene, as a plan, as JSON, judged.
+
+use super::Failure;
+use super::args::RoomsArgs;
+use super::commands::{print, threads, write_file, write_json};
+use super::progress::Stderr;
+use crate::build::Progress as _;
+use crate::portal::{self, Statistics};
+use crate::render::Caster;
+use crate::scene;
+use anyhow::{Context as _, anyhow};
+use ldi_protocol::OutputCamera;
+use ldi_protocol::rooms::{self, Rooms};
+use serde_json::json;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Name of the file of rooms beside a dataset's report.
+pub(super) const FILE: &str = "rooms.json";
+/// Picture of a pose of the check: enough to meet what is some pixels wide at the output's size.
+const CHECK: OutputCamera = OutputCamera { width: 320, height: 200, fov_deg: 60.0 };
+
+pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
+    threads(a.threads)?;
+    let progress = Stderr::default();
+    progress.stage("loading", 0);
+    let scene = Arc::new(scene::load(&a.scene).map_err(|e| Failure::of(e.is_permanent(), e))?);
+    let annotated = portal::annotated_rooms(&scene).map_err(Failure::permanent)?;
+    let compare = annotated.clone().filter(|_| a.auto);
+    let needs_rays = a.auto || annotated.is_none() || a.check > 0;
+    if needs_rays {
+        progress.stage("sorting triangles for rays", 0);
+    }
+    let caster = needs_rays.then(|| Caster::of_scene(scene.clone(), false));
+    let (mut rooms, statistics) = match (annotated, &caster) {
+        (Some(rooms), _) if !a.auto => (rooms, None),
+        (_, Some(caster)) => {
+            progress.stage("looking for rooms", 0);
+            let found = portal::find_rooms(caster).map_err(Failure::permanent)?;
+            (found.rooms, Some(found.statistics))
+        }
+        (_, None) => (Rooms::default(), None),
+    };
+    if let Some(file) = &a.overrides {
+        let text = std::fs::read_to_string(file)
+            .with_context(|| format!("cannot read {}", file.display()))
+            .map_err(Failure::permanent)?;
+        rooms = portal::apply_overrides(&rooms, file, &text).map_err(Failure::permanent)?;
+    }
+    if let Some(file) = &a.output {
+        write_file(file, portal::plan_svg(&rooms, &a.scene).as_bytes())?;
+    }
+    if let Some(file) = &a.json {
+        write_file(file, &serde_json::to_vec(&rooms).map_err(Failure::permanent)?)?;
+    }
+    let comparison = compare.map(|annotated| portal::compare(&annotated, &rooms));
+    let check = caster.as_ref().filter(|_| a.check > 0).map(|caster| {
+        progress.stage("checking against rays", 0);
+        let poses = portal::random_poses(caster, &rooms, a.check as usize, 1);
+        portal::check_sight(caster, &rooms, &poses, &CHECK)
+    });
+    progress.finish();
+    print(&summary(&a.scene, &rooms, statistics.as_ref()))?;
+    if let Some(c) = &comparison {
+        print(&format!(
+            "against the annotation: cells {} found, {} missed, {} invented; portals {} found, {} missed, {} invented; corners within {:.3} m",
+            c.cells_found.len(),
+            c.cells_missed.len(),
+            c.cells_invented.len(),
+            c.portals_found.len(),
+            c.portals_missed.len(),
+            c.portals_invented.len(),
+            c.corner_error_max_m
+        ))?;
+    }
+    if let Some(c) = &check {
+        print(&format!(
+            "against rays: {} of {} poses miss a cell ({} of {} rays); {:.2} cells reported, {:.2} reached per pose; {:.0} us each",
+            c.poses_with_a_miss,
+            c.poses,
+            c.missed_rays,
+            c.rays,
+            c.cells_reported_mean,
+            c.cells_reached_mean,
+            c.cull_us_mean
+        ))?;
+    }
+    if let Some(file) = &a.report {
+        let report = json!({ "scene": a.scene, "search": statistics, "comparison": comparison, "check": check });
+        write_json(file, &report)?;
+    }
+    Ok(())
+}
+
+fn summary(scene: &str, rooms: &Rooms, statistics: Option<&Statistics>) -> String {
+    let boxes: usize = rooms.cells().iter().map(|c| c.boxes.len()).sum();
+    let mut text = format!("{scene}: {} cells ({boxes} boxes), {} portals", rooms.cells().len(), rooms.portals().len());
+    match statistics {
+        None => text += ", from the scene's annotations",
+        Some(s) => {
+            let kinds: Vec<String> = s.portals.iter().map(|(k, n)| format!("{n} {k}s")).collect();
+            let seconds: f64 = s.seconds.iter().map(|s| s.1).sum();
+            text += &format!(" ({}), found in {seconds:.1} s", kinds.join(", "));
+            if s.rays > 0 {
+                text += &format!("; {} of {} rays leak", s.leaking_rays, s.rays);
+            }
+            if s.joined > 0 {
+                text += &format!("; {} pairs of rooms joined", s.joined);
+            }
+            if let Some(why) = &s.no_cells {
+                text += &format!("; no rooms: {why}");
+            }
+        }
+    }
+    text
+}
+
+/// Writes the plan of a dataset's rooms.
+pub(super) fn plan_of_dataset(dataset: &Path, plan: &Path) -> Result<(), Failure> {
+    let file = dataset.join(FILE);
+    let read = || -> anyhow::Result<Rooms> {
+        let length = std::fs::metadata(&file).with_context(|| {
+            format!("{} is missing; write it with `ldi-server rooms SCENE --json {}`", file.display(), file.display())
+        })?;
+        if length.len() > rooms::MAX_JSON_BYTES as u64 {
+            return Err(anyhow!("{}: {} bytes are too many", file.display(), length.len()));
+        }
+        let text = std::fs::read(&file).with_context(|| format!("cannot read {}", file.display()))?;
+        Rooms::from_json(&text).with_context(|| file.display().to_string())
+    };
+    let rooms = read().map_err(Failure::permanent)?;
+    write_file(plan, portal::plan_svg(&rooms, &dataset.display().to_string()).as_bytes())
+}

@@ -1,0 +1,142 @@
+//! Does portal culling miss what is seen? Ray casts over the scene are the judge.
+
+use super::leaks::Random;
+use crate::render::{Caster, CellSet, Ray};
+use glam::DVec3;
+use ldi_protocol::camera::{Frustum, ViewBasis};
+use ldi_protocol::portal_view::portal_view;
+use ldi_protocol::rooms::Rooms;
+use ldi_protocol::{OutputCamera, Pose};
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// Result of [`check_sight`].
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct SightCheck {
+    /// Views that were judged.
+    pub poses: u64,
+    /// Views in which a pixel shows a surface of a cell that culling left out.
+    pub poses_with_a_miss: u64,
+    /// Rays that hit a surface.
+    pub rays: u64,
+    /// Rays whose surface lies in no cell that culling reports.
+    pub missed_rays: u64,
+    /// Cells reported per view, mean; the outside counts as one.
+    pub cells_reported_mean: f64,
+    /// Cells that rays reach per view, mean.
+    pub cells_reached_mean: f64,
+    /// Portals clipped per view, mean.
+    pub portals_clipped_mean: f64,
+    /// Time of the culling alone per view, microseconds, mean.
+    pub cull_us_mean: f64,
+    /// Some of the misses: eye, surface, the cells there.
+    pub worst: Vec<(DVec3, DVec3, String)>,
+}
+
+/// Most misses that are written out.
+const MOST_WORST: usize = 20;
+
+/// Judges culling from these poses by one ray per pixel. A surface counts as reported if any cell within the rooms' margin of it is: walls
+/// stand in two rooms.
+pub fn check_sight(caster: &Caster, rooms: &Rooms, poses: &[Pose], camera: &OutputCamera) -> SightCheck {
+    let one = |pose: &Pose| {
+        let basis = ViewBasis::from_yaw_pitch(pose.yaw_deg, pose.pitch_deg);
+        let frustum = Frustum::new(pose.position, &basis, camera.half_tan_x(), camera.half_tan_y());
+        let start = std::time::Instant::now();
+        let view = portal_view(rooms, &frustum);
+        let mut found = SightCheck {
+            poses: 1,
+            cells_reported_mean: view.cells.len() as f64,
+            portals_clipped_mean: view.clipped as f64,
+            cull_us_mean: start.elapsed().as_secs_f64() * 1e6,
+            ..SightCheck::default()
+        };
+        let mut rays = Vec::with_capacity(camera.width as usize);
+        let mut hits = vec![None; camera.width as usize];
+        let mut reached = std::collections::BTreeSet::new();
+        for v in 0..camera.height {
+            rays.clear();
+            rays.extend(
+                (0..camera.width)
+                    .map(|u| Ray::new(pose.position, camera.ray(&basis, f64::from(u) + 0.5, f64::from(v) + 0.5))),
+            );
+            caster.trace_batch(&rays, &CellSet::all(), &mut hits);
+            for (ray, hit) in rays.iter().zip(&hits) {
+                let Some(hit) = hit else { continue };
+                let p = ray.at(hit.t);
+                found.rays += 1;
+                let near = rooms.cells_near(p, rooms.margin_m());
+                if near.len() == 1 {
+                    reached.insert(near[0]);
+                }
+                if !near.iter().any(|c| view.sees(*c)) {
+                    found.missed_rays += 1;
+                    if found.worst.is_empty() {
+                        let names: Vec<&str> = near.iter().map(|c| rooms.name(*c)).collect();
+                        found.worst.push((pose.position, p, names.join(", ")));
+                    }
+                }
+            }
+        }
+        found.cells_reached_mean = reached.len() as f64;
+        found.poses_with_a_miss = u64::from(found.missed_rays > 0);
+        found
+    };
+    let all: Vec<SightCheck> = poses.par_iter().map(one).collect();
+    let mut sum = SightCheck::default();
+    for f in all {
+        sum.poses += f.poses;
+        sum.poses_with_a_miss += f.poses_with_a_miss;
+        sum.rays += f.rays;
+        sum.missed_rays += f.missed_rays;
+        sum.cells_reported_mean += f.cells_reported_mean;
+        sum.cells_reached_mean += f.cells_reached_mean;
+        sum.portals_clipped_mean += f.portals_clipped_mean;
+        sum.cull_us_mean += f.cull_us_mean;
+        if sum.worst.len() < MOST_WORST {
+            sum.worst.extend(f.worst);
+        }
+    }
+    let n = poses.len().max(1) as f64;
+    sum.cells_reported_mean /= n;
+    sum.cells_reached_mean /= n;
+    sum.portals_clipped_mean /= n;
+    sum.cull_us_mean /= n;
+    sum
+}
+
+/// Poses at eye height in free places of the rooms: 1.1 to 2 m above the floor of a box, something below, 0.1 m clear of all around.
+pub fn random_poses(caster: &Caster, rooms: &Rooms, count: usize, seed: u64) -> Vec<Pose> {
+    let boxes: Vec<_> = rooms.cells().iter().flat_map(|c| &c.boxes).collect();
+    let area: Vec<f64> = boxes
+        .iter()
+        .scan(0.0, |sum, b| {
+            *sum += b.size().x * b.size().z;
+            Some(*sum)
+        })
+        .collect();
+    let Some(total) = area.last() else { return Vec::new() };
+    let mut r = Random(seed);
+    let mut poses = Vec::with_capacity(count);
+    for _ in 0..count.saturating_mul(50) {
+        if poses.len() == count {
+            break;
+        }
+        let at = r.unit() * total;
+        let b = boxes[area.partition_point(|a| *a <= at).min(boxes.len() - 1)];
+        let (u, w, h) = (r.unit(), r.unit(), 1.2 + 0.9 * r.unit());
+        let eye = DVec3::new(b.min.x + b.size().x * u, b.min.y + h, b.min.z + b.size().z * w);
+        let down = Ray { origin: eye, direction: DVec3::NEG_Y, t_min: 0.0, t_max: 2.2 };
+        if !caster.occluded(&down, &CellSet::all()) {
+            continue;
+        }
+        let clear = [DVec3::X, DVec3::NEG_X, DVec3::Z, DVec3::NEG_Z, DVec3::Y]
+            .iter()
+            .all(|d| !caster.occluded(&Ray { origin: eye, direction: *d, t_min: 0.0, t_max: 0.1 }, &CellSet::all()));
+        let (yaw_deg, pitch_deg) = (360.0 * r.unit(), 120.0 * r.unit() - 60.0);
+        if clear && b.contains(eye) {
+            poses.push(Pose { position: eye, yaw_deg, pitch_deg });
+        }
+    }
+    poses
+}
