@@ -264,6 +264,11 @@ impl Cache {
         self.changed.notify_all();
     }
 
+    /// Why nothing will arrive any more; None while a connection is up.
+    pub fn disconnected(&self) -> Option<String> {
+        self.lock().disconnected.clone()
+    }
+
     /// Waits until all of `chunks` are at hand, or will not come.
     ///
     /// # Errors

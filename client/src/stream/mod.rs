@@ -11,6 +11,8 @@
 mod decoder;
 mod error;
 mod handshake;
+mod known_hosts;
+mod progress;
 mod receive;
 mod session;
 mod stats;
@@ -18,6 +20,8 @@ mod transport;
 mod trust;
 
 pub use error::ConnectError;
+pub use known_hosts::{Acquaintance, KnownHosts, KnownHostsError};
+pub use progress::{ConnectProgress, Phase};
 pub use session::MAX_RETRIES;
 pub use stats::{Arrival, Stats};
 pub use trust::Fingerprint;
@@ -65,6 +69,8 @@ pub struct ConnectConfig {
     pub decode_threads: usize,
     /// Time for connecting, and for each step of fetching the manifest.
     pub timeout: Duration,
+    /// Told how far connecting is, for whoever watches.
+    pub progress: Arc<ConnectProgress>,
 }
 
 impl ConnectConfig {
@@ -83,6 +89,7 @@ impl ConnectConfig {
             // Half: the other half draws.
             decode_threads: (threads / 2).clamp(1, 4),
             timeout: Duration::from_secs(10),
+            progress: Arc::default(),
         }
     }
 }
@@ -185,6 +192,11 @@ impl Connection {
     /// The statistics now.
     pub fn stats(&self) -> Stats {
         self.stats.snapshot(self.cache.usage().useful_bytes)
+    }
+
+    /// Bytes received on the wire so far.
+    pub fn received_bytes(&self) -> u64 {
+        self.stats.received()
     }
 
     /// All arrivals so far, in order.
