@@ -52,13 +52,21 @@ struct Depends {
     pose: Pose,
     size: [u32; 2],
     supersample: u32,
-    /// Bytes and evictions of the cache.
-    cache: (u64, u64),
+}
+
+/// The last picture.
+struct Last {
+    depends: Depends,
+    /// What it lacked.
+    missing: Vec<u32>,
+    /// Bytes in the cache when it was drawn.
+    cache_bytes: u64,
 }
 
 /// A picture to draw.
 struct Job {
     depends: Depends,
+    cache_bytes: u64,
     moving: bool,
     /// For the disk as well.
     shot: bool,
@@ -75,7 +83,7 @@ pub(super) struct Draughtsman {
     scale: Scale,
     painter: Painter,
     scene: Option<Scene>,
-    last: Option<Depends>,
+    last: Option<Last>,
     began: Option<Instant>,
     still_since: Instant,
     /// Milliseconds of the last picture as large as the window, at one sample per pixel.
@@ -144,6 +152,7 @@ impl Draughtsman {
                 self.began = Some(Instant::now());
                 return Some((scene, job));
             }
+            self.ask_if_stuck();
             desk = shared.1.wait_timeout(desk, LOOK_EVERY).unwrap_or_else(PoisonError::into_inner).0;
         }
     }
@@ -182,29 +191,28 @@ impl Draughtsman {
         let solids = self.solids.as_ref().map(|s| &s.solids);
         walker.advance(Ground { volume, solids, walls: !desk.ghost }, &intent, dt.as_secs_f64());
         let pose = walker.pose();
-        if self.last.as_ref().is_none_or(|l| l.pose != pose) {
+        if self.last.as_ref().is_none_or(|l| l.depends.pose != pose) {
             self.still_since = now;
         }
         let rest = now - self.still_since;
         let window = desk.window_px.map(|n| n.clamp(1, MAX_SIDE_PX / 2));
-        let fine = self.large_ms.is_some_and(|ms| 4.0 * ms < FINE_MS);
+        // Where something is still coming, pictures follow each other and need not be fine.
+        let complete = self.last.as_ref().is_some_and(|l| l.missing.is_empty());
+        let fine = complete && self.large_ms.is_some_and(|ms| 4.0 * ms < FINE_MS);
         let (size, supersample) = match rest {
             r if r < REST_LARGE => (self.scale.size(window), 1),
             r if r < REST_FINE || !fine => (window, 1),
             _ => (window, 2),
         };
-        let usage = scene.cache.usage();
-        let depends = Depends { pose, size, supersample, cache: (usage.bytes, usage.evictions) };
+        let cache_bytes = scene.cache.usage().bytes;
+        let depends = Depends { pose, size, supersample };
         let shot = std::mem::take(&mut desk.shot);
-        let changed = self.last.as_ref() != Some(&depends);
-        // Data that comes while resting is shown as it comes, but not with four samples per pixel each time.
-        if let (true, Some(last)) = (rest >= REST_FINE && changed, &self.last)
-            && last.cache != depends.cache
-            && last.supersample == 2
-        {
-            self.still_since = now - REST_LARGE;
-        }
-        (changed || shot).then_some(Job { depends, moving: rest < REST_LARGE, shot, window_px: window })
+        // What a complete picture does not need may come without a new one.
+        let changed = self
+            .last
+            .as_ref()
+            .is_none_or(|l| l.depends != depends || (!l.missing.is_empty() && l.cache_bytes != cache_bytes));
+        (changed || shot).then_some(Job { depends, cache_bytes, moving: rest < REST_LARGE, shot, window_px: window })
     }
 
     fn draw(&mut self, scene: &Scene, job: Job) {
@@ -217,8 +225,8 @@ impl Draughtsman {
         } else if supersample == 1 {
             self.large_ms = Some(ms);
         }
-        self.ask_if_stuck(&figures.painted.missing_chunks);
-        self.gather(scene, pose.position, job.depends.cache.0);
+        self.gather(scene, pose.position, job.cache_bytes);
+        let missing = figures.painted.missing_chunks.clone();
         let picture = Picture { frame, pose, fov_deg: camera.fov_deg, figures, at: Instant::now() };
         if job.shot {
             let mut shot = Frame::default();
@@ -227,7 +235,8 @@ impl Draughtsman {
             }
         }
         lock(&self.desk.0).done = Some(picture);
-        self.last = Some(job.depends);
+        self.last = Some(Last { depends: job.depends, missing, cache_bytes: job.cache_bytes });
+        self.ask_if_stuck();
         (self.done)();
     }
 
@@ -276,7 +285,8 @@ impl Draughtsman {
     }
 
     /// The server pushes what views need. Where nothing comes although something is missing, it is asked for.
-    fn ask_if_stuck(&mut self, missing: &[u32]) {
+    fn ask_if_stuck(&mut self) {
+        let missing = self.last.as_ref().map_or(&[][..], |l| &l.missing);
         let bytes = self.link.figures().bytes;
         if missing.is_empty() || bytes > self.progress.0 + PROGRESS_BYTES {
             self.progress = (bytes, Instant::now());

@@ -80,6 +80,8 @@ struct Inner {
     scene: Option<Scene>,
     connection: Option<Connection>,
     figures: LinkFigures,
+    /// Where the eye looked last and what it needed: the next connection has to know at once.
+    looked: Option<(Pose, Needed)>,
 }
 
 /// The line; stopped when dropped.
@@ -106,6 +108,7 @@ impl Link {
             scene: None,
             connection: None,
             figures: LinkFigures::default(),
+            looked: None,
         }));
         let progress = config.progress.clone();
         let (stop, stopped) = mpsc::channel();
@@ -136,7 +139,8 @@ impl Link {
 
     /// The eye is here and needs this: it is pinned in the cache, and sent if there is a line.
     pub fn look(&self, pose: &Pose, needed: &Needed) {
-        let inner = lock(&self.inner);
+        let mut inner = lock(&self.inner);
+        inner.looked = Some((*pose, needed.clone()));
         match (&inner.connection, &inner.scene) {
             (Some(connection), _) => connection.look(pose, needed),
             (None, Some(scene)) => scene.cache.pin(needed.all()),
@@ -205,7 +209,14 @@ impl Keeper {
         self.config.resume = Some(cache.clone());
         {
             let mut inner = lock(&self.inner);
-            inner.scene = Some(Scene { index: connection.index().clone(), cache: cache.clone() });
+            let scene = Scene { index: connection.index().clone(), cache: cache.clone() };
+            if inner.scene.replace(scene.clone()).is_some_and(|old| !old.is(&scene)) {
+                // Another dataset: what was needed of the old one means nothing here.
+                inner.looked = None;
+            }
+            if let Some((pose, needed)) = &inner.looked {
+                connection.look(pose, needed);
+            }
             inner.connection = Some(connection);
         }
         self.enter(LinkState::Up);
@@ -218,10 +229,11 @@ impl Keeper {
             let now = Instant::now();
             let figures = {
                 let inner = lock(&self.inner);
-                inner.connection.as_ref().map(|c| (c.received_bytes(), c.stats().rtt_ms))
+                inner.connection.as_ref().map(|c| (c.received_bytes(), c.rtt_ms(), inner.looked.is_some()))
             };
-            let Some((received, rtt_ms)) = figures else { break None };
-            if received != heard.0 {
+            let Some((received, rtt_ms, looked)) = figures else { break None };
+            // Before the first look nothing needs to be said.
+            if received != heard.0 || !looked {
                 heard = (received, now);
             }
             samples.push_back((now, received));

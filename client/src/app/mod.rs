@@ -13,7 +13,7 @@
 //!
 //! - `motion`: keys and time to poses within the walk volume; `solids`: what stands in the way; `scale`: milliseconds to sizes. All pure.
 //! - `screen`: wgpu; the only file here that knows it. Nothing of it is loaded before a window is asked for.
-//! - `hud`, `map` with its `plan`, `start`: what is drawn over the picture. `keys`, `shot`, `events`: small parts.
+//! - `hud`, `map` with its `plan`, `start`: what is drawn over the picture. `keys`, `shot`, `events`, `pace`: small parts.
 
 mod desk;
 mod drawing;
@@ -23,6 +23,7 @@ mod keys;
 mod link;
 mod map;
 mod motion;
+mod pace;
 mod plan;
 mod scale;
 mod screen;

@@ -28,6 +28,9 @@ pub enum ScreenError {
     },
 }
 
+/// Where there is no picture yet: dark, but not a switched-off display.
+const EMPTY: wgpu::Color = wgpu::Color { r: 0.17, g: 0.19, b: 0.22, a: 1.0 };
+
 /// A picture on the device.
 struct Shown {
     texture: wgpu::Texture,
@@ -187,7 +190,7 @@ fn begin<'e>(encoder: &'e mut wgpu::CommandEncoder, view: &wgpu::TextureView) ->
         color_attachments: &[Some(wgpu::RenderPassColorAttachment {
             view,
             resolve_target: None,
-            ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store: wgpu::StoreOp::Store },
+            ops: wgpu::Operations { load: wgpu::LoadOp::Clear(EMPTY), store: wgpu::StoreOp::Store },
             depth_slice: None,
         })],
         depth_stencil_attachment: None,

@@ -10,6 +10,7 @@ use egui::{Align2, Color32, CornerRadius, FontId, Rect, pos2, vec2};
 
 /// Size of the card, points.
 const CARD: egui::Vec2 = vec2(560.0, 250.0);
+const CARD_FILL: Color32 = Color32::from_rgba_unmultiplied_const(24, 28, 34, 235);
 const BAR: Color32 = Color32::from_rgb(90, 160, 220);
 
 /// Draws the card. `server` is whom the window was asked to show.
@@ -18,7 +19,7 @@ pub fn show(ctx: &egui::Context, server: &str, link: &Link, picture: Option<&Pic
     let screen = ctx.content_rect();
     painter.rect_filled(screen, CornerRadius::ZERO, Color32::from_black_alpha(120));
     let card = Rect::from_center_size(screen.center(), CARD.min(screen.size() - vec2(20.0, 20.0)));
-    painter.rect_filled(card, CornerRadius::same(10), Color32::from_black_alpha(220));
+    painter.rect_filled(card, CornerRadius::same(10), CARD_FILL);
     let line = |at: f32, size: f32, colour: Color32, text: &str| {
         painter.text(
             pos2(card.left() + 28.0, card.top() + at),

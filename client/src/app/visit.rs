@@ -8,6 +8,7 @@ use super::{
     keys::Keys,
     link::Link,
     map::Map,
+    pace::Pace,
     screen::{Interface, Screen},
     shot::{Outcome, Shots},
     start,
@@ -61,6 +62,7 @@ pub(super) struct Visit {
     /// The start screen was left.
     pub started: bool,
     pub moved_pictures: u32,
+    pub pace: Pace,
     pub told: Told,
     pub repaint_at: Instant,
 }
@@ -138,6 +140,7 @@ impl Visit {
             capture_again: false,
             started: false,
             moved_pictures: 0,
+            pace: Pace::default(),
             told: Told::default(),
             repaint_at: Instant::now(),
         })
@@ -151,6 +154,8 @@ impl Visit {
         let Some(picture) = &self.picture else { return };
         self.screen.upload(&picture.frame);
         self.hud.picture(picture);
+        let ms = &picture.figures.painted.ms;
+        self.pace.picture(&picture.pose, ms.total + ms.prepare, picture.at);
         let complete = picture.figures.painted.missing_chunks.is_empty();
         self.started |= complete;
         let about = || {

@@ -38,9 +38,9 @@ pub fn run(config: AppConfig) -> Result<(), AppError> {
     };
     let mut app = App { config, news, link, events, open: None, failed: None, told: LinkState::Connecting(1) };
     event_loop.run_app(&mut app).map_err(|e| AppError::no_display(&e))?;
-    app.events.tell("closed", fields! {});
     // Drawing ends before what it draws with.
-    app.open = None;
+    let pace = app.open.take().map(|visit| visit.pace.summary()).unwrap_or_default();
+    app.events.tell("closed", fields! { "walking": pace });
     match (app.failed.take(), app.link.state()) {
         (Some(e), _) => Err(e),
         (None, LinkState::Refused(e)) => Err(e.into()),

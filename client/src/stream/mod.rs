@@ -199,6 +199,11 @@ impl Connection {
         self.stats.received()
     }
 
+    /// Round trip, milliseconds.
+    pub fn rtt_ms(&self) -> f64 {
+        self.stats.rtt_ms()
+    }
+
     /// All arrivals so far, in order.
     pub fn arrivals(&self) -> Vec<Arrival> {
         self.stats.arrivals()
