@@ -62,7 +62,7 @@ impl Hud {
     /// Pictures per second over the last second; None when hardly any was drawn, because nothing changed.
     fn per_second(&self) -> Option<f64> {
         let recent = || self.pictures.iter().map(|p| p.1).filter(|at| at.elapsed() < Duration::from_secs(1));
-        let span = recent().last()?.duration_since(recent().next()?).as_secs_f64();
+        let span = recent().next_back()?.duration_since(recent().next()?).as_secs_f64();
         let n = recent().count();
         (n > 4).then(|| (n - 1) as f64 / span.max(1e-3))
     }
@@ -178,7 +178,7 @@ impl Hud {
 pub fn trouble(state: &LinkState) -> Option<String> {
     match state {
         LinkState::Up | LinkState::Connecting(1) => None,
-        LinkState::Connecting(n) => Some(format!("connecting again (attempt {n}); you can go on where you have been")),
+        LinkState::Connecting(_) => Some("connecting again; you can go on where you have been".into()),
         LinkState::Waiting { reason, until } => {
             let seconds = until.saturating_duration_since(Instant::now()).as_secs_f64().ceil();
             Some(format!("{reason}; trying again in {seconds:.0} s; you can go on where you have been"))
@@ -230,7 +230,8 @@ mod tests {
 
     #[test]
     fn trouble_is_said_with_what_follows() {
-        assert_eq!(trouble(&LinkState::Up), None);
+        assert_eq!((trouble(&LinkState::Up), trouble(&LinkState::Connecting(1))), (None, None));
+        assert!(trouble(&LinkState::Connecting(2)).is_some_and(|t| t.contains("again")));
         let waiting = LinkState::Waiting { reason: "the server stops".into(), until: Instant::now() };
         let text = trouble(&waiting).expect("trouble");
         assert!(text.contains("the server stops") && text.contains("trying again"), "{text}");

@@ -31,7 +31,7 @@ const RATE_OVER: Duration = Duration::from_secs(1);
 /// How the line is.
 #[derive(Debug, Clone, PartialEq)]
 pub enum LinkState {
-    /// Connecting, for the nth time without success in between, from 1.
+    /// Connecting: 1 for the first time, 2 and so on after a failure or a loss.
     Connecting(u32),
     /// There is a connection.
     Up,
@@ -183,7 +183,8 @@ impl Keeper {
             self.enter(LinkState::Connecting(attempt));
             let ended = match Connection::connect(self.config.clone()) {
                 Ok(connection) => {
-                    attempt = 0;
+                    // Whoever loses it knows that the next attempt is another one.
+                    attempt = 1;
                     self.keep(connection)
                 }
                 Err(e) => Some(e),
@@ -193,7 +194,7 @@ impl Keeper {
                 Some(e) if e.exit_code() != 1 => return self.enter(LinkState::Refused(e)),
                 Some(e) => {
                     attempt += 1;
-                    let pause = (FIRST_PAUSE * (1 << (attempt - 1).min(8))).min(LONGEST_PAUSE);
+                    let pause = (FIRST_PAUSE * (1 << (attempt - 2).min(8))).min(LONGEST_PAUSE);
                     self.enter(LinkState::Waiting { reason: e.to_string(), until: Instant::now() + pause });
                     if self.stops_within(pause) {
                         return;

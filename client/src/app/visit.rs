@@ -231,6 +231,14 @@ impl Visit {
         events.tell(if capture { "captured" } else { "released" }, fields! {});
     }
 
+    /// The mouse was pressed: on the map that is the map's, elsewhere it captures the pointer.
+    pub fn click(&mut self, events: &mut Events) {
+        if !self.map.open {
+            self.started = true;
+            self.capture(true, events);
+        }
+    }
+
     /// A key. Whether it asks to leave.
     pub fn key(&mut self, event: &KeyEvent, events: &mut Events) -> bool {
         let pressed = event.state == ElementState::Pressed;

@@ -112,15 +112,13 @@ impl ApplicationHandler<News> for App {
             }
             WindowEvent::ModifiersChanged(m) => open.modifiers = m.state(),
             WindowEvent::KeyboardInput { event, .. } => {
-                if open.key(&event, &mut self.events) {
+                let leave = open.key(&event, &mut self.events);
+                if leave {
                     event_loop.exit();
                 }
             }
             WindowEvent::MouseInput { state: ElementState::Pressed, button: MouseButton::Left, .. } => {
-                if !open.map.open {
-                    open.started = true;
-                    open.capture(true, &mut self.events);
-                }
+                open.click(&mut self.events);
             }
             WindowEvent::MouseWheel { delta, .. } => open.drawing.change_speed(match delta {
                 MouseScrollDelta::LineDelta(_, lines) => f64::from(lines),
