@@ -2,7 +2,7 @@
 # All checks, as CI runs them: format, lints, unit and end-to-end tests, doc tests, architecture, a walk, the contract.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-bash deploy/setup.sh
+bash deploy/setup.sh window
 step() { printf '\n== %s (%ss)\n' "$1" "$SECONDS"; }
 
 step "format"

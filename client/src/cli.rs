@@ -2,6 +2,8 @@
 //!
 //! Exit codes: 0 done, 2 wrong usage, 1 a failure that a retry may cure, 42 a permanent one.
 
+mod connect;
+
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -30,7 +32,7 @@ const MAX_TOKEN_BYTES: u64 = 1024;
 #[command(
     name = "ldi-client",
     version,
-    after_help = "Example:\n  ldi-client walk 127.0.0.1:4433 --fingerprint HEX --path path.json --size 1280x720 -o frames --report walk.json"
+    after_help = "Examples:\n  ldi-client connect localhost\n  ldi-client walk localhost --fingerprint HEX --path path.json --size 1280x720 -o frames --report walk.json"
 )]
 struct Cli {
     #[command(subcommand)]
@@ -47,17 +49,13 @@ enum Command {
         Exit codes: 0 done, 2 wrong usage, 1 a retry may help, 42 a retry will not help.")]
     Walk(Box<WalkArgs>),
     /// Walk freely, in a window.
-    #[command(after_help = "Example:\n  ldi-client connect localhost --fingerprint HEX")]
-    Connect(ConnectArgs),
-}
-
-#[derive(Args)]
-struct ConnectArgs {
-    /// HOST or HOST:PORT of the server.
-    server: String,
-    /// Fingerprint of the server's certificate, as the server prints it.
-    #[arg(long, value_name = "HEX")]
-    fingerprint: Option<String>,
+    #[command(after_help = "Examples:\n  \
+        ldi-client connect museum.local\n  \
+        ldi-client connect localhost:4433 --fingerprint HEX --shots pictures\n\n\
+        Keys: click looks around (Esc lets the pointer go), W A S D and arrows walk, Q and E sink and rise in --fly datasets, Shift runs, the wheel\n\
+        changes the speed, M shows the map (a click goes there), G opens the walls, F1 shows the figures, F12 takes a picture, Ctrl+Q leaves.\n\n\
+        Exit codes: 0 closed, 2 wrong usage or an unknown server, 1 a retry may help, 42 refused or a changed fingerprint.")]
+    Connect(Box<connect::ConnectArgs>),
 }
 
 #[derive(Args)]
@@ -106,7 +104,7 @@ struct WalkArgs {
     /// Time that the LDI tree may take of a frame, milliseconds [default: what its finest samples in view take].
     #[arg(long, value_name = "MS")]
     frame_ms: Option<f64>,
-    /// File with the shared secret that the server asks for.
+    /// File with the shared secret that the server asks for [default: the environment variable LDI_TOKEN].
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
     /// Folder of true frames to compare with, as `ldi-server render --depth` writes them.
@@ -182,19 +180,12 @@ impl From<WalkError> for Failure {
 /// Runs the command line.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    let filter =
-        tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn,ldi_client=info".into());
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| "warn,winit=error,ldi_client=info".into());
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
     let done = match cli.command {
         Command::Walk(args) => walk(&args),
-        Command::Connect(args) => Err(not_there(
-            &format!(
-                "the window (connect {}{})",
-                args.server,
-                if args.fingerprint.is_some() { " --fingerprint" } else { "" }
-            ),
-            "use `ldi-client walk`",
-        )),
+        Command::Connect(args) => connect::connect(&args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -243,7 +234,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         .with_context(|| format!("{}: cannot be read", args.path.display()))
         .map_err(Failure::permanent)?;
     let path = path::parse(&text).with_context(|| args.path.display().to_string()).map_err(Failure::permanent)?;
-    let token = args.token_file.as_deref().map(read_token).transpose().map_err(Failure::permanent)?;
+    let token = token(args.token_file.as_deref())?;
     for (folder, option) in [(&args.truth, "--truth"), (&args.baseline, "--baseline")] {
         let Some(folder) = folder else { continue };
         let poses = || (0..path.poses.len()).step_by(args.every as usize);
@@ -358,6 +349,12 @@ fn options_as_json(args: &WalkArgs, options: &WalkOptions) -> serde_json::Value 
         map.insert("server".into(), args.server.clone().into());
     }
     json
+}
+
+/// The shared secret: from the file, else from the environment.
+fn token(file: Option<&Path>) -> Result<Option<String>, Failure> {
+    let from_file = file.map(read_token).transpose().map_err(Failure::permanent)?;
+    Ok(from_file.or_else(|| std::env::var("LDI_TOKEN").ok().filter(|t| !t.is_empty())))
 }
 
 fn read_token(path: &Path) -> anyhow::Result<String> {

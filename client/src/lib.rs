@@ -1,5 +1,6 @@
-//! The client: streams a dataset, draws the near geometry, warps the layered depth images of the rest.
+//! The client: streams a dataset, draws the near geometry, warps the layered depth images of the rest, and shows it in a window.
 
+pub mod app;
 pub mod cache;
 pub mod composite;
 pub mod engine;

@@ -98,11 +98,34 @@ impl WalkVolume {
         if !self.bounds.contains(p) {
             return false;
         }
-        let d = p - self.origin;
-        let cell = |v: f64, n: u32| ((v / self.pitch_m).floor().max(0.0) as u32).min(n - 1);
-        let (i, k) = (cell(d.x, self.columns[0]), cell(d.z, self.columns[1]));
-        let layer = d.y / self.layer_m;
+        let (i, k) = self.column_at(p.x, p.z);
+        let layer = (p.y - self.origin.y) / self.layer_m;
         self.runs_of(i, k).iter().any(|r| layer >= f64::from(r[0]) && layer <= f64::from(r[1]))
+    }
+
+    /// Heights that eyes may have at (x, z): pairs of the lowest and the highest, metres, ascending and disjoint. None outside.
+    pub fn heights(&self, x: f64, z: f64) -> impl Iterator<Item = [f64; 2]> + '_ {
+        let b = &self.bounds;
+        let inside = (b.min.x..=b.max.x).contains(&x) && (b.min.z..=b.max.z).contains(&z);
+        let (i, k) = self.column_at(x, z);
+        let runs = if inside { self.runs_of(i, k) } else { &[] };
+        runs.iter().map(|r| r.map(|layer| self.origin.y + f64::from(layer) * self.layer_m))
+    }
+
+    /// Edge of a column, metres.
+    pub fn pitch_m(&self) -> f64 {
+        self.pitch_m
+    }
+
+    /// Smallest x and z of column (0, 0), metres: columns are `pitch_m` apart from there.
+    pub fn corner(&self) -> [f64; 2] {
+        [self.origin.x, self.origin.z]
+    }
+
+    /// The column over (x, z), or the nearest one.
+    fn column_at(&self, x: f64, z: f64) -> (u32, u32) {
+        let cell = |v: f64, n: u32| ((v / self.pitch_m).floor().max(0.0) as u32).min(n - 1);
+        (cell(x - self.origin.x, self.columns[0]), cell(z - self.origin.z, self.columns[1]))
     }
 
     /// The runs of a column.
@@ -324,6 +347,15 @@ mod tests {
         assert!(!v.contains(DVec3::new(-0.4, 3.1, -1.9)), "second column starts at layer 5");
         assert!(!v.contains(DVec3::new(-1.1, 3.5, -1.9)), "left of the cut");
         assert_eq!(v.boxes().count(), 3);
+    }
+
+    #[test]
+    fn heights_are_those_of_the_column() {
+        let v = volume([2, 1], &[vec![[0, 10], [20, 21]], vec![[5, 7]]]);
+        let at = |x, z| v.heights(x, z).map(|h| h.map(|y| (y * 10.0).round() as i32)).collect::<Vec<_>>();
+        assert_eq!(at(-0.9, -1.9), [[30, 40], [50, 51]]);
+        assert_eq!(at(-0.4, -1.9), [[35, 37]]);
+        assert!(at(-1.1, -1.9).is_empty() && at(-0.9, -2.1).is_empty(), "outside of the cut");
     }
 
     #[test]

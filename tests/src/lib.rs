@@ -2,6 +2,7 @@
 
 pub mod args;
 pub mod bench;
+pub mod fixture;
 pub mod load;
 pub mod page;
 pub mod plot;

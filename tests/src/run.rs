@@ -54,8 +54,13 @@ pub struct Server {
 impl Server {
     /// Serves a dataset on free ports of the loopback and waits, at most a minute, until it listens.
     pub fn start(dataset: &Path) -> Result<Self> {
+        Self::start_at(dataset, "127.0.0.1:0")
+    }
+
+    /// The same at an address of the caller's choice.
+    pub fn start_at(dataset: &Path, listen: &str) -> Result<Self> {
         let mut c = command("ldi-server")?;
-        c.arg("serve").arg(dataset).args(["--listen", "127.0.0.1:0", "--http", "127.0.0.1:0"]);
+        c.arg("serve").arg(dataset).args(["--listen", listen, "--http", "127.0.0.1:0"]);
         let shown = show(&c);
         let mut child =
             c.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().with_context(|| format!("cannot start {shown}"))?;

@@ -119,8 +119,50 @@ fn server_stages_import_backward_only() {
 fn client_stages_import_backward_only() {
     assert_one_way(
         "client/src",
-        &["resident", "frame", "cache", "stream", "near", "warp", "tree", "composite", "metrics", "report", "engine"],
+        &[
+            "resident",
+            "frame",
+            "cache",
+            "stream",
+            "near",
+            "warp",
+            "tree",
+            "composite",
+            "metrics",
+            "report",
+            "engine",
+            "app",
+            "cli",
+        ],
     );
+}
+
+#[test]
+fn displays_and_graphics_cards_only_where_they_belong() {
+    let mut users = BTreeSet::new();
+    for folder in ["server/src", "client/src", "protocol/src", "tests/src"] {
+        for (file, text) in sources(folder) {
+            // Drawing on the card and showing pictures know wgpu; windows and what is drawn over pictures belong to the latter alone.
+            for (library, stages) in [
+                ("wgpu::", &["client/src/gpu/", "client/src/app/"][..]),
+                ("winit::", &["client/src/app/"]),
+                ("egui::", &["client/src/app/"]),
+            ] {
+                let found = text
+                    .match_indices(library)
+                    .any(|(i, _)| !text[..i].ends_with(|c: char| c.is_alphanumeric() || c == '_'));
+                assert!(!found || stages.iter().any(|s| file.starts_with(s)), "{file} uses {library}");
+                if found {
+                    users.insert(library);
+                }
+            }
+        }
+    }
+    assert_eq!(users.len(), 3, "the search finds what is there: {users:?}");
+    let server = dependencies("ldi-server");
+    for banned in ["wgpu", "winit", "egui"] {
+        assert!(!server.contains(banned), "ldi-server depends on {banned}");
+    }
 }
 
 #[test]

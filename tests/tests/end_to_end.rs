@@ -2,16 +2,13 @@
 
 use ldi_protocol::select::draw_list;
 use ldi_server::store::Dataset;
+use ldi_tests::fixture::{BUDGET, Fixture, SIZE};
 use ldi_tests::run::{self, Server};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
-use std::sync::OnceLock;
 use std::time::Duration;
-
-const BUDGET: &str = "8500";
-const SIZE: &str = "320x180";
 
 /// A fresh folder for one test.
 fn folder(name: &str) -> PathBuf {
@@ -36,50 +33,8 @@ fn outcome(o: &Output) -> (Option<i32>, String) {
     (o.status.code(), String::from_utf8_lossy(&o.stderr).into_owned())
 }
 
-/// A small house, its path, and a dataset of it: made once.
-struct Fixture {
-    scene: PathBuf,
-    poses: PathBuf,
-    dataset: PathBuf,
-}
-
 fn fixture() -> &'static Fixture {
-    static FIXTURE: OnceLock<Fixture> = OnceLock::new();
-    FIXTURE.get_or_init(|| {
-        // Each test may run in a process of its own: the first one makes the fixture, for this very build of the server, the others wait.
-        let exe = run::bin_dir().expect("known").join("ldi-server");
-        let made = std::fs::metadata(exe).and_then(|m| m.modified()).expect("built");
-        let age = made.duration_since(std::time::UNIX_EPOCH).expect("after 1970").as_millis();
-        let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("fixture-{age}-{BUDGET}"));
-        let f = Fixture { scene: dir.join("house.glb"), poses: dir.join("poses.json"), dataset: dir.join("dataset") };
-        let ready = dir.join("ready");
-        std::fs::create_dir_all(dir.parent().expect("has a folder")).expect("writable");
-        if std::fs::create_dir(&dir).is_ok() {
-            make(&f);
-            std::fs::write(&ready, b"").expect("writable");
-        }
-        let until = std::time::Instant::now() + Duration::from_secs(600);
-        while !ready.exists() {
-            assert!(std::time::Instant::now() < until, "{} was never finished: remove it and run again", dir.display());
-            std::thread::sleep(Duration::from_millis(100));
-        }
-        f
-    })
-}
-
-fn make(f: &Fixture) {
-    let mut c = server(&["scene", "house", "--triangles", "25000", "--seed", "1", "-o"]);
-    c.arg(&f.scene);
-    run::run(c).expect("writes a scene");
-    build(&f.scene, &f.dataset, &[]);
-    // Middle of a room, a doorway, and a look up and down.
-    let pose =
-        |p: [f64; 3], yaw: f64, pitch: f64| serde_json::json!({ "t": 0.0, "position": p, "yaw": yaw, "pitch": pitch });
-    let file = serde_json::json!({ "poses": [
-        pose([-10.0, 1.6, -6.75], -90.0, 0.0), pose([-7.5, 1.6, -6.75], -90.0, 0.0), pose([-5.0, 1.6, -6.75], -120.0, 30.0),
-        pose([0.0, 1.5, 2.2], 180.0, -30.0), pose([0.3, 1.7, -2.2], 45.0, 10.0)
-    ] });
-    std::fs::write(&f.poses, file.to_string()).expect("writable");
+    Fixture::get(Path::new(env!("CARGO_TARGET_TMPDIR")))
 }
 
 fn build_command(scene: &Path, dataset: &Path, more: &[&str]) -> Command {

@@ -293,7 +293,7 @@ impl Cache {
         self.changed.notify_all();
     }
 
-    /// Why nothing will arrive any more.
+    /// Why nothing will arrive any more; None while a connection is up.
     pub fn disconnected(&self) -> Option<String> {
         self.lock().disconnected.clone()
     }

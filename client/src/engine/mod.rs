@@ -23,5 +23,6 @@ pub use feed::{Feed, Traffic};
 pub use judge::{JudgeError, Truth, Verdict, pictures_of};
 pub use options::{Cull, Method, Pace, WalkOptions};
 pub use painter::{Painted, Painter, View, view_of};
+pub(crate) use save::save_rgb;
 pub use save::{SaveError, save_debug_views, save_frame};
 pub use walk::{Progress, WalkError, WalkJob, run};

@@ -27,7 +27,7 @@ const SOURCE_COLOURS: [[u8; 3]; 6] =
     [[198, 214, 235], [230, 159, 0], [0, 114, 178], [0, 158, 115], [204, 121, 167], [213, 94, 0]];
 
 /// Writes RGB bytes as PNG.
-fn save_rgb(path: &Path, width: u32, height: u32, rgb: &[u8]) -> Result<(), SaveError> {
+pub(crate) fn save_rgb(path: &Path, width: u32, height: u32, rgb: &[u8]) -> Result<(), SaveError> {
     let failed = |source: image::ImageError| SaveError { path: path.to_owned(), source };
     let file = fs::File::create(path).map_err(|e| failed(e.into()))?;
     // Fast: a walk writes hundreds of them while it runs.

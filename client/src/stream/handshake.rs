@@ -3,6 +3,7 @@
 use super::{
     ConnectConfig, ConnectError,
     link_socket::LinkSocket,
+    progress::Phase,
     receive::{self, Broken},
     transport,
     trust::PinnedVerifier,
@@ -30,6 +31,7 @@ pub(super) struct Opened {
 /// Connects to the first address that answers.
 pub(super) async fn open(config: &ConnectConfig) -> Result<Opened, ConnectError> {
     let mut last = None;
+    config.progress.enter(Phase::Dialling);
     for address in transport::resolve(&config.server)? {
         match dial(config, address).await {
             Ok(dialed) => return converse(config, dialed).await,
@@ -82,6 +84,7 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
         name: config.name.clone(),
     });
     let hello = wire::encode(&hello).map_err(|e| ConnectError::Local(e.to_string()))?;
+    config.progress.enter(Phase::Asking);
     // A refusal may come before the message is out: then reading says why.
     let _ = send.write_all(&hello).await;
     let welcome = match step(config, read_message::<ServerMessage>(&mut recv, &connection)).await? {
@@ -106,6 +109,8 @@ async fn fetch_manifest(
         return Err(protocol("the manifest is not the one announced".into()));
     }
     let mut pages = vec![None; root.pages.len()];
+    let total = root.pages.iter().map(|p| u64::from(p.stored_bytes)).sum();
+    config.progress.pages(total);
     for _ in 0..pages.len() {
         let page = async {
             let mut stream = connection.accept_uni().await.map_err(|_| Broken::Off { bytes: 0 })?;
@@ -123,9 +128,11 @@ async fn fetch_manifest(
             })
         };
         let (number, body) = step(config, page).await?;
+        config.progress.page(body.len() as u64);
         pages[number] = Some(body);
     }
     let pages: Vec<Vec<u8>> = pages.into_iter().map(Option::unwrap_or_default).collect();
+    config.progress.enter(Phase::Assembling);
     let index = manifest::assemble(&root, &pages).map_err(|e| protocol(e.to_string()))?;
     Ok((root.hash, index))
 }

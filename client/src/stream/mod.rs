@@ -11,8 +11,10 @@
 mod decoder;
 mod error;
 mod handshake;
+mod known_hosts;
 mod link;
 mod link_socket;
+mod progress;
 mod receive;
 mod session;
 mod stats;
@@ -21,7 +23,9 @@ mod trust;
 
 pub use decoder::DecodePool;
 pub use error::ConnectError;
+pub use known_hosts::{Acquaintance, KnownHosts, KnownHostsError};
 pub use link::{Direction, Fate, HEADER_BYTES, Link, LinkCounts, LinkError, LinkSpec};
+pub use progress::{ConnectProgress, Phase};
 pub use session::MAX_RETRIES;
 pub use stats::{Arrival, Stats};
 pub use trust::Fingerprint;
@@ -79,6 +83,8 @@ pub struct ConnectConfig {
     pub link: Option<LinkSpec>,
     /// Time for connecting, and for each step of fetching the manifest.
     pub timeout: Duration,
+    /// Told how far connecting is, for whoever watches.
+    pub progress: Arc<ConnectProgress>,
 }
 
 impl ConnectConfig {
@@ -102,6 +108,7 @@ impl ConnectConfig {
             arrivals: None,
             link: None,
             timeout: Duration::from_secs(10),
+            progress: Arc::default(),
         }
     }
 }
@@ -227,6 +234,16 @@ impl Connection {
     /// The statistics now.
     pub fn stats(&self) -> Stats {
         self.stats.snapshot(self.cache.usage().useful_bytes)
+    }
+
+    /// Bytes received on the wire so far.
+    pub fn received_bytes(&self) -> u64 {
+        self.stats.received()
+    }
+
+    /// Round trip, milliseconds.
+    pub fn rtt_ms(&self) -> f64 {
+        self.stats.rtt_ms()
     }
 
     /// All arrivals so far, in order.

@@ -152,6 +152,10 @@ impl Collector {
     pub fn received(&self) -> u64 {
         self.wire.get().map_or(0, |c| c.stats().udp_rx.bytes)
     }
+    /// Round trip, milliseconds.
+    pub fn rtt_ms(&self) -> f64 {
+        self.wire.get().map_or(0.0, |c| c.rtt().as_secs_f64() * 1e3)
+    }
     pub fn arrivals(&self) -> Vec<Arrival> {
         self.with(|i| i.arrivals.clone())
     }

@@ -1,0 +1,342 @@
+//! The drawing thread: pose in, picture out, as often as the display shows one, on the CPU.
+//!
+//! The window's thread leaves on the [`desk`](super::desk) what was pressed and turned, and takes finished pictures from it; neither waits for
+//! the other. The walker moves when a frame begins, by the time since the last one, so that a picture shows the latest pose.
+//!
+//! While the eye moves, pictures are drawn as large as the time for a frame allows ([`Scale`]). Once it rests they become as large
+//! as the window, and then with four samples per pixel. Where nothing changes nothing is drawn.
+
+use super::{
+    desk::{Desk, DrawingConfig, Figures, Picture, lock},
+    link::{Link, Scene},
+    motion::{self, Ground, Walker},
+    scale::Scale,
+    shot::Shots,
+    solids::{STRAY_M, Solids},
+};
+use crate::{
+    composite::Fill,
+    engine::{Cull, Method, Pace, Painter, WalkOptions, view_of},
+    frame::Frame,
+    near::MAX_SIDE_PX,
+    report::StageMs,
+    warp::{Order, Stamp},
+};
+use glam::DVec3;
+use ldi_protocol::{OutputCamera, Pose};
+use std::{
+    sync::{Arc, Condvar, Mutex, PoisonError},
+    time::{Duration, Instant},
+};
+
+/// After so much rest the picture becomes as large as the window.
+const REST_LARGE: Duration = Duration::from_millis(120);
+/// After so much rest it gets four samples per pixel.
+const REST_FINE: Duration = Duration::from_millis(450);
+/// A picture with four samples per pixel is drawn only where it is expected to take less: a walker who starts meanwhile waits for it.
+const FINE_MS: f64 = 250.0;
+/// How often a resting eye looks for new data.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// How often surfaces around the eye are gathered anew while data comes.
+const GATHER_EVERY: Duration = Duration::from_millis(250);
+/// They are gathered anew when the eye has climbed so far, metres: knees are measured from the foot.
+const CLIMB_M: f64 = 0.08;
+/// Without progress for this long what is missing is asked for by number.
+const ASK_AFTER: Duration = Duration::from_secs(1);
+/// Bytes that count as progress: acknowledgements are none.
+const PROGRESS_BYTES: u64 = 4096;
+
+/// What a picture depends on: where nothing of it changed, none is drawn.
+#[derive(Debug, Clone, PartialEq)]
+struct Depends {
+    pose: Pose,
+    size: [u32; 2],
+    supersample: u32,
+}
+
+/// The last picture.
+struct Last {
+    depends: Depends,
+    /// What it lacked.
+    missing: Vec<u32>,
+    /// Bytes in the cache when it was drawn.
+    cache_bytes: u64,
+}
+
+/// A picture to draw.
+struct Job {
+    depends: Depends,
+    cache_bytes: u64,
+    moving: bool,
+    /// For the disk as well.
+    shot: bool,
+    window_px: [u32; 2],
+}
+
+/// The thread's state.
+pub(super) struct Draughtsman {
+    desk: Arc<(Mutex<Desk>, Condvar)>,
+    link: Arc<Link>,
+    shots: Shots,
+    done: Box<dyn Fn() + Send>,
+    interval: Duration,
+    scale: Scale,
+    painter: Painter,
+    scene: Option<Scene>,
+    last: Option<Last>,
+    began: Option<Instant>,
+    still_since: Instant,
+    /// Milliseconds of the last picture as large as the window, at one sample per pixel.
+    large_ms: Option<f64>,
+    progress: (u64, Instant),
+    solids: Option<Gathered>,
+}
+
+/// Surfaces around the eye, and what they depend on.
+struct Gathered {
+    solids: Solids,
+    eye: DVec3,
+    cache_bytes: u64,
+    at: Instant,
+}
+
+impl Draughtsman {
+    pub fn new(
+        desk: Arc<(Mutex<Desk>, Condvar)>,
+        link: Arc<Link>,
+        shots: Shots,
+        done: Box<dyn Fn() + Send>,
+        config: &DrawingConfig,
+    ) -> Self {
+        Self {
+            desk,
+            link,
+            shots,
+            done,
+            interval: config.interval,
+            scale: Scale::new(config.frame_ms),
+            painter: Painter::default(),
+            scene: None,
+            last: None,
+            began: None,
+            still_since: Instant::now(),
+            large_ms: None,
+            progress: (0, Instant::now()),
+            solids: None,
+        }
+    }
+
+    /// The thread's body.
+    pub fn run(mut self) {
+        while let Some((scene, job)) = self.next() {
+            self.draw(&scene, job);
+        }
+    }
+
+    /// Waits until there is something to draw. None: stop.
+    fn next(&mut self) -> Option<(Scene, Job)> {
+        let shared = self.desk.clone();
+        let mut desk = lock(&shared.0);
+        loop {
+            if desk.stop {
+                return None;
+            }
+            let due = self.began.map_or(Duration::ZERO, |b| self.interval.saturating_sub(b.elapsed()));
+            if due > Duration::ZERO {
+                desk = shared.1.wait_timeout(desk, due).unwrap_or_else(PoisonError::into_inner).0;
+                continue;
+            }
+            if let Some(scene) = self.scene_now(&mut desk)
+                && let Some(job) = self.job(&mut desk, &scene)
+            {
+                self.began = Some(Instant::now());
+                return Some((scene, job));
+            }
+            self.ask_if_stuck();
+            desk = shared.1.wait_timeout(desk, LOOK_EVERY).unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    /// The scene that the link has now. A new one puts the walker into its volume.
+    fn scene_now(&mut self, desk: &mut Desk) -> Option<Scene> {
+        let scene = self.link.scene()?;
+        if !self.scene.as_ref().is_some_and(|s| s.is(&scene)) {
+            let index = &scene.index;
+            let (volume, flying) = (index.volume.as_ref(), index.settings.eye_height_m.is_none());
+            let begin = desk.walker.as_ref().map(Walker::pose).or(desk.begin).unwrap_or_else(|| match volume {
+                Some(v) => motion::start(v, flying),
+                None => Pose { position: index.scene.bounds.centre(), yaw_deg: 0.0, pitch_deg: 0.0 },
+            });
+            desk.walker = Some(Walker::new(begin, volume, flying, index.settings.pitch_deg));
+            desk.moved = Instant::now();
+            (self.painter, self.last, self.large_ms, self.solids) = (Painter::default(), None, None, None);
+            self.scene = Some(scene.clone());
+        }
+        Some(scene)
+    }
+
+    /// Moves the walker on; the picture that is to be drawn, if there is one.
+    fn job(&mut self, desk: &mut Desk, scene: &Scene) -> Option<Job> {
+        let now = Instant::now();
+        let volume = scene.index.volume.as_ref();
+        let turned = std::mem::take(&mut desk.turned);
+        let (notches, teleport) = (std::mem::take(&mut desk.notches), desk.teleport.take());
+        let (intent, dt) = (desk.intent, now - std::mem::replace(&mut desk.moved, now));
+        let walker = desk.walker.as_mut()?;
+        walker.change_speed(notches);
+        if let Some(p) = teleport {
+            walker.teleport(p, volume);
+        }
+        walker.turn(turned.0, turned.1);
+        let solids = self.solids.as_ref().map(|s| &s.solids);
+        walker.advance(Ground { volume, solids, walls: !desk.ghost }, &intent, dt.as_secs_f64());
+        let pose = walker.pose();
+        if self.last.as_ref().is_none_or(|l| l.depends.pose != pose) {
+            self.still_since = now;
+        }
+        let rest = now - self.still_since;
+        let window = desk.window_px.map(|n| n.clamp(1, MAX_SIDE_PX / 2));
+        // Where something is still coming, pictures follow each other and need not be fine.
+        let complete = self.last.as_ref().is_some_and(|l| l.missing.is_empty());
+        let fine = complete && self.large_ms.is_some_and(|ms| 4.0 * ms < FINE_MS);
+        let (size, supersample) = match rest {
+            r if r < REST_LARGE => (self.scale.size(window), 1),
+            r if r < REST_FINE || !fine => (window, 1),
+            _ => (window, 2),
+        };
+        let cache_bytes = scene.cache.usage().bytes;
+        let depends = Depends { pose, size, supersample };
+        let shot = std::mem::take(&mut desk.shot);
+        // What a complete picture does not need may come without a new one.
+        let changed = self
+            .last
+            .as_ref()
+            .is_none_or(|l| l.depends != depends || (!l.missing.is_empty() && l.cache_bytes != cache_bytes));
+        (changed || shot).then_some(Job { depends, cache_bytes, moving: rest < REST_LARGE, shot, window_px: window })
+    }
+
+    fn draw(&mut self, scene: &Scene, job: Job) {
+        let mut frame = lock(&self.desk.0).spare.take().unwrap_or_default();
+        let Depends { pose, size, supersample, .. } = job.depends;
+        let Some((camera, figures)) = self.paint(scene, &pose, size, supersample, &mut frame) else { return };
+        let ms = figures.painted.ms.total + figures.painted.ms.prepare;
+        if job.moving {
+            self.scale.after(ms);
+        } else if supersample == 1 {
+            self.large_ms = Some(ms);
+        }
+        self.gather(scene, pose.position, job.cache_bytes);
+        let missing = figures.painted.missing_chunks.clone();
+        let picture = Picture { frame, pose, fov_deg: camera.fov_deg, figures, at: Instant::now() };
+        if job.shot {
+            let mut shot = Frame::default();
+            if let Some((camera, _)) = self.paint(scene, &pose, job.window_px, 2, &mut shot) {
+                self.shots.save(shot, pose, camera.fov_deg);
+            }
+        }
+        lock(&self.desk.0).done = Some(picture);
+        self.last = Some(Last { depends: job.depends, missing, cache_bytes: job.cache_bytes });
+        self.ask_if_stuck();
+        (self.done)();
+    }
+
+    /// One picture.
+    fn paint(
+        &mut self,
+        scene: &Scene,
+        pose: &Pose,
+        [width, height]: [u32; 2],
+        supersample: u32,
+        out: &mut Frame,
+    ) -> Option<(OutputCamera, Figures)> {
+        let index = &*scene.index;
+        let camera = fit(&index.settings.camera, width, height);
+        let options = options(&camera, supersample);
+        let mut ms = StageMs::default();
+        let view = view_of(index, pose, &camera, Method::Auto, &mut ms);
+        let needed = view.needed(index);
+        self.link.look(pose, &needed);
+        let painted = self.painter.paint(index, &*scene.cache, &view, pose, &camera, &options, ms, out);
+        let painted = painted.map_err(|e| tracing::error!("{e}")).ok()?;
+        let stored = |chunk: &u32| index.chunks.get(*chunk as usize).map_or(0, |c| u64::from(c.stored_bytes));
+        let figures = Figures {
+            selection: view.selection,
+            missing_bytes: painted.missing_chunks.iter().map(stored).sum(),
+            needed_bytes: needed.all().map(|c| stored(&c)).sum(),
+            dropped_cells: view.dropped,
+            supersample,
+            painted,
+        };
+        Some((camera, figures))
+    }
+
+    /// Keeps the surfaces around the eye at hand.
+    fn gather(&mut self, scene: &Scene, eye: DVec3, cache_bytes: u64) {
+        let Some(eye_height_m) = scene.index.settings.eye_height_m else { return };
+        let good = self.solids.as_ref().is_some_and(|g| {
+            let off = eye - g.eye;
+            let fresh = g.cache_bytes == cache_bytes || g.at.elapsed() < GATHER_EVERY;
+            fresh && off.x.hypot(off.z) < STRAY_M && off.y.abs() < CLIMB_M
+        });
+        if !good {
+            let solids = Solids::around(scene, eye, eye_height_m);
+            self.solids = Some(Gathered { solids, eye, cache_bytes, at: Instant::now() });
+        }
+    }
+
+    /// The server pushes what views need. Where nothing comes although something is missing, it is asked for.
+    fn ask_if_stuck(&mut self) {
+        let missing = self.last.as_ref().map_or(&[][..], |l| &l.missing);
+        let bytes = self.link.figures().bytes;
+        if missing.is_empty() || bytes > self.progress.0 + PROGRESS_BYTES {
+            self.progress = (bytes, Instant::now());
+        } else if self.progress.1.elapsed() > ASK_AFTER {
+            self.link.want(missing);
+            self.progress = (bytes, Instant::now());
+        }
+    }
+}
+
+/// The camera for a picture of this size: within the dataset's own in both directions, because images hold no more.
+fn fit(made_for: &OutputCamera, width: u32, height: u32) -> OutputCamera {
+    let across = made_for.half_tan_x().min(made_for.half_tan_y() * f64::from(width) / f64::from(height));
+    OutputCamera { width, height, fov_deg: 2.0 * across.atan().to_degrees() }
+}
+
+/// The engine's settings.
+fn options(camera: &OutputCamera, supersample: u32) -> WalkOptions {
+    WalkOptions {
+        width: camera.width,
+        height: camera.height,
+        method: Method::Auto,
+        stamp: Stamp::Quads,
+        order: Order::Z,
+        cull: Cull::Auto,
+        fill: Fill::Surface,
+        smooth: false,
+        frame_ms: None,
+        supersample,
+        pace: Pace::Realtime,
+        every: 1,
+        cache_bytes: None,
+        debug_views: false,
+        baseline_frames: 0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_show_no_more_than_the_dataset_was_made_for() {
+        let made_for = OutputCamera { width: 1280, height: 720, fov_deg: 60.0 };
+        for (width, height) in [(1280, 720), (640, 360), (1920, 800), (800, 800), (500, 1200)] {
+            let camera = fit(&made_for, width, height);
+            let (x, y) = (camera.half_tan_x() / made_for.half_tan_x(), camera.half_tan_y() / made_for.half_tan_y());
+            assert!(x < 1.0 + 1e-9 && y < 1.0 + 1e-9, "{width}x{height}: {x} {y}");
+            // And as much as fits.
+            assert!(x.max(y) > 1.0 - 1e-9, "{width}x{height}: {x} {y}");
+        }
+    }
+}

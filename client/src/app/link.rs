@@ -1,0 +1,280 @@
+//! The line to the server, kept up: connects, says why it cannot, connects again by itself.
+//!
+//! One thread of its own. The window asks for the [`LinkState`] and never waits; the drawing thread says where it looks. What was
+//! received stays: after a loss frames are drawn from the cache, and the next connection goes on with it.
+
+use crate::{
+    cache::{Cache, Usage},
+    stream::{ConnectConfig, ConnectError, ConnectProgress, Connection, Phase},
+};
+use ldi_protocol::{Pose, index::Index, need::Needed};
+use std::{
+    sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc},
+    thread::JoinHandle,
+    time::{Duration, Instant},
+};
+
+/// How often the line is looked at.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// Without a byte for this long the line is given up. A pose is repeated every 2 s at least and acknowledged, so that a living line
+/// is never silent for longer; QUIC itself would notice after 30 s only.
+const SILENCE: Duration = Duration::from_secs(6);
+/// Pause before the second attempt; doubled up to [`LONGEST_PAUSE`].
+const FIRST_PAUSE: Duration = Duration::from_millis(500);
+/// See [`FIRST_PAUSE`].
+const LONGEST_PAUSE: Duration = Duration::from_secs(5);
+/// Time for connecting again: the server was there a moment ago, and may be back at any time.
+const AGAIN_TIMEOUT: Duration = Duration::from_secs(4);
+/// Window of the shown rate.
+const RATE_OVER: Duration = Duration::from_secs(1);
+
+/// How the line is.
+#[derive(Debug, Clone, PartialEq)]
+pub enum LinkState {
+    /// Connecting: 1 for the first time, 2 and so on after a failure or a loss.
+    Connecting(u32),
+    /// There is a connection.
+    Up,
+    /// There is none, and the next attempt comes then.
+    Waiting {
+        /// Why.
+        reason: String,
+        /// When.
+        until: Instant,
+    },
+    /// There is none, and trying again would not help.
+    Refused(ConnectError),
+}
+
+/// A dataset with what was received of it.
+#[derive(Debug, Clone)]
+pub struct Scene {
+    /// Its index.
+    pub index: Arc<Index>,
+    /// Decoded objects.
+    pub cache: Arc<Cache>,
+}
+
+impl Scene {
+    /// Whether both are the same cache of the same dataset.
+    pub fn is(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.cache, &other.cache)
+    }
+}
+
+/// What the line carried.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct LinkFigures {
+    /// Over the last second.
+    pub mbit_per_s: f64,
+    /// Of all connections.
+    pub bytes: u64,
+    /// Round trip.
+    pub rtt_ms: f64,
+    /// The cache's accounts.
+    pub cache: Usage,
+}
+
+struct Inner {
+    state: LinkState,
+    scene: Option<Scene>,
+    connection: Option<Connection>,
+    figures: LinkFigures,
+    /// Where the eye looked last and what it needed: the next connection has to know at once.
+    looked: Option<(Pose, Needed)>,
+}
+
+/// The line; stopped when dropped.
+pub struct Link {
+    inner: Arc<Mutex<Inner>>,
+    progress: Arc<ConnectProgress>,
+    stop: Option<mpsc::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+fn lock(inner: &Mutex<Inner>) -> MutexGuard<'_, Inner> {
+    // Every change is complete before anything can panic.
+    inner.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Link {
+    /// Begins to connect. `changed` is called, on the link's thread, after every change of state.
+    ///
+    /// # Errors
+    /// If the system gives no thread.
+    pub fn start(config: ConnectConfig, changed: impl Fn() + Send + 'static) -> std::io::Result<Self> {
+        let inner = Arc::new(Mutex::new(Inner {
+            state: LinkState::Connecting(1),
+            scene: None,
+            connection: None,
+            figures: LinkFigures::default(),
+            looked: None,
+        }));
+        let progress = config.progress.clone();
+        let (stop, stopped) = mpsc::channel();
+        let keeper = Keeper { config, inner: inner.clone(), stopped, changed: Box::new(changed), bytes_before: 0 };
+        let thread = std::thread::Builder::new().name("ldi-link".into()).spawn(move || keeper.run())?;
+        Ok(Self { inner, progress, stop: Some(stop), thread: Some(thread) })
+    }
+
+    /// How the line is.
+    pub fn state(&self) -> LinkState {
+        lock(&self.inner).state.clone()
+    }
+
+    /// The dataset, once its index is here.
+    pub fn scene(&self) -> Option<Scene> {
+        lock(&self.inner).scene.clone()
+    }
+
+    /// What the line carried.
+    pub fn figures(&self) -> LinkFigures {
+        lock(&self.inner).figures
+    }
+
+    /// How far connecting is: the phase; stored bytes of the index, and of all of it.
+    pub fn progress(&self) -> (Phase, (u64, u64)) {
+        (self.progress.phase(), self.progress.index_bytes())
+    }
+
+    /// The eye is here and needs this: it is pinned in the cache, and sent if there is a line.
+    pub fn look(&self, pose: &Pose, needed: &Needed) {
+        let mut inner = lock(&self.inner);
+        inner.looked = Some((*pose, needed.clone()));
+        match (&inner.connection, &inner.scene) {
+            (Some(connection), _) => connection.look(pose, needed),
+            (None, Some(scene)) => scene.cache.pin(needed.all()),
+            (None, None) => {}
+        }
+    }
+
+    /// Asks for chunks by number.
+    pub fn want(&self, chunks: &[u32]) {
+        if let Some(connection) = &lock(&self.inner).connection {
+            connection.want(chunks);
+        }
+    }
+}
+
+impl Drop for Link {
+    fn drop(&mut self) {
+        self.stop = None;
+        // While connecting, the thread cannot be told; the process need not wait for a server that does not answer.
+        if let (Some(thread), false) = (self.thread.take(), matches!(self.state(), LinkState::Connecting(_))) {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// The thread.
+struct Keeper {
+    config: ConnectConfig,
+    inner: Arc<Mutex<Inner>>,
+    stopped: mpsc::Receiver<()>,
+    changed: Box<dyn Fn() + Send>,
+    /// Bytes of the connections before this one.
+    bytes_before: u64,
+}
+
+impl Keeper {
+    fn run(mut self) {
+        let mut attempt = 1;
+        loop {
+            self.enter(LinkState::Connecting(attempt));
+            let ended = match Connection::connect(self.config.clone()) {
+                Ok(connection) => {
+                    // Whoever loses it knows that the next attempt is another one.
+                    attempt = 1;
+                    self.keep(connection)
+                }
+                Err(e) => Some(e),
+            };
+            match ended {
+                None => return,
+                Some(e) if e.exit_code() != 1 => return self.enter(LinkState::Refused(e)),
+                Some(e) => {
+                    attempt += 1;
+                    let pause = (FIRST_PAUSE * (1 << (attempt - 2).min(8))).min(LONGEST_PAUSE);
+                    self.enter(LinkState::Waiting { reason: e.to_string(), until: Instant::now() + pause });
+                    if self.stops_within(pause) {
+                        return;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Keeps a connection until it is lost. None when the link is to stop.
+    fn keep(&mut self, connection: Connection) -> Option<ConnectError> {
+        let cache = connection.cache().clone();
+        self.config.resume = Some(cache.clone());
+        {
+            let mut inner = lock(&self.inner);
+            let scene = Scene { index: connection.index().clone(), cache: cache.clone() };
+            if inner.scene.replace(scene.clone()).is_some_and(|old| !old.is(&scene)) {
+                // Another dataset: what was needed of the old one means nothing here.
+                inner.looked = None;
+            }
+            if let Some((pose, needed)) = &inner.looked {
+                connection.look(pose, needed);
+            }
+            inner.connection = Some(connection);
+        }
+        self.enter(LinkState::Up);
+        let mut heard = (0, Instant::now());
+        let mut samples = std::collections::VecDeque::new();
+        let reason = loop {
+            if self.stops_within(LOOK_EVERY) {
+                break None;
+            }
+            let now = Instant::now();
+            let figures = {
+                let inner = lock(&self.inner);
+                inner.connection.as_ref().map(|c| (c.received_bytes(), c.rtt_ms(), inner.looked.is_some()))
+            };
+            let Some((received, rtt_ms, looked)) = figures else { break None };
+            // Before the first look nothing needs to be said.
+            if received != heard.0 || !looked {
+                heard = (received, now);
+            }
+            samples.push_back((now, received));
+            while samples.len() > 2 && samples.front().is_some_and(|s: &(Instant, u64)| now - s.0 > RATE_OVER) {
+                samples.pop_front();
+            }
+            let (since, first) = samples.front().copied().unwrap_or((now, received));
+            let seconds = (now - since).as_secs_f64().max(LOOK_EVERY.as_secs_f64());
+            lock(&self.inner).figures = LinkFigures {
+                mbit_per_s: (received - first) as f64 * 8e-6 / seconds,
+                bytes: self.bytes_before + received,
+                rtt_ms,
+                cache: cache.usage(),
+            };
+            if let Some(reason) = cache.disconnected() {
+                break Some(reason);
+            }
+            if now - heard.1 > SILENCE {
+                break Some(format!("the server has not answered for {} s", SILENCE.as_secs()));
+            }
+        };
+        let connection = {
+            let mut inner = lock(&self.inner);
+            self.bytes_before = inner.figures.bytes;
+            inner.figures.mbit_per_s = 0.0;
+            inner.connection.take()
+        };
+        // Says goodbye and waits for its threads: with the lock free.
+        drop(connection);
+        self.config.timeout = AGAIN_TIMEOUT;
+        // The cache keeps the words of the same error.
+        reason.map(|r| ConnectError::Lost(r.trim_start_matches("the connection ended: ").to_owned()))
+    }
+
+    fn enter(&self, state: LinkState) {
+        lock(&self.inner).state = state;
+        (self.changed)();
+    }
+
+    fn stops_within(&self, time: Duration) -> bool {
+        !matches!(self.stopped.recv_timeout(time), Err(mpsc::RecvTimeoutError::Timeout))
+    }
+}

@@ -1,0 +1,288 @@
+//! The map (M): the walk volume from above, where the walker is, where images are made for; a click goes there.
+//!
+//! The plan itself ([`plan`]) is drawn on a thread of its own, and anew when more of the scene has arrived. -Z is up on the map, +X to the right: yaw 0 looks upward. One storey is shown bright, the others dim; Page Up and Page Down
+//! choose another one.
+
+use super::{
+    desk::Picture,
+    hud::{block, centred},
+    link::Scene,
+    motion,
+    plan::{self, STOREY_M},
+};
+use egui::{Color32, ColorImage, CornerRadius, Pos2, Rect, Shape, Stroke, TextureHandle, TextureOptions, pos2, vec2};
+use glam::DVec3;
+use ldi_protocol::{Pose, index::Index, select::Selection, volume::WalkVolume};
+use std::{
+    collections::BTreeMap,
+    sync::mpsc,
+    time::{Duration, Instant},
+};
+
+/// Levels with less than this share of the largest one's area are landings, not storeys.
+const SMALLEST_STOREY: f64 = 0.04;
+/// The plan is drawn anew after so long when more of the scene has arrived.
+const AGAIN_AFTER: Duration = Duration::from_secs(2);
+/// Points that are drawn at most: more would hide the map.
+const MOST_POINTS: usize = 20_000;
+
+/// Where on the display which part of the world is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sheet {
+    /// On the display, points.
+    pub area: Rect,
+    /// World x and z of its upper left corner, metres.
+    pub corner: [f64; 2],
+    /// Points per metre.
+    pub per_metre: f64,
+}
+
+impl Sheet {
+    /// As large as fits into `room`.
+    fn fit(volume: &WalkVolume, room: Rect) -> Self {
+        let (b, size) = (volume.bounds(), volume.bounds().size().max(DVec3::splat(0.1)));
+        let per_metre = (f64::from(room.width()) / size.x).min(f64::from(room.height()) / size.z);
+        let area =
+            Rect::from_center_size(room.center(), vec2((size.x * per_metre) as f32, (size.z * per_metre) as f32));
+        Self { area, corner: [b.min.x, b.min.z], per_metre }
+    }
+
+    /// Where a place of the world is shown.
+    pub fn show(&self, p: DVec3) -> Pos2 {
+        let at = |v: f64, corner: f64| ((v - corner) * self.per_metre) as f32;
+        self.area.min + vec2(at(p.x, self.corner[0]), at(p.z, self.corner[1]))
+    }
+
+    /// World x and z of a place on the display.
+    pub fn world(&self, at: Pos2) -> [f64; 2] {
+        let d = at - self.area.min;
+        [self.corner[0] + f64::from(d.x) / self.per_metre, self.corner[1] + f64::from(d.y) / self.per_metre]
+    }
+}
+
+/// The map's state.
+#[derive(Default)]
+pub struct Map {
+    /// Whether it is shown.
+    pub open: bool,
+    /// Eye height of the storey that was chosen; None for the walker's.
+    chosen_m: Option<f64>,
+    drawn: Option<Drawn>,
+    /// Where it was drawn last.
+    pub sheet: Option<Sheet>,
+}
+
+struct Drawn {
+    scene: Scene,
+    storeys_m: Vec<f64>,
+    storey_m: f64,
+    /// What was asked for last: storey, and bytes in the cache then.
+    asked: Option<(f64, u64, Instant)>,
+    /// Where it will come from.
+    coming: Option<mpsc::Receiver<ColorImage>>,
+    texture: Option<TextureHandle>,
+}
+
+impl Map {
+    /// Opens or closes it.
+    pub fn toggle(&mut self) {
+        self.open = !self.open;
+        self.chosen_m = None;
+        self.sheet = None;
+    }
+
+    /// A storey up or down.
+    pub fn change_storey(&mut self, up: bool) {
+        let Some(d) = &self.drawn else { return };
+        let mut next =
+            d.storeys_m.iter().copied().filter(|s| if up { *s > d.storey_m + 0.1 } else { *s < d.storey_m - 0.1 });
+        self.chosen_m = if up { next.next() } else { next.next_back() }.or(self.chosen_m);
+    }
+
+    /// Draws it. Where somebody clicked: the eye's new place.
+    pub fn show(&mut self, ctx: &egui::Context, scene: &Scene, picture: &Picture) -> Option<DVec3> {
+        let (pose, selection) = (&picture.pose, &picture.figures.selection);
+        let painter = ctx.layer_painter(egui::LayerId::new(egui::Order::Middle, egui::Id::unique("map")));
+        let screen = ctx.content_rect();
+        painter.rect_filled(screen, CornerRadius::ZERO, Color32::from_black_alpha(190));
+        let Some(volume) = scene.index.volume.as_ref().filter(|v| !v.is_empty()) else {
+            centred(&painter, screen.center(), "this dataset has no walk volume to show", Color32::WHITE, 16.0, 600.0);
+            return None;
+        };
+        let drawn = self.draw(ctx, scene, volume, pose);
+        let sheet = Sheet::fit(volume, screen.shrink2(vec2(40.0, 60.0)));
+        let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
+        if let Some(texture) = &drawn.texture {
+            painter.image(texture.id(), sheet.area, whole, Color32::WHITE);
+        }
+        points(&painter, &sheet, &scene.index, drawn.storey_m, selection);
+        walker(&painter, &sheet, pose, picture.fov_deg);
+        let storeys = match drawn.storeys_m.len() {
+            0 | 1 => String::new(),
+            n => {
+                let number = drawn.storeys_m.iter().filter(|s| **s <= drawn.storey_m + 0.1).count();
+                format!("  |  storey {number} of {n}: Page Up, Page Down")
+            }
+        };
+        let text = format!("click: go there  |  M or Esc: close{storeys}  |  dots: grid points, orange: in use");
+        block(&painter, pos2(screen.left() + 10.0, screen.top() + 10.0), &text);
+        let storey_m = drawn.storey_m;
+        self.sheet = Some(sheet);
+        let clicked = ctx.input(|i| i.pointer.primary_clicked().then(|| i.pointer.interact_pos()).flatten())?;
+        let [x, z] = sheet.area.contains(clicked).then(|| sheet.world(clicked))?;
+        let level_m = if flying(scene) { pose.position.y } else { storey_m };
+        Some(place(volume, x, z, level_m, flying(scene)))
+    }
+
+    /// What is drawn, brought up to date as far as it has come.
+    fn draw(&mut self, ctx: &egui::Context, scene: &Scene, volume: &WalkVolume, pose: &Pose) -> &Drawn {
+        let mut drawn = self.drawn.take().filter(|d| d.scene.is(scene)).unwrap_or_else(|| Drawn {
+            scene: scene.clone(),
+            storeys_m: storeys(volume),
+            storey_m: f64::NAN,
+            asked: None,
+            coming: None,
+            texture: None,
+        });
+        let height = self.chosen_m.unwrap_or(pose.position.y);
+        if flying(scene) {
+            // One level at every height; in steps, so that the plan is not drawn anew for every breath.
+            drawn.storeys_m = vec![(height * 2.0).round() * 0.5];
+        }
+        let storeys = drawn.storeys_m.iter().copied();
+        let storey_m = storeys.min_by(|a, b| (a - height).abs().total_cmp(&(b - height).abs())).unwrap_or(height);
+        if drawn.storey_m != storey_m {
+            (drawn.storey_m, drawn.texture, drawn.coming, drawn.asked) = (storey_m, None, None, None);
+        }
+        if let Some(picture) = drawn.coming.as_ref().and_then(|c| c.try_recv().ok()) {
+            drawn.texture = Some(ctx.load_texture("plan", picture, TextureOptions::LINEAR));
+            drawn.coming = None;
+        }
+        let bytes = scene.cache.usage().bytes;
+        let stale = drawn.asked.is_none_or(|(_, b, at)| b != bytes && at.elapsed() > AGAIN_AFTER);
+        if stale && drawn.coming.is_none() {
+            drawn.asked = Some((storey_m, bytes, Instant::now()));
+            drawn.coming = ask(scene, storey_m);
+        }
+        self.drawn.insert(drawn)
+    }
+}
+
+/// Begins to draw a plan. None where the system gives no thread: then there is no plan, and clicks work all the same.
+fn ask(scene: &Scene, storey_m: f64) -> Option<mpsc::Receiver<ColorImage>> {
+    let (sender, receiver) = mpsc::channel();
+    let scene = scene.clone();
+    let work = move || {
+        if let Some(volume) = &scene.index.volume {
+            // The map may be closed by now.
+            let _ = sender.send(plan::draw(&scene, volume, storey_m));
+        }
+    };
+    std::thread::Builder::new().name("ldi-plan".into()).spawn(work).ok().map(|_| receiver)
+}
+
+/// Whether the dataset was built for flying: its volume is one box.
+fn flying(scene: &Scene) -> bool {
+    scene.index.settings.eye_height_m.is_none()
+}
+
+/// The place that a click means: on the storey that is shown, or as near as there is one.
+fn place(volume: &WalkVolume, x: f64, z: f64, storey_m: f64, flying: bool) -> DVec3 {
+    let here = if flying { Vec::new() } else { motion::storeys(volume, x, z) };
+    let y = here.into_iter().min_by(|a, b| (a - storey_m).abs().total_cmp(&(b - storey_m).abs()));
+    let p = DVec3::new(x, y.unwrap_or(storey_m), z);
+    motion::nearest(volume, p).unwrap_or(p)
+}
+
+/// Eye heights at which much of the volume lies, ascending.
+fn storeys(volume: &WalkVolume) -> Vec<f64> {
+    let mut area = BTreeMap::<i64, f64>::new();
+    for b in volume.boxes() {
+        let size = b.size();
+        *area.entry((motion::nominal([b.min.y, b.max.y]) * 5.0).round() as i64).or_default() += size.x * size.z;
+    }
+    let most = area.values().copied().fold(0.0, f64::max);
+    let mut by_area: Vec<(f64, f64)> = area.into_iter().map(|(h, a)| (h as f64 * 0.2, a)).collect();
+    by_area.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mut out: Vec<f64> = Vec::new();
+    for (height, area) in by_area {
+        if area >= SMALLEST_STOREY * most && out.iter().all(|o| (o - height).abs() > 2.0 * STOREY_M) {
+            out.push(height);
+        }
+    }
+    out.sort_by(f64::total_cmp);
+    out
+}
+
+/// Grid points of the storey; the one in use, and the eyes that its images were made for.
+fn points(painter: &egui::Painter, sheet: &Sheet, index: &Index, storey_m: f64, selection: &Selection) {
+    let used = selection.grid_point;
+    let near = index.points.iter().filter(|p| (p.position.y - storey_m).abs() <= STOREY_M);
+    for p in near.take(MOST_POINTS) {
+        painter.circle_filled(sheet.show(p.position), 1.5, Color32::from_rgb(90, 140, 190));
+    }
+    let orange = Color32::from_rgb(230, 159, 0);
+    if let Some(placement) = selection.placement.and_then(|p| index.placements.get(p as usize)) {
+        let users = Rect::from_two_pos(sheet.show(placement.users.min), sheet.show(placement.users.max));
+        painter.rect_stroke(users, CornerRadius::ZERO, Stroke::new(1.5, orange), egui::StrokeKind::Outside);
+    }
+    if let Some(p) = used.and_then(|u| index.points.get(u as usize)) {
+        painter.circle_filled(sheet.show(p.position), 3.5, orange);
+    }
+}
+
+/// The walker: what is in view, and an arrow.
+fn walker(painter: &egui::Painter, sheet: &Sheet, pose: &Pose, fov_deg: f64) {
+    let at = sheet.show(pose.position);
+    let toward = |deg: f64, points: f32| {
+        let (sin, cos) = (pose.yaw_deg + deg).to_radians().sin_cos();
+        at + vec2(-sin as f32, -cos as f32) * points
+    };
+    let red = Color32::from_rgb(213, 40, 40);
+    let view = vec![at, toward(fov_deg / 2.0, 46.0), toward(-fov_deg / 2.0, 46.0)];
+    painter.add(Shape::convex_polygon(view, Color32::from_rgba_unmultiplied(213, 40, 40, 60), Stroke::NONE));
+    painter.add(Shape::convex_polygon(
+        vec![toward(0.0, 16.0), toward(140.0, 10.0), toward(-140.0, 10.0)],
+        red,
+        Stroke::new(1.0, Color32::WHITE),
+    ));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ldi_protocol::Aabb;
+
+    /// Two storeys of 4 x 4 m with eyes at 1.6 and 4.6 m, the upper one above the left half only.
+    fn house() -> WalkVolume {
+        let runs: Vec<Vec<[u16; 2]>> =
+            (0..64).map(|c| if c % 8 < 4 { vec![[11, 20], [41, 50]] } else { vec![[11, 20]] }).collect();
+        let cut = Aabb { min: DVec3::ZERO, max: DVec3::new(4.0, 0.0, 4.0) };
+        WalkVolume::new(DVec3::ZERO, 0.5, 0.1, [8, 8], &runs, &cut).unwrap()
+    }
+
+    #[test]
+    fn storeys_are_found_and_clicks_stay_on_them() {
+        let v = house();
+        let found = storeys(&v);
+        assert_eq!(found.len(), 2, "{found:?}");
+        assert!((found[0] - 1.6).abs() < 0.11 && (found[1] - 4.6).abs() < 0.11, "{found:?}");
+        let up = place(&v, 1.0, 2.0, found[1], false);
+        assert!((up.y - 4.6).abs() < 0.06 && up.x == 1.0 && v.contains(up), "{up}");
+        // Above the right half there is only the lower one.
+        let down = place(&v, 3.0, 2.0, found[1], false);
+        assert!((down.y - 1.6).abs() < 0.06 && down.x == 3.0 && v.contains(down), "{down}");
+    }
+
+    #[test]
+    fn the_sheet_goes_there_and_back() {
+        let room = Rect::from_min_size(pos2(10.0, 20.0), vec2(800.0, 400.0));
+        let sheet = Sheet::fit(&house(), room);
+        assert!(room.contains_rect(sheet.area) && (sheet.per_metre - 100.0).abs() < 1e-3);
+        let p = DVec3::new(1.0, 1.6, 3.0);
+        let [x, z] = sheet.world(sheet.show(p));
+        assert!((x - p.x).abs() < 1e-3 && (z - p.z).abs() < 1e-3);
+        // -Z is up.
+        assert!(sheet.show(DVec3::ZERO).y < sheet.show(p).y);
+    }
+}

@@ -1,0 +1,367 @@
+//! How a walker moves: keys and mouse to poses, within the walk volume.
+//!
+//! In: what is pressed, how the mouse moved, the time that passed. Out: a pose. Pure: no window, no clock.
+//!
+//! - The velocity approaches what is asked for exponentially ([`RESPONSE_S`]), integrated exactly: the path does not depend on how
+//!   often it is computed.
+//! - The eye never leaves the [`WalkVolume`]. At its border the walker goes as far as there is room, then along x and along z with
+//!   what is left: the columns of the volume are upright boxes, so that is sliding.
+//! - Walls are slid along too: the part of a step toward the nearest surface is left out ([`Solids`]).
+//! - On foot the eye follows the floor that is below it, within the heights of the volume. Where that floor has not arrived yet the
+//!   volume says enough: made for an eye height h, it spans h - 0.5 m to h + 0.4 m above each floor.
+
+use super::solids::{BODY_M, Solids};
+use glam::DVec3;
+use ldi_protocol::{Pose, ViewBasis, volume::WalkVolume};
+
+/// Walking speed, m/s.
+pub const WALK_M_PER_S: f64 = 1.4;
+/// Speeds that can be chosen, m/s: a creep, and enough to cross a town.
+const SPEEDS_M_PER_S: std::ops::RangeInclusive<f64> = 0.1..=60.0;
+/// How much faster running is.
+const RUN_FACTOR: f64 = 2.5;
+/// Speed per notch of the wheel.
+const NOTCH_FACTOR: f64 = 1.15;
+/// Time constant of starting and stopping, seconds. Smaller: jerks; larger: walking as on ice.
+const RESPONSE_S: f64 = 0.07;
+/// Time constant of the eye's height over steps, seconds. Smaller: every step is felt; larger: the eye lags behind on stairs.
+const RISE_S: f64 = 0.12;
+/// Turning by keys, degrees per second.
+const TURN_DEG_PER_S: f64 = 90.0;
+/// Longest step that is tried at once, metres: below the edge of a column, so that none is jumped over.
+const LONGEST_STEP_M: f64 = 0.1;
+/// Longest time that is made up for, seconds: after a stall the walker does not leap.
+const LONGEST_TIME_S: f64 = 0.25;
+/// Longest time in one step, seconds: bounds the lag of the eye's height.
+const LONGEST_SLICE_S: f64 = 1.0 / 60.0;
+/// How far the eye may be above or below a neighbouring column's heights and still step over, metres. Those heights reach 0.4 m
+/// and more around the eye themselves; the rest allows for the lag on stairs.
+const STEP_OVER_M: f64 = 0.3;
+/// A body this much farther than its radius from a wall touches it, metres: a step's resolution.
+const TOUCH_M: f64 = 1e-3;
+/// Kept from the border, metres: rounding must not carry the eye outside.
+const INSET_M: f64 = 1e-6;
+/// How far the volume reaches below and above the nominal eye (CONTRACTS, walk volume), metres.
+const BELOW_M: f64 = 0.5;
+/// See [`BELOW_M`].
+const ABOVE_M: f64 = 0.4;
+/// Most that steps rise within a column and beside it, metres, and the layers' height.
+const STEPS_M: f64 = 0.65;
+/// Nearer than this to its height the eye is there, metres: a walker at rest rests.
+const SETTLED_M: f64 = 5e-4;
+
+/// What the walker is asked to do. Each direction lies in -1 ..= 1.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Intent {
+    /// Ahead.
+    pub forward: f64,
+    /// To the right.
+    pub right: f64,
+    /// Upward; when flying only.
+    pub up: f64,
+    /// Turning left, by keys.
+    pub turn: f64,
+    /// Faster.
+    pub run: bool,
+}
+
+/// What is known of the world around a walker.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Ground<'a> {
+    /// Where eyes may be.
+    pub volume: Option<&'a WalkVolume>,
+    /// Surfaces nearby.
+    pub solids: Option<&'a Solids>,
+    /// Whether those that stand upright are walls, or can be walked through.
+    pub walls: bool,
+}
+
+impl<'a> From<Option<&'a WalkVolume>> for Ground<'a> {
+    fn from(volume: Option<&'a WalkVolume>) -> Self {
+        Self { volume, ..Self::default() }
+    }
+}
+
+impl Ground<'_> {
+    /// `to` at an allowed height, if a body may go there from `from`.
+    fn admit(&self, from: DVec3, to: DVec3) -> Option<DVec3> {
+        let there = self.volume.map_or(Some(to), |v| stand(v, to, STEP_OVER_M))?;
+        let free = self.solids.is_none_or(|s| !self.walls || s.lets(from, there));
+        free.then_some(there)
+    }
+}
+
+/// Somebody who walks, or flies.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Walker {
+    pose: Pose,
+    velocity: DVec3,
+    speed_m_per_s: f64,
+    flying: bool,
+    pitch_limit_deg: f64,
+}
+
+impl Walker {
+    /// A walker at `pose`, moved into the volume if it is outside. `flying`: up and down at will. The pitch stays within the limit.
+    pub fn new(pose: Pose, volume: Option<&WalkVolume>, flying: bool, pitch_limit_deg: f64) -> Self {
+        let mut w = Self { pose, velocity: DVec3::ZERO, speed_m_per_s: WALK_M_PER_S, flying, pitch_limit_deg };
+        w.turn(0.0, 0.0);
+        w.teleport(pose.position, volume);
+        w
+    }
+
+    /// Where the eye is and looks.
+    pub fn pose(&self) -> Pose {
+        self.pose
+    }
+
+    /// Chosen speed, without running.
+    pub fn speed_m_per_s(&self) -> f64 {
+        self.speed_m_per_s
+    }
+
+    /// Whether the walker is still moving.
+    pub fn is_moving(&self) -> bool {
+        self.velocity.length_squared() > 1e-6
+    }
+
+    /// Turns the head, degrees: positive left and up.
+    pub fn turn(&mut self, yaw_deg: f64, pitch_deg: f64) {
+        self.pose.yaw_deg = (self.pose.yaw_deg + yaw_deg + 180.0).rem_euclid(360.0) - 180.0;
+        let limit = self.pitch_limit_deg;
+        self.pose.pitch_deg = (self.pose.pitch_deg + pitch_deg).clamp(-limit, limit);
+    }
+
+    /// Faster or slower, by notches of the wheel.
+    pub fn change_speed(&mut self, notches: f64) {
+        let asked = self.speed_m_per_s * NOTCH_FACTOR.powf(notches.clamp(-20.0, 20.0));
+        self.speed_m_per_s = asked.clamp(*SPEEDS_M_PER_S.start(), *SPEEDS_M_PER_S.end());
+    }
+
+    /// Puts the walker at the place of the volume nearest to `p`; where there is none, at `p`.
+    pub fn teleport(&mut self, p: DVec3, volume: Option<&WalkVolume>) {
+        self.velocity = DVec3::ZERO;
+        self.pose.position = volume.and_then(|v| nearest(v, p)).unwrap_or(p);
+        if let (Some(v), false) = (volume, self.flying) {
+            // At once at the height above the floor. Twice: which columns count depends on the height.
+            let ground = Ground::from(Some(v));
+            self.pose.position = settle(&ground, settle(&ground, self.pose.position, f64::INFINITY), f64::INFINITY);
+        }
+    }
+
+    /// Moves on by `dt_s` seconds.
+    pub fn advance<'a>(&mut self, ground: impl Into<Ground<'a>>, intent: &Intent, dt_s: f64) {
+        let ground = &ground.into();
+        let dt_s = dt_s.clamp(0.0, LONGEST_TIME_S);
+        let fastest = self.asked(intent).length().max(self.velocity.length());
+        let slices = (dt_s / LONGEST_SLICE_S).max(fastest * dt_s / LONGEST_STEP_M).ceil().max(1.0);
+        let slice_s = dt_s / slices;
+        let decay = (-slice_s / RESPONSE_S).exp();
+        for _ in 0..slices as u32 {
+            // Half of the turn before and half after the step: the way is that of the slice's middle.
+            let half_turn_deg = 0.5 * intent.turn * TURN_DEG_PER_S * slice_s;
+            self.turn(half_turn_deg, 0.0);
+            let asked = self.asked(intent);
+            // Exact for a velocity that approaches `asked` exponentially.
+            let excess = self.velocity - asked;
+            let delta = asked * slice_s + excess * (RESPONSE_S * (1.0 - decay));
+            self.velocity = asked + excess * decay;
+            self.pose.position = match ground.volume {
+                Some(v) if self.flying => fly(v, self.pose.position, delta),
+                None if self.flying => self.pose.position + delta,
+                _ => settle(ground, slide(ground, self.pose.position, delta), slice_s),
+            };
+            self.turn(half_turn_deg, 0.0);
+        }
+        if !self.is_moving() && self.asked(intent) == DVec3::ZERO {
+            self.velocity = DVec3::ZERO;
+        }
+    }
+
+    /// The velocity that the keys ask for, m/s. On foot it is horizontal whatever the pitch.
+    fn asked(&self, intent: &Intent) -> DVec3 {
+        let pitch = if self.flying { self.pose.pitch_deg } else { 0.0 };
+        let basis = ViewBasis::from_yaw_pitch(self.pose.yaw_deg, pitch);
+        let up = if self.flying { DVec3::Y * intent.up } else { DVec3::ZERO };
+        let direction = basis.forward * intent.forward + basis.right * intent.right + up;
+        // Two keys at once are not faster than one.
+        let direction = direction / direction.length().max(1.0);
+        direction * self.speed_m_per_s * if intent.run { RUN_FACTOR } else { 1.0 }
+    }
+}
+
+/// `p` with its height moved to the nearest allowed one of its column, when that is within `reach_m`.
+fn stand(v: &WalkVolume, p: DVec3, reach_m: f64) -> Option<DVec3> {
+    let inset = |[low, high]: [f64; 2]| {
+        let (low, high) = (low + INSET_M, high - INSET_M);
+        DVec3::new(p.x, p.y.clamp(low.min(high), high), p.z)
+    };
+    v.heights(p.x, p.z)
+        .map(inset)
+        .filter(|q| (q.y - p.y).abs() <= reach_m && v.contains(*q))
+        .min_by(|a, b| (a.y - p.y).abs().total_cmp(&(b.y - p.y).abs()))
+}
+
+/// As far along `delta` as there is room; also the share of it that was gone.
+fn go(ground: &Ground<'_>, from: DVec3, delta: DVec3) -> (DVec3, f64) {
+    if delta == DVec3::ZERO {
+        return (from, 1.0);
+    }
+    if let Some(there) = ground.admit(from, from + delta) {
+        return (there, 1.0);
+    }
+    let (mut free, mut blocked, mut at) = (0.0, 1.0, from);
+    // To a thousandth of a step that is at most 0.1 m.
+    for _ in 0..10 {
+        let middle = 0.5 * (free + blocked);
+        match ground.admit(from, from + delta * middle) {
+            Some(p) => (free, at) = (middle, p),
+            None => blocked = middle,
+        }
+    }
+    (at, free)
+}
+
+/// A horizontal step that slides along walls and along the volume's border.
+fn slide(ground: &Ground<'_>, from: DVec3, delta: DVec3) -> DVec3 {
+    let (mut at, mut share) = go(ground, from, delta);
+    let mut rest = delta;
+    // Twice: in a corner the way along one wall meets the other.
+    for _ in 0..2 {
+        if share == 1.0 {
+            return at;
+        }
+        rest *= 1.0 - share;
+        let Some(solids) = ground.solids.filter(|_| ground.walls) else { break };
+        let (distance, away) = solids.clearance(at.x, at.z);
+        let away = DVec3::new(away.x, 0.0, away.y);
+        if distance > BODY_M + TOUCH_M || rest.dot(away) >= 0.0 {
+            break;
+        }
+        rest -= away * rest.dot(away);
+        (at, share) = go(ground, at, rest);
+    }
+    if share == 1.0 {
+        return at;
+    }
+    // The columns of the volume are upright boxes: along them, along x and z.
+    let (at, _) = go(ground, at, DVec3::new(rest.x, 0.0, 0.0));
+    go(ground, at, DVec3::new(0.0, 0.0, rest.z)).0
+}
+
+/// A step in the air: axis by axis, none of which is left.
+fn fly(v: &WalkVolume, from: DVec3, delta: DVec3) -> DVec3 {
+    let b = v.bounds();
+    let p = (from + delta).clamp(b.min, b.max.max(b.min));
+    [p, DVec3::new(p.x, p.y, from.z), DVec3::new(from.x, p.y, p.z), DVec3::new(from.x, p.y, from.z)]
+        .into_iter()
+        .find(|p| v.contains(*p))
+        .unwrap_or(from)
+}
+
+/// The nominal eye height of a run of heights.
+pub fn nominal([low, high]: [f64; 2]) -> f64 {
+    // A run over steps spans several floors: its middle one. A run that is cut by a ceiling, or spans a floor and furniture, says
+    // where the floor is only at its lower end.
+    let flat = BELOW_M + ABOVE_M;
+    if (0.95 * flat..=flat + STEPS_M).contains(&(high - low)) {
+        0.5 * (low + BELOW_M + high - ABOVE_M)
+    } else {
+        (low + BELOW_M).min(high)
+    }
+}
+
+/// The run of the column at (x, z) that belongs to a walker whose eye is at height y.
+fn own_run(v: &WalkVolume, x: f64, z: f64, y: f64) -> Option<[f64; 2]> {
+    let off = |[low, high]: [f64; 2]| (low - y).max(y - high).max(0.0);
+    v.heights(x, z).filter(|h| off(*h) <= STEP_OVER_M).min_by(|a, b| off(*a).total_cmp(&off(*b)))
+}
+
+/// Lets the eye's height approach the one above the floor.
+fn settle(ground: &Ground<'_>, p: DVec3, dt_s: f64) -> DVec3 {
+    let seen = ground.solids.and_then(|s| s.eye_above_floor(p));
+    let run = ground.volume.and_then(|v| own_run(v, p.x, p.z, p.y));
+    let goal = match (seen, ground.volume, run) {
+        (Some(goal), Some(_), Some([low, high])) => goal.clamp(low, high),
+        (Some(goal), None, _) => goal,
+        (None, Some(v), Some(run)) => between_columns(v, p).unwrap_or_else(|| nominal(run)),
+        _ => return p,
+    };
+    let rest = goal - p.y;
+    let y = if rest.abs() < SETTLED_M { goal } else { p.y + rest * (1.0 - (-dt_s / RISE_S).exp()) };
+    let y = run.map_or(y, |[low, high]| y.clamp((low + INSET_M).min(high - INSET_M), high - INSET_M));
+    let settled = DVec3::new(p.x, y, p.z);
+    if ground.volume.is_none_or(|v| v.contains(settled)) { settled } else { p }
+}
+
+/// The eye's nominal height, interpolated between the four columns around it: a ramp instead of steps of half a metre.
+fn between_columns(v: &WalkVolume, p: DVec3) -> Option<f64> {
+    let (pitch_m, [x0, z0]) = (v.pitch_m(), v.corner());
+    let split = |at: f64, corner: f64| {
+        let columns = (at - corner) / pitch_m - 0.5;
+        (corner + (columns.floor() + 0.5) * pitch_m, columns - columns.floor())
+    };
+    let ((x, u), (z, w)) = (split(p.x, x0), split(p.z, z0));
+    let (mut sum, mut weight) = (0.0, 0.0);
+    for (x, z, share) in [
+        (x, z, (1.0 - u) * (1.0 - w)),
+        (x + pitch_m, z, u * (1.0 - w)),
+        (x, z + pitch_m, (1.0 - u) * w),
+        (x + pitch_m, z + pitch_m, u * w),
+    ] {
+        if let Some(run) = own_run(v, x, z, p.y) {
+            sum += share * nominal(run);
+            weight += share;
+        }
+    }
+    (weight > 1e-3).then(|| sum / weight)
+}
+
+/// The place of the volume nearest to `p`, at eye height where it is on foot. None when the volume is empty.
+pub fn nearest(v: &WalkVolume, p: DVec3) -> Option<DVec3> {
+    if v.contains(p) {
+        return Some(p);
+    }
+    let clamp = |b: &ldi_protocol::Aabb| {
+        let inset = DVec3::splat(INSET_M).min(b.size() * 0.5);
+        p.clamp(b.min + inset, (b.max - inset).max(b.min + inset))
+    };
+    let nearest = v.boxes().map(|b| clamp(&b)).filter(|q| v.contains(*q));
+    nearest.min_by(|a, b| a.distance_squared(p).total_cmp(&b.distance_squared(p)))
+}
+
+/// Eye heights of the storeys at (x, z), ascending.
+pub fn storeys(v: &WalkVolume, x: f64, z: f64) -> Vec<f64> {
+    v.heights(x, z).map(nominal).collect()
+}
+
+/// Where a visit begins when nobody says: on the level with most room, at the place nearest to its middle, looking where the way is
+/// longest.
+pub fn start(v: &WalkVolume, flying: bool) -> Pose {
+    let mut pose = Pose { position: v.bounds().centre(), yaw_deg: 0.0, pitch_deg: 0.0 };
+    if flying || v.is_empty() {
+        return pose;
+    }
+    // Levels of half a metre, by floor area.
+    let mut levels = std::collections::BTreeMap::<i64, (f64, DVec3)>::new();
+    for b in v.boxes() {
+        let (size, eye) = (b.size(), nominal([b.min.y, b.max.y]));
+        let level = levels.entry((eye * 2.0).round() as i64).or_default();
+        level.0 += size.x * size.z;
+        level.1 += DVec3::new(b.centre().x, eye, b.centre().z) * (size.x * size.z);
+    }
+    let Some((area, sum)) = levels.into_values().max_by(|a, b| a.0.total_cmp(&b.0)) else { return pose };
+    let middle = sum / area.max(1e-9);
+    pose.position = nearest(v, middle).unwrap_or(middle);
+    let way = |yaw_deg: f64| {
+        let ahead = ViewBasis::from_yaw_pitch(yaw_deg, 0.0).forward * v.pitch_m().min(0.5);
+        (1..400).take_while(|n| stand(v, pose.position + ahead * f64::from(*n), STEP_OVER_M).is_some()).count()
+    };
+    let longest = (0..16).map(|i| f64::from(i) * 22.5).max_by_key(|yaw| (way(*yaw), -*yaw as i64));
+    pose.yaw_deg = longest.unwrap_or(0.0);
+    pose
+}
+
+#[cfg(test)]
+#[path = "motion_test.rs"]
+mod tests;

@@ -1,0 +1,310 @@
+//! What shows pictures: a surface, a device, one pass with the picture stretched over the window and the interface above it.
+//!
+//! In: finished pictures and egui's shapes. Out: a frame on the display. Any adapter will do, a software one too: the work is one
+//! texture. The picture is filtered in linear light (`picture.wgsl`).
+
+use crate::frame::Frame;
+use std::sync::Arc;
+use winit::{event_loop::OwnedDisplayHandle, window::Window};
+
+/// Nothing can be shown.
+#[derive(Debug, thiserror::Error)]
+pub enum ScreenError {
+    /// No driver at all.
+    #[error(
+        "no graphics driver can draw into a window ({0}); install one (on Debian: mesa-vulkan-drivers or libgl1-mesa-dri; both also draw \
+         without a graphics card), or walk without a window: `ldi-client walk --help`"
+    )]
+    NoAdapter(String),
+    /// The driver gives no device or surface.
+    #[error(
+        "the graphics driver {adapter} cannot draw into a window: {reason}; try another one with WGPU_BACKEND=gl or vulkan"
+    )]
+    Driver {
+        /// Its name.
+        adapter: String,
+        /// What it said.
+        reason: String,
+    },
+}
+
+/// Where there is no picture yet: dark, but not a switched-off display.
+const EMPTY: wgpu::Color = wgpu::Color { r: 0.17, g: 0.19, b: 0.22, a: 1.0 };
+
+/// A picture on the device.
+struct Shown {
+    texture: wgpu::Texture,
+    group: wgpu::BindGroup,
+    size: [u32; 2],
+}
+
+/// The window's surface and what draws into it.
+pub struct Screen {
+    surface: wgpu::Surface<'static>,
+    config: wgpu::SurfaceConfiguration,
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    adapter: String,
+    stretch: Stretch,
+    shown: Option<Shown>,
+    interface: egui_wgpu::Renderer,
+}
+
+/// egui's shapes, ready to be drawn.
+pub struct Interface {
+    /// Triangles.
+    pub primitives: Vec<egui::ClippedPrimitive>,
+    /// New and removed textures.
+    pub textures: egui::TexturesDelta,
+    /// Pixels per point.
+    pub scale: f32,
+}
+
+impl Screen {
+    /// Opens the surface of a window on the best adapter there is.
+    ///
+    /// # Errors
+    /// If no driver can draw into it.
+    pub fn open(window: Arc<Window>, display: OwnedDisplayHandle) -> Result<Self, ScreenError> {
+        let size = window.inner_size();
+        let instance =
+            wgpu::Instance::new(wgpu::InstanceDescriptor::new_with_display_handle_from_env(Box::new(display)));
+        let surface = instance.create_surface(window).map_err(|e| ScreenError::NoAdapter(e.to_string()))?;
+        let wanted = wgpu::RequestAdapterOptions {
+            // The work is one texture: the card that saves the battery is enough.
+            power_preference: wgpu::PowerPreference::from_env().unwrap_or(wgpu::PowerPreference::LowPower),
+            compatible_surface: Some(&surface),
+            ..Default::default()
+        };
+        let adapter =
+            pollster::block_on(instance.request_adapter(&wanted)).map_err(|e| ScreenError::NoAdapter(e.to_string()))?;
+        let info = adapter.get_info();
+        let name = format!("{} ({})", info.name, info.backend);
+        let failed = |reason: String| ScreenError::Driver { adapter: name.clone(), reason };
+        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("ldi-client"),
+            required_limits: wgpu::Limits::downlevel_webgl2_defaults().using_resolution(adapter.limits()),
+            ..Default::default()
+        }))
+        .map_err(|e| failed(e.to_string()))?;
+        let mut config = surface
+            .get_default_config(&adapter, size.width.max(1), size.height.max(1))
+            .ok_or_else(|| failed("it supports no surface of this window".into()))?;
+        let formats = surface.get_capabilities(&adapter).formats;
+        config.format = egui_wgpu::preferred_framebuffer_format(&formats).map_err(|e| failed(e.to_string()))?;
+        config.present_mode = wgpu::PresentMode::AutoVsync;
+        // The shortest queue: what is seen follows the mouse closely.
+        config.desired_maximum_frame_latency = 1;
+        surface.configure(&device, &config);
+        let stretch = Stretch::new(&device, config.format);
+        let interface = egui_wgpu::Renderer::new(&device, config.format, egui_wgpu::RendererOptions::default());
+        Ok(Self { surface, config, device, queue, adapter: name, stretch, shown: None, interface })
+    }
+
+    /// Name of the adapter and how it is driven.
+    pub fn adapter(&self) -> &str {
+        &self.adapter
+    }
+
+    /// Longest side of a texture, pixels.
+    pub fn max_side_px(&self) -> u32 {
+        self.device.limits().max_texture_dimension_2d
+    }
+
+    /// The window has another size.
+    pub fn resize(&mut self, [width, height]: [u32; 2]) {
+        let most = self.max_side_px();
+        let size = [width.clamp(1, most), height.clamp(1, most)];
+        if size != [self.config.width, self.config.height] {
+            [self.config.width, self.config.height] = size;
+            self.surface.configure(&self.device, &self.config);
+        }
+    }
+
+    /// Takes a new picture.
+    pub fn upload(&mut self, frame: &Frame) {
+        let size = [frame.width, frame.height];
+        let most = self.max_side_px();
+        if size.iter().any(|n| !(1..=most).contains(n)) {
+            return;
+        }
+        if self.shown.as_ref().is_none_or(|s| s.size != size) {
+            self.shown = Some(self.stretch.picture(&self.device, size));
+        }
+        if let Some(shown) = &self.shown {
+            write(&self.queue, &shown.texture, frame);
+        }
+    }
+
+    /// Draws the picture and the interface, and shows them. False when the surface has to be asked again later.
+    pub fn present(&mut self, interface: Interface) -> bool {
+        let Interface { primitives, mut textures, scale } = interface;
+        for (id, deltas) in textures.set.drain() {
+            for delta in deltas {
+                self.interface.update_texture(&self.device, &self.queue, id, &delta);
+            }
+        }
+        let descriptor = egui_wgpu::ScreenDescriptor {
+            size_in_pixels: [self.config.width, self.config.height],
+            pixels_per_point: scale,
+        };
+        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let more = self.interface.update_buffers(&self.device, &self.queue, &mut encoder, &primitives, &descriptor);
+        let target = self.acquire();
+        if let Some(target) = &target {
+            let view = target.texture.create_view(&wgpu::TextureViewDescriptor::default());
+            let mut pass = begin(&mut encoder, &view).forget_lifetime();
+            if let Some(shown) = &self.shown {
+                self.stretch.draw(&mut pass, shown);
+            }
+            self.interface.render(&mut pass, &primitives, &descriptor);
+        }
+        self.queue.submit(more.into_iter().chain([encoder.finish()]));
+        for id in &textures.free {
+            self.interface.free_texture(id);
+        }
+        let shown = target.is_some();
+        if let Some(target) = target {
+            self.queue.present(target);
+        }
+        shown
+    }
+
+    /// The surface's next texture; configures the surface anew where it has changed.
+    fn acquire(&mut self) -> Option<wgpu::SurfaceTexture> {
+        use wgpu::CurrentSurfaceTexture as Current;
+        for _ in 0..2 {
+            match self.surface.get_current_texture() {
+                Current::Success(texture) | Current::Suboptimal(texture) => return Some(texture),
+                Current::Outdated | Current::Lost => self.surface.configure(&self.device, &self.config),
+                Current::Timeout | Current::Occluded | Current::Validation => return None,
+            }
+        }
+        None
+    }
+}
+
+fn begin<'e>(encoder: &'e mut wgpu::CommandEncoder, view: &wgpu::TextureView) -> wgpu::RenderPass<'e> {
+    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+        label: Some("window"),
+        color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+            view,
+            resolve_target: None,
+            ops: wgpu::Operations { load: wgpu::LoadOp::Clear(EMPTY), store: wgpu::StoreOp::Store },
+            depth_slice: None,
+        })],
+        depth_stencil_attachment: None,
+        timestamp_writes: None,
+        occlusion_query_set: None,
+        multiview_mask: None,
+    })
+}
+
+fn write(queue: &wgpu::Queue, texture: &wgpu::Texture, frame: &Frame) {
+    let bytes: Vec<u8> = frame.colour.iter().flat_map(|c| c.to_le_bytes()).collect();
+    let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * frame.width), rows_per_image: None };
+    queue.write_texture(texture.as_image_copy(), &bytes, layout, texture.size());
+}
+
+/// Stretches a picture over the target.
+struct Stretch {
+    pipeline: wgpu::RenderPipeline,
+    layout: wgpu::BindGroupLayout,
+    sampler: wgpu::Sampler,
+}
+
+impl Stretch {
+    fn new(device: &wgpu::Device, target: wgpu::TextureFormat) -> Self {
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some("picture"),
+            source: wgpu::ShaderSource::Wgsl(include_str!("picture.wgsl").into()),
+        });
+        let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: wgpu::ShaderStages::FRAGMENT,
+            ty,
+            count: None,
+        };
+        let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("picture"),
+            entries: &[
+                entry(
+                    0,
+                    wgpu::BindingType::Texture {
+                        multisampled: false,
+                        sample_type: wgpu::TextureSampleType::Float { filterable: true },
+                        view_dimension: wgpu::TextureViewDimension::D2,
+                    },
+                ),
+                entry(1, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)),
+            ],
+        });
+        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some("picture"),
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        });
+        let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some("picture"),
+            layout: Some(&pipeline_layout),
+            vertex: wgpu::VertexState {
+                module: &module,
+                entry_point: Some("vertex"),
+                buffers: &[],
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+            },
+            primitive: wgpu::PrimitiveState::default(),
+            depth_stencil: None,
+            multisample: wgpu::MultisampleState::default(),
+            fragment: Some(wgpu::FragmentState {
+                module: &module,
+                // A target that encodes by itself must not be given codes.
+                entry_point: Some(if target.is_srgb() { "linear" } else { "encoded" }),
+                targets: &[Some(target.into())],
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+            }),
+            multiview_mask: None,
+            cache: None,
+        });
+        let sampler = device.create_sampler(&wgpu::SamplerDescriptor {
+            mag_filter: wgpu::FilterMode::Linear,
+            min_filter: wgpu::FilterMode::Linear,
+            ..Default::default()
+        });
+        Self { pipeline, layout, sampler }
+    }
+
+    /// Room for a picture.
+    fn picture(&self, device: &wgpu::Device, size: [u32; 2]) -> Shown {
+        let texture = device.create_texture(&wgpu::TextureDescriptor {
+            label: Some("picture"),
+            size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: wgpu::TextureFormat::Rgba8UnormSrgb,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            view_formats: &[],
+        });
+        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("picture"),
+            layout: &self.layout,
+            entries: &[
+                wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(&view) },
+                wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(&self.sampler) },
+            ],
+        });
+        Shown { texture, group, size }
+    }
+
+    fn draw(&self, pass: &mut wgpu::RenderPass<'_>, shown: &Shown) {
+        pass.set_pipeline(&self.pipeline);
+        pass.set_bind_group(0, &shown.group, &[]);
+        pass.draw(0..3, 0..1);
+    }
+}
+
+#[cfg(test)]
+#[path = "screen_test.rs"]
+mod tests;

@@ -1,0 +1,93 @@
+//! Screenshots: a picture as large as the window, without the interface, and its pose beside it as a path file.
+
+use crate::{engine::save_rgb, frame::Frame};
+use ldi_protocol::Pose;
+use std::{
+    fs::OpenOptions,
+    io::ErrorKind,
+    path::{Path, PathBuf},
+    sync::{Arc, mpsc},
+};
+
+/// Highest number of a file name.
+const MOST: u32 = 99_999;
+
+/// What became of a screenshot: its file, or why there is none.
+pub type Outcome = Result<PathBuf, String>;
+
+/// Saves screenshots on threads of their own, so that neither drawing nor the window waits for the disk.
+#[derive(Clone)]
+pub struct Shots {
+    folder: PathBuf,
+    outcomes: mpsc::Sender<Outcome>,
+    saved: Arc<dyn Fn() + Send + Sync>,
+}
+
+impl Shots {
+    /// Into `folder`. Outcomes go to the receiver; `saved` is called after each.
+    pub fn new(folder: &Path, saved: impl Fn() + Send + Sync + 'static) -> (Self, mpsc::Receiver<Outcome>) {
+        let (outcomes, received) = mpsc::channel();
+        (Self { folder: folder.to_owned(), outcomes, saved: Arc::new(saved) }, received)
+    }
+
+    /// Saves a picture under the first free number.
+    pub fn save(&self, frame: Frame, pose: Pose, fov_deg: f64) {
+        let Self { folder, outcomes, saved } = self.clone();
+        let work = move || {
+            // Nobody listens once the window is closed.
+            let _ = outcomes.send(write(&folder, &frame, &pose, fov_deg));
+            saved();
+        };
+        if let Err(e) = std::thread::Builder::new().name("ldi-shot".into()).spawn(work) {
+            let _ = self.outcomes.send(Err(format!("no screenshot: {e}")));
+        }
+    }
+}
+
+fn write(folder: &Path, frame: &Frame, pose: &Pose, fov_deg: f64) -> Outcome {
+    let said = |path: &Path, e: &dyn std::fmt::Display| {
+        format!("{}: {e}; give a folder that can be written with --shots", path.display())
+    };
+    std::fs::create_dir_all(folder).map_err(|e| said(folder, &e))?;
+    for number in 1..=MOST {
+        let path = folder.join(format!("ldi-{number:04}.png"));
+        // Made only if it is not there: two windows may share a folder.
+        match OpenOptions::new().write(true).create_new(true).open(&path) {
+            Err(e) if e.kind() == ErrorKind::AlreadyExists => continue,
+            Err(e) => return Err(said(&path, &e)),
+            Ok(_) => {}
+        }
+        save_rgb(&path, frame.width, frame.height, &frame.to_rgb8()).map_err(|e| e.to_string())?;
+        let beside = path.with_extension("path.json");
+        let poses = serde_json::json!({
+            "size": format!("{}x{}", frame.width, frame.height),
+            "fov_deg": fov_deg,
+            "poses": [{ "t": 0.0, "position": pose.position.to_array(), "yaw": pose.yaw_deg, "pitch": pose.pitch_deg }],
+        });
+        std::fs::write(&beside, poses.to_string() + "\n").map_err(|e| said(&beside, &e))?;
+        return Ok(path);
+    }
+    Err(format!("{}: there are {MOST} screenshots already; give another folder with --shots", folder.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    #[test]
+    fn screenshots_have_numbers_of_their_own_and_a_pose_that_can_be_walked() {
+        let folder = std::env::temp_dir().join(format!("ldi-shot-{}", std::process::id())).join("deeper");
+        let pose = Pose { position: DVec3::new(1.0, 1.6, -2.0), yaw_deg: 30.0, pitch_deg: -5.0 };
+        let frame = Frame::new(4, 2);
+        let paths = [(); 2].map(|()| write(&folder, &frame, &pose, 60.0).expect("written"));
+        assert!(paths[0].ends_with("ldi-0001.png") && paths[1].ends_with("ldi-0002.png"), "{paths:?}");
+        let text = std::fs::read_to_string(folder.join("ldi-0002.path.json")).expect("readable");
+        assert_eq!(ldi_protocol::path::parse(&text).expect("a path").poses[0].pose, pose);
+        assert_eq!(image::open(&paths[1]).expect("a picture").width(), 4);
+        std::fs::write(folder.join("file"), "").expect("written");
+        let error = write(&folder.join("file"), &frame, &pose, 60.0).expect_err("no folder");
+        assert!(error.contains("--shots"), "{error}");
+        std::fs::remove_dir_all(folder.parent().expect("made")).expect("removed");
+    }
+}

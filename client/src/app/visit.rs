@@ -1,0 +1,353 @@
+//! What exists while there is a window: what is shown, what is pressed, what was said.
+
+use super::{
+    AppConfig, AppError,
+    desk::{Drawing, DrawingConfig, Picture},
+    events::{Events, fields},
+    hud::Hud,
+    keys::Keys,
+    link::Link,
+    map::Map,
+    pace::Pace,
+    screen::{Interface, Screen},
+    shot::{Outcome, Shots},
+    start,
+};
+use ldi_protocol::Pose;
+use std::{
+    sync::{Arc, mpsc},
+    time::{Duration, Instant},
+};
+use winit::{
+    dpi::PhysicalSize,
+    event::{ElementState, KeyEvent},
+    event_loop::{ActiveEventLoop, EventLoopProxy},
+    keyboard::{Key, ModifiersState, NamedKey, PhysicalKey},
+    window::{CursorGrabMode, Window},
+};
+
+/// How often figures and messages are written anew while no picture comes.
+pub(super) const REFRESH: Duration = Duration::from_millis(200);
+/// Shortest time between two poses in the events.
+const POSE_EVERY: Duration = Duration::from_millis(100);
+/// The help line goes after so many pictures that showed a new pose: by then people know the keys.
+const HELP_FOR: u32 = 600;
+/// Pictures per second where the display does not say.
+const DEFAULT_HZ: f64 = 60.0;
+
+/// Another thread has something new.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum News {
+    /// A picture.
+    Picture,
+    /// The link's state, or a screenshot.
+    Other,
+}
+
+/// What exists while there is a window.
+pub(super) struct Visit {
+    pub drawing: Drawing,
+    pub screen: Screen,
+    pub egui: egui_winit::State,
+    pub window: Arc<Window>,
+    pub shots: mpsc::Receiver<Outcome>,
+    pub picture: Option<Picture>,
+    pub hud: Hud,
+    pub map: Map,
+    pub keys: Keys,
+    pub modifiers: ModifiersState,
+    pub captured: bool,
+    /// Captured before the map was opened.
+    pub capture_again: bool,
+    /// The start screen was left.
+    pub started: bool,
+    pub moved_pictures: u32,
+    pub pace: Pace,
+    pub told: Told,
+    pub repaint_at: Instant,
+}
+
+/// What the events have said already.
+#[derive(Default)]
+pub(super) struct Told {
+    picture: bool,
+    complete: bool,
+    pose: Option<(Pose, Instant)>,
+    map: bool,
+}
+
+impl Visit {
+    /// A window with all that belongs to it.
+    ///
+    /// # Errors
+    /// If there is no display, no driver or no thread.
+    pub fn open(
+        config: &AppConfig,
+        event_loop: &ActiveEventLoop,
+        link: Arc<Link>,
+        news: &EventLoopProxy<News>,
+    ) -> Result<Self, AppError> {
+        let (width, height) = config.size;
+        let attributes = Window::default_attributes()
+            .with_title(format!("ldi-client: {}", config.connect.server))
+            .with_min_inner_size(PhysicalSize::new(160, 120))
+            .with_inner_size(PhysicalSize::new(width, height));
+        let window = event_loop.create_window(attributes).map_err(|e| AppError::no_display(&e))?;
+        let window = Arc::new(window);
+        let screen = Screen::open(window.clone(), event_loop.owned_display_handle())?;
+        let hz = window
+            .current_monitor()
+            .and_then(|m| m.refresh_rate_millihertz())
+            .map_or(DEFAULT_HZ, |mhz| f64::from(mhz) * 1e-3);
+        let hz = if hz > 1.0 { hz } else { DEFAULT_HZ };
+        let size = window.inner_size();
+        let tell = |what: News| {
+            let news = news.clone();
+            move || {
+                // The window may be closed already.
+                let _ = news.send_event(what);
+            }
+        };
+        let (shots, outcomes) = Shots::new(&config.shots, tell(News::Other));
+        let drawing = DrawingConfig {
+            frame_ms: config.frame_ms,
+            begin: config.begin,
+            window_px: [size.width, size.height],
+            interval: Duration::from_secs_f64(1.0 / hz),
+        };
+        let drawing = Drawing::start(drawing, link, shots, tell(News::Picture)).map_err(AppError::Thread)?;
+        let ctx = egui::Context::default();
+        let egui = egui_winit::State::new(
+            ctx,
+            egui::ViewportId::ROOT,
+            &event_loop,
+            Some(window.scale_factor() as f32),
+            None,
+            Some(screen.max_side_px() as usize),
+        );
+        Ok(Self {
+            drawing,
+            screen,
+            egui,
+            window,
+            shots: outcomes,
+            picture: None,
+            hud: Hud::default(),
+            map: Map::default(),
+            keys: Keys::default(),
+            modifiers: ModifiersState::empty(),
+            captured: false,
+            capture_again: false,
+            started: false,
+            moved_pictures: 0,
+            pace: Pace::default(),
+            told: Told::default(),
+            repaint_at: Instant::now(),
+        })
+    }
+
+    /// Takes the newest picture in.
+    pub fn take(&mut self, events: &mut Events) {
+        if !self.drawing.take(&mut self.picture) {
+            return;
+        }
+        let Some(picture) = &self.picture else { return };
+        self.screen.upload(&picture.frame);
+        self.hud.picture(picture);
+        let ms = &picture.figures.painted.ms;
+        self.pace.picture(&picture.pose, ms.total + ms.prepare, picture.at);
+        let complete = picture.figures.painted.missing_chunks.is_empty();
+        self.started |= complete;
+        let about = || {
+            fields! {
+                "width": picture.frame.width, "height": picture.frame.height,
+                "triangles": picture.figures.painted.triangles, "missing": picture.figures.painted.missing_chunks.len(),
+            }
+        };
+        if !std::mem::replace(&mut self.told.picture, true) {
+            events.tell("first_picture", about());
+        }
+        if complete && !std::mem::replace(&mut self.told.complete, true) {
+            events.tell("first_complete_picture", about());
+        }
+        let told = self.told.pose;
+        if told.is_none_or(|(pose, _)| pose != picture.pose) {
+            self.moved_pictures += 1;
+            if self.moved_pictures == HELP_FOR {
+                self.hud.help = false;
+            }
+            if told.is_none_or(|(_, at)| at.elapsed() >= POSE_EVERY) {
+                self.told.pose = Some((picture.pose, Instant::now()));
+                events.tell("pose", pose_fields(&picture.pose));
+            }
+        }
+    }
+
+    /// A screenshot was saved, or could not be.
+    pub fn shot(&mut self, outcome: Outcome, events: &mut Events) {
+        match outcome {
+            Ok(path) => {
+                let path = std::path::absolute(&path).unwrap_or(path);
+                println!("{}", path.display());
+                self.hud.say(format!("saved {}", path.display()), true);
+                events.tell("screenshot", fields! { "path": path.display().to_string() });
+            }
+            Err(e) => {
+                tracing::warn!("{e}");
+                events.tell("screenshot_failed", fields! { "reason": &e });
+                self.hud.say(e, false);
+            }
+        }
+    }
+
+    /// The window has another size.
+    pub fn resize(&mut self, size: PhysicalSize<u32>) {
+        self.screen.resize([size.width, size.height]);
+        // Nothing can be seen of a window without area; the last size stays.
+        if size.width > 0 && size.height > 0 {
+            self.drawing.resize([size.width, size.height]);
+        }
+        self.window.request_redraw();
+    }
+
+    /// Captures the pointer or lets it go.
+    pub fn capture(&mut self, capture: bool, events: &mut Events) {
+        if self.captured == capture {
+            return;
+        }
+        let done = if capture {
+            // Not every system can hold the pointer in place; all can keep it inside.
+            let grab = |mode| self.window.set_cursor_grab(mode);
+            grab(CursorGrabMode::Locked).or_else(|_| grab(CursorGrabMode::Confined))
+        } else {
+            self.window.set_cursor_grab(CursorGrabMode::None)
+        };
+        if let (true, Err(e)) = (capture, done) {
+            // Turning still works as far as the pointer can go.
+            tracing::warn!("the pointer cannot be captured: {e}");
+        }
+        self.window.set_cursor_visible(!capture);
+        self.captured = capture;
+        events.tell(if capture { "captured" } else { "released" }, fields! {});
+    }
+
+    /// The mouse was pressed: on the map that is the map's, elsewhere it captures the pointer.
+    pub fn click(&mut self, events: &mut Events) {
+        if !self.map.open {
+            self.started = true;
+            self.capture(true, events);
+        }
+    }
+
+    /// A key. Whether it asks to leave.
+    pub fn key(&mut self, event: &KeyEvent, events: &mut Events) -> bool {
+        let pressed = event.state == ElementState::Pressed;
+        if pressed && !event.repeat && self.command(event, events) {
+            return true;
+        }
+        if let PhysicalKey::Code(code) = event.physical_key {
+            let control = self.modifiers.control_key() || self.modifiers.super_key();
+            if self.keys.set(code, pressed && !control) {
+                self.started |= pressed;
+                self.drawing.press(self.keys.intent());
+            }
+        }
+        false
+    }
+
+    /// A key that does something once.
+    fn command(&mut self, event: &KeyEvent, events: &mut Events) -> bool {
+        let letter = |wanted: &str| matches!(&event.logical_key, Key::Character(c) if c.eq_ignore_ascii_case(wanted));
+        let control = self.modifiers.control_key() || self.modifiers.super_key();
+        if control {
+            return letter("q") || letter("w");
+        }
+        match &event.logical_key {
+            Key::Named(NamedKey::Escape) if self.map.open => self.toggle_map(events),
+            Key::Named(NamedKey::Escape) => self.capture(false, events),
+            Key::Named(NamedKey::F1) => {
+                self.hud.figures = !self.hud.figures;
+                self.hud.help = self.hud.figures;
+                events.tell("figures", fields! { "shown": self.hud.figures });
+            }
+            Key::Named(NamedKey::F12) => self.drawing.shoot(),
+            _ if letter("g") => {
+                let closed = self.drawing.toggle_walls();
+                self.hud.say(if closed { "walls are closed" } else { "walls are open: G closes them" }.into(), true);
+                events.tell("walls", fields! { "closed": closed });
+            }
+            Key::Named(NamedKey::PageUp) if self.map.open => self.map.change_storey(true),
+            Key::Named(NamedKey::PageDown) if self.map.open => self.map.change_storey(false),
+            _ if letter("m") => self.toggle_map(events),
+            _ => {}
+        }
+        self.window.request_redraw();
+        false
+    }
+
+    fn toggle_map(&mut self, events: &mut Events) {
+        self.started = true;
+        self.map.toggle();
+        self.told.map = false;
+        if self.map.open {
+            self.capture_again = self.captured;
+            self.capture(false, events);
+        } else {
+            events.tell("map", fields! { "open": false });
+            self.capture(self.capture_again, events);
+        }
+    }
+
+    /// Draws the window.
+    pub fn redraw(&mut self, server: &str, link: &Link, events: &mut Events) {
+        let input = self.egui.take_egui_input(&self.window);
+        let ctx = self.egui.egui_ctx().clone();
+        let (scene, state, figures) = (link.scene(), link.state(), link.figures());
+        let speed = self.drawing.speed_m_per_s();
+        let mut clicked = None;
+        let output = ctx.run_pass(input, |ctx| {
+            let shown = self.picture.as_ref();
+            if !self.started {
+                start::show(ctx, server, link, shown);
+                return;
+            }
+            if let (true, Some(scene), Some(p)) = (self.map.open, &scene, shown) {
+                clicked = self.map.show(ctx, scene, p).or(clicked);
+            }
+            let shown = shown.zip(scene.as_ref()).map(|(p, s)| (p, &*s.index));
+            let hud_below_map = self.map.open && self.hud.figures;
+            if hud_below_map {
+                // The map has the place of the figures; messages stay.
+                self.hud.figures = false;
+            }
+            self.hud.show(ctx, shown, &figures, &state, speed);
+            self.hud.figures |= hud_below_map;
+        });
+        self.egui.handle_platform_output(&self.window, output.platform_output);
+        if self.captured {
+            // egui sets the pointer's shape, and with it shows it.
+            self.window.set_cursor_visible(false);
+        }
+        let delay = output.viewport_output.values().map(|v| v.repaint_delay).min().unwrap_or(REFRESH);
+        self.repaint_at = self.repaint_at.min(Instant::now() + delay.min(REFRESH));
+        let primitives = ctx.tessellate(output.shapes, output.pixels_per_point);
+        let scale = output.pixels_per_point;
+        self.screen.present(Interface { primitives, textures: output.textures_delta, scale });
+        if let (Some(sheet), false) = (self.map.sheet, self.told.map) {
+            self.told.map = true;
+            let a = sheet.area;
+            let px = [a.min.x, a.min.y, a.max.x, a.max.y].map(|v| v * scale);
+            let [x, z] = sheet.corner;
+            events.tell("map", fields! { "open": true, "area_px": px, "corner": [x, z], "px_per_m": sheet.per_metre * f64::from(scale) });
+        }
+        if let Some(p) = clicked {
+            self.drawing.teleport(p);
+            events.tell("teleport", fields! { "position": p.to_array() });
+            self.toggle_map(events);
+        }
+    }
+}
+
+fn pose_fields(pose: &Pose) -> serde_json::Map<String, serde_json::Value> {
+    fields! { "position": pose.position.to_array(), "yaw": pose.yaw_deg, "pitch": pose.pitch_deg }
+}

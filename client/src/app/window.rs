@@ -1,0 +1,174 @@
+//! The window: what the system says, handed to whom it concerns. The main thread; it waits for nothing but events and the display.
+
+use super::{
+    AppConfig, AppError,
+    events::{Events, fields},
+    link::{Link, LinkState},
+    visit::{News, REFRESH, Visit},
+};
+use std::{sync::Arc, time::Instant};
+use winit::{
+    application::ApplicationHandler,
+    event::{DeviceEvent, DeviceId, ElementState, MouseButton, MouseScrollDelta, WindowEvent},
+    event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy},
+    window::WindowId,
+};
+
+/// Degrees per count of the mouse: a turn around takes a hand's breadth with common mice.
+const DEG_PER_COUNT: f64 = 0.1;
+/// Pixels of a touch pad that count as a notch of the wheel.
+const PX_PER_NOTCH: f64 = 50.0;
+
+/// Opens the window and returns when it is closed.
+///
+/// # Errors
+/// See [`AppError`]. A refusal by the server is shown in the window, and returned once it is closed.
+pub fn run(config: AppConfig) -> Result<(), AppError> {
+    let events = Events::open(config.events.as_deref())
+        .map_err(|source| AppError::Events { path: config.events.clone().unwrap_or_default(), source })?;
+    let event_loop = EventLoop::<News>::with_user_event().build().map_err(|e| AppError::no_display(&e))?;
+    let news = event_loop.create_proxy();
+    let link = {
+        let news = news.clone();
+        // The window may be closed already.
+        let changed = move || {
+            let _ = news.send_event(News::Other);
+        };
+        Arc::new(Link::start(config.connect.clone(), changed).map_err(AppError::Thread)?)
+    };
+    let mut app = App { config, news, link, events, open: None, failed: None, told: LinkState::Connecting(1) };
+    event_loop.run_app(&mut app).map_err(|e| AppError::no_display(&e))?;
+    // Drawing ends before what it draws with.
+    let pace = app.open.take().map(|visit| visit.pace.summary()).unwrap_or_default();
+    app.events.tell("closed", fields! { "walking": pace });
+    match (app.failed.take(), app.link.state()) {
+        (Some(e), _) => Err(e),
+        (None, LinkState::Refused(e)) => Err(e.into()),
+        (None, _) => Ok(()),
+    }
+}
+
+struct App {
+    config: AppConfig,
+    news: EventLoopProxy<News>,
+    link: Arc<Link>,
+    events: Events,
+    open: Option<Visit>,
+    failed: Option<AppError>,
+    /// The link's state that was told last.
+    told: LinkState,
+}
+
+impl ApplicationHandler<News> for App {
+    fn resumed(&mut self, event_loop: &ActiveEventLoop) {
+        if self.open.is_some() {
+            return;
+        }
+        match Visit::open(&self.config, event_loop, self.link.clone(), &self.news) {
+            Ok(open) => {
+                let size = open.window.inner_size();
+                let adapter = open.screen.adapter().to_owned();
+                tracing::info!("drawing on the processor, showing by {adapter}");
+                let seen = fields! { "width": size.width, "height": size.height, "adapter": adapter };
+                self.events.tell("window", seen);
+                self.open = Some(open);
+            }
+            Err(e) => {
+                self.failed = Some(e);
+                event_loop.exit();
+            }
+        }
+    }
+
+    fn user_event(&mut self, _: &ActiveEventLoop, news: News) {
+        let state = self.link.state();
+        if state != self.told {
+            self.tell_link(&state);
+            self.told = state;
+        }
+        let Some(open) = &mut self.open else { return };
+        if let News::Picture = news {
+            open.take(&mut self.events);
+        }
+        for outcome in open.shots.try_iter().collect::<Vec<_>>() {
+            open.shot(outcome, &mut self.events);
+        }
+        open.window.request_redraw();
+    }
+
+    fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
+        let Some(open) = &mut self.open else { return };
+        let seen = open.egui.on_window_event(&open.window, &event);
+        if seen.repaint {
+            open.repaint_at = Instant::now();
+        }
+        match event {
+            WindowEvent::CloseRequested => event_loop.exit(),
+            WindowEvent::Resized(size) => open.resize(size),
+            WindowEvent::Focused(false) => {
+                open.keys.release();
+                open.drawing.press(open.keys.intent());
+                open.capture(false, &mut self.events);
+            }
+            WindowEvent::ModifiersChanged(m) => open.modifiers = m.state(),
+            WindowEvent::KeyboardInput { event, .. } => {
+                let leave = open.key(&event, &mut self.events);
+                if leave {
+                    event_loop.exit();
+                }
+            }
+            WindowEvent::MouseInput { state: ElementState::Pressed, button: MouseButton::Left, .. } => {
+                open.click(&mut self.events);
+            }
+            WindowEvent::MouseWheel { delta, .. } => open.drawing.change_speed(match delta {
+                MouseScrollDelta::LineDelta(_, lines) => f64::from(lines),
+                MouseScrollDelta::PixelDelta(px) => px.y / PX_PER_NOTCH,
+            }),
+            WindowEvent::RedrawRequested => open.redraw(&self.config.connect.server, &self.link, &mut self.events),
+            _ => {}
+        }
+    }
+
+    fn device_event(&mut self, _: &ActiveEventLoop, _: DeviceId, event: DeviceEvent) {
+        if let (Some(open), DeviceEvent::MouseMotion { delta: (dx, dy) }) = (&self.open, event)
+            && open.captured
+        {
+            open.drawing.turn(-dx * DEG_PER_COUNT, -dy * DEG_PER_COUNT);
+        }
+    }
+
+    fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        let Some(open) = &mut self.open else { return };
+        let now = Instant::now();
+        if open.repaint_at <= now {
+            open.repaint_at = now + REFRESH;
+            open.window.request_redraw();
+        }
+        event_loop.set_control_flow(ControlFlow::WaitUntil(open.repaint_at));
+    }
+}
+
+impl App {
+    /// The link's state has changed.
+    fn tell_link(&mut self, state: &LinkState) {
+        match state {
+            LinkState::Connecting(attempt) => self.events.tell("connecting", fields! { "attempt": attempt }),
+            LinkState::Up => {
+                let scene = self.link.scene().map(|s| s.index.scene.name.clone()).unwrap_or_default();
+                if let Some(open) = &self.open {
+                    open.window.set_title(&format!("{scene} - {}", self.config.connect.server));
+                }
+                tracing::info!("connected to {}", self.config.connect.server);
+                self.events.tell("connected", fields! { "scene": scene });
+            }
+            LinkState::Waiting { reason, .. } => {
+                tracing::warn!("{reason}; trying again");
+                self.events.tell("lost", fields! { "reason": reason });
+            }
+            LinkState::Refused(e) => {
+                tracing::error!("{e}");
+                self.events.tell("refused", fields! { "reason": e.to_string() });
+            }
+        }
+    }
+}

@@ -1,0 +1,175 @@
+//! `connect`: arguments to a window, and whom to trust.
+
+use super::{Failure, Renderer, not_there, parse_size, token};
+use clap::Args;
+use glam::DVec3;
+use ldi_client::{
+    app::{self, AppConfig, AppError},
+    stream::{Acquaintance, ConnectConfig, ConnectError, Connection, Fingerprint, KnownHosts, KnownHostsError},
+};
+use ldi_protocol::{Pose, wire::Picture};
+use std::{
+    io::{BufRead as _, IsTerminal as _, Write as _},
+    path::PathBuf,
+};
+
+#[derive(Args)]
+pub struct ConnectArgs {
+    /// HOST or HOST:PORT of the server.
+    server: String,
+    /// Fingerprint of the server's certificate, as the server prints it: trust this one, and look nothing up.
+    #[arg(long, value_name = "HEX")]
+    fingerprint: Option<String>,
+    /// File of the servers that were trusted before [default: known_hosts in the user's configuration folder, ~/.config/ldi on Linux].
+    #[arg(long, value_name = "FILE")]
+    known_hosts: Option<PathBuf>,
+    /// Trust a server that was never seen before, without asking. One whose certificate has changed is refused all the same.
+    #[arg(long)]
+    accept_new: bool,
+    /// File with the shared secret that the server asks for [default: the environment variable LDI_TOKEN].
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    /// Size of the window in pixels.
+    #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "1280x720")]
+    size: (u32, u32),
+    /// What draws.
+    #[arg(long, value_enum, default_value = "cpu")]
+    renderer: Renderer,
+    /// Time for a picture while moving, milliseconds: pictures get smaller inside until they keep it.
+    #[arg(long, value_name = "MS", default_value_t = 20.0)]
+    frame_ms: f64,
+    /// Where to begin: position in metres, yaw and pitch in degrees [default: amid the largest storey].
+    #[arg(long, value_name = "X,Y,Z[,YAW[,PITCH]]", value_parser = parse_pose, allow_hyphen_values = true)]
+    start: Option<Pose>,
+    /// Folder of the screenshots; made if absent.
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    shots: PathBuf,
+    /// Most decoded bytes that are held [default: 1 GiB].
+    #[arg(long, value_name = "N")]
+    cache_bytes: Option<u64>,
+    /// How far around the eye data is sent ahead of need, metres.
+    #[arg(long, value_name = "M", default_value_t = 10.0)]
+    prefetch_m: f64,
+    /// Write what happens in the window, a JSON object per line: for tests.
+    #[arg(long, value_name = "FILE", hide = true)]
+    events: Option<PathBuf>,
+}
+
+impl From<AppError> for Failure {
+    fn from(e: AppError) -> Self {
+        Self { code: e.exit_code(), error: e.into() }
+    }
+}
+
+impl From<KnownHostsError> for Failure {
+    fn from(e: KnownHostsError) -> Self {
+        let code = if matches!(e, KnownHostsError::File { .. }) { 1 } else { 42 };
+        Self { code, error: e.into() }
+    }
+}
+
+/// Opens the window and returns when it is closed.
+pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
+    if args.renderer == Renderer::Gpu {
+        return Err(not_there("--renderer gpu", "use --renderer cpu"));
+    }
+    if !(args.frame_ms.is_finite() && args.frame_ms > 0.0) {
+        return Err(Failure::usage("--frame-ms is a positive number of milliseconds"));
+    }
+    if !(args.prefetch_m.is_finite() && args.prefetch_m >= 0.0) {
+        return Err(Failure::usage("--prefetch-m is a number of metres, 0 or more"));
+    }
+    let (width, height) = args.size;
+    let mut config = ConnectConfig::new(&args.server, Picture { width, height, fov_deg: None });
+    config.token = token(args.token_file.as_deref())?;
+    config.prefetch_m = args.prefetch_m;
+    if let Some(bytes) = args.cache_bytes {
+        config.cache_bytes = bytes;
+    }
+    config.fingerprint = Some(trusted(args, &config)?);
+    app::run(AppConfig {
+        connect: config,
+        size: args.size,
+        frame_ms: args.frame_ms,
+        begin: args.start,
+        shots: args.shots.clone(),
+        events: args.events.clone(),
+    })?;
+    Ok(())
+}
+
+/// The certificate to accept: the one given, or the one that the server shows if it is known or becomes so now.
+fn trusted(args: &ConnectArgs, config: &ConnectConfig) -> Result<Fingerprint, Failure> {
+    if let Some(hex) = &args.fingerprint {
+        return Ok(hex.parse()?);
+    }
+    let path = args.known_hosts.clone().or_else(KnownHosts::default_path).ok_or_else(|| {
+        Failure::usage("this user has no home folder: give --known-hosts FILE or the server's --fingerprint")
+    })?;
+    let known = KnownHosts::load(&path)?;
+    // Whoever expects no certificate gets to know the one there is, and nothing more is said.
+    let found = match Connection::connect(ConnectConfig { fingerprint: None, ..config.clone() }) {
+        Err(ConnectError::UnknownServer { fingerprint }) => fingerprint.parse::<Fingerprint>()?,
+        Err(e) => return Err(e.into()),
+        Ok(_) => return Err(ConnectError::Protocol("a connection without a certificate".into()).into()),
+    };
+    if known.check(&args.server, found)? == Acquaintance::Stranger {
+        if !args.accept_new {
+            ask(&args.server, found)?;
+        }
+        known.remember(&args.server, found)?;
+        eprintln!("ldi-client: {} is known from now on ({})", args.server, known.path().display());
+    }
+    Ok(found)
+}
+
+/// Asks on the terminal whether to trust a server.
+fn ask(server: &str, found: Fingerprint) -> Result<(), Failure> {
+    let stranger = || ConnectError::UnknownServer { fingerprint: found.to_string() };
+    if !std::io::stdin().is_terminal() {
+        // Nobody to ask.
+        let e = anyhow::Error::from(stranger()).context("--accept-new trusts a server at first sight");
+        return Err(Failure { code: 2, error: e });
+    }
+    eprint!(
+        "The server {server} is not known here. Its certificate has the fingerprint\n  {found}\n\
+         Compare it with what the server prints as fingerprint=. Trust it from now on? [yes/no] "
+    );
+    let _ = std::io::stderr().flush();
+    let mut answer = String::new();
+    let read = std::io::stdin().lock().read_line(&mut answer);
+    match (read, answer.trim().to_ascii_lowercase().as_str()) {
+        (Ok(_), "yes" | "y") => Ok(()),
+        _ => Err(stranger().into()),
+    }
+}
+
+fn parse_pose(text: &str) -> Result<Pose, String> {
+    let numbers: Vec<f64> = text
+        .split(',')
+        .map(|n| n.trim().parse::<f64>().ok().filter(|n| n.is_finite()))
+        .collect::<Option<_>>()
+        .ok_or("give numbers with commas between them, like 1.5,1.6,-2,90")?;
+    match numbers[..] {
+        [x, y, z, ref angles @ ..] if angles.len() <= 2 => Ok(Pose {
+            position: DVec3::new(x, y, z),
+            yaw_deg: angles.first().copied().unwrap_or(0.0),
+            pitch_deg: angles.get(1).copied().unwrap_or(0.0).clamp(-90.0, 90.0),
+        }),
+        _ => Err("give three to five numbers: X,Y,Z[,YAW[,PITCH]]".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn poses_are_read() {
+        let pose = parse_pose("1,1.6,-2.5,90").unwrap();
+        assert_eq!((pose.position, pose.yaw_deg, pose.pitch_deg), (DVec3::new(1.0, 1.6, -2.5), 90.0, 0.0));
+        for wrong in ["", "1,2", "1,2,x", "1,2,3,4,5,6", "1,2,inf"] {
+            assert!(parse_pose(wrong).is_err(), "{wrong}");
+        }
+    }
+}

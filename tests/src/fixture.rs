@@ -1,0 +1,71 @@
+//! A small house, poses in it, and a dataset of it: made once for all tests of a build.
+
+use crate::run;
+use std::{
+    path::{Path, PathBuf},
+    sync::OnceLock,
+    time::{Duration, Instant},
+};
+
+/// Geometry budget of the dataset: about a third of the house.
+pub const BUDGET: &str = "8500";
+/// Picture that it is made for.
+pub const SIZE: &str = "320x180";
+
+/// The files.
+pub struct Fixture {
+    /// The house, as glTF.
+    pub scene: PathBuf,
+    /// Five poses: middle of a room, a doorway, looks up and down.
+    pub poses: PathBuf,
+    /// The dataset.
+    pub dataset: PathBuf,
+}
+
+impl Fixture {
+    /// The fixture below `tmp`, the folder that cargo gives to tests.
+    ///
+    /// # Panics
+    /// If it cannot be made.
+    pub fn get(tmp: &Path) -> &'static Self {
+        static FIXTURE: OnceLock<Fixture> = OnceLock::new();
+        FIXTURE.get_or_init(|| Self::find_or_make(tmp))
+    }
+
+    fn find_or_make(tmp: &Path) -> Self {
+        // Each test may run in a process of its own: the first one makes the fixture, for this very build of the server, the others wait.
+        let exe = run::bin_dir().expect("known").join("ldi-server");
+        let made = std::fs::metadata(exe).and_then(|m| m.modified()).expect("built");
+        let age = made.duration_since(std::time::UNIX_EPOCH).expect("after 1970").as_millis();
+        let dir = tmp.join(format!("fixture-{age}-{BUDGET}"));
+        let f = Self { scene: dir.join("house.glb"), poses: dir.join("poses.json"), dataset: dir.join("dataset") };
+        let ready = dir.join("ready");
+        std::fs::create_dir_all(tmp).expect("writable");
+        if std::fs::create_dir(&dir).is_ok() {
+            f.make();
+            std::fs::write(&ready, b"").expect("writable");
+        }
+        let until = Instant::now() + Duration::from_secs(600);
+        while !ready.exists() {
+            assert!(Instant::now() < until, "{} was never finished: remove it and run again", dir.display());
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        f
+    }
+
+    fn make(&self) {
+        let mut c = run::command("ldi-server").expect("built");
+        c.args(["scene", "house", "--triangles", "25000", "--seed", "1", "-o"]).arg(&self.scene);
+        run::run(c).expect("writes a scene");
+        let mut c = run::command("ldi-server").expect("built");
+        c.arg("build").arg(&self.scene).arg("-o").arg(&self.dataset).args(["--budget", BUDGET, "--size", SIZE]);
+        run::run(c).expect("builds");
+        // Middle of a room, a doorway, and a look up and down.
+        let pose = |p: [f64; 3], yaw: f64, pitch: f64| serde_json::json!({ "t": 0.0, "position": p, "yaw": yaw, "pitch": pitch });
+        let file = serde_json::json!({ "poses": [
+            pose([-10.0, 1.6, -6.75], -90.0, 0.0), pose([-7.5, 1.6, -6.75], -90.0, 0.0), pose([-5.0, 1.6, -6.75], -120.0, 30.0),
+            pose([0.0, 1.5, 2.2], 180.0, -30.0), pose([0.3, 1.7, -2.2], 45.0, 10.0)
+        ] });
+        std::fs::write(&self.poses, file.to_string()).expect("writable");
+    }
+}

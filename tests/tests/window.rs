@@ -1,0 +1,273 @@
+//! The window, driven by a real keyboard and mouse on a display without a screen; and whom it trusts.
+
+#[path = "window/display.rs"]
+mod display;
+
+use display::Display;
+use glam::DVec3;
+use ldi_protocol::volume::WalkVolume;
+use ldi_server::store::Dataset;
+use ldi_tests::{
+    fixture::Fixture,
+    run::{self, Server},
+};
+use serde_json::Value;
+use std::{
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    time::{Duration, Instant},
+};
+
+/// Nothing here is timed; this only ends a test that hangs.
+const PATIENCE: Duration = Duration::from_secs(120);
+/// In a room, looking at its open door three metres ahead.
+const BEGIN: &str = "--start=-10,1.6,-6.75,-90";
+/// Size of the window.
+const SIZE: (u32, u32) = (640, 360);
+
+fn fixture() -> &'static Fixture {
+    Fixture::get(Path::new(env!("CARGO_TARGET_TMPDIR")))
+}
+
+fn folder(name: &str) -> PathBuf {
+    let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}-{}", std::process::id()));
+    let _ = std::fs::remove_dir_all(&dir);
+    std::fs::create_dir_all(&dir).expect("the target folder is writable");
+    dir
+}
+
+/// An open window, and what it says happens.
+struct Walk {
+    client: Child,
+    events: PathBuf,
+    log: PathBuf,
+}
+
+impl Walk {
+    fn open(display: &Display, server: &str, dir: &Path, more: &[&str]) -> Self {
+        let (events, log) = (dir.join("events.jsonl"), dir.join("log"));
+        let mut c = run::command("ldi-client").expect("built");
+        c.args(["connect", server, "--size", &format!("{}x{}", SIZE.0, SIZE.1), "--events"]).arg(&events);
+        c.arg("--shots").arg(dir.join("shots")).args(more);
+        display.show(&mut c, dir);
+        let errors = std::fs::File::create(&log).expect("writable");
+        let client = c.stdout(Stdio::null()).stderr(errors).spawn().expect("starts");
+        Self { client, events, log }
+    }
+
+    fn all(&self) -> Vec<Value> {
+        let text = std::fs::read_to_string(&self.events).unwrap_or_default();
+        // The last line may be half written.
+        text.lines().filter_map(|l| serde_json::from_str(l).ok()).collect()
+    }
+
+    /// The newest event of this name.
+    fn last(&self, event: &str) -> Option<Value> {
+        self.all().into_iter().rfind(|e| e["event"] == event)
+    }
+
+    fn wait<T>(&mut self, what: &str, mut found: impl FnMut(&Self) -> Option<T>) -> T {
+        let until = Instant::now() + PATIENCE;
+        loop {
+            if let Some(found) = found(self) {
+                return found;
+            }
+            let ended = self.client.try_wait().expect("known");
+            let log = || std::fs::read_to_string(&self.log).unwrap_or_default();
+            assert!(ended.is_none(), "the window closed ({ended:?}) before {what}: {}", log());
+            assert!(Instant::now() < until, "{what} did not happen: {:?}\n{}", self.all(), log());
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
+    fn wait_for(&mut self, event: &str) -> Value {
+        self.wait(event, |w| w.last(event))
+    }
+
+    fn count(&self, event: &str) -> usize {
+        self.all().iter().filter(|e| e["event"] == event).count()
+    }
+
+    fn position(&self) -> DVec3 {
+        position(&self.last("pose").expect("a pose"))
+    }
+
+    fn yaw(&self) -> f64 {
+        self.last("pose").expect("a pose")["yaw"].as_f64().expect("a number")
+    }
+}
+
+impl Drop for Walk {
+    fn drop(&mut self) {
+        let _ = self.client.kill();
+        let _ = self.client.wait();
+    }
+}
+
+fn position(event: &Value) -> DVec3 {
+    serde_json::from_value(event["position"].clone()).expect("three numbers")
+}
+
+/// The display, or None with the reason said.
+fn display() -> Option<Display> {
+    match Display::start(SIZE.0, SIZE.1) {
+        Ok(display) => Some(display),
+        Err(reason) => {
+            println!("SKIPPED: {reason}");
+            None
+        }
+    }
+}
+
+/// A place of the volume far from `from`, in the middle of a column.
+fn far_place(volume: &WalkVolume, from: DVec3) -> DVec3 {
+    let centres = volume.boxes().map(|b| b.centre());
+    centres.max_by(|a, b| a.distance(from).total_cmp(&b.distance(from))).expect("a volume")
+}
+
+#[test]
+fn a_visit_with_keyboard_and_mouse() {
+    let Some(display) = display() else { return };
+    let f = fixture();
+    let dir = folder("visit");
+    let served = Server::start(&f.dataset).expect("serves");
+    let mut walk = Walk::open(&display, &served.quic, &dir, &["--accept-new", BEGIN]);
+    walk.wait_for("first_complete_picture");
+    let window = display.hand(&["search", "--name", "house"]);
+    let window = window.lines().last().expect("a window");
+    display.hand(&["windowfocus", window]);
+    // The pointer is captured by a click and turns the head: to the right with the mouse.
+    display.hand(&["mousemove", "320", "180", "click", "1"]);
+    walk.wait_for("captured");
+    let (begin, yaw) = (walk.wait_for("pose"), walk.yaw());
+    display.hand(&["mousemove_relative", "60", "0"]);
+    walk.wait("a turn", |w| (w.yaw() != yaw).then_some(()));
+    let turned = (walk.yaw() - yaw + 540.0).rem_euclid(360.0) - 180.0;
+    assert!((-60.0..0.0).contains(&turned), "{turned}");
+    display.hand(&["mousemove_relative", "--", "-60", "0"]);
+    // Walking, until the eye has gone half a metre.
+    display.hand(&["keydown", "w"]);
+    walk.wait("walking", |w| (w.position().distance(position(&begin)) > 0.5).then_some(()));
+    display.hand(&["keyup", "w"]);
+    display.hand(&["key", "Escape"]);
+    walk.wait_for("released");
+    // A screenshot: as large as the window, neither sky alone nor one colour, with its pose beside it.
+    display.hand(&["key", "F12"]);
+    let path = PathBuf::from(walk.wait_for("screenshot")["path"].as_str().expect("a path"));
+    let picture = image::open(&path).expect("a picture").into_rgb8();
+    assert_eq!(picture.dimensions(), SIZE);
+    let colours: std::collections::BTreeSet<_> = picture.pixels().map(|p| p.0).collect();
+    let sky = picture.pixels().filter(|p| p.0 == [198, 214, 235]).count();
+    assert!(colours.len() > 20, "{} colours", colours.len());
+    assert!(sky * 10 < picture.pixels().count() * 9, "{sky} pixels of sky");
+    let beside = std::fs::read_to_string(path.with_extension("path.json")).expect("a pose beside it");
+    let pose = ldi_protocol::path::parse(&beside).expect("a path file").poses[0].pose;
+    assert!(pose.position.distance(walk.position()) < 0.7, "{pose:?}");
+    // The map; a click on it goes there.
+    let index = Dataset::open(&f.dataset).expect("opens").index().clone();
+    let volume = index.volume.as_ref().expect("a volume");
+    display.hand(&["key", "m"]);
+    let map = walk.wait_for("map");
+    let number = |v: &Value| v.as_f64().expect("a number");
+    let target = far_place(volume, walk.position());
+    let scale = number(&map["px_per_m"]);
+    let px = |v: f64, axis: usize| number(&map["area_px"][axis]) + (v - number(&map["corner"][axis])) * scale;
+    let (x, y) = (px(target.x, 0).round().to_string(), px(target.z, 1).round().to_string());
+    display.hand(&["mousemove", &x, &y]);
+    // A hand rests before it presses: the pointer's place is known by then.
+    std::thread::sleep(Duration::from_millis(300));
+    display.hand(&["click", "1"]);
+    let told = position(&walk.wait_for("teleport"));
+    walk.wait("the new place", |w| (w.position().distance(told) < 0.7).then_some(()));
+    // Within a pixel or two of the map.
+    let off = DVec3::new(told.x - target.x, 0.0, told.z - target.z).length();
+    assert!(off < 3.0 / scale + 0.01, "{told} instead of {target}");
+    // Nobody has left the volume.
+    for pose in walk.all().iter().filter(|e| e["event"] == "pose") {
+        assert!(volume.contains(position(pose)), "{pose}");
+    }
+    display.hand(&["key", "F1"]);
+    walk.wait_for("figures");
+    display.hand(&["key", "ctrl+q"]);
+    let status = walk.client.wait().expect("ends");
+    assert!(status.success(), "{status}: {}", std::fs::read_to_string(&walk.log).unwrap_or_default());
+    assert!(walk.last("closed").is_some() && walk.count("lost") == 0, "{:?}", walk.all());
+    // Trusted from then on.
+    let known = std::fs::read_to_string(dir.join(".config/ldi/known_hosts")).expect("remembered");
+    assert_eq!(known.trim(), format!("{} {}", served.quic, served.fingerprint));
+}
+
+#[test]
+fn a_lost_server_is_found_again() {
+    let Some(display) = display() else { return };
+    let f = fixture();
+    let dir = folder("lost");
+    let served = Server::start(&f.dataset).expect("serves");
+    let mut walk = Walk::open(&display, &served.quic, &dir, &["--fingerprint", &served.fingerprint]);
+    walk.wait_for("first_complete_picture");
+    let address = served.quic.clone();
+    drop(served);
+    walk.wait_for("lost");
+    let again = Server::start_at(&f.dataset, &address).expect("serves at the same address");
+    walk.wait("a second connection", |w| (w.count("connected") == 2).then_some(()));
+    assert_eq!(again.quic, address);
+}
+
+/// `connect` without a display: no window ever opens.
+fn blind(dir: &Path, arguments: &[&str]) -> (Option<i32>, String) {
+    let mut c: Command = run::command("ldi-client").expect("built");
+    c.arg("connect").args(arguments).env_remove("DISPLAY").env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
+    c.env("HOME", dir).env_remove("XDG_CONFIG_HOME").env_remove("LDI_TOKEN").stdin(Stdio::null());
+    let out = c.output().expect("runs");
+    (out.status.code(), String::from_utf8_lossy(&out.stderr).into_owned())
+}
+
+#[test]
+fn strangers_are_asked_about_and_changed_ones_refused() {
+    let f = fixture();
+    let dir = folder("trust");
+    let served = Server::start(&f.dataset).expect("serves");
+    let file = dir.join("known");
+    let file = file.to_str().expect("UTF-8");
+    let (code, said) = blind(&dir, &[&served.quic, "--known-hosts", file]);
+    assert_eq!(code, Some(2), "{said}");
+    assert!(said.contains(&served.fingerprint) && said.contains("--accept-new"), "{said}");
+    assert!(!Path::new(file).exists());
+    let old = "ab".repeat(32);
+    std::fs::write(file, format!("# the hall\n{} {old}\n", served.quic)).expect("writable");
+    let (code, said) = blind(&dir, &[&served.quic, "--known-hosts", file, "--accept-new"]);
+    assert_eq!(code, Some(42), "{said}");
+    for part in [file, "line 2", &old, &served.fingerprint] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    // A fingerprint that was given stands above the file. Then there is only no display.
+    let (code, said) = blind(&dir, &[&served.quic, "--known-hosts", file, "--fingerprint", &served.fingerprint]);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("display") && said.contains("ldi-client walk") && !said.contains(".rs"), "{said}");
+    let (code, said) = blind(&dir, &[&served.quic, "--renderer", "gpu"]);
+    assert_eq!(code, Some(2), "{said}");
+    assert!(said.contains("not there yet"), "{said}");
+}
+
+#[test]
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+fn walking_without_a_window_loads_nothing_of_a_display() {
+    let f = fixture();
+    let dir = folder("headless");
+    let served = Server::start(&f.dataset).expect("serves");
+    let mut c = run::command("ldi-client").expect("built");
+    c.args(["walk", &served.quic, "--fingerprint", &served.fingerprint, "--size", "160x90", "--path"]).arg(&f.poses);
+    c.arg("-o").arg(dir.join("frames")).arg("--report").arg(dir.join("walk.json"));
+    // The loader says which libraries it opens, later ones too.
+    c.env("LD_DEBUG", "files").env("LD_DEBUG_OUTPUT", dir.join("loader"));
+    run::run(c).expect("walks");
+    let files = std::fs::read_dir(&dir).expect("readable").map(|e| e.expect("readable").path());
+    let said: String = files
+        .filter(|p| p.file_name().is_some_and(|n| n.to_string_lossy().starts_with("loader.")))
+        .map(|p| std::fs::read_to_string(p).expect("readable"))
+        .collect();
+    assert!(said.contains("libc.so"), "the loader says what it loads");
+    for library in ["libX11", "libxcb", "libwayland", "libvulkan", "libGL", "libEGL", "libxkbcommon"] {
+        assert!(!said.contains(library), "{library} was loaded");
+    }
+}
