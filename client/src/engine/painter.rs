@@ -120,6 +120,32 @@ pub fn view_of(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method
     View { selection, cells, images, dropped, triangles_in_frustum, by_tree, tree }
 }
 
+/// The cells to draw, and the texture chunks for want of which the others are not: as long as the LDI tree shows a cell in its colours, bare geometry would be a
+/// step back.
+fn drawable(index: &Index, resident: &dyn Resident, cells: &[u32]) -> (Vec<u32>, Vec<u32>) {
+    if index.tree.is_none() {
+        return (cells.to_vec(), Vec::new());
+    }
+    let absent: Vec<Option<u32>> = (0u32..)
+        .zip(&index.textures)
+        .map(|(t, entry)| entry.chunks.first().filter(|_| resident.texture(t).is_none()).map(|c| c.chunk))
+        .collect();
+    let wants = |cell: &u32| -> Vec<u32> {
+        let materials = index.cells.get(*cell as usize).map_or(&[][..], |c| &c.materials);
+        let textures = materials.iter().filter_map(|m| index.materials.get(*m as usize)?.texture);
+        textures.filter_map(|t| *absent.get(t as usize)?).collect()
+    };
+    let (mut drawn, mut bare) = (Vec::new(), Vec::new());
+    for cell in cells {
+        let wanted = wants(cell);
+        if wanted.is_empty() {
+            drawn.push(*cell);
+        }
+        bare.extend(wanted);
+    }
+    (drawn, bare)
+}
+
 /// The nearest cells that the budget allows, and no images.
 fn tree_list(index: &Index, pose: &Pose, half_tan: (f64, f64)) -> DrawList {
     let list = draw_list(index, pose, half_tan);
@@ -181,11 +207,13 @@ impl Painter {
             std::mem::swap(&mut self.last, &mut self.full.colour);
         }
         let start = Instant::now();
-        let near = self.rasterizer.draw(index, resident, &view.cells, &full_camera, pose, &mut self.full);
+        let (cells, bare) = drawable(index, resident, &view.cells);
+        let near = self.rasterizer.draw(index, resident, &cells, &full_camera, pose, &mut self.full);
         painted.ms.near = ms_since(start);
         painted.triangles = near.triangles;
-        let near_gaps = !near.missing_chunks.is_empty();
+        let near_gaps = !near.missing_chunks.is_empty() || !bare.is_empty();
         painted.missing_chunks = near.missing_chunks;
+        painted.missing_chunks.extend(bare);
         let absent_levels = |textures: &[u32], first: usize| {
             let chunks = textures
                 .iter()
