@@ -140,10 +140,37 @@ pub(super) fn basins(ground: &Ground, s: &Storey) -> Basins {
 
 /// Rays that tell whether a basin lies within a solid.
 const SOLID_RAYS: u32 = 64;
-/// Share of back faces among what they hit, from which on it does.
+/// Share of these that leave a solid, from which on it does.
 const SOLID_SHARE: f64 = 0.95;
+/// Most surfaces that are counted along such a ray.
+const MOST_SURFACES: usize = 64;
+/// Surfaces closer to each other than this touch, metres: the top of a block and the ceiling that it reaches.
+const CONTACT_M: f64 = 2.0e-3;
 
-/// Forgets the basins that lie within solids (a block, a wide pillar): no opening, and only back faces all around.
+/// Whether a ray starts within a solid: it meets a back face first, or it leaves more solids than it enters (walls that a block reaches
+/// into show their front faces within it). Where two solids touch, either surface may be met, so that says yes.
+fn leaves_solid(caster: &Caster, ground: &Ground, mut ray: Ray) -> bool {
+    let mut inside = 0;
+    for n in 0..MOST_SURFACES {
+        let Some(hit) = caster.trace(&ray, &CellSet::all()) else { break };
+        let back = caster.surface(&hit, &ray).geometric_normal.dot(ray.direction) > 0.0;
+        if n == 0 && (back || is_contact(ground, ray.at(hit.t))) {
+            return true;
+        }
+        inside += if back { 1 } else { -1 };
+        ray.t_min = hit.t + 1.0e-4;
+    }
+    inside > 0
+}
+
+/// Whether two level surfaces touch at a point.
+fn is_contact(ground: &Ground, p: DVec3) -> bool {
+    let Some(place) = ground.place(DVec2::new(p.x, p.z)) else { return false };
+    let touching = ground.surfaces(place).iter().filter(|y| (f64::from(**y) - p.y).abs() <= CONTACT_M);
+    touching.count() > 1
+}
+
+/// Forgets the basins that lie within solids (a block, a wide pillar): no opening, and rays all around leave a solid.
 pub(super) fn drop_solids(
     caster: &Caster,
     ground: &Ground,
@@ -165,15 +192,14 @@ pub(super) fn drop_solids(
         let p = widest[n].1;
         let m = ground.middle(p);
         let eye = DVec3::new(m.x, f64::from(s.floor_m[p]) + SIGHT_M[1], m.y);
-        let back = (0..SOLID_RAYS).filter(|k| {
+        let leaving = (0..SOLID_RAYS).filter(|k| {
             // Fibonacci's sphere, without what is far below: solids stand on floors.
             let y = 1.0 - 1.2 * (f64::from(*k) + 0.5) / f64::from(SOLID_RAYS);
             let around = DVec2::from_angle(2.399_963 * f64::from(*k)) * (1.0 - y * y).sqrt();
             let ray = Ray::new(eye, DVec3::new(around.x, y, around.y));
-            let hit = caster.trace(&ray, &CellSet::all());
-            hit.is_some_and(|h| caster.surface(&h, &ray).geometric_normal.dot(ray.direction) > 0.0)
+            leaves_solid(caster, ground, ray)
         });
-        back.count() as f64 >= SOLID_SHARE * f64::from(SOLID_RAYS)
+        leaving.count() as f64 >= SOLID_SHARE * f64::from(SOLID_RAYS)
     };
     let solid: Vec<bool> = (0..b.outside.len()).map(is_solid).collect();
     b.of.iter_mut().filter(|n| **n != NONE && solid[**n as usize]).for_each(|n| *n = NONE);

@@ -135,21 +135,26 @@ fn along(
             })
         })
     };
+    // What lies within the margin of a border belongs to both sides, eyes and surfaces alike: `Rooms::cells_near`, by samples.
+    let margin_m = MARGIN_PLACES * ground.raster.pitch_m;
+    let is_near = |p: DVec3, label: u32| {
+        (0..27).any(|k| {
+            let by = DVec3::new(f64::from(k % 3), f64::from(k / 3 % 3), f64::from(k / 9)) - 1.0;
+            let by = if label == OUTSIDE { by } else { by.normalize_or_zero() };
+            volumes.at(ground, p + by * margin_m) == label
+        })
+    };
     let mut from = 0;
     while from + 1 < stretches.len() {
         let (a, _) = stretches[from];
         let (b, t) = stretches[from + 1];
         let end = stretches.get(from + 2).map_or(reach, |s| s.1);
-        if leads(a, b, t) {
+        if leads(a, b, t) || (from == 0 && is_near(ray.origin, b)) {
             from += 1;
             continue;
         }
         if from + 2 == stretches.len() {
-            // What lies within the margin of a border belongs to both sides.
-            let hit = ray.at(reach);
-            let m = MARGIN_PLACES * ground.raster.pitch_m;
-            let near = ldi_protocol::Aabb { min: hit - m, max: hit + m };
-            if end - t <= LAST_M || near.corners().iter().any(|p| volumes.at(ground, *p) == a) {
+            if end - t <= LAST_M || is_near(ray.at(reach), a) {
                 return None;
             }
         } else if end - t <= SHORT_M {

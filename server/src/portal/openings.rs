@@ -23,6 +23,10 @@ use std::collections::BTreeMap;
 const REACH_M: f64 = 3.0;
 /// Pitch of the samples in the portal's plane, metres. Larger: gaps between blinds are missed; smaller: time.
 const SAMPLE_M: f64 = 0.05;
+/// Step in which the middle of the wall is looked for, metres: below the thickness of a sheet, or its plane is missed.
+const SHEET_M: f64 = 0.01;
+/// How far before and behind a neck's middle the wall is looked for, in places of the raster.
+const AROUND_PLACES: f64 = 4.8;
 /// How far a sample must see out of the plane to belong to the opening, metres: beyond half of a common wall.
 const OUT_M: f64 = 0.25;
 /// Highest portal, metres.
@@ -141,20 +145,28 @@ fn opening(caster: &Caster, ground: &Ground, storey: usize, neck: &Neck) -> Opti
         candidates.map(|a| (width(at, a), a)).min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f64::INFINITY, 0.0))
     };
     let (narrowest, mut degrees) = least(centre, &mut (0..45).map(|k| 4.0 * f64::from(k)));
-    // Most walls follow the axes; leaves and frames make slanted ways look a little narrower.
-    let (straight, axis) = least(centre, &mut [0.0, 90.0].into_iter());
+    // The wall may lie some places before or behind the neck's middle.
+    let places = |degrees: f64| -> Vec<(f64, DVec2)> {
+        let across = direction(degrees).perp();
+        let most = (AROUND_PLACES * ground.raster.pitch_m / SHEET_M).ceil() as i32;
+        (-most..=most)
+            .map(|k| centre + across * (SHEET_M * f64::from(k)))
+            .filter(|p| is_free(caster, at3(centre, neck.floor_m + SIGHT_M[2]), at3(*p, neck.floor_m + SIGHT_M[2])))
+            .map(|p| (width(p, degrees), p))
+            .collect()
+    };
+    // Most walls follow the axes; leaves and frames make slanted ways look a little narrower, and so does the cavity of a double wall.
+    let (straight, axis) = [0.0, 90.0]
+        .map(|axis| (places(axis).iter().map(|p| p.0).fold(f64::INFINITY, f64::min), axis))
+        .into_iter()
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .unwrap_or((f64::INFINITY, 0.0));
     if straight <= AXIS_FAVOUR * narrowest {
         degrees = axis;
     }
-    // The wall may lie some places before or behind the neck's middle.
     let mut at = centre;
     for fine in [0.25, 0.05] {
-        let across = direction(degrees).perp();
-        let places: Vec<(f64, DVec2)> = (-12..=12)
-            .map(|k| centre + across * (0.4 * f64::from(k) * ground.raster.pitch_m))
-            .filter(|p| is_free(caster, at3(centre, neck.floor_m + SIGHT_M[2]), at3(*p, neck.floor_m + SIGHT_M[2])))
-            .map(|p| (width(p, degrees), p))
-            .collect();
+        let places = places(degrees);
         let narrowest = places.iter().map(|p| p.0).fold(f64::INFINITY, f64::min);
         let narrow: Vec<DVec2> = places.iter().filter(|p| p.0 < narrowest + 0.02).map(|p| p.1).collect();
         at = narrow.get(narrow.len() / 2).copied().unwrap_or(centre);

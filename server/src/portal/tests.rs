@@ -163,8 +163,8 @@ fn rooms_without_a_ceiling_are_open_to_the_sky() {
 }
 
 #[test]
-fn double_walls_have_one_portal_and_their_cavity_is_no_room() {
-    // Two sheets 0.3 m apart without jambs: the cavity is open toward the doorway.
+fn double_walls_have_one_door_and_their_cavity_is_no_room() {
+    // Two sheets 0.3 m apart without jambs: the cavity is open toward the doorway. Its mouths may become gaps.
     let mut b = pair(true);
     for x in [4.85, 5.15] {
         b = b
@@ -177,7 +177,7 @@ fn double_walls_have_one_portal_and_their_cavity_is_no_room() {
     assert_eq!(r.cells().len(), 2, "{:?}", found.statistics);
     let doors = of_kind(r, PortalKind::Door);
     assert_eq!(doors.len(), 1, "{:?}", r.portals());
-    assert!(doors[0].area_m2() < 4.5, "{:?}", doors[0]);
+    assert!((doors[0].area_m2() - 2.1).abs() < 0.1, "{:?}", doors[0]);
     assert_nothing_missed(&caster, r);
 }
 
@@ -205,6 +205,8 @@ fn stairs_join_storeys_through_a_hatch() {
         .add([0.0, HIGH, 1.1], [8.0, 3.0, 5.0])
         .add([0.0, HIGH, 0.0], [2.0, 3.0, 1.1])
         .add([6.5, HIGH, 0.0], [8.0, 3.0, 1.1])
+        // The outer wall between the storeys' walls, where no floor closes it.
+        .add([2.0, HIGH, -0.1], [6.5, 3.0, 0.1])
         .floor([0.0, 8.0], [0.0, 5.0], 3.0 + HIGH + 0.2, false)
         .shell([0.0, 8.0], [0.0, 5.0], 3.0);
     for k in 0..15 {
@@ -308,7 +310,7 @@ fn the_house_is_found_as_it_is_annotated() {
     println!("{c:?}\n{:?}", found.statistics);
     assert_eq!((c.cells_found.len(), c.cells_missed.len(), c.cells_invented.len()), (19, 0, 0), "{c:?}");
     assert_eq!((c.portals_found.len(), c.portals_missed.len()), (52, 0), "{c:?}");
-    assert!(c.portals_invented.len() <= 5, "{c:?}");
+    assert!(c.portals_invented.is_empty(), "{c:?}");
     // A comparison can fail: of other rooms nothing matches.
     let none = compare(&annotated, &Rooms::default());
     assert_eq!((none.cells_found.len(), none.portals_missed.len()), (0, 52));
