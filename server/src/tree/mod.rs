@@ -3,7 +3,7 @@
 //! In: a caster and the walk volume. Out: a [`Tree`] with its chunks.
 //!
 //! 1. [`places`]: reference positions, chosen so that together they see as much as all of many candidates do.
-//! 2. [`reference`]: six square images of 90 degrees at each; of every pixel the point, the normal, the colour and the stamp.
+//! 2. [`mod@reference`]: six square images of 90 degrees at each; of every pixel the point, the normal, the colour and the stamp.
 //! 3. [`grow`]: each pixel goes to the level whose pitch matches its stamp (section 3.1), bilinearly; filtered copies go up, level by level.
 //! 4. [`shape`]: what was grown, as nodes and chunks.
 //!
