@@ -67,7 +67,7 @@ pub fn fill(frame: &mut Frame) -> u64 {
 }
 
 /// What a hole shows: colour and disparity.
-pub(super) fn find(frame: &Frame, row: usize, column: usize) -> Option<(u32, f32)> {
+fn find(frame: &Frame, row: usize, column: usize) -> Option<(u32, f32)> {
     let (width, height) = (frame.width as usize, frame.height as usize);
     let at = row * width + column;
     let mut best: Option<(f32, usize, usize)> = None;

@@ -5,14 +5,13 @@
 //! A pixel that is unpainted takes any. As long as data is missing a painted pixel may show what a missing surface hides, so that the tree's sample wins where it is clearly
 //! nearer; and sky that was taken for granted is not.
 
-use super::{Directions, fill};
+use super::Directions;
 use crate::{
     frame::{Frame, Source},
     tree::Wanted,
     warp::FarFrame,
 };
 use ldi_protocol::{OutputCamera, Pose, sky::SkyMap};
-use rayon::prelude::*;
 
 /// Whether painted pixels are to be believed.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,25 +52,9 @@ pub fn wanted_under(frame: &Frame, doubt: Doubt) -> Wanted {
 }
 
 /// Lays the tree's picture under the frame; what is left unpainted where `under` knows of sky becomes sky. Returns the number of pixels that the tree gave.
-///
-/// The tree says that there is a surface and how far away. Where the surface beside a hole is as far, within `agree_m` metres, it is the same one, and its colour is the better
-/// guess: the tree's samples are larger than most holes.
-pub fn lay_under(frame: &mut Frame, tree: &FarFrame, doubt: Doubt, under: &Under<'_>, agree_m: f32) -> u64 {
+pub fn lay_under(frame: &mut Frame, tree: &FarFrame, doubt: Doubt, under: &Under<'_>) -> u64 {
     let mut given = 0;
     let width = frame.width as usize;
-    let same_surface = |at: usize| {
-        let (_, sample) = tree.get(at)?;
-        let (colour, disparity) = fill::find(frame, at / width, at % width)?;
-        let apart = (1.0 / disparity - 1.0 / sample).abs();
-        (disparity > 0.0 && apart <= agree_m).then_some((at, colour, disparity))
-    };
-    let holes =
-        (0..frame.len()).into_par_iter().filter(|at| doubt == Doubt::None && frame.source[*at] == Source::Unpainted);
-    let beside: Vec<(usize, u32, f32)> = holes.filter_map(same_surface).collect();
-    for (at, colour, disparity) in beside {
-        (frame.colour[at], frame.disparity[at], frame.source[at]) = (colour, disparity, Source::Tree);
-        given += 1;
-    }
     for at in 0..frame.len() {
         let source = frame.source[at];
         let takes = |sample: f32| match (source, doubt) {
@@ -117,15 +100,15 @@ mod tests {
         tree.clear();
         tree.packed.fill(FarFrame::pack(1.0 / depth_m, SAMPLE));
         let pose = Pose { position: DVec3::ZERO, yaw_deg: 0.0, pitch_deg: 0.0 };
-        lay_under(&mut frame, &tree, doubt, &Under::new(&pose, &CAMERA, None), 0.3);
+        lay_under(&mut frame, &tree, doubt, &Under::new(&pose, &CAMERA, None));
         frame
     }
 
     #[test]
-    fn holes_take_the_colour_beside_them_where_the_tree_has_the_same_surface() {
-        for (depth_m, colour) in [(2.2, BESIDE), (1.8, BESIDE), (2.4, SAMPLE), (1.5, SAMPLE), (50.0, SAMPLE)] {
+    fn where_nothing_is_missing_only_holes_take_samples() {
+        for depth_m in [0.5, 2.0, 50.0] {
             let frame = laid(depth_m, Doubt::None);
-            assert_eq!((frame.colour[10], frame.source[10]), (colour, Source::Tree), "at {depth_m} m");
+            assert_eq!((frame.colour[10], frame.source[10]), (SAMPLE, Source::Tree), "at {depth_m} m");
             assert_eq!((frame.colour[11], frame.source[11]), (BESIDE, Source::Near), "what is painted stays");
         }
     }

@@ -339,8 +339,7 @@ impl Painter {
         };
         let out = &mut self.under;
         let mut stats = self.tree.draw(tree, resident, pose, camera, &tree_options, &mut wanted, &no_gap, out);
-        let agree_m = 2.0 * tree.pitch_of(tree.pinned_levels.saturating_sub(1)) as f32;
-        lay_under(&mut self.full, &self.under, doubt, &under, agree_m);
+        lay_under(&mut self.full, &self.under, doubt, &under);
         stats.ms = ms_since(start);
         if stats.samples > 10_000 {
             let rate = stats.samples as f64 / stats.ms.max(0.1);
