@@ -197,6 +197,10 @@ impl Tree {
         if !self.origin.is_finite() || !(self.edge_m > 0.0 && self.edge_m.is_finite()) {
             return Err("its cube is not finite or empty".into());
         }
+        // Pitches are computed from it: a shift by as many bits.
+        if self.pinned_levels > MAX_LEVEL + 1 {
+            return Err(format!("{} levels are pinned, there are at most {}", self.pinned_levels, MAX_LEVEL + 1));
+        }
         if self.skies.iter().any(|s| !s.position.is_finite()) {
             return Err("a reference position is not finite".into());
         }

@@ -290,8 +290,8 @@ impl Painter {
             if let Some(t) = &painted.tree {
                 (stats.tree, stats.unpainted) = (t.painted + t.gaps_filled, self.full.count(Source::Unpainted) as u64);
                 known = true;
+                painted.ms.warp += t.ms;
             }
-            painted.ms.warp += ms_since(start);
         }
         let composite_options = CompositeOptions { fill: options.fill, last: &self.last, smooth: options.smooth };
         finish(&mut self.full, known, &mut stats, &composite_options);

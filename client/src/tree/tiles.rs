@@ -4,7 +4,7 @@ use super::paint::Wanted;
 use glam::{DVec3, Vec3};
 use ldi_protocol::{
     Aabb, OutputCamera, Pose,
-    tree::{DEPTH_STEPS, SIDE, Tree, TreeNode, TreeSample, across},
+    tree::{DEPTH_STEPS, Tree, TreeNode, TreeSample, across},
 };
 
 /// Nothing is drawn nearer than this, metres.
@@ -223,5 +223,3 @@ impl Tile {
         0.5 * OVERLAP
     }
 }
-
-const _: () = assert!(SIDE == 64);

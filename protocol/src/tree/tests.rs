@@ -52,7 +52,8 @@ fn a_tree_knows_its_cubes_and_its_chunks() {
 
 #[test]
 fn a_damaged_tree_is_refused() {
-    let damages: [fn(&mut Tree); 8] = [
+    let damages: [fn(&mut Tree); 9] = [
+        |t| t.pinned_levels = MAX_LEVEL + 2,
         |t| t.nodes.clear(),
         |t| t.edge_m = f64::NAN,
         |t| t.nodes[0].level = 1,

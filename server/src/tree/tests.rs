@@ -128,10 +128,7 @@ fn the_same_tree_whatever_the_number_of_threads() {
 /// A wall exactly on the border between cells of every level neither doubles nor vanishes.
 #[test]
 fn a_wall_on_a_border_of_cells_is_one_wall() {
-    let (plain_tree, _) = built(wall(-2.0), &[DVec3::new(0.3, 0.1, 0.2)], 96, 3);
-    let edge = plain_tree.tree.edge_m;
-    let middle = plain_tree.tree.origin.z + edge / 2.0;
-    // The same wall where the cells of level 1 meet, within a root that another wall spans.
+    // A wall where the cells of level 1 meet, within a root that another wall spans.
     let far = quad(Vec3::new(-2.0, 2.0, -4.0), Vec3::X * 4.0, Vec3::NEG_Y * 4.0);
     let near = quad(Vec3::new(-2.0, 2.0, 0.0), Vec3::X * 4.0, Vec3::NEG_Y * 4.0);
     let both = scene(vec![(far.clone(), plain([1.0; 4])), (near.clone(), plain([1.0; 4]))], Vec::new());
@@ -154,7 +151,6 @@ fn a_wall_on_a_border_of_cells_is_one_wall() {
     }
     let pixels = (4.0 - 2.0 * pitch).powi(2) / pitch.powi(2);
     assert!((cover / pixels - 1.0).abs() < 0.06 && f64::from(count) / pixels < 1.1, "{cover}, {count} of {pixels}");
-    assert!(middle.is_finite());
 }
 
 /// Hard cases: none panics, every number is in range (`Tree::check`, the decoder), and something is there.
