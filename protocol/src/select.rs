@@ -8,7 +8,7 @@
 use crate::{
     Aabb, Pose,
     camera::Frustum,
-    index::Index,
+    index::{BuildSettings, CellEntry, Index},
     tree::{CutOptions, Lens, cut},
 };
 use glam::DVec3;
@@ -39,9 +39,9 @@ pub struct DrawFrusta {
 
 impl DrawFrusta {
     /// Frusta of a pose under the build's settings. A picture wider or taller than planned is cut to the square.
-    pub fn new(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> Self {
+    pub fn new(settings: &BuildSettings, pose: &Pose, picture_half_tan: (f64, f64)) -> Self {
         let basis = pose.basis();
-        let t = index.settings.square_half_tan();
+        let t = settings.square_half_tan();
         Self {
             square: Frustum::new(pose.position, &basis, t, t),
             picture: Frustum::new(pose.position, &basis, picture_half_tan.0, picture_half_tan.1),
@@ -125,7 +125,7 @@ pub fn draw_list(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> Dr
     let selection = select(index, pose);
     let culled =
         selection.placement.and_then(|p| index.placements.get(p as usize)).map_or(&[][..], |p| p.culled.as_slice());
-    let frusta = DrawFrusta::new(index, pose, picture_half_tan);
+    let frusta = DrawFrusta::new(&index.settings, pose, picture_half_tan);
     let mut culled = culled.iter().copied().peekable();
     let mut seen: Vec<(f64, u32)> = Vec::new();
     let mut triangles = 0;
@@ -149,6 +149,44 @@ pub fn draw_list(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> Dr
     let images = selection.placement.map_or_else(Vec::new, |p| frusta.images_in_view(index, p, pose));
     let tree = if index.walks_by_tree() { tree_chunks(index, pose, picture_half_tan) } else { Vec::new() };
     DrawList { selection, cells: seen.into_iter().map(|s| s.1).collect(), images, triangles, dropped, tree }
+}
+
+/// The nearest cells in view that the budget allows: what is drawn as geometry where all else comes from the LDI tree.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Nearest {
+    /// Near to far.
+    pub cells: Vec<u32>,
+    /// Triangles in them; never more than the budget.
+    pub triangles: u64,
+    /// Cells in view beyond them.
+    pub dropped: u32,
+}
+
+/// The nearest cells in view, up to the first that would exceed the budget. `picture_half_tan` as of [`draw_list`].
+pub fn nearest_cells(
+    cells: &[CellEntry],
+    settings: &BuildSettings,
+    pose: &Pose,
+    picture_half_tan: (f64, f64),
+) -> Nearest {
+    let frusta = DrawFrusta::new(settings, pose, picture_half_tan);
+    let mut in_view: Vec<(f64, u32)> = (0u32..)
+        .zip(cells)
+        .filter(|(_, c)| frusta.admit(&c.bounds))
+        .map(|(n, c)| (c.bounds.distance(pose.position), n))
+        .collect();
+    in_view.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let mut nearest = Nearest { dropped: in_view.len() as u32, ..Nearest::default() };
+    for (_, cell) in in_view {
+        let triangles = nearest.triangles + u64::from(cells[cell as usize].triangles);
+        if triangles > settings.budget {
+            break;
+        }
+        nearest.triangles = triangles;
+        nearest.cells.push(cell);
+        nearest.dropped -= 1;
+    }
+    nearest
 }
 
 /// Chunks of all nodes that a view of the planned picture's pixels descends to.
@@ -316,6 +354,17 @@ mod tests {
     fn beyond_the_budget_the_farthest_cells_go() {
         let list = draw_list(&index("paper", 250), &pose(-0.5, 0.0), (0.577, 0.32));
         assert_eq!((list.cells.as_slice(), list.triangles, list.dropped), (&[0, 1][..], 200, 3));
+    }
+
+    #[test]
+    fn the_nearest_cells_end_where_the_budget_does() {
+        let of = |budget| {
+            let index = index("paper", budget);
+            nearest_cells(&index.cells, &index.settings, &pose(-0.5, 0.0), (0.577, 0.32))
+        };
+        assert_eq!(of(250), Nearest { cells: vec![0, 1], triangles: 200, dropped: 8 });
+        assert_eq!(of(1000), Nearest { cells: (0..10).collect(), triangles: 1000, dropped: 0 });
+        assert_eq!(of(99), Nearest { cells: vec![], triangles: 0, dropped: 10 });
     }
 
     #[test]

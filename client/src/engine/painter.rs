@@ -12,7 +12,7 @@ use crate::{
     near::Rasterizer,
     report::StageMs,
     resident::Resident,
-    tree::{TreeOptions, TreePainter, TreeStats},
+    tree::{StillPainter, TreeStats},
     warp::{FarFrame, PreparedLdi, WarpError, WarpOptions, WarpStats, warp_images},
 };
 use ldi_protocol::{
@@ -20,8 +20,7 @@ use ldi_protocol::{
     index::{ImageEntry, Index},
     ldi::Ldi,
     need::{Needed, needed},
-    select::{DrawFrusta, DrawList, Selection, draw_list, select},
-    tree::CutOptions,
+    select::{DrawFrusta, DrawList, Nearest, Selection, draw_list, nearest_cells, select},
 };
 use std::{sync::Arc, time::Instant};
 
@@ -71,9 +70,7 @@ pub struct Painter {
     /// One image of several, where its order counts and must not mix with the others'.
     single: FarFrame,
     full: Frame,
-    tree: TreePainter,
-    /// The tree's picture.
-    under: FarFrame,
+    tree: StillPainter,
     /// Samples of the tree per millisecond, as measured; 0 before the first.
     tree_rate: f64,
     /// Colours of the frame before, where holes are to show it.
@@ -149,21 +146,12 @@ fn drawable(index: &Index, resident: &dyn Resident, cells: &[u32]) -> (Vec<u32>,
 /// The nearest cells that the budget allows, and no images.
 fn tree_list(index: &Index, pose: &Pose, half_tan: (f64, f64)) -> DrawList {
     let list = draw_list(index, pose, half_tan);
-    let in_view = near_to_far(index, pose, cells_in_frustum(index, pose, half_tan));
-    let triangles = |c: &u32| u64::from(index.cells[*c as usize].triangles);
-    let mut total = 0;
-    let within = |c: &u32| {
-        total += triangles(c);
-        total <= index.settings.budget
-    };
-    let n = in_view.len();
-    let cells: Vec<u32> = in_view.into_iter().take_while(within).collect();
-    let dropped = (n - cells.len()) as u32;
-    DrawList { triangles: cells.iter().map(triangles).sum(), cells, images: Vec::new(), dropped, ..list }
+    let Nearest { cells, triangles, dropped } = nearest_cells(&index.cells, &index.settings, pose, half_tan);
+    DrawList { triangles, cells, images: Vec::new(), dropped, ..list }
 }
 
 fn cells_in_frustum(index: &Index, pose: &Pose, half_tan: (f64, f64)) -> Vec<u32> {
-    let frusta = DrawFrusta::new(index, pose, half_tan);
+    let frusta = DrawFrusta::new(&index.settings, pose, half_tan);
     (0u32..).zip(&index.cells).filter(|(_, c)| frusta.admit(&c.bounds)).map(|(i, _)| i).collect()
 }
 
@@ -288,7 +276,7 @@ impl Painter {
             let start = Instant::now();
             painted.tree = self.lay_tree_under(index, resident, pose, &full_camera, options, doubt, start);
             if let Some(t) = &painted.tree {
-                (stats.tree, stats.unpainted) = (t.painted + t.gaps_filled, self.full.count(Source::Unpainted) as u64);
+                (stats.tree, stats.unpainted) = (t.given, self.full.count(Source::Unpainted) as u64);
                 known = true;
                 painted.ms.warp += t.ms;
             }
@@ -323,7 +311,7 @@ impl Painter {
         start: Instant,
     ) -> Option<TreeStats> {
         let tree = index.tree.as_ref()?;
-        let mut wanted = wanted_under(&self.full, doubt);
+        let wanted = wanted_under(&self.full, doubt);
         if wanted.is_empty() {
             return None;
         }
@@ -331,15 +319,14 @@ impl Painter {
             Some(ms) if self.tree_rate > 0.0 => (ms * self.tree_rate) as u64,
             _ => u64::MAX,
         };
-        let tree_options = TreeOptions { cut: CutOptions { max_samples, ..CutOptions::default() }, fill_gaps: true };
         let under = Under::new(pose, camera, tree.sky_near(pose.position));
         let (full, width) = (&self.full, self.full.width as usize);
         let no_gap = |row: usize, column: usize| {
             matches!(full.source[row * width + column], Source::Near | Source::Far) || under.is_sky(row, column)
         };
-        let out = &mut self.under;
-        let mut stats = self.tree.draw(tree, resident, pose, camera, &tree_options, &mut wanted, &no_gap, out);
-        lay_under(&mut self.full, &self.under, doubt, &under);
+        let hides = &full.disparity;
+        let (mut stats, picture) = self.tree.frame(tree, resident, pose, camera, max_samples, wanted, hides, &no_gap);
+        stats.given = lay_under(&mut self.full, picture, doubt, &under);
         stats.ms = ms_since(start);
         if stats.samples > 10_000 {
             let rate = stats.samples as f64 / stats.ms.max(0.1);

@@ -7,10 +7,17 @@
 //!    of the z-buffer: between samples colours run over smoothly, and what is partly covered mixes with what lies behind.
 //! 3. Gap filling (section 3.5): pixels that nothing reached are drawn again from ever coarser cuts, filtered samples included.
 //!
+//! 4. While the eye stands still (section 3.4), `still` keeps the picture and the traversal: a finer picture is drawn wave by wave over several frames (`pass`), and shown
+//!    when it is done, so that nothing shown ever gets coarser.
+//!
 //! `lists` is the reference of steps 1 and 2: lists per pixel, sorted by depth, merged by the coarser level's threshold and blended front to back (section 3.3).
 
 pub mod lists;
 mod paint;
+mod pass;
+mod still;
+#[cfg(test)]
+mod still_test;
 #[cfg(test)]
 mod tests;
 mod tiles;
@@ -22,15 +29,11 @@ use ldi_protocol::{
 };
 use paint::Painting;
 pub use paint::{BLOCK, Wanted};
-use rayon::prelude::*;
-use tiles::Tile;
+use pass::Pass;
+pub use still::StillPainter;
 
 /// Stamps may be so many times larger in each pass of gap filling; the paper goes on with all filtered samples at once.
 const GAP_STEP: f64 = 4.0;
-/// Samples of the nodes that are drawn before what they hide is left out of the rest. Fewer: more is left out; each round costs a look at all pixels.
-const WAVE_SAMPLES: u32 = 150_000;
-/// What lies behind the nearest samples by more than this share of the disparity is hidden: more than any merge threshold in view.
-const HIDDEN_MARGIN: f32 = 0.1;
 /// Passes of gap filling before the last, which draws the root.
 const GAP_PASSES: u32 = 4;
 
@@ -49,11 +52,34 @@ impl Default for TreeOptions {
     }
 }
 
+/// What is looked at, and from where.
+#[derive(Clone, Copy)]
+struct View<'a> {
+    tree: &'a Tree,
+    resident: &'a dyn Resident,
+    pose: &'a Pose,
+    camera: &'a OutputCamera,
+}
+
+impl View<'_> {
+    fn holds(&self, chunk: u32) -> bool {
+        self.resident.brood(chunk).is_some()
+    }
+
+    fn cut(&self, options: &CutOptions) -> Cut {
+        cut(self.tree, self.pose, &Lens::from(self.camera), options, |chunk| self.holds(chunk))
+    }
+}
+
 /// What drawing took.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TreeStats {
     /// Samples looked at.
     pub samples: u64,
+    /// Samples of the cut that the picture shows.
+    pub shown: u64,
+    /// Whether a bound on samples kept it from being finer.
+    pub limited: bool,
     /// Tiles in the picture.
     pub tiles: u64,
     /// Pixels that the first pass painted.
@@ -62,6 +88,8 @@ pub struct TreeStats {
     pub gaps_filled: u64,
     /// Chunks that would have sharpened it.
     pub missing: Vec<u32>,
+    /// Pixels of the frame that show it.
+    pub given: u64,
     /// Milliseconds, with what it takes to lay it under the frame.
     pub ms: f64,
 }
@@ -70,7 +98,7 @@ pub struct TreeStats {
 #[derive(Debug, Default)]
 pub struct TreePainter {
     painting: Painting,
-    tiles: Vec<Vec<Tile>>,
+    pass: Pass,
 }
 
 impl TreePainter {
@@ -94,80 +122,39 @@ impl TreePainter {
         if wanted.is_empty() {
             return stats;
         }
-        let lens = Lens::from(camera);
-        let held = |chunk: u32| resident.brood(chunk).is_some();
-        let first = cut(tree, pose, &lens, &options.cut, held);
-        self.pass(tree, &first, resident, pose, camera, wanted, out, &mut stats);
-        stats.painted = wanted.settle(out);
-        stats.missing = first.missing;
-        if options.fill_gaps {
-            wanted.drop_where(no_gap);
-            let mut stamp_px = options.cut.stamp_px.max(1.0);
-            for pass in 0..=GAP_PASSES {
-                if wanted.is_empty() {
-                    break;
-                }
-                stamp_px = if pass == GAP_PASSES { f64::INFINITY } else { stamp_px * GAP_STEP };
-                let coarser = cut(tree, pose, &lens, &CutOptions { stamp_px, ..options.cut }, held);
-                self.pass(tree, &coarser, resident, pose, camera, wanted, out, &mut stats);
-                stats.gaps_filled += wanted.settle(out);
-            }
-        }
+        let view = View { tree, resident, pose, camera };
+        self.pass.begin(view.cut(&options.cut));
+        self.pass.advance(&view, u64::MAX, wanted, out, &mut self.painting, &mut stats);
+        self.finish(&view, options, wanted, no_gap, out, &mut stats);
         stats
     }
 
-    #[expect(clippy::too_many_arguments, reason = "each is another thing that a picture depends on")]
-    fn pass(
+    /// Counts what the finished pass painted and fills gaps.
+    fn finish(
         &mut self,
-        tree: &Tree,
-        nodes: &Cut,
-        resident: &dyn Resident,
-        pose: &Pose,
-        camera: &OutputCamera,
+        view: &View<'_>,
+        options: &TreeOptions,
         wanted: &mut Wanted,
+        no_gap: &(dyn Fn(usize, usize) -> bool + Sync),
         out: &mut FarFrame,
         stats: &mut TreeStats,
     ) {
-        let view = tiles::Eye::new(pose, camera);
-        let broods: Vec<_> = nodes.nodes.iter().filter_map(|n| Some((n, resident.brood(n.home.0)?))).collect();
-        self.tiles.resize_with(broods.len().max(self.tiles.len()), Vec::new);
-        let lists = &mut self.tiles[..broods.len()];
-        // Near to far, in waves: what one covers need not be made into tiles by the next.
-        let mut first = 0;
-        while first < broods.len() {
-            let mut samples = 0;
-            let wave = broods[first..]
-                .iter()
-                .take_while(|(n, _)| {
-                    let before = samples;
-                    samples += tree.nodes[n.node as usize].samples;
-                    before < WAVE_SAMPLES
-                })
-                .count();
-            let of_wave = first..first + wave;
-            let seen = &*wanted;
-            stats.samples += lists[of_wave.clone()]
-                .par_iter_mut()
-                .zip(&broods[of_wave.clone()])
-                .map(|(list, (n, brood))| {
-                    list.clear();
-                    let node = &tree.nodes[n.node as usize];
-                    match brood.nodes.get(usize::from(n.home.1)) {
-                        Some(s) if view.sees(&tree.bounds_of(node).inflated(tree.pitch_of(node.level)), seen) => {
-                            view.tiles(tree, node, n.filtered, &s.samples, seen, list);
-                            s.samples.len() as u64
-                        }
-                        _ => 0,
-                    }
-                })
-                .sum::<u64>();
-            self.painting.cover(&lists[of_wave.clone()], camera, wanted, out);
-            first = of_wave.end;
-            if first < broods.len() {
-                wanted.raise_floors(out, HIDDEN_MARGIN);
-            }
+        stats.painted = wanted.settle(out);
+        (stats.missing, stats.limited) = (std::mem::take(&mut self.pass.cut.missing), self.pass.cut.limited);
+        stats.shown = self.pass.cut.samples;
+        if !options.fill_gaps {
+            return;
         }
-        stats.tiles += lists.iter().map(|l| l.len() as u64).sum::<u64>();
-        self.painting.mix(lists, camera, wanted, out);
+        wanted.drop_where(no_gap);
+        let mut stamp_px = options.cut.stamp_px.max(1.0);
+        for pass in 0..=GAP_PASSES {
+            if wanted.is_empty() {
+                break;
+            }
+            stamp_px = if pass == GAP_PASSES { f64::INFINITY } else { stamp_px * GAP_STEP };
+            self.pass.begin(view.cut(&CutOptions { stamp_px, ..options.cut }));
+            self.pass.advance(view, u64::MAX, wanted, out, &mut self.painting, stats);
+            stats.gaps_filled += wanted.settle(out);
+        }
     }
 }

@@ -7,6 +7,7 @@ use ldi_protocol::{
     shade::{linear_from_srgb8_table, srgb8_from_linear},
 };
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Side of the blocks in which wanted pixels are counted.
 pub const BLOCK: usize = 16;
@@ -88,6 +89,15 @@ impl Wanted {
         self.total
     }
 
+    /// Whether a picture drawn for these pixels, where `hidden_below` hid samples, holds all that `other` wants.
+    pub(super) fn covers(&self, hidden_below: &[f32], other: &Self, other_hidden_below: &[f32]) -> bool {
+        let hides = |of: &[f32], at: usize| of.get(at).copied().unwrap_or(0.0);
+        self.pixels.len() == other.pixels.len()
+            && (0..self.pixels.len()).all(|at| {
+                !other.pixels[at] || self.pixels[at] && hides(hidden_below, at) <= hides(other_hidden_below, at)
+            })
+    }
+
     /// Whether a pixel is wanted.
     pub fn holds(&self, at: usize) -> bool {
         self.pixels[at]
@@ -143,27 +153,43 @@ pub struct Painting {
 impl Painting {
     /// First pass: the z-buffer of opaque tiles, in wanted pixels of `out` that show nothing yet.
     pub fn cover(&mut self, tiles: &[Vec<Tile>], camera: &OutputCamera, wanted: &Wanted, out: &mut FarFrame) {
-        self.bands(camera, wanted, out, |band| tiles.iter().flatten().for_each(|t| band.cover(t)));
+        let rows = 0..camera.height as usize;
+        self.bands(camera, rows, wanted, out, |band| tiles.iter().flatten().for_each(|t| band.cover(t)));
     }
 
-    /// Second pass: colours of what lies on it.
-    pub fn mix(&mut self, tiles: &[Vec<Tile>], camera: &OutputCamera, wanted: &Wanted, out: &mut FarFrame) {
-        self.sums.clear();
-        self.sums.resize(out.packed.len(), [0.0; 4]);
-        self.bands(camera, wanted, out, |band| {
+    /// Second pass: colours of what lies on it, in some rows.
+    pub fn mix(
+        &mut self,
+        tiles: &[Vec<Tile>],
+        camera: &OutputCamera,
+        rows: Range<usize>,
+        wanted: &Wanted,
+        out: &mut FarFrame,
+    ) {
+        self.bands(camera, rows, wanted, out, |band| {
+            band.sums.fill([0.0; 4]);
             tiles.iter().flatten().for_each(|t| band.cover_thinly(t));
             tiles.iter().flatten().for_each(|t| band.mix(t));
             band.resolve();
         });
     }
 
-    fn bands(&mut self, camera: &OutputCamera, wanted: &Wanted, out: &mut FarFrame, f: impl Fn(&mut Band<'_>) + Sync) {
+    /// Calls `f` with bands of these rows, in parallel.
+    fn bands(
+        &mut self,
+        camera: &OutputCamera,
+        rows: Range<usize>,
+        wanted: &Wanted,
+        out: &mut FarFrame,
+        f: impl Fn(&mut Band<'_>) + Sync,
+    ) {
         let (width, height) = (camera.width as usize, camera.height as usize);
         self.sums.resize(width * height, [0.0; 4]);
-        let rows = height.div_ceil(rayon::current_num_threads() * BANDS_PER_THREAD).max(1);
-        let bands = out.packed.par_chunks_mut(rows * width).zip(self.sums.par_chunks_mut(rows * width)).enumerate();
-        bands.for_each(|(k, (packed, sums))| {
-            f(&mut Band { first_row: (k * rows) as i32, width, packed, sums, wanted });
+        let deep = rows.len().div_ceil(rayon::current_num_threads() * BANDS_PER_THREAD).max(1);
+        let pixels = rows.start * width..rows.end * width;
+        let packed = out.packed[pixels.clone()].par_chunks_mut(deep * width);
+        packed.zip(self.sums[pixels].par_chunks_mut(deep * width)).enumerate().for_each(|(k, (packed, sums))| {
+            f(&mut Band { first_row: (rows.start + k * deep) as i32, width, packed, sums, wanted });
         });
     }
 }

@@ -30,6 +30,8 @@ pub struct Cut {
     pub missing: Vec<u32>,
     /// Samples to draw.
     pub samples: u64,
+    /// Whether [`CutOptions::max_samples`] kept something from being refined.
+    pub limited: bool,
 }
 
 /// How far to refine.
@@ -132,7 +134,9 @@ pub fn cut(tree: &Tree, pose: &Pose, lens: &Lens, options: &CutOptions, held: im
             let after = samples - u64::from(node.samples - node.unfiltered) + more;
             if !held(node.chunk) {
                 out.missing.push(node.chunk);
-            } else if after <= options.max_samples {
+            } else if after > options.max_samples {
+                out.limited = true;
+            } else {
                 filtered = false;
                 samples = after;
                 (0u8..).zip(children).for_each(|(slot, c)| {

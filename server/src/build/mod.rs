@@ -8,6 +8,7 @@
 //! In: a scene's name and settings. Out: a dataset directory and its report. The bytes depend on the input alone, not on the
 //! number of threads. Images, the slow part, are kept as they are finished, so that a stopped build goes on where it was.
 
+mod choose;
 mod dry_run;
 mod images;
 mod key;
@@ -15,6 +16,7 @@ mod report;
 
 use images::Indexed;
 
+pub use choose::Weighing;
 pub use dry_run::{Draft, DryRun, draft, dry_run};
 pub use images::{IMAGE_LEVEL, ImageFigures};
 pub use report::{images_per_grid_point, report_json};
@@ -65,6 +67,8 @@ pub enum Represent {
     /// Images of placements, with the coarse levels of an LDI tree under them.
     #[default]
     Grid,
+    /// Whichever keeps the footprint bound with fewer bytes: the tree alone, or images over its coarse levels.
+    Smaller,
     /// The LDI tree alone: no placements, so that no budget is promised.
     Tree {
         /// Smallest distance of samples, metres.
@@ -136,6 +140,8 @@ pub struct BuildFigures {
     pub images: ImageFigures,
     /// The LDI tree; None without one.
     pub tree: Option<TreeFigures>,
+    /// How images and tree compare; None if that was not asked for, or there is nothing to place.
+    pub weighing: Option<Weighing>,
     /// What was skipped or changed.
     pub notes: Vec<Note>,
     /// Seconds per stage.
@@ -179,7 +185,7 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
     let in_sight = |a, b| caster.as_ref().is_none_or(|c| sees(c, a, b));
     let heard = |what: &str| progress.note(what);
     let mut planned_for = settings.clone();
-    if options.represent != Represent::Grid {
+    if let Represent::Tree { .. } = options.represent {
         // Nothing to place: what remains of a plan is the walk volume.
         planned_for.budget = planned_for.budget.max(scene.triangles());
     }
@@ -283,7 +289,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     // First: whether the directory can be written is known at once, planning takes minutes.
     let writer = DatasetWriter::open(&options.output)?;
     let planned = plan(options, &mut clock, progress);
-    let Planned { scene, clusters, octree, settings, plan, caster } = match planned {
+    let Planned { scene, clusters, octree, settings, mut plan, caster } = match planned {
         Ok(planned) => planned,
         Err(e) => {
             writer.give_up();
@@ -298,30 +304,53 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     chunks.extend(textures.chunks);
     clock.lap("pack");
 
-    progress.stage("layered depth images, by placement", plan.plans.len() as u64);
     let caster = caster.unwrap_or_else(|| Caster::new(Arc::clone(&scene), &clusters, &octree)).with_mips();
+    let scene_key = key::scene_key(&scene);
+    let heard = |what: &str| progress.note(what);
+    progress.stage("reference positions of the LDI tree", 0);
+    let places = tree::choose(&caster, &plan.volume);
+    heard(&format!("{} of {} candidates", places.positions.len(), places.candidates));
+    let first_tree_chunk = chunks.len() as u32;
+    let mut built = None;
+    let mut weighing = None;
+    if options.represent == Represent::Smaller && !plan.plans.is_empty() {
+        progress.stage("images or the LDI tree alone", 0);
+        let candidates = choose::Candidates {
+            caster: &caster,
+            bounds: scene.bounds(),
+            places: &places,
+            volume: &plan.volume,
+            cells: &geometry.cells,
+            plans: &plan.plans,
+            settings: &settings,
+            scene_key: &scene_key,
+            first_chunk: first_tree_chunk,
+        };
+        let (found, tree) = choose::weigh(&candidates, options, &writer, &heard)?;
+        heard(&format!("{}: {}", found.chosen, found.why));
+        if tree.is_some() {
+            // Without grid points, what the budget leaves comes from the tree.
+            (plan.points, plan.plans) = (Vec::new(), Vec::new());
+        }
+        (built, weighing) = (tree, Some(found));
+        clock.lap("weighing");
+    }
+
+    progress.stage("layered depth images, by placement", plan.plans.len() as u64);
     let images = match plan.plans.is_empty() {
-        false => images::construct_all(
-            &caster,
-            &plan.plans,
-            &settings,
-            options.colour,
-            &key::scene_key(&scene),
-            &writer,
-            progress,
-        )?,
+        false => images::construct_all(&caster, &plan.plans, &settings, options.colour, &scene_key, &writer, progress)?,
         true => images::Images::default(),
     };
     clock.lap("images");
 
     progress.stage("LDI tree", 0);
-    let first_tree_chunk = chunks.len() as u32;
-    let depth = match options.represent {
-        Represent::Grid => Depth::Base,
-        Represent::Tree { pitch_m, side } => Depth::Fine { pitch_m, side },
-    };
-    let heard = |what: &str| progress.note(what);
-    let built = tree::build_tree(&caster, &scene.bounds(), &plan.volume, depth, first_tree_chunk, &heard)?;
+    if built.is_none() {
+        let depth = match options.represent {
+            Represent::Grid | Represent::Smaller => Depth::Base,
+            Represent::Tree { pitch_m, side } => Depth::Fine { pitch_m, side },
+        };
+        built = tree::build_tree(&caster, &scene.bounds(), &places, depth, first_tree_chunk, &heard)?;
+    }
     let (tree, tree_figures) = match built {
         Some(BuiltTree { tree, chunks: of_tree, figures }) => {
             chunks.extend(of_tree);
@@ -340,6 +369,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         plan.statistics.nothing_to_do.iter().map(|why| Note { what: "grid and images".into(), why: why.clone() }),
     );
     notes.extend(images.notes(&plan.plans));
+    notes.extend(weighing.iter().map(Weighing::note));
     let entries = chunks
         .iter()
         .map(|c| ChunkEntry {
@@ -384,6 +414,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         audit,
         images: images.figures.clone(),
         tree: tree_figures,
+        weighing,
         notes,
         seconds,
     };

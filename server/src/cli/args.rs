@@ -134,7 +134,7 @@ pub struct BuildArgs {
     #[arg(long)]
     pub fly: bool,
     /// Representations to build: grid (images of placements, over the coarse levels of an LDI tree) or tree (the LDI tree alone);
-    /// auto is grid.
+    /// grid,tree is whichever keeps --max-footprint with fewer bytes; auto is grid, whose pictures are nearer to the truth.
     #[arg(long, default_value = "auto", value_delimiter = ',')]
     pub represent: Vec<String>,
     /// With --represent tree: smallest distance of samples, metres.

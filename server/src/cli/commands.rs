@@ -79,9 +79,11 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
             a.budget
         )));
     }
-    let represent = match a.represent.iter().all(|r| r == "tree") {
-        true => Represent::Tree { pitch_m: a.tree_pitch, side: a.tree_reference },
-        false => Represent::Grid,
+    let asked = |what: &str| a.represent.iter().any(|r| r == what);
+    let represent = match (asked("auto") || asked("grid"), asked("tree")) {
+        (true, true) => Represent::Smaller,
+        (false, true) => Represent::Tree { pitch_m: a.tree_pitch, side: a.tree_reference },
+        _ => Represent::Grid,
     };
     let options = BuildOptions {
         scene: a.scene,

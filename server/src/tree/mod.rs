@@ -6,6 +6,7 @@
 //! 2. [`mod@reference`]: six square images of 90 degrees at each; of every pixel the point, the normal, the colour and the stamp.
 //! 3. [`grow`]: each pixel goes to the level whose pitch matches its stamp (section 3.1), bilinearly; filtered copies go up, level by level.
 //! 4. [`shape`]: what was grown, as nodes and chunks.
+//! 5. [`probe`]: how fine it has to be, and is, where random eyes look.
 //!
 //! Where it differs from the paper: six faces per node instead of one (see [`ldi_protocol::tree`]); the stamp is measured along the surface, not across the ray, so that
 //! floors seen at a grazing angle do not fall apart; a pixel's filtered copies come from the level below and not from the pixel itself, which is the same sum in
@@ -13,10 +14,14 @@
 
 mod grow;
 mod places;
+mod probe;
 mod reference;
 mod shape;
 #[cfg(test)]
 mod tests;
+
+pub use places::{Places, choose};
+pub use probe::{FarPoint, Probes};
 
 use crate::pack::{Chunk, PackError};
 use crate::render::Caster;
@@ -25,7 +30,6 @@ use grow::Forest;
 use ldi_protocol::{
     Aabb,
     tree::{MAX_LEVEL, SIDE, SkyPlace, Tree},
-    volume::WalkVolume,
 };
 use rayon::prelude::*;
 use reference::Reference;
@@ -112,13 +116,11 @@ fn cube(bounds: &Aabb) -> (DVec3, f64) {
 pub fn build_tree(
     caster: &Caster,
     bounds: &Aabb,
-    volume: &WalkVolume,
+    chosen: &Places,
     depth: Depth,
     first_chunk: u32,
     heard: &dyn Fn(&str),
 ) -> Result<Option<BuiltTree>, PackError> {
-    let chosen = places::choose(caster, volume);
-    heard(&format!("{} reference positions of {} candidates", chosen.positions.len(), chosen.candidates));
     let (finest, side) = match depth {
         Depth::Base => {
             let pitch = (chosen.area_m2 / PINNED_SAMPLES).sqrt();
@@ -149,11 +151,6 @@ pub fn build_tree(
         ..built.figures
     };
     Ok(Some(built))
-}
-
-/// Where a build would take references, those that see the most first.
-pub fn positions(caster: &Caster, volume: &WalkVolume) -> Vec<DVec3> {
-    places::choose(caster, volume).positions
 }
 
 /// A tree that grows by reference images.

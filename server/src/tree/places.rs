@@ -4,7 +4,7 @@
 //! a surface sees it well, one far off in part ([`FAR_VALUE`]). The gain of a place only shrinks while others are chosen, so that a place whose old gain is beaten
 //! by another's need not be counted anew (lazy greedy); the greedy choice covers at least 63% of what the best choice of as many places could.
 
-use super::reference::direction;
+use super::{probe::radical, reference::direction};
 use crate::render::{Caster, CellSet, Ray};
 use glam::{DVec3, IVec3};
 use ldi_protocol::volume::WalkVolume;
@@ -26,8 +26,9 @@ const FAR_VALUE: f32 = 0.3;
 /// A position that adds less than this part of everything is not taken.
 const LEAST_GAIN: f64 = 2e-4;
 
-/// The positions and what was found on the way.
-pub struct Chosen {
+/// Where references are taken, and what was found on the way.
+#[derive(Debug, Clone)]
+pub struct Places {
     /// Where to take references.
     pub positions: Vec<DVec3>,
     /// Among how many they were chosen.
@@ -36,8 +37,20 @@ pub struct Chosen {
     pub coverage: f64,
     /// Area of what all candidates see, square metres, roughly.
     pub area_m2: f64,
+    /// Of every part of it, how near the nearest candidate is, metres.
+    nearest_m: Vec<f32>,
+    /// Of a part, square metres.
+    part_m2: f64,
     /// Rays cast.
     pub rays: u64,
+}
+
+impl Places {
+    /// Samples that a tree needs, roughly, if no eye is to see one larger than `footprint_px`, nor any smaller than `pitch_m`. Filtered copies add a third.
+    pub fn samples_at(&self, footprint_px: f64, focal_px: f64, pitch_m: f64) -> f64 {
+        let pitch = |nearest: &f32| (footprint_px * f64::from(*nearest) / focal_px).max(pitch_m);
+        self.nearest_m.iter().map(|d| self.part_m2 / pitch(d).powi(2)).sum::<f64>() * 4.0 / 3.0
+    }
 }
 
 /// What a candidate sees: elements, and how much each counts.
@@ -49,15 +62,6 @@ fn candidates(volume: &WalkVolume) -> Vec<DVec3> {
     if all.len() < 8 {
         // Flying: one large box.
         let sampler = volume.sampler();
-        let radical = |mut k: usize, base: usize| {
-            let (mut value, mut scale) = (0.0, 1.0 / base as f64);
-            while k > 0 {
-                value += (k % base) as f64 * scale;
-                k /= base;
-                scale /= base as f64;
-            }
-            value
-        };
         let point = |k: usize| [radical(k, 7), radical(k, 2), radical(k, 3), radical(k, 5)];
         return (1..=MAX_CANDIDATES / 2).filter_map(|k| sampler.point(point(k))).chain(all).collect();
     }
@@ -74,7 +78,7 @@ fn candidates(volume: &WalkVolume) -> Vec<DVec3> {
 }
 
 /// Chooses positions.
-pub fn choose(caster: &Caster, volume: &WalkVolume) -> Chosen {
+pub fn choose(caster: &Caster, volume: &WalkVolume) -> Places {
     let candidates = candidates(volume);
     let probe = |eye: &DVec3| -> Vec<(DVec3, DVec3, f64)> {
         let rays: Vec<Ray> = (0..6)
@@ -100,6 +104,7 @@ pub fn choose(caster: &Caster, volume: &WalkVolume) -> Chosen {
     let edge = median * CUBES;
 
     let mut numbers: HashMap<(IVec3, usize), u32> = HashMap::new();
+    let mut nearest_m: Vec<f32> = Vec::new();
     let seen: Vec<Seen> = views
         .into_iter()
         .map(|view| {
@@ -109,6 +114,11 @@ pub fn choose(caster: &Caster, volume: &WalkVolume) -> Chosen {
                 let face = 2 * axis + usize::from(normal[axis] > 0.0);
                 let next = numbers.len() as u32;
                 let element = *numbers.entry(((at / edge).floor().as_ivec3(), face)).or_insert(next);
+                if element as usize == nearest_m.len() {
+                    nearest_m.push(f32::INFINITY);
+                }
+                let nearest = &mut nearest_m[element as usize];
+                *nearest = nearest.min(distance as f32);
                 let value = if distance <= WELL * median { 1.0 } else { FAR_VALUE };
                 let b = best.entry(element).or_insert(0.0);
                 *b = b.max(value);
@@ -124,12 +134,15 @@ pub fn choose(caster: &Caster, volume: &WalkVolume) -> Chosen {
     }
     let everything: f64 = most.iter().map(|v| f64::from(*v)).sum();
     let (chosen, covered) = greedy(&seen, most.len(), everything);
-    Chosen {
+    // A cube that a plane crosses holds about two thirds of its face's area.
+    let part_m2 = edge * edge * 2.0 / 3.0;
+    Places {
         positions: chosen.into_iter().map(|k| candidates[k]).collect(),
         candidates: candidates.len(),
         coverage: if everything > 0.0 { covered / everything } else { 0.0 },
-        // A cube that a plane crosses holds about two thirds of its face's area.
-        area_m2: numbers.len() as f64 * edge * edge * 2.0 / 3.0,
+        area_m2: numbers.len() as f64 * part_m2,
+        nearest_m,
+        part_m2,
         rays,
     }
 }

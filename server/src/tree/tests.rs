@@ -181,3 +181,69 @@ fn scenes_that_numbers_break_on() {
         assert!(references[0].points.iter().all(|p| p.stamp_m > 0.0 && p.area_m2.is_finite()), "{name}");
     }
 }
+
+#[test]
+fn probed_samples_are_those_of_the_finest_level_that_covers_the_point() {
+    let (tree, _) = built(wall(-2.0), &[DVec3::new(0.3, 0.1, 0.2)], 256, 6);
+    let all = samples(&tree);
+    let eye = DVec3::new(0.7, -0.4, 0.1);
+    let seen = |x: f64, y: f64, z: f64, eye: DVec3| {
+        let position = DVec3::new(x, y, z);
+        FarPoint { position, towards: (eye - position).normalize(), depth_m: (eye.z - z).abs() }
+    };
+    let mut far: Vec<FarPoint> =
+        (0..400).map(|k| seen((k % 20) as f64 * 0.19 - 1.8, (k / 20) as f64 * 0.19 - 1.8, -2.0, eye)).collect();
+    far.push(seen(0.0, 0.0, -1.0, eye));
+    far.push(seen(0.0, 0.0, -2.0, DVec3::new(0.0, 0.0, -9.0)));
+    let probes = Probes { far, ..Probes::default() };
+    let sizes = probes.footprints(&tree, 100.0).expect("it can be read back");
+    assert!(sizes[400].is_infinite() && sizes[401].is_infinite(), "in the air; from behind");
+    let mut levels = [0; 3];
+    for (p, size) in probes.far[..400].iter().zip(&sizes) {
+        // Over all samples, wherever they are kept.
+        let covers = |level: u8| {
+            let pitch = tree.tree.pitch_of(level);
+            let weight = |at: &DVec3, s: &TreeSample| {
+                let [x, y] = [0, 1].map(|k| (1.0 - (at[k] - p.position[k]).abs() / pitch).max(0.0));
+                x * y * f64::from(s.alpha) / f64::from(OPAQUE)
+            };
+            all.iter().filter(|(l, ..)| *l == level).map(|(_, s, at)| weight(at, s)).sum::<f64>() >= 0.4
+        };
+        let Some(level) = (0..3).rev().find(|l| covers(*l)) else {
+            assert!(size.is_infinite(), "nothing covers {}", p.position);
+            continue;
+        };
+        levels[usize::from(level)] += 1;
+        let across = |axis: DVec3| (1.0 - axis.dot(p.towards).powi(2)).sqrt();
+        let extent = tree.tree.pitch_of(level) * across(DVec3::X).max(across(DVec3::Y));
+        assert!((size - extent * 100.0 / p.depth_m).abs() < 1e-9, "{size} at {}, level {level}", p.position);
+    }
+    assert!(levels[0] > 20 && levels[1] > 20, "points on both levels: {levels:?}");
+
+    let depths = |n: u32| (1..=n).map(|k| FarPoint { depth_m: f64::from(k), ..probes.far[0] }).rev().collect();
+    let probes = Probes { far: depths(1000), ..Probes::default() };
+    assert_eq!(probes.needed_pitch_m(2.0, 500.0, 0.01), Some(11.0 * 2.0 / 500.0), "ten points are nearer");
+    assert_eq!(Probes::default().needed_pitch_m(2.0, 500.0, 0.01), None);
+}
+
+#[test]
+fn probes_look_beyond_what_the_budget_draws() {
+    let scene = Arc::new(wall(-2.0));
+    let clusters = Clusters::build(&scene);
+    let octree = Octree::build(&scene, &clusters, 1000);
+    let caster = Caster::new(Arc::clone(&scene), &clusters, &octree);
+    let cells = crate::pack::pack_geometry(&scene, &clusters, &octree, 0).expect("it can be packed").cells;
+    let volume = ldi_protocol::volume::WalkVolume::of_box(&Aabb::from_points([
+        DVec3::new(-1.0, -1.0, -1.0),
+        DVec3::new(1.0, 1.0, 1.0),
+    ]));
+    let volume = volume.expect("a volume");
+    let look = |budget| {
+        let settings = crate::placement::test_scenes::settings(budget);
+        Probes::take(&caster, &volume, &cells, &settings)
+    };
+    let (none, all) = (look(1), look(10));
+    assert!(none.surfaces > 1_000 && none.far.len() == none.surfaces, "{} of {}", none.far.len(), none.surfaces);
+    assert!(none.far.iter().all(|p| (p.position.z + 2.0).abs() < 1e-9 && p.towards.z > 0.0 && p.depth_m < 5.0));
+    assert_eq!((all.far.len(), all.surfaces), (0, none.surfaces), "two triangles are within the budget");
+}

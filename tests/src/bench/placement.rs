@@ -193,7 +193,8 @@ fn fill(row: &mut Row, draft: &Draft, walk: Option<&Walk>, audit: AuditSize) {
     for pose in walk.iter().flat_map(|w| &w.poses) {
         let drawn = plan_row(index, 0, pose).triangles;
         let camera = &index.settings.camera;
-        let frusta = ldi_protocol::select::DrawFrusta::new(index, pose, (camera.half_tan_x(), camera.half_tan_y()));
+        let frusta =
+            ldi_protocol::select::DrawFrusta::new(&index.settings, pose, (camera.half_tan_x(), camera.half_tan_y()));
         let in_view =
             index.cells.iter().filter(|c| frusta.admit(&c.bounds)).map(|c| u64::from(c.triangles)).sum::<u64>();
         row.along_path.push([in_view, drawn]);

@@ -25,7 +25,7 @@ use ldi_server::{
     placement::{Parameters, Sees, plan_placements},
     render::{Caster, CellSet, Ray},
     scene,
-    tree::{Grower, positions},
+    tree::{Grower, choose},
 };
 use serde::Serialize;
 use std::{collections::BTreeMap, path::Path, sync::Arc, time::Instant};
@@ -183,7 +183,7 @@ pub fn run(study: &Study, mut heard: impl FnMut(&Row)) -> Result<Vec<Row>> {
     let poses: Vec<Pose> = walk.evenly_spaced(study.frames).into_iter().map(|k| walk.poses[k].pose).collect();
     let truths: Vec<Truth> = poses.iter().map(|p| Truth::new(&caster, p, &camera)).collect();
     let places: Vec<(DVec3, usize)> =
-        positions(&caster, &volume).into_iter().flat_map(|p| [0, 1, 4, 5].map(|face| (p, face))).collect();
+        choose(&caster, &volume).positions.into_iter().flat_map(|p| [0, 1, 4, 5].map(|face| (p, face))).collect();
     if places.len() < 4 {
         bail!("{}: there is no place for a reference image", study.scene);
     }
