@@ -12,12 +12,15 @@ mod dry_run;
 mod images;
 mod key;
 mod report;
+mod rooms;
 
 use images::Indexed;
+use rooms::RoomPlan;
 
 pub use dry_run::{Draft, DryRun, draft, dry_run};
 pub use images::{IMAGE_LEVEL, ImageFigures};
 pub use report::{images_per_grid_point, report_json};
+pub use rooms::{RoomFigures, RoomSource};
 
 use crate::construct::ConstructError;
 use crate::octree::{Clusters, Octree, RecountError};
@@ -60,7 +63,7 @@ pub struct BuildOptions {
 }
 
 /// How what is far is represented.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub enum Represent {
     /// Images of placements, with the coarse levels of an LDI tree under them.
     #[default]
@@ -71,6 +74,13 @@ pub enum Represent {
         pitch_m: f64,
         /// Pixels along a side of a reference image.
         side: u32,
+    },
+    /// Rooms, with images of what lies beyond their portals and the coarse levels of an LDI tree under them.
+    Portals {
+        /// Where the rooms come from.
+        rooms: RoomSource,
+        /// Eyes nearer than this to a portal see geometry beyond it, metres.
+        near_m: f64,
     },
 }
 
@@ -113,6 +123,12 @@ pub enum BuildError {
         /// Why.
         source: ConstructError,
     },
+    /// Rooms.
+    #[error("no rooms to walk by: {why}; give corrected ones by --rooms FILE (`ldi-server rooms`), or build with --represent grid")]
+    Rooms {
+        /// What is wrong.
+        why: String,
+    },
     /// Encoding.
     #[error(transparent)]
     Pack(#[from] PackError),
@@ -136,6 +152,8 @@ pub struct BuildFigures {
     pub images: ImageFigures,
     /// The LDI tree; None without one.
     pub tree: Option<TreeFigures>,
+    /// Rooms; None without.
+    pub rooms: Option<RoomFigures>,
     /// What was skipped or changed.
     pub notes: Vec<Note>,
     /// Seconds per stage.
@@ -161,6 +179,7 @@ struct Planned {
     plan: PlacementResult,
     /// None for a scene within its budget.
     caster: Option<Caster>,
+    rooms: Option<RoomPlan>,
 }
 
 /// Whether nothing lies between two places.
@@ -185,7 +204,20 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
     }
     let plan = placement::plan_placements(&scene, &octree, &planned_for, &parameters, Sees(&in_sight), &heard)?;
     clock.lap("placement");
-    Ok(Planned { scene, clusters, octree, settings, plan, caster })
+    let mut plan = plan;
+    let mut rooms = None;
+    if let (Represent::Portals { rooms: source, near_m }, Some(caster)) = (&options.represent, &caster) {
+        let triangles: Vec<u32> = octree.cells.iter().map(|c| c.triangles).collect();
+        let found = rooms::plan_rooms(caster, source, *near_m, &triangles, &plan.volume, &settings, progress)?;
+        plan.plans.clone_from(&found.plans.plans);
+        plan.statistics.nothing_to_do = None;
+        plan.statistics.coverage_certified = false;
+        plan.statistics.max_footprint_px = plan.plans.iter().map(|p| p.footprint_px).fold(0.0, f64::max);
+        rooms = Some(found);
+        clock.lap("rooms");
+    }
+    Ok(Planned {
+        rooms, scene, clusters, octree, settings, plan, caster })
 }
 
 /// Compares ways to search for the near boxes of a build; nothing is written.
@@ -254,6 +286,7 @@ fn index_of(
         images,
         volume: Some(plan.volume),
         tree,
+        rooms: None,
     }
 }
 
@@ -283,7 +316,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     // First: whether the directory can be written is known at once, planning takes minutes.
     let writer = DatasetWriter::open(&options.output)?;
     let planned = plan(options, &mut clock, progress);
-    let Planned { scene, clusters, octree, settings, plan, caster } = match planned {
+    let Planned { scene, clusters, octree, settings, plan, caster, rooms } = match planned {
         Ok(planned) => planned,
         Err(e) => {
             writer.give_up();
@@ -317,7 +350,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     progress.stage("LDI tree", 0);
     let first_tree_chunk = chunks.len() as u32;
     let depth = match options.represent {
-        Represent::Grid => Depth::Base,
+        Represent::Grid | Represent::Portals { .. } => Depth::Base,
         Represent::Tree { pitch_m, side } => Depth::Fine { pitch_m, side },
     };
     let heard = |what: &str| progress.note(what);
@@ -352,7 +385,9 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         .collect();
     let placement = plan.statistics.clone();
     let parts = (geometry.cells, textures.textures);
-    let index = index_of(options, &scene, settings, plan, parts, entries, (placements, image_entries, tree));
+    let mut index = index_of(options, &scene, settings, plan, parts, entries, (placements, image_entries, tree));
+    let room_figures = rooms.as_ref().map(|r| r.figures);
+    index.rooms = rooms.map(|r| r.index);
     let ranges = (0..octree.cells.len()).map(|c| octree.ranges(&scene, &clusters, c)).collect::<Vec<_>>();
     let counts: Vec<u64> = ranges.iter().map(|cell| cell.iter().map(|r| u64::from(r.count)).sum()).collect();
     let audit = placement::audit(&index, &counts, &|i| cameras.get(i as usize).copied(), AUDITED_POSES, 1);
@@ -384,6 +419,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         audit,
         images: images.figures.clone(),
         tree: tree_figures,
+        rooms: room_figures,
         notes,
         seconds,
     };

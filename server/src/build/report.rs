@@ -49,6 +49,7 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
             "ldi": ldi, "geometry": geometry, "textures": textures, "tree": tree, "manifest": written.manifest_bytes,
         },
         "tree": f.tree,
+        "rooms": f.rooms,
         "bytes_per_sample": if samples > 0 { json!(ldi as f64 / samples as f64) } else { Value::Null },
         "guarantee": {
             "budget": index.settings.budget,
