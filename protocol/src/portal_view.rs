@@ -244,8 +244,7 @@ impl Walk<'_> {
             let Some(beyond) = portal.beyond(cell) else { continue };
             let side = usize::from(portal.cells[0] != cell);
             // Beyond the plane for an eye on this side of it.
-            let ahead =
-                (portal.corners[0] - eye).dot(portal.normal()) * if side == 0 { 1.0 } else { -1.0 };
+            let ahead = (portal.corners[0] - eye).dot(portal.normal()) * if side == 0 { 1.0 } else { -1.0 };
             if ahead < -margin {
                 continue;
             }

@@ -72,13 +72,11 @@ fn images_within(index: &Index, placement: u32, pose: &Pose, normals: &[DVec3]) 
     for (number, image) in index.images_of(placement).filter(|(_, i)| !i.chunks.is_empty()) {
         let b = &image.basis;
         let [l, r, below, above] = image.window;
-        let rays =
-            [(l, below), (r, below), (l, above), (r, above)].map(|(x, y)| b.forward + b.right * x + b.up * y);
+        let rays = [(l, below), (r, below), (l, above), (r, above)].map(|(x, y)| b.forward + b.right * x + b.up * y);
         // The cone is the set of all (near corner + t * some ray), t >= 0: wholly outside a plane if its near corners and its rays are.
         let nearest = image.plane_distance * (1.0 - PLANE_SLACK);
-        let outside = |n: &DVec3| {
-            rays.iter().all(|ray| n.dot(cop + *ray * nearest - pose.position) < 0.0 && n.dot(*ray) <= 0.0)
-        };
+        let outside =
+            |n: &DVec3| rays.iter().all(|ray| n.dot(cop + *ray * nearest - pose.position) < 0.0 && n.dot(*ray) <= 0.0);
         if !normals.iter().any(outside) {
             let middle: DVec3 = rays.iter().sum();
             found.push((-middle.normalize().dot(sight), number));

@@ -170,7 +170,11 @@ pub fn composite(
 /// The first half of [`composite()`]: near, far and sky.
 pub fn merge(frame: &mut Frame, far: Far<'_>, pose: &Pose, camera: &OutputCamera) -> CompositeStats {
     let far = match far {
-        Far::Images { picture, .. } | Far::Portals { picture, .. } if (picture.width, picture.height) != (frame.width, frame.height) => Far::Missing,
+        Far::Images { picture, .. } | Far::Portals { picture, .. }
+            if (picture.width, picture.height) != (frame.width, frame.height) =>
+        {
+            Far::Missing
+        }
         other => other,
     };
     let width = frame.width as usize;
@@ -347,13 +351,7 @@ struct Lookup<'a> {
 }
 
 impl<'a> Merge<'a> {
-    fn new(
-        picture: &'a FarFrame,
-        groups: Vec<Group<'a>>,
-        complete: bool,
-        pose: &Pose,
-        camera: &OutputCamera,
-    ) -> Self {
+    fn new(picture: &'a FarFrame, groups: Vec<Group<'a>>, complete: bool, pose: &Pose, camera: &OutputCamera) -> Self {
         Self { picture, groups, complete, world: Directions::new(pose, camera, |w| w.to_array()) }
     }
     fn row(&self, row: usize, pixels: &mut Row<'_>, stats: &mut CompositeStats) {
@@ -422,7 +420,8 @@ impl<'a> Merge<'a> {
 
     /// Whether a triangle behind the far surface is as near as the far surface's disparity is known.
     fn near_wins(&self, row: usize, column: usize, near: f32, far: f32) -> bool {
-        let step = self.groups.iter().flat_map(|g| &g.images).map(|i| i.step(row, column, far)).fold(0.0, f64::max) as f32;
+        let step =
+            self.groups.iter().flat_map(|g| &g.images).map(|i| i.step(row, column, far)).fold(0.0, f64::max) as f32;
         far - near <= step
     }
 }

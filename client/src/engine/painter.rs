@@ -6,7 +6,8 @@
 use super::options::{Cull, Method, WalkOptions};
 use crate::{
     composite::{
-        CompositeOptions, Doubt, Far, FarImage, FarPortal, Fill, Under, downsample, finish, lay_under, merge, wanted_under,
+        CompositeOptions, Doubt, Far, FarImage, FarPortal, Fill, Under, downsample, finish, lay_under, merge,
+        wanted_under,
     },
     frame::{Frame, Source, supersampled},
     near::Rasterizer,
@@ -167,7 +168,14 @@ fn tree_list(index: &Index, pose: &Pose, half_tan: (f64, f64)) -> DrawList {
     let n = in_view.len();
     let cells: Vec<u32> = in_view.into_iter().take_while(within).collect();
     let dropped = (n - cells.len()) as u32;
-    DrawList { triangles: cells.iter().map(triangles).sum(), cells, images: Vec::new(), dropped, portals: Vec::new(), ..list }
+    DrawList {
+        triangles: cells.iter().map(triangles).sum(),
+        cells,
+        images: Vec::new(),
+        dropped,
+        portals: Vec::new(),
+        ..list
+    }
 }
 
 /// The part of the picture that cones reach, with some pixels around it: columns and rows from, to.

@@ -153,15 +153,10 @@ impl Blocks {
 
     /// The tiles that may reach a rectangle of the picture (from column, from row, to column, to row), always in the same order; with `all` every tile, as if it could
     /// reach every row.
-    pub fn reaching<'a>(
-        &self,
-        parts: &'a [Part],
-        matrix: &WarpMatrix,
-        within: [u32; 4],
-        all: bool,
-    ) -> Vec<Reach<'a>> {
+    pub fn reaching<'a>(&self, parts: &'a [Part], matrix: &WarpMatrix, within: [u32; 4], all: bool) -> Vec<Reach<'a>> {
         let mut out = Vec::new();
-        let rows = |bounds: &Bounds| if all { Some((within[1], within[3])) } else { bounds.rows_within(matrix, within) };
+        let rows =
+            |bounds: &Bounds| if all { Some((within[1], within[3])) } else { bounds.rows_within(matrix, within) };
         let mut at = 0;
         while let Some(block) = self.blocks.get(at) {
             if rows(&block.bounds).is_none() {

@@ -148,6 +148,7 @@ fn rooms(n: usize) -> RoomIndex {
     let own = if n < 2 { last..last } else { last - 1..last };
     RoomIndex {
         rooms: Rooms::new(0.15, vec![room("kitchen", 0.0), room("hall \u{e4}", 3.0)], portals).expect("sound"),
+        near_m: 1.25,
         cells_of: vec![(0..last).filter(|c| c % 3 < 2).collect(), vec![], (last / 2..last).collect()],
         placements: vec![[0..0, own], [0..0, 0..0]],
     }
@@ -221,7 +222,7 @@ fn bounds_that_are_not_f32_are_refused() {
 #[test]
 fn every_broken_rule_is_named() {
     type Break = fn(&mut Index);
-    let breaks: [(&str, Break); 34] = [
+    let breaks: [(&str, Break); 35] = [
         ("chunk", |i| i.chunks[3].kind = ChunkKind::Page),
         ("cell", |i| i.cells[1].chunk = 0),
         ("tree", |i| i.tree.as_mut().unwrap().root_chunk = 0),
@@ -249,6 +250,7 @@ fn every_broken_rule_is_named() {
         ("rooms", |i| i.rooms.as_mut().unwrap().cells_of[0] = vec![2, 1]),
         ("rooms", |i| i.rooms.as_mut().unwrap().cells_of[2] = vec![5]),
         ("rooms", |i| i.rooms.as_mut().unwrap().cells_of.truncate(2)),
+        ("rooms", |i| i.rooms.as_mut().unwrap().near_m = f64::NAN),
         ("rooms", |i| i.rooms.as_mut().unwrap().placements[1][0] = 4..9),
         ("rooms", |i| i.rooms.as_mut().unwrap().placements[1][0] = 0..1),
         ("rooms", |i| i.rooms.as_mut().unwrap().placements.truncate(1)),

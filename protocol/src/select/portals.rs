@@ -25,7 +25,7 @@ use crate::{
 
 /// Steps through portals for one view. Beyond it everything counts as seen, which is right but costs budget. Larger: halls with hundreds of gaps are culled more exactly, and
 /// frames of them take longer: some 2 us per step.
-const MOST_VISITS: usize = 4_000;
+const MOST_VISITS: usize = 1_000;
 /// Rooms that are tried as geometry beyond what must be. Larger: more of the budget is used where many rooms are in view; each try is a view of its own.
 const MOST_TRIES: usize = 24;
 
@@ -134,9 +134,8 @@ impl Search<'_> {
             let state = self.state(geometry);
             let portals = self.rooms.rooms.portals();
             let eye = self.pose.position;
-            let bare = |portal: u32, side| {
-                self.rooms.placement_for(&self.index.placements, portal, side, eye).is_none()
-            };
+            let bare =
+                |portal: u32, side| self.rooms.placement_for(&self.index.placements, portal, side, eye).is_none();
             let unserved = state.view.thresholds.iter().filter(|t| bare(t.portal, t.side));
             let rooms: Vec<usize> =
                 unserved.map(|t| self.rooms.slot(portals[t.portal as usize].cells[1 - t.side])).collect();
@@ -178,8 +177,7 @@ impl Search<'_> {
                 known.cones.push(t.cone.clone());
                 continue;
             }
-            let found =
-                self.rooms.placement_for(&self.index.placements, t.portal, t.side, self.pose.position);
+            let found = self.rooms.placement_for(&self.index.placements, t.portal, t.side, self.pose.position);
             let Some(placement) = found else { continue };
             let (images, cones) = (Vec::new(), vec![t.cone.clone()]);
             out.push(ShownPortal { portal: t.portal, side: t.side, placement, images, cones });

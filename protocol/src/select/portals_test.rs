@@ -95,7 +95,7 @@ fn index(budget: u64, served: &[usize]) -> Index {
         images,
         volume: None,
         tree: None,
-        rooms: Some(RoomIndex { rooms, cells_of, placements: ranges }),
+        rooms: Some(RoomIndex { rooms, near_m: 0.6, cells_of, placements: ranges }),
     }
 }
 

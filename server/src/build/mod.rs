@@ -124,7 +124,9 @@ pub enum BuildError {
         source: ConstructError,
     },
     /// Rooms.
-    #[error("no rooms to walk by: {why}; give corrected ones by --rooms FILE (`ldi-server rooms`), or build with --represent grid")]
+    #[error(
+        "no rooms to walk by: {why}; give corrected ones by --rooms FILE (`ldi-server rooms`), or build with --represent grid"
+    )]
     Rooms {
         /// What is wrong.
         why: String,
@@ -207,8 +209,17 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
     let mut plan = plan;
     let mut rooms = None;
     if let (Represent::Portals { rooms: source, near_m }, Some(caster)) = (&options.represent, &caster) {
-        let triangles: Vec<u32> = octree.cells.iter().map(|c| c.triangles).collect();
-        let found = rooms::plan_rooms(caster, source, *near_m, &triangles, &plan.volume, &settings, progress)?;
+        let entry = |c: &crate::octree::Cell| CellEntry {
+            bounds: c.bounds,
+            triangles: c.triangles,
+            chunk: 0,
+            bundles: Vec::new(),
+            materials: Vec::new(),
+        };
+        let cells = octree.cells.iter().map(entry).collect();
+        let (parts, nothing) = ((cells, Vec::new()), (Vec::new(), Vec::new(), None));
+        let draft = index_of(options, &scene, settings.clone(), plan.clone(), parts, Vec::new(), nothing);
+        let found = rooms::plan_rooms(caster, source, *near_m, draft, progress)?;
         plan.plans.clone_from(&found.plans.plans);
         plan.statistics.nothing_to_do = None;
         plan.statistics.coverage_certified = false;
@@ -216,8 +227,7 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
         rooms = Some(found);
         clock.lap("rooms");
     }
-    Ok(Planned {
-        rooms, scene, clusters, octree, settings, plan, caster })
+    Ok(Planned { rooms, scene, clusters, octree, settings, plan, caster })
 }
 
 /// Compares ways to search for the near boxes of a build; nothing is written.

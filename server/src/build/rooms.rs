@@ -3,10 +3,9 @@
 use super::{BuildError, Progress};
 use crate::portal::{self, PortalPlans, PortalStatistics};
 use crate::render::Caster;
-use ldi_protocol::index::BuildSettings;
+use ldi_protocol::index::Index;
 use ldi_protocol::room_index::RoomIndex;
 use ldi_protocol::rooms::{MAX_JSON_BYTES, Rooms};
-use ldi_protocol::volume::WalkVolume;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -52,9 +51,8 @@ pub(super) fn plan_rooms(
     caster: &Caster,
     source: &RoomSource,
     near_m: f64,
-    triangles: &[u32],
-    volume: &WalkVolume,
-    settings: &BuildSettings,
+    // Without chunks: cells, settings and the walk volume.
+    mut draft: Index,
     progress: &dyn Progress,
 ) -> Result<RoomPlan, BuildError> {
     progress.stage("rooms", 0);
@@ -62,13 +60,20 @@ pub(super) fn plan_rooms(
     let rooms = rooms_of(caster, source)?;
     let known = Instant::now();
     progress.stage("cells of rooms", 0);
-    let cells_of = portal::cells_of_rooms(caster, &rooms, triangles.len());
+    let cells = draft.cells.len();
+    let cells_of = portal::cells_of_rooms(caster, &rooms, cells);
     let held = Instant::now();
     progress.stage("images of portals", 0);
-    let mut plans = portal::plan_portals(&rooms, &cells_of, triangles.len(), volume, settings, near_m);
-    let of_room = |cells: &Vec<u32>| cells.iter().map(|c| u64::from(triangles[*c as usize])).sum::<u64>();
+    let nowhere = || BuildError::Rooms { why: "there is no place where an eye may be".into() };
+    let volume = draft.volume.clone().ok_or_else(nowhere)?;
+    let mut plans = portal::plan_portals(&rooms, &cells_of, cells, &volume, &draft.settings, near_m);
+    let of_room = |list: &Vec<u32>| list.iter().map(|c| u64::from(draft.cells[*c as usize].triangles)).sum::<u64>();
     let inner = cells_of.len().saturating_sub(1);
     plans.statistics.largest_room_triangles = cells_of[..inner].iter().map(of_room).max().unwrap_or(0);
+    let mut index = RoomIndex { rooms, near_m, cells_of, placements: Vec::new() };
+    draft.rooms = Some(index.clone());
+    plans.keep_used(draft, &volume);
+    index.placements.clone_from(&plans.of_portal);
     let figures = RoomFigures {
         plan: plans.statistics,
         portal_near_m: near_m,
@@ -76,7 +81,7 @@ pub(super) fn plan_rooms(
         cells_seconds: (held - known).as_secs_f64(),
         plan_seconds: held.elapsed().as_secs_f64(),
     };
-    Ok(RoomPlan { index: RoomIndex { rooms, cells_of, placements: plans.of_portal.clone() }, plans, figures })
+    Ok(RoomPlan { index, plans, figures })
 }
 
 fn rooms_of(caster: &Caster, source: &RoomSource) -> Result<Rooms, BuildError> {

@@ -197,12 +197,12 @@ mod tests {
     #[test]
     fn rays_through_a_polygon_fill_it() {
         let gaze = Gaze::everywhere(1000.0);
-        let polygon: Vec<DVec3> = [(0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (1.0, 2.0), (0.0, 1.0)]
-            .map(|(x, y)| DVec3::new(x, y, -4.0))
-            .to_vec();
+        let polygon: Vec<DVec3> =
+            [(0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (1.0, 2.0), (0.0, 1.0)].map(|(x, y)| DVec3::new(x, y, -4.0)).to_vec();
         let rays = gaze.rays_through(DVec3::new(1.0, 0.5, 0.0), 3, &polygon);
         let places: Vec<DVec3> = rays.iter().map(|r| r.at(-4.0 / r.direction.z)).collect();
-        let inside = |p: &DVec3, by: f64| p.x > -by && p.x < 2.0 + by && p.y > -by && p.y + (p.x - 1.0).abs() < 2.0 + 1.5 * by;
+        let inside =
+            |p: &DVec3, by: f64| p.x > -by && p.x < 2.0 + by && p.y > -by && p.y + (p.x - 1.0).abs() < 2.0 + 1.5 * by;
         assert!(places.iter().all(|p| inside(p, BESIDE_M)));
         // Of places inside, each has a ray within the width of a square.
         let mut random = Random::new(8);

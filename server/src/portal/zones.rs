@@ -11,17 +11,21 @@
 //!    zone 4         zone 2             | r     near: no image; the room beyond is geometry there
 //! ```
 //!
-//! The image's axis points from the zone to the portal, not along the portal's normal: seen askew, an image parallel to a portal would need many times the samples.
+//! The image is parallel to the portal, which puts its plane as far from all eyes as can be; where that does not do, its axis points from the zone to the portal.
 
 use crate::placement::{Footprint, SCALES};
 use glam::DVec3;
+use ldi_protocol::room_index::{LEAST_SINE, is_faced};
+use ldi_protocol::rooms::Portal;
 use ldi_protocol::{Aabb, ViewBasis};
 use std::f64::consts::FRAC_PI_2;
 
-/// Lines of sight may be this far off an image's axis: cosine of 70 degrees. Larger angles: fewer zones, each with more samples at its sides, by the cube of the cosine.
-const LEAST_COSINE: f64 = 0.34;
-/// Eyes less than this before a portal's plane see it edge-on, metres; nothing is promised to them.
-const FRONT_M: f64 = 0.01;
+/// Lines of sight may be this far off an image's axis: cosine of 83 degrees, which the lowest corner of a door has for eyes that just face it. Larger angles: fewer zones, each
+/// with more samples at its sides, by the cube of the cosine.
+const LEAST_COSINE: f64 = 0.12;
+/// Boxes of eyes are divided along borders of what may be used down to this, metres, or this share of their distance. Smaller: zones are a little larger, planning takes longer.
+const FINEST_M: f64 = 0.15;
+const FINEST_SHARE: f64 = 0.1;
 /// The image plane lies before the portal's nearest corner by this share of its distance: depths are rounded.
 const PLANE_SLACK: f64 = 1e-3;
 /// Windows reach beyond what may be seen by this much, as tangents.
@@ -30,20 +34,35 @@ const WINDOW_PAD: f64 = 2e-3;
 /// A portal as seen from one of its sides.
 #[derive(Debug, Clone)]
 pub(super) struct Gate {
-    /// Corners.
-    pub corners: Vec<DVec3>,
+    /// The portal.
+    pub portal: Portal,
+    /// Which of its rooms the eyes are in.
+    pub side: usize,
     /// Unit normal, away from the eyes.
     pub beyond: DVec3,
+    /// Nearer eyes have no image, metres.
+    pub near_m: f64,
 }
 
 impl Gate {
+    pub fn new(portal: &Portal, side: usize, near_m: f64) -> Self {
+        let beyond = portal.normal() * if side == 0 { 1.0 } else { -1.0 };
+        Self { portal: portal.clone(), side, beyond, near_m }
+    }
+
+    /// Whether some eyes of a box may have an image, as far as its corners and its middle tell.
+    pub fn may_serve(&self, b: &Aabb) -> bool {
+        let places = b.corners().into_iter().chain([b.centre()]);
+        places.into_iter().any(|p| is_faced(&self.portal, self.side, p, self.near_m))
+    }
+
     /// How far a place lies before the portal's plane, metres.
     pub fn before_m(&self, p: DVec3) -> f64 {
-        (self.corners[0] - p).dot(self.beyond)
+        (self.portal.corners[0] - p).dot(self.beyond)
     }
 
     fn centre(&self) -> DVec3 {
-        self.corners.iter().sum::<DVec3>() / self.corners.len() as f64
+        self.portal.centre()
     }
 }
 
@@ -90,7 +109,7 @@ pub(super) fn zones(gate: &Gate, places: &[Aabb], footprint: &Footprint) -> Vec<
         let up = if gate.beyond.y.abs() > 0.7 { DVec3::X } else { DVec3::Y };
         let across = gate.beyond.cross(up).normalize_or_zero();
         let key = |b: &Aabb| match why {
-            Not::Near => gate.before_m(b.centre()),
+            Not::Near => gate.portal.distance_m(b.centre()),
             Not::Askew => b.centre().dot(across),
         };
         let (low, high) =
@@ -112,18 +131,28 @@ pub(super) fn zones(gate: &Gate, places: &[Aabb], footprint: &Footprint) -> Vec<
     out
 }
 
-/// Corners of the part of a box that lies before a gate's plane: whatever is linear in the eye has its extremes there.
-fn in_front(gate: &Gate, users: &Aabb) -> Vec<DVec3> {
-    let corners = users.corners();
-    let before = corners.map(|c| gate.before_m(c) - FRONT_M);
-    let mut out: Vec<DVec3> = (0..8).filter(|i| before[*i] >= 0.0).map(|i| corners[i]).collect();
-    for i in 0..8usize {
-        // Edges lead from a corner to those with one more bit.
-        for j in [i | 1, i | 2, i | 4] {
-            if j != i && (before[i] >= 0.0) != (before[j] >= 0.0) {
-                out.push(corners[i].lerp(corners[j], before[i] / (before[i] - before[j])));
-            }
+/// Corners of boxes that together hold all eyes of a box that may have an image: whatever is linear in the eye has its extremes there.
+fn eyes_of(gate: &Gate, users: &Aabb) -> Vec<DVec3> {
+    let mut out = Vec::new();
+    let mut open = vec![*users];
+    while let Some(b) = open.pop() {
+        let (distance, half) = (gate.portal.distance_m(b.centre()), b.size().length() * 0.5);
+        let before = b.corners().map(|c| gate.before_m(c));
+        let [least, most] = [f64::min, f64::max].map(|f| before.iter().copied().reduce(f).unwrap_or(0.0));
+        if distance + half < gate.near_m || most < LEAST_SINE * (distance - half) || most <= 0.0 {
+            continue;
         }
+        let all = distance - half >= gate.near_m && least >= LEAST_SINE * (distance + half);
+        let size = DVec3::new(b.size().x, 0.0, b.size().z);
+        if all || size.max_element() <= FINEST_M.max(FINEST_SHARE * distance) {
+            out.extend(b.corners().into_iter().filter(|c| gate.before_m(*c) > 0.0));
+            continue;
+        }
+        let (mut low, mut high) = (b, b);
+        let axis = longest(size);
+        let middle = b.centre()[axis];
+        (low.max[axis], high.min[axis]) = (middle, middle);
+        open.extend([low, high]);
     }
     out
 }
@@ -135,11 +164,20 @@ fn longest(size: DVec3) -> usize {
 /// The zone of a box of eyes.
 fn zone(gate: &Gate, users: Aabb, footprint: &Footprint) -> Result<Zone, Not> {
     let cop = users.centre();
-    let to = gate.centre() - cop;
-    if gate.before_m(cop) < FRONT_M {
+    if gate.before_m(cop) <= 0.0 {
         return Err(Not::Near);
     }
-    let axis = to.normalize();
+    let eyes = eyes_of(gate, &users);
+    if eyes.is_empty() {
+        return Err(Not::Near);
+    }
+    let toward = (gate.centre() - cop).normalize();
+    along(gate, users, &eyes, gate.beyond, footprint).or_else(|_| along(gate, users, &eyes, toward, footprint))
+}
+
+/// The zone of a box of eyes, with an image along `axis`.
+fn along(gate: &Gate, users: Aabb, eyes: &[DVec3], axis: DVec3, footprint: &Footprint) -> Result<Zone, Not> {
+    let cop = users.centre();
     let axis_deg = [(-axis.x).atan2(-axis.z).to_degrees(), axis.y.clamp(-1.0, 1.0).asin().to_degrees()];
     let basis = ViewBasis::from_yaw_pitch(axis_deg[0], axis_deg[1]);
     let local = |v: DVec3| [v.dot(basis.right), v.dot(basis.up), v.dot(basis.forward)];
@@ -149,7 +187,7 @@ fn zone(gate: &Gate, users: Aabb, footprint: &Footprint) -> Result<Zone, Not> {
         let (x, y) = (x / z, y / z);
         window = [window[0].min(x), window[1].max(x), window[2].min(y), window[3].max(y)];
     };
-    for corner in &gate.corners {
+    for corner in &gate.portal.corners {
         let v = local(*corner - cop);
         plane_m = plane_m.min(v[2]);
         if v[2] < LEAST_COSINE * corner.distance(cop) {
@@ -159,11 +197,11 @@ fn zone(gate: &Gate, users: Aabb, footprint: &Footprint) -> Result<Zone, Not> {
     }
     let mut ahead_m = f64::NEG_INFINITY;
     // What an eye sees beyond a corner of the portal lies, as seen from the centre, between that corner and the direction from the eye to it.
-    for eye in in_front(gate, &users) {
-        ahead_m = ahead_m.max((eye - cop).dot(basis.forward));
-        for corner in &gate.corners {
-            let v = local(*corner - eye);
-            if v[2] < LEAST_COSINE * corner.distance(eye) {
+    for eye in eyes {
+        ahead_m = ahead_m.max((*eye - cop).dot(basis.forward));
+        for corner in &gate.portal.corners {
+            let v = local(*corner - *eye);
+            if v[2] < LEAST_COSINE * corner.distance(*eye) {
                 return Err(Not::Askew);
             }
             reach(v);
@@ -182,6 +220,7 @@ mod tests {
     use super::*;
     use crate::placement::test_scenes::Random;
     use ldi_protocol::OutputCamera;
+    use ldi_protocol::rooms::PortalKind;
 
     const CAMERA: OutputCamera = OutputCamera { width: 1280, height: 720, fov_deg: 60.0 };
 
@@ -192,18 +231,10 @@ mod tests {
             let min = DVec3::new(-5.0 + 0.25 * (i % 20) as f64, 1.1, -2.5 + 0.25 * (i / 20) as f64);
             Aabb { min, max: min + DVec3::new(0.25, 0.9, 0.25) }
         };
-        (Gate { corners, beyond: DVec3::X }, (0..400).map(place).collect())
-    }
-
-    #[test]
-    fn the_part_of_a_box_before_a_plane_has_its_corners_there() {
-        let (gate, _) = room();
-        let box_of = |low: f64, high: f64| Aabb { min: DVec3::new(low, 0.0, 0.0), max: DVec3::new(high, 1.0, 1.0) };
-        assert_eq!(in_front(&gate, &box_of(-3.0, -1.0)).len(), 8);
-        assert_eq!(in_front(&gate, &box_of(1.0, 2.0)).len(), 0);
-        let cut = in_front(&gate, &box_of(-3.0, 1.0));
-        assert_eq!(cut.len(), 8);
-        assert!(cut.iter().all(|c| (c.x + 3.0).abs() < 1e-12 || (c.x + FRONT_M).abs() < 1e-12));
+        let portal = Portal { cells: [Some(0), Some(1)], kind: PortalKind::Door, corners };
+        assert!(portal.normal().distance(DVec3::X) < 1e-12 || portal.normal().distance(DVec3::NEG_X) < 1e-12);
+        let side = usize::from(portal.normal().x < 0.0);
+        (Gate::new(&portal, side, 1.5), (0..400).map(place).collect())
     }
 
     #[test]
@@ -211,9 +242,10 @@ mod tests {
         let (gate, places) = room();
         let footprint = Footprint::new(&CAMERA, 1.0, 2.0);
         let all = zones(&gate, &places, &footprint);
-        assert!((3..40).contains(&all.len()), "{}", all.len());
-        // All eyes a metre and more before the door have one.
-        let far = places.iter().filter(|p| p.max.x < -1.0);
+        assert!((2..16).contains(&all.len()), "{}", all.len());
+        // All eyes that face the door have one.
+        let faced = |p: DVec3| is_faced(&gate.portal, gate.side, p, gate.near_m);
+        let far = places.iter().filter(|p| faced(p.centre()));
         let served = far.clone().filter(|p| all.iter().any(|z| z.users.contains(p.centre()))).count();
         assert_eq!(served, far.count());
         let mut random = Random::new(5);
@@ -221,7 +253,7 @@ mod tests {
             for _ in 0..300 {
                 let mut mix = |b: &Aabb| b.min + b.size() * DVec3::new(random.unit(), random.unit(), random.unit());
                 let eye = mix(&z.users);
-                if gate.before_m(eye) < FRONT_M {
+                if !faced(eye) {
                     continue;
                 }
                 let door = mix(&Aabb::from_points(gate.corners.iter().copied()));

@@ -20,6 +20,7 @@ const KINDS: [PortalKind; 5] =
 #[derive(Default)]
 pub(in crate::manifest) struct Draft {
     margin_m: f64,
+    near_m: f64,
     /// Rooms, then the outside without a name and boxes.
     cells: Vec<Cell>,
     cells_of: Vec<Vec<u32>>,
@@ -32,14 +33,18 @@ impl Draft {
     pub fn finish(mut self) -> Result<Option<RoomIndex>, CodecError> {
         let Some(outside) = self.cells.pop() else {
             let stray = !self.portals.is_empty();
-            return if stray { Err(CodecError::mismatch("portals", "there are portals without rooms")) } else { Ok(None) };
+            return if stray {
+                Err(CodecError::mismatch("portals", "there are portals without rooms"))
+            } else {
+                Ok(None)
+            };
         };
         if !outside.boxes.is_empty() || !outside.name.is_empty() {
             return Err(CodecError::mismatch("rooms", "the last of them is not the outside"));
         }
         let rooms = Rooms::new(self.margin_m, self.cells, self.portals)
             .map_err(|e| CodecError::mismatch("rooms", e.to_string()))?;
-        Ok(Some(RoomIndex { rooms, cells_of: self.cells_of, placements: self.placements }))
+        Ok(Some(RoomIndex { rooms, near_m: self.near_m, cells_of: self.cells_of, placements: self.placements }))
     }
 }
 
@@ -49,7 +54,7 @@ pub(super) fn count(rooms: &RoomIndex) -> usize {
 }
 
 pub(super) fn put_rooms(w: &mut Writer, rooms: &RoomIndex, range: Range<usize>) -> Result<(), CodecError> {
-    put_numbers(w, "rooms' margin", [rooms.rooms.margin_m()])?;
+    put_numbers(w, "rooms' distances", [rooms.rooms.margin_m(), rooms.near_m])?;
     let cells = rooms.rooms.cells();
     let (mut numbers, mut names, mut boxes) = (Vec::new(), Vec::new(), Vec::new());
     for i in range {
@@ -71,11 +76,12 @@ pub(super) fn take_rooms(
     draft: &mut Draft,
     budget: &mut usize,
 ) -> Result<(), CodecError> {
-    let margin_m = take_numbers(r, "rooms' margin", 1)?[0];
-    if !draft.cells.is_empty() && margin_m.to_bits() != draft.margin_m.to_bits() {
-        return Err(CodecError::mismatch("rooms' margin", "two pages disagree"));
+    let found = take_numbers(r, "rooms' distances", 2)?;
+    let so_far = [draft.margin_m, draft.near_m];
+    if !draft.cells.is_empty() && found.iter().zip(so_far).any(|(a, b)| a.to_bits() != b.to_bits()) {
+        return Err(CodecError::mismatch("rooms' distances", "two pages disagree"));
     }
-    draft.margin_m = margin_m;
+    (draft.margin_m, draft.near_m) = (found[0], found[1]);
     let mut numbers = Numbers::take(r, "rooms")?;
     let mut shape = Vec::new();
     let mut boxes = 0;
@@ -98,7 +104,8 @@ pub(super) fn take_rooms(
         let name = String::from_utf8(name.to_vec()).map_err(|_| CodecError::mismatch("room names", "not UTF-8"))?;
         let (of_room, rest) = corners.split_at(of_room);
         corners = rest;
-        let boxes = of_room.iter().map(|&[a, b, c, d, e, f]| Aabb { min: DVec3::new(a, b, c), max: DVec3::new(d, e, f) });
+        let boxes =
+            of_room.iter().map(|&[a, b, c, d, e, f]| Aabb { min: DVec3::new(a, b, c), max: DVec3::new(d, e, f) });
         draft.cells.push(Cell { name, boxes: boxes.collect() });
     }
     Ok(())
@@ -131,9 +138,8 @@ pub(super) fn take_portals(r: &mut Reader<'_>, n: usize, draft: &mut Draft) -> R
         let mut room = || -> Result<CellId, CodecError> { Ok(numbers.next("portal rooms")?.checked_sub(1)) };
         let cells = [room()?, room()?];
         let kind = numbers.next("portal kind")?;
-        let kind = *KINDS
-            .get(kind as usize)
-            .ok_or_else(|| CodecError::range("portal kind", kind, "there are five kinds"))?;
+        let kind =
+            *KINDS.get(kind as usize).ok_or_else(|| CodecError::range("portal kind", kind, "there are five kinds"))?;
         lengths.push(numbers.count("portal corners", MAX_CORNERS)?);
         let mut side = || -> Result<Range<u32>, CodecError> {
             let start = numbers.next("portal placements")?;

@@ -41,14 +41,18 @@ pub(super) fn check(
         faults.push(format!("{triangles} triangles, budget {}", index.settings.budget));
     }
     if list.dropped > 0 {
-        faults.push(format!("{} cells are left to the LDI tree: rooms that have to be geometry exceed the budget", list.dropped));
+        faults.push(format!(
+            "{} cells are left to the LDI tree: rooms that have to be geometry exceed the budget",
+            list.dropped
+        ));
     }
     let mut audit = Walk { index, rooms, cameras, pose, list: &list, footprint_px: 0.0, faults: BTreeSet::new() };
     let basis = pose.basis();
     for _ in 0..RAYS {
         let mut across = || random.unit() * 2.0 - 1.0;
-        let ray =
-            basis.forward + basis.right * (across() * camera.half_tan_x()) + basis.up * (across() * camera.half_tan_y());
+        let ray = basis.forward
+            + basis.right * (across() * camera.half_tan_x())
+            + basis.up * (across() * camera.half_tan_y());
         audit.ray(ray, random);
     }
     let footprint_px = audit.footprint_px;
@@ -112,7 +116,10 @@ impl Walk<'_> {
         for cell in self.rooms.cells(room) {
             let b = &self.index.cells[*cell as usize].bounds;
             if is_met(b, self.pose.position, ray, [from, to]) && !self.list.cells.contains(cell) {
-                self.faults.insert(format!("cell {cell} of room {} is in the picture and not drawn", self.rooms.rooms.name(room)));
+                self.faults.insert(format!(
+                    "cell {cell} of room {} is in the picture and not drawn",
+                    self.rooms.rooms.name(room)
+                ));
             }
         }
     }
@@ -132,7 +139,9 @@ impl Walk<'_> {
                 if let Some(ldi) = self.cameras.get(number).and_then(Option::as_ref) {
                     let found = footprint(index, ldi, pose, &pose.basis(), q);
                     self.footprint_px = self.footprint_px.max(found);
-                    if found > p.footprint_px * (1.0 + 1e-6) || p.footprint_px > index.settings.max_footprint_px * (1.0 + 1e-9) {
+                    if found > p.footprint_px * (1.0 + 1e-6)
+                        || p.footprint_px > index.settings.max_footprint_px * (1.0 + 1e-9)
+                    {
                         self.faults.insert(format!("footprint {found} px, bound {} px", p.footprint_px));
                     }
                 }
@@ -154,7 +163,8 @@ fn crossing(portal: &Portal, eye: DVec3, ray: DVec3, side: usize) -> Option<f64>
     let t = (portal.corners[0] - eye).dot(n) / along;
     let p = eye + ray * t;
     let k = portal.corners.len();
-    let turns = |i: usize| (portal.corners[(i + 1) % k] - portal.corners[i]).cross(p - portal.corners[i]).dot(portal.normal());
+    let turns =
+        |i: usize| (portal.corners[(i + 1) % k] - portal.corners[i]).cross(p - portal.corners[i]).dot(portal.normal());
     (t > 0.0 && (0..k).all(|i| turns(i) > 1e-9)).then_some(t)
 }
 
