@@ -256,7 +256,7 @@ mod tests {
                 if !faced(eye) {
                     continue;
                 }
-                let door = mix(&Aabb::from_points(gate.corners.iter().copied()));
+                let door = mix(&Aabb::from_points(gate.portal.corners.iter().copied()));
                 let seen = door + (door - eye) * (random.unit() * 30.0);
                 let v = seen - z.cop;
                 let depth = v.dot(z.basis.forward);
