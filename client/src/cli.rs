@@ -211,8 +211,8 @@ fn refuse_what_is_not_there(args: &WalkArgs) -> Result<(), Failure> {
     if args.renderer == Renderer::Gpu {
         return Err(not_there("--renderer gpu", "use --renderer cpu"));
     }
-    if matches!(args.method, Method::Texture | Method::Warp1 | Method::Warp2 | Method::Portals | Method::Cache) {
-        return Err(not_there("this --method", "use auto, geometry, ldi, grid or tree"));
+    if matches!(args.method, Method::Texture | Method::Warp1 | Method::Warp2 | Method::Cache) {
+        return Err(not_there("this --method", "use auto, geometry, ldi, grid, portals or tree"));
     }
     if args.frame_ms.is_some_and(|ms| !(ms.is_finite() && ms > 0.0)) {
         return Err(Failure::usage("--frame-ms is a positive number of milliseconds"));
@@ -264,6 +264,20 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     // Found out before the walk, not after it.
     let report_file = PendingReport::create(&args.report).map_err(Failure::permanent)?;
     let connection = Connection::connect(config)?;
+    let has_rooms = Feed::index(&connection).rooms.is_some();
+    match args.method {
+        Method::Portals if !has_rooms => {
+            return Err(Failure::permanent(anyhow::anyhow!(
+                "--method portals: the dataset has no rooms; build it with `ldi-server build SCENE --represent portals`, or use --method auto"
+            )));
+        }
+        Method::Grid | Method::Ldi if has_rooms => {
+            return Err(Failure::permanent(anyhow::anyhow!(
+                "--method grid: the dataset has rooms and no grid; build it with --represent grid, or use --method portals"
+            )));
+        }
+        _ => {}
+    }
     let options = WalkOptions {
         width: args.size.0,
         height: args.size.1,
@@ -305,7 +319,11 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         dataset: DatasetReport {
             hash: connection.dataset_hash(),
             budget: index.settings.budget,
-            representations: if index.placements.is_empty() { vec!["geometry"] } else { vec!["geometry", "grid"] },
+            representations: match (&index.rooms, index.placements.is_empty()) {
+                (Some(_), _) => vec!["geometry", "portals"],
+                (None, false) => vec!["geometry", "grid"],
+                (None, true) => vec!["geometry"],
+            },
         },
         machine: MachineReport::here(),
         options: options_as_json(args, &options),

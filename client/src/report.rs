@@ -38,7 +38,7 @@ pub struct FrameReport {
     pub yaw_deg: f64,
     /// Degrees, positive up.
     pub pitch_deg: f64,
-    /// `grid` where an image was warped, `geometry` elsewhere.
+    /// `grid` or `portals` where an image was warped, `tree` where that stands for what is far, `geometry` elsewhere.
     pub method: &'static str,
     /// Selected grid point.
     pub grid_point: Option<u32>,
@@ -50,6 +50,10 @@ pub struct FrameReport {
     pub dropped_cells: u32,
     /// Triangles of all cells in the frustum, from the index.
     pub triangles_in_frustum: u64,
+    /// Rooms that the pose sees as geometry; 0 in a dataset without rooms.
+    pub rooms: usize,
+    /// Portals beyond which it sees images.
+    pub portal_images: usize,
     /// Samples drawn.
     pub samples_warped: u64,
     /// Samples rejected by groups.

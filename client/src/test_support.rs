@@ -133,6 +133,7 @@ pub fn dataset(camera: OutputCamera, materials: Vec<Material>, clusters: Vec<Clu
         pitch_bands_deg: Vec::new(),
         volume: None,
         tree: None,
+        rooms: None,
         points: Vec::new(),
         placements: Vec::new(),
         images: Vec::new(),

@@ -2,7 +2,9 @@
 //!
 //! Numbers that name things (`u32`) are positions in the vectors of [`Index`].
 
-use crate::{Aabb, OutputCamera, ViewBasis, mesh::Material, sky::SkyMap, tree::Tree, volume::WalkVolume};
+use crate::{
+    Aabb, OutputCamera, ViewBasis, mesh::Material, room_index::RoomIndex, sky::SkyMap, tree::Tree, volume::WalkVolume,
+};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -138,11 +140,12 @@ pub struct GridPoint {
 /// An image placement: a subset of the cells, replaced by LDIs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Placement {
-    /// The grid point it was solved at, or the first that uses it.
-    pub grid_point: u32,
+    /// The grid point it was solved at, or the first that uses it; None for one of a portal ([`RoomIndex::placements`]).
+    pub grid_point: Option<u32>,
     /// Centre of projection of all its images, metres.
     pub cop: DVec3,
-    /// Cells that are not drawn, ascending. Each lies wholly beyond the plane of one of the images.
+    /// Cells that are not drawn, ascending. Each lies wholly beyond the plane of one of the images. Empty for a portal's: there it is
+    /// all that is seen through the portal but the cells of the room before it.
     pub culled: Vec<u32>,
     /// Bound on the footprint of any sample from any eye that may use it, output pixels.
     pub footprint_px: f64,
@@ -221,12 +224,15 @@ pub struct Index {
     pub volume: Option<WalkVolume>,
     /// The base layer: what stands in for whatever else is not there. None for a scene without surfaces that an eye sees.
     pub tree: Option<Tree>,
+    /// Rooms and portals, in a dataset that is walked by them.
+    pub rooms: Option<RoomIndex>,
 }
 
 impl Index {
     /// Whether what lies beyond the budget comes from the LDI tree: there are no placements that would replace it.
     pub fn walks_by_tree(&self) -> bool {
-        self.tree.is_some() && self.points.is_empty() && self.scene.triangles > self.settings.budget
+        let other = !self.points.is_empty() || self.rooms.is_some();
+        self.tree.is_some() && !other && self.scene.triangles > self.settings.budget
     }
 
     /// The images of a placement, with their numbers; none where the index has no such placement.

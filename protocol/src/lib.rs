@@ -21,6 +21,7 @@ pub mod mesh;
 pub mod need;
 pub mod path;
 pub mod portal_view;
+pub mod room_index;
 pub mod rooms;
 pub mod select;
 pub mod shade;

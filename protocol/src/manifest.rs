@@ -31,7 +31,7 @@ use crate::{
 };
 
 /// Version of root and pages. Raised with every change that an older reader would misunderstand.
-pub const VERSION: u8 = 5;
+pub const VERSION: u8 = 6;
 /// Largest root that a build writes.
 pub const MAX_ROOT_BYTES: usize = 256_000;
 
@@ -70,11 +70,15 @@ pub enum PageKind {
     Tree,
     /// Nodes of the LDI tree.
     TreeNodes,
+    /// Rooms, the outside last.
+    Rooms,
+    /// Portals.
+    Portals,
 }
 
 impl PageKind {
     /// All kinds in the order of the page list.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 11] = [
         Self::Chunks,
         Self::Cells,
         Self::Materials,
@@ -84,6 +88,8 @@ impl PageKind {
         Self::Volume,
         Self::Tree,
         Self::TreeNodes,
+        Self::Rooms,
+        Self::Portals,
     ];
 }
 
@@ -144,6 +150,8 @@ pub fn encode(index: &Index) -> Result<Encoded, CodecError> {
         usize::from(index.volume.is_some()),
         usize::from(index.tree.is_some()),
         index.tree.as_ref().map_or(0, |t| t.nodes.len()),
+        pages::room_count(index),
+        index.rooms.as_ref().map_or(0, |r| r.rooms.portals().len()),
     ];
     let total: usize = lengths.iter().sum();
     // The page list may need one more page per kind than the division gives.
@@ -222,7 +230,7 @@ pub fn decode_root(bytes: &[u8]) -> Result<Root, CodecError> {
         let kind = r.u8("page kind")?;
         let kind = *PageKind::ALL
             .get(usize::from(kind))
-            .ok_or_else(|| CodecError::range("page kind", kind, "there are nine kinds, from 0 on"))?;
+            .ok_or_else(|| CodecError::range("page kind", kind, "there are eleven kinds, from 0 on"))?;
         pages.push(PageEntry {
             kind,
             first: r.varint("page first", MAX_ENTRIES)? as u32,
@@ -264,12 +272,14 @@ pub fn assemble<B: AsRef<[u8]>>(root: &Root, pages: &[B]) -> Result<Index, Codec
         images: Vec::new(),
         volume: None,
         tree: None,
+        rooms: None,
     };
     let mut room = pages::Room::of_index();
     for (entry, bytes) in root.pages.iter().zip(pages) {
         check_page_hash(entry, bytes.as_ref())?;
         pages::decode_into(&mut index, entry, bytes.as_ref(), &mut room)?;
     }
+    room.finish(&mut index)?;
     validate(&index)?;
     Ok(index)
 }

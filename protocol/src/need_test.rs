@@ -36,7 +36,7 @@ fn row_of_cells() -> Index {
     };
     let camera = OutputCamera { width: 64, height: 48, fov_deg: 60.0 };
     let placement = |x: f64, images| Placement {
-        grid_point: 0,
+        grid_point: Some(0),
         cop: DVec3::ZERO,
         culled: vec![],
         footprint_px: 1.0,
@@ -103,6 +103,7 @@ fn row_of_cells() -> Index {
         pitch_bands_deg: vec![-90.0, 90.0],
         volume: None,
         tree: None,
+        rooms: None,
         points: vec![point(5.0), point(25.0)],
         placements: vec![placement(5.0, 0..1), placement(25.0, 1..2)],
         images: vec![image(vec![7, 8]), image(vec![9])],

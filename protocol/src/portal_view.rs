@@ -61,7 +61,7 @@ impl Cone {
     }
 
     /// The cone from `apex` over a convex polygon; None if nothing of it can be seen from there.
-    fn over(apex: DVec3, polygon: &[DVec3]) -> Option<Self> {
+    pub fn over(apex: DVec3, polygon: &[DVec3]) -> Option<Self> {
         let mut edges: Vec<DVec3> = Vec::with_capacity(polygon.len());
         for p in polygon {
             let e = (*p - apex).try_normalize()?;
@@ -139,11 +139,24 @@ pub struct VisibleCell {
     pub cones: Vec<Cone>,
 }
 
+/// A portal that may be seen and was not gone through.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Threshold {
+    /// Position in [`Rooms::portals`].
+    pub portal: u32,
+    /// Which of the portal's two cells it is seen from.
+    pub side: usize,
+    /// What may be seen of it.
+    pub cone: Cone,
+}
+
 /// What may be seen.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct PortalView {
     /// Cells in the order in which they were reached; those of the eye come first.
     pub cells: Vec<VisibleCell>,
+    /// Where [`portal_view_within`] stopped; a portal comes once for each way to it.
+    pub thresholds: Vec<Threshold>,
     /// Portals that were clipped.
     pub clipped: usize,
     /// Whether [`MAX_VISITS`] was reached, so that everything counts as seen.
@@ -159,9 +172,23 @@ impl PortalView {
 
 /// What an eye at the frustum's apex may see within the frustum.
 pub fn portal_view(rooms: &Rooms, frustum: &Frustum) -> PortalView {
+    let start = rooms.cells_near(frustum.apex, rooms.margin_m());
+    portal_view_within(rooms, frustum, &start, &|_| true, MAX_VISITS)
+}
+
+/// The same, but only through cells that `enters` admits: portals into others are [`PortalView::thresholds`]. `start`: the cells of the eye,
+/// [`Rooms::cells_near`] within the margin; `most_visits` in place of [`MAX_VISITS`].
+pub fn portal_view_within(
+    rooms: &Rooms,
+    frustum: &Frustum,
+    start: &[CellId],
+    enters: &dyn Fn(CellId) -> bool,
+    most_visits: usize,
+) -> PortalView {
     let whole = Cone::of_frustum(frustum);
     let mut walk = Walk {
         rooms,
+        enters,
         whole: whole.clone(),
         found: PortalView::default(),
         slot: vec![usize::MAX; rooms.cells().len() + 1],
@@ -169,13 +196,13 @@ pub fn portal_view(rooms: &Rooms, frustum: &Frustum) -> PortalView {
     };
     // A stack of its own: paths may be as long as there are portals.
     let mut open: Vec<(CellId, Cone)> = Vec::new();
-    for cell in rooms.cells_near(frustum.apex, rooms.margin_m()) {
-        open.push((cell, whole.clone()));
+    for cell in start.iter().filter(|c| enters(**c)) {
+        open.push((*cell, whole.clone()));
     }
     open.reverse();
     while let Some((cell, cone)) = open.pop() {
         walk.enter(cell, cone, &mut open);
-        if walk.visits > MAX_VISITS {
+        if walk.visits > most_visits {
             return walk.everything();
         }
     }
@@ -184,6 +211,7 @@ pub fn portal_view(rooms: &Rooms, frustum: &Frustum) -> PortalView {
 
 struct Walk<'a> {
     rooms: &'a Rooms,
+    enters: &'a dyn Fn(CellId) -> bool,
     whole: Cone,
     found: PortalView,
     /// Position of each cell in `found`; the outside's comes last.
@@ -214,30 +242,38 @@ impl Walk<'_> {
         for &number in self.rooms.portals_of(cell) {
             let portal = &self.rooms.portals()[number as usize];
             let Some(beyond) = portal.beyond(cell) else { continue };
+            let side = usize::from(portal.cells[0] != cell);
             // Beyond the plane for an eye on this side of it.
-            let ahead =
-                (portal.corners[0] - eye).dot(portal.normal()) * if portal.cells[0] == cell { 1.0 } else { -1.0 };
+            let ahead = (portal.corners[0] - eye).dot(portal.normal()) * if side == 0 { 1.0 } else { -1.0 };
             if ahead < -margin {
                 continue;
             }
+            let mut go_on = |cone: Cone| match (self.enters)(beyond) {
+                true => open.push((beyond, cone)),
+                false => self.found.thresholds.push(Threshold { portal: number, side, cone }),
+            };
             if ahead.abs() <= margin && portal.distance_m(eye) <= margin {
-                open.push((beyond, cone.clone()));
+                go_on(cone.clone());
                 continue;
+            }
+            let left = cone.clip(&portal.corners);
+            if let Some(narrow) = Cone::over(eye, &left).filter(|_| !left.is_empty()) {
+                go_on(narrow);
             }
             self.found.clipped += 1;
-            let left = cone.clip(&portal.corners);
-            if left.is_empty() {
-                continue;
-            }
-            if let Some(narrow) = Cone::over(eye, &left) {
-                open.push((beyond, narrow));
-            }
         }
     }
 
     fn everything(mut self) -> PortalView {
-        let all = (0..self.rooms.cells().len() as u32).map(Some).chain([None]);
+        let all = (0..self.rooms.cells().len() as u32).map(Some).chain([None]).filter(|c| (self.enters)(*c));
         self.found.cells = all.map(|cell| VisibleCell { cell, cones: vec![self.whole.clone()] }).collect();
+        self.found.thresholds.clear();
+        for (portal, p) in (0u32..).zip(self.rooms.portals()) {
+            let between = p.cells.map(self.enters);
+            for side in (0..2).filter(|side| between[*side] && !between[1 - side]) {
+                self.found.thresholds.push(Threshold { portal, side, cone: self.whole.clone() });
+            }
+        }
         self.found.everything = true;
         self.found
     }

@@ -1,14 +1,20 @@
 //! `select`: from a pose to what is drawn. A pure function over the [`Index`], so that the server plans with
 //! exactly what the client renders with (Aliaga and Lastra 1999, Figure 12).
 //!
-//! Pose -> closest grid point (in the reverse frustum, or anywhere: [`CELLS`]) -> pitch band -> angular range -> placement or none
+//! In a dataset with rooms: pose -> its room -> portals ([`portals`]). Else:
+//! pose -> closest grid point (in the reverse frustum, or anywhere: [`CELLS`]) -> pitch band -> angular range -> placement or none
 //! -> cells in view that the placement does not replace. The build counts for every grid point what these steps can draw for any of
 //! its users; [`draw_list`] keeps the budget for all other poses too.
+
+mod portals;
+
+pub use portals::ShownPortal;
 
 use crate::{
     Aabb, Pose,
     camera::Frustum,
     index::{BuildSettings, CellEntry, Index},
+    rooms::CellId,
     tree::{CutOptions, Lens, cut},
 };
 use glam::DVec3;
@@ -54,27 +60,30 @@ impl DrawFrusta {
 
     /// The images of a placement whose cones beyond their planes the picture may touch, those nearest to the line of sight first.
     fn images_in_view(&self, index: &Index, placement: u32, pose: &Pose) -> Vec<u32> {
-        let Some(cop) = index.placements.get(placement as usize).map(|p| p.cop) else { return Vec::new() };
-        let sight = pose.basis().forward;
-        let mut found: Vec<(f64, u32)> = Vec::new();
-        for (number, image) in index.images_of(placement).filter(|(_, i)| !i.chunks.is_empty()) {
-            let b = &image.basis;
-            let [l, r, below, above] = image.window;
-            let rays =
-                [(l, below), (r, below), (l, above), (r, above)].map(|(x, y)| b.forward + b.right * x + b.up * y);
-            // The cone is the set of all (near corner + t * some ray), t >= 0: wholly outside a plane if its near corners and its rays are.
-            let nearest = image.plane_distance * (1.0 - PLANE_SLACK);
-            let outside = |n: &DVec3| {
-                rays.iter().all(|ray| n.dot(cop + *ray * nearest - pose.position) < 0.0 && n.dot(*ray) <= 0.0)
-            };
-            if !self.picture.normals.iter().any(outside) {
-                let middle: DVec3 = rays.iter().sum();
-                found.push((-middle.normalize().dot(sight), number));
-            }
-        }
-        found.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        found.into_iter().map(|f| f.1).collect()
+        images_within(index, placement, pose, &self.picture.normals)
     }
+}
+
+/// The images of a placement whose cones beyond their planes a cone with these inward normals at the eye may touch, those nearest to the line of sight first.
+fn images_within(index: &Index, placement: u32, pose: &Pose, normals: &[DVec3]) -> Vec<u32> {
+    let Some(cop) = index.placements.get(placement as usize).map(|p| p.cop) else { return Vec::new() };
+    let sight = pose.basis().forward;
+    let mut found: Vec<(f64, u32)> = Vec::new();
+    for (number, image) in index.images_of(placement).filter(|(_, i)| !i.chunks.is_empty()) {
+        let b = &image.basis;
+        let [l, r, below, above] = image.window;
+        let rays = [(l, below), (r, below), (l, above), (r, above)].map(|(x, y)| b.forward + b.right * x + b.up * y);
+        // The cone is the set of all (near corner + t * some ray), t >= 0: wholly outside a plane if its near corners and its rays are.
+        let nearest = image.plane_distance * (1.0 - PLANE_SLACK);
+        let outside =
+            |n: &DVec3| rays.iter().all(|ray| n.dot(cop + *ray * nearest - pose.position) < 0.0 && n.dot(*ray) <= 0.0);
+        if !normals.iter().any(outside) {
+            let middle: DVec3 = rays.iter().sum();
+            found.push((-middle.normalize().dot(sight), number));
+        }
+    }
+    found.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    found.into_iter().map(|f| f.1).collect()
 }
 
 /// Selects the grid point and the placement of a pose.
@@ -102,7 +111,7 @@ pub fn select(index: &Index, pose: &Pose) -> Selection {
 }
 
 /// What to draw as geometry for a pose.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct DrawList {
     /// Grid point and placement.
     pub selection: Selection,
@@ -117,11 +126,18 @@ pub struct DrawList {
     pub dropped: u32,
     /// Chunks that refine the LDI tree to this view, coarse ones first; empty where the tree is only what lies under images.
     pub tree: Vec<u32>,
+    /// Rooms whose cells are drawn, in the order in which they are seen; empty in a dataset without rooms.
+    pub rooms: Vec<CellId>,
+    /// Portals whose images show what lies beyond, nearest first.
+    pub portals: Vec<ShownPortal>,
 }
 
 /// The cells that a pose draws: those in view that its placement does not replace. `picture_half_tan`: tangents of half the picture's
 /// horizontal and vertical field of view.
 pub fn draw_list(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> DrawList {
+    if let Some(rooms) = &index.rooms {
+        return portals::draw_list(index, rooms, pose, picture_half_tan);
+    }
     let selection = select(index, pose);
     let culled =
         selection.placement.and_then(|p| index.placements.get(p as usize)).map_or(&[][..], |p| p.culled.as_slice());
@@ -139,6 +155,15 @@ pub fn draw_list(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> Dr
         seen.push((apart.length_squared(), cell));
         triangles += u64::from(entry.triangles);
     }
+    let (cells, triangles, dropped) = within_budget(index, seen, triangles);
+    let images = selection.placement.map_or_else(Vec::new, |p| frusta.images_in_view(index, p, pose));
+    let tree = if index.walks_by_tree() { tree_chunks(index, pose, picture_half_tan) } else { Vec::new() };
+    let (rooms, portals) = (Vec::new(), Vec::new());
+    DrawList { selection, cells, images, triangles, dropped, tree, rooms, portals }
+}
+
+/// Cells (distance, number) near to far, without the farthest ones that exceed the budget; the triangles that stay; how many cells went.
+fn within_budget(index: &Index, mut seen: Vec<(f64, u32)>, mut triangles: u64) -> (Vec<u32>, u64, u32) {
     seen.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     let mut dropped = 0;
     while triangles > index.settings.budget {
@@ -146,9 +171,7 @@ pub fn draw_list(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> Dr
         triangles -= u64::from(index.cells[cell as usize].triangles);
         dropped += 1;
     }
-    let images = selection.placement.map_or_else(Vec::new, |p| frusta.images_in_view(index, p, pose));
-    let tree = if index.walks_by_tree() { tree_chunks(index, pose, picture_half_tan) } else { Vec::new() };
-    DrawList { selection, cells: seen.into_iter().map(|s| s.1).collect(), images, triangles, dropped, tree }
+    (seen.into_iter().map(|s| s.1).collect(), triangles, dropped)
 }
 
 /// The nearest cells in view that the budget allows: what is drawn as geometry where all else comes from the LDI tree.
@@ -279,9 +302,10 @@ mod tests {
             pitch_bands_deg: vec![-30.0, 30.0],
             volume: None,
             tree: None,
+            rooms: None,
             points: vec![point(3.0, None), point(0.0, Some(0)), point(-0.9, None)],
             placements: vec![Placement {
-                grid_point: 1,
+                grid_point: Some(1),
                 cop: DVec3::ZERO,
                 culled: vec![5, 6, 7, 8, 9],
                 footprint_px: 1.5,

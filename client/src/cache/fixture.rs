@@ -114,7 +114,7 @@ pub fn street(cells: u32, side: u32) -> Street {
             ]],
         }],
         placements: vec![Placement {
-            grid_point: 0,
+            grid_point: Some(0),
             cop: DVec3::new(0.0, 0.0, 5.0),
             culled: (cells / 2..cells).collect(),
             footprint_px: 1.0,
@@ -132,6 +132,7 @@ pub fn street(cells: u32, side: u32) -> Street {
         }],
         volume: None,
         tree: None,
+        rooms: None,
     };
     Street { index, chunks: street.chunks }
 }

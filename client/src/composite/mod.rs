@@ -30,7 +30,7 @@ use crate::{
     warp::FarFrame,
 };
 use glam::DVec3;
-use ldi_protocol::{OutputCamera, Pose, index::ImageEntry, ldi::Ldi, sky::SkyMap};
+use ldi_protocol::{OutputCamera, Pose, index::ImageEntry, ldi::Ldi, portal_view::Cone, sky::SkyMap};
 use rayon::prelude::*;
 
 /// What stands for the cells that were not drawn.
@@ -49,6 +49,26 @@ pub enum Far<'a> {
         /// Where the placement's eyes see sky, also beside its images.
         sky: Option<&'a SkyMap>,
     },
+    /// Warped images of portals: what near geometry leaves open is seen through one of them, or is sky.
+    Portals {
+        /// The warps' common result.
+        picture: &'a FarFrame,
+        /// All portals whose images show what lies beyond.
+        portals: &'a [FarPortal<'a>],
+        /// Whether all else was drawn, so that where no portal is there is sky.
+        complete: bool,
+    },
+}
+
+/// A portal that takes part in a frame.
+#[derive(Debug, Clone, Copy)]
+pub struct FarPortal<'a> {
+    /// What is seen of it from the eye.
+    pub cones: &'a [Cone],
+    /// The images in view, absent ones too.
+    pub images: &'a [FarImage<'a>],
+    /// Where its eyes see sky through it, also beside its images.
+    pub sky: &'a SkyMap,
 }
 
 /// An image that takes part in a frame.
@@ -137,7 +157,12 @@ pub fn composite(
     options: &CompositeOptions<'_>,
 ) -> CompositeStats {
     let mut stats = merge(frame, far, pose, camera);
-    let known = matches!(far, Far::Images { images, .. } if images.iter().any(|i| matches!(i, FarImage::Here(..))));
+    let here = |images: &[FarImage<'_>]| images.iter().any(|i| matches!(i, FarImage::Here(..)));
+    let known = match far {
+        Far::Images { images, .. } => here(images),
+        Far::Portals { portals, .. } => portals.iter().any(|p| here(p.images)),
+        Far::Nothing | Far::Missing => false,
+    };
     finish(frame, known, &mut stats, options);
     stats
 }
@@ -145,7 +170,11 @@ pub fn composite(
 /// The first half of [`composite()`]: near, far and sky.
 pub fn merge(frame: &mut Frame, far: Far<'_>, pose: &Pose, camera: &OutputCamera) -> CompositeStats {
     let far = match far {
-        Far::Images { picture, .. } if (picture.width, picture.height) != (frame.width, frame.height) => Far::Missing,
+        Far::Images { picture, .. } | Far::Portals { picture, .. }
+            if (picture.width, picture.height) != (frame.width, frame.height) =>
+        {
+            Far::Missing
+        }
         other => other,
     };
     let width = frame.width as usize;
@@ -153,7 +182,18 @@ pub fn merge(frame: &mut Frame, far: Far<'_>, pose: &Pose, camera: &OutputCamera
         return CompositeStats::default();
     }
     let merge = match far {
-        Far::Images { picture, images, sky } => Some(Merge::new(picture, (images, sky), pose, camera)),
+        Far::Images { picture, images, sky } => {
+            let all = Group { images: lookups(images, pose, camera), sky, cones: None };
+            Some(Merge::new(picture, vec![all], true, pose, camera))
+        }
+        Far::Portals { picture, portals, complete } => {
+            let groups = portals.iter().map(|p| Group {
+                images: lookups(p.images, pose, camera),
+                sky: Some(p.sky),
+                cones: Some(p.cones.iter().map(|c| c.normals.clone()).collect()),
+            });
+            Some(Merge::new(picture, groups.collect(), complete, pose, camera))
+        }
         Far::Nothing | Far::Missing => None,
     };
     let chunk = width * ROWS_PER_TASK;
@@ -235,9 +275,43 @@ impl Row<'_> {
 /// Merges rows of warped images.
 struct Merge<'a> {
     picture: &'a FarFrame,
+    groups: Vec<Group<'a>>,
+    /// Whether a direction that is in no group is sky.
+    complete: bool,
+    world: Directions,
+}
+
+/// Images that together hold what is replaced in some directions.
+struct Group<'a> {
     images: Vec<Lookup<'a>>,
     sky: Option<&'a SkyMap>,
-    world: Directions,
+    /// Inward normals of the cones around those directions; None: all.
+    cones: Option<Vec<Vec<DVec3>>>,
+}
+
+fn lookups<'a>(images: &[FarImage<'a>], pose: &Pose, camera: &OutputCamera) -> Vec<Lookup<'a>> {
+    images.iter().map(|i| Lookup::new(*i, pose, camera)).collect()
+}
+
+impl Group<'_> {
+    fn holds(&self, direction: DVec3) -> bool {
+        let within = |normals: &Vec<DVec3>| normals.iter().all(|n| n.dot(direction) >= 0.0);
+        self.cones.as_ref().is_none_or(|cones| cones.iter().any(within))
+    }
+
+    /// As [`Merge::is_sky`], of this group alone.
+    fn is_sky(&self, row: usize, column: usize, direction: DVec3) -> bool {
+        let (mut sky, mut held) = (false, false);
+        for image in &self.images {
+            match image.knows(row, column) {
+                Knows::Missing => return false,
+                Knows::Sky => sky = true,
+                Knows::Nothing => held = true,
+                Knows::Beside => {}
+            }
+        }
+        sky || !held || self.sky.is_some_and(|s| s.holds(direction))
+    }
 }
 
 /// Directions of output pixels' centres in some frame: affine in column and row.
@@ -277,14 +351,8 @@ struct Lookup<'a> {
 }
 
 impl<'a> Merge<'a> {
-    fn new(
-        picture: &'a FarFrame,
-        (images, sky): (&[FarImage<'a>], Option<&'a SkyMap>),
-        pose: &Pose,
-        camera: &OutputCamera,
-    ) -> Self {
-        let images = images.iter().map(|i| Lookup::new(*i, pose, camera)).collect();
-        Self { picture, images, sky, world: Directions::new(pose, camera, |w| w.to_array()) }
+    fn new(picture: &'a FarFrame, groups: Vec<Group<'a>>, complete: bool, pose: &Pose, camera: &OutputCamera) -> Self {
+        Self { picture, groups, complete, world: Directions::new(pose, camera, |w| w.to_array()) }
     }
     fn row(&self, row: usize, pixels: &mut Row<'_>, stats: &mut CompositeStats) {
         let width = pixels.colour.len();
@@ -337,23 +405,23 @@ impl<'a> Merge<'a> {
     }
 
     /// Whether sky is known in a pixel's direction: an image holds some, the placement's eyes see it, or none could hold anything. An image that is
-    /// not there may hold a surface.
+    /// not there may hold a surface. Of several portals all must agree; where none is, there is sky if everything else was drawn.
     fn is_sky(&self, row: usize, column: usize) -> bool {
-        let (mut sky, mut held) = (false, false);
-        for image in &self.images {
-            match image.knows(row, column) {
-                Knows::Missing => return false,
-                Knows::Sky => sky = true,
-                Knows::Nothing => held = true,
-                Knows::Beside => {}
+        let direction = DVec3::from_array(self.world.of(row, column));
+        let mut any = false;
+        for group in self.groups.iter().filter(|g| g.holds(direction)) {
+            any = true;
+            if !group.is_sky(row, column, direction) {
+                return false;
             }
         }
-        sky || !held || self.sky.is_some_and(|s| s.holds(DVec3::from_array(self.world.of(row, column))))
+        any || self.complete
     }
 
     /// Whether a triangle behind the far surface is as near as the far surface's disparity is known.
     fn near_wins(&self, row: usize, column: usize, near: f32, far: f32) -> bool {
-        let step = self.images.iter().map(|i| i.step(row, column, far)).fold(0.0, f64::max) as f32;
+        let step =
+            self.groups.iter().flat_map(|g| &g.images).map(|i| i.step(row, column, far)).fold(0.0, f64::max) as f32;
         far - near <= step
     }
 }

@@ -404,3 +404,34 @@ fn tiles_join_without_a_seam() {
         assert!(differing <= 2 * CAMERA.height as usize, "{name}: {differing} pixels differ");
     }
 }
+
+/// A portal's images answer for what is seen through it; beside it there is sky if all else was drawn, and nothing is known if not.
+#[test]
+fn a_portal_answers_for_its_cone_alone() {
+    let mut silent = image("frontal");
+    silent.sky.fill(0);
+    let picture = FarFrame::new(CAMERA.width, CAMERA.height);
+    let nowhere = SkyMap::default();
+    let everywhere = SkyMap::of(&vec![true; SkyMap::SQUARES as usize]);
+    // The right half of the picture: a cone between its middle, its right border and beyond above and below.
+    let b = ahead().basis();
+    let cone =
+        Cone { apex: DVec3::ZERO, edges: vec![], normals: vec![b.right, (b.forward - b.right).normalize(), b.forward] };
+    let cones = [cone];
+    for (sky, complete, expected) in [
+        (&nowhere, true, [Source::Sky, Source::Unpainted]),
+        (&nowhere, false, [Source::Unpainted, Source::Unpainted]),
+        (&everywhere, true, [Source::Sky, Source::Sky]),
+        (&everywhere, false, [Source::Unpainted, Source::Sky]),
+    ] {
+        let mut frame = Frame::new(CAMERA.width, CAMERA.height);
+        let images = [as_planned(&silent)];
+        let portals = [FarPortal { cones: &cones, images: &images, sky }];
+        let far = Far::Portals { picture: &picture, portals: &portals, complete };
+        let options = CompositeOptions { fill: Fill::Off, ..CompositeOptions::default() };
+        composite(&mut frame, far, &ahead(), &CAMERA, &options);
+        for (at, source) in frame.source.iter().enumerate() {
+            assert_eq!(*source, expected[usize::from(at % 160 >= 80)], "{at}, complete: {complete}");
+        }
+    }
+}

@@ -6,7 +6,8 @@
 use super::options::{Cull, Method, WalkOptions};
 use crate::{
     composite::{
-        CompositeOptions, Doubt, Far, FarImage, Fill, Under, downsample, finish, lay_under, merge, wanted_under,
+        CompositeOptions, Doubt, Far, FarImage, FarPortal, Fill, Under, downsample, finish, lay_under, merge,
+        wanted_under,
     },
     frame::{Frame, Source, supersampled},
     near::Rasterizer,
@@ -20,7 +21,9 @@ use ldi_protocol::{
     index::{ImageEntry, Index},
     ldi::Ldi,
     need::{Needed, needed},
-    select::{DrawFrusta, DrawList, Nearest, Selection, draw_list, nearest_cells, select},
+    portal_view::Cone,
+    rooms::CellId,
+    select::{DrawFrusta, DrawList, Nearest, Selection, ShownPortal, draw_list, nearest_cells, select},
 };
 use std::{sync::Arc, time::Instant};
 
@@ -29,7 +32,7 @@ use std::{sync::Arc, time::Instant};
 const PREPARED_KEPT: usize = 4;
 
 /// What a pose draws.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct View {
     /// Grid point and placement.
     pub selection: Selection,
@@ -45,6 +48,10 @@ pub struct View {
     pub by_tree: bool,
     /// Chunks that refine it.
     pub tree: Vec<u32>,
+    /// Rooms drawn as geometry; empty in a dataset without rooms.
+    pub rooms: Vec<CellId>,
+    /// Portals whose images show what lies beyond, nearest first.
+    pub portals: Vec<ShownPortal>,
 }
 
 /// What a frame took and lacked.
@@ -100,6 +107,8 @@ pub fn view_of(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method
             triangles_in_frustum,
             by_tree: false,
             tree: Vec::new(),
+            rooms: Vec::new(),
+            portals: Vec::new(),
         };
     }
     // `draw_list` selects as well: its share is measured apart.
@@ -113,8 +122,8 @@ pub fn view_of(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method
     };
     ms.cull = (ms_since(start) - ms.select).max(0.0);
     let by_tree = method == Method::Tree || index.walks_by_tree();
-    let DrawList { selection, cells, images, dropped, tree, .. } = list;
-    View { selection, cells, images, dropped, triangles_in_frustum, by_tree, tree }
+    let DrawList { selection, cells, images, dropped, tree, rooms, portals, .. } = list;
+    View { selection, cells, images, dropped, triangles_in_frustum, by_tree, tree, rooms, portals }
 }
 
 /// The cells to draw, and the texture chunks for want of which the others are not: as long as the LDI tree shows a cell in its colours, bare geometry would be a
@@ -147,7 +156,30 @@ fn drawable(index: &Index, resident: &dyn Resident, cells: &[u32]) -> (Vec<u32>,
 fn tree_list(index: &Index, pose: &Pose, half_tan: (f64, f64)) -> DrawList {
     let list = draw_list(index, pose, half_tan);
     let Nearest { cells, triangles, dropped } = nearest_cells(&index.cells, &index.settings, pose, half_tan);
-    DrawList { triangles, cells, images: Vec::new(), dropped, ..list }
+    DrawList { triangles, cells, images: Vec::new(), dropped, portals: Vec::new(), ..list }
+}
+
+/// The part of the picture that cones reach, with some pixels around it: columns and rows from, to.
+fn rectangle(cones: &[Cone], pose: &Pose, camera: &OutputCamera) -> [u32; 4] {
+    /// Samples reach beyond their pixels, and a portal may be a little smaller than its opening.
+    const AROUND_PX: f64 = 6.0;
+    let (basis, focal) = (pose.basis(), camera.focal_px());
+    let (w, h) = (f64::from(camera.width), f64::from(camera.height));
+    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+    for edge in cones.iter().flat_map(|c| &c.edges) {
+        let z = edge.dot(basis.forward);
+        if z < 1e-3 {
+            return [0, 0, camera.width, camera.height];
+        }
+        let p = [w * 0.5 + edge.dot(basis.right) / z * focal, h * 0.5 - edge.dot(basis.up) / z * focal];
+        for k in 0..2 {
+            (low[k], high[k]) = (low[k].min(p[k]), high[k].max(p[k]));
+        }
+    }
+    // Saturating conversions.
+    let from = low.map(|x| (x - AROUND_PX).floor().max(0.0) as u32);
+    let to = [(high[0], camera.width), (high[1], camera.height)].map(|(x, n)| ((x + AROUND_PX).ceil() as u32).min(n));
+    [from[0].min(to[0]), from[1].min(to[1]), to[0], to[1]]
 }
 
 fn cells_in_frustum(index: &Index, pose: &Pose, half_tan: (f64, f64)) -> Vec<u32> {
@@ -250,14 +282,42 @@ impl Painter {
             let laid_out = |number: &u32| self.prepared.iter().find(|(n, ..)| n == number).map(|p| &p.2);
             let prepared: Vec<&PreparedLdi> = here.iter().filter_map(|(n, _)| laid_out(n)).collect();
             let (far, spare) = (&mut self.far, &mut self.single);
-            painted.warp = Some(warp_images(&prepared, pose, &full_camera, &warp_options, far, spare)?);
+            let mut stats = WarpStats::default();
+            if view.portals.is_empty() {
+                stats = warp_images(&prepared, pose, &full_camera, &warp_options, far, spare)?;
+            }
+            for portal in &view.portals {
+                let held = here.iter().filter(|(n, _)| portal.images.contains(n)).filter_map(|(n, _)| laid_out(n));
+                let prepared: Vec<&PreparedLdi> = held.collect();
+                let within = Some(rectangle(&portal.cones, pose, &full_camera));
+                let options = WarpOptions { within, ..warp_options };
+                stats.add(&warp_images(&prepared, pose, &full_camera, &options, far, spare)?);
+            }
+            painted.warp = Some(stats);
             painted.ms.warp = ms_since(start);
         }
 
         let start = Instant::now();
         let shown: Vec<FarImage<'_>> =
             images.iter().map(|(_, entry, ldi)| FarImage::new(entry, ldi.as_deref())).collect();
+        let of_portals: Vec<Vec<FarImage<'_>>> = view
+            .portals
+            .iter()
+            .map(|p| images.iter().zip(&shown).filter(|((n, ..), _)| p.images.contains(n)).map(|(_, i)| *i).collect())
+            .collect();
+        let portals: Vec<FarPortal<'_>> = view
+            .portals
+            .iter()
+            .zip(&of_portals)
+            .filter_map(|(p, images)| {
+                let sky = &index.placements.get(p.placement as usize)?.sky;
+                Some(FarPortal { cones: &p.cones, images, sky })
+            })
+            .collect();
         let far = match shown[..] {
+            _ if !portals.is_empty() => {
+                Far::Portals { picture: &self.far, portals: &portals, complete: view.dropped == 0 && !near_gaps }
+            }
             // What was dropped may lie anywhere: the rest is not known to be sky.
             _ if (view.dropped > 0 || gaps) && images.is_empty() => Far::Missing,
             [] => Far::Nothing,
@@ -269,7 +329,7 @@ impl Painter {
         let mut stats = merge(&mut self.full, far, pose, &full_camera);
         let mut known = images.iter().any(|(.., l)| l.is_some());
         if let Some(tree) = &index.tree {
-            let doubt = match gaps || (view.by_tree && view.dropped > 0) {
+            let doubt = match gaps || ((view.by_tree || index.rooms.is_some()) && view.dropped > 0) {
                 true => Doubt::Missing { margin_m: 2.0 * tree.pitch_of(tree.pinned_levels.saturating_sub(1)) as f32 },
                 false => Doubt::None,
             };

@@ -157,7 +157,7 @@ fn scene() -> MemoryFeed {
         bands: vec![vec![range(0.0, Some(0)), range(90.0, None), range(270.0, Some(0))]],
     });
     index.placements.push(Placement {
-        grid_point: 0,
+        grid_point: Some(0),
         cop: DVec3::new(0.0, 0.0, 0.5),
         culled: vec![1],
         footprint_px: 1.5,

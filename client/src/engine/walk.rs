@@ -323,6 +323,7 @@ impl Walker<'_> {
             pitch_deg: pose.pose.pitch_deg,
             method: match (view.by_tree, warp.is_some()) {
                 (true, _) if painted.tree.is_some() => "tree",
+                (_, true) if !view.portals.is_empty() => "portals",
                 (_, true) => "grid",
                 _ => "geometry",
             },
@@ -331,6 +332,8 @@ impl Walker<'_> {
             triangles: painted.triangles,
             dropped_cells: view.dropped,
             triangles_in_frustum: view.triangles_in_frustum,
+            rooms: view.rooms.len(),
+            portal_images: view.portals.len(),
             samples_warped: warp.map_or(0, |w| w.samples_warped),
             samples_culled: warp.map_or(0, |w| w.samples_culled),
             warp_primitives: warp.map_or(0, |w| w.primitives),

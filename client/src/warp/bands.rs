@@ -101,10 +101,11 @@ fn run(
         into.reset(camera.width, camera.height);
     }
     let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
-    let size = (into.width, into.height);
+    let whole = [0, 0, into.width, into.height];
+    let within = options.within.map_or(whole, |w| std::array::from_fn(|k| w[k].min(whole[2 + k % 2])));
     let mut tiles = match epipole {
-        Some(_) => ldi.streams().reaching(&matrix, size, options.keep_all_tiles),
-        None => ldi.blocks.reaching(&ldi.parts, &matrix, size, options.keep_all_tiles),
+        Some(_) => ldi.streams().reaching(&matrix, within, options.keep_all_tiles),
+        None => ldi.blocks.reaching(&ldi.parts, &matrix, within, options.keep_all_tiles),
     };
     if let Some(epipole) = &epipole {
         epipole.sort_tiles(&mut tiles);

@@ -56,7 +56,13 @@ impl Bounds {
     }
 
     /// The output rows that may be reached; None where no pixel can be.
+    #[cfg(test)]
     pub fn rows(&self, matrix: &WarpMatrix, width: u32, height: u32) -> Option<(u32, u32)> {
+        self.rows_within(matrix, [0, 0, width, height])
+    }
+
+    /// The rows of a rectangle of the output (from column, from row, to column, to row) that may be reached; None where no pixel of it can be.
+    pub fn rows_within(&self, matrix: &WarpMatrix, [left, top, right, bottom]: [u32; 4]) -> Option<(u32, u32)> {
         let [u0, v0, u1, v1] = self.place.map(f64::from);
         let mut low = [f64::MAX; 2];
         let mut high = [f64::MIN; 2];
@@ -79,17 +85,17 @@ impl Bounds {
         match behind {
             8 => return None,
             0 => {}
-            _ => return Some((0, height)),
+            _ => return Some((top, bottom)),
         }
         // Stamps reach beyond their samples' cells; the additional pixel covers f32 rounding.
         let margin = f64::from(LARGEST_FOOTPRINT_STAMP) * 0.5 + 1.0;
         let [x0, y0] = low.map(|p| p - margin);
         let [x1, y1] = high.map(|p| p + margin);
-        if x1 < 0.0 || y1 < 0.0 || x0 > f64::from(width) || y0 > f64::from(height) {
+        if x1 < f64::from(left) || y1 < f64::from(top) || x0 > f64::from(right) || y0 > f64::from(bottom) {
             return None;
         }
         // Saturating conversions.
-        Some((y0.floor().max(0.0) as u32, (y1.ceil().max(0.0) as u32).min(height)))
+        Some(((y0.floor().max(0.0) as u32).max(top), (y1.ceil().max(0.0) as u32).min(bottom)))
     }
 }
 
@@ -145,16 +151,12 @@ impl Blocks {
         self.blocks[at].next = self.blocks.len();
     }
 
-    /// The tiles that may reach a picture of this size, always in the same order; with `all` every tile, as if it could reach every row.
-    pub fn reaching<'a>(
-        &self,
-        parts: &'a [Part],
-        matrix: &WarpMatrix,
-        (width, height): (u32, u32),
-        all: bool,
-    ) -> Vec<Reach<'a>> {
+    /// The tiles that may reach a rectangle of the picture (from column, from row, to column, to row), always in the same order; with `all` every tile, as if it could
+    /// reach every row.
+    pub fn reaching<'a>(&self, parts: &'a [Part], matrix: &WarpMatrix, within: [u32; 4], all: bool) -> Vec<Reach<'a>> {
         let mut out = Vec::new();
-        let rows = |bounds: &Bounds| if all { Some((0, height)) } else { bounds.rows(matrix, width, height) };
+        let rows =
+            |bounds: &Bounds| if all { Some((within[1], within[3])) } else { bounds.rows_within(matrix, within) };
         let mut at = 0;
         while let Some(block) = self.blocks.get(at) {
             if rows(&block.bounds).is_none() {
@@ -181,6 +183,7 @@ mod tests {
     use proptest::prelude::*;
 
     const SIZE: (u32, u32) = (160, 120);
+    const WHOLE: [u32; 4] = [0, 0, SIZE.0, SIZE.1];
 
     /// A part of tiles with nothing but bounds.
     fn part_of(tiles: &[Bounds]) -> Part {
@@ -218,12 +221,14 @@ mod tests {
         ) {
             let matrix = matrix(eye, yaw, pitch);
             let parts = [part_of(&tiles)];
-            let kept = Blocks::new(&parts).reaching(&parts, &matrix, SIZE, false);
+            let kept = Blocks::new(&parts).reaching(&parts, &matrix, WHOLE, false);
             let mut alone: Vec<_> = tiles.iter().filter_map(|b| b.rows(&matrix, SIZE.0, SIZE.1)).collect();
             let mut found: Vec<_> = kept.iter().map(|r| (r.from, r.to)).collect();
             alone.sort_unstable();
             found.sort_unstable();
             prop_assert_eq!(alone, found);
+            // A part of the picture: nothing is lost there, and nothing is drawn beside its rows.
+            let part = [30, 20, 110, 90];
             for b in &tiles {
                 let mix = |from: f32, to: f32, t: f32| f64::from(from + (to - from) * t);
                 let [u0, v0, u1, v1] = b.place;
@@ -231,6 +236,10 @@ mod tests {
                 let Some(p) = matrix.warp(at.0, at.1, at.2) else { continue };
                 let on_picture = p.x >= 0.0 && p.x < f64::from(SIZE.0) && p.y >= 0.0 && p.y < f64::from(SIZE.1);
                 let rows = b.rows(&matrix, SIZE.0, SIZE.1);
+                let in_part = p.x >= 30.0 && p.x < 110.0 && p.y >= 20.0 && p.y < 90.0;
+                let rows_of_part = b.rows_within(&matrix, part);
+                prop_assert!(!in_part || rows_of_part.is_some_and(|(from, to)| p.y >= f64::from(from) && p.y < f64::from(to)));
+                prop_assert!(rows_of_part.is_none_or(|(from, to)| from >= 20 && to <= 90));
                 prop_assert!(!on_picture || rows.is_some_and(|(from, to)| p.y >= f64::from(from) && p.y < f64::from(to)));
             }
         }
@@ -248,7 +257,7 @@ mod tests {
         let parts = [part_of(&tiles)];
         let matrix = matrix([0.0; 3], 0.0, 0.0);
         let blocks = Blocks::new(&parts);
-        let kept = blocks.reaching(&parts, &matrix, SIZE, false).len();
+        let kept = blocks.reaching(&parts, &matrix, WHOLE, false).len();
         assert!(kept > 10 && kept < 200, "{kept}");
         let mut looked_at = 0;
         let mut at = 0;
@@ -257,6 +266,6 @@ mod tests {
             at = if block.bounds.rows(&matrix, SIZE.0, SIZE.1).is_some() { at + 1 } else { block.next };
         }
         assert!(looked_at < 4 * kept, "{looked_at} blocks for {kept} tiles");
-        assert_eq!(blocks.reaching(&parts, &matrix, SIZE, true).len(), 10_000);
+        assert_eq!(blocks.reaching(&parts, &matrix, WHOLE, true).len(), 10_000);
     }
 }

@@ -144,6 +144,9 @@ pub struct WarpOptions {
     pub order: Order,
     /// Draw also the tiles that cannot reach the picture: to measure what culling saves. The picture is the same.
     pub keep_all_tiles: bool,
+    /// Nothing is wanted outside of this rectangle of the picture (from column, from row, to column, to row): samples that cannot reach it are left out, as they are outside of
+    /// the picture.
+    pub within: Option<[u32; 4]>,
     /// Use the portable kernels even where better ones are at hand: to compare them. The picture is the same.
     pub portable: bool,
 }

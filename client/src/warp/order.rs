@@ -147,8 +147,8 @@ impl Streams {
     }
 
     /// The tiles that may reach a picture, as [`Blocks::reaching`].
-    pub fn reaching(&self, matrix: &WarpMatrix, size: (u32, u32), all: bool) -> Vec<Reach<'_>> {
-        self.blocks.reaching(&self.parts[0], matrix, size, all)
+    pub fn reaching(&self, matrix: &WarpMatrix, within: [u32; 4], all: bool) -> Vec<Reach<'_>> {
+        self.blocks.reaching(&self.parts[0], matrix, within, all)
     }
 }
 

@@ -7,6 +7,8 @@ use crate::{
         AngularRange, CellEntry, ChunkEntry, ChunkKind, GridPoint, ImageEntry, Placement, TextureChunk, TextureEntry,
     },
     mesh::{Alpha, Material, Wrap},
+    room_index::RoomIndex,
+    rooms::{Cell, Portal, PortalKind, Rooms},
     sky::SkyMap,
     tree::{SkyPlace, Tree, TreeNode},
     volume::WalkVolume,
@@ -103,7 +105,7 @@ fn index(n: usize) -> Index {
             .collect(),
         placements: (0..n)
             .map(|i| Placement {
-                grid_point: (i % points) as u32,
+                grid_point: (i + 1 < n || n < 2).then_some((i % points) as u32),
                 cop: DVec3::new(0.1, 1.7, i as f64),
                 culled: (0..n as u32).filter(|c| c % 7 < 4).collect(),
                 footprint_px: 1.7,
@@ -124,6 +126,31 @@ fn index(n: usize) -> Index {
             .collect(),
         volume: WalkVolume::of_box(&bounds).ok(),
         tree: Some(tree(2 + 3 * n as u32)),
+        rooms: Some(rooms(n)),
+    }
+}
+
+/// Two rooms and two portals; with enough placements the last of them is a portal's.
+fn rooms(n: usize) -> RoomIndex {
+    let room = |name: &str, x: f64| Cell {
+        name: name.into(),
+        boxes: vec![
+            Aabb { min: DVec3::new(x, 0.0, 0.1), max: DVec3::new(x + 3.0, 2.5, 4.0) },
+            Aabb { min: DVec3::new(x, 0.0, -1.0 / 3.0), max: DVec3::new(x + 1.0, 2.5, 0.1) },
+        ],
+    };
+    let door = |x: f64| [(0.0, 1.0), (0.0, 2.0), (2.1, 2.0), (2.1, 1.0)].map(|(y, z)| DVec3::new(x, y, z)).to_vec();
+    let portals = vec![
+        Portal { cells: [Some(0), Some(1)], kind: PortalKind::Door, corners: door(3.0) },
+        Portal { cells: [Some(1), None], kind: PortalKind::Given, corners: door(6.0) },
+    ];
+    let last = n as u32;
+    let own = if n < 2 { last..last } else { last - 1..last };
+    RoomIndex {
+        rooms: Rooms::new(0.15, vec![room("kitchen", 0.0), room("hall \u{e4}", 3.0)], portals).expect("sound"),
+        near_m: 1.25,
+        cells_of: vec![(0..last).filter(|c| c % 3 < 2).collect(), vec![], (last / 2..last).collect()],
+        placements: vec![[0..0, own], [0..0, 0..0]],
     }
 }
 
@@ -176,10 +203,13 @@ fn unknown_stretch_and_no_volume_come_back() {
     original.images[0].stretch_p99_px = f64::NAN;
     original.volume = None;
     original.tree = None;
+    original.rooms = None;
+    original.placements.iter_mut().for_each(|p| p.grid_point = Some(0));
     let out = decode(&encode(&original).unwrap()).unwrap();
     assert!(out.images[0].stretch_p99_px.is_nan());
     assert_eq!(out.volume, None);
     assert_eq!(out.tree, None);
+    assert_eq!(out.rooms, None);
 }
 
 #[test]
@@ -192,7 +222,7 @@ fn bounds_that_are_not_f32_are_refused() {
 #[test]
 fn every_broken_rule_is_named() {
     type Break = fn(&mut Index);
-    let breaks: [(&str, Break); 28] = [
+    let breaks: [(&str, Break); 35] = [
         ("chunk", |i| i.chunks[3].kind = ChunkKind::Page),
         ("cell", |i| i.cells[1].chunk = 0),
         ("tree", |i| i.tree.as_mut().unwrap().root_chunk = 0),
@@ -212,11 +242,18 @@ fn every_broken_rule_is_named() {
         ("grid point", |i| i.points[1].bands[1][0].placement = Some(99)),
         ("grid point", |i| i.points[1].bands[1][0].yaw_start_deg = 360.0),
         ("grid point", |i| i.points[1].bands[1][1].yaw_start_deg = 0.0),
-        ("placement", |i| i.placements[2].grid_point = 50),
+        ("placement", |i| i.placements[2].grid_point = Some(50)),
         ("placement", |i| i.placements[2].culled = vec![3, 3]),
         ("placement", |i| i.placements[2].culled = vec![5]),
         ("placement", |i| i.placements[2].images.start += 1),
         ("placement", |i| i.placements[1].cop.x = f64::NAN),
+        ("rooms", |i| i.rooms.as_mut().unwrap().cells_of[0] = vec![2, 1]),
+        ("rooms", |i| i.rooms.as_mut().unwrap().cells_of[2] = vec![5]),
+        ("rooms", |i| i.rooms.as_mut().unwrap().cells_of.truncate(2)),
+        ("rooms", |i| i.rooms.as_mut().unwrap().near_m = f64::NAN),
+        ("rooms", |i| i.rooms.as_mut().unwrap().placements[1][0] = 4..9),
+        ("rooms", |i| i.rooms.as_mut().unwrap().placements[1][0] = 0..1),
+        ("rooms", |i| i.rooms.as_mut().unwrap().placements.truncate(1)),
         ("image", |i| i.images.push(i.images[0].clone())),
         ("image", |i| i.images[2].basis.up = DVec3::X),
         ("image", |i| i.images[2].window[3] = f64::INFINITY),
@@ -266,13 +303,14 @@ fn what_all_pages_hold_together_is_bounded() {
         (done.is_none(), room)
     };
     let all = pages::Room::of_index();
-    let (fine, left) = with(pages::Room { ..all });
+    let room = |bytes, numbers| pages::Room { bytes, numbers, ..pages::Room::of_index() };
+    let (fine, left) = with(pages::Room::of_index());
     let (bytes, numbers) = (all.bytes - left.bytes, all.numbers - left.numbers);
     assert!(fine && bytes > 1000 && numbers > 40, "{bytes} bytes, {numbers} numbers");
     // What each page holds alone would fit.
-    assert!(with(pages::Room { bytes, numbers }).0);
-    assert!(!with(pages::Room { bytes: bytes - 1, numbers }).0);
-    assert!(!with(pages::Room { bytes, numbers: numbers - 1 }).0);
+    assert!(with(room(bytes, numbers)).0);
+    assert!(!with(room(bytes - 1, numbers)).0);
+    assert!(!with(room(bytes, numbers - 1)).0);
     // And nothing of that size is fetched.
     let mut huge = root.clone();
     huge.pages.iter_mut().for_each(|p| p.stored_bytes = 200 << 20);
@@ -324,6 +362,7 @@ proptest! {
         original.points.clear();
         original.points.push(GridPoint { position: DVec3::ZERO, level: 0, radius: 1.0, bands: vec![] });
         original.placements[0].culled = culled;
+        original.rooms = None;
         prop_assert_eq!(decode(&encode(&original).unwrap()).unwrap(), original);
     }
     #[test]

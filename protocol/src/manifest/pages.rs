@@ -4,6 +4,7 @@
 //! LEB128. Ascending lists (bundles, materials, culled cells) are runs: gap to the run, length of the run less one. Culled
 //! subsets are boxes of Morton-ordered cells, so their runs are long.
 
+mod rooms;
 mod tree;
 
 use super::{PageEntry, PageKind, VERSION};
@@ -34,16 +35,29 @@ pub(super) struct Room {
     pub bytes: usize,
     /// Numbers that ascending lists expand to: runs make long lists from few bytes.
     pub numbers: usize,
+    /// Rooms and portals so far: rules tie them together, so the index gets them once all pages are read.
+    pub rooms: rooms::Draft,
 }
 
 impl Room {
     /// For a whole index.
     pub fn of_index() -> Self {
-        Self { bytes: INDEX_BYTES, numbers: 1 << 26 }
+        Self { bytes: INDEX_BYTES, numbers: 1 << 26, rooms: rooms::Draft::default() }
+    }
+
+    /// What is done when all pages are read.
+    pub fn finish(self, index: &mut Index) -> Result<(), CodecError> {
+        index.rooms = self.rooms.finish()?;
+        Ok(())
     }
 }
 const KINDS: [ChunkKind; 6] =
     [ChunkKind::Page, ChunkKind::Cell, ChunkKind::Bundle, ChunkKind::Ldi, ChunkKind::Texture, ChunkKind::Tree];
+
+/// Entries of [`PageKind::Rooms`].
+pub(super) fn room_count(index: &Index) -> usize {
+    index.rooms.as_ref().map_or(0, rooms::count)
+}
 
 /// Encodes a range of the entries of one kind.
 pub(super) fn encode(index: &Index, kind: PageKind, range: Range<usize>, level: i32) -> Result<Vec<u8>, CodecError> {
@@ -63,6 +77,8 @@ pub(super) fn encode(index: &Index, kind: PageKind, range: Range<usize>, level: 
         PageKind::Volume => put_packed(&mut w, "walk volume", &index.volume)?,
         PageKind::Tree => index.tree.iter().try_for_each(|t| tree::put_head(&mut w, t))?,
         PageKind::TreeNodes => index.tree.iter().try_for_each(|t| tree::put_nodes(&mut w, &t.nodes[range.clone()]))?,
+        PageKind::Rooms => index.rooms.iter().try_for_each(|r| rooms::put_rooms(&mut w, r, range.clone()))?,
+        PageKind::Portals => index.rooms.iter().try_for_each(|r| rooms::put_portals(&mut w, r, range.clone()))?,
     }
     Ok(w.bytes)
 }
@@ -104,6 +120,8 @@ pub(super) fn decode_into(
             Some(t) => t.nodes.extend(tree::take_nodes(&mut r, n)?),
             None => return Err(CodecError::mismatch("tree nodes", "there are nodes without a tree")),
         },
+        PageKind::Rooms => rooms::take_rooms(&mut r, n, &mut room.rooms, &mut room.numbers)?,
+        PageKind::Portals => rooms::take_portals(&mut r, n, &mut room.rooms)?,
     }
     room.bytes = r.room();
     r.finish("manifest page")
@@ -396,7 +414,8 @@ const MAX_IMAGES: usize = 4096;
 fn put_placements(w: &mut Writer, placements: &[Placement], all: &[ImageEntry]) -> Result<(), CodecError> {
     let (mut rows, mut numbers, mut culled, mut sky) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for p in placements {
-        put_varint(&mut numbers, p.grid_point.into());
+        // 0: a portal's.
+        put_varint(&mut numbers, p.grid_point.map_or(0, |g| 1 + u64::from(g)));
         put_varint(&mut numbers, p.images.len() as u64);
         put_ascending(&mut culled, &p.culled);
         put_sky(&mut sky, &p.sky);
@@ -450,7 +469,7 @@ fn take_placements(
     let mut placements = Vec::with_capacity(n);
     let mut total = 0;
     for row in &rows {
-        let grid_point = numbers.next("placement point")?;
+        let grid_point = numbers.next("placement point")?.checked_sub(1);
         let first = first_image + total;
         total += numbers.count("placement images", MAX_IMAGES)?;
         placements.push(Placement {

@@ -62,6 +62,9 @@ pub fn validate(index: &Index) -> Result<(), CodecError> {
         check_image(i)?;
         i.chunks.iter().try_for_each(|&c| is(c, ChunkKind::Ldi))
     })?;
+    index.rooms.iter().try_for_each(|r| {
+        r.check(index.cells.len(), &index.placements).map_err(|why| CodecError::mismatch("rooms", why))
+    })?;
     index.tree.iter().try_for_each(|t| {
         t.check()
             .and_then(|()| t.broods().try_for_each(|(c, _)| is(c, ChunkKind::Tree)))
@@ -166,8 +169,8 @@ fn check_point(p: &GridPoint, bands: usize, placements: usize) -> Result<(), Str
 }
 
 fn check_placement(p: &Placement, points: usize, cells: usize) -> Result<(), String> {
-    if p.grid_point as usize >= points {
-        return Err(format!("there is no grid point {}", p.grid_point));
+    if let Some(point) = p.grid_point.filter(|g| *g as usize >= points) {
+        return Err(format!("there is no grid point {point}"));
     }
     check_box(&p.users)?;
     if !p.cop.is_finite() || !p.footprint_px.is_finite() {

@@ -312,7 +312,8 @@ impl Images {
             out.placements.push(Placement {
                 grid_point: plan.grid_point,
                 cop: plan.cop,
-                culled: plan.culled.clone(),
+                // A portal's are all but those of the room before it.
+                culled: if plan.through.is_empty() { plan.culled.clone() } else { Vec::new() },
                 footprint_px: plan.footprint_px,
                 users: plan.users,
                 images: first_image..out.images.len() as u32,

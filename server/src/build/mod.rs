@@ -13,13 +13,16 @@ mod dry_run;
 mod images;
 mod key;
 mod report;
+mod rooms;
 
 use images::Indexed;
+use rooms::RoomPlan;
 
 pub use choose::Weighing;
 pub use dry_run::{Draft, DryRun, draft, dry_run};
 pub use images::{IMAGE_LEVEL, ImageFigures};
 pub use report::{images_per_grid_point, report_json};
+pub use rooms::{RoomFigures, RoomSource};
 
 use crate::construct::ConstructError;
 use crate::octree::{Clusters, Octree, RecountError};
@@ -62,7 +65,7 @@ pub struct BuildOptions {
 }
 
 /// How what is far is represented.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub enum Represent {
     /// Images of placements, with the coarse levels of an LDI tree under them.
     #[default]
@@ -75,6 +78,13 @@ pub enum Represent {
         pitch_m: f64,
         /// Pixels along a side of a reference image.
         side: u32,
+    },
+    /// Rooms, with images of what lies beyond their portals and the coarse levels of an LDI tree under them.
+    Portals {
+        /// Where the rooms come from.
+        rooms: RoomSource,
+        /// Eyes nearer than this to a portal see geometry beyond it, metres.
+        near_m: f64,
     },
 }
 
@@ -117,6 +127,14 @@ pub enum BuildError {
         /// Why.
         source: ConstructError,
     },
+    /// Rooms.
+    #[error(
+        "no rooms to walk by: {why}; give corrected ones by --rooms FILE (`ldi-server rooms`), or build with --represent grid"
+    )]
+    Rooms {
+        /// What is wrong.
+        why: String,
+    },
     /// Encoding.
     #[error(transparent)]
     Pack(#[from] PackError),
@@ -142,6 +160,8 @@ pub struct BuildFigures {
     pub tree: Option<TreeFigures>,
     /// How images and tree compare; None if that was not asked for, or there is nothing to place.
     pub weighing: Option<Weighing>,
+    /// Rooms; None without.
+    pub rooms: Option<RoomFigures>,
     /// What was skipped or changed.
     pub notes: Vec<Note>,
     /// Seconds per stage.
@@ -167,6 +187,7 @@ struct Planned {
     plan: PlacementResult,
     /// None for a scene within its budget.
     caster: Option<Caster>,
+    rooms: Option<RoomPlan>,
 }
 
 /// Whether nothing lies between two places.
@@ -191,7 +212,28 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
     }
     let plan = placement::plan_placements(&scene, &octree, &planned_for, &parameters, Sees(&in_sight), &heard)?;
     clock.lap("placement");
-    Ok(Planned { scene, clusters, octree, settings, plan, caster })
+    let mut plan = plan;
+    let mut rooms = None;
+    if let (Represent::Portals { rooms: source, near_m }, Some(caster)) = (&options.represent, &caster) {
+        let entry = |c: &crate::octree::Cell| CellEntry {
+            bounds: c.bounds,
+            triangles: c.triangles,
+            chunk: 0,
+            bundles: Vec::new(),
+            materials: Vec::new(),
+        };
+        let cells = octree.cells.iter().map(entry).collect();
+        let (parts, nothing) = ((cells, Vec::new()), (Vec::new(), Vec::new(), None));
+        let draft = index_of(options, &scene, settings.clone(), plan.clone(), parts, Vec::new(), nothing);
+        let found = rooms::plan_rooms(caster, source, *near_m, draft, progress)?;
+        plan.plans.clone_from(&found.plans.plans);
+        plan.statistics.nothing_to_do = None;
+        plan.statistics.coverage_certified = false;
+        plan.statistics.max_footprint_px = plan.plans.iter().map(|p| p.footprint_px).fold(0.0, f64::max);
+        rooms = Some(found);
+        clock.lap("rooms");
+    }
+    Ok(Planned { rooms, scene, clusters, octree, settings, plan, caster })
 }
 
 /// Compares ways to search for the near boxes of a build; nothing is written.
@@ -260,6 +302,7 @@ fn index_of(
         images,
         volume: Some(plan.volume),
         tree,
+        rooms: None,
     }
 }
 
@@ -289,7 +332,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     // First: whether the directory can be written is known at once, planning takes minutes.
     let writer = DatasetWriter::open(&options.output)?;
     let planned = plan(options, &mut clock, progress);
-    let Planned { scene, clusters, octree, settings, mut plan, caster } = match planned {
+    let Planned { scene, clusters, octree, settings, mut plan, caster, rooms } = match planned {
         Ok(planned) => planned,
         Err(e) => {
             writer.give_up();
@@ -346,7 +389,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     progress.stage("LDI tree", 0);
     if built.is_none() {
         let depth = match options.represent {
-            Represent::Grid | Represent::Smaller => Depth::Base,
+            Represent::Grid | Represent::Smaller | Represent::Portals { .. } => Depth::Base,
             Represent::Tree { pitch_m, side } => Depth::Fine { pitch_m, side },
         };
         built = tree::build_tree(&caster, &scene.bounds(), &places, depth, first_tree_chunk, &heard)?;
@@ -382,7 +425,9 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         .collect();
     let placement = plan.statistics.clone();
     let parts = (geometry.cells, textures.textures);
-    let index = index_of(options, &scene, settings, plan, parts, entries, (placements, image_entries, tree));
+    let mut index = index_of(options, &scene, settings, plan, parts, entries, (placements, image_entries, tree));
+    let room_figures = rooms.as_ref().map(|r| r.figures);
+    index.rooms = rooms.map(|r| r.index);
     let ranges = (0..octree.cells.len()).map(|c| octree.ranges(&scene, &clusters, c)).collect::<Vec<_>>();
     let counts: Vec<u64> = ranges.iter().map(|cell| cell.iter().map(|r| u64::from(r.count)).sum()).collect();
     let audit = placement::audit(&index, &counts, &|i| cameras.get(i as usize).copied(), AUDITED_POSES, 1);
@@ -415,6 +460,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         images: images.figures.clone(),
         tree: tree_figures,
         weighing,
+        rooms: room_figures,
         notes,
         seconds,
     };

@@ -133,8 +133,8 @@ pub struct BuildArgs {
     /// Walk volume: the whole box of the scene.
     #[arg(long)]
     pub fly: bool,
-    /// Representations to build: grid (images of placements, over the coarse levels of an LDI tree) or tree (the LDI tree alone);
-    /// grid,tree is whichever keeps --max-footprint with fewer bytes; auto is grid, whose pictures are nearer to the truth.
+    /// Representations to build: grid (images of placements, over the coarse levels of an LDI tree), portals (rooms, with images of what lies beyond
+    /// their portals, over the same) or tree (the LDI tree alone); grid,tree is whichever keeps --max-footprint with fewer bytes; auto is grid.
     #[arg(long, default_value = "auto", value_delimiter = ',')]
     pub represent: Vec<String>,
     /// With --represent tree: smallest distance of samples, metres.
@@ -143,6 +143,15 @@ pub struct BuildArgs {
     /// With --represent tree: pixels along a side of each of a reference's six images.
     #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=2048))]
     pub tree_reference: u32,
+    /// With --represent portals: rooms as `ldi-server rooms --json` writes them [default: the scene's own, else found].
+    #[arg(long, value_name = "FILE")]
+    pub rooms: Option<PathBuf>,
+    /// With --represent portals: find rooms even if the scene names its own.
+    #[arg(long, conflicts_with = "rooms")]
+    pub find_rooms: bool,
+    /// With --represent portals: eyes nearer than this to a portal see geometry beyond it, metres.
+    #[arg(long, value_name = "M", default_value_t = crate::portal::NEAR_M, value_parser = positive)]
+    pub portal_near: f64,
     /// Threads [default: all cores].
     #[arg(long)]
     pub threads: Option<usize>,

@@ -3,7 +3,7 @@
 use super::Failure;
 use super::args::{BuildArgs, Command, InspectArgs, PlanArgs, RenderArgs, SceneArgs, ServeArgs, VerifyArgs};
 use super::progress::Stderr;
-use crate::build::{self, BuildError, BuildOptions, Progress as _, Represent};
+use crate::build::{self, BuildError, BuildOptions, Progress as _, Represent, RoomSource};
 use crate::octree;
 use crate::placement::{self, PlacementError};
 use crate::render::{self, Caster};
@@ -61,8 +61,8 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
     }
     for r in &a.represent {
         match r.as_str() {
-            "auto" | "grid" | "tree" => {}
-            "portals" | "cache" => return Err(Failure::absent(&format!("--represent {r}"))),
+            "auto" | "grid" | "tree" | "portals" => {}
+            "cache" => return Err(Failure::absent(&format!("--represent {r}"))),
             _ => {
                 return Err(Failure::usage(anyhow!(
                     "--represent: there is no '{r}'; choose auto, grid, portals, tree or cache"
@@ -79,8 +79,25 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
             a.budget
         )));
     }
+    let only = |name: &str| a.represent.iter().all(|r| r == name);
+    let portals = a.represent.iter().any(|r| r == "portals");
+    if portals && !only("portals") {
+        return Err(Failure::absent("--represent portals together with another; give it alone"));
+    }
+    if !portals && (a.rooms.is_some() || a.find_rooms) {
+        return Err(Failure::usage(anyhow!("--rooms and --find-rooms go with --represent portals")));
+    }
+    if portals && a.dry_run {
+        return Err(Failure::absent("--dry-run of --represent portals"));
+    }
+    let rooms = match (a.rooms, a.find_rooms) {
+        (Some(file), _) => RoomSource::File(file),
+        (None, true) => RoomSource::Found,
+        (None, false) => RoomSource::Scene,
+    };
     let asked = |what: &str| a.represent.iter().any(|r| r == what);
     let represent = match (asked("auto") || asked("grid"), asked("tree")) {
+        _ if portals => Represent::Portals { rooms, near_m: a.portal_near },
         (true, true) => Represent::Smaller,
         (false, true) => Represent::Tree { pitch_m: a.tree_pitch, side: a.tree_reference },
         _ => Represent::Grid,
@@ -128,10 +145,13 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
     }
     let r = &built.report;
     println!(
-        "{}: {} images for {} grid points, {:.1} MB, hash {}",
+        "{}: {} images for {}, {:.1} MB, hash {}",
         options.output.display(),
         r["ldis"],
-        r["grid"]["points"],
+        match &r["rooms"] {
+            serde_json::Value::Null => format!("{} grid points", r["grid"]["points"]),
+            rooms => format!("{} portals of {} rooms", rooms["portals"], rooms["rooms"]),
+        },
         r["bytes"]["total"].as_f64().unwrap_or(0.0) / 1e6,
         built.written.hash
     );

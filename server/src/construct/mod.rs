@@ -190,7 +190,7 @@ pub fn construct(
 ) -> Result<Panorama, ConstructError> {
     let subset = Subset { caster, cells: caster.cell_set(&plan.culled), culled: &plan.culled };
     let start = Instant::now();
-    let survey = Survey::of(&subset, &plan.eyes, &plan.gaze);
+    let survey = Survey::of(&subset, &plan.eyes, &plan.gaze, &plan.through);
     let mut out = Panorama {
         sky: survey.as_ref().map_or_else(SkyMap::default, Survey::sky),
         sight_rays: survey.as_ref().map_or(0, |s| s.rays),

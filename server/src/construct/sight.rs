@@ -24,6 +24,7 @@ use super::{
     view::{ConstructionCamera, Rig, View, Window},
 };
 use crate::placement::{Gaze, ImagePlan};
+use crate::render::Ray;
 use glam::{DVec3, Vec3};
 use ldi_protocol::sky::SkyMap;
 use rayon::prelude::*;
@@ -115,11 +116,15 @@ struct Hit {
 }
 
 impl Survey {
-    /// Casts rays from a placement's eyes in all directions that they look in. None: eyes may be anywhere.
-    pub fn of<C: SubsetCaster>(caster: &C, eyes: &[DVec3], gaze: &Gaze) -> Option<Self> {
+    /// Casts rays from a placement's eyes in all directions that they look in, or only `through` a polygon unless it is empty. None: eyes may be anywhere.
+    pub fn of<C: SubsetCaster>(caster: &C, eyes: &[DVec3], gaze: &Gaze, through: &[DVec3]) -> Option<Self> {
         let survey = |(number, eye): (usize, &DVec3)| {
             let (mut hits, mut count) = (Vec::new(), 0);
-            for rays in gaze.rays(*eye, number) {
+            let batches: Box<dyn Iterator<Item = Vec<Ray>>> = match through {
+                [] => Box::new(gaze.rays(*eye, number)),
+                polygon => Box::new(std::iter::once(gaze.rays_through(*eye, number, polygon))),
+            };
+            for rays in batches {
                 let mut met = vec![Met::Nothing; rays.len()];
                 caster.meet(&rays, &mut met);
                 count += rays.len() as u64;

@@ -8,11 +8,14 @@
 //! Poses: random ones, anywhere in the walk volume and looking anywhere within the built pitch; and adversarial ones, which seek trouble on
 //! borders ([`Adversary`]), found by bisection.
 
+mod rooms;
+
 use glam::DVec3;
 use ldi_protocol::{
     Aabb, Pose, ViewBasis,
     index::{ImageEntry, Index, Placement},
     ldi::LdiCamera,
+    rooms::CellId,
     select::{draw_list, select},
     volume::WalkVolume,
 };
@@ -99,6 +102,12 @@ pub struct PlanRow {
     pub triangles: u64,
     /// The image's footprint bound, output pixels; None without an image.
     pub footprint_px: Option<f64>,
+    /// Rooms drawn as geometry, by number; null is the outside. Empty in a dataset without rooms.
+    pub rooms: Vec<CellId>,
+    /// Portals beyond which images show, nearest first: [portal, side, placement].
+    pub portals: Vec<[u32; 3]>,
+    /// Cells left out because the budget was used up.
+    pub dropped: u32,
 }
 
 /// How many poses a report lists.
@@ -111,6 +120,8 @@ pub fn plan_row(index: &Index, number: u64, pose: &Pose) -> PlanRow {
     let camera = &index.settings.camera;
     let list = draw_list(index, pose, (camera.half_tan_x(), camera.half_tan_y()));
     let placement = list.selection.placement.and_then(|p| index.placements.get(p as usize));
+    let of_portals = list.portals.iter().filter_map(|p| index.placements.get(p.placement as usize));
+    let placements = placement.into_iter().chain(of_portals);
     PlanRow {
         index: number,
         grid_point: list.selection.grid_point,
@@ -118,7 +129,10 @@ pub fn plan_row(index: &Index, number: u64, pose: &Pose) -> PlanRow {
         culled_cells: placement.map(|p| p.culled.clone()).unwrap_or_default(),
         drawn_cells: list.cells,
         triangles: list.triangles,
-        footprint_px: placement.map(|p| p.footprint_px),
+        footprint_px: placements.map(|p| p.footprint_px).reduce(f64::max),
+        portals: list.portals.iter().map(|p| [p.portal, p.side as u32, p.placement]).collect(),
+        rooms: list.rooms,
+        dropped: list.dropped,
     }
 }
 
@@ -340,6 +354,9 @@ fn check(
     pose: &Pose,
     random: &mut Random,
 ) -> AuditedPose {
+    if let Some(rooms) = &index.rooms {
+        return rooms::check(index, rooms, recounted, cameras, (number, kind), pose, random);
+    }
     let camera = &index.settings.camera;
     let basis = pose.basis();
     let selection = select(index, pose);

@@ -18,7 +18,7 @@ use ldi_protocol::OutputCamera;
 
 /// Footprint bounds for one output camera.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Footprint {
+pub(crate) struct Footprint {
     /// Tangent from the picture's middle to its corner.
     corner_tan: f64,
     /// Largest footprint allowed, output pixels.
@@ -31,7 +31,7 @@ pub(super) struct Footprint {
 
 /// Sampling densities to choose from, relative to the build's. Higher ones let users come nearer to the plane, at the square of the
 /// samples; above 1.5 a finer grid is cheaper.
-pub(super) const SCALES: [f64; 4] = [1.0, 1.15, 1.3, 1.5];
+pub(crate) const SCALES: [f64; 4] = [1.0, 1.15, 1.3, 1.5];
 
 impl Footprint {
     /// Bounds for pictures of `camera` from LDIs of `density` samples per output pixel.

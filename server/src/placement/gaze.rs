@@ -10,7 +10,7 @@ use super::{
 };
 use crate::render::Ray;
 use glam::DVec3;
-use ldi_protocol::Aabb;
+use ldi_protocol::{Aabb, rooms::newell};
 use std::f64::consts::FRAC_PI_4;
 
 /// Squares of directions around an eye, and which of them are looked at.
@@ -26,6 +26,8 @@ pub struct Gaze {
 /// eyes see through narrow gaps is overlooked.
 const HALF_SQUARE_PIXELS: f64 = 16.0;
 
+/// Rays through a polygon may pass this far beside it, metres: portals may be a little smaller than their openings.
+const BESIDE_M: f64 = 0.03;
 /// Rays begin this far before the eye, metres: the viewer's near plane.
 const NEAR_M: f64 = 0.02;
 const CORNERS: [[f64; 2]; 4] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]];
@@ -101,6 +103,31 @@ impl Gaze {
         })
     }
 
+    /// Rays of unit length through a flat convex polygon and [`BESIDE_M`] around it, no farther apart than squares are wide, each through another place for another `number`.
+    pub fn rays_through(&self, eye: DVec3, number: usize, polygon: &[DVec3]) -> Vec<Ray> {
+        let Some(frame) = Frame::of(polygon) else { return Vec::new() };
+        let distance = polygon.iter().map(|c| c.distance(eye)).fold(f64::INFINITY, f64::min);
+        // At least so many each way: a door across the room is no wider than a few squares.
+        const LEAST: f64 = 16.0;
+        const MOST: f64 = 96.0;
+        let step = (2.0 * self.half_angle() * distance).max(1e-6);
+        let count = |size: f64| (size / step).ceil().clamp(LEAST, MOST) as usize;
+        let [columns, rows] = frame.size.map(count);
+        let mut out = Vec::with_capacity(columns * rows);
+        for at in 0..columns * rows {
+            let [x, y] = scattered(number * columns * rows + at);
+            let place = [
+                ((at % columns) as f64 + x) / columns as f64 * frame.size[0],
+                ((at / columns) as f64 + y) / rows as f64 * frame.size[1],
+            ];
+            let p = frame.origin + frame.across[0] * place[0] + frame.across[1] * place[1];
+            if let Some(direction) = (p - eye).try_normalize().filter(|_| frame.holds(p)) {
+                out.push(Ray { origin: eye, direction, t_min: NEAR_M, t_max: f64::INFINITY });
+            }
+        }
+        out
+    }
+
     /// Angle from the middle of a square to a side, radians; squares toward a face's corners are narrower.
     pub fn half_angle(&self) -> f64 {
         FRAC_PI_4 / self.side as f64
@@ -112,6 +139,42 @@ impl Gaze {
         // Equal steps of the angle.
         let place = |k: usize, x: f64| ((2.0 * (k as f64 + x) / self.side as f64 - 1.0) * FRAC_PI_4).tan();
         basis.forward + basis.right * place(column, at[0]) + basis.up * place(row % self.side, at[1])
+    }
+}
+
+/// A rectangle around a polygon in its plane.
+struct Frame {
+    origin: DVec3,
+    across: [DVec3; 2],
+    size: [f64; 2],
+    /// Per side of the polygon a corner and the inward direction.
+    sides: Vec<(DVec3, DVec3)>,
+}
+
+impl Frame {
+    fn of(polygon: &[DVec3]) -> Option<Self> {
+        let n = polygon.len();
+        let normal = newell(polygon).try_normalize()?;
+        let x = (polygon[1] - polygon[0]).try_normalize()?;
+        let across = [x, normal.cross(x)];
+        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+        for c in polygon {
+            for k in 0..2 {
+                let t = (*c - polygon[0]).dot(across[k]);
+                (low[k], high[k]) = (low[k].min(t - BESIDE_M), high[k].max(t + BESIDE_M));
+            }
+        }
+        let side = |i: usize| (polygon[i], normal.cross(polygon[(i + 1) % n] - polygon[i]).normalize_or_zero());
+        Some(Self {
+            origin: polygon[0] + across[0] * low[0] + across[1] * low[1],
+            across,
+            size: [high[0] - low[0], high[1] - low[1]],
+            sides: (0..n).map(side).collect(),
+        })
+    }
+
+    fn holds(&self, p: DVec3) -> bool {
+        self.sides.iter().all(|(corner, inward)| (p - *corner).dot(*inward) >= -BESIDE_M)
     }
 }
 
@@ -130,6 +193,26 @@ mod tests {
     use super::*;
     use crate::placement::test_scenes::Random;
     use ldi_protocol::{OutputCamera, ViewBasis};
+
+    #[test]
+    fn rays_through_a_polygon_fill_it() {
+        let gaze = Gaze::everywhere(1000.0);
+        let polygon: Vec<DVec3> =
+            [(0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (1.0, 2.0), (0.0, 1.0)].map(|(x, y)| DVec3::new(x, y, -4.0)).to_vec();
+        let rays = gaze.rays_through(DVec3::new(1.0, 0.5, 0.0), 3, &polygon);
+        let places: Vec<DVec3> = rays.iter().map(|r| r.at(-4.0 / r.direction.z)).collect();
+        let inside =
+            |p: &DVec3, by: f64| p.x > -by && p.x < 2.0 + by && p.y > -by && p.y + (p.x - 1.0).abs() < 2.0 + 1.5 * by;
+        assert!(places.iter().all(|p| inside(p, BESIDE_M)));
+        // Of places inside, each has a ray within the width of a square.
+        let mut random = Random::new(8);
+        let width = 2.0 * 4.0 * 2.0 * gaze.half_angle();
+        for _ in 0..2000 {
+            let p = DVec3::new(2.0 * random.unit(), 2.0 * random.unit(), -4.0);
+            assert!(!inside(&p, 0.0) || places.iter().any(|q| q.distance(p) < width), "{p}");
+        }
+        assert!(gaze.rays_through(DVec3::ZERO, 0, &[DVec3::ZERO; 3]).is_empty());
+    }
 
     #[test]
     fn squares_fill_the_sphere_and_pictures_are_held() {

@@ -54,9 +54,11 @@ mod walk;
 
 pub use audit::{Adversary, AuditReport, AuditSize, AuditedPose, PlanRow, Tally, audit, plan_row};
 pub use error::PlacementError;
+pub(crate) use footprint::{Footprint, SCALES};
 pub use gaze::Gaze;
 pub use groups::Groupings;
 pub use model::{DirectionRange, ImagePlan, PlacementPlan, PlacementResult, PlacementStatistics};
+pub(crate) use plan::spread;
 pub use point::Sees;
 pub use search::{Found, Search};
 pub use stage::{Parameters, SearchCase, SearchComparison, compare_searches, plan_placements};

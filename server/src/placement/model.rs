@@ -20,8 +20,8 @@ pub struct DirectionRange {
 /// Cells that images replace, and those images.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlacementPlan {
-    /// Position in [`PlacementResult::points`] of the point it was solved at, or of the first that uses it.
-    pub grid_point: u32,
+    /// Position in [`PlacementResult::points`] of the point it was solved at, or of the first that uses it; None for a portal's.
+    pub grid_point: Option<u32>,
     /// Centre of projection of all its images: the middle of the users.
     pub cop: DVec3,
     /// Cells that the images replace, ascending. Each lies wholly beyond the plane of one of them.
@@ -33,6 +33,8 @@ pub struct PlacementPlan {
     pub eyes: Vec<DVec3>,
     /// The directions in which they look.
     pub gaze: Gaze,
+    /// A flat convex polygon that they look through: the images hold nothing else. Empty: everything.
+    pub through: Vec<DVec3>,
     /// Largest bound of its images.
     pub footprint_px: f64,
     /// Its images: one in the paper's scheme; up to six faces of a near box with view cells.

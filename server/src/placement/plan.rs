@@ -27,12 +27,13 @@ pub(super) fn plan(ctx: &Context, image: &Image, grid_point: u32, grid_position:
     let users = image.users.bounds();
     let units: Vec<u16> = image.units.iter().map(|u| u.0).collect();
     PlacementPlan {
-        grid_point,
+        grid_point: Some(grid_point),
         cop,
         culled: image.culled.clone(),
         users,
         eyes: eyes_of(ctx, &[users], cop),
         gaze: ctx.gaze_in(&units),
+        through: vec![],
         footprint_px,
         images: vec![ImagePlan {
             basis: image.basis,
@@ -92,12 +93,13 @@ pub(super) fn plan_box(ctx: &Context, near: &NearBox, members: &[&Member], grid_
         });
     }
     PlacementPlan {
-        grid_point,
+        grid_point: Some(grid_point),
         cop: near.cop,
         culled: near.culled.iter().collect(),
         users,
         eyes: eyes_of(ctx, &boxes, near.cop),
         gaze,
+        through: vec![],
         footprint_px: images.iter().map(|i| i.footprint_px).fold(0.0, f64::max),
         images,
     }
@@ -105,7 +107,7 @@ pub(super) fn plan_box(ctx: &Context, near: &NearBox, members: &[&Member], grid_
 
 /// The places from which an image for eyes in some boxes is made.
 fn eyes_of(ctx: &Context, boxes: &[Aabb], cop: DVec3) -> Vec<DVec3> {
-    spread(&ctx.eyes.map_or(vec![], |tree| standing(tree, boxes)), cop)
+    spread(&ctx.eyes.map_or(vec![], |tree| standing(tree, boxes)), cop, MOST_EYES)
 }
 
 /// Where eyes within some boxes may stand: in every box of the walk volume that touches one, lowest and highest.
@@ -118,11 +120,11 @@ fn standing(tree: &EyeTree, eyes: &[Aabb]) -> Vec<DVec3> {
     out
 }
 
-/// Up to [`MOST_EYES`] of `places`, each as far as can be from `centre` and from those before it: what they see differs most.
-fn spread(places: &[DVec3], centre: DVec3) -> Vec<DVec3> {
+/// Up to `most` of `places`, each as far as can be from `centre` and from those before it: what they see differs most.
+pub(crate) fn spread(places: &[DVec3], centre: DVec3, most: usize) -> Vec<DVec3> {
     let mut apart: Vec<f64> = places.iter().map(|p| p.distance_squared(centre)).collect();
     let mut out = Vec::new();
-    while out.len() < MOST_EYES.min(places.len()) {
+    while out.len() < most.min(places.len()) {
         // Of equals the first.
         let farthest = (1..places.len()).fold(0, |best, i| if apart[i] > apart[best] { i } else { best });
         let eye = places[farthest];
@@ -222,7 +224,7 @@ mod tests {
         assert!(few.iter().any(|p| p.y == 0.0) && few.iter().any(|p| p.y > 0.89));
         let places = standing(&tree, &[*volume.bounds()]);
         assert_eq!(places.len(), 800);
-        let some = spread(&places, eyes.centre());
+        let some = spread(&places, eyes.centre(), MOST_EYES);
         assert_eq!(some.len(), MOST_EYES);
         let apart = |all: &[DVec3]| {
             let pairs = all.iter().enumerate().flat_map(|(i, a)| all[..i].iter().map(|b| a.distance(*b)));
@@ -230,7 +232,7 @@ mod tests {
         };
         // The corners come first; the first of 800 places in order lie half a metre apart, these farther.
         assert!(apart(&some[..4]) > 4.0 && apart(&some[..64]) > 1.0, "{} {}", apart(&some[..4]), apart(&some[..64]));
-        assert_eq!(spread(&places[..3], eyes.centre()).len(), 3);
-        assert!(spread(&[], DVec3::ZERO).is_empty());
+        assert_eq!(spread(&places[..3], eyes.centre(), MOST_EYES).len(), 3);
+        assert!(spread(&[], DVec3::ZERO, MOST_EYES).is_empty());
     }
 }

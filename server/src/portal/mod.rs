@@ -6,6 +6,7 @@
 //!   scene -> storeys -> basins -> openings -> volumes <-> leaks -> Rooms -> overrides -> plan (SVG)
 //!            free space  necks     polygons    3D cells    gaps              corrections
 //!   scene's annotations ------------------------------------------^
+//!   Rooms -> members (cells of the octree in each) -> zones, images (what a build shows beyond portals)
 //! ```
 //!
 //! What keeps culling conservative. All of space is divided: what is no cell is the outside, which is a place like any other. Cells can
@@ -24,17 +25,22 @@ mod check;
 mod compare;
 mod find;
 mod hull;
+mod images;
 mod leaks;
+mod members;
 mod openings;
 mod overrides;
 mod plan_svg;
 mod storeys;
 mod volumes;
+mod zones;
 
 pub use annotated::annotated_rooms;
 pub use check::{SightCheck, check_sight, random_poses};
 pub use compare::{Comparison, compare};
 pub use find::{FoundRooms, Statistics, find_rooms};
+pub use images::{NEAR_M, PortalPlans, PortalStatistics, plan_portals};
+pub use members::cells_of_rooms;
 pub use overrides::{OverrideError, apply_overrides};
 pub use plan_svg::plan_svg;
 

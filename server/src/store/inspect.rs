@@ -1,7 +1,12 @@
 //! What is in a dataset, as JSON and as text.
 
 use super::{Dataset, StoreError};
-use ldi_protocol::{Aabb, index::ChunkKind, manifest};
+use ldi_protocol::{
+    Aabb,
+    index::{ChunkKind, Index},
+    manifest,
+    room_index::RoomIndex,
+};
 use serde_json::{Value, json};
 
 /// Everything worth knowing about a dataset. With `per_cell`, `cells` lists for every cell its bounds, its triangles and its
@@ -80,6 +85,7 @@ pub fn inspect(dataset: &Dataset, per_cell: bool) -> Result<Value, StoreError> {
             "samples": t.nodes.iter().map(|n| u64::from(n.samples)).sum::<u64>(),
             "references": t.skies.len(),
         })),
+        "rooms": index.rooms.as_ref().map(|r| rooms(index, r)),
         "skipped": from_report("skipped"),
         "grid_skipped": report.as_ref().and_then(|r| r.pointer("/grid/skipped")).cloned().unwrap_or(Value::Null),
         "report_found": report.is_some(),
@@ -99,6 +105,23 @@ fn cells(dataset: &Dataset) -> Result<Value, StoreError> {
         json!({ "cell": k, "bounds": bounds(&c.bounds), "triangles": c.triangles, "ranges": ranges })
     });
     Ok(list.collect())
+}
+
+/// Rooms and what each takes; the outside comes last.
+fn rooms(index: &Index, r: &RoomIndex) -> Value {
+    let name = |k: usize| r.rooms.cells().get(k).map_or("outside", |c| c.name.as_str());
+    let of_room = |(k, cells): (usize, &Vec<u32>)| {
+        let triangles: u64 = cells.iter().map(|c| u64::from(index.cells[*c as usize].triangles)).sum();
+        let id = (k < r.rooms.cells().len()).then_some(k as u32);
+        json!({ "name": name(k), "cells": cells.len(), "triangles": triangles, "portals": r.rooms.portals_of(id).len() })
+    };
+    let placements: usize = r.placements.iter().flatten().map(|p| p.len()).sum();
+    json!({
+        "portals": r.rooms.portals().len(),
+        "placements": placements,
+        "margin_m": r.rooms.margin_m(),
+        "list": r.cells_of.iter().enumerate().map(of_room).collect::<Vec<_>>(),
+    })
 }
 
 fn bounds(b: &Aabb) -> Value {
@@ -163,6 +186,19 @@ pub fn inspect_text(value: &Value) -> String {
         ),
     );
     line("cells", format!("{} with {} triangles", number("/cell_count"), number("/cell_triangles")));
+    if let Some(list) = at("/rooms/list").as_array() {
+        let largest = list.iter().filter(|r| r["name"] != "outside").filter_map(|r| r["triangles"].as_u64()).max();
+        line(
+            "rooms",
+            format!(
+                "{} and the outside, {} portals with {} placements, at most {} triangles in a room",
+                list.len().saturating_sub(1),
+                number("/rooms/portals"),
+                number("/rooms/placements"),
+                largest.unwrap_or(0)
+            ),
+        );
+    }
     line("materials", format!("{}, {} textures", number("/materials"), number("/textures")));
     line("grid points", format!("{}, by level {}", number("/grid/points"), at("/grid/by_level")));
     line(

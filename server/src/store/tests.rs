@@ -155,7 +155,7 @@ fn sample() -> Sample {
             bands: vec![vec![AngularRange { yaw_start_deg: 0.0, placement: Some(0) }]],
         }],
         placements: vec![Placement {
-            grid_point: 0,
+            grid_point: Some(0),
             cop: DVec3::ZERO,
             culled: vec![1],
             footprint_px: 1.5,
@@ -173,6 +173,7 @@ fn sample() -> Sample {
         }],
         volume: None,
         tree: None,
+        rooms: None,
     };
     let range = |node, count| SourceRange { node, mesh: 0, primitive: 1, first: 300, count };
     Sample { index, chunks, ranges: vec![vec![range(1, 2), range(2, 2)], vec![range(70_000, 2)]] }

@@ -40,7 +40,7 @@ fn made_for(scene: &Analytic, plan: &ImagePlan, eyes: &[DVec3]) -> Constructed {
 
 fn survey(scene: &Analytic, eyes: &[DVec3]) -> Option<Survey> {
     // As fine as the pixels of `plan_with_eyes`.
-    Survey::of(scene, eyes, &Gaze::everywhere(3.0 * OUTPUT.focal_px()))
+    Survey::of(scene, eyes, &Gaze::everywhere(3.0 * OUTPUT.focal_px()), &[])
 }
 
 /// (layer, column, row, disparity, rgb, links) of every sample.
@@ -505,12 +505,13 @@ fn an_image_without_a_window_is_left_out_and_the_others_are_made() {
     let middle = scene.bounds().centre();
     let image = ImagePlan { cop: middle, users: Aabb { min: middle, max: middle }, ..plan(0.5, [0.0; 3]) };
     let placement = PlacementPlan {
-        grid_point: 0,
+        grid_point: Some(0),
         cop: middle,
         culled: (0..octree.cells.len() as u32).collect(),
         users: image.users,
         eyes: vec![middle],
         gaze: Gaze::everywhere(OUTPUT.focal_px()),
+        through: vec![],
         footprint_px: 2.0,
         images: vec![ImagePlan { window: [0.3, 0.3, -0.1, 0.1], ..image.clone() }, image],
     };

@@ -56,6 +56,7 @@ fn index() -> Arc<Index> {
         pitch_bands_deg: vec![],
         volume: None,
         tree: None,
+        rooms: None,
         points: vec![],
         placements: vec![],
         images: vec![],

@@ -1,0 +1,122 @@
+//! Rooms of a build: whose they are, which cells lie in them, what is planned for their portals.
+
+use super::{BuildError, Progress};
+use crate::portal::{self, PortalPlans, PortalStatistics};
+use crate::render::Caster;
+use ldi_protocol::index::Index;
+use ldi_protocol::room_index::RoomIndex;
+use ldi_protocol::rooms::{MAX_JSON_BYTES, Rooms};
+use serde::Serialize;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Where rooms come from.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub enum RoomSource {
+    /// The scene's annotation; found where it has none.
+    #[default]
+    Scene,
+    /// Found, whatever the scene says.
+    Found,
+    /// A file as `ldi-server rooms --json` writes it, corrected or not.
+    File(PathBuf),
+}
+
+/// Figures of rooms for the report.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct RoomFigures {
+    /// Of the plan.
+    #[serde(flatten)]
+    pub plan: PortalStatistics,
+    /// Eyes nearer than this to a portal see geometry beyond it, metres.
+    pub portal_near_m: f64,
+    /// Seconds until rooms were known.
+    pub find_seconds: f64,
+    /// Seconds to find their cells.
+    pub cells_seconds: f64,
+    /// Seconds to plan images.
+    pub plan_seconds: f64,
+}
+
+/// Rooms with their plan.
+pub(super) struct RoomPlan {
+    /// Placements are numbered from 0, in the plan's order.
+    pub index: RoomIndex,
+    pub plans: PortalPlans,
+    pub figures: RoomFigures,
+}
+
+/// Finds rooms and plans the images of their portals.
+pub(super) fn plan_rooms(
+    caster: &Caster,
+    source: &RoomSource,
+    near_m: f64,
+    // Without chunks: cells, settings and the walk volume.
+    mut draft: Index,
+    progress: &dyn Progress,
+) -> Result<RoomPlan, BuildError> {
+    progress.stage("rooms", 0);
+    let start = Instant::now();
+    let rooms = rooms_of(caster, source)?;
+    let known = Instant::now();
+    progress.stage("cells of rooms", 0);
+    let cells = draft.cells.len();
+    let cells_of = portal::cells_of_rooms(caster, &rooms, cells);
+    let held = Instant::now();
+    progress.stage("images of portals", 0);
+    let nowhere = || BuildError::Rooms { why: "there is no place where an eye may be".into() };
+    let volume = draft.volume.clone().ok_or_else(nowhere)?;
+    let mut plans = portal::plan_portals(&rooms, &cells_of, cells, &volume, &draft.settings, near_m);
+    let of_room = |list: &Vec<u32>| list.iter().map(|c| u64::from(draft.cells[*c as usize].triangles)).sum::<u64>();
+    let inner = cells_of.len().saturating_sub(1);
+    plans.statistics.largest_room_triangles = cells_of[..inner].iter().map(of_room).max().unwrap_or(0);
+    let mut index = RoomIndex { rooms, near_m, cells_of, placements: Vec::new() };
+    draft.rooms = Some(index.clone());
+    plans.keep_used(draft, &volume);
+    index.placements.clone_from(&plans.of_portal);
+    let figures = RoomFigures {
+        plan: plans.statistics,
+        portal_near_m: near_m,
+        find_seconds: (known - start).as_secs_f64(),
+        cells_seconds: (held - known).as_secs_f64(),
+        plan_seconds: held.elapsed().as_secs_f64(),
+    };
+    Ok(RoomPlan { index, plans, figures })
+}
+
+fn rooms_of(caster: &Caster, source: &RoomSource) -> Result<Rooms, BuildError> {
+    let fault = |why: String| BuildError::Rooms { why };
+    let rooms = match source {
+        RoomSource::File(file) => {
+            let read = || -> std::io::Result<Vec<u8>> {
+                let length = std::fs::metadata(file)?.len();
+                if length > MAX_JSON_BYTES as u64 {
+                    return Err(std::io::Error::other(format!("{length} bytes, at most {MAX_JSON_BYTES} are read")));
+                }
+                std::fs::read(file)
+            };
+            let text = read().map_err(|e| fault(format!("{}: {e}", file.display())))?;
+            Rooms::from_json(&text).map_err(|e| fault(format!("{}: {e}", file.display())))?
+        }
+        RoomSource::Scene | RoomSource::Found => {
+            let annotated = match source {
+                RoomSource::Scene => portal::annotated_rooms(caster.scene()).map_err(|e| fault(e.to_string()))?,
+                _ => None,
+            };
+            match annotated {
+                Some(rooms) => rooms,
+                None => {
+                    let found = portal::find_rooms(caster).map_err(|e| fault(e.to_string()))?;
+                    if let Some(why) = found.statistics.no_cells {
+                        return Err(fault(why));
+                    }
+                    found.rooms
+                }
+            }
+        }
+    };
+    match rooms.cells().is_empty() {
+        true => Err(fault("there is none".into())),
+        false => Ok(rooms),
+    }
+}

@@ -1,0 +1,221 @@
+//! Rooms and portals from scene to walked frames, by the real binaries, on a small built-in house; the judges are rays over the scene.
+
+use ldi_protocol::{OutputCamera, Pose, path, select::draw_list};
+use ldi_server::{
+    octree::{Clusters, Octree},
+    render::{Caster, CellSet, Ray},
+    scene,
+    store::Dataset,
+};
+use ldi_tests::fixture::SIZE;
+use ldi_tests::run::{self, Server};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::{Arc, OnceLock};
+
+const SCENE: &str = "builtin:house?triangles=20000&seed=1";
+/// A twentieth of the house: less than a room and what is seen through its doors.
+const BUDGET: &str = "1300";
+
+struct House {
+    dataset: PathBuf,
+    poses: PathBuf,
+}
+
+fn folder(name: &str) -> PathBuf {
+    let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}-{}", std::process::id()));
+    let _ = std::fs::remove_dir_all(&dir);
+    std::fs::create_dir_all(&dir).expect("the target folder is writable");
+    dir
+}
+
+fn server(args: &[&str]) -> Command {
+    let mut c = run::command("ldi-server").expect("built");
+    c.args(args);
+    c
+}
+
+/// One dataset for the tests of this process.
+fn house() -> &'static House {
+    static HOUSE: OnceLock<House> = OnceLock::new();
+    HOUSE.get_or_init(|| {
+        let dir = folder("portals");
+        let made = House { dataset: dir.join("dataset"), poses: dir.join("poses.json") };
+        let mut c = server(&["build", SCENE, "--represent", "portals", "--budget", BUDGET, "--size", SIZE, "-o"]);
+        c.arg(&made.dataset);
+        run::run(c).expect("builds");
+        // Middles of rooms, beside walls, in doorways, up and down.
+        let pose = |x: f64, z: f64, yaw: f64, pitch: f64| serde_json::json!({ "t": 0.0, "position": [x, 1.6, z], "yaw": yaw, "pitch": pitch });
+        let poses = [
+            pose(-10.0, -6.75, -90.0, 0.0), pose(-8.4, -6.75, -80.0, 0.0), pose(-7.5, -6.75, -90.0, 0.0), pose(-5.0, -6.0, -120.0, 20.0),
+            pose(0.0, 2.2, 180.0, -20.0), pose(0.3, -2.2, 45.0, 5.0), pose(5.0, -2.25, 90.0, 0.0), pose(9.0, 2.6, 0.0, 0.0),
+        ];
+        std::fs::write(&made.poses, serde_json::json!({ "poses": poses }).to_string()).expect("writable");
+        made
+    })
+}
+
+fn json(path: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(path).expect("readable")).expect("JSON")
+}
+
+#[test]
+fn a_walk_by_portals_keeps_the_budget_and_looks_like_the_truth() {
+    let (h, out) = (house(), folder("portal-walk"));
+    for (samples, extra, name) in [("16", "--depth", "truth"), ("1", "--mips", "baseline")] {
+        let mut c = server(&["render", SCENE, "--path"]);
+        c.arg(&h.poses).args(["--size", SIZE, "--samples", samples, extra, "-o"]).arg(out.join(name));
+        run::run(c).expect("renders");
+    }
+    let served = Server::start(&h.dataset).expect("serves");
+    let mut c = run::command("ldi-client").expect("built");
+    c.args([
+        "walk",
+        &served.quic,
+        "--fingerprint",
+        &served.fingerprint,
+        "--method",
+        "portals",
+        "--pace",
+        "wait",
+        "--size",
+        SIZE,
+        "--path",
+    ])
+    .arg(&h.poses)
+    .arg("--truth")
+    .arg(out.join("truth"))
+    .arg("--baseline")
+    .arg(out.join("baseline"))
+    .arg("-o")
+    .arg(out.join("frames"))
+    .arg("--report")
+    .arg(out.join("walk.json"));
+    run::run(c).expect("walks");
+    let report = json(&out.join("walk.json"));
+    let s = &report["summary"];
+    assert_eq!((&s["budget_violations"], &s["frames_incomplete"]), (&0.into(), &0.into()), "{s}");
+    let frames = report["frames"].as_array().expect("frames");
+    let warped = frames.iter().filter(|f| f["method"] == "portals" && f["samples_warped"].as_u64() > Some(0)).count();
+    assert!(warped >= 3, "{warped} frames show portals' images");
+    let ratio = s["flip_over_baseline"]["mean"].as_f64().expect("a figure");
+    assert!(ratio <= 1.6, "mean FLIP is {ratio} times that of all geometry at one sample per pixel");
+    assert!(s["hole_fraction_max"].as_f64().expect("a figure") < 0.01, "{}", s["hole_fraction_max"]);
+}
+
+/// What a ray of a picture meets first is drawn, or lies beyond a portal that shows an image; in a picture of 320 x 200 from random places.
+#[test]
+fn no_surface_that_is_seen_is_neither_drawn_nor_beyond_a_shown_portal() {
+    let h = house();
+    let dataset = Dataset::open(&h.dataset).expect("opens");
+    let index = dataset.index();
+    let rooms = index.rooms.as_ref().expect("it has rooms");
+    let scene = Arc::new(scene::load(SCENE).expect("built in"));
+    let clusters = Clusters::build(&scene);
+    let octree = Octree::build(&scene, &clusters, index.settings.budget);
+    assert_eq!(octree.cells.len(), index.cells.len());
+    let caster = Caster::new(Arc::clone(&scene), &clusters, &octree);
+    let sampler = index.volume.as_ref().expect("eyes").sampler();
+    let camera = OutputCamera { width: 320, height: 200, fov_deg: 60.0 };
+    let half_tan = (camera.half_tan_x(), camera.half_tan_y());
+    // A Weyl sequence: spread, and the same everywhere.
+    let mut state = 0.5f64;
+    let mut unit = || {
+        state = (state + 0.618_033_988_749_895).fract();
+        (state * 7919.0).fract()
+    };
+    let (mut by_portal, mut drawn, mut dropped) = (0u64, 0u64, 0);
+    for _ in 0..60 {
+        // Indoors: from outside a twentieth of the house is less than its walls.
+        let inside = |p: &glam::DVec3| rooms.rooms.cell_at(*p).is_some();
+        let Some(position) = (0..200).find_map(|_| sampler.point(std::array::from_fn(|_| unit())).filter(inside))
+        else {
+            continue;
+        };
+        let pose = Pose { position, yaw_deg: unit() * 360.0, pitch_deg: unit() * 80.0 - 40.0 };
+        let list = draw_list(index, &pose, half_tan);
+        assert!(list.triangles <= index.settings.budget);
+        if list.dropped > 0 {
+            dropped += 1;
+            continue;
+        }
+        let basis = pose.basis();
+        for row in 0..camera.height {
+            let ray = |u: u32| Ray::new(position, camera.ray(&basis, f64::from(u) + 0.5, f64::from(row) + 0.5));
+            let rays: Vec<Ray> = (0..camera.width).map(ray).collect();
+            let mut hits = vec![None; rays.len()];
+            caster.trace_batch(&rays, &CellSet::all(), &mut hits);
+            for (ray, hit) in rays.iter().zip(&hits) {
+                let Some(hit) = hit else { continue };
+                if list.cells.contains(&caster.cell_of(hit.triangle)) {
+                    drawn += 1;
+                    continue;
+                }
+                let p = ray.at(hit.t);
+                let shown = list.portals.iter().any(|s| {
+                    let portal = &rooms.rooms.portals()[s.portal as usize];
+                    let n = portal.normal() * if s.side == 0 { 1.0 } else { -1.0 };
+                    (p - portal.corners[0]).dot(n) > -0.15 && s.cones.iter().any(|c| c.contains(p))
+                });
+                assert!(shown, "{p} from {pose:?}: neither drawn nor beyond a portal: {:?}", list.rooms);
+                by_portal += 1;
+            }
+        }
+    }
+    assert!(drawn > 1_000_000 && by_portal > 10_000, "{drawn} {by_portal}");
+    assert!(dropped < 25, "{dropped} of 60 poses exceed the budget");
+}
+
+#[test]
+fn the_audit_passes_the_dataset_and_finds_what_is_broken() {
+    let h = house();
+    let dataset = Dataset::open(&h.dataset).expect("opens");
+    let counts: Vec<u64> = dataset.index().cells.iter().map(|c| u64::from(c.triangles)).collect();
+    let camera_of = |image: u32| {
+        let first = *dataset.index().images.get(image as usize)?.chunks.first()?;
+        ldi_protocol::codec::ldi::decode_first(dataset.chunk(first)?).ok().map(|ldi| ldi.camera)
+    };
+    let size = ldi_server::placement::AuditSize { random: 400, adversarial: 100 };
+    let audit = |index: &ldi_protocol::index::Index| ldi_server::placement::audit(index, &counts, &camera_of, size, 3);
+    let faults = |r: &ldi_server::placement::AuditReport| {
+        r.worst_poses.iter().flat_map(|p| p.faults.clone()).collect::<Vec<_>>().join("; ")
+    };
+    let kept = audit(dataset.index());
+    // What exceeds the budget is counted, and nothing else is wrong.
+    let others: Vec<String> =
+        kept.worst_poses.iter().flat_map(|p| &p.faults).filter(|f| !f.contains("LDI tree")).cloned().collect();
+    assert!(others.is_empty(), "{others:?}");
+    assert!(kept.violations * 4 < kept.all_poses(), "{} of {}", kept.violations, kept.all_poses());
+    let mut broken = (**dataset.index()).clone();
+    broken.images.iter_mut().for_each(|i| i.window = i.window.map(|t| t * 0.3));
+    assert!(faults(&audit(&broken)).contains("in no image"));
+    let mut broken = (**dataset.index()).clone();
+    broken.placements.iter_mut().for_each(|p| p.footprint_px *= 0.5);
+    assert!(faults(&audit(&broken)).contains("footprint"));
+    let mut broken = (**dataset.index()).clone();
+    broken.cells.iter_mut().for_each(|c| c.triangles /= 8);
+    assert!(faults(&audit(&broken)).contains("triangles, budget"));
+}
+
+#[test]
+fn rooms_may_come_from_a_file_and_what_does_not_fit_is_named() {
+    let (h, out) = (house(), folder("portal-rooms"));
+    let file = out.join("rooms.json");
+    let mut c = server(&["rooms", SCENE, "--json"]);
+    c.arg(&file);
+    run::run(c).expect("writes rooms");
+    let mut c = server(&["build", SCENE, "--represent", "portals", "--budget", BUDGET, "--size", SIZE, "--rooms"]);
+    c.arg(&file).arg("-o").arg(out.join("dataset"));
+    run::run(c).expect("builds");
+    let manifest = |d: &Path| std::fs::read(d.join("manifest")).expect("readable");
+    assert_eq!(manifest(&out.join("dataset")), manifest(&h.dataset), "the annotation, by another way");
+    std::fs::write(&file, "{}").expect("writable");
+    let mut c = server(&["build", SCENE, "--represent", "portals", "--budget", BUDGET, "--rooms"]);
+    let failed = c.arg(&file).arg("-o").arg(out.join("none")).output().expect("runs");
+    let text = String::from_utf8_lossy(&failed.stderr).into_owned();
+    assert_eq!(failed.status.code(), Some(42), "{text}");
+    assert!(text.contains("rooms.json") && text.contains("--represent grid"), "{text}");
+    // A path file is what walks read.
+    assert_eq!(path::parse(&std::fs::read_to_string(&h.poses).expect("readable")).expect("a path").poses.len(), 8);
+}
