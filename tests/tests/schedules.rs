@@ -136,7 +136,8 @@ fn whatever_the_link_does_every_chunk_arrives_or_an_error_says_why() {
         let any = SocketAddr::from(([127, 0, 0, 1], 0));
         let street = street(4, 64);
         let stored = street.chunks.clone();
-        let config = ServeConfig { listen: any, http: any, identity: Some(folder.join("identity")), ..Default::default() };
+        let config =
+            ServeConfig { listen: any, http: any, identity: Some(folder.join("identity")), ..Default::default() };
         let server = Server::start(Arc::new(Memory::new(street)), &config).await.unwrap();
         let mut connect = ConnectConfig::new(server.quic().to_string(), PICTURE);
         connect.fingerprint = Some(server.fingerprint().parse().unwrap());

@@ -79,8 +79,7 @@ impl DiskCache {
         for kind in ["chunks", "roots"] {
             fs::create_dir_all(folder.join(kind)).map_err(error)?;
         }
-        let cache =
-            Self { folder: folder.into(), cap_bytes, known: Mutex::default(), next: AtomicU64::new(0) };
+        let cache = Self { folder: folder.into(), cap_bytes, known: Mutex::default(), next: AtomicU64::new(0) };
         // One that was filled under a larger cap shrinks now.
         cache.make_room(0);
         Ok(cache)

@@ -66,7 +66,9 @@ impl Default for LinkSpec {
 
 /// A `--link` that is none.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{0}; for example rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=10s:2s,queue=100ms,seed=1, each of them optional")]
+#[error(
+    "{0}; for example rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=10s:2s,queue=100ms,seed=1, each of them optional"
+)]
 pub struct LinkError(String);
 
 impl FromStr for LinkSpec {
@@ -106,7 +108,11 @@ impl FromStr for LinkSpec {
                     spec.blackout = Some(times.ok_or_else(|| wrong(expected))?);
                 }
                 "seed" => spec.seed = value.parse().map_err(|_| wrong("a whole number of 0 or more"))?,
-                _ => return Err(LinkError(format!("\"{key}\" is none of rate, delay, jitter, loss, dup, blackout, queue, seed"))),
+                _ => {
+                    return Err(LinkError(format!(
+                        "\"{key}\" is none of rate, delay, jitter, loss, dup, blackout, queue, seed"
+                    )));
+                }
             }
         }
         Ok(spec)

@@ -75,7 +75,10 @@ fn times_of_arrival_are_exact() {
     assert_eq!(at(0, 1222), Fate::Dropped, "2.5 ms wait already");
     assert_eq!(at(1, 1222), Fate::Arrives(MS * 23 + MS / 2), "one has left");
     assert_eq!(at(9, 1222), Fate::Arrives(MS * 30), "an idle link saves nothing up");
-    assert_eq!(link.counts(), LinkCounts { sent: 6, delivered: 5, doubled: 0, lost: 0, dropped: 1, bytes: 4 * 1222 + 597 });
+    assert_eq!(
+        link.counts(),
+        LinkCounts { sent: 6, delivered: 5, doubled: 0, lost: 0, dropped: 1, bytes: 4 * 1222 + 597 }
+    );
 }
 
 #[test]

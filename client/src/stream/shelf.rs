@@ -34,7 +34,8 @@ pub(super) struct Shelf {
 impl Shelf {
     /// Looks what is there.
     pub fn new(disk: Arc<DiskCache>, index: Arc<Index>) -> Self {
-        let state = |c: &ldi_protocol::index::ChunkEntry| if disk.has(&c.hash, c.stored_bytes) { HERE } else { ELSEWHERE };
+        let state =
+            |c: &ldi_protocol::index::ChunkEntry| if disk.has(&c.hash, c.stored_bytes) { HERE } else { ELSEWHERE };
         let states = index.chunks.iter().map(|c| AtomicU8::new(state(c))).collect();
         Self { disk, index, states, reading_ahead: AtomicUsize::new(0) }
     }

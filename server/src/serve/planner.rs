@@ -49,6 +49,9 @@ pub struct PlannerConfig {
     pub cache_bytes: u64,
     /// How far from the eye needs are foreseen, metres; 0: not at all.
     pub prefetch_m: f64,
+    /// Bytes that a chunk in time is worth: a chunk of so many bytes is sent ahead if it is as likely to be needed as not. Larger: fewer frames lack something;
+    /// smaller: fewer bytes are sent in vain.
+    pub ahead_worth: u64,
     /// Shortest time between two plans. Shorter: fresher plans, more work; a frame of the walker takes about 16 ms.
     pub replan_interval: Duration,
     /// Chunks on their way that the view does not wait for.
@@ -62,9 +65,10 @@ impl Default for PlannerConfig {
         Self {
             cache_bytes: 1 << 30,
             prefetch_m: 10.0,
+            ahead_worth: 1_000_000,
             replan_interval: Duration::from_millis(25),
-            max_background: 4,
-            max_flying: 12,
+            max_background: 8,
+            max_flying: 20,
         }
     }
 }
@@ -128,6 +132,8 @@ pub struct Planner {
     /// What may be needed soon, soonest first, and when that was foreseen; [`Planner::ahead`] skips what is held.
     expected: Vec<Expected>,
     foreseen_at: Option<Duration>,
+    /// When the pose was planned for that this was foreseen from.
+    foreseen_from: Duration,
     /// When the next one of them has to go, if nothing else happens.
     due_at: Option<Duration>,
     /// Chunks that wait in the list of what the client asked for: a number waits once, so the index bounds the list.
@@ -176,6 +182,7 @@ impl Planner {
             lists: Default::default(),
             expected: Vec::new(),
             foreseen_at: None,
+            foreseen_from: Duration::ZERO,
             due_at: None,
             asked: vec![false; chunks],
             promoted: Vec::new(),

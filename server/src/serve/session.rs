@@ -63,6 +63,8 @@ pub struct Shared {
     pub max_connections: usize,
     /// See [`super::ServeConfig::send_window`].
     pub send_window: u64,
+    /// See [`super::ServeConfig::ahead_worth`].
+    pub ahead_worth: u64,
     /// See [`super::ServeConfig::messages_per_second`].
     pub messages_per_second: f64,
     /// Turns true when the server stops.
@@ -145,8 +147,12 @@ struct Session {
 impl Session {
     fn new(shared: Arc<Shared>, connection: Connection, hello: &Hello, walker: Entry) -> Self {
         let index = shared.served.index().clone();
-        let config =
-            PlannerConfig { cache_bytes: hello.cache_bytes, prefetch_m: hello.prefetch_m, ..PlannerConfig::default() };
+        let config = PlannerConfig {
+            cache_bytes: hello.cache_bytes,
+            prefetch_m: hello.prefetch_m,
+            ahead_worth: shared.ahead_worth,
+            ..PlannerConfig::default()
+        };
         let views = SelectViews::new(index.clone(), &hello.picture.camera(&index.settings));
         Self {
             planner: Planner::new(index, Arc::new(views), config),

@@ -8,7 +8,8 @@ use super::{
     veno::VenoConfig,
 };
 use ldi_protocol::wire::ALPN;
-use quinn::{Endpoint, EndpointConfig, IdleTimeout, ServerConfig, TransportConfig, VarInt, congestion,
+use quinn::{
+    Endpoint, EndpointConfig, IdleTimeout, ServerConfig, TransportConfig, VarInt, congestion,
     congestion::ControllerFactory,
 };
 use std::{

@@ -3,7 +3,10 @@
 //! The walk is replayed in virtual time ([`rehearsal`]), so the rows differ by the policy alone, whatever else the machine does. Only the
 //! client's decoding rate is measured here, unless it is given.
 
-use crate::load::rehearsal::{Policy, Score, Script, Setting, rehearse};
+use crate::load::{
+    eviction::{Eviction, replay},
+    rehearsal::{Policy, Score, Script, Setting, rehearse},
+};
 use anyhow::{Context as _, Result};
 use ldi_client::{cache::Cache, stream::LinkSpec};
 use ldi_protocol::{OutputCamera, index::Index, path::Walk};
@@ -26,6 +29,8 @@ pub struct Study<'a> {
     pub decoded_per_s: Option<f64>,
     /// Decoded bytes of the client's cache.
     pub cache_bytes: u64,
+    /// What sending ahead is worth, as in the server's settings.
+    pub ahead_worth: u64,
     /// Walk twice.
     pub twice: bool,
 }
@@ -68,6 +73,23 @@ pub struct Found {
     pub needs_ms: f64,
     /// All of them.
     pub rows: Vec<Row>,
+    /// What leaves a full cache.
+    pub evictions: Vec<EvictionRow>,
+}
+
+/// One way to evict with one cap, over the walk done twice.
+#[derive(Debug, Clone, Serialize)]
+pub struct EvictionRow {
+    /// Cap as a share of the decoded bytes that the walk needs.
+    pub cap_share: f64,
+    /// Decoded bytes.
+    pub cap_bytes: u64,
+    /// See [`Eviction`].
+    pub policy: String,
+    /// Stored bytes that came a second time or more often.
+    pub again: u64,
+    /// Frames that need more than the cap.
+    pub too_large: usize,
 }
 
 /// Compares.
@@ -86,19 +108,26 @@ pub fn run(study: &Study<'_>, mut progress: impl FnMut(&Row)) -> Result<Found> {
     let needs_ms = begin.elapsed().as_secs_f64() * 1e3 / script.poses.len() as f64;
     let (needed_bytes, measured) = decode_all(&index, &dataset, &script, study.decoded_per_s.is_none())?;
     let decoded_per_s = study.decoded_per_s.unwrap_or(measured);
+    let evictions = evict(&script);
     let script = if study.twice { script.twice() } else { script };
     let lasts = script.poses[script.poses.len() - 1].0 - script.poses[0].0;
     let mut rows = Vec::new();
     for link in study.links {
         for policy in [Policy::Nothing, Policy::Everything, Policy::Forecast, Policy::Clairvoyant] {
-            let setting = Setting { link: *link, decoded_per_s, cache_bytes: study.cache_bytes, policy };
+            let setting = Setting {
+                link: *link,
+                decoded_per_s,
+                cache_bytes: study.cache_bytes,
+                ahead_worth: study.ahead_worth,
+                policy,
+            };
             let score = rehearse(&script, &setting, views.clone());
             let row = row(&setting, &score, lasts);
             progress(&row);
             rows.push(row);
         }
     }
-    Ok(Found { decoded_per_s, needed_bytes, needs_ms, rows })
+    Ok(Found { decoded_per_s, needed_bytes, needs_ms, rows, evictions })
 }
 
 fn row(setting: &Setting, s: &Score, lasts_s: f64) -> Row {
@@ -116,6 +145,30 @@ fn row(setting: &Setting, s: &Score, lasts_s: f64) -> Row {
         stale: s.stale,
         second_half: s.second_half,
     }
+}
+
+/// Ways to evict, over the walk done twice, with caches of parts of what it needs.
+fn evict(script: &Script) -> Vec<EvictionRow> {
+    let mut needed = vec![false; script.index.chunks.len()];
+    script.needs.iter().flat_map(|n| n.all()).for_each(|c| needed[c as usize] = true);
+    let decoded = script.index.chunks.iter().zip(&needed).filter(|(_, n)| **n).map(|(c, _)| u64::from(c.decoded_bytes));
+    let all: u64 = decoded.sum();
+    // Frames that need the same as the one before change nothing.
+    let mut twice = script.clone().twice();
+    let mut last = None;
+    let keep: Vec<bool> = twice.needs.iter().map(|n| last.replace(n.clone()).is_none_or(|l| l != *n)).collect();
+    let mut kept = keep.iter();
+    twice.needs.retain(|_| *kept.next().unwrap_or(&true));
+    let mut out = Vec::new();
+    for cap_share in [0.15, 0.25, 0.5, 0.75, 0.9] {
+        let cap_bytes = (all as f64 * cap_share) as u64;
+        for policy in Eviction::ALL {
+            let f = replay(&twice, cap_bytes, policy);
+            let policy = format!("{policy:?}").to_lowercase();
+            out.push(EvictionRow { cap_share, cap_bytes, policy, again: f.again, too_large: f.too_large });
+        }
+    }
+    out
 }
 
 /// Stored bytes of all that the walk needs; decoded once, if asked for, stored bytes per second.
@@ -146,6 +199,17 @@ pub fn table(found: &Found) -> String {
     );
     for r in &found.rows {
         let _ = writeln!(out, "{}", line(r));
+    }
+    for r in &found.evictions {
+        let _ = writeln!(
+            out,
+            "cache of {:3.0}% ({:6.1} MB decoded)  {:12} {:7.2} MB again over two laps, {} frames too large",
+            r.cap_share * 100.0,
+            r.cap_bytes as f64 * 1e-6,
+            r.policy,
+            r.again as f64 * 1e-6,
+            r.too_large
+        );
     }
     out
 }

@@ -81,6 +81,9 @@ struct StreamingArgs {
     /// Decoded bytes of the client's cache.
     #[arg(long, default_value_t = 1 << 30)]
     cache_bytes: u64,
+    /// What the server takes sending ahead to be worth, bytes: its setting `ahead_worth`.
+    #[arg(long, default_value_t = 1_000_000)]
+    ahead_worth: u64,
     /// Walk the path a second time.
     #[arg(long)]
     twice: bool,
@@ -310,6 +313,7 @@ fn streaming(a: &StreamingArgs) -> Result<()> {
         links: &a.link,
         decoded_per_s: a.decode_mb_s.map(|m| m * 1e6),
         cache_bytes: a.cache_bytes,
+        ahead_worth: a.ahead_worth,
         twice: a.twice,
     };
     let found = streaming::run(&study, |r| eprintln!("{}", streaming::line(r)))?;

@@ -56,24 +56,20 @@ impl Foresight for Everything {
     fn expect(&mut self, motion: &Motion, _within_s: f64, reach_m: f64) -> Vec<Expected> {
         let here = motion.pose();
         let turned = |by: f64| Pose { yaw_deg: here.yaw_deg + by, ..here };
-        let ahead = [0.4, 1.0].map(|t| Pose {
-            position: here.position + motion.velocity_m_s * t,
-            ..turned(motion.turn_deg_s * t)
-        });
+        let ahead = [0.4, 1.0]
+            .map(|t| Pose { position: here.position + motion.velocity_m_s * t, ..turned(motion.turn_deg_s * t) });
         let around = (1..=8).flat_map(|i| [1.0, -1.0].map(|side| turned(side * 25.0 * f64::from(i))));
         let of = |poses: Vec<Pose>| {
             let views: Vec<_> = poses.iter().map(|p| self.views.needed(p)).collect();
             views.iter().flat_map(|v| &v.now).chain(views.iter().flat_map(|v| &v.fine)).copied().collect::<Vec<u32>>()
         };
-        let reach = Reach {
-            radius_m: reach_m,
-            decoded_bytes: (self.cache_bytes as f64 * PREFETCH_SHARE) as u64,
-        };
+        let reach = Reach { radius_m: reach_m, decoded_bytes: (self.cache_bytes as f64 * PREFETCH_SHARE) as u64 };
         let lists = [of(ahead.to_vec()), of(around.collect()), near_to_far(&self.index, here.position, reach)];
         let mut seen = vec![false; self.index.chunks.len()];
         let once = lists.concat().into_iter().filter(|c| !std::mem::replace(&mut seen[*c as usize], true));
         // Due at once, in this order.
-        let expected = |(i, chunk)| Expected { chunk, in_s: i as f64 * 1e-9, probability: 1.0, urgency: Urgency::Around };
+        let expected =
+            |(i, chunk)| Expected { chunk, in_s: i as f64 * 1e-9, probability: 1.0, urgency: Urgency::Around };
         once.enumerate().map(expected).collect()
     }
 }

@@ -40,6 +40,8 @@ const QUEUE: Duration = Duration::from_millis(10);
 const MIN_SEND_WINDOW: usize = 256 * 1024;
 /// A stale chunk with less than this left is finished; as the server's.
 const FINISH_BELOW: usize = 32 * 1024;
+/// A chunk of fewer bytes is out when the transport has it; as the server's.
+const SMALL: usize = 16 * 1024;
 /// How often the client says what it dropped and how far behind it is.
 const TICK: Duration = Duration::from_millis(100);
 
@@ -94,6 +96,8 @@ pub struct Setting {
     pub decoded_per_s: f64,
     /// Decoded bytes that the client's cache holds.
     pub cache_bytes: u64,
+    /// See [`PlannerConfig::ahead_worth`]; for [`Policy::Forecast`].
+    pub ahead_worth: u64,
     /// What is sent ahead.
     pub policy: Policy,
 }
@@ -174,6 +178,7 @@ pub fn rehearse(script: &Script, setting: &Setting, views: Arc<dyn Views>) -> Sc
     let config = PlannerConfig {
         cache_bytes: setting.cache_bytes,
         prefetch_m: if setting.policy == Policy::Nothing { 0.0 } else { 10.0 },
+        ahead_worth: if setting.policy == Policy::Forecast { setting.ahead_worth } else { u64::MAX },
         ..PlannerConfig::default()
     };
     let planner = match setting.policy {
@@ -269,7 +274,8 @@ impl Rehearsal<'_> {
                 s.arrived += bytes;
                 if s.arrived == s.bytes && !s.reset {
                     let urgency = s.urgency;
-                    if urgency.is_pressing() { &mut self.pressing } else { &mut self.ahead }.push_back((chunk, urgency));
+                    if urgency.is_pressing() { &mut self.pressing } else { &mut self.ahead }
+                        .push_back((chunk, urgency));
                 }
             }
             Event::Acknowledged { chunk, stream, bytes, had_less } => {
@@ -409,8 +415,8 @@ impl Rehearsal<'_> {
             room -= taken;
             s.left -= taken;
             s.buffered += taken;
-            // What somebody waits for is out when the transport has it, all else when the client has.
-            if s.left == 0 && s.urgency.is_pressing() && !s.done {
+            // What somebody waits for and what is small is out when the transport has it, all else when the client has.
+            if s.left == 0 && (s.urgency.is_pressing() || s.bytes < SMALL) && !s.done {
                 s.done = true;
                 self.planner.sent(chunk);
             }
@@ -444,4 +450,4 @@ impl Rehearsal<'_> {
 
 #[cfg(test)]
 #[path = "rehearsal_test.rs"]
-mod tests;
+pub(super) mod tests;

@@ -28,7 +28,8 @@ impl Views for Street {
     }
 }
 
-fn index(chunks: u32) -> Arc<Index> {
+/// Chunks of equal size.
+pub(in crate::load) fn index(chunks: u32) -> Arc<Index> {
     let bounds = Aabb { min: DVec3::ZERO, max: DVec3::splat(1e3) };
     let entry = |i: u32| ChunkEntry {
         hash: ChunkHash([i as u8; 32]),
@@ -74,7 +75,13 @@ fn street() -> (Script, Arc<Street>) {
 }
 
 fn setting(link: &str, policy: Policy) -> Setting {
-    Setting { link: link.parse().expect("a link"), decoded_per_s: 20e6, cache_bytes: 1 << 30, policy }
+    Setting {
+        link: link.parse().expect("a link"),
+        decoded_per_s: 20e6,
+        cache_bytes: 1 << 30,
+        ahead_worth: 1_000_000,
+        policy,
+    }
 }
 
 #[test]

@@ -25,7 +25,9 @@ impl Planner {
         if self.foreseen_at.is_none_or(|t| now >= t + FORESEE_EVERY) {
             self.foresee(&motion, now);
         }
-        let elapsed_s = now.saturating_sub(self.foreseen_at?).as_secs_f64();
+        // Times count from the pose. Whoever stands may set off or turn at any moment, so that these times stay as they are.
+        let elapsed = if motion.moves() { now.saturating_sub(self.foreseen_from) } else { Duration::ZERO };
+        let elapsed_s = elapsed.as_secs_f64();
         let (held, dropped_at, place) = (&self.held, &self.dropped_at, self.place.0);
         self.expected.retain(|e| {
             let c = e.chunk as usize;
@@ -50,7 +52,13 @@ impl Planner {
     fn foresee(&mut self, motion: &Motion, now: Duration) {
         let within_s = self.capacity.horizon_s(SURGE_BYTES);
         let mut expected = self.foresight.expect(motion, within_s, self.config.prefetch_m);
-        expected.retain(|e| (e.chunk as usize) < self.held.len());
+        expected.retain(|e| self.held.get(e.chunk as usize).is_some_and(|h| *h != ChunkState::Held));
+        // A late chunk costs frames, whatever its size; one sent in vain costs its bytes.
+        let worth = self.config.ahead_worth as f64;
+        expected.retain(|e| {
+            let bytes = self.bytes(e.chunk) as f64;
+            e.probability * (bytes + worth) >= bytes
+        });
         expected.sort_by(|a, b| rank_s(a).total_cmp(&rank_s(b)).then(a.chunk.cmp(&b.chunk)));
         let in_view = self.lists.iter().flat_map(|l| &l.chunks);
         let decoded = |chunk: u32| u64::from(self.index.chunks[chunk as usize].decoded_bytes);
@@ -65,6 +73,7 @@ impl Planner {
         expected.truncate(count);
         self.expected = expected;
         self.foreseen_at = Some(now);
+        self.foreseen_from = self.planned_at.unwrap_or(now);
         self.changed = true;
     }
 }

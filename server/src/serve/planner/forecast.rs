@@ -10,25 +10,27 @@
 //! Where it will be is uncertain by [`SPREAD`] of the way: guesses to both sides of the way carry part of its probability.
 //! A chunk counts at the earliest guess that needs it; probabilities of guesses that need it too are not added up, as the guesses are not exclusive.
 
-use super::motion::Motion;
 use super::Views;
+use super::motion::Motion;
 use ldi_protocol::{Pose, wire::Urgency};
 use std::{collections::HashMap, sync::Arc};
 
-/// How fast a head turns to look elsewhere, degrees per second: path walkers of this project turn at 120, players faster.
-pub const QUICK_TURN_DEG_S: f64 = 120.0;
+/// How fast a head is believed to turn to look elsewhere, degrees per second. Path walkers of this project turn at 120, players faster, but few begin
+/// right now: faster beliefs send more directions ahead (docs/streaming.md).
+pub const QUICK_TURN_DEG_S: f64 = 80.0;
 /// Walking speed of somebody who stands and will walk, m/s.
 const WALK_M_S: f64 = 1.4;
-/// Mean time for which a motion goes on, seconds: walking, and turning.
-const KEEPS_WALKING_S: f64 = 2.5;
+/// Mean time for which a motion goes on, seconds: walking, and turning. These and the numbers below were chosen by walks in virtual time on two scenes (docs/streaming.md), not
+/// measured on people. Larger: what lies far along the way is sent ahead more; smaller: less, and later.
+const KEEPS_WALKING_S: f64 = 1.0;
 /// See [`KEEPS_WALKING_S`].
-const KEEPS_TURNING_S: f64 = 1.0;
+const KEEPS_TURNING_S: f64 = 2.0;
 /// How likely a turn is to begin while the eye goes on, to one of both sides.
-const TURNS: f64 = 0.35;
+const TURNS: f64 = 0.5;
 /// How likely the walker sets off before it stops turning.
 const SETS_OFF: f64 = 0.5;
-/// Sideways uncertainty of a place ahead, as a share of the way to it.
-const SPREAD: f64 = 0.25;
+/// Sideways uncertainty of a place ahead, as a share of the way to it: it grows with time.
+const SPREAD: f64 = 0.4;
 /// Probability of a place beside the way, relative to one on it.
 const BESIDE: f64 = 0.4;
 /// Step of guesses in angle, degrees: below half the smallest field of view (54), so that no direction in between is left out.
@@ -106,35 +108,42 @@ fn guesses(motion: &Motion, within_s: f64) -> Vec<Guess> {
     let turned = |pose: Pose, by: f64| Pose { yaw_deg: pose.yaw_deg + by, ..pose };
     if walks || turns {
         let keeps_s = if turns { KEEPS_TURNING_S } else { KEEPS_WALKING_S };
-        for t in TIMES_S {
+        for (t, in_s) in times() {
             let by = (motion.turn_deg_s * t).clamp(-180.0, 180.0);
             let pose = turned(Pose { position: here.position + motion.velocity_m_s * t, ..here }, by);
             let probability = (-t / keeps_s).exp();
-            put(pose, t, probability, Urgency::Predicted);
+            put(pose, in_s, probability, Urgency::Predicted);
             if walks {
                 let aside = motion.velocity_m_s.cross(glam::DVec3::Y) * (t * SPREAD);
                 for side in [aside, -aside] {
                     let beside = Pose { position: pose.position + side, ..pose };
-                    put(beside, t, probability * BESIDE, Urgency::Around);
+                    put(beside, in_s, probability * BESIDE, Urgency::Around);
                 }
             }
         }
     }
     if !walks {
-        for t in TIMES_S {
+        for (t, in_s) in times() {
             let by = if turns { motion.turn_deg_s * t.min(0.3) } else { 0.0 };
             let looks = turned(here, by);
             let position = here.position + looks.basis().forward * (WALK_M_S * t);
-            put(Pose { position, ..looks }, t, SETS_OFF * (-t / KEEPS_WALKING_S).exp(), Urgency::Around);
+            put(Pose { position, ..looks }, in_s, SETS_OFF * (-t / KEEPS_WALKING_S).exp(), Urgency::Around);
         }
     }
     let steps = (180.0 / STEP_DEG) as i32;
     for i in 1..=steps {
         let by = STEP_DEG * f64::from(i);
-        let in_s = by / QUICK_TURN_DEG_S;
+        // Half a step earlier, as what is needed here was not needed a step before.
+        let in_s = (by - STEP_DEG / 2.0) / QUICK_TURN_DEG_S;
         for side in [by, -by] {
             put(turned(here, side), in_s, TURNS * (-in_s / KEEPS_TURNING_S).exp(), Urgency::Around);
         }
     }
     out
+}
+
+/// Times of guesses, and the time at which what is needed there comes into need: half way from the guess before.
+fn times() -> impl Iterator<Item = (f64, f64)> {
+    let before = std::iter::once(0.0).chain(TIMES_S);
+    TIMES_S.into_iter().zip(before).map(|(t, before)| (t, (t + before) / 2.0))
 }

@@ -102,12 +102,8 @@ fn walks_to(p: &mut Planner, ms: u64, x: f64) {
 }
 
 /// A link so long that everything foreseen has to go at once.
-const FAR: Capacity = Capacity {
-    bytes_per_s: Some(1e6),
-    round_trip: Duration::from_secs(9),
-    decoded_per_s: None,
-    waiting_bytes: 0,
-};
+const FAR: Capacity =
+    Capacity { bytes_per_s: Some(1e6), round_trip: Duration::from_secs(9), decoded_per_s: None, waiting_bytes: 0 };
 
 #[test]
 fn the_view_comes_first_then_its_sharpness_then_what_comes_soon_and_no_earlier() {
@@ -162,14 +158,17 @@ fn what_the_client_evicted_goes_ahead_again_only_elsewhere() {
 fn chunks_are_foreseen_when_the_walk_gets_to_them() {
     let mut forecast = Forecast { views: Arc::new(ByX) };
     let mut motion = Motion::standing(at(1, 0, 2.5));
-    assert!(forecast.expect(&motion, 4.0, 10.0).iter().all(|e| e.chunk == 2 || e.chunk == 3), "it stands and looks aside");
+    assert!(
+        forecast.expect(&motion, 4.0, 10.0).iter().all(|e| e.chunk == 2 || e.chunk == 3),
+        "it stands and looks aside"
+    );
     motion.velocity_m_s = DVec3::new(2.0, 0.0, 0.0);
     let found = forecast.expect(&motion, 2.0, 10.0);
     for chunk in 4..=6 {
         let e = found.iter().find(|e| e.chunk == chunk).unwrap();
-        // Chunk n sharpens from x = n - 1 on; guesses lie up to 40% apart in time.
+        // Chunk n sharpens from x = n - 1 on; guesses lie up to 40% apart in time, 80 ms at least.
         let exact = (f64::from(chunk) - 3.5) / 2.0;
-        assert!((exact..=exact * 1.4 + 0.1).contains(&e.in_s), "{e:?} against {exact}");
+        assert!((exact * 0.75..=exact * 1.25 + 0.1).contains(&e.in_s), "{e:?} against {exact}");
         assert_eq!(e.urgency, Urgency::Predicted);
     }
     let chance = |chunk| found.iter().find(|e| e.chunk == chunk).unwrap().probability;

@@ -7,6 +7,8 @@
 //!   ready_i = round trip + max over j <= i of (bytes on the way and of 0 ..= j) / rate, and the decoding from j on
 //! ```
 //!
+//! where chunks before i count with their probability: of several ways that a walk may take it takes one.
+//!
 //! The round trip counts whole: the pose is half of one old, and the chunk takes half of one. Nothing has to be sent as long as every chunk would
 //! still be ready [`GUARD_S`] and [`GUARD_SHARE`] of its transfer before its time; the first one goes as soon as that no longer holds for any chunk behind it.
 
@@ -14,9 +16,9 @@ use super::forecast::Expected;
 use std::time::Duration;
 
 /// Slack that is kept, seconds: timers, frames and guesses of times are coarse. Larger: fewer late chunks, more that are never used.
-const GUARD_S: f64 = 0.12;
+const GUARD_S: f64 = 0.2;
 /// Slack that is kept, as a share of the time that bringing takes: rates are measured, and change.
-const GUARD_SHARE: f64 = 0.5;
+const GUARD_SHARE: f64 = 0.2;
 /// Believed rates before any was measured, bytes per second: 20 Mbit/s. Too low: more is sent ahead at the beginning; too high: it comes late.
 const UNKNOWN_RATE: f64 = 2.5e6;
 /// Slowest believed rates: so that no time becomes infinite.
