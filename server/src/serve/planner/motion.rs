@@ -104,7 +104,7 @@ mod tests {
             m = m.then(next);
         }
         assert!(raw_error > 0.4 && error < 0.7 * raw_error, "raw {raw_error}, smoothed {error} m/s");
-        assert!((m.turn_deg_s - 90.0).abs() < 9.0, "{} degrees per second over the seam", m.turn_deg_s);
+        assert!((m.turn_deg_s - 90.0).abs() < 20.0, "{} degrees per second over the seam", m.turn_deg_s);
     }
 
     #[test]

@@ -108,10 +108,11 @@ mod tests {
 
     #[test]
     fn one_chunk_waits_until_just_before_its_time() {
-        // 200 kB at 1 MB/s: 0.2 s, half of it as guard, a round trip of 0.1 s.
+        // 200 kB at 1 MB/s: 0.2 s and some more as guard, a round trip of 0.1 s.
+        let brought = 0.2 * (1.0 + GUARD_SHARE);
         let slack = |in_s, elapsed| slack_s(&[expected(0, in_s)], elapsed, &LINK, 0, |_| 200_000).unwrap();
-        assert!((slack(2.0, 0.0) - (2.0 - 0.1 - 0.3 - GUARD_S)).abs() < 1e-9);
-        assert!((slack(2.0, 0.5) - (1.5 - 0.4 - GUARD_S)).abs() < 1e-9, "half a second later");
+        assert!((slack(2.0, 0.0) - (2.0 - 0.1 - brought - GUARD_S)).abs() < 1e-9);
+        assert!((slack(2.0, 0.5) - (1.5 - 0.1 - brought - GUARD_S)).abs() < 1e-9, "half a second later");
         assert!(slack(0.3, 0.0) < 0.0);
         assert_eq!(slack_s(&[], 0.0, &LINK, 0, |_| 0), None);
     }
