@@ -215,14 +215,19 @@ impl Drop for DecodePool {
 fn read(job: &Job) {
     let Target { cache, stats, shelf, arrivals, given_up, .. } = &*job.target;
     let Some(shelf) = shelf else { return };
-    let taken = shelf.read(job.chunk).and_then(|bytes| Some((cache.insert(job.chunk, &bytes).ok()?, bytes.len())));
-    if let Some((Inserted::Held, bytes)) = taken {
+    let bytes = shelf.read(job.chunk);
+    let read = bytes.as_ref().map_or(0, |b| b.len() as u64);
+    // Counted first: who waits for the chunk may look at the statistics as soon as it is there.
+    stats.from_disk(read);
+    let taken = bytes.and_then(|bytes| cache.insert(job.chunk, &bytes).ok());
+    if taken == Some(Inserted::Held) {
         // A frame that uses it uses nothing that came over the network.
         cache.count_elsewhere(job.chunk);
-        stats.from_disk(bytes as u64);
         if let Some(arrivals) = arrivals {
             let _ = arrivals.send((job.chunk, Instant::now()));
         }
+    } else {
+        stats.not_from_disk(read);
     }
     shelf.put_back(job.chunk, job.urgency, taken.is_some());
     if taken.is_none() {

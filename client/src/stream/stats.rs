@@ -135,6 +135,13 @@ impl Collector {
             i.stats.disk_bytes += bytes;
         });
     }
+    /// What counted as read from disk was there before, or is damaged.
+    pub fn not_from_disk(&self, bytes: u64) {
+        self.with(|i| {
+            i.stats.disk_chunks -= 1;
+            i.stats.disk_bytes -= bytes;
+        });
+    }
     /// What counted as arrived was there before, or is no object.
     pub fn take_back(&self, bytes: u32) {
         self.with(|i| {
