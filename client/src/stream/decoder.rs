@@ -218,7 +218,7 @@ fn read(job: &Job) {
     let bytes = shelf.read(job.chunk);
     let read = bytes.as_ref().map_or(0, |b| b.len() as u64);
     // Counted first: who waits for the chunk may look at the statistics as soon as it is there.
-    stats.from_disk(read);
+    stats.read_from_disk(read);
     let taken = bytes.and_then(|bytes| cache.insert(job.chunk, &bytes).ok());
     if taken == Some(Inserted::Held) {
         // A frame that uses it uses nothing that came over the network.
@@ -227,7 +227,7 @@ fn read(job: &Job) {
             let _ = arrivals.send((job.chunk, Instant::now()));
         }
     } else {
-        stats.not_from_disk(read);
+        stats.not_read_from_disk(read);
     }
     shelf.put_back(job.chunk, job.urgency, taken.is_some());
     if taken.is_none() {

@@ -119,7 +119,7 @@ impl DiskCache {
     pub(super) fn manifests(&self) -> Vec<(Root, Vec<Vec<u8>>)> {
         let mut roots = Vec::new();
         list(&self.folder.join("roots"), &mut roots);
-        roots.sort_by(|a, b| b.used.cmp(&a.used));
+        roots.sort_by_key(|e| std::cmp::Reverse(e.used));
         let whole = |e: Entry| {
             let name = parse_name(e.path.file_name()?.to_str()?)?;
             let length = usize::try_from(e.bytes).ok().filter(|n| *n <= MAX_ROOT_BYTES)?;

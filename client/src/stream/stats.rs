@@ -129,14 +129,14 @@ impl Collector {
             i.stats.lost_bytes += bytes;
         });
     }
-    pub fn from_disk(&self, bytes: u64) {
+    pub fn read_from_disk(&self, bytes: u64) {
         self.with(|i| {
             i.stats.disk_chunks += 1;
             i.stats.disk_bytes += bytes;
         });
     }
     /// What counted as read from disk was there before, or is damaged.
-    pub fn not_from_disk(&self, bytes: u64) {
+    pub fn not_read_from_disk(&self, bytes: u64) {
         self.with(|i| {
             i.stats.disk_chunks -= 1;
             i.stats.disk_bytes -= bytes;
