@@ -43,7 +43,14 @@ fn walk(connection: &Connection) -> Vec<u32> {
 
 fn visit(host: &Host, disk: &Path) -> Connection {
     let disk = Some(Arc::new(DiskCache::open(disk, 1 << 30).expect("a folder")));
-    Connection::connect(ConnectConfig { disk, ..host.config() }).expect("a connection")
+    let connection = Connection::connect(ConnectConfig { disk, ..host.config() }).expect("a connection");
+    settle();
+    connection
+}
+
+/// What a client holds is told on a stream, where it is in a datagram, which may overtake it: then a few chunks come that it has.
+fn settle() {
+    std::thread::sleep(Duration::from_millis(300));
 }
 
 /// Waits until so many chunks lie on the disk: they get there a moment after they are at hand.
@@ -136,6 +143,7 @@ fn an_eviction_from_memory_is_read_from_disk_again() {
     drop(filled);
     let disk = Some(Arc::new(DiskCache::open(&disk, 1 << 30).expect("a folder")));
     let small = Connection::connect(ConnectConfig { disk, cache_bytes, ..host.config() }).expect("a connection");
+    settle();
     for _ in 0..3 {
         walk(&small);
         small.cache().check().expect("sound accounts");
