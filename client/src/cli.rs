@@ -11,8 +11,8 @@ use ldi_client::{
     composite::Fill,
     engine::{Cull, Feed, Method, Pace, Progress, WalkError, WalkJob, WalkOptions, pictures_of, run},
     near::MAX_SIDE_PX,
-    report::{DatasetReport, LinkReport, MachineReport, Report, SceneReport},
-    stream::{ConnectConfig, ConnectError, Connection, Fingerprint, LinkSpec},
+    report::{DatasetReport, DiskReport, LinkReport, MachineReport, Report, SceneReport},
+    stream::{ConnectConfig, ConnectError, Connection, DEFAULT_DISK_BYTES, DiskCache, Fingerprint, LinkSpec},
     warp::{Order, Stamp},
 };
 use ldi_protocol::{path, wire::Picture};
@@ -20,6 +20,7 @@ use std::{
     io::IsTerminal,
     path::{Path, PathBuf},
     process::ExitCode,
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -119,6 +120,12 @@ struct WalkArgs {
     /// Most decoded bytes that are held [default: 1 GiB].
     #[arg(long, value_name = "N")]
     cache_bytes: Option<u64>,
+    /// Folder where what was received is kept for the next visit; made if absent [default: nothing is kept].
+    #[arg(long, value_name = "DIR")]
+    disk_cache: Option<PathBuf>,
+    /// Most bytes in that folder.
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_DISK_BYTES)]
+    disk_cache_bytes: u64,
     /// How far around the eye data is sent ahead of need, metres [default: 10; 0 with --pace wait, which has no need of it].
     #[arg(long, value_name = "M")]
     prefetch_m: Option<f64>,
@@ -131,7 +138,7 @@ struct WalkArgs {
     /// Frames drawn again with all geometry after the walk, for the speedup; 0 for none.
     #[arg(long, value_name = "N", default_value_t = 20)]
     baseline_frames: u32,
-    /// Behave as if this link, in both directions, lay before the server: rate=20mbit,delay=20ms,jitter=5ms,loss=2%,queue=100ms,seed=1;
+    /// Behave as if this link, in both directions, lay before the server: rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=10s:2s,queue=100ms,seed=1;
     /// each key optional, delay one way.
     #[arg(long, value_name = "LINK")]
     link: Option<LinkSpec>,
@@ -196,6 +203,11 @@ pub fn main() -> ExitCode {
     }
 }
 
+/// The folder that is kept between visits.
+fn disk(folder: &Path, cap_bytes: u64) -> Result<Arc<DiskCache>, Failure> {
+    DiskCache::open(folder, cap_bytes).map(Arc::new).map_err(|e| Failure { code: 1, error: e.into() })
+}
+
 fn not_there(what: &str, instead: &str) -> Failure {
     Failure::usage(format!("not there yet: {what}; {instead}"))
 }
@@ -258,6 +270,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     config.token = token;
     config.prefetch_m = prefetch_m(args);
     config.link = args.link;
+    config.disk = args.disk_cache.as_deref().map(|d| disk(d, args.disk_cache_bytes)).transpose()?;
     if let Some(bytes) = args.cache_bytes {
         config.cache_bytes = bytes;
     }
@@ -328,6 +341,10 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         machine: MachineReport::here(),
         options: options_as_json(args, &options),
         link: connection.stats().link.map(|[up, down]| LinkReport { up, down }),
+        disk: args.disk_cache.is_some().then(|| {
+            let stats = connection.stats();
+            DiskReport { chunks: stats.disk_chunks, bytes: stats.disk_bytes }
+        }),
         summary,
         frames,
     };
@@ -364,6 +381,7 @@ fn options_as_json(args: &WalkArgs, options: &WalkOptions) -> serde_json::Value 
         map.insert("prefetch_m".into(), prefetch_m(args).into());
         map.insert("frame_ms".into(), args.frame_ms.into());
         map.insert("link".into(), args.link.map(|l| l.to_string()).into());
+        map.insert("disk_cache".into(), args.disk_cache.as_ref().map(|d| d.display().to_string()).into());
         map.insert("server".into(), args.server.clone().into());
     }
     json

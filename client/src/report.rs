@@ -321,10 +321,21 @@ pub struct Report {
     pub options: serde_json::Value,
     /// What became of the packets on the link that `--link` put before the server; None without one.
     pub link: Option<LinkReport>,
+    /// What was read from the folder of earlier visits; None without one.
+    pub disk: Option<DiskReport>,
     /// Over all frames.
     pub summary: Summary,
     /// Each kept frame.
     pub frames: Vec<FrameReport>,
+}
+
+/// Chunks that were on disk from earlier visits, and their stored bytes.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct DiskReport {
+    /// How many were read.
+    pub chunks: u64,
+    /// Their stored bytes.
+    pub bytes: u64,
 }
 
 /// Packets of both directions.

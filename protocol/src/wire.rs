@@ -26,7 +26,8 @@ use crate::{
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 /// Raised when a peer of the previous version could not understand the next one.
-pub const VERSION: u16 = 1;
+/// 2: clients say how far behind their decoding is ([`ClientMessage::Decoding`]) and which manifests they have ([`Hello::manifests`]).
+pub const VERSION: u16 = 2;
 /// The application protocol that TLS agrees on.
 pub const ALPN: &[u8] = b"ldi/1";
 /// The port that a client tries when none is given.
@@ -41,6 +42,8 @@ pub const MAX_ROOT_BYTES: usize = 512 * 1024;
 pub const MAX_CHUNK_BYTES: u32 = 256 << 20;
 /// Longest list of chunks in one message; longer ones are sent in parts.
 pub const MAX_LIST: usize = 8_192;
+/// Most manifests that a client names.
+pub const MAX_MANIFESTS: usize = 16;
 /// Longest text in a message, bytes.
 pub const MAX_TEXT: usize = 1_024;
 
@@ -110,6 +113,9 @@ pub struct Hello {
     /// What the client calls itself, for the server's page.
     #[serde(default)]
     pub name: String,
+    /// Datasets whose whole manifest the client has from before, at most [`MAX_MANIFESTS`].
+    #[serde(default)]
+    pub manifests: Vec<ChunkHash>,
 }
 
 /// The server's answer to [`Hello`]; a frame with the manifest's root follows it on the control stream, and all pages
@@ -120,7 +126,7 @@ pub struct Welcome {
     pub version: u16,
     /// BLAKE3 of the manifest's root: two servers with the same hash serve the same dataset.
     pub dataset: ChunkHash,
-    /// Bytes of the root that follows.
+    /// Bytes of the root that follows. 0: nothing follows, as [`Hello::manifests`] names this dataset.
     pub root_bytes: u32,
     /// Pages that follow.
     pub pages: u32,
@@ -147,6 +153,13 @@ pub enum ClientMessage {
     Have {
         /// Numbers of chunks, at most [`MAX_LIST`].
         chunks: Vec<u32>,
+    },
+    /// How far behind the client's decoding is, so that no more is sent ahead than it can take in. Told when it changes, ten times per second at most.
+    Decoding {
+        /// Stored bytes that wait for decoding.
+        waiting_bytes: u32,
+        /// Stored bytes that are decoded per second while something waits; 0: not known.
+        bytes_per_s: u32,
     },
     /// The client leaves.
     Bye,
@@ -284,12 +297,14 @@ impl Message for ClientMessage {
                 in_range("picture field of view", h.picture.fov_deg.unwrap_or(60.0), 1.0..=170.0)?;
                 in_range("prefetch_m", h.prefetch_m, 0.0..=1e9)?;
                 in_range("token bytes", h.token.as_ref().map_or(0, String::len) as f64, 0.0..=MAX_TEXT as f64)?;
-                in_range("name bytes", h.name.len() as f64, 0.0..=MAX_TEXT as f64)
+                in_range("name bytes", h.name.len() as f64, 0.0..=MAX_TEXT as f64)?;
+                in_range("manifests", h.manifests.len() as f64, 0.0..=MAX_MANIFESTS as f64)
             }
             Self::Want { chunks } | Self::Drop { chunks } | Self::Have { chunks } => {
                 in_range("chunks", chunks.len() as f64, 0.0..=MAX_LIST as f64)
             }
-            Self::Bye => Ok(()),
+            // Any numbers will do: they only shift what is sent ahead, within bounds of the server's own.
+            Self::Decoding { .. } | Self::Bye => Ok(()),
         }
     }
 }

@@ -22,6 +22,29 @@ pub struct Fixture {
     pub dataset: PathBuf,
 }
 
+/// A folder below `tmp` that `make` filled, once for this very build of the server: each test may run in a process of its own, and all but the first wait.
+///
+/// # Panics
+/// If it cannot be made, or is not done after ten minutes.
+pub fn made_once(tmp: &Path, name: &str, make: impl FnOnce(&Path)) -> PathBuf {
+    let exe = run::bin_dir().expect("known").join("ldi-server");
+    let made = std::fs::metadata(exe).and_then(|m| m.modified()).expect("built");
+    let age = made.duration_since(std::time::UNIX_EPOCH).expect("after 1970").as_millis();
+    let dir = tmp.join(format!("{name}-{age}"));
+    let ready = dir.join("ready");
+    std::fs::create_dir_all(tmp).expect("writable");
+    if std::fs::create_dir(&dir).is_ok() {
+        make(&dir);
+        std::fs::write(&ready, b"").expect("writable");
+    }
+    let until = Instant::now() + Duration::from_secs(600);
+    while !ready.exists() {
+        assert!(Instant::now() < until, "{} was never finished: remove it and run again", dir.display());
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    dir
+}
+
 impl Fixture {
     /// The fixture below `tmp`, the folder that cargo gives to tests.
     ///
@@ -33,24 +56,12 @@ impl Fixture {
     }
 
     fn find_or_make(tmp: &Path) -> Self {
-        // Each test may run in a process of its own: the first one makes the fixture, for this very build of the server, the others wait.
-        let exe = run::bin_dir().expect("known").join("ldi-server");
-        let made = std::fs::metadata(exe).and_then(|m| m.modified()).expect("built");
-        let age = made.duration_since(std::time::UNIX_EPOCH).expect("after 1970").as_millis();
-        let dir = tmp.join(format!("fixture-{age}-{BUDGET}"));
-        let f = Self { scene: dir.join("house.glb"), poses: dir.join("poses.json"), dataset: dir.join("dataset") };
-        let ready = dir.join("ready");
-        std::fs::create_dir_all(tmp).expect("writable");
-        if std::fs::create_dir(&dir).is_ok() {
-            f.make();
-            std::fs::write(&ready, b"").expect("writable");
-        }
-        let until = Instant::now() + Duration::from_secs(600);
-        while !ready.exists() {
-            assert!(Instant::now() < until, "{} was never finished: remove it and run again", dir.display());
-            std::thread::sleep(Duration::from_millis(100));
-        }
-        f
+        let dir = made_once(tmp, &format!("fixture-{BUDGET}"), |dir| Self::in_folder(dir).make());
+        Self::in_folder(&dir)
+    }
+
+    fn in_folder(dir: &Path) -> Self {
+        Self { scene: dir.join("house.glb"), poses: dir.join("poses.json"), dataset: dir.join("dataset") }
     }
 
     fn make(&self) {

@@ -7,7 +7,7 @@ use ldi_server::{
     scene,
     store::Dataset,
 };
-use ldi_tests::fixture::SIZE;
+use ldi_tests::fixture::made_once;
 use ldi_tests::run::{self, Server};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -17,6 +17,8 @@ use std::sync::{Arc, OnceLock};
 const SCENE: &str = "builtin:house?triangles=20000&seed=1";
 /// A twentieth of the house: less than a room and what is seen through its doors.
 const BUDGET: &str = "1300";
+/// Small, so that its hundreds of images are made in a minute.
+const SIZE: &str = "192x108";
 
 struct House {
     dataset: PathBuf,
@@ -36,24 +38,32 @@ fn server(args: &[&str]) -> Command {
     c
 }
 
-/// One dataset for the tests of this process.
+/// One dataset for all tests.
 fn house() -> &'static House {
     static HOUSE: OnceLock<House> = OnceLock::new();
     HOUSE.get_or_init(|| {
-        let dir = folder("portals");
-        let made = House { dataset: dir.join("dataset"), poses: dir.join("poses.json") };
-        let mut c = server(&["build", SCENE, "--represent", "portals", "--budget", BUDGET, "--size", SIZE, "-o"]);
-        c.arg(&made.dataset);
-        run::run(c).expect("builds");
-        // Middles of rooms, beside walls, in doorways, up and down.
-        let pose = |x: f64, z: f64, yaw: f64, pitch: f64| serde_json::json!({ "t": 0.0, "position": [x, 1.6, z], "yaw": yaw, "pitch": pitch });
-        let poses = [
-            pose(-10.0, -6.75, -90.0, 0.0), pose(-8.4, -6.75, -80.0, 0.0), pose(-7.5, -6.75, -90.0, 0.0), pose(-5.0, -6.0, -120.0, 20.0),
-            pose(0.0, 2.2, 180.0, -20.0), pose(0.3, -2.2, 45.0, 5.0), pose(5.0, -2.25, 90.0, 0.0), pose(9.0, 2.6, 0.0, 0.0),
-        ];
-        std::fs::write(&made.poses, serde_json::json!({ "poses": poses }).to_string()).expect("writable");
-        made
+        let in_folder = |dir: &Path| House { dataset: dir.join("dataset"), poses: dir.join("poses.json") };
+        in_folder(&made_once(Path::new(env!("CARGO_TARGET_TMPDIR")), "portals", |dir| make(&in_folder(dir))))
     })
+}
+
+fn make(house: &House) {
+    let mut c = server(&["build", SCENE, "--represent", "portals", "--budget", BUDGET, "--size", SIZE, "-o"]);
+    c.arg(&house.dataset);
+    run::run(c).expect("builds");
+    // Middles of rooms, beside walls, in doorways, up and down.
+    let pose = |x: f64, z: f64, yaw: f64, pitch: f64| serde_json::json!({ "t": 0.0, "position": [x, 1.6, z], "yaw": yaw, "pitch": pitch });
+    let poses = [
+        pose(-10.0, -6.75, -90.0, 0.0),
+        pose(-8.4, -6.75, -80.0, 0.0),
+        pose(-7.5, -6.75, -90.0, 0.0),
+        pose(-5.0, -6.0, -120.0, 20.0),
+        pose(0.0, 2.2, 180.0, -20.0),
+        pose(0.3, -2.2, 45.0, 5.0),
+        pose(5.0, -2.25, 90.0, 0.0),
+        pose(9.0, 2.6, 0.0, 0.0),
+    ];
+    std::fs::write(&house.poses, serde_json::json!({ "poses": poses }).to_string()).expect("writable");
 }
 
 fn json(path: &Path) -> Value {
@@ -163,7 +173,7 @@ fn no_surface_that_is_seen_is_neither_drawn_nor_beyond_a_shown_portal() {
             }
         }
     }
-    assert!(drawn > 1_000_000 && by_portal > 10_000, "{drawn} {by_portal}");
+    assert!(drawn > 1_000_000 && by_portal > 1_000, "{drawn} {by_portal}");
     assert!(dropped < 25, "{dropped} of 60 poses exceed the budget");
 }
 
@@ -205,11 +215,15 @@ fn rooms_may_come_from_a_file_and_what_does_not_fit_is_named() {
     let mut c = server(&["rooms", SCENE, "--json"]);
     c.arg(&file);
     run::run(c).expect("writes rooms");
-    let mut c = server(&["build", SCENE, "--represent", "portals", "--budget", BUDGET, "--size", SIZE, "--rooms"]);
-    c.arg(&file).arg("-o").arg(out.join("dataset"));
-    run::run(c).expect("builds");
-    let manifest = |d: &Path| std::fs::read(d.join("manifest")).expect("readable");
-    assert_eq!(manifest(&out.join("dataset")), manifest(&h.dataset), "the annotation, by another way");
+    // Within the budget, so that there are no images to be made.
+    let build = |dataset: &str, more: &[&std::ffi::OsStr]| {
+        let mut c = server(&["build", SCENE, "--represent", "portals", "--budget", "30000", "-o"]);
+        c.arg(out.join(dataset)).args(more);
+        run::run(c).expect("builds");
+        std::fs::read(out.join(dataset).join("manifest")).expect("readable")
+    };
+    let given = build("given", &["--rooms".as_ref(), file.as_ref()]);
+    assert_eq!(given, build("own", &[]), "the annotation, by another way");
     std::fs::write(&file, "{}").expect("writable");
     let mut c = server(&["build", SCENE, "--represent", "portals", "--budget", BUDGET, "--rooms"]);
     let failed = c.arg(&file).arg("-o").arg(out.join("none")).output().expect("runs");

@@ -66,16 +66,6 @@ fn a_walk_gets_everything_it_needs_and_nothing_twice() {
 }
 
 #[test]
-fn what_lies_around_comes_unasked_and_stops_at_the_radius() {
-    let host = Host::start("prefetch", Memory::new(street(8, 16)));
-    let connection = Connection::connect(ConnectConfig { prefetch_m: 2.5 * STEP_M, ..host.config() }).unwrap();
-    // Looking back, where nothing is: what comes is what a turn would need, and what is near.
-    let here = pose(-1.5 * STEP_M, 0.0);
-    connection.look(&here, &Needed::default());
-    connection.wait_until_complete(&[FIRST_CELL, FIRST_CELL + 1, FIRST_CELL + 2, LDI[0]], PATIENCE).unwrap();
-}
-
-#[test]
 fn a_small_cache_evicts_and_gets_it_again() {
     let street = street(8, 16);
     // Room for the LDI, the texture and a cell or two.

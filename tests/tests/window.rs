@@ -48,7 +48,8 @@ impl Walk {
         let (events, log) = (dir.join("events.jsonl"), dir.join("log"));
         let mut c = run::command("ldi-client").expect("built");
         c.args(["connect", server, "--size", &format!("{}x{}", SIZE.0, SIZE.1), "--events"]).arg(&events);
-        c.arg("--shots").arg(dir.join("shots")).args(more);
+        // No test sees what another one received.
+        c.arg("--disk-cache").arg(dir.join("disk")).arg("--shots").arg(dir.join("shots")).args(more);
         display.show(&mut c, dir);
         let errors = std::fs::File::create(&log).expect("writable");
         let client = c.stdout(Stdio::null()).stderr(errors).spawn().expect("starts");

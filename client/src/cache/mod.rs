@@ -257,6 +257,15 @@ impl Cache {
         }
     }
 
+    /// A chunk did not come over the network: that frames use it is not counted among [`Usage::useful_bytes`].
+    pub fn count_elsewhere(&self, chunk: u32) {
+        let mut inner = self.lock();
+        for part in self.layout.parts(chunk) {
+            let object = &mut inner.objects[part.object as usize];
+            object.used |= object.present & 1 << part.part;
+        }
+    }
+
     /// Whether a chunk is at hand.
     pub fn holds(&self, chunk: u32) -> bool {
         self.lock().holds(&self.layout, chunk)

@@ -1,11 +1,14 @@
 //! `connect`: arguments to a window, and whom to trust.
 
-use super::{Failure, Renderer, not_there, parse_size, token};
+use super::{Failure, Renderer, disk, not_there, parse_size, token};
 use clap::Args;
 use glam::DVec3;
 use ldi_client::{
     app::{self, AppConfig, AppError},
-    stream::{Acquaintance, ConnectConfig, ConnectError, Connection, Fingerprint, KnownHosts, KnownHostsError},
+    stream::{
+        Acquaintance, ConnectConfig, ConnectError, Connection, DEFAULT_DISK_BYTES, DiskCache, Fingerprint, KnownHosts,
+        KnownHostsError,
+    },
 };
 use ldi_protocol::{Pose, wire::Picture};
 use std::{
@@ -47,6 +50,12 @@ pub struct ConnectArgs {
     /// Most decoded bytes that are held [default: 1 GiB].
     #[arg(long, value_name = "N")]
     cache_bytes: Option<u64>,
+    /// Folder where what was received is kept for the next visit [default: the user's cache folder, ~/.cache/ldi on Linux].
+    #[arg(long, value_name = "DIR")]
+    disk_cache: Option<PathBuf>,
+    /// Most bytes in that folder; 0: nothing is kept.
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_DISK_BYTES)]
+    disk_cache_bytes: u64,
     /// How far around the eye data is sent ahead of need, metres.
     #[arg(long, value_name = "M", default_value_t = 10.0)]
     prefetch_m: f64,
@@ -87,6 +96,20 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
         config.cache_bytes = bytes;
     }
     config.fingerprint = Some(trusted(args, &config)?);
+    if args.disk_cache_bytes > 0 {
+        // A folder that was asked for must work; without the usual one a walk goes on.
+        config.disk = match (&args.disk_cache, DiskCache::default_folder()) {
+            (Some(folder), _) => Some(disk(folder, args.disk_cache_bytes)?),
+            (None, Some(folder)) => match disk(&folder, args.disk_cache_bytes) {
+                Ok(found) => Some(found),
+                Err(e) => {
+                    tracing::warn!("nothing is kept for the next visit: {:#}", e.error);
+                    None
+                }
+            },
+            (None, None) => None,
+        };
+    }
     app::run(AppConfig {
         connect: config,
         size: args.size,

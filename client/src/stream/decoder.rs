@@ -5,7 +5,7 @@
 //! reading stops, and QUIC's windows stop the server. What was sent ahead comes after, those first that the view has come to need meanwhile;
 //! when too much of it waits, the rest is given up and the server is told, so that it never takes the streams that the view needs.
 
-use super::stats::Collector;
+use super::{behind::Behind, shelf::Shelf, stats::Collector};
 use crate::cache::{Cache, Inserted};
 use ldi_protocol::wire::Urgency;
 use std::{
@@ -39,6 +39,10 @@ pub(super) struct Target {
     pub arrivals: Option<mpsc::UnboundedSender<(u32, Instant)>>,
     /// Bytes of chunks sent ahead that wait.
     pub ahead_bytes: AtomicUsize,
+    /// All that waits.
+    pub behind: Behind,
+    /// What lies on disk.
+    pub shelf: Option<Arc<Shelf>>,
     /// Chunks that were given up and not told yet.
     pub given_up: Mutex<Vec<u32>>,
 }
@@ -55,12 +59,13 @@ impl Target {
     }
 }
 
-/// A chunk as it arrived.
+/// A chunk as it arrived, or one to be read from disk.
 #[derive(Debug)]
 pub(super) struct Job {
     pub chunk: u32,
     pub urgency: Urgency,
-    pub bytes: Vec<u8>,
+    /// None: it lies on the target's shelf, and was taken from it.
+    pub bytes: Option<Vec<u8>>,
     pub target: Arc<Target>,
 }
 
@@ -109,11 +114,23 @@ impl Queue {
                 }
             };
             drop(waiting);
-            decode(&job);
+            let Some(bytes) = &job.bytes else {
+                read(&job);
+                continue;
+            };
+            let begin = Instant::now();
+            decode(&job, bytes);
+            job.target.behind.done(bytes.len(), begin.elapsed());
             if job.urgency.is_pressing() {
                 self.places.add_permits(1);
             } else {
-                job.target.ahead_bytes.fetch_sub(job.bytes.len(), Relaxed);
+                job.target.ahead_bytes.fetch_sub(bytes.len(), Relaxed);
+            }
+            // The view need not wait for the disk.
+            if let Some(shelf) = &job.target.shelf
+                && job.target.cache.holds(job.chunk)
+            {
+                shelf.keep(job.chunk, bytes);
             }
         }
     }
@@ -143,8 +160,15 @@ impl DecodePool {
         Ok(pool)
     }
 
+    /// How many there are.
+    pub(super) fn threads(&self) -> usize {
+        self.threads.len()
+    }
+
     /// Hands over a chunk. Waits for a place if the view waits for the chunk; gives it up if it was sent ahead and there is none.
     pub(super) async fn send(&self, job: Job) {
+        let bytes = job.bytes.as_ref().map_or(0, Vec::len);
+        job.target.behind.came(bytes);
         if job.urgency.is_pressing() {
             // The semaphore is never closed.
             if let Ok(place) = self.queue.places.acquire().await {
@@ -152,16 +176,27 @@ impl DecodePool {
             }
             self.queue.lock().pressing.push(job);
         } else {
-            let bytes = job.bytes.len();
             let target = job.target.clone();
             if target.ahead_bytes.fetch_add(bytes, Relaxed) + bytes > AHEAD_BYTES && !target.cache.is_pinned(job.chunk)
             {
                 target.ahead_bytes.fetch_sub(bytes, Relaxed);
+                target.behind.left(bytes);
                 target.stats.given_up(bytes as u64);
                 return target.given_up.lock().unwrap_or_else(PoisonError::into_inner).push(job.chunk);
             }
             self.queue.lock().ahead.push_back(job);
         }
+        self.queue.came.notify_one();
+    }
+
+    /// Has a chunk read from disk. Takes no place and no memory until then; each waits once, so the index bounds them.
+    pub(super) fn read(&self, job: Job) {
+        let mut waiting = self.queue.lock();
+        match job.urgency.is_pressing() {
+            true => waiting.pressing.push(job),
+            false => waiting.ahead.push_back(job),
+        }
+        drop(waiting);
         self.queue.came.notify_one();
     }
 }
@@ -176,18 +211,42 @@ impl Drop for DecodePool {
     }
 }
 
-fn decode(job: &Job) {
+/// Reads a chunk from disk and takes it in.
+fn read(job: &Job) {
+    let Target { cache, stats, shelf, arrivals, given_up, .. } = &*job.target;
+    let Some(shelf) = shelf else { return };
+    let bytes = shelf.read(job.chunk);
+    let read = bytes.as_ref().map_or(0, |b| b.len() as u64);
+    // Counted first: who waits for the chunk may look at the statistics as soon as it is there.
+    stats.read_from_disk(read);
+    let taken = bytes.and_then(|bytes| cache.insert(job.chunk, &bytes).ok());
+    if taken == Some(Inserted::Held) {
+        // A frame that uses it uses nothing that came over the network.
+        cache.count_elsewhere(job.chunk);
+        if let Some(arrivals) = arrivals {
+            let _ = arrivals.send((job.chunk, Instant::now()));
+        }
+    } else {
+        stats.not_read_from_disk(read);
+    }
+    shelf.put_back(job.chunk, job.urgency, taken.is_some());
+    if taken.is_none() {
+        given_up.lock().unwrap_or_else(PoisonError::into_inner).push(job.chunk);
+    }
+}
+
+fn decode(job: &Job, chunk_bytes: &[u8]) {
     let Target { cache, stats, damaged, arrivals, .. } = &*job.target;
     let Some(entry) = cache.index().chunks.get(job.chunk as usize) else { return };
-    let bytes = job.bytes.len() as u64;
-    if blake3::hash(&job.bytes).as_bytes() != &entry.hash.0 {
+    let bytes = chunk_bytes.len() as u64;
+    if blake3::hash(chunk_bytes).as_bytes() != &entry.hash.0 {
         stats.damaged(bytes);
         let _ = damaged.send(job.chunk);
         return;
     }
     // Counted first: who waits for the chunk may look at the statistics as soon as it is there.
     stats.arrived(job.chunk, entry.stored_bytes, job.urgency);
-    match cache.insert(job.chunk, &job.bytes) {
+    match cache.insert(job.chunk, chunk_bytes) {
         // Refused for want of room is received all the same; no frame uses it.
         Ok(Inserted::NoRoom) => {}
         Ok(Inserted::Held) => {
@@ -226,6 +285,8 @@ mod tests {
                 damaged,
                 arrivals: None,
                 ahead_bytes: AtomicUsize::new(0),
+                behind: Behind::default(),
+                shelf: None,
                 given_up: Mutex::default(),
             }),
             damage,
@@ -233,7 +294,7 @@ mod tests {
     }
 
     fn job(target: &Arc<Target>, chunk: u32, urgency: Urgency) -> Job {
-        Job { chunk, urgency, bytes: vec![0; 10], target: target.clone() }
+        Job { chunk, urgency, bytes: Some(vec![0; 10]), target: target.clone() }
     }
 
     #[test]
@@ -256,7 +317,7 @@ mod tests {
         let queue =
             Arc::new(Queue { waiting: Mutex::default(), came: Condvar::new(), places: Semaphore::new(PRESSING) });
         let pool = DecodePool { queue, threads: Vec::new() };
-        let big = |chunk| Job { bytes: vec![0; AHEAD_BYTES / 4], ..job(&target, chunk, Urgency::Around) };
+        let big = |chunk| Job { bytes: Some(vec![0; AHEAD_BYTES / 4]), ..job(&target, chunk, Urgency::Around) };
         for chunk in 0..6 {
             pool.send(big(FIRST_CELL + chunk)).await;
         }

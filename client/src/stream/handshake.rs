@@ -75,6 +75,7 @@ async fn step<T>(
 
 async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) -> Result<Opened, ConnectError> {
     let (mut send, mut recv) = connection.open_bi().await.map_err(|e| lost(&e))?;
+    let mut known = config.disk.as_ref().map_or_else(Vec::new, |d| d.manifests());
     let hello = ClientMessage::Hello(Hello {
         version: wire::VERSION,
         token: config.token.clone(),
@@ -82,6 +83,7 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
         cache_bytes: config.cache_bytes,
         prefetch_m: config.prefetch_m,
         name: config.name.clone(),
+        manifests: known.iter().map(|(root, _)| root.hash).collect(),
     });
     let hello = wire::encode(&hello).map_err(|e| ConnectError::Local(e.to_string()))?;
     config.progress.enter(Phase::Asking);
@@ -92,7 +94,16 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
         ServerMessage::Refused { code, message } => return Err(ConnectError::Refused { code, message }),
         ServerMessage::Unavailable { .. } => return Err(ConnectError::Protocol("no welcome".into())),
     };
-    let (dataset, index) = fetch_manifest(config, &welcome, &mut recv, &connection).await?;
+    let (dataset, index) = match welcome.root_bytes {
+        0 => {
+            let at = known.iter().position(|(root, _)| root.hash == welcome.dataset);
+            let unknown = || ConnectError::Protocol("no manifest, and none was named that is this one's".into());
+            let (root, pages) = known.swap_remove(at.ok_or_else(unknown)?);
+            let index = manifest::assemble(&root, &pages).map_err(|e| ConnectError::Protocol(e.to_string()))?;
+            (root.hash, index)
+        }
+        _ => fetch_manifest(config, &welcome, &mut recv, &connection).await?,
+    };
     Ok(Opened { endpoint, link, connection, send, recv, dataset, index: Arc::new(index) })
 }
 
@@ -134,6 +145,11 @@ async fn fetch_manifest(
     let pages: Vec<Vec<u8>> = pages.into_iter().map(Option::unwrap_or_default).collect();
     config.progress.enter(Phase::Assembling);
     let index = manifest::assemble(&root, &pages).map_err(|e| protocol(e.to_string()))?;
+    if let Some(disk) = &config.disk {
+        root.pages.iter().zip(&pages).for_each(|(entry, page)| disk.store(&entry.hash, page));
+        // Last: what has a root has its pages.
+        disk.store_root(&root.hash, &bytes);
+    }
     Ok((root.hash, index))
 }
 

@@ -1,6 +1,6 @@
 //! A network link as arithmetic: what becomes of each packet, given when it is sent. No sockets, no clock, no threads.
 //!
-//! In: `rate=20mbit,delay=20ms,jitter=5ms,loss=2%,queue=100ms,seed=1` ([`LinkSpec`]), and packets with their times. Out: per packet
+//! In: `rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=10s:2s,queue=100ms,seed=1` ([`LinkSpec`]), and packets with their times. Out: per packet
 //! a time of arrival, or why it never arrives ([`Fate`]). [`super::link_socket`] puts two of these, one per direction, between QUIC and the wire.
 //!
 //! ```text
@@ -10,8 +10,9 @@
 //!
 //! - A packet takes (bytes + [`HEADER_BYTES`]) / rate to pass, after those before it have. One that would have to wait longer than `queue` until
 //!   its turn is dropped at the tail.
-//! - Then it is lost with probability `loss`; a lost packet has used its share of the rate, as on a radio link.
+//! - Then it is lost with probability `loss`; a lost packet has used its share of the rate, as on a radio link. During a `blackout` all are lost.
 //! - Then it takes `delay`, and up to `jitter` more, evenly spread. Packets overtake each other only by that.
+//! - With probability `dup` it arrives twice, the second time with a lateness of its own.
 //!
 //! The fate of the n-th packet of a direction draws on a hash of (seed, direction, n) and nothing else, so that the same packets at the same times
 //! have the same fates, and a change in one packet's time does not shift the luck of those after it.
@@ -38,6 +39,10 @@ pub struct LinkSpec {
     pub jitter: Duration,
     /// Share of packets lost at random, 0 to 1.
     pub loss: f64,
+    /// Share of packets that arrive twice, 0 to 1.
+    pub duplicates: f64,
+    /// From when on, since the link began, and for how long every packet is lost.
+    pub blackout: Option<(Duration, Duration)>,
     /// Longest wait before the link. Without a rate nobody waits.
     pub queue: Duration,
     /// Another seed, other packets lost.
@@ -51,6 +56,8 @@ impl Default for LinkSpec {
             delay: Duration::ZERO,
             jitter: Duration::ZERO,
             loss: 0.0,
+            duplicates: 0.0,
+            blackout: None,
             queue: Duration::from_millis(100),
             seed: 1,
         }
@@ -59,7 +66,9 @@ impl Default for LinkSpec {
 
 /// A `--link` that is none.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{0}; for example rate=20mbit,delay=20ms,jitter=5ms,loss=2%,queue=100ms,seed=1, each of them optional")]
+#[error(
+    "{0}; for example rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=10s:2s,queue=100ms,seed=1, each of them optional"
+)]
 pub struct LinkError(String);
 
 impl FromStr for LinkSpec {
@@ -88,12 +97,22 @@ impl FromStr for LinkSpec {
                 "delay" => spec.delay = time()?,
                 "jitter" => spec.jitter = time()?,
                 "queue" => spec.queue = time()?,
-                "loss" => {
+                "loss" | "dup" => {
                     let share = number_and_unit(value, &[("%", 0.01)]).filter(|l| (0.0..=1.0).contains(l));
-                    spec.loss = share.ok_or_else(|| wrong("a share of 0% to 100%, with the sign"))?;
+                    let field = if key == "loss" { &mut spec.loss } else { &mut spec.duplicates };
+                    *field = share.ok_or_else(|| wrong("a share of 0% to 100%, with the sign"))?;
+                }
+                "blackout" => {
+                    let times = value.split_once(':').and_then(|(a, b)| Some((moment(a.trim())?, moment(b.trim())?)));
+                    let expected = "START:LENGTH, times of 0 to 24 h with their units: us, ms or s";
+                    spec.blackout = Some(times.ok_or_else(|| wrong(expected))?);
                 }
                 "seed" => spec.seed = value.parse().map_err(|_| wrong("a whole number of 0 or more"))?,
-                _ => return Err(LinkError(format!("\"{key}\" is none of rate, delay, jitter, loss, queue, seed"))),
+                _ => {
+                    return Err(LinkError(format!(
+                        "\"{key}\" is none of rate, delay, jitter, loss, dup, blackout, queue, seed"
+                    )));
+                }
             }
         }
         Ok(spec)
@@ -108,7 +127,14 @@ impl fmt::Display for LinkSpec {
         }
         let ms = |d: Duration| d.as_secs_f64() * 1e3;
         write!(f, "delay={}ms,jitter={}ms,", ms(self.delay), ms(self.jitter))?;
-        write!(f, "loss={}%,queue={}ms,seed={}", self.loss * 100.0, ms(self.queue), self.seed)
+        write!(f, "loss={}%,", self.loss * 100.0)?;
+        if self.duplicates > 0.0 {
+            write!(f, "dup={}%,", self.duplicates * 100.0)?;
+        }
+        if let Some((start, length)) = self.blackout {
+            write!(f, "blackout={}ms:{}ms,", ms(start), ms(length))?;
+        }
+        write!(f, "queue={}ms,seed={}", ms(self.queue), self.seed)
     }
 }
 
@@ -121,9 +147,14 @@ fn number_and_unit(text: &str, units: &[(&str, f64)]) -> Option<f64> {
 }
 
 fn time(text: &str) -> Option<Duration> {
+    moment(text).filter(|t| *t <= MAX_TIME)
+}
+
+/// A time within a day.
+fn moment(text: &str) -> Option<Duration> {
     // The longer units first: every one of them ends in "s".
     let seconds = number_and_unit(text, &[("ms", 1e-3), ("us", 1e-6), ("s", 1.0)])?;
-    (seconds <= MAX_TIME.as_secs_f64()).then(|| Duration::from_secs_f64(seconds))
+    (seconds <= 86_400.0).then(|| Duration::from_secs_f64(seconds))
 }
 
 /// Which way packets go.
@@ -140,20 +171,24 @@ pub enum Direction {
 pub enum Fate {
     /// It arrives at this time.
     Arrives(Duration),
+    /// It arrives at both of these times, in either order.
+    ArrivesTwice(Duration, Duration),
     /// It is lost on the way.
     Lost,
     /// It is dropped: too much waits already.
     Dropped,
 }
 
-/// What became of all packets of a direction. Sent is the sum of the other three.
+/// What became of all packets of a direction. Sent is the sum of those delivered, lost and dropped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub struct LinkCounts {
     /// Handed to the link.
     pub sent: u64,
     /// Arrived, or on the wire.
     pub delivered: u64,
-    /// Lost at random.
+    /// Those of them that arrived twice.
+    pub doubled: u64,
+    /// Lost at random, or in a black-out.
     pub lost: u64,
     /// Dropped at the tail of the queue.
     pub dropped: u64,
@@ -165,6 +200,7 @@ impl std::ops::AddAssign for LinkCounts {
     fn add_assign(&mut self, other: Self) {
         self.sent += other.sent;
         self.delivered += other.delivered;
+        self.doubled += other.doubled;
         self.lost += other.lost;
         self.dropped += other.dropped;
         self.bytes += other.bytes;
@@ -203,14 +239,21 @@ impl Link {
         } else {
             self.free_at = start;
         }
-        if uniform(self.spec.seed, self.direction, number, 0) < self.spec.loss {
+        let draw = |draw| uniform(self.spec.seed, self.direction, number, draw);
+        // On the wire when its last bit has passed.
+        let dark = |(start, length)| (start..start + length).contains(&self.free_at);
+        if draw(0) < self.spec.loss || self.spec.blackout.is_some_and(dark) {
             self.counts.lost += 1;
             return Fate::Lost;
         }
         self.counts.delivered += 1;
         self.counts.bytes += bytes as u64;
-        let late = self.spec.jitter.mul_f64(uniform(self.spec.seed, self.direction, number, 1));
-        Fate::Arrives(self.free_at + self.spec.delay + late)
+        let at = |late| self.free_at + self.spec.delay + self.spec.jitter.mul_f64(late);
+        if draw(2) < self.spec.duplicates {
+            self.counts.doubled += 1;
+            return Fate::ArrivesTwice(at(draw(1)), at(draw(3)));
+        }
+        Fate::Arrives(at(draw(1)))
     }
 
     /// A packet that was to arrive could not be held: it counts as dropped.
@@ -234,7 +277,7 @@ fn uniform(seed: u64, direction: Direction, packet: u64, draw: u64) -> f64 {
         let z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
         z ^ z >> 31
     };
-    let hash = mix(mix(mix(seed) ^ (direction as u64 * 2 + draw)) ^ packet);
+    let hash = mix(mix(mix(seed) ^ (direction as u64 * 4 + draw)) ^ packet);
     (hash >> 11) as f64 * (-53f64).exp2()
 }
 

@@ -45,7 +45,7 @@ const BUFFER_BYTES: usize = 1 << 16;
 const READS: usize = 16;
 
 /// A packet on its way.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Packet {
     bytes: Vec<u8>,
     /// Where it comes from, or goes to.
@@ -93,10 +93,21 @@ impl Lane {
     }
 
     fn send(&mut self, now: Duration, packet: Packet) {
-        let Fate::Arrives(at) = self.link.send(now, packet.bytes.len()) else { return };
+        let (at, again) = match self.link.send(now, packet.bytes.len()) {
+            Fate::Arrives(at) => (at, None),
+            Fate::ArrivesTwice(at, again) => (at, Some(again)),
+            Fate::Lost | Fate::Dropped => return,
+        };
         if self.waiting.len() >= MAX_WAITING {
             return self.link.take_back(packet.bytes.len());
         }
+        if let Some(again) = again {
+            self.hold(again, packet.clone());
+        }
+        self.hold(at, packet);
+    }
+
+    fn hold(&mut self, at: Duration, packet: Packet) {
         self.waiting.push(Reverse(Waiting { at, number: self.next, packet }));
         self.next += 1;
     }

@@ -14,11 +14,20 @@ fn steady(link: &mut Link, every: Duration, n: u32) -> Vec<Fate> {
 
 #[test]
 fn every_key_is_read_and_every_key_is_optional() {
-    let all = spec("rate=20mbit,delay=20ms,jitter=5ms,loss=2%,queue=100ms,seed=7");
+    let all = spec("rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=1.5s:200ms,queue=100ms,seed=7");
     let ms = |n| Duration::from_millis(n);
     assert_eq!(
         all,
-        LinkSpec { rate_bit_s: Some(20e6), delay: ms(20), jitter: ms(5), loss: 0.02, queue: ms(100), seed: 7 }
+        LinkSpec {
+            rate_bit_s: Some(20e6),
+            delay: ms(20),
+            jitter: ms(5),
+            loss: 0.02,
+            duplicates: 0.01,
+            blackout: Some((ms(1500), ms(200))),
+            queue: ms(100),
+            seed: 7
+        }
     );
     assert_eq!(spec(&all.to_string()), all, "what is shown can be read");
     assert_eq!(spec("delay=1.5ms"), LinkSpec { delay: Duration::from_micros(1500), ..LinkSpec::default() });
@@ -43,6 +52,9 @@ fn what_is_wrong_is_named_with_an_example() {
         ("loss=2", "with the sign"),
         ("loss=101%", "0% to 100%"),
         ("loss=NaN%", "loss=NaN%"),
+        ("dup=2", "with the sign"),
+        ("blackout=2s", "START:LENGTH"),
+        ("blackout=2s:1d", "START:LENGTH"),
         ("seed=-1", "whole number"),
         ("delay=1ms,delay=2ms", "twice"),
         ("delay=1ms,", "is not KEY=VALUE"),
@@ -63,7 +75,10 @@ fn times_of_arrival_are_exact() {
     assert_eq!(at(0, 1222), Fate::Dropped, "2.5 ms wait already");
     assert_eq!(at(1, 1222), Fate::Arrives(MS * 23 + MS / 2), "one has left");
     assert_eq!(at(9, 1222), Fate::Arrives(MS * 30), "an idle link saves nothing up");
-    assert_eq!(link.counts(), LinkCounts { sent: 6, delivered: 5, lost: 0, dropped: 1, bytes: 4 * 1222 + 597 });
+    assert_eq!(
+        link.counts(),
+        LinkCounts { sent: 6, delivered: 5, doubled: 0, lost: 0, dropped: 1, bytes: 4 * 1222 + 597 }
+    );
 }
 
 #[test]
@@ -121,6 +136,33 @@ fn packets_overtake_each_other_only_by_jitter() {
     assert!((share - 0.32).abs() < 0.05, "{share}");
 }
 
+#[test]
+fn in_a_black_out_everything_is_lost_and_nothing_else() {
+    let mut link = Link::new(spec("blackout=100ms:50ms"), Direction::Up);
+    let fates = steady(&mut link, MS, 300);
+    assert!((0..).zip(&fates).all(|(i, f)| (*f == Fate::Lost) == (100..150).contains(&i)), "{fates:?}");
+    assert_eq!(link.counts().lost, 50);
+}
+
+#[test]
+fn some_packets_arrive_twice_and_count_once() {
+    let mut link = Link::new(spec("dup=10%,delay=20ms,jitter=5ms"), Direction::Down);
+    let fates = steady(&mut link, MS, 10_000);
+    let twice: Vec<_> = (0u32..).zip(&fates).filter(|(_, f)| matches!(f, Fate::ArrivesTwice(..))).collect();
+    // 1,000 expected, standard deviation 30.
+    assert!((850..1_150).contains(&twice.len()), "{}", twice.len());
+    let c = link.counts();
+    assert_eq!((c.delivered, c.doubled as usize, c.bytes), (10_000, twice.len(), 10_000 * 1222));
+    let late = |i: u32, at: Duration| at - MS * i;
+    let mut apart = 0;
+    for (i, fate) in twice {
+        let Fate::ArrivesTwice(a, b) = *fate else { unreachable!() };
+        assert!([a, b].iter().all(|t| (MS * 20..=MS * 25).contains(&late(i, *t))));
+        apart += usize::from(a != b);
+    }
+    assert!(apart > 800, "each has a lateness of its own");
+}
+
 proptest! {
     #[test]
     fn packets_are_conserved_the_rate_is_kept_and_delays_are_bounded(
@@ -139,6 +181,7 @@ proptest! {
             loss,
             queue: MS * queue_ms,
             seed,
+            ..LinkSpec::default()
         };
         let run = |spec| {
             let mut link = Link::new(spec, Direction::Down);

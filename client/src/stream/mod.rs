@@ -6,9 +6,13 @@
 //! One named thread runs a small async runtime with all of QUIC; a few more verify hashes and decode, what the view waits for first. Between
 //! them bounded queues: when decoding falls behind, reading stops, and QUIC's windows stop the server.
 //!
+//! Between visits chunks may lie on disk ([`DiskCache`]); they count as held for the server, and come from there.
+//!
 //! A damaged chunk is asked for again [`MAX_RETRIES`] times, then given up; the walk goes on without it.
 
+mod behind;
 mod decoder;
+mod disk;
 mod error;
 mod handshake;
 mod known_hosts;
@@ -17,11 +21,13 @@ mod link_socket;
 mod progress;
 mod receive;
 mod session;
+mod shelf;
 mod stats;
 mod transport;
 mod trust;
 
 pub use decoder::DecodePool;
+pub use disk::{DEFAULT_DISK_BYTES, DiskCache, DiskError};
 pub use error::ConnectError;
 pub use known_hosts::{Acquaintance, KnownHosts, KnownHostsError};
 pub use link::{Direction, Fate, HEADER_BYTES, Link, LinkCounts, LinkError, LinkSpec};
@@ -38,6 +44,7 @@ use ldi_protocol::{
     wire::{Picture, Request},
 };
 use session::{Command, Ready, SayReady};
+use shelf::Loader;
 use stats::Collector;
 use std::{
     sync::Arc,
@@ -69,6 +76,8 @@ pub struct ConnectConfig {
     pub name: String,
     /// The cache of an earlier connection: what it holds of the same dataset is not sent again.
     pub resume: Option<Arc<Cache>>,
+    /// Where chunks and manifests are kept between visits: what lies there is not sent again.
+    pub disk: Option<Arc<DiskCache>>,
     /// The index of an earlier connection, to be shared instead of holding an equal one again.
     pub index: Option<Arc<Index>>,
     /// Threads that verify and decode, unless there is a pool.
@@ -100,6 +109,7 @@ impl ConnectConfig {
             prefetch_m: 10.0,
             name: format!("ldi-client {}", env!("CARGO_PKG_VERSION")),
             resume: None,
+            disk: None,
             // Half: the other half draws.
             decode_threads: (threads / 2).clamp(1, 4),
             index: None,
@@ -122,6 +132,7 @@ pub struct Connection {
     stats: Arc<Collector>,
     poses: watch::Sender<Option<Pose>>,
     commands: mpsc::UnboundedSender<Command>,
+    loader: Option<Loader>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -142,9 +153,9 @@ impl Connection {
             .spawn(move || session::run(config, collector, poses_seen, commands_seen, say))
             .map_err(|e| ConnectError::Local(e.to_string()))?;
         let ended = || Err(ConnectError::Local("the streaming thread ended".into()));
-        let Ready { dataset, cache } = connected.recv().unwrap_or_else(|_| ended())?;
+        let Ready { dataset, cache, loader } = connected.recv().unwrap_or_else(|_| ended())?;
         let index = cache.index().clone();
-        Ok(Self { index, dataset, cache, stats, poses, commands, thread: Some(thread) })
+        Ok(Self { index, dataset, cache, stats, poses, commands, loader, thread: Some(thread) })
     }
 
     /// Connects on the runtime that this is called in, as a task: many connections in one process. Dropping it does not wait.
@@ -159,9 +170,9 @@ impl Connection {
         let say: SayReady = Box::new(move |r| drop(ready.send(r)));
         tokio::spawn(session::stream(config, stats.clone(), poses_seen, commands_seen, say));
         let ended = |_| Err(ConnectError::Local("the streaming task ended".into()));
-        let Ready { dataset, cache } = connected.await.unwrap_or_else(ended)?;
+        let Ready { dataset, cache, loader } = connected.await.unwrap_or_else(ended)?;
         let index = cache.index().clone();
-        Ok(Self { index, dataset, cache, stats, poses, commands, thread: None })
+        Ok(Self { index, dataset, cache, stats, poses, commands, loader, thread: None })
     }
 
     /// Why nothing will arrive any more; None while the connection stands.
@@ -187,9 +198,12 @@ impl Connection {
         self.poses.send_replace(Some(*pose));
     }
 
-    /// A new frame: pins what it needs and tells the server where the eye is.
+    /// A new frame: pins what it needs, has it read where it lies on disk, and tells the server where the eye is.
     pub fn look(&self, pose: &Pose, needed: &Needed) {
         self.cache.pin(needed.all());
+        if let Some(loader) = &self.loader {
+            loader.bring_needed(needed.all());
+        }
         self.send_pose(pose);
     }
 

@@ -2,9 +2,11 @@
 
 use super::{
     ConnectConfig, ConnectError,
+    behind::Behind,
     decoder::{DecodePool, Job, Target},
     handshake::{self, Opened},
     receive::{self, Broken},
+    shelf::{Loader, Shelf},
     stats::{Collector, SAMPLE_EVERY},
     transport::MAX_STREAMS,
 };
@@ -36,6 +38,8 @@ const MIN_POSE_INTERVAL: Duration = Duration::from_millis(50);
 const MAX_POSE_INTERVAL: Duration = Duration::from_secs(2);
 /// After this much movement, metres, what lies around the eye is counted as used anew.
 const TOUCH_STEP_M: f64 = 0.5;
+/// So far around the eye data is kept in memory and read from disk unasked, metres.
+const AROUND_M: f64 = 5.0;
 /// Time for the goodbye.
 const GOODBYE: Duration = Duration::from_millis(500);
 
@@ -50,6 +54,8 @@ pub(super) enum Command {
 pub(super) struct Ready {
     pub dataset: ChunkHash,
     pub cache: Arc<Cache>,
+    /// Where there is a disk cache.
+    pub loader: Option<Loader>,
 }
 
 /// Says once how connecting went.
@@ -93,6 +99,7 @@ pub(super) async fn stream(
         opened.index = known.clone();
     }
     let cache = cache_for(&config, &opened);
+    let shelf = config.disk.as_ref().map(|d| Arc::new(Shelf::new(d.clone(), cache.index().clone())));
     let (damaged, damage) = mpsc::unbounded_channel();
     let target = Arc::new(Target {
         cache: cache.clone(),
@@ -100,11 +107,14 @@ pub(super) async fn stream(
         damaged,
         arrivals: config.arrivals.clone(),
         ahead_bytes: AtomicUsize::new(0),
+        behind: Behind::default(),
+        shelf: shelf.clone(),
         given_up: Mutex::default(),
     });
+    let loader = shelf.map(|shelf| Loader { shelf, target: target.clone(), pool: pool.clone() });
     stats.watch(opened.connection.clone(), opened.link.clone());
     cache.set_disconnected(None);
-    ready(Ok(Ready { dataset: opened.dataset, cache: cache.clone() }));
+    ready(Ok(Ready { dataset: opened.dataset, cache: cache.clone(), loader: loader.clone() }));
     let endpoint = opened.endpoint.clone();
     let session = Session {
         connection: opened.connection.clone(),
@@ -118,6 +128,8 @@ pub(super) async fn stream(
         prefetch_m: config.prefetch_m,
         pool,
         target,
+        loader,
+        around: Vec::new(),
     };
     let end = session.run(opened.recv, poses, commands, damage).await;
     let reason = end.map_or_else(|e| e.to_string(), |()| "the connection was closed".into());
@@ -147,6 +159,9 @@ struct Session {
     prefetch_m: f64,
     pool: Arc<DecodePool>,
     target: Arc<Target>,
+    loader: Option<Loader>,
+    /// What lies around the eye, near to far, for the disk.
+    around: Vec<u32>,
 }
 
 impl Session {
@@ -157,7 +172,13 @@ impl Session {
         mut commands: mpsc::UnboundedReceiver<Command>,
         mut damage: mpsc::UnboundedReceiver<u32>,
     ) -> Result<(), ConnectError> {
-        self.tell(self.cache.held(), |chunks| ClientMessage::Have { chunks }).await?;
+        let mut have = self.cache.held();
+        if let Some(loader) = &self.loader {
+            have.extend(loader.shelf.numbers());
+            have.sort_unstable();
+            have.dedup();
+        }
+        self.tell(have, |chunks| ClientMessage::Have { chunks }).await?;
         let (messages, mut heard) = mpsc::channel(16);
         let mut tasks = JoinSet::new();
         tasks.spawn(listen(recv, self.connection.clone(), messages));
@@ -224,13 +245,17 @@ impl Session {
         message: impl Fn(Vec<u32>) -> ClientMessage,
     ) -> Result<(), ConnectError> {
         for part in chunks.chunks(MAX_LIST) {
-            let frame = wire::encode(&message(part.to_vec())).map_err(|e| ConnectError::Protocol(e.to_string()))?;
-            self.send.write_all(&frame).await.map_err(|e| match self.connection.close_reason() {
-                Some(reason) => handshake::lost(&reason),
-                None => ConnectError::Lost(e.to_string()),
-            })?;
+            self.say(&message(part.to_vec())).await?;
         }
         Ok(())
+    }
+
+    async fn say(&mut self, message: &ClientMessage) -> Result<(), ConnectError> {
+        let frame = wire::encode(message).map_err(|e| ConnectError::Protocol(e.to_string()))?;
+        self.send.write_all(&frame).await.map_err(|e| match self.connection.close_reason() {
+            Some(reason) => handshake::lost(&reason),
+            None => ConnectError::Lost(e.to_string()),
+        })
     }
 
     fn hear(&mut self, message: ServerMessage) {
@@ -263,10 +288,21 @@ impl Session {
         {
             self.touched_at = Some(p.position);
             let decoded_bytes = (self.cache.usage().cap_bytes as f64 * PREFETCH_SHARE) as u64;
-            let reach = Reach { radius_m: self.prefetch_m, decoded_bytes };
-            self.cache.touch(near_to_far(self.cache.index(), p.position, reach));
+            let reach = Reach { radius_m: self.prefetch_m.min(AROUND_M), decoded_bytes };
+            self.around = near_to_far(self.cache.index(), p.position, reach);
+            self.cache.touch(self.around.iter().copied());
+        }
+        if let Some(loader) = &self.loader {
+            loader.bring_around(&self.around);
+        }
+        if let Some(news) = self.target.behind.news(self.pool.threads()) {
+            self.say(&news).await?;
         }
         let mut gone = self.cache.take_evicted(Instant::now());
+        if let Some(loader) = &self.loader {
+            // It leaves the memory, not this machine.
+            gone.retain(|c| !loader.shelf.holds(*c));
+        }
         gone.extend(self.target.to_tell());
         self.tell(gone, |chunks| ClientMessage::Drop { chunks }).await
     }
@@ -303,7 +339,7 @@ async fn take_in(mut stream: RecvStream, target: Arc<Target>, pool: Arc<DecodePo
     };
     match taken.await {
         Ok(Some((header, bytes))) => {
-            let job = Job { chunk: header.number, urgency: header.urgency, bytes, target: target.clone() };
+            let job = Job { chunk: header.number, urgency: header.urgency, bytes: Some(bytes), target: target.clone() };
             pool.send(job).await;
         }
         Ok(None) => {}

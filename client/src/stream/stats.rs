@@ -49,6 +49,10 @@ pub struct Stats {
     pub broken_off: u64,
     /// Chunks sent ahead of need that the client gave up, because it was behind with decoding.
     pub given_up: u64,
+    /// Chunks that were read from disk instead.
+    pub disk_chunks: u64,
+    /// Their stored bytes.
+    pub disk_bytes: u64,
     /// [`Stats::lost_bytes`], and chunks that no frame has used.
     pub wasted_bytes: u64,
     /// Mean over the connection.
@@ -123,6 +127,19 @@ impl Collector {
         self.with(|i| {
             i.stats.given_up += 1;
             i.stats.lost_bytes += bytes;
+        });
+    }
+    pub fn read_from_disk(&self, bytes: u64) {
+        self.with(|i| {
+            i.stats.disk_chunks += 1;
+            i.stats.disk_bytes += bytes;
+        });
+    }
+    /// What counted as read from disk was there before, or is damaged.
+    pub fn not_read_from_disk(&self, bytes: u64) {
+        self.with(|i| {
+            i.stats.disk_chunks -= 1;
+            i.stats.disk_bytes -= bytes;
         });
     }
     /// What counted as arrived was there before, or is no object.

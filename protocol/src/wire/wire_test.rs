@@ -13,6 +13,7 @@ fn hello() -> Hello {
         cache_bytes: 1 << 30,
         prefetch_m: 10.0,
         name: "test".into(),
+        manifests: vec![ChunkHash([3; 32]); MAX_MANIFESTS],
     }
 }
 
@@ -35,7 +36,10 @@ fn messages_survive_the_trip() {
     trip(ClientMessage::Hello(hello()));
     trip(ClientMessage::Want { chunks: vec![0, 7, u32::MAX] });
     trip(ClientMessage::Drop { chunks: vec![] });
+    trip(ClientMessage::Decoding { waiting_bytes: u32::MAX, bytes_per_s: 0 });
     trip(ClientMessage::Bye);
+    let many = Hello { manifests: vec![ChunkHash([3; 32]); MAX_MANIFESTS + 1], ..hello() };
+    assert!(matches!(encode(&ClientMessage::Hello(many)), Err(WireError::OutOfRange { field: "manifests", .. })));
     trip(ServerMessage::Welcome(Welcome {
         version: VERSION,
         dataset: ChunkHash([9; 32]),

@@ -28,6 +28,9 @@ pub struct ServeConfig {
     /// Bytes that one connection may have on the way, unacknowledged. Smaller: less memory and fresher priorities; larger
     /// than bandwidth times round trip brings nothing.
     pub send_window: u64,
+    /// What it is worth to send ahead of need, bytes: a chunk of so many is sent ahead if it is as likely to be needed as not, a larger one only if it is likelier. Larger: fewer frames lack
+    /// something; smaller: fewer bytes are sent in vain. 0: nothing goes ahead.
+    pub ahead_worth: u64,
     /// Which congestion controller: `cubic` or `newreno` (each loss slows them), `veno` (only losses with a queue), `bbr` (keeps its rate and floods queues).
     pub congestion: Congestion,
 }
@@ -57,6 +60,7 @@ impl Default for ServeConfig {
             max_connections_per_address: 1_000,
             messages_per_second: 500.0,
             send_window: 4 << 20,
+            ahead_worth: 1_000_000,
             congestion: Congestion::Veno,
         }
     }

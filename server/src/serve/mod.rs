@@ -6,7 +6,7 @@
 //! - [`planner`]: what to send next; pure, time comes in.
 //! - [`session`]: one connection; [`control`]: its messages; [`push`]: one chunk; [`requests`]: chunks by number or name.
 //! - [`source`]: where bytes come from; [`views`]: what a pose needs; [`walkers`]: who is connected.
-//! - [`transport`], [`identity`], [`limits`], [`config`]: the door. [`veno`]: congestion control.
+//! - [`transport`], [`identity`], [`limits`], [`config`]: the door. [`veno`]: congestion control; [`meter`]: what the link delivers.
 //! - [`http`], [`plan`]: health, metrics and the page.
 //!
 //! `docs/protocol.md` describes what travels.
@@ -17,6 +17,7 @@ mod error;
 mod http;
 mod identity;
 mod limits;
+mod meter;
 mod plan;
 pub mod planner;
 mod push;
@@ -32,6 +33,7 @@ mod walkers;
 pub use config::{ConfigError, Congestion, ServeConfig};
 pub use error::ServeError;
 pub use identity::{Identity, IdentityError};
+pub use meter::Meter;
 pub use server::{Server, serve};
 pub use source::ChunkSource;
 pub use views::SelectViews;

@@ -6,34 +6,36 @@
 //! The planner keeps a model of the client's cache, one state per chunk: absent, on its way, held. Nothing that is held
 //! or on its way is sent again, unless the client says that it dropped it or asks for it.
 //!
-//! The order ([`Urgency`]) follows Aliaga and Lastra 1999, section 6, with two rings in between:
+//! The order ([`Urgency`]):
 //! 1. what the client asked for;
 //! 2. what the view needs;
 //! 3. what sharpens the view;
-//! 4. what the predicted views need: the last two poses carried on for [`HORIZONS_S`];
-//! 5. what is around: first a turn on the spot in steps of [`TURN_STEP_DEG`], nearest direction first (a head turns faster than
-//!    feet walk, and a turn needs cells that no distance would bring), then near to far.
+//! 4. what it may need soon ([`Forecast`]), soonest first, where what is likely counts as sooner.
 //!
-//! Lists 4 and 5 are made only when everything before is on its way, 5 only when the walker has moved: a chunk that the client
-//! evicted is not pushed again for standing still, so that the two cannot work against each other for ever.
+//! Of list 4 nothing is sent while something of 1 to 3 is missing, and not before it has to be ([`schedule`]): the later, the better the guess.
+//! A chunk that the client evicted is not sent ahead of need again before the walker has moved: the two could work against each other for ever.
 
 mod ahead;
+mod forecast;
+mod motion;
+mod schedule;
 
-pub use ahead::{HORIZONS_S, TURN_STEP_DEG};
+pub use forecast::{Expected, Foresight, QUICK_TURN_DEG_S};
+pub use motion::Motion;
+pub use schedule::Capacity;
 
-use glam::DVec3;
+use forecast::Forecast;
 use ldi_protocol::{
     Pose,
     index::Index,
     need::Needed,
     wire::{PoseDatagram, Urgency},
 };
+use motion::apart_deg;
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
-/// Largest believable speed, m/s; a faster one is a jump and predicts nothing.
-const MAX_SPEED_M_S: f64 = 15.0;
-/// Largest believable turn, degrees per second.
-const MAX_TURN_DEG_S: f64 = 400.0;
+/// A walker who moved so far, metres, or turned so far, degrees, is elsewhere: chunks that were evicted may be sent ahead again.
+const ELSEWHERE: (f64, f64) = (0.5, 30.0);
 /// The views of a pose: what `select` and the drawn cells give. A trait, so that tests can state views directly.
 pub trait Views: Send + Sync {
     /// What this pose needs.
@@ -45,8 +47,11 @@ pub trait Views: Send + Sync {
 pub struct PlannerConfig {
     /// Decoded bytes of the client's cache.
     pub cache_bytes: u64,
-    /// Radius of the near-to-far ring, metres.
+    /// How far from the eye needs are foreseen, metres; 0: not at all.
     pub prefetch_m: f64,
+    /// Bytes that a chunk in time is worth: a chunk of so many bytes is sent ahead if it is as likely to be needed as not. Larger: fewer frames lack something;
+    /// smaller: fewer bytes are sent in vain.
+    pub ahead_worth: u64,
     /// Shortest time between two plans. Shorter: fresher plans, more work; a frame of the walker takes about 16 ms.
     pub replan_interval: Duration,
     /// Chunks on their way that the view does not wait for.
@@ -60,9 +65,10 @@ impl Default for PlannerConfig {
         Self {
             cache_bytes: 1 << 30,
             prefetch_m: 10.0,
+            ahead_worth: 1_000_000,
             replan_interval: Duration::from_millis(25),
-            max_background: 4,
-            max_flying: 12,
+            max_background: 8,
+            max_flying: 20,
         }
     }
 }
@@ -105,89 +111,114 @@ impl List {
     }
 }
 
-#[derive(Debug, Clone, Copy)]
-struct Motion {
-    newest: PoseDatagram,
-    velocity_m_s: DVec3,
-    turn_deg_s: f64,
-}
-
 /// The plan of one walker.
 pub struct Planner {
     index: Arc<Index>,
     views: Arc<dyn Views>,
+    foresight: Box<dyn Foresight>,
     config: PlannerConfig,
+    capacity: Capacity,
     held: Vec<ChunkState>,
     flying: BTreeMap<u32, Urgency>,
     flying_background: usize,
+    /// Stored bytes of those.
+    flying_bytes: u64,
     motion: Option<Motion>,
     /// The pose of the lists below is older than the newest one.
     stale_plan: bool,
     planned_at: Option<Duration>,
-    lists: [List; Urgency::ALL.len()],
+    /// Asked, now, fine.
+    lists: [List; PRESSING],
+    /// What may be needed soon, soonest first, and when that was foreseen; [`Planner::ahead`] skips what is held.
+    expected: Vec<Expected>,
+    foreseen_at: Option<Duration>,
+    /// When the pose was planned for that this was foreseen from.
+    foreseen_from: Duration,
+    /// When the next one of them has to go, if nothing else happens.
+    due_at: Option<Duration>,
     /// Chunks that wait in the list of what the client asked for: a number waits once, so the index bounds the list.
     asked: Vec<bool>,
     /// Asked for while on their way, to be told by [`Planner::turns`].
     promoted: Vec<u32>,
-    /// Whether the predicted list belongs to the current plan.
-    predicted: bool,
     /// Whether the lists changed since [`Planner::turns`] looked.
     changed: bool,
-    /// Where the around list was made.
-    around_at: Option<DVec3>,
+    /// Where the walker is, in steps of [`ELSEWHERE`]: counted up, and where it was counted.
+    place: (u32, Option<Pose>),
+    /// Per chunk: the place where the client dropped it.
+    dropped_at: Vec<u32>,
 }
+
+/// Lists of what the view waits for.
+const PRESSING: usize = 3;
 
 impl Planner {
     /// A client that holds nothing.
     pub fn new(index: Arc<Index>, views: Arc<dyn Views>, config: PlannerConfig) -> Self {
-        let held = vec![ChunkState::Absent; index.chunks.len()];
+        let foresight = Box::new(Forecast { views: views.clone() });
+        Self::with_foresight(index, views, foresight, config)
+    }
+
+    /// One that foresees otherwise.
+    pub fn with_foresight(
+        index: Arc<Index>,
+        views: Arc<dyn Views>,
+        foresight: Box<dyn Foresight>,
+        config: PlannerConfig,
+    ) -> Self {
+        let chunks = index.chunks.len();
         Self {
-            asked: vec![false; index.chunks.len()],
             index,
             views,
+            foresight,
             config,
-            held,
+            capacity: Capacity::default(),
+            held: vec![ChunkState::Absent; chunks],
             flying: BTreeMap::new(),
             flying_background: 0,
+            flying_bytes: 0,
             motion: None,
             stale_plan: false,
             planned_at: None,
             lists: Default::default(),
+            expected: Vec::new(),
+            foreseen_at: None,
+            foreseen_from: Duration::ZERO,
+            due_at: None,
+            asked: vec![false; chunks],
             promoted: Vec::new(),
-            predicted: true,
             changed: false,
-            around_at: None,
+            place: (1, None),
+            dropped_at: vec![0; chunks],
         }
     }
 
     /// A pose arrived. Older ones than the newest are ignored; returns whether this one counts.
     pub fn pose(&mut self, datagram: PoseDatagram) -> bool {
         let Some(old) = self.motion else {
-            self.motion = Some(Motion { newest: datagram, velocity_m_s: DVec3::ZERO, turn_deg_s: 0.0 });
+            self.motion = Some(Motion::standing(datagram));
             self.stale_plan = true;
             return true;
         };
         if !datagram.is_newer_than(old.newest.sequence) {
             return false;
         }
-        let dt = datagram.sent_us.saturating_sub(old.newest.sent_us) as f64 * 1e-6;
-        let (a, b) = (old.newest.pose, datagram.pose);
-        let moved = (b.position - a.position) / dt.max(1e-3);
-        let turned = ((b.yaw_deg - a.yaw_deg + 180.0).rem_euclid(360.0) - 180.0) / dt.max(1e-3);
-        let jump = dt <= 0.0 || moved.length() > MAX_SPEED_M_S || turned.abs() > MAX_TURN_DEG_S;
-        self.motion = Some(Motion {
-            newest: datagram,
-            velocity_m_s: if jump { DVec3::ZERO } else { moved },
-            turn_deg_s: if jump { 0.0 } else { turned },
-        });
+        self.motion = Some(old.then(datagram));
         // The same pose again (a client repeats its last one in case it was lost) changes nothing.
-        self.stale_plan |= a != b;
+        self.stale_plan |= old.pose() != datagram.pose;
         true
+    }
+
+    /// What the link carries and the client decodes now.
+    pub fn capacity(&mut self, capacity: Capacity) {
+        if self.capacity.differs(&capacity) {
+            self.capacity = capacity;
+            self.due_at = None;
+        }
     }
 
     /// The newest pose.
     pub fn newest_pose(&self) -> Option<Pose> {
-        self.motion.map(|m| m.newest.pose)
+        self.motion.map(|m| m.pose())
     }
 
     /// The client asks for chunks, held or not. Returns the numbers that do not exist.
@@ -222,6 +253,7 @@ impl Planner {
         for &c in chunks {
             if let Some(state @ ChunkState::Held) = self.held.get_mut(c as usize) {
                 *state = ChunkState::Absent;
+                self.dropped_at[c as usize] = self.place.0;
             }
         }
         self.stale_plan = true;
@@ -259,53 +291,54 @@ impl Planner {
         if let Some(urgency) = self.flying.remove(&chunk) {
             self.held[chunk as usize] = state;
             self.flying_background -= usize::from(!urgency.is_pressing());
+            self.flying_bytes -= self.bytes(chunk);
+            self.due_at = None;
         }
+    }
+
+    fn bytes(&self, chunk: u32) -> u64 {
+        u64::from(self.index.chunks[chunk as usize].stored_bytes)
+    }
+
+    fn send(&mut self, chunk: u32, urgency: Urgency) -> Order {
+        self.held[chunk as usize] = ChunkState::Flying;
+        self.flying.insert(chunk, urgency);
+        self.flying_background += usize::from(!urgency.is_pressing());
+        self.flying_bytes += self.bytes(chunk);
+        Order { chunk, urgency }
     }
 
     /// The next chunk to send; it counts as on its way from now on. None: nothing to do until something changes or
     /// [`Planner::wake_at`].
     pub fn next(&mut self, now: Duration) -> Option<Order> {
-        self.replan(now);
+        if self.stale_plan && self.replan_at().is_none_or(|t| now >= t) {
+            self.plan_view(now);
+        }
         if self.flying.len() >= self.config.max_flying {
             return None;
         }
-        for urgency in Urgency::ALL {
-            if !urgency.is_pressing() && self.flying_background >= self.config.max_background {
-                return None;
-            }
-            match urgency {
-                Urgency::Predicted if !self.predicted => self.plan_predicted(),
-                Urgency::Around => self.plan_around(),
-                _ => {}
-            }
-            let list = &mut self.lists[urgency as usize];
-            while let Some(&chunk) = list.chunks.get(list.at) {
-                list.at += 1;
+        for (number, urgency) in Urgency::ALL.into_iter().enumerate().take(PRESSING) {
+            while let Some(&chunk) = self.lists[number].chunks.get(self.lists[number].at) {
+                self.lists[number].at += 1;
                 if urgency == Urgency::Asked {
                     self.asked[chunk as usize] = false;
                 }
                 if self.held[chunk as usize] == ChunkState::Absent {
-                    self.held[chunk as usize] = ChunkState::Flying;
-                    self.flying.insert(chunk, urgency);
-                    self.flying_background += usize::from(!urgency.is_pressing());
-                    return Some(Order { chunk, urgency });
+                    return Some(self.send(chunk, urgency));
                 }
             }
         }
-        None
+        self.ahead(now)
     }
 
-    /// Makes a new plan when the walker moved and the last plan is old enough.
-    fn replan(&mut self, now: Duration) {
-        if self.stale_plan && self.wake_at().is_none_or(|t| now >= t) {
-            self.plan_view(now);
-        }
+    fn replan_at(&self) -> Option<Duration> {
+        let planned_at = self.planned_at.filter(|_| self.stale_plan)?;
+        Some(planned_at + self.config.replan_interval)
     }
 
     /// When [`Planner::next`] should be called again although nothing arrived.
     pub fn wake_at(&self) -> Option<Duration> {
-        let planned_at = self.planned_at.filter(|_| self.stale_plan)?;
-        Some(planned_at + self.config.replan_interval)
+        [self.replan_at(), self.due_at.filter(|t| *t < Duration::MAX)].into_iter().flatten().min()
     }
 
     /// Compares the chunks on their way with the current plan. Call after [`Planner::next`].
@@ -317,8 +350,11 @@ impl Planner {
         if !std::mem::take(&mut self.changed) {
             return turns;
         }
-        let urgency_in_plan =
-            |chunk: u32| Urgency::ALL.into_iter().find(|u| self.lists[*u as usize].chunks.contains(&chunk));
+        let urgency_in_plan = |chunk: u32| {
+            let mut pressing = Urgency::ALL.into_iter().zip(&self.lists);
+            let found = pressing.find(|(_, l)| l.chunks.contains(&chunk)).map(|(u, _)| u);
+            found.or_else(|| self.expected.iter().find(|e| e.chunk == chunk).map(|e| e.urgency))
+        };
         for (&chunk, &urgency) in &self.flying {
             match urgency_in_plan(chunk) {
                 // What was asked for stays asked for, until it is there.
@@ -350,14 +386,24 @@ impl Planner {
 
     fn plan_view(&mut self, now: Duration) {
         let Some(motion) = self.motion else { return };
-        let needed = self.views.needed(&motion.newest.pose);
+        let pose = motion.pose();
+        let needed = self.views.needed(&pose);
         self.lists[Urgency::Now as usize] = List::new([needed.base, needed.now].concat());
         self.lists[Urgency::Fine as usize] = List::new(needed.fine);
-        // The old predicted list stays until the next one is made: what flies for it is not stale yet.
-        self.predicted = false;
+        // The old expectations stay until the next ones are made: what flies for them is not stale yet.
         self.stale_plan = false;
         self.changed = true;
         self.planned_at = Some(now);
+        self.due_at = None;
+        let (count, counted_at) = &mut self.place;
+        let elsewhere = |at: &Pose| {
+            at.position.distance(pose.position) >= ELSEWHERE.0
+                || apart_deg(at.yaw_deg, pose.yaw_deg).abs() >= ELSEWHERE.1
+        };
+        if counted_at.as_ref().is_none_or(elsewhere) {
+            *count += 1;
+            *counted_at = Some(pose);
+        }
     }
 
     /// What must hold after every step: flying states and the table of flying chunks agree, and so do the counts.
@@ -369,6 +415,10 @@ impl Planner {
         let background = self.flying.values().filter(|u| !u.is_pressing()).count();
         if background != self.flying_background {
             return Err(format!("{background} in the background, counted {}", self.flying_background));
+        }
+        let bytes: u64 = self.flying.keys().map(|c| self.bytes(*c)).sum();
+        if bytes != self.flying_bytes {
+            return Err(format!("{bytes} bytes on their way, counted {}", self.flying_bytes));
         }
         if self.flying.len() > self.config.max_flying {
             return Err(format!("{} on their way, at most {}", self.flying.len(), self.config.max_flying));

@@ -11,6 +11,10 @@ const SLICE: usize = 64 * 1024;
 /// A stale chunk with less than this left is finished all the same: what was sent of it would be wasted.
 const FINISH_BELOW: usize = 32 * 1024;
 
+/// A chunk of fewer bytes is out when the transport has it, urgent or not: it takes no part of the send window worth naming, and waiting for a hundred of them to be
+/// acknowledged, a few at a time, takes seconds on a long link.
+pub const SMALL: usize = 16 * 1024;
+
 /// What the planner thinks of a chunk on its way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
@@ -38,7 +42,7 @@ fn priority(urgency: Urgency) -> i32 {
     -(urgency as i32)
 }
 
-/// Sends header and bytes. Pressing chunks end as soon as the transport has them; those in the background when the client
+/// Sends header and bytes. Pressing chunks and small ones end as soon as the transport has them; large ones in the background when the client
 /// has them, so that what nobody waits for never fills the send window that an urgent chunk needs.
 pub async fn push(
     connection: Connection,
@@ -53,6 +57,7 @@ pub async fn push(
     if stream.write_all(&header.encode()).await.is_err() {
         return Ended::Failed;
     }
+    let small = bytes.len() < SMALL;
     let mut left = bytes;
     while !left.is_empty() {
         let mut slice = [left.slice(..left.len().min(SLICE))];
@@ -84,7 +89,7 @@ pub async fn push(
     if stream.finish().is_err() {
         return Ended::Failed;
     }
-    if !urgency.is_pressing() {
+    if !urgency.is_pressing() && !small {
         acknowledged(&mut stream).await;
     }
     counters.sent_chunk();

@@ -51,6 +51,7 @@ impl Server {
             door: Door::new(config.max_connections, config.max_connections_per_address),
             max_connections: config.max_connections,
             send_window: config.send_window,
+            ahead_worth: config.ahead_worth,
             messages_per_second: config.messages_per_second,
             stop: stopping.clone(),
         });

@@ -6,16 +6,20 @@
 use super::{
     control::{self, SessionError, admit, read_message, refuse, tell},
     limits::{Door, Place, TokenBucket},
-    planner::{Order, Planner, PlannerConfig, Turn},
+    meter::Metered,
+    planner::{Capacity, Order, Planner, PlannerConfig, Turn},
     push::{Ended, Verdict, push},
     requests,
     source::Served,
     views::SelectViews,
     walkers::{Entry, Walkers},
 };
-use ldi_protocol::wire::{
-    self, ClientMessage, Hello, PoseDatagram, RefusalCode, ServerMessage, StreamHeader, StreamKind, Urgency, Welcome,
-    code,
+use ldi_protocol::{
+    index::ChunkHash,
+    wire::{
+        self, ClientMessage, Hello, PoseDatagram, RefusalCode, ServerMessage, StreamHeader, StreamKind, Urgency,
+        Welcome, code,
+    },
 };
 use quinn::{Connection, RecvStream, SendStream, VarInt};
 use std::{
@@ -59,6 +63,8 @@ pub struct Shared {
     pub max_connections: usize,
     /// See [`super::ServeConfig::send_window`].
     pub send_window: u64,
+    /// See [`super::ServeConfig::ahead_worth`].
+    pub ahead_worth: u64,
     /// See [`super::ServeConfig::messages_per_second`].
     pub messages_per_second: f64,
     /// Turns true when the server stops.
@@ -131,14 +137,22 @@ struct Session {
     /// Chunks that exist but cannot be read, to be told.
     unreadable: Vec<u32>,
     window_at: Duration,
+    /// As the client said it last.
+    capacity: Capacity,
+    /// Datasets whose manifest the client has.
+    manifests: Vec<ChunkHash>,
     poses: TokenBucket,
 }
 
 impl Session {
     fn new(shared: Arc<Shared>, connection: Connection, hello: &Hello, walker: Entry) -> Self {
         let index = shared.served.index().clone();
-        let config =
-            PlannerConfig { cache_bytes: hello.cache_bytes, prefetch_m: hello.prefetch_m, ..PlannerConfig::default() };
+        let config = PlannerConfig {
+            cache_bytes: hello.cache_bytes,
+            prefetch_m: hello.prefetch_m,
+            ahead_worth: shared.ahead_worth,
+            ..PlannerConfig::default()
+        };
         let views = SelectViews::new(index.clone(), &hello.picture.camera(&index.settings));
         Self {
             planner: Planner::new(index, Arc::new(views), config),
@@ -150,6 +164,8 @@ impl Session {
             verdicts: HashMap::new(),
             unreadable: Vec::new(),
             window_at: Duration::ZERO,
+            capacity: Capacity::default(),
+            manifests: hello.manifests.clone(),
             poses: TokenBucket::new(POSES_PER_SECOND, POSES_PER_SECOND),
         }
     }
@@ -191,20 +207,24 @@ impl Session {
 
     async fn welcome(&mut self, send: &mut SendStream) -> Result<(), SessionError> {
         let served = &self.shared.served;
+        let known = self.manifests.contains(&served.hash());
+        let (root, pages) = if known { (&[][..], 0) } else { (served.root(), served.pages()) };
         let welcome = ServerMessage::Welcome(Welcome {
             version: wire::VERSION,
             dataset: served.hash(),
-            root_bytes: served.root().len() as u32,
-            pages: served.pages(),
+            root_bytes: root.len() as u32,
+            pages,
             walker: self.walker.id,
         });
         let mut opening = wire::encode(&welcome)?;
-        opening.extend(wire::frame(served.root(), wire::MAX_ROOT_BYTES)?);
+        if !known {
+            opening.extend(wire::frame(root, wire::MAX_ROOT_BYTES)?);
+        }
         let ended = |e: quinn::WriteError| SessionError::Control(e.to_string());
         send.set_priority(1).map_err(|e| SessionError::Control(e.to_string()))?;
         send.write_all(&opening).await.map_err(ended)?;
         // Pages one after another: the client can do nothing before it has them all.
-        for number in 0..served.pages() {
+        for number in 0..pages {
             let Some(bytes) = served.page(number) else {
                 return Err(SessionError::Control(format!("page {number} of the manifest cannot be read")));
             };
@@ -226,6 +246,11 @@ impl Session {
             }
             ClientMessage::Drop { chunks } => self.planner.dropped(&chunks),
             ClientMessage::Have { chunks } => self.planner.have(&chunks),
+            ClientMessage::Decoding { waiting_bytes, bytes_per_s } => {
+                self.capacity.waiting_bytes = u64::from(waiting_bytes);
+                self.capacity.decoded_per_s = (bytes_per_s > 0).then_some(f64::from(bytes_per_s));
+                self.planner.capacity(self.capacity);
+            }
             ClientMessage::Hello(_) => {
                 return Err(SessionError::Refused { code: RefusalCode::Protocol, message: "Hello twice".into() });
             }
@@ -253,7 +278,7 @@ impl Session {
     }
 
     /// Twice the congestion window may wait in the connection. What waits there can be neither overtaken by a chunk of the same
-    /// urgency nor taken back; less would leave the link idle between two wake-ups.
+    /// urgency nor taken back; less would leave the link idle between two wake-ups. The planner learns what the link delivers.
     fn follow_link(&mut self) {
         let now = self.started.elapsed();
         if now - self.window_at >= WINDOW_INTERVAL {
@@ -261,6 +286,9 @@ impl Session {
             let window = 2 * self.connection.stats().path.cwnd;
             let largest = self.shared.send_window.max(MIN_SEND_WINDOW);
             self.connection.set_send_window(window.clamp(MIN_SEND_WINDOW, largest));
+            self.capacity.round_trip = self.connection.rtt();
+            self.capacity.bytes_per_s = Metered::rate_of(&self.connection);
+            self.planner.capacity(self.capacity);
         }
     }
 

@@ -4,10 +4,14 @@ use super::{
     config::{Congestion, ServeConfig},
     error::ServeError,
     identity::Identity,
+    meter::MeteredConfig,
     veno::VenoConfig,
 };
 use ldi_protocol::wire::ALPN;
-use quinn::{Endpoint, EndpointConfig, IdleTimeout, ServerConfig, TransportConfig, VarInt, congestion};
+use quinn::{
+    Endpoint, EndpointConfig, IdleTimeout, ServerConfig, TransportConfig, VarInt, congestion,
+    congestion::ControllerFactory,
+};
 use std::{
     net::{SocketAddr, UdpSocket},
     sync::Arc,
@@ -73,10 +77,15 @@ fn transport(config: &ServeConfig) -> TransportConfig {
         .datagram_receive_buffer_size(Some(POSE_BUFFER_BYTES))
         .send_window(config.send_window);
     match config.congestion {
-        Congestion::Cubic => t.congestion_controller_factory(Arc::new(congestion::CubicConfig::default())),
-        Congestion::NewReno => t.congestion_controller_factory(Arc::new(congestion::NewRenoConfig::default())),
-        Congestion::Veno => t.congestion_controller_factory(Arc::new(VenoConfig)),
-        Congestion::Bbr => t.congestion_controller_factory(Arc::new(congestion::BbrConfig::default())),
-    };
+        Congestion::Cubic => control(&mut t, congestion::CubicConfig::default()),
+        Congestion::NewReno => control(&mut t, congestion::NewRenoConfig::default()),
+        Congestion::Veno => control(&mut t, VenoConfig),
+        Congestion::Bbr => control(&mut t, congestion::BbrConfig::default()),
+    }
     t
+}
+
+/// Sets a controller, with a meter around it.
+fn control<F: ControllerFactory + Send + Sync + 'static>(t: &mut TransportConfig, controller: F) {
+    t.congestion_controller_factory(Arc::new(MeteredConfig(Arc::new(controller))));
 }

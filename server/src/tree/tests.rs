@@ -245,5 +245,8 @@ fn probes_look_beyond_what_the_budget_draws() {
     let (none, all) = (look(1), look(10));
     assert!(none.surfaces > 1_000 && none.far.len() == none.surfaces, "{} of {}", none.far.len(), none.surfaces);
     assert!(none.far.iter().all(|p| (p.position.z + 2.0).abs() < 1e-9 && p.towards.z > 0.0 && p.depth_m < 5.0));
-    assert_eq!((all.far.len(), all.surfaces), (0, none.surfaces), "two triangles are within the budget");
+    assert!(
+        all.far.is_empty() && all.surfaces > none.surfaces,
+        "two triangles are within the budget: it looks on in vain"
+    );
 }

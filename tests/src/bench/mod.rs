@@ -8,4 +8,5 @@ pub mod placement_page;
 pub mod searches;
 pub mod speed_error;
 pub mod speed_error_page;
+pub mod streaming;
 pub mod tree;

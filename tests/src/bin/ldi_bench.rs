@@ -2,12 +2,12 @@
 
 use anyhow::{Context as _, Result, bail};
 use clap::{Parser, Subcommand};
-use ldi_client::warp::Stamp;
+use ldi_client::{stream::LinkSpec, warp::Stamp};
 use ldi_server::cli::size;
 use ldi_server::placement::AuditSize;
 use ldi_tests::args::percent;
 use ldi_tests::bench::{
-    numerics, numerics_page, placement, placement_page, searches, speed_error, speed_error_page, tree,
+    numerics, numerics_page, placement, placement_page, searches, speed_error, speed_error_page, streaming, tree,
 };
 use std::path::{Path, PathBuf};
 
@@ -51,6 +51,42 @@ Examples:
   ldi-bench numerics -o out/numerics
   ldi-bench numerics --cases 10000000 --seed 2 -o out/numerics")]
     Numerics(NumericsArgs),
+    /// Ways to send ahead of need on one walk over virtual links, in virtual time: frames that lack something, bytes that no frame needed.
+    #[command(after_help = "\
+Examples:
+  ldi-bench streaming small_house --path small_house.path.json -o out/streaming
+  ldi-bench streaming small_house --path small_house.path.json --link rate=25mbit,delay=40ms --decode-mb-s 15 --twice -o out/streaming")]
+    Streaming(StreamingArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct StreamingArgs {
+    /// Directory of a dataset, as `ldi-server build` makes it.
+    dataset: PathBuf,
+    /// The walk.
+    #[arg(long)]
+    path: PathBuf,
+    /// Folder for what is left.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Links between server and client, as for `ldi-client walk`; give it again for another one.
+    #[arg(long, default_values = ["rate=100mbit,delay=5ms", "rate=25mbit,delay=40ms"])]
+    link: Vec<LinkSpec>,
+    /// Output size.
+    #[arg(long, default_value = "1280x720", value_parser = size)]
+    size: (u32, u32),
+    /// Stored bytes that the client decodes per second, in millions [default: measured here, one thread].
+    #[arg(long)]
+    decode_mb_s: Option<f64>,
+    /// Decoded bytes of the client's cache.
+    #[arg(long, default_value_t = 1 << 30)]
+    cache_bytes: u64,
+    /// What the server takes sending ahead to be worth, bytes: its setting `ahead_worth`.
+    #[arg(long, default_value_t = 1_000_000)]
+    ahead_worth: u64,
+    /// Walk the path a second time.
+    #[arg(long)]
+    twice: bool,
 }
 
 #[derive(Debug, clap::Args)]
@@ -172,6 +208,7 @@ fn main() -> Result<()> {
         Command::SpeedError(a) => speed_error(a),
         Command::Numerics(a) => numerics(a),
         Command::Tree(a) => ldi_tree(a),
+        Command::Streaming(a) => streaming(&a),
     }
 }
 
@@ -262,6 +299,26 @@ fn ldi_tree(a: TreeArgs) -> Result<()> {
         write(&a.output.join(format!("{name}.svg")), &placement_page::standalone(&svg))?;
     }
     println!("look at {}", a.output.join("chart1.svg").display());
+    Ok(())
+}
+
+fn streaming(a: &StreamingArgs) -> Result<()> {
+    std::fs::create_dir_all(&a.output).with_context(|| format!("cannot make {}", a.output.display()))?;
+    let text = std::fs::read_to_string(&a.path).with_context(|| format!("cannot read {}", a.path.display()))?;
+    let walk = ldi_protocol::path::parse(&text).with_context(|| a.path.display().to_string())?;
+    let study = streaming::Study {
+        dataset: &a.dataset,
+        walk: &walk,
+        size: a.size,
+        links: &a.link,
+        decoded_per_s: a.decode_mb_s.map(|m| m * 1e6),
+        cache_bytes: a.cache_bytes,
+        ahead_worth: a.ahead_worth,
+        twice: a.twice,
+    };
+    let found = streaming::run(&study, |r| eprintln!("{}", streaming::line(r)))?;
+    write(&a.output.join("streaming.json"), &serde_json::to_string_pretty(&found)?)?;
+    print!("{}", streaming::table(&found));
     Ok(())
 }
 

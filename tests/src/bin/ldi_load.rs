@@ -56,7 +56,7 @@ struct Cli {
     /// Process of the server, when it runs on this machine: its memory and processor time are reported.
     #[arg(long, value_name = "PID")]
     server_pid: Option<u32>,
-    /// Behave as if this link, in both directions, lay before each walker: rate=20mbit,delay=20ms,jitter=5ms,loss=2%,queue=100ms,seed=1;
+    /// Behave as if this link, in both directions, lay before each walker: rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=10s:2s,queue=100ms,seed=1;
     /// each key optional, delay one way; the seed counts up from walker to walker.
     #[arg(long, value_name = "LINK")]
     link: Option<LinkSpec>,

@@ -5,10 +5,15 @@
 //! - [`track`]: where walkers go; pure. [`walker`]: one of them, a task.
 //! - [`process`]: processor time and memory of the server. [`raw`]: a bare QUIC transfer in the same run to compare with.
 //! - [`report`], [`page`]: what is left.
+//! - [`rehearsal`]: a walk over a link in virtual time, to compare ways to send ahead; [`hindsight`]: what it is compared with;
+//!   [`eviction`]: what leaves a full cache.
 
+pub mod eviction;
+pub mod hindsight;
 pub mod page;
 pub mod process;
 pub mod raw;
+pub mod rehearsal;
 pub mod report;
 pub mod track;
 pub mod walker;

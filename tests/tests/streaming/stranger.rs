@@ -37,6 +37,7 @@ fn hello(version: u16) -> Vec<u8> {
         cache_bytes: 1 << 30,
         prefetch_m: 1000.0,
         name: "stranger".into(),
+        manifests: vec![],
     }))
     .unwrap()
 }

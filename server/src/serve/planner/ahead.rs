@@ -1,86 +1,79 @@
-//! What no view needs yet: the lists of the predicted views and of the surroundings.
+//! What no view needs yet: the list of what may be needed soon, and whether the next of it has to go.
 
-use super::{List, Planner};
-use ldi_protocol::{
-    Pose,
-    need::{Needed, PREFETCH_SHARE, Reach, near_to_far},
-    wire::Urgency,
+use super::{
+    ChunkState, Order, Planner,
+    forecast::{Expected, rank_s},
+    motion::Motion,
+    schedule,
 };
+use ldi_protocol::need::PREFETCH_SHARE;
+use std::time::Duration;
 
-/// How far ahead the walk is carried on, seconds. The first covers a round trip and the decoding, the second the time in which
-/// a first layer arrives on a slow link; farther guesses miss more often than they hit.
-pub const HORIZONS_S: [f64; 2] = [0.4, 1.0];
-/// Step of the turn on the spot, degrees: below half the smallest field of view (54), so that no direction in between
-/// is left out.
-pub const TURN_STEP_DEG: f64 = 25.0;
-/// Below these the walker stands, and there is nothing to predict.
-const MIN_SPEED_M_S: f64 = 0.05;
-/// See [`MIN_SPEED_M_S`].
-const MIN_TURN_DEG_S: f64 = 1.0;
-/// The rings around the walker are made again after this much movement, metres. Smaller: more work per walker; larger: the
-/// order is that of an older place.
-const AROUND_STEP_M: f64 = 0.5;
+/// Stored bytes that may come into need at once: those of a view amid new images. Decides how far ahead is looked.
+const SURGE_BYTES: u64 = 6 << 20;
+/// Expectations are made again after this time. Shorter: fresher guesses, more work per walker.
+const FORESEE_EVERY: Duration = Duration::from_millis(80);
 
 impl Planner {
-    pub(super) fn plan_predicted(&mut self) {
-        self.predicted = true;
-        let Some(m) = self.motion.filter(|_| self.config.prefetch_m > 0.0) else { return };
-        let here = m.newest.pose;
-        let mut poses = Vec::new();
-        if m.velocity_m_s.length() > MIN_SPEED_M_S || m.turn_deg_s.abs() > MIN_TURN_DEG_S {
-            poses.extend(HORIZONS_S.map(|t| Pose {
-                position: here.position + m.velocity_m_s * t,
-                yaw_deg: here.yaw_deg + m.turn_deg_s * t,
-                pitch_deg: here.pitch_deg,
-            }));
+    /// The next chunk ahead of need, if it has to go now.
+    pub(super) fn ahead(&mut self, now: Duration) -> Option<Order> {
+        let motion = self.motion.filter(|_| self.config.prefetch_m > 0.0)?;
+        let full = self.flying_background >= self.config.max_background;
+        if full || self.flying.len() > self.flying_background || self.due_at.is_some_and(|t| now < t) {
+            return None;
         }
-        let list = self.within_share(self.views_of(&poses).into_iter());
-        self.lists[Urgency::Predicted as usize] = List::new(list);
-    }
-
-    pub(super) fn plan_around(&mut self) {
-        let Some(m) = self.motion.filter(|_| self.config.prefetch_m > 0.0) else { return };
-        let here = m.newest.pose;
-        if self.around_at.is_some_and(|at| at.distance(here.position) < AROUND_STEP_M) {
-            return;
+        if self.foreseen_at.is_none_or(|t| now >= t + FORESEE_EVERY) {
+            self.foresee(&motion, now);
         }
-        self.around_at = Some(here.position);
-        let steps = (180.0 / TURN_STEP_DEG).ceil() as i32;
-        let ahead = if m.turn_deg_s < 0.0 { -1.0 } else { 1.0 };
-        let turned = |by: f64| Pose { yaw_deg: here.yaw_deg + by * TURN_STEP_DEG, ..here };
-        let poses: Vec<Pose> =
-            (1..=steps).flat_map(|i| [ahead, -ahead].map(|side| turned(side * f64::from(i)))).collect();
-        let reach = Reach { radius_m: self.config.prefetch_m, decoded_bytes: self.share() };
-        let near = near_to_far(&self.index, here.position, reach);
-        let list = self.within_share(self.views_of(&poses).into_iter().chain(near));
-        self.lists[Urgency::Around as usize] = List::new(list);
-        self.changed = true;
-    }
-
-    /// Chunks of several views. No gap in any of them comes before sharpness in one.
-    fn views_of(&self, poses: &[Pose]) -> Vec<u32> {
-        let views: Vec<Needed> = poses.iter().map(|p| self.views.needed(p)).collect();
-        views.iter().flat_map(|v| &v.now).chain(views.iter().flat_map(|v| &v.fine)).copied().collect()
-    }
-
-    fn share(&self) -> u64 {
-        (self.config.cache_bytes as f64 * PREFETCH_SHARE) as u64
-    }
-
-    /// Each number once, in order, up to the share of the cache that may be filled unasked.
-    fn within_share(&self, chunks: impl Iterator<Item = u32>) -> Vec<u32> {
-        let mut seen = vec![false; self.index.chunks.len()];
-        let mut left = self.share();
-        let mut out = Vec::new();
-        for c in chunks {
-            let Some(entry) = self.index.chunks.get(c as usize) else { continue };
-            if std::mem::replace(&mut seen[c as usize], true) {
-                continue;
+        // Times count from the pose. Whoever stands may set off or turn at any moment, so that these times stay as they are.
+        let elapsed = if motion.moves() { now.saturating_sub(self.foreseen_from) } else { Duration::ZERO };
+        let elapsed_s = elapsed.as_secs_f64();
+        let (held, dropped_at, place) = (&self.held, &self.dropped_at, self.place.0);
+        self.expected.retain(|e| {
+            let c = e.chunk as usize;
+            held[c] == ChunkState::Flying || held[c] == ChunkState::Absent && dropped_at[c] != place
+        });
+        let waiting: Vec<Expected> =
+            self.expected.iter().filter(|e| self.held[e.chunk as usize] == ChunkState::Absent).copied().collect();
+        let slack_s =
+            schedule::slack_s(&waiting, elapsed_s, &self.capacity, self.flying_bytes, |chunk| self.bytes(chunk));
+        match (waiting.first(), slack_s) {
+            (Some(first), Some(slack_s)) if slack_s <= 0.0 => Some(self.send(first.chunk, first.urgency)),
+            _ => {
+                // Whoever stands foresees the same again, so there is nothing to wait for but news.
+                let wait = Duration::from_secs_f64(slack_s.unwrap_or(1.0).clamp(5e-3, 1.0));
+                self.due_at = Some(if motion.moves() { now + wait } else { Duration::MAX });
+                None
             }
-            let Some(rest) = left.checked_sub(u64::from(entry.decoded_bytes)) else { break };
-            left = rest;
-            out.push(c);
         }
-        out
+    }
+
+    /// Makes the list of what may be needed soon, within the client's cache.
+    fn foresee(&mut self, motion: &Motion, now: Duration) {
+        let within_s = self.capacity.horizon_s(SURGE_BYTES);
+        let mut expected = self.foresight.expect(motion, within_s, self.config.prefetch_m);
+        expected.retain(|e| self.held.get(e.chunk as usize).is_some_and(|h| *h != ChunkState::Held));
+        // A late chunk costs frames, whatever its size; one sent in vain costs its bytes.
+        let worth = self.config.ahead_worth as f64;
+        expected.retain(|e| {
+            let bytes = self.bytes(e.chunk) as f64;
+            e.probability * (bytes + worth) >= bytes
+        });
+        expected.sort_by(|a, b| rank_s(a).total_cmp(&rank_s(b)).then(a.chunk.cmp(&b.chunk)));
+        let in_view = self.lists.iter().flat_map(|l| &l.chunks);
+        let decoded = |chunk: u32| u64::from(self.index.chunks[chunk as usize].decoded_bytes);
+        let taken: u64 = in_view.map(|c| decoded(*c)).sum();
+        let mut left = ((self.config.cache_bytes as f64 * PREFETCH_SHARE) as u64).saturating_sub(taken);
+        let fits = expected.iter().take_while(|e| {
+            let rest = left.checked_sub(decoded(e.chunk));
+            left = rest.unwrap_or(0);
+            rest.is_some()
+        });
+        let count = fits.count();
+        expected.truncate(count);
+        self.expected = expected;
+        self.foreseen_at = Some(now);
+        self.foreseen_from = self.planned_at.unwrap_or(now);
+        self.changed = true;
     }
 }

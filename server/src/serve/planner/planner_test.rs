@@ -1,6 +1,7 @@
 //! A world of ten chunks whose views are stated by hand: at x metres the view needs chunk floor(x), and chunk floor(x) + 1 sharpens.
 
 use super::*;
+use glam::DVec3;
 use ldi_protocol::{
     Aabb, OutputCamera,
     index::{BuildSettings, CellEntry, ChunkEntry, ChunkHash, ChunkKind, SceneInfo},
@@ -93,34 +94,94 @@ fn nothing_is_sent_before_the_first_pose() {
     assert_eq!(planner(PlannerConfig::default()).next(ms(0)), None);
 }
 
+/// A walker on its way to larger x at 5 m/s, for half a second, ending at `x` at `ms`.
+fn walks_to(p: &mut Planner, ms: u64, x: f64) {
+    for i in (0..=30u64).rev() {
+        let before = i * 500 / 30;
+        p.pose(at((ms - before + 1) as u32, ms - before, x - before as f64 * 5e-3));
+    }
+}
+
+/// A link so long that everything foreseen has to go at once.
+const FAR: Capacity =
+    Capacity { bytes_per_s: Some(1e6), round_trip: Duration::from_secs(9), decoded_per_s: None, waiting_bytes: 0 };
+
 #[test]
-fn the_view_comes_first_then_its_sharpness_then_what_is_near() {
-    let mut p = planner(PlannerConfig { prefetch_m: 3.0, ..Default::default() });
-    p.pose(at(1, 0, 4.5));
-    let sent = drain(&mut p, ms(0));
-    assert_eq!(sent[0], (4, Urgency::Now));
-    assert_eq!(sent[1], (5, Urgency::Fine));
-    let around: Vec<u32> = sent[2..].iter().map(|s| s.0).collect();
-    assert_eq!(around, [3, 6, 2, 7, 1], "near to far within 3 m of x = 4.5: {sent:?}");
-    assert!(sent[2..].iter().all(|s| s.1 == Urgency::Around));
+fn the_view_comes_first_then_its_sharpness_then_what_comes_soon_and_no_earlier() {
+    let mut p = planner(PlannerConfig::default());
+    walks_to(&mut p, 1000, 4.9);
+    // Chunk 6 sharpens from x = 5 on, chunk 7 from x = 6 on: in 20 and 220 ms.
+    assert_eq!(drain(&mut p, ms(1000)), [(4, Urgency::Now), (5, Urgency::Fine), (6, Urgency::Predicted)]);
+    let wake = p.wake_at().unwrap();
+    assert!((ms(1005)..ms(1220)).contains(&wake), "{wake:?}");
+    let sent: Vec<_> = (1001..1220).flat_map(|t| drain(&mut p, ms(t)).into_iter().map(move |s| (t, s))).collect();
+    let Some(&(t, first)) = sent.first() else { panic!("chunk 7 goes before it is needed") };
+    assert_eq!(first, (7, Urgency::Predicted));
+    assert!((1010..1200).contains(&t), "not at once, and not too late: {sent:?}");
 }
 
 #[test]
-fn a_walker_who_moves_gets_the_predicted_view_before_what_is_near() {
-    let mut p = planner(PlannerConfig { prefetch_m: 3.0, ..Default::default() });
-    p.pose(at(1, 0, 4.4));
-    p.pose(at(2, 100, 4.9)); // 5 m/s: at 6.9 after 0.4 s, at 9.9 after 1 s
-    let sent = drain(&mut p, ms(100));
-    assert_eq!(
-        sent[..5],
-        [
-            (4, Urgency::Now),
-            (5, Urgency::Fine),
-            (6, Urgency::Predicted),
-            (9, Urgency::Predicted),
-            (7, Urgency::Predicted)
-        ]
+fn a_longer_way_is_looked_farther_ahead() {
+    let mut p = planner(PlannerConfig::default());
+    walks_to(&mut p, 1000, 2.5);
+    p.capacity(FAR);
+    let ahead: Vec<u32> = drain(&mut p, ms(1000))[2..].iter().map(|s| s.0).collect();
+    assert!(ahead.len() >= 4 && ahead.is_sorted() && ahead[0] == 4, "soonest first: {ahead:?}");
+}
+
+#[test]
+fn nothing_goes_ahead_while_the_view_waits() {
+    let mut p = planner(PlannerConfig::default());
+    walks_to(&mut p, 1000, 4.9);
+    let mut next = || p.next(ms(1000)).map(|o| o.chunk);
+    assert_eq!([next(), next(), next()], [Some(4), Some(5), None]);
+    p.sent(4);
+    assert_eq!(p.next(ms(1000)), None);
+    p.sent(5);
+    assert_eq!(p.next(ms(1000)), Some(Order { chunk: 6, urgency: Urgency::Predicted }));
+}
+
+#[test]
+fn what_the_client_evicted_goes_ahead_again_only_elsewhere() {
+    let mut p = planner(PlannerConfig::default());
+    walks_to(&mut p, 1000, 4.9);
+    p.capacity(FAR);
+    assert_eq!(drain(&mut p, ms(1000)).len(), 6, "all from 4 to 9");
+    p.dropped(&[6, 8]);
+    assert_eq!(drain(&mut p, ms(1100)), [], "they would be evicted again");
+    p.pose(at(1200, 1200, 4.95));
+    assert_eq!(drain(&mut p, ms(1200)), [], "hardly moved");
+    p.pose(at(1300, 1300, 5.45));
+    assert_eq!(drain(&mut p, ms(1300)), [(6, Urgency::Fine), (8, Urgency::Predicted)]);
+}
+
+/// Guesses against the motion worked out by hand.
+#[test]
+fn chunks_are_foreseen_when_the_walk_gets_to_them() {
+    let mut forecast = Forecast { views: Arc::new(ByX) };
+    let mut motion = Motion::standing(at(1, 0, 2.5));
+    assert!(
+        forecast.expect(&motion, 4.0, 10.0).iter().all(|e| e.chunk == 2 || e.chunk == 3),
+        "it stands and looks aside"
     );
+    motion.velocity_m_s = DVec3::new(2.0, 0.0, 0.0);
+    let found = forecast.expect(&motion, 2.0, 10.0);
+    for chunk in 4..=6 {
+        let e = found.iter().find(|e| e.chunk == chunk).unwrap();
+        // Chunk n sharpens from x = n - 1 on; guesses lie up to 40% apart in time, 80 ms at least.
+        let exact = (f64::from(chunk) - 3.5) / 2.0;
+        assert!((exact * 0.75..=exact * 1.25 + 0.1).contains(&e.in_s), "{e:?} against {exact}");
+        assert_eq!(e.urgency, Urgency::Predicted);
+    }
+    let chance = |chunk| found.iter().find(|e| e.chunk == chunk).unwrap().probability;
+    assert!(chance(4) > chance(5) && chance(5) > chance(6));
+    assert!(forecast.expect(&motion, 0.4, 10.0).iter().all(|e| e.chunk <= 4), "no farther than asked");
+    assert!(forecast.expect(&motion, 2.0, 0.4).iter().all(|e| e.chunk <= 3), "within reach");
+    // Looking along the way it would walk off that way.
+    let mut looking = at(1, 0, 2.5);
+    looking.pose.yaw_deg = -90.0;
+    let found = forecast.expect(&Motion::standing(looking), 4.0, 10.0);
+    assert!(found.iter().any(|e| e.chunk == 4 && e.urgency == Urgency::Around && e.probability < 0.6));
 }
 
 #[test]
@@ -167,14 +228,19 @@ fn an_old_pose_changes_nothing() {
 
 #[test]
 fn the_background_leaves_room_for_what_the_view_needs() {
-    let config = PlannerConfig { prefetch_m: 100.0, max_background: 2, max_flying: 5, ..Default::default() };
+    let config = PlannerConfig { prefetch_m: 100.0, max_background: 2, max_flying: 3, ..Default::default() };
     let mut p = planner(config);
-    p.pose(at(1, 0, 0.5));
-    let flying: Vec<Order> = std::iter::from_fn(|| p.next(ms(0))).collect();
-    assert_eq!(flying.len(), 4, "two for the view, two behind it: {flying:?}");
-    p.pose(at(2, 1000, 6.5));
-    let more: Vec<Order> = std::iter::from_fn(|| p.next(ms(1000))).collect();
-    assert_eq!(more, [Order { chunk: 6, urgency: Urgency::Now }]);
+    walks_to(&mut p, 1000, 2.5);
+    p.capacity(FAR);
+    [2, 3].into_iter().for_each(|c| {
+        p.next(ms(1000));
+        p.sent(c);
+    });
+    let flying: Vec<Order> = std::iter::from_fn(|| p.next(ms(1000))).collect();
+    assert!(flying.len() == 2 && flying.iter().all(|o| o.urgency == Urgency::Predicted), "{flying:?}");
+    p.pose(at(2000, 2000, 7.5));
+    let more: Vec<Order> = std::iter::from_fn(|| p.next(ms(2000))).collect();
+    assert_eq!(more, [Order { chunk: 7, urgency: Urgency::Now }]);
     p.check().unwrap();
 }
 
@@ -187,7 +253,7 @@ fn chunks_on_their_way_follow_the_walker() {
     assert!(p.turns().is_empty());
     // One step on: 3 is needed now, 2 no more. Nothing is planned while all slots are taken.
     p.pose(at(2, 1000, 3.5));
-    p.replan(ms(1000));
+    assert_eq!(p.next(ms(1000)), None);
     assert_eq!(p.turns(), [Turn::Stale(2), Turn::Reprioritize(Order { chunk: 3, urgency: Urgency::Now })]);
     assert!(p.turns().is_empty(), "a change is told once");
     p.aborted(2);
@@ -215,25 +281,31 @@ fn plans_keep_their_distance_in_time() {
 #[test]
 fn prefetch_stays_within_its_share_of_the_cache() {
     let cache_bytes = 6 * BYTES;
-    let mut p = planner(PlannerConfig { prefetch_m: 1e6, cache_bytes, ..Default::default() });
-    p.pose(at(1, 0, 4.5));
-    let sent = drain(&mut p, ms(0));
+    let mut p = planner(PlannerConfig { cache_bytes, ..Default::default() });
+    walks_to(&mut p, 1000, 2.5);
+    p.capacity(FAR);
+    let sent = drain(&mut p, ms(1000));
     let share = (cache_bytes as f64 * PREFETCH_SHARE) as u64 / BYTES;
     assert_eq!(sent.len() as u64, share, "{sent:?}");
 }
 
 #[test]
 fn asking_for_what_is_on_its_way_hurries_it_and_sends_nothing_twice() {
-    let mut p = planner(PlannerConfig { prefetch_m: 3.0, ..Default::default() });
-    p.pose(at(1, 0, 4.5));
-    let flying: Vec<Order> = std::iter::from_fn(|| p.next(ms(0))).collect();
+    let mut p = planner(PlannerConfig::default());
+    walks_to(&mut p, 1000, 4.9);
+    p.capacity(FAR);
+    [4, 5].into_iter().for_each(|c| {
+        p.next(ms(1000));
+        p.sent(c);
+    });
+    let flying: Vec<Order> = std::iter::from_fn(|| p.next(ms(1000))).collect();
     let last = *flying.last().unwrap();
-    assert_eq!(last.urgency, Urgency::Around);
+    assert_eq!(last.urgency, Urgency::Predicted);
     p.turns();
     assert!(p.want(&[last.chunk]).is_empty());
     p.check().unwrap();
     assert_eq!(p.turns(), [Turn::Reprioritize(Order { urgency: Urgency::Asked, ..last })]);
     p.sent(last.chunk);
     p.check().unwrap();
-    assert!(drain(&mut p, ms(0)).iter().all(|s| s.0 != last.chunk));
+    assert!(drain(&mut p, ms(1000)).iter().all(|s| s.0 != last.chunk));
 }

@@ -1,0 +1,149 @@
+//! What a walker may need soon: guesses of poses, each with a time and a probability, and the chunks of their views.
+//!
+//! In: a [`Motion`]. Out: chunks with the time in which they are needed and how likely that is ([`Expected`]).
+//!
+//! Three kinds of guesses, after how people walk:
+//! - **on**: it goes on as it goes, velocity and turn rate kept, less likely the farther ahead: people stop, and paths bend;
+//! - **turn**: it turns on the spot at [`QUICK_TURN_DEG_S`] to either side, from now on. A head turns faster than feet walk, and needs no run-up;
+//! - **off**: from where it stands or turns it walks off, straight ahead of where it looks then.
+//!
+//! Where it will be is uncertain by [`SPREAD`] of the way: guesses to both sides of the way carry part of its probability.
+//! A chunk counts at the earliest guess that needs it; probabilities of guesses that need it too are not added up, as the guesses are not exclusive.
+
+use super::Views;
+use super::motion::Motion;
+use ldi_protocol::{Pose, wire::Urgency};
+use std::{collections::HashMap, sync::Arc};
+
+/// How fast a head is believed to turn to look elsewhere, degrees per second. Path walkers of this project turn at 120, players faster, but few begin
+/// right now: faster beliefs send more directions ahead (docs/streaming.md).
+pub const QUICK_TURN_DEG_S: f64 = 80.0;
+/// Walking speed of somebody who stands and will walk, m/s.
+const WALK_M_S: f64 = 1.4;
+/// Mean time for which a motion goes on, seconds: walking, and turning. These and the numbers below were chosen by walks in virtual time on two scenes (docs/streaming.md), not
+/// measured on people. Larger: what lies far along the way is sent ahead more; smaller: less, and later.
+const KEEPS_WALKING_S: f64 = 1.0;
+/// See [`KEEPS_WALKING_S`].
+const KEEPS_TURNING_S: f64 = 2.0;
+/// How likely a turn is to begin while the eye goes on, to one of both sides.
+const TURNS: f64 = 0.5;
+/// How likely the walker sets off before it stops turning.
+const SETS_OFF: f64 = 0.5;
+/// Sideways uncertainty of a place ahead, as a share of the way to it: it grows with time.
+const SPREAD: f64 = 0.4;
+/// Probability of a place beside the way, relative to one on it.
+const BESIDE: f64 = 0.4;
+/// Step of guesses in angle, degrees: below half the smallest field of view (54), so that no direction in between is left out.
+const STEP_DEG: f64 = 12.0;
+/// Times of guesses ahead, seconds.
+const TIMES_S: [f64; 10] = [0.08, 0.16, 0.3, 0.45, 0.65, 0.9, 1.25, 1.75, 2.5, 3.5];
+
+/// A chunk that may be needed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Expected {
+    /// Its number.
+    pub chunk: u32,
+    /// Seconds from the newest pose until a view needs it, if one does.
+    pub in_s: f64,
+    /// How likely one does, 0 to 1.
+    pub probability: f64,
+    /// [`Urgency::Predicted`] on the way that the walker goes, else [`Urgency::Around`].
+    pub urgency: Urgency,
+}
+
+/// Foresees what a walker needs. A trait, so that simulations can put hindsight in its place.
+pub trait Foresight: Send {
+    /// Chunks that may be needed within `within_s` seconds after the newest pose, at places at most `reach_m` away; each once, in any order.
+    fn expect(&mut self, motion: &Motion, within_s: f64, reach_m: f64) -> Vec<Expected>;
+}
+
+/// The foresight of a real server.
+pub(super) struct Forecast {
+    pub views: Arc<dyn Views>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Guess {
+    pose: Pose,
+    in_s: f64,
+    probability: f64,
+    urgency: Urgency,
+}
+
+impl Foresight for Forecast {
+    fn expect(&mut self, motion: &Motion, within_s: f64, reach_m: f64) -> Vec<Expected> {
+        let here = motion.pose();
+        let mut found: HashMap<u32, Expected> = HashMap::new();
+        for g in guesses(motion, within_s) {
+            if g.pose.position.distance(here.position) > reach_m {
+                continue;
+            }
+            let needed = self.views.needed(&g.pose);
+            for chunk in needed.now.iter().chain(&needed.fine).copied() {
+                let new = Expected { chunk, in_s: g.in_s, probability: g.probability, urgency: g.urgency };
+                let entry = found.entry(chunk).or_insert(new);
+                if rank_s(&new) < rank_s(entry) {
+                    *entry = new;
+                }
+            }
+        }
+        found.into_values().collect()
+    }
+}
+
+/// Mean time until a chunk is needed, were its chance to come again and again: what is likely comes before what is only possible.
+pub(super) fn rank_s(e: &Expected) -> f64 {
+    e.in_s / e.probability.max(1e-3)
+}
+
+fn guesses(motion: &Motion, within_s: f64) -> Vec<Guess> {
+    let here = motion.pose();
+    let (walks, turns) = (motion.walks(), motion.turns());
+    let mut out = Vec::new();
+    let mut put = |pose: Pose, in_s: f64, probability: f64, urgency| {
+        if in_s <= within_s {
+            out.push(Guess { pose, in_s, probability, urgency });
+        }
+    };
+    let turned = |pose: Pose, by: f64| Pose { yaw_deg: pose.yaw_deg + by, ..pose };
+    if walks || turns {
+        let keeps_s = if turns { KEEPS_TURNING_S } else { KEEPS_WALKING_S };
+        for (t, in_s) in times() {
+            let by = (motion.turn_deg_s * t).clamp(-180.0, 180.0);
+            let pose = turned(Pose { position: here.position + motion.velocity_m_s * t, ..here }, by);
+            let probability = (-t / keeps_s).exp();
+            put(pose, in_s, probability, Urgency::Predicted);
+            if walks {
+                let aside = motion.velocity_m_s.cross(glam::DVec3::Y) * (t * SPREAD);
+                for side in [aside, -aside] {
+                    let beside = Pose { position: pose.position + side, ..pose };
+                    put(beside, in_s, probability * BESIDE, Urgency::Around);
+                }
+            }
+        }
+    }
+    if !walks {
+        for (t, in_s) in times() {
+            let by = if turns { motion.turn_deg_s * t.min(0.3) } else { 0.0 };
+            let looks = turned(here, by);
+            let position = here.position + looks.basis().forward * (WALK_M_S * t);
+            put(Pose { position, ..looks }, in_s, SETS_OFF * (-t / KEEPS_WALKING_S).exp(), Urgency::Around);
+        }
+    }
+    let steps = (180.0 / STEP_DEG) as i32;
+    for i in 1..=steps {
+        let by = STEP_DEG * f64::from(i);
+        // Half a step earlier, as what is needed here was not needed a step before.
+        let in_s = (by - STEP_DEG / 2.0) / QUICK_TURN_DEG_S;
+        for side in [by, -by] {
+            put(turned(here, side), in_s, TURNS * (-in_s / KEEPS_TURNING_S).exp(), Urgency::Around);
+        }
+    }
+    out
+}
+
+/// Times of guesses, and the time at which what is needed there comes into need: half way from the guess before.
+fn times() -> impl Iterator<Item = (f64, f64)> {
+    let before = std::iter::once(0.0).chain(TIMES_S);
+    TIMES_S.into_iter().zip(before).map(|(t, before)| (t, (t + before) / 2.0))
+}

@@ -1,0 +1,453 @@
+//! A walk over a link as arithmetic: the server's planner, the client's cache, and between them a link and a decoder in virtual time.
+//!
+//! In: what each frame of a walk needs ([`Script`]) and what it meets ([`Setting`]). Out: frames that lacked something, bytes that none needed
+//! ([`Score`]). Nothing here depends on the machine or its clock: the same script and setting give the same score, so that ways to send ahead can be compared to
+//! the frame. [`Policy::Clairvoyant`] knows the walk in advance: earliest deadline first is late for no chunk if any order is, so what it misses nobody
+//! brings in time.
+//!
+//! The planner and the cache's accounts are those of the real programs, the link is [`Link`]. What is simple here: congestion control is perfect (a
+//! window of bandwidth times round trip and [`QUEUE`]), acknowledgements are not lost, a lost packet is sent again after a round trip.
+
+use super::hindsight::{Everything, Hindsight};
+use ldi_client::{
+    cache::Cache,
+    stream::{Direction, Fate, HEADER_BYTES, Link, LinkSpec},
+};
+use ldi_protocol::{
+    Pose,
+    index::Index,
+    need::Needed,
+    wire::{PoseDatagram, Urgency},
+};
+use ldi_server::serve::{
+    Meter,
+    planner::{Capacity, Order, Planner, PlannerConfig, Turn, Views},
+};
+use std::{
+    cmp::Reverse,
+    collections::{BTreeMap, BinaryHeap, VecDeque},
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+/// Step of virtual time.
+const STEP: Duration = Duration::from_millis(1);
+/// Payload of a packet, bytes.
+const PACKET: usize = 1200;
+/// What congestion control lets stand in the link's queue.
+const QUEUE: Duration = Duration::from_millis(10);
+/// Bytes of a connection that may be unacknowledged, at least; as the server's.
+const MIN_SEND_WINDOW: usize = 256 * 1024;
+/// A stale chunk with less than this left is finished; as the server's.
+const FINISH_BELOW: usize = 32 * 1024;
+/// A chunk of fewer bytes is out when the transport has it; as the server's.
+const SMALL: usize = 16 * 1024;
+/// How often the client says what it dropped and how far behind it is.
+const TICK: Duration = Duration::from_millis(100);
+
+/// What each frame of a walk needs.
+#[derive(Debug, Clone)]
+pub struct Script {
+    /// Of the dataset.
+    pub index: Arc<Index>,
+    /// Poses with their times, seconds, ascending.
+    pub poses: Vec<(f64, Pose)>,
+    /// What each of them needs.
+    pub needs: Vec<Arc<Needed>>,
+}
+
+impl Script {
+    /// Finds what each pose needs.
+    pub fn new(index: Arc<Index>, poses: Vec<(f64, Pose)>, views: &dyn Views) -> Self {
+        let needs = poses.iter().map(|(_, p)| Arc::new(views.needed(p))).collect();
+        Self { index, poses, needs }
+    }
+
+    /// The same walk, another time, directly after.
+    pub fn twice(mut self) -> Self {
+        let lasts = self.poses.last().map_or(0.0, |p| p.0) + 1.0 / 60.0;
+        let again: Vec<_> = self.poses.iter().map(|(t, p)| (t + lasts, *p)).collect();
+        self.poses.extend(again);
+        self.needs.extend(self.needs.clone());
+        self
+    }
+}
+
+/// Who decides what is sent ahead of need.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Policy {
+    /// Nothing is.
+    Nothing,
+    /// Whatever fits into three quarters of the cache, as the server did before it knew the link: the poses in 0.4 and 1 s, a turn on the spot, then
+    /// near to far within 10 m.
+    Everything,
+    /// The server's.
+    Forecast,
+    /// What the walk will need, in that order, at once.
+    Clairvoyant,
+}
+
+/// What a walk meets.
+#[derive(Debug, Clone, Copy)]
+pub struct Setting {
+    /// Between server and client, the same both ways.
+    pub link: LinkSpec,
+    /// Stored bytes that the client decodes per second.
+    pub decoded_per_s: f64,
+    /// Decoded bytes that the client's cache holds.
+    pub cache_bytes: u64,
+    /// See [`PlannerConfig::ahead_worth`]; for [`Policy::Forecast`].
+    pub ahead_worth: u64,
+    /// What is sent ahead.
+    pub policy: Policy,
+}
+
+/// What became of a walk.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Score {
+    /// Frames.
+    pub frames: usize,
+    /// Those that lacked something.
+    pub incomplete: usize,
+    /// Those of them after the first second.
+    pub settled_incomplete: usize,
+    /// Those that had a gap, not only less detail, after the first second.
+    pub settled_gaps: usize,
+    /// Payload of packets that arrived.
+    pub received: u64,
+    /// Received, and used by no frame.
+    pub wasted: u64,
+    /// Streams that were broken off.
+    pub stale: usize,
+    /// Received in the second half of the time.
+    pub second_half: u64,
+}
+
+/// A chunk on its way.
+#[derive(Debug)]
+struct Stream {
+    urgency: Urgency,
+    number: u64,
+    bytes: usize,
+    /// Not yet taken by the transport.
+    left: usize,
+    /// Taken, and not sent or to be sent again.
+    buffered: usize,
+    acked: usize,
+    arrived: usize,
+    done: bool,
+    reset: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Event {
+    Arrives { chunk: u32, stream: u64, bytes: usize },
+    Acknowledged { chunk: u32, stream: u64, bytes: usize, had_less: bool },
+    Lost { chunk: u32, stream: u64, bytes: usize },
+    Seen { frame: usize },
+    Told { waiting: u64 },
+    Dropped { chunk: u32 },
+}
+
+struct Rehearsal<'a> {
+    script: &'a Script,
+    setting: &'a Setting,
+    planner: Planner,
+    cache: Cache,
+    epoch: Instant,
+    now: Duration,
+    link: Link,
+    streams: BTreeMap<u32, Stream>,
+    opened: u64,
+    events: BinaryHeap<Reverse<(Duration, u64, Event)>>,
+    event_number: u64,
+    in_flight: usize,
+    window: usize,
+    meter: Meter,
+    waiting_known: u64,
+    pressing: VecDeque<(u32, Urgency)>,
+    ahead: VecDeque<(u32, Urgency)>,
+    /// Being decoded, and the stored bytes left of it.
+    decoding: Option<(u32, f64)>,
+    score: Score,
+}
+
+/// Walks.
+pub fn rehearse(script: &Script, setting: &Setting, views: Arc<dyn Views>) -> Score {
+    let index = script.index.clone();
+    let config = PlannerConfig {
+        cache_bytes: setting.cache_bytes,
+        prefetch_m: if setting.policy == Policy::Nothing { 0.0 } else { 10.0 },
+        ahead_worth: if setting.policy == Policy::Forecast { setting.ahead_worth } else { u64::MAX },
+        ..PlannerConfig::default()
+    };
+    let planner = match setting.policy {
+        Policy::Nothing | Policy::Forecast => Planner::new(index.clone(), views, config),
+        Policy::Everything => {
+            let all = Everything { index: index.clone(), views: views.clone(), cache_bytes: setting.cache_bytes };
+            Planner::with_foresight(index.clone(), views, Box::new(all), config)
+        }
+        Policy::Clairvoyant => {
+            let hindsight = Box::new(Hindsight::new(script));
+            Planner::with_foresight(index.clone(), views, hindsight, config)
+        }
+    };
+    let rate = setting.link.rate_bit_s.unwrap_or(1e9) / 8.0;
+    let round_trip = 2 * setting.link.delay;
+    let mut rehearsal = Rehearsal {
+        script,
+        setting,
+        planner,
+        cache: Cache::without_decoding(index, setting.cache_bytes),
+        epoch: Instant::now(),
+        now: Duration::ZERO,
+        link: Link::new(LinkSpec { queue: Duration::from_secs(10), ..setting.link }, Direction::Down),
+        streams: BTreeMap::new(),
+        opened: 0,
+        events: BinaryHeap::new(),
+        event_number: 0,
+        in_flight: 0,
+        window: (rate * (round_trip + QUEUE).as_secs_f64()).max(15e3) as usize,
+        meter: Meter::default(),
+        waiting_known: 0,
+        pressing: VecDeque::new(),
+        ahead: VecDeque::new(),
+        decoding: None,
+        score: Score::default(),
+    };
+    rehearsal.run();
+    rehearsal.score
+}
+
+impl Rehearsal<'_> {
+    fn run(&mut self) {
+        let (start, end) = (self.script.poses[0].0, self.script.poses[self.script.poses.len() - 1].0);
+        let mut frame = 0;
+        let mut tick = TICK;
+        let mut half = 0;
+        while frame < self.script.poses.len() {
+            while let Some(Reverse((at, _, event))) = self.events.peek().copied()
+                && at <= self.now
+            {
+                self.events.pop();
+                self.happen(event);
+            }
+            self.decode();
+            while let Some((t, _)) = self.script.poses.get(frame)
+                && t - start <= self.now.as_secs_f64()
+            {
+                self.draw(frame, t - start);
+                frame += 1;
+            }
+            if self.now >= tick {
+                tick += TICK;
+                self.report();
+            }
+            self.plan();
+            self.fill();
+            self.transmit();
+            self.now += STEP;
+            if self.now.as_secs_f64() < (end - start) / 2.0 {
+                half = self.score.received;
+            }
+        }
+        self.score.second_half = self.score.received - half;
+        self.score.wasted = self.score.received.saturating_sub(self.cache.usage().useful_bytes);
+    }
+
+    fn at(&mut self, at: Duration, event: Event) {
+        self.events.push(Reverse((at, self.event_number, event)));
+        self.event_number += 1;
+    }
+
+    fn happen(&mut self, event: Event) {
+        let stream_of = |streams: &mut BTreeMap<u32, Stream>, chunk: u32, number: u64| {
+            streams.get(&chunk).is_some_and(|s| s.number == number)
+        };
+        match event {
+            Event::Arrives { chunk, stream, bytes } => {
+                self.score.received += bytes as u64;
+                if !stream_of(&mut self.streams, chunk, stream) {
+                    return;
+                }
+                let Some(s) = self.streams.get_mut(&chunk) else { return };
+                s.arrived += bytes;
+                if s.arrived == s.bytes && !s.reset {
+                    let urgency = s.urgency;
+                    if urgency.is_pressing() { &mut self.pressing } else { &mut self.ahead }
+                        .push_back((chunk, urgency));
+                }
+            }
+            Event::Acknowledged { chunk, stream, bytes, had_less } => {
+                self.in_flight -= bytes;
+                self.meter.acknowledged(self.now, bytes as u64, had_less, 2 * self.setting.link.delay);
+                if !stream_of(&mut self.streams, chunk, stream) {
+                    return;
+                }
+                let Some(s) = self.streams.get_mut(&chunk) else { return };
+                s.acked += bytes;
+                if s.acked == s.bytes || s.reset {
+                    if !s.done {
+                        self.planner.sent(chunk);
+                    }
+                    self.streams.remove(&chunk);
+                }
+            }
+            Event::Lost { chunk, stream, bytes } => {
+                self.in_flight -= bytes;
+                if let Some(s) = self.streams.get_mut(&chunk).filter(|s| s.number == stream && !s.reset) {
+                    s.buffered += bytes;
+                }
+            }
+            Event::Seen { frame } => {
+                let (t, pose) = self.script.poses[frame];
+                let datagram = PoseDatagram { sequence: frame as u32, sent_us: (t * 1e6) as u64, pose };
+                self.planner.pose(datagram);
+            }
+            Event::Told { waiting } => self.waiting_known = waiting,
+            Event::Dropped { chunk } => self.planner.dropped(&[chunk]),
+        }
+    }
+
+    /// One step of the client's decoding thread: what the view waits for first.
+    fn decode(&mut self) {
+        let mut budget = self.setting.decoded_per_s * STEP.as_secs_f64();
+        while budget > 0.0 {
+            let Some((chunk, left)) = self.decoding.take() else {
+                let needed = self.ahead.iter().position(|(c, _)| self.cache.is_pinned(*c));
+                let most = (0..self.pressing.len()).min_by_key(|i| self.pressing[*i].1);
+                let next = match most {
+                    Some(at) => self.pressing.remove(at),
+                    None => self.ahead.remove(needed.unwrap_or(0)),
+                };
+                let Some((chunk, _)) = next else { return };
+                self.decoding = Some((chunk, f64::from(self.script.index.chunks[chunk as usize].stored_bytes)));
+                continue;
+            };
+            if left > budget {
+                self.decoding = Some((chunk, left - budget));
+                return;
+            }
+            budget -= left;
+            // Nothing is decoded, so nothing can be wrong with it.
+            let _ = self.cache.insert(chunk, &[]);
+        }
+    }
+
+    fn draw(&mut self, frame: usize, t_s: f64) {
+        let needed = &self.script.needs[frame];
+        self.cache.pin(needed.all());
+        let lacks = |chunks: &[u32]| !self.cache.missing(chunks.iter().copied()).is_empty();
+        let gap = lacks(&needed.base) || lacks(&needed.now);
+        let incomplete = gap || lacks(&needed.fine);
+        self.cache.count_used(needed.all());
+        self.score.frames += 1;
+        self.score.incomplete += usize::from(incomplete);
+        if t_s >= 1.0 {
+            self.score.settled_incomplete += usize::from(incomplete);
+            self.score.settled_gaps += usize::from(gap);
+        }
+        self.at(self.now + self.setting.link.delay, Event::Seen { frame });
+    }
+
+    fn report(&mut self) {
+        let arrives = self.now + self.setting.link.delay;
+        let stored = |c: u32| u64::from(self.script.index.chunks[c as usize].stored_bytes);
+        let queued: u64 = self.pressing.iter().chain(&self.ahead).map(|(c, _)| stored(*c)).sum();
+        let waiting = queued + self.decoding.map_or(0, |d| d.1 as u64);
+        self.at(arrives, Event::Told { waiting });
+        for chunk in self.cache.take_evicted(self.epoch + self.now) {
+            self.at(arrives, Event::Dropped { chunk });
+        }
+    }
+
+    fn plan(&mut self) {
+        self.planner.capacity(Capacity {
+            bytes_per_s: self.meter.bytes_per_s(),
+            round_trip: 2 * self.setting.link.delay,
+            decoded_per_s: Some(self.setting.decoded_per_s),
+            waiting_bytes: self.waiting_known,
+        });
+        while let Some(Order { chunk, urgency }) = self.planner.next(self.now) {
+            let bytes = self.script.index.chunks[chunk as usize].stored_bytes as usize;
+            self.opened += 1;
+            let stream = Stream {
+                urgency,
+                number: self.opened,
+                bytes,
+                left: bytes,
+                buffered: 0,
+                acked: 0,
+                arrived: 0,
+                done: false,
+                reset: false,
+            };
+            self.streams.insert(chunk, stream);
+        }
+        for turn in self.planner.turns() {
+            match turn {
+                Turn::Reprioritize(order) => {
+                    if let Some(s) = self.streams.get_mut(&order.chunk) {
+                        s.urgency = order.urgency;
+                    }
+                }
+                Turn::Stale(chunk) => {
+                    let Some(s) = self.streams.get_mut(&chunk) else { continue };
+                    if s.left > FINISH_BELOW {
+                        self.streams.remove(&chunk);
+                        self.planner.aborted(chunk);
+                        self.score.stale += 1;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Hands bytes to the transport, most urgent first, as far as its window goes.
+    fn fill(&mut self) {
+        let unacked: usize = self.streams.values().map(|s| s.bytes - s.left - s.acked).sum();
+        let mut room = MIN_SEND_WINDOW.max(2 * self.window).saturating_sub(unacked);
+        let mut order: Vec<u32> = self.streams.iter().filter(|(_, s)| s.left > 0).map(|(c, _)| *c).collect();
+        order.sort_by_key(|c| (self.streams[c].urgency, self.streams[c].number));
+        for chunk in order {
+            let Some(s) = self.streams.get_mut(&chunk) else { continue };
+            let taken = s.left.min(room);
+            room -= taken;
+            s.left -= taken;
+            s.buffered += taken;
+            // What somebody waits for and what is small is out when the transport has it, all else when the client has.
+            if s.left == 0 && (s.urgency.is_pressing() || s.bytes < SMALL) && !s.done {
+                s.done = true;
+                self.planner.sent(chunk);
+            }
+        }
+    }
+
+    fn transmit(&mut self) {
+        while self.in_flight < self.window {
+            let ready = self.streams.iter().filter(|(_, s)| s.buffered > 0);
+            let Some(chunk) = ready.min_by_key(|(_, s)| (s.urgency, s.number)).map(|(c, _)| *c) else { return };
+            let Some(s) = self.streams.get_mut(&chunk) else { return };
+            let bytes = s.buffered.min(PACKET);
+            s.buffered -= bytes;
+            let stream = s.number;
+            self.in_flight += bytes;
+            let had_less = self.streams.values().all(|s| s.buffered == 0);
+            match self.link.send(self.now, bytes + HEADER_BYTES) {
+                Fate::Arrives(at) | Fate::ArrivesTwice(at, _) => {
+                    self.at(at, Event::Arrives { chunk, stream, bytes });
+                    let back = at + self.setting.link.delay;
+                    self.at(back, Event::Acknowledged { chunk, stream, bytes, had_less });
+                }
+                Fate::Lost | Fate::Dropped => {
+                    let noticed = self.now + 2 * self.setting.link.delay + QUEUE;
+                    self.at(noticed, Event::Lost { chunk, stream, bytes });
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "rehearsal_test.rs"]
+pub(super) mod tests;
