@@ -70,9 +70,11 @@ impl StillPainter {
             self.making = None;
             let max_samples = max_samples.max(before);
             let options = TreeOptions { cut: CutOptions { max_samples, ..CutOptions::default() }, fill_gaps: true };
-            let mut left = wanted.clone();
+            // Only what a still eye shows is kept: copies cost a moving one time.
+            let kept = stands.then(|| wanted.clone());
+            let mut left = wanted;
             let stats = self.painter.draw(tree, resident, pose, camera, &options, &mut left, no_gap, &mut self.picture);
-            if stands {
+            if let Some(wanted) = kept {
                 let (missing, hidden_below) = (stats.missing.clone(), hidden_below.to_vec());
                 let (samples, limited) = (stats.shown, stats.limited);
                 self.shown = Some(Shown { wanted, hidden_below, samples, limited, missing });

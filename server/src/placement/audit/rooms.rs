@@ -3,7 +3,7 @@
 //! For random rays of the picture: which portals a ray crosses, in which order, is found by intersecting each polygon with the line, where `select` clips cones. In every room on its way that is geometry, each cell
 //! that the ray meets must be drawn; the first portal into a room that is not must have an image for this eye, whose window holds what is beyond, at a footprint within its bound.
 
-use super::{AuditedPose, Random, footprint, holds};
+use super::{AuditedPose, Random, footprint, holds, triangles_in};
 use glam::DVec3;
 use ldi_protocol::{
     Aabb, Pose,
@@ -34,8 +34,7 @@ pub(super) fn check(
 ) -> AuditedPose {
     let camera = &index.settings.camera;
     let list = draw_list(index, pose, (camera.half_tan_x(), camera.half_tan_y()));
-    let count = |c: &u32| recounted.get(*c as usize).copied().unwrap_or(u64::from(index.cells[*c as usize].triangles));
-    let triangles: u64 = list.cells.iter().map(count).sum();
+    let triangles = triangles_in(index, recounted, &list.cells);
     let mut faults = Vec::new();
     if triangles > index.settings.budget {
         faults.push(format!("{triangles} triangles, budget {}", index.settings.budget));
