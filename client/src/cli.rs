@@ -5,19 +5,23 @@
 mod connect;
 
 use anyhow::Context;
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use ldi_client::{
     composite::Fill,
-    engine::{Cull, Feed, Method, Pace, Progress, WalkError, WalkJob, WalkOptions, pictures_of, run},
+    engine::{
+        Cull, Feed, Method, Pace, PaintError, Painter, Progress, Renderer, Shows, WalkError, WalkJob, WalkOptions,
+        pictures_of, run,
+    },
+    gpu::{Gpu, GpuError, WarpOn},
     near::MAX_SIDE_PX,
     report::{DatasetReport, DiskReport, LinkReport, MachineReport, Report, SceneReport},
     stream::{ConnectConfig, ConnectError, Connection, DEFAULT_DISK_BYTES, DiskCache, Fingerprint, LinkSpec},
-    warp::{Order, Stamp},
+    warp::{Order, Stamp, WarpOptions},
 };
 use ldi_protocol::{path, wire::Picture};
 use std::{
-    io::IsTerminal,
+    io::{IsTerminal, Read as _},
     path::{Path, PathBuf},
     process::ExitCode,
     sync::Arc,
@@ -54,7 +58,8 @@ enum Command {
         ldi-client connect museum.local\n  \
         ldi-client connect localhost:4433 --fingerprint HEX --shots pictures\n\n\
         Keys: click looks around (Esc lets the pointer go), W A S D and arrows walk, Q and E sink and rise in --fly datasets, Shift runs, the wheel\n\
-        changes the speed, M shows the map (a click goes there), G opens the walls, F1 shows the figures, F12 takes a picture, Ctrl+Q leaves.\n\n\
+        changes the speed, M shows the map (a click goes there), G opens the walls, F1 shows the figures, F2 other views, F3 settings,\n\
+        R records a walk and P walks it again, Ctrl and a digit keep a place and the digit goes there, F12 takes a picture, Ctrl+Q leaves.\n\n\
         Exit codes: 0 closed, 2 wrong usage or an unknown server, 1 a retry may help, 42 refused or a changed fingerprint.")]
     Connect(Box<connect::ConnectArgs>),
 }
@@ -81,6 +86,9 @@ struct WalkArgs {
     /// What draws.
     #[arg(long, value_enum, default_value = "cpu")]
     renderer: Renderer,
+    /// With a graphics card: what warps images.
+    #[arg(long, value_enum, default_value = "auto")]
+    warp_on: WarpOn,
     /// How what is far is shown.
     #[arg(long, value_enum, default_value = "auto")]
     method: Method,
@@ -144,14 +152,6 @@ struct WalkArgs {
     link: Option<LinkSpec>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Renderer {
-    /// The processor.
-    Cpu,
-    /// The graphics card.
-    Gpu,
-}
-
 /// An error with the exit code it means.
 struct Failure {
     code: u8,
@@ -177,10 +177,26 @@ impl From<WalkError> for Failure {
     fn from(e: WalkError) -> Self {
         let code = match &e {
             WalkError::Disconnected { .. } | WalkError::Save(_) | WalkError::Folder { .. } => 1,
-            WalkError::Warp(_) => 2,
+            WalkError::Paint(PaintError::Warp(_)) => 2,
+            WalkError::Paint(PaintError::Gpu(e)) => gpu_exit_code(e),
             WalkError::Judge(_) => 42,
         };
         Self { code, error: e.into() }
+    }
+}
+
+/// A driver that failed may work when it is asked again; one that lacks something will not.
+fn gpu_exit_code(e: &GpuError) -> u8 {
+    match e {
+        GpuError::Failed { .. } => 1,
+        GpuError::Stamp(_) | GpuError::Order(_) => 2,
+        GpuError::NoAdapter(_) | GpuError::Lacking { .. } => 42,
+    }
+}
+
+impl From<GpuError> for Failure {
+    fn from(e: GpuError) -> Self {
+        Self { code: gpu_exit_code(&e), error: e.into() }
     }
 }
 
@@ -220,8 +236,9 @@ fn parse_size(text: &str) -> Result<(u32, u32), String> {
 
 /// Options that later versions will know.
 fn refuse_what_is_not_there(args: &WalkArgs) -> Result<(), Failure> {
-    if args.renderer == Renderer::Gpu {
-        return Err(not_there("--renderer gpu", "use --renderer cpu"));
+    let order_and_stamp = WarpOptions { stamp: stamp(args), order: args.order, ..WarpOptions::default() };
+    if args.warp_on == WarpOn::Gpu && args.renderer != Renderer::Cpu {
+        Gpu::can_warp(&order_and_stamp)?;
     }
     if matches!(args.method, Method::Texture | Method::Warp1 | Method::Warp2 | Method::Cache) {
         return Err(not_there("this --method", "use auto, geometry, ldi, grid, portals or tree"));
@@ -235,17 +252,30 @@ fn refuse_what_is_not_there(args: &WalkArgs) -> Result<(), Failure> {
     Ok(())
 }
 
+/// The order is one of samples: what reaches over several, as quads do, needs depths.
+fn stamp(args: &WalkArgs) -> Stamp {
+    args.stamp.unwrap_or(if args.order == Order::Epipole { Stamp::TwoByTwo } else { Stamp::Quads })
+}
+
 /// Frames that wait for their own data profit nothing from other data, and wait for it too.
 fn prefetch_m(args: &WalkArgs) -> f64 {
     args.prefetch_m.unwrap_or(if matches!(args.pace, Pace::Wait) { 0.0 } else { 10.0 })
 }
 
+/// A path file, of bounded size.
+fn read_path(file: &Path) -> Result<path::Walk, Failure> {
+    let read = || -> anyhow::Result<path::Walk> {
+        let mut text = String::new();
+        let most = path::MAX_TEXT_BYTES as u64 + 1;
+        std::fs::File::open(file)?.take(most).read_to_string(&mut text)?;
+        Ok(path::parse(&text)?)
+    };
+    read().with_context(|| format!("{}: cannot be walked", file.display())).map_err(Failure::permanent)
+}
+
 fn walk(args: &WalkArgs) -> Result<(), Failure> {
     refuse_what_is_not_there(args)?;
-    let text = std::fs::read_to_string(&args.path)
-        .with_context(|| format!("{}: cannot be read", args.path.display()))
-        .map_err(Failure::permanent)?;
-    let path = path::parse(&text).with_context(|| args.path.display().to_string()).map_err(Failure::permanent)?;
+    let path = read_path(&args.path)?;
     let token = token(args.token_file.as_deref())?;
     for (folder, option) in [(&args.truth, "--truth"), (&args.baseline, "--baseline")] {
         let Some(folder) = folder else { continue };
@@ -275,6 +305,8 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         config.cache_bytes = bytes;
     }
     // Found out before the walk, not after it.
+    let painter = args.renderer.painter(args.warp_on)?;
+    let drawn_by = drawn_by(&painter);
     let report_file = PendingReport::create(&args.report).map_err(Failure::permanent)?;
     let connection = Connection::connect(config)?;
     let has_rooms = Feed::index(&connection).rooms.is_some();
@@ -295,8 +327,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         width: args.size.0,
         height: args.size.1,
         method: args.method,
-        // The order is one of samples: what reaches over several, as quads do, needs depths.
-        stamp: args.stamp.unwrap_or(if args.order == Order::Epipole { Stamp::TwoByTwo } else { Stamp::Quads }),
+        stamp: stamp(args),
         order: args.order,
         cull: args.cull,
         fill: args.fill,
@@ -307,6 +338,8 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         every: args.every as usize,
         cache_bytes: args.cache_bytes,
         debug_views: args.debug_views,
+        shows: Shows::Scene,
+        layout_ms: None,
         baseline_frames: args.baseline_frames as usize,
     };
     let job = WalkJob {
@@ -317,7 +350,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         baseline: args.baseline.as_deref(),
     };
     let mut show = Show::new();
-    let (summary, frames) = run(&connection, &job, &mut |p| show.frame(p))?;
+    let (summary, frames) = run(&connection, &job, painter, &mut |p| show.frame(p))?;
     show.done();
     let index = Feed::index(&connection);
     let scene = &index.scene;
@@ -339,7 +372,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
             },
         },
         machine: MachineReport::here(),
-        options: options_as_json(args, &options),
+        options: options_as_json(args, &options, drawn_by),
         link: connection.stats().link.map(|[up, down]| LinkReport { up, down }),
         disk: args.disk_cache.is_some().then(|| {
             let stats = connection.stats();
@@ -368,14 +401,26 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     Ok(())
 }
 
+/// The card that draws, and what its calibration found; null where there is none.
+fn drawn_by(painter: &Painter) -> serde_json::Value {
+    let Some(gpu) = painter.gpu() else { return serde_json::Value::Null };
+    serde_json::json!({
+        "adapter": gpu.adapter(),
+        "software": gpu.is_software(),
+        "atomics": format!("{:?}", gpu.atomics()).to_lowercase(),
+        "calibration": gpu.calibration(),
+    })
+}
+
 /// The walk's settings and the command's other options, as the report shows them.
-fn options_as_json(args: &WalkArgs, options: &WalkOptions) -> serde_json::Value {
+fn options_as_json(args: &WalkArgs, options: &WalkOptions, drawn_by: serde_json::Value) -> serde_json::Value {
     // Plain data: serialization does not fail.
     let mut json = serde_json::to_value(options).unwrap_or_default();
     if let serde_json::Value::Object(map) = &mut json {
         map.insert("path".into(), args.path.display().to_string().into());
         map.insert("size".into(), format!("{}x{}", args.size.0, args.size.1).into());
-        map.insert("renderer".into(), "cpu".into());
+        map.insert("renderer".into(), if drawn_by.is_null() { "cpu" } else { "gpu" }.into());
+        map.insert("gpu".into(), drawn_by);
         map.insert("truth".into(), args.truth.as_ref().map(|t| t.display().to_string()).into());
         map.insert("baseline".into(), args.baseline.as_ref().map(|t| t.display().to_string()).into());
         map.insert("prefetch_m".into(), prefetch_m(args).into());

@@ -5,6 +5,7 @@ pub mod cache;
 pub mod composite;
 pub mod engine;
 pub mod frame;
+pub mod gpu;
 pub mod metrics;
 pub mod near;
 pub mod report;

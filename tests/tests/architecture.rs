@@ -126,6 +126,7 @@ fn client_stages_import_backward_only() {
             "stream",
             "near",
             "warp",
+            "gpu",
             "tree",
             "composite",
             "metrics",

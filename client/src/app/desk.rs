@@ -6,9 +6,12 @@ use super::{
     motion::{self, Intent, Walker},
     shot::Shots,
 };
-use crate::{engine::Painted, frame::Frame};
+use crate::{
+    engine::{Painted, Painter, Shows},
+    frame::Frame,
+};
 use glam::DVec3;
-use ldi_protocol::{Pose, select::Selection};
+use ldi_protocol::{Pose, path::Walk, select::Selection};
 use std::{
     sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
     thread::JoinHandle,
@@ -30,6 +33,10 @@ pub struct Figures {
     pub dropped_cells: u32,
     /// Samples per pixel along each side.
     pub supersample: u32,
+    /// What it shows.
+    pub shows: Shows,
+    /// Name of the card that drew it; None for the processor.
+    pub card: Option<String>,
 }
 
 /// A finished picture.
@@ -61,6 +68,13 @@ pub(super) struct Desk {
     pub teleport: Option<DVec3>,
     pub window_px: [u32; 2],
     pub shot: bool,
+    pub shows: Shows,
+    pub place: Option<Pose>,
+    /// A walk that is walked again, and since when.
+    pub replay: Option<(Arc<Walk>, Option<Instant>)>,
+    pub frame_ms: f64,
+    /// Resting pictures get four samples per pixel.
+    pub fine: bool,
     pub done: Option<Picture>,
     pub spare: Option<Frame>,
     pub stop: bool,
@@ -99,6 +113,7 @@ impl Drawing {
     /// If the system gives no thread.
     pub fn start(
         config: DrawingConfig,
+        painter: Painter,
         link: Arc<Link>,
         shots: Shots,
         done: impl Fn() + Send + 'static,
@@ -113,13 +128,18 @@ impl Drawing {
             teleport: None,
             window_px: config.window_px,
             shot: false,
+            shows: Shows::default(),
+            place: None,
+            replay: None,
+            frame_ms: config.frame_ms,
+            fine: true,
             done: None,
             spare: None,
             stop: false,
             moved: Instant::now(),
         };
         let desk = Arc::new((Mutex::new(desk), Condvar::new()));
-        let draughtsman = Draughtsman::new(desk.clone(), link, shots, Box::new(done), &config);
+        let draughtsman = Draughtsman::new(desk.clone(), painter, link, shots, Box::new(done), &config);
         let thread = std::thread::Builder::new().name("ldi-draw".into()).spawn(move || draughtsman.run())?;
         Ok(Self { desk, thread: Some(thread) })
     }
@@ -157,6 +177,31 @@ impl Drawing {
     /// To the place of the volume nearest to `p`.
     pub fn teleport(&self, p: DVec3) {
         self.tell(|d| d.teleport = Some(p));
+    }
+
+    /// To the place of the volume nearest to a pose, looking as it does.
+    pub fn place(&self, pose: Pose) {
+        self.tell(|d| d.place = Some(pose));
+    }
+
+    /// What pictures show from now on.
+    pub fn show(&self, shows: Shows) {
+        self.tell(|d| d.shows = shows);
+    }
+
+    /// Walks along a walk from its begin, or ends that. Whatever moves the walker ends it too.
+    pub fn replay(&self, walk: Option<Arc<Walk>>) {
+        self.tell(|d| d.replay = walk.map(|w| (w, None)));
+    }
+
+    /// Whether a walk is walked again.
+    pub fn is_replaying(&self) -> bool {
+        lock(&self.desk.0).replay.is_some()
+    }
+
+    /// Time for a picture while moving, milliseconds, and whether resting pictures get four samples per pixel.
+    pub fn settle(&self, frame_ms: f64, fine: bool) {
+        self.tell(|d| (d.frame_ms, d.fine) = (frame_ms, fine));
     }
 
     /// The window has another size.

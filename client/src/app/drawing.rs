@@ -1,4 +1,4 @@
-//! The drawing thread: pose in, picture out, as often as the display shows one, on the CPU.
+//! The drawing thread: pose in, picture out, as often as the display shows one, on the processor or a graphics card; on the processor, too, once a card has failed.
 //!
 //! The window's thread leaves on the [`desk`](super::desk) what was pressed and turned, and takes finished pictures from it; neither waits for
 //! the other. The walker moves when a frame begins, by the time since the last one, so that a picture shows the latest pose.
@@ -9,21 +9,22 @@
 use super::{
     desk::{Desk, DrawingConfig, Figures, Picture, lock},
     link::{Link, Scene},
-    motion::{self, Ground, Walker},
+    motion::{self, Ground, Intent, Walker},
+    record::pose_at,
     scale::Scale,
     shot::Shots,
     solids::{STRAY_M, Solids},
 };
 use crate::{
     composite::Fill,
-    engine::{Cull, Method, Pace, Painter, WalkOptions, view_of},
+    engine::{Cull, Method, Pace, PaintError, Painter, Shows, WalkOptions, view_of},
     frame::Frame,
     near::MAX_SIDE_PX,
     report::StageMs,
     warp::{Order, Stamp},
 };
 use glam::DVec3;
-use ldi_protocol::{OutputCamera, Pose};
+use ldi_protocol::{OutputCamera, Pose, path::Walk};
 use std::{
     sync::{Arc, Condvar, Mutex, PoisonError},
     time::{Duration, Instant},
@@ -52,6 +53,7 @@ struct Depends {
     pose: Pose,
     size: [u32; 2],
     supersample: u32,
+    shows: Shows,
 }
 
 /// The last picture.
@@ -61,6 +63,8 @@ struct Last {
     missing: Vec<u32>,
     /// Bytes in the cache when it was drawn.
     cache_bytes: u64,
+    /// Whether images wait to be laid out.
+    waiting: bool,
 }
 
 /// A picture to draw.
@@ -103,6 +107,7 @@ struct Gathered {
 impl Draughtsman {
     pub fn new(
         desk: Arc<(Mutex<Desk>, Condvar)>,
+        painter: Painter,
         link: Arc<Link>,
         shots: Shots,
         done: Box<dyn Fn() + Send>,
@@ -115,7 +120,7 @@ impl Draughtsman {
             done,
             interval: config.interval,
             scale: Scale::new(config.frame_ms),
-            painter: Painter::default(),
+            painter,
             scene: None,
             last: None,
             began: None,
@@ -169,7 +174,8 @@ impl Draughtsman {
             });
             desk.walker = Some(Walker::new(begin, volume, flying, index.settings.pitch_deg));
             desk.moved = Instant::now();
-            (self.painter, self.last, self.large_ms, self.solids) = (Painter::default(), None, None, None);
+            self.painter.forget_scene();
+            (self.last, self.large_ms, self.solids) = (None, None, None);
             self.scene = Some(scene.clone());
         }
         Some(scene)
@@ -181,15 +187,23 @@ impl Draughtsman {
         let volume = scene.index.volume.as_ref();
         let turned = std::mem::take(&mut desk.turned);
         let (notches, teleport) = (std::mem::take(&mut desk.notches), desk.teleport.take());
+        let place = desk.place.take();
         let (intent, dt) = (desk.intent, now - std::mem::replace(&mut desk.moved, now));
         let walker = desk.walker.as_mut()?;
         walker.change_speed(notches);
         if let Some(p) = teleport {
             walker.teleport(p, volume);
         }
-        walker.turn(turned.0, turned.1);
-        let solids = self.solids.as_ref().map(|s| &s.solids);
-        walker.advance(Ground { volume, solids, walls: !desk.ghost }, &intent, dt.as_secs_f64());
+        if let Some(pose) = &place {
+            walker.place(pose, volume);
+        }
+        let moved = intent != Intent::default() || turned != (0.0, 0.0) || teleport.is_some() || place.is_some();
+        let followed = desk.replay.take_if(|_| moved).is_none() && follow(&mut desk.replay, walker, now);
+        if !followed {
+            walker.turn(turned.0, turned.1);
+            let solids = self.solids.as_ref().map(|s| &s.solids);
+            walker.advance(Ground { volume, solids, walls: !desk.ghost }, &intent, dt.as_secs_f64());
+        }
         let pose = walker.pose();
         if self.last.as_ref().is_none_or(|l| l.depends.pose != pose) {
             self.still_since = now;
@@ -198,27 +212,35 @@ impl Draughtsman {
         let window = desk.window_px.map(|n| n.clamp(1, MAX_SIDE_PX / 2));
         // Where something is still coming, pictures follow each other and need not be fine.
         let complete = self.last.as_ref().is_some_and(|l| l.missing.is_empty());
-        let fine = complete && self.large_ms.is_some_and(|ms| 4.0 * ms < FINE_MS);
+        self.scale.aim(desk.frame_ms);
+        let fine = desk.fine && complete && self.large_ms.is_some_and(|ms| 4.0 * ms < FINE_MS);
         let (size, supersample) = match rest {
             r if r < REST_LARGE => (self.scale.size(window), 1),
             r if r < REST_FINE || !fine => (window, 1),
             _ => (window, 2),
         };
         let cache_bytes = scene.cache.usage().bytes;
-        let depends = Depends { pose, size, supersample };
+        let depends = Depends { pose, size, supersample, shows: desk.shows };
         let shot = std::mem::take(&mut desk.shot);
         // What a complete picture does not need may come without a new one.
-        let changed = self
-            .last
-            .as_ref()
-            .is_none_or(|l| l.depends != depends || (!l.missing.is_empty() && l.cache_bytes != cache_bytes));
+        let changed = self.last.as_ref().is_none_or(|l| {
+            l.depends != depends || l.waiting || (!l.missing.is_empty() && l.cache_bytes != cache_bytes)
+        });
         (changed || shot).then_some(Job { depends, cache_bytes, moving: rest < REST_LARGE, shot, window_px: window })
     }
 
     fn draw(&mut self, scene: &Scene, job: Job) {
         let mut frame = lock(&self.desk.0).spare.take().unwrap_or_default();
-        let Depends { pose, size, supersample, .. } = job.depends;
-        let Some((camera, figures)) = self.paint(scene, &pose, size, supersample, &mut frame) else { return };
+        let Depends { pose, size, supersample, shows } = job.depends;
+        let mut options = options(supersample, shows);
+        if job.moving {
+            options.layout_ms = Some(self.scale.goal_ms());
+            options.frame_ms = Some(self.scale.goal_ms());
+            if self.scale.is_exhausted() {
+                options.stamp = Stamp::TwoByTwo;
+            }
+        }
+        let Some((camera, figures)) = self.paint(scene, &pose, size, options, &mut frame) else { return };
         let ms = figures.painted.ms.total + figures.painted.ms.prepare;
         if job.moving {
             self.scale.after(ms);
@@ -226,16 +248,16 @@ impl Draughtsman {
             self.large_ms = Some(ms);
         }
         self.gather(scene, pose.position, job.cache_bytes);
-        let missing = figures.painted.missing_chunks.clone();
+        let (missing, waiting) = (figures.painted.missing_chunks.clone(), figures.painted.waiting > 0);
         let picture = Picture { frame, pose, fov_deg: camera.fov_deg, figures, at: Instant::now() };
         if job.shot {
             let mut shot = Frame::default();
-            if let Some((camera, _)) = self.paint(scene, &pose, job.window_px, 2, &mut shot) {
+            if let Some((camera, _)) = self.paint(scene, &pose, job.window_px, self::options(2, shows), &mut shot) {
                 self.shots.save(shot, pose, camera.fov_deg);
             }
         }
         lock(&self.desk.0).done = Some(picture);
-        self.last = Some(Last { depends: job.depends, missing, cache_bytes: job.cache_bytes });
+        self.last = Some(Last { depends: job.depends, missing, cache_bytes: job.cache_bytes, waiting });
         self.ask_if_stuck();
         (self.done)();
     }
@@ -246,17 +268,24 @@ impl Draughtsman {
         scene: &Scene,
         pose: &Pose,
         [width, height]: [u32; 2],
-        supersample: u32,
+        options: WalkOptions,
         out: &mut Frame,
     ) -> Option<(OutputCamera, Figures)> {
         let index = &*scene.index;
         let camera = fit(&index.settings.camera, width, height);
-        let options = options(&camera, supersample);
+        let options = WalkOptions { width, height, ..options };
         let mut ms = StageMs::default();
         let view = view_of(index, pose, &camera, Method::Auto, &mut ms);
         let needed = view.needed(index);
         self.link.look(pose, &needed);
-        let painted = self.painter.paint(index, &*scene.cache, &view, pose, &camera, &options, ms, out);
+        let painted = match self.painter.paint(index, &*scene.cache, &view, pose, &camera, &options, ms, out) {
+            Err(PaintError::Gpu(e)) => {
+                tracing::error!("{e}; going on without it");
+                self.painter = Painter::default();
+                self.painter.paint(index, &*scene.cache, &view, pose, &camera, &options, ms, out)
+            }
+            painted => painted,
+        };
         let painted = painted.map_err(|e| tracing::error!("{e}")).ok()?;
         let stored = |chunk: &u32| index.chunks.get(*chunk as usize).map_or(0, |c| u64::from(c.stored_bytes));
         let figures = Figures {
@@ -264,7 +293,9 @@ impl Draughtsman {
             missing_bytes: painted.missing_chunks.iter().map(stored).sum(),
             needed_bytes: needed.all().map(|c| stored(&c)).sum(),
             dropped_cells: view.dropped,
-            supersample,
+            supersample: options.supersample,
+            shows: options.shows,
+            card: self.painter.gpu().map(|g| g.adapter().to_owned()),
             painted,
         };
         Some((camera, figures))
@@ -303,11 +334,22 @@ fn fit(made_for: &OutputCamera, width: u32, height: u32) -> OutputCamera {
     OutputCamera { width, height, fov_deg: 2.0 * across.atan().to_degrees() }
 }
 
-/// The engine's settings.
-fn options(camera: &OutputCamera, supersample: u32) -> WalkOptions {
+/// Moves the walker along a walk; false where there is none, or it is over.
+fn follow(replay: &mut Option<(Arc<Walk>, Option<Instant>)>, walker: &mut Walker, now: Instant) -> bool {
+    let Some((walk, since)) = replay else { return false };
+    let t_s = (now - *since.get_or_insert(now)).as_secs_f64();
+    match pose_at(walk, t_s) {
+        Some(pose) => walker.follow(pose),
+        None => *replay = None,
+    }
+    replay.is_some()
+}
+
+/// The engine's settings for a resting eye; the size is the camera's.
+fn options(supersample: u32, shows: Shows) -> WalkOptions {
     WalkOptions {
-        width: camera.width,
-        height: camera.height,
+        width: 0,
+        height: 0,
         method: Method::Auto,
         stamp: Stamp::Quads,
         order: Order::Z,
@@ -320,6 +362,8 @@ fn options(camera: &OutputCamera, supersample: u32) -> WalkOptions {
         every: 1,
         cache_bytes: None,
         debug_views: false,
+        shows,
+        layout_ms: None,
         baseline_frames: 0,
     }
 }

@@ -4,6 +4,7 @@ use super::{
     desk::Picture,
     link::{LinkFigures, LinkState},
 };
+use crate::engine::Shows;
 use egui::{Align2, Color32, CornerRadius, FontId, Pos2, Rect, Stroke, pos2, vec2};
 use ldi_protocol::index::Index;
 use std::{
@@ -24,7 +25,7 @@ const GOOD: Color32 = Color32::from_rgb(120, 220, 150);
 const BAD: Color32 = Color32::from_rgb(255, 180, 90);
 
 /// Keys, in a line.
-pub const HELP: &str = "click: look around  |  W A S D, arrows: walk  |  Shift: run  |  wheel: speed  |  M: map  |  G: walls  |  F1: figures  |  F12: picture  |  Esc: let the pointer go  |  Ctrl+Q: leave";
+pub const HELP: &str = "click: look around  |  W A S D, arrows: walk  |  Shift: run  |  wheel: speed  |  M: map  |  G: walls  |  F1: figures  |  F2: views  |  F3: settings  |  R, P: record, replay  |  Ctrl+1, 1: keep a place, go there  |  F12: picture  |  Esc: let the pointer go  |  Ctrl+Q: leave";
 
 /// State of what is written.
 #[derive(Debug)]
@@ -114,11 +115,13 @@ impl Hud {
             0 => "nothing".to_owned(),
             n => format!("{n} chunks, {:.2} MB", f.missing_bytes as f64 * 1e-6),
         };
+        let waiting =
+            if f.painted.waiting > 0 { format!(", {} images to lay out", f.painted.waiting) } else { String::new() };
         let place = f.selection.grid_point.map_or("none".into(), |p| p.to_string());
         let image = f.selection.placement.map_or("none".into(), |p| p.to_string());
         let p = picture.pose.position;
         let dropped = if f.dropped_cells > 0 { format!(", {} cells left out", f.dropped_cells) } else { String::new() };
-        vec![
+        let mut lines = vec![
             format!(
                 "{rate}, {:.1} ms, {} x {}{fine}",
                 ms.total + ms.prepare,
@@ -129,6 +132,7 @@ impl Hud {
                 "ms         select {:.1}  cull {:.1}  near {:.1}  layout {:.1}  warp {:.1}  composite {:.1}",
                 ms.select, ms.cull, ms.near, ms.prepare, ms.warp, ms.composite
             ),
+            format!("drawn by   {}", f.card.as_deref().unwrap_or("the processor")),
             format!("triangles  {} of {}{dropped}", grouped(f.painted.triangles), grouped(index.settings.budget)),
             format!("samples    {} warped", grouped(warp.map_or(0, |w| w.samples_warped))),
             format!(
@@ -143,13 +147,17 @@ impl Hud {
                 line.bytes as f64 * 1e-6,
                 line.rtt_ms
             ),
-            format!("missing    {missing}"),
+            format!("missing    {missing}{waiting}"),
             format!("place      grid point {place}, placement {image}"),
             format!(
                 "eye        {:.2} {:.2} {:.2}, yaw {:.0}, pitch {:.0}, {speed_m_per_s:.1} m/s",
                 p.x, p.y, p.z, picture.pose.yaw_deg, picture.pose.pitch_deg
             ),
-        ]
+        ];
+        if f.shows != Shows::Scene {
+            lines.push(format!("view       {}", f.shows.legend()));
+        }
+        lines
     }
 
     /// Milliseconds of the last pictures.

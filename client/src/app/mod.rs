@@ -6,27 +6,32 @@
 //! ```text
 //!   link     connects, keeps the line, connects again          (client/src/stream does the rest on threads of its own)
 //!     |  index, cache                        ^ where the eye looks
-//!   drawing  moves the walker, draws on the CPU, adapts the size
+//!   drawing  moves the walker, draws, adapts the size           
 //!     |  finished pictures                   ^ keys, mouse, size
 //!   window   events, one texture to the display, interface      (the main thread: systems want it there)
 //! ```
 //!
 //! - `motion`: keys and time to poses within the walk volume; `solids`: what stands in the way; `scale`: milliseconds to sizes. All pure.
-//! - `screen`: wgpu; the only file here that knows it. Nothing of it is loaded before a window is asked for.
-//! - `hud`, `map` with its `plan`, `start`: what is drawn over the picture. `keys`, `shot`, `events`, `pace`: small parts.
+//! - `screen`: wgpu; the only file here that knows it. Nothing of it is loaded before a window is asked for. What draws is the engine's painter, on the processor or a
+//!   graphics card (`client/src/gpu`), whose pictures come back to the processor before they are shown.
+//! - `hud`, `map` with its `plan`, `start`: what is drawn over the picture. `kept`: walks (`record`) and places (`bookmarks`) that are kept; `settings`: what can be chosen. `keys`, `shot`, `events`, `pace`: small parts.
 
+mod bookmarks;
 mod desk;
 mod drawing;
 mod events;
 mod hud;
+mod kept;
 mod keys;
 mod link;
 mod map;
 mod motion;
 mod pace;
 mod plan;
+mod record;
 mod scale;
 mod screen;
+mod settings;
 mod shot;
 mod solids;
 mod start;
@@ -37,7 +42,7 @@ pub use screen::ScreenError;
 pub use window::run;
 
 use crate::stream::{ConnectConfig, ConnectError};
-use ldi_protocol::Pose;
+use ldi_protocol::{Pose, path::Walk};
 use std::path::PathBuf;
 
 /// What to open.
@@ -53,6 +58,10 @@ pub struct AppConfig {
     pub begin: Option<Pose>,
     /// Folder of the screenshots.
     pub shots: PathBuf,
+    /// A walk to walk once the first view is complete, and again with P.
+    pub replay: Option<Walk>,
+    /// File of the places that are kept; None for one named after the scene in the user's configuration folder.
+    pub bookmarks: Option<PathBuf>,
     /// Where to write what happens, a JSON object per line.
     pub events: Option<PathBuf>,
 }

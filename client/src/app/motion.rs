@@ -149,6 +149,19 @@ impl Walker {
         }
     }
 
+    /// Puts the walker at the place of the volume nearest to a pose, looking as it does.
+    pub fn place(&mut self, pose: &Pose, volume: Option<&WalkVolume>) {
+        (self.pose.yaw_deg, self.pose.pitch_deg) = (pose.yaw_deg, pose.pitch_deg);
+        self.turn(0.0, 0.0);
+        self.teleport(pose.position, volume);
+    }
+
+    /// Puts the eye where a walk was, inside the volume or not.
+    pub fn follow(&mut self, pose: Pose) {
+        self.velocity = DVec3::ZERO;
+        self.pose = pose;
+    }
+
     /// Moves on by `dt_s` seconds.
     pub fn advance<'a>(&mut self, ground: impl Into<Ground<'a>>, intent: &Intent, dt_s: f64) {
         let ground = &ground.into();

@@ -21,12 +21,13 @@ pub struct Scale {
     share: f64,
     calm: u32,
     slow: u32,
+    exhausted: bool,
 }
 
 impl Scale {
     /// Frames are to take `goal_ms`. Begins with half of the window's sides.
     pub fn new(goal_ms: f64) -> Self {
-        Self { goal_ms, share: 0.5, calm: 0, slow: 0 }
+        Self { goal_ms, share: 0.5, calm: 0, slow: 0, exhausted: false }
     }
 
     /// A frame at the present size took so long.
@@ -38,6 +39,7 @@ impl Scale {
             // One slow frame, as when an image is laid out, is no reason.
             if self.slow >= 2 {
                 self.slow = 0;
+                self.exhausted |= self.share <= SMALLEST;
                 // At most the pixels cost: the share falls with the root, by a third at once at most.
                 self.share *= ratio.sqrt().recip().max(0.67);
             }
@@ -46,15 +48,33 @@ impl Scale {
             self.calm = if ratio < ROOM { self.calm + 1 } else { 0 };
             if self.calm >= CALM {
                 self.calm = 0;
-                self.share += STEP;
+                // What was given up last comes back first.
+                if !std::mem::take(&mut self.exhausted) {
+                    self.share += STEP;
+                }
             }
         }
         self.share = self.share.clamp(SMALLEST, 1.0);
     }
 
+    /// The time that frames are to take, milliseconds.
+    pub fn goal_ms(&self) -> f64 {
+        self.goal_ms
+    }
+
+    /// Frames are to take another time from now on.
+    pub fn aim(&mut self, goal_ms: f64) {
+        self.goal_ms = goal_ms;
+    }
+
     /// Share of the window's sides.
     pub fn share(&self) -> f64 {
         ((self.share / STEP).round() * STEP).clamp(SMALLEST, 1.0)
+    }
+
+    /// Whether even the smallest pictures take too long: what else can be cheaper should be.
+    pub fn is_exhausted(&self) -> bool {
+        self.exhausted
     }
 
     /// Columns and rows for a window.

@@ -5,14 +5,17 @@ use super::{
     desk::{Drawing, DrawingConfig, Picture},
     events::{Events, fields},
     hud::Hud,
+    kept::{Kept, Said},
     keys::Keys,
     link::Link,
     map::Map,
     pace::Pace,
     screen::{Interface, Screen},
+    settings::Settings,
     shot::{Outcome, Shots},
     start,
 };
+use crate::engine::{Painter, Shows};
 use ldi_protocol::Pose;
 use std::{
     sync::{Arc, mpsc},
@@ -22,7 +25,7 @@ use winit::{
     dpi::PhysicalSize,
     event::{ElementState, KeyEvent},
     event_loop::{ActiveEventLoop, EventLoopProxy},
-    keyboard::{Key, ModifiersState, NamedKey, PhysicalKey},
+    keyboard::{Key, KeyCode, ModifiersState, NamedKey, PhysicalKey},
     window::{CursorGrabMode, Window},
 };
 
@@ -64,6 +67,13 @@ pub(super) struct Visit {
     pub moved_pictures: u32,
     pub pace: Pace,
     pub told: Told,
+    pub settings: Settings,
+    shows: Shows,
+    kept: Kept,
+    /// A walk begins with the first complete picture.
+    walk_at_once: bool,
+    /// A walk is walked by itself.
+    replaying: bool,
     pub repaint_at: Instant,
 }
 
@@ -83,6 +93,7 @@ impl Visit {
     /// If there is no display, no driver or no thread.
     pub fn open(
         config: &AppConfig,
+        painter: Painter,
         event_loop: &ActiveEventLoop,
         link: Arc<Link>,
         news: &EventLoopProxy<News>,
@@ -115,7 +126,7 @@ impl Visit {
             window_px: [size.width, size.height],
             interval: Duration::from_secs_f64(1.0 / hz),
         };
-        let drawing = Drawing::start(drawing, link, shots, tell(News::Picture)).map_err(AppError::Thread)?;
+        let drawing = Drawing::start(drawing, painter, link, shots, tell(News::Picture)).map_err(AppError::Thread)?;
         let ctx = egui::Context::default();
         let egui = egui_winit::State::new(
             ctx,
@@ -142,6 +153,11 @@ impl Visit {
             moved_pictures: 0,
             pace: Pace::default(),
             told: Told::default(),
+            settings: Settings::new(config.frame_ms),
+            shows: Shows::default(),
+            kept: Kept::new(config),
+            walk_at_once: config.replay.is_some(),
+            replaying: false,
             repaint_at: Instant::now(),
         })
     }
@@ -169,7 +185,12 @@ impl Visit {
         }
         if complete && !std::mem::replace(&mut self.told.complete, true) {
             events.tell("first_complete_picture", about());
+            if std::mem::take(&mut self.walk_at_once) {
+                self.drawing.replay(self.kept.walk());
+                self.started = true;
+            }
         }
+        self.kept.pose(picture.pose, picture.at);
         let told = self.told.pose;
         if told.is_none_or(|(pose, _)| pose != picture.pose) {
             self.moved_pictures += 1;
@@ -233,16 +254,17 @@ impl Visit {
 
     /// The mouse was pressed: on the map that is the map's, elsewhere it captures the pointer.
     pub fn click(&mut self, events: &mut Events) {
-        if !self.map.open {
+        let on_panel = self.egui.egui_ctx().is_pointer_over_egui();
+        if !self.map.open && !on_panel {
             self.started = true;
             self.capture(true, events);
         }
     }
 
     /// A key. Whether it asks to leave.
-    pub fn key(&mut self, event: &KeyEvent, events: &mut Events) -> bool {
+    pub fn key(&mut self, event: &KeyEvent, link: &Link, events: &mut Events) -> bool {
         let pressed = event.state == ElementState::Pressed;
-        if pressed && !event.repeat && self.command(event, events) {
+        if pressed && !event.repeat && self.command(event, link, events) {
             return true;
         }
         if let PhysicalKey::Code(code) = event.physical_key {
@@ -256,13 +278,38 @@ impl Visit {
     }
 
     /// A key that does something once.
-    fn command(&mut self, event: &KeyEvent, events: &mut Events) -> bool {
+    fn command(&mut self, event: &KeyEvent, link: &Link, events: &mut Events) -> bool {
         let letter = |wanted: &str| matches!(&event.logical_key, Key::Character(c) if c.eq_ignore_ascii_case(wanted));
         let control = self.modifiers.control_key() || self.modifiers.super_key();
+        if let Some(digit) = digit(event) {
+            self.bookmark(digit, control, link, events);
+        }
         if control {
             return letter("q") || letter("w");
         }
         match &event.logical_key {
+            Key::Named(NamedKey::F2) => {
+                self.shows = self.shows.next(self.modifiers.shift_key());
+                self.drawing.show(self.shows);
+                self.hud.say(self.shows.legend().into(), true);
+                events.tell("view", fields! { "shows": self.shows });
+            }
+            Key::Named(NamedKey::F3) => {
+                self.settings.open = !self.settings.open;
+                if self.settings.open {
+                    self.capture(false, events);
+                }
+                events.tell("settings", fields! { "open": self.settings.open });
+            }
+            _ if letter("r") => {
+                let said = self.kept.record(self.drawing.speed_m_per_s());
+                self.said(said, events);
+            }
+            _ if letter("p") => match self.kept.walk() {
+                _ if self.replaying => self.drawing.replay(None),
+                Some(walk) => self.drawing.replay(Some(walk)),
+                None => self.hud.say("nothing to walk again yet: R records a walk".into(), false),
+            },
             Key::Named(NamedKey::Escape) if self.map.open => self.toggle_map(events),
             Key::Named(NamedKey::Escape) => self.capture(false, events),
             Key::Named(NamedKey::F1) => {
@@ -285,6 +332,30 @@ impl Visit {
         false
     }
 
+    /// Says it, and tells it.
+    fn said(&mut self, said: Said, events: &mut Events) {
+        self.hud.say(said.text, said.good);
+        if let Some((event, more)) = said.event {
+            events.tell(event, more);
+        }
+    }
+
+    /// Keeps the present place under a digit, or goes to the one that is kept there.
+    fn bookmark(&mut self, digit: u8, keep: bool, link: &Link, events: &mut Events) {
+        let (Some(scene), Some(picture)) = (link.scene(), &self.picture) else { return };
+        let (there, said) = self.kept.bookmark(digit, keep.then_some(picture.pose), &scene.index.scene.name);
+        if let Some(pose) = there {
+            self.drawing.place(pose);
+        }
+        self.said(said, events);
+    }
+
+    /// Turns the head by what the mouse moved.
+    pub fn look(&self, delta: (f64, f64), deg_per_count: f64) {
+        let (yaw_deg, pitch_deg) = self.settings.turn_deg(delta, deg_per_count);
+        self.drawing.turn(yaw_deg, pitch_deg);
+    }
+
     fn toggle_map(&mut self, events: &mut Events) {
         self.started = true;
         self.map.toggle();
@@ -298,8 +369,21 @@ impl Visit {
         }
     }
 
+    /// Says when a walk begins to be walked again, and when it is over: there may be no picture then.
+    fn tell_replay(&mut self, events: &mut Events) {
+        let replaying = self.drawing.is_replaying();
+        if std::mem::replace(&mut self.replaying, replaying) != replaying {
+            self.hud.say(
+                if replaying { "walking by itself: P or any step ends it" } else { "the walk is over" }.into(),
+                true,
+            );
+            events.tell("replay", fields! { "running": replaying });
+        }
+    }
+
     /// Draws the window.
     pub fn redraw(&mut self, server: &str, link: &Link, events: &mut Events) {
+        self.tell_replay(events);
         let input = self.egui.take_egui_input(&self.window);
         let ctx = self.egui.egui_ctx().clone();
         let (scene, state, figures) = (link.scene(), link.state(), link.figures());
@@ -321,6 +405,9 @@ impl Visit {
                 self.hud.figures = false;
             }
             self.hud.show(ctx, shown, &figures, &state, speed);
+            if self.settings.open && self.settings.show(ctx) {
+                self.drawing.settle(self.settings.frame_ms, self.settings.fine);
+            }
             self.hud.figures |= hud_below_map;
         });
         self.egui.handle_platform_output(&self.window, output.platform_output);
@@ -346,6 +433,23 @@ impl Visit {
             self.toggle_map(events);
         }
     }
+}
+
+/// The digit of a key, by its place on the keyboard: with Shift and on other layouts it is another sign.
+fn digit(event: &KeyEvent) -> Option<u8> {
+    const DIGITS: [KeyCode; 9] = [
+        KeyCode::Digit1,
+        KeyCode::Digit2,
+        KeyCode::Digit3,
+        KeyCode::Digit4,
+        KeyCode::Digit5,
+        KeyCode::Digit6,
+        KeyCode::Digit7,
+        KeyCode::Digit8,
+        KeyCode::Digit9,
+    ];
+    let PhysicalKey::Code(code) = event.physical_key else { return None };
+    (1u8..).zip(DIGITS).find(|(_, c)| *c == code).map(|(digit, _)| digit)
 }
 
 fn pose_fields(pose: &Pose) -> serde_json::Map<String, serde_json::Value> {

@@ -6,6 +6,7 @@ use super::{
     link::{Link, LinkState},
     visit::{News, REFRESH, Visit},
 };
+use crate::engine::Painter;
 use std::{sync::Arc, time::Instant};
 use winit::{
     application::ApplicationHandler,
@@ -19,11 +20,11 @@ const DEG_PER_COUNT: f64 = 0.1;
 /// Pixels of a touch pad that count as a notch of the wheel.
 const PX_PER_NOTCH: f64 = 50.0;
 
-/// Opens the window and returns when it is closed.
+/// Opens the window and returns when it is closed; `painter` draws its pictures.
 ///
 /// # Errors
 /// See [`AppError`]. A refusal by the server is shown in the window, and returned once it is closed.
-pub fn run(config: AppConfig) -> Result<(), AppError> {
+pub fn run(config: AppConfig, painter: Painter) -> Result<(), AppError> {
     let events = Events::open(config.events.as_deref())
         .map_err(|source| AppError::Events { path: config.events.clone().unwrap_or_default(), source })?;
     let event_loop = EventLoop::<News>::with_user_event().build().map_err(|e| AppError::no_display(&e))?;
@@ -36,7 +37,16 @@ pub fn run(config: AppConfig) -> Result<(), AppError> {
         };
         Arc::new(Link::start(config.connect.clone(), changed).map_err(AppError::Thread)?)
     };
-    let mut app = App { config, news, link, events, open: None, failed: None, told: LinkState::Connecting(1) };
+    let mut app = App {
+        config,
+        painter: Some(painter),
+        news,
+        link,
+        events,
+        open: None,
+        failed: None,
+        told: LinkState::Connecting(1),
+    };
     event_loop.run_app(&mut app).map_err(|e| AppError::no_display(&e))?;
     // Drawing ends before what it draws with.
     let pace = app.open.take().map(|visit| visit.pace.summary()).unwrap_or_default();
@@ -50,6 +60,8 @@ pub fn run(config: AppConfig) -> Result<(), AppError> {
 
 struct App {
     config: AppConfig,
+    /// Until the window is there.
+    painter: Option<Painter>,
     news: EventLoopProxy<News>,
     link: Arc<Link>,
     events: Events,
@@ -64,12 +76,15 @@ impl ApplicationHandler<News> for App {
         if self.open.is_some() {
             return;
         }
-        match Visit::open(&self.config, event_loop, self.link.clone(), &self.news) {
+        let painter = self.painter.take().unwrap_or_default();
+        let drawn_by = painter.gpu().map_or_else(|| "the processor".to_owned(), |g| g.adapter().to_owned());
+        match Visit::open(&self.config, painter, event_loop, self.link.clone(), &self.news) {
             Ok(open) => {
                 let size = open.window.inner_size();
                 let adapter = open.screen.adapter().to_owned();
-                tracing::info!("drawing on the processor, showing by {adapter}");
-                let seen = fields! { "width": size.width, "height": size.height, "adapter": adapter };
+                tracing::info!("drawing on {drawn_by}, showing by {adapter}");
+                let seen =
+                    fields! { "width": size.width, "height": size.height, "adapter": adapter, "drawn_by": drawn_by };
                 self.events.tell("window", seen);
                 self.open = Some(open);
             }
@@ -112,7 +127,7 @@ impl ApplicationHandler<News> for App {
             }
             WindowEvent::ModifiersChanged(m) => open.modifiers = m.state(),
             WindowEvent::KeyboardInput { event, .. } => {
-                let leave = open.key(&event, &mut self.events);
+                let leave = open.key(&event, &self.link, &mut self.events);
                 if leave {
                     event_loop.exit();
                 }
@@ -133,7 +148,7 @@ impl ApplicationHandler<News> for App {
         if let (Some(open), DeviceEvent::MouseMotion { delta: (dx, dy) }) = (&self.open, event)
             && open.captured
         {
-            open.drawing.turn(-dx * DEG_PER_COUNT, -dy * DEG_PER_COUNT);
+            open.look((dx, dy), DEG_PER_COUNT);
         }
     }
 

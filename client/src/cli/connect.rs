@@ -1,10 +1,12 @@
 //! `connect`: arguments to a window, and whom to trust.
 
-use super::{Failure, Renderer, disk, not_there, parse_size, token};
+use super::{Failure, disk, parse_size, read_path, token};
 use clap::Args;
 use glam::DVec3;
 use ldi_client::{
     app::{self, AppConfig, AppError},
+    engine::Renderer,
+    gpu::WarpOn,
     stream::{
         Acquaintance, ConnectConfig, ConnectError, Connection, DEFAULT_DISK_BYTES, DiskCache, Fingerprint, KnownHosts,
         KnownHostsError,
@@ -36,8 +38,11 @@ pub struct ConnectArgs {
     #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "1280x720")]
     size: (u32, u32),
     /// What draws.
-    #[arg(long, value_enum, default_value = "cpu")]
+    #[arg(long, value_enum, default_value = "auto")]
     renderer: Renderer,
+    /// With a graphics card: what warps images.
+    #[arg(long, value_enum, default_value = "auto")]
+    warp_on: WarpOn,
     /// Time for a picture while moving, milliseconds: pictures get smaller inside until they keep it.
     #[arg(long, value_name = "MS", default_value_t = 20.0)]
     frame_ms: f64,
@@ -59,6 +64,12 @@ pub struct ConnectArgs {
     /// How far around the eye data is sent ahead of need, metres.
     #[arg(long, value_name = "M", default_value_t = 10.0)]
     prefetch_m: f64,
+    /// Path file to walk along once the first view is complete; P walks it again.
+    #[arg(long, value_name = "PATH.json")]
+    replay: Option<PathBuf>,
+    /// File of the places kept with Ctrl and a digit [default: one named after the scene in the user's configuration folder].
+    #[arg(long, value_name = "FILE")]
+    bookmarks: Option<PathBuf>,
     /// Write what happens in the window, a JSON object per line: for tests.
     #[arg(long, value_name = "FILE", hide = true)]
     events: Option<PathBuf>,
@@ -79,15 +90,13 @@ impl From<KnownHostsError> for Failure {
 
 /// Opens the window and returns when it is closed.
 pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
-    if args.renderer == Renderer::Gpu {
-        return Err(not_there("--renderer gpu", "use --renderer cpu"));
-    }
     if !(args.frame_ms.is_finite() && args.frame_ms > 0.0) {
         return Err(Failure::usage("--frame-ms is a positive number of milliseconds"));
     }
     if !(args.prefetch_m.is_finite() && args.prefetch_m >= 0.0) {
         return Err(Failure::usage("--prefetch-m is a number of metres, 0 or more"));
     }
+    let replay = args.replay.as_deref().map(read_path).transpose()?;
     let (width, height) = args.size;
     let mut config = ConnectConfig::new(&args.server, Picture { width, height, fov_deg: None });
     config.token = token(args.token_file.as_deref())?;
@@ -110,14 +119,18 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
             (None, None) => None,
         };
     }
-    app::run(AppConfig {
+    let painter = args.renderer.painter(args.warp_on)?;
+    let app = AppConfig {
         connect: config,
         size: args.size,
         frame_ms: args.frame_ms,
         begin: args.start,
         shots: args.shots.clone(),
+        replay,
+        bookmarks: args.bookmarks.clone(),
         events: args.events.clone(),
-    })?;
+    };
+    app::run(app, painter)?;
     Ok(())
 }
 

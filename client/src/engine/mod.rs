@@ -5,24 +5,29 @@
 //! angular range, draw what is not culled, warp the image of what is, compose by depth.
 //!
 //! - [`painter`](Painter): one frame from resident data; never waits.
+//! - `hand`: who draws, the processor or a graphics card.
 //! - `walk`: paces frames, asks the feed for what they need, keeps every Nth.
 //! - `baseline`: the same poses with all geometry, for the speedup.
-//! - `judge`: kept frames against the truth. `save`: pictures on disk.
+//! - `judge`: kept frames against the truth. `save`: pictures on disk. `views`: the same frame in other colours.
 
 mod baseline;
 mod feed;
+mod hand;
 mod judge;
 mod options;
 mod painter;
 mod save;
 #[cfg(test)]
 mod tests;
+mod views;
 mod walk;
 
 pub use feed::{Feed, Traffic};
+pub use hand::{PaintError, Renderer};
 pub use judge::{JudgeError, Truth, Verdict, pictures_of};
 pub use options::{Cull, Method, Pace, WalkOptions};
 pub use painter::{Painted, Painter, View, view_of};
 pub(crate) use save::save_rgb;
 pub use save::{SaveError, save_debug_views, save_frame};
+pub use views::Shows;
 pub use walk::{Progress, WalkError, WalkJob, run};

@@ -1,5 +1,6 @@
 //! What a walk is asked to do.
 
+use super::views::Shows;
 use crate::{
     composite::Fill,
     warp::{Order, Stamp},
@@ -87,6 +88,10 @@ pub struct WalkOptions {
     pub cache_bytes: Option<u64>,
     /// Write pictures of the parts of each frame.
     pub debug_views: bool,
+    /// What pictures show.
+    pub shows: Shows,
+    /// Milliseconds after which a frame lays out no more images that have come: they wait for the next one. None for all at once.
+    pub layout_ms: Option<f64>,
     /// Frames of the all-geometry comparison; 0 skips it.
     pub baseline_frames: usize,
 }

@@ -3,18 +3,22 @@
 //! In: a pose and whatever data is resident. Out: the picture, what was drawn and what was missing, milliseconds per
 //! stage. Nothing here waits: absent data is left out and named.
 
-use super::options::{Cull, Method, WalkOptions};
+use super::{
+    hand::{Hand, PaintError},
+    options::{Cull, Method, WalkOptions},
+    views::Shows,
+};
 use crate::{
     composite::{
         CompositeOptions, Doubt, Far, FarImage, FarPortal, Fill, Under, downsample, finish, lay_under, merge,
         wanted_under,
     },
     frame::{Frame, Source, supersampled},
-    near::Rasterizer,
+    gpu::{Gpu, GpuImage},
     report::StageMs,
     resident::Resident,
     tree::{StillPainter, TreeStats},
-    warp::{FarFrame, PreparedLdi, WarpError, WarpOptions, WarpStats, warp_images},
+    warp::{FarFrame, PreparedLdi, WarpOptions, WarpStats},
 };
 use ldi_protocol::{
     OutputCamera, Pose,
@@ -65,6 +69,8 @@ pub struct Painted {
     pub tree: Option<TreeStats>,
     /// Chunks that the view needs and that were not resident, finer levels and deeper layers included; ascending.
     pub missing_chunks: Vec<u32>,
+    /// Images that are resident and wait for a frame with time to lay them out.
+    pub waiting: usize,
     /// Time by stage. `total` is without `prepare`.
     pub ms: StageMs,
 }
@@ -72,10 +78,8 @@ pub struct Painted {
 /// Draws frames; keeps memory between them.
 #[derive(Debug, Default)]
 pub struct Painter {
-    rasterizer: Rasterizer,
+    hand: Hand,
     far: FarFrame,
-    /// One image of several, where its order counts and must not mix with the others'.
-    single: FarFrame,
     full: Frame,
     tree: StillPainter,
     /// Samples of the tree per millisecond, as measured; 0 before the first.
@@ -83,7 +87,21 @@ pub struct Painter {
     /// Colours of the frame before, where holes are to show it.
     last: Vec<u32>,
     /// Most recent last.
-    prepared: Vec<(u32, Arc<Ldi>, PreparedLdi)>,
+    prepared: Vec<Prepared>,
+}
+
+/// An image, laid out.
+#[derive(Debug)]
+struct Prepared {
+    number: u32,
+    ldi: Arc<Ldi>,
+    laid_out: PreparedLdi,
+    since: Instant,
+}
+
+/// An image by its number.
+fn find(prepared: &[Prepared], number: u32) -> Option<&Prepared> {
+    prepared.iter().find(|p| p.number == number)
 }
 
 fn ms_since(start: Instant) -> f64 {
@@ -202,11 +220,28 @@ impl View {
 }
 
 impl Painter {
+    /// One that draws on a graphics card.
+    pub fn on(gpu: Gpu) -> Self {
+        Self { hand: Hand::on(gpu), ..Self::default() }
+    }
+
+    /// The card that it draws on, if any.
+    pub fn gpu(&self) -> Option<&Gpu> {
+        self.hand.gpu()
+    }
+
+    /// Forgets the scene, for another one.
+    pub fn forget_scene(&mut self) {
+        let mut hand = std::mem::take(&mut self.hand);
+        hand.forget();
+        *self = Self { hand, ..Self::default() };
+    }
+
     /// Draws a view into `out`, at the camera's size. `holds` tells whether a chunk is resident, decoded.
     ///
     /// # Errors
     ///
-    /// When the options ask for an order that cannot draw the stamp.
+    /// When the options ask for an order that cannot draw the stamp, or the graphics card fails.
     #[expect(clippy::too_many_arguments, reason = "each is another thing that a frame depends on")]
     pub fn paint(
         &mut self,
@@ -218,7 +253,7 @@ impl Painter {
         options: &WalkOptions,
         ms: StageMs,
         out: &mut Frame,
-    ) -> Result<Painted, WarpError> {
+    ) -> Result<Painted, PaintError> {
         let full_camera = supersampled(camera, options.supersample);
         let mut painted = Painted { ms, ..Painted::default() };
 
@@ -228,7 +263,7 @@ impl Painter {
         }
         let start = Instant::now();
         let (cells, bare) = drawable(index, resident, &view.cells);
-        let near = self.rasterizer.draw(index, resident, &cells, &full_camera, pose, &mut self.full);
+        let near = self.hand.draw_near(index, resident, &cells, &full_camera, pose, &mut self.full)?;
         painted.ms.near = ms_since(start);
         painted.triangles = near.triangles;
         let near_gaps = !near.missing_chunks.is_empty() || !bare.is_empty();
@@ -247,7 +282,7 @@ impl Painter {
             near.coarse_textures.iter().filter_map(|t| Some(index.textures.get(*t as usize)?.chunks.last()?.chunk)),
         );
 
-        let images: Vec<(u32, &ImageEntry, Option<Arc<Ldi>>)> =
+        let mut images: Vec<(u32, &ImageEntry, Option<Arc<Ldi>>)> =
             view.images.iter().filter_map(|i| Some((*i, index.images.get(*i as usize)?, resident.ldi(*i)))).collect();
         for (_, entry, ldi) in &images {
             match ldi {
@@ -262,37 +297,47 @@ impl Painter {
         painted.missing_chunks.sort_unstable();
         painted.missing_chunks.dedup();
 
-        let gaps = near_gaps || images.iter().any(|(.., l)| l.is_none());
-        self.far.reset(full_camera.width, full_camera.height);
+        self.forget(&images);
         let warp_options = WarpOptions {
             stamp: options.stamp,
             order: options.order,
             keep_all_tiles: options.cull == Cull::Off,
             ..WarpOptions::default()
         };
-        self.forget(&images);
-        let here: Vec<(u32, &Arc<Ldi>)> = images.iter().filter_map(|(n, _, l)| Some((*n, l.as_ref()?))).collect();
-        for (number, ldi) in &here {
+        for (number, _, held) in &mut images {
+            let Some(ldi) = held else { continue };
             let start = Instant::now();
+            if options.layout_ms.is_some_and(|most| painted.ms.prepare > most) && !self.is_prepared(*number, ldi) {
+                (*held, painted.waiting) = (None, painted.waiting + 1);
+                continue;
+            }
             let new = self.prepare(*number, ldi);
+            if let Some(p) = find(&self.prepared, *number) {
+                let image = GpuImage { number: *number, ldi: &p.ldi, laid_out: &p.laid_out, within: None };
+                self.hand.hold(&image, &warp_options)?;
+            }
             painted.ms.prepare += if new { ms_since(start) } else { 0.0 };
         }
+        let gaps = near_gaps || images.iter().any(|(.., l)| l.is_none());
+        self.far.reset(full_camera.width, full_camera.height);
+        let tinted = self.tinted(&images, pose, &full_camera, options.shows);
+        let prepared = if tinted.is_empty() { &self.prepared } else { &tinted };
+        let here: Vec<&Prepared> =
+            images.iter().filter(|i| i.2.is_some()).filter_map(|i| find(prepared, i.0)).collect();
         if !here.is_empty() {
             let start = Instant::now();
-            let laid_out = |number: &u32| self.prepared.iter().find(|(n, ..)| n == number).map(|p| &p.2);
-            let prepared: Vec<&PreparedLdi> = here.iter().filter_map(|(n, _)| laid_out(n)).collect();
-            let (far, spare) = (&mut self.far, &mut self.single);
-            let mut stats = WarpStats::default();
+            let mut shown: Vec<GpuImage<'_>> = Vec::with_capacity(here.len());
+            let mut show = |wanted: &dyn Fn(u32) -> bool, within| {
+                let wanted = here.iter().filter(|p| wanted(p.number));
+                shown.extend(wanted.map(|p| GpuImage { number: p.number, ldi: &p.ldi, laid_out: &p.laid_out, within }));
+            };
             if view.portals.is_empty() {
-                stats = warp_images(&prepared, pose, &full_camera, &warp_options, far, spare)?;
+                show(&|_| true, None);
             }
             for portal in &view.portals {
-                let held = here.iter().filter(|(n, _)| portal.images.contains(n)).filter_map(|(n, _)| laid_out(n));
-                let prepared: Vec<&PreparedLdi> = held.collect();
-                let within = Some(rectangle(&portal.cones, pose, &full_camera));
-                let options = WarpOptions { within, ..warp_options };
-                stats.add(&warp_images(&prepared, pose, &full_camera, &options, far, spare)?);
+                show(&|n| portal.images.contains(&n), Some(rectangle(&portal.cones, pose, &full_camera)));
             }
+            let stats = self.hand.warp(&shown, pose, &full_camera, &warp_options, &mut self.far)?;
             painted.warp = Some(stats);
             painted.ms.warp = ms_since(start);
         }
@@ -347,6 +392,7 @@ impl Painter {
             // Nothing better is known than that nothing was found there.
             self.full.paint_rest_as_sky();
         }
+        options.shows.recolour(&mut self.full);
         if options.supersample > 1 {
             downsample(&self.full, options.supersample, out);
         } else {
@@ -411,25 +457,47 @@ impl Painter {
     /// Makes room for the images of a frame.
     fn forget(&mut self, images: &[(u32, &ImageEntry, Option<Arc<Ldi>>)]) {
         let in_use = |number: u32| images.iter().any(|(n, ..)| *n == number);
-        let mut spare = self.prepared.iter().filter(|(n, ..)| !in_use(*n)).count();
-        self.prepared.retain(|(n, ..)| {
-            let keep = in_use(*n) || spare <= PREPARED_KEPT;
+        let mut spare = self.prepared.iter().filter(|p| !in_use(p.number)).count();
+        self.prepared.retain(|p| {
+            let keep = in_use(p.number) || spare <= PREPARED_KEPT;
             spare -= usize::from(!keep);
             keep
         });
     }
 
+    /// Whether an image is laid out, with these layers.
+    fn is_prepared(&self, number: u32, ldi: &Arc<Ldi>) -> bool {
+        find(&self.prepared, number).is_some_and(|p| Arc::ptr_eq(&p.ldi, ldi))
+    }
+
     /// Lays out an image unless it is laid out already, with the same layers. Returns whether it was new.
     fn prepare(&mut self, number: u32, ldi: &Arc<Ldi>) -> bool {
-        let found = self.prepared.iter().position(|(n, held, _)| *n == number && Arc::ptr_eq(held, ldi));
-        let entry = match found {
-            Some(at) => self.prepared.remove(at),
-            None => {
-                self.prepared.retain(|(n, ..)| *n != number);
-                (number, ldi.clone(), PreparedLdi::new(ldi))
-            }
-        };
+        let held = self.is_prepared(number, ldi);
+        let at = self.prepared.iter().position(|p| p.number == number);
+        let before = at.map(|at| self.prepared.remove(at));
+        let entry = before.filter(|_| held).unwrap_or_else(|| Prepared {
+            number,
+            ldi: ldi.clone(),
+            laid_out: PreparedLdi::new(ldi),
+            since: Instant::now(),
+        });
         self.prepared.push(entry);
-        found.is_none()
+        !held
+    }
+
+    /// The images in the colours of a view; none where it shows them as they are.
+    fn tinted(
+        &self,
+        images: &[(u32, &ImageEntry, Option<Arc<Ldi>>)],
+        pose: &Pose,
+        camera: &OutputCamera,
+        shows: Shows,
+    ) -> Vec<Prepared> {
+        let shown = images.iter().filter(|i| i.2.is_some()).filter_map(|i| find(&self.prepared, i.0));
+        let tint = |p: &Prepared| {
+            let ldi = shows.tint(&p.ldi, pose, camera, p.since.elapsed().as_secs_f64())?;
+            Some(Prepared { number: p.number, laid_out: PreparedLdi::new(&ldi), ldi, since: p.since })
+        };
+        shown.filter_map(tint).collect()
     }
 }

@@ -1,6 +1,7 @@
 //! Pictures on disk: frames, and what they are made of.
 
-use crate::frame::{Frame, Source, unpack_rgb};
+use super::views::Shows;
+use crate::frame::Frame;
 use image::{
     ExtendedColorType, ImageEncoder,
     codecs::png::{CompressionType, FilterType, PngEncoder},
@@ -18,13 +19,6 @@ pub struct SaveError {
     path: PathBuf,
     source: image::ImageError,
 }
-
-/// Shown where a part of the frame has nothing.
-const NOTHING: [u8; 3] = [24, 24, 28];
-
-/// False colours of `source` views: sky, near, far, filled, unpainted. Chosen to stay apart for colour-blind eyes (Okabe and Ito).
-const SOURCE_COLOURS: [[u8; 3]; 6] =
-    [[198, 214, 235], [230, 159, 0], [0, 114, 178], [0, 158, 115], [204, 121, 167], [213, 94, 0]];
 
 /// Writes RGB bytes as PNG.
 pub(crate) fn save_rgb(path: &Path, width: u32, height: u32, rgb: &[u8]) -> Result<(), SaveError> {
@@ -44,28 +38,18 @@ pub fn save_frame(folder: &Path, index: usize, frame: &Frame) -> Result<(), Save
 /// Writes `frame_NNNNN.near.png` (what was drawn as geometry), `.far.png` (what came from images) and `.source.png` (which is
 /// which: orange geometry, blue images, green the LDI tree, pink filled, red unpainted, sky as sky).
 pub fn save_debug_views(folder: &Path, index: usize, frame: &Frame) -> Result<(), SaveError> {
-    let only = |wanted: Source| -> Vec<u8> {
-        let pixels = frame.source.iter().zip(&frame.colour);
-        pixels.flat_map(|(s, c)| if *s == wanted { unpack_rgb(*c) } else { NOTHING }).collect()
-    };
-    let sources: Vec<u8> = frame.source.iter().zip(&frame.colour).flat_map(|(s, c)| tinted(*s, *c)).collect();
-    for (name, rgb) in [("near", only(Source::Near)), ("far", only(Source::Far)), ("source", sources)] {
-        save_rgb(&folder.join(format!("frame_{index:05}.{name}.png")), frame.width, frame.height, &rgb)?;
+    for (name, shows) in [("near", Shows::Near), ("far", Shows::Far), ("source", Shows::Sources)] {
+        let mut view = frame.clone();
+        shows.recolour(&mut view);
+        save_rgb(&folder.join(format!("frame_{index:05}.{name}.png")), view.width, view.height, &view.to_rgb8())?;
     }
     Ok(())
-}
-
-/// The colour of a source, a third of the way lightened or darkened by the picture, so that shapes stay visible.
-fn tinted(source: Source, colour: u32) -> [u8; 3] {
-    let [r, g, b] = unpack_rgb(colour).map(u32::from);
-    let grey = (r * 299 + g * 587 + b * 114) / 1000;
-    SOURCE_COLOURS[source as usize].map(|c| ((u32::from(c) * 2 + grey) / 3) as u8)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::pack_rgb;
+    use crate::frame::{Source, pack_rgb};
 
     #[test]
     fn pictures_come_back_and_views_show_their_part() {

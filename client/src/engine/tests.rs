@@ -192,6 +192,8 @@ fn options(pace: Pace) -> WalkOptions {
         every: 2,
         cache_bytes: None,
         debug_views: true,
+        shows: Shows::Scene,
+        layout_ms: None,
         baseline_frames: 2,
     }
 }
@@ -249,6 +251,42 @@ fn near_and_far_come_together() {
 }
 
 #[test]
+fn images_wait_for_a_frame_with_time_to_lay_them_out() {
+    let feed = scene();
+    let ahead = Pose { position: DVec3::new(0.05, 0.0, 0.0), yaw_deg: 0.0, pitch_deg: 0.0 };
+    let view = view_of(&feed.index, &ahead, &CAMERA, Method::Auto, &mut StageMs::default());
+    feed.wait_for(&view.needed(&feed.index).all().collect::<Vec<_>>(), Duration::ZERO).expect("memory does not fail");
+    let (mut painter, mut frame) = (Painter::default(), Frame::default());
+    let mut waiting = |layout_ms: Option<f64>| {
+        let options = WalkOptions { layout_ms, ..options(Pace::Wait) };
+        let ms = StageMs::default();
+        let painted =
+            painter.paint(&feed.index, &feed, &view, &ahead, &CAMERA, &options, ms, &mut frame).expect("quads by z");
+        assert!(painted.missing_chunks.is_empty());
+        (painted.waiting, frame.count(Source::Far) > 100)
+    };
+    // No time at all; time enough; and no time is needed for what is laid out.
+    assert_eq!([Some(-1.0), Some(0.0), Some(-1.0)].map(&mut waiting), [(1, false), (0, true), (0, true)]);
+}
+
+#[test]
+fn views_show_images_in_other_colours() {
+    let feed = scene();
+    let ahead = Pose { position: DVec3::new(0.05, 0.0, 0.0), yaw_deg: 0.0, pitch_deg: 0.0 };
+    let shown = |shows: Shows| {
+        let (frame, ..) = paint(&feed, &ahead, &WalkOptions { shows, ..options(Pace::Wait) });
+        // A pixel of geometry, one of the image's first layer.
+        [colour_at(&frame, 31, 24), colour_at(&frame, 18, 24)]
+    };
+    assert_eq!(shown(Shows::Scene), [[255, 0, 0], [0, 0, 255]]);
+    assert_eq!(shown(Shows::Layers), [[85, 0, 0], crate::warp::debug::LAYER_COLOURS[0]]);
+    let [_, footprint] = shown(Shows::Footprints);
+    assert!(footprint[2] > footprint[0], "below a pixel: {footprint:?}");
+    assert!(shown(Shows::Age)[1].iter().all(|c| *c > 240), "just laid out");
+    assert_eq!(shown(Shows::Ends)[1], [40; 3], "amid a surface");
+}
+
+#[test]
 fn what_is_absent_is_named_and_not_called_sky() {
     let mut feed = scene();
     feed.lost = BTreeSet::from([2]);
@@ -273,7 +311,7 @@ fn a_walk_writes_numbered_frames_and_counts() {
         // First walk: no truth. Its frames are the truth of the second.
         let job = WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None };
         let mut lines = Vec::new();
-        let (summary, frames) = run(&feed, &job, &mut |p| lines.push(p.done)).expect("a walk");
+        let (summary, frames) = run(&feed, &job, Painter::default(), &mut |p| lines.push(p.done)).expect("a walk");
         assert_eq!(frames.iter().map(|f| f.index).collect::<Vec<_>>(), vec![0, 2, 4]);
         assert_eq!(lines.len(), if pace == Pace::Wait { 3 } else { 5 });
         for name in [
@@ -296,7 +334,7 @@ fn a_walk_writes_numbered_frames_and_counts() {
         let truth = folder.with_extension("truth");
         let job =
             WalkJob { path: &path, options: &options, folder: &truth, truth: Some(&folder), baseline: Some(&folder) };
-        let (summary, frames) = run(&feed, &job, &mut |_| {}).expect("a walk");
+        let (summary, frames) = run(&feed, &job, Painter::default(), &mut |_| {}).expect("a walk");
         assert_eq!(summary.min_psnr_db, Some(crate::metrics::LARGEST_DB));
         assert!(frames.iter().all(|f| f.flip.is_some_and(|e| e < 1e-6) && f.method == "grid"));
         assert!(summary.far_fraction_mean > 0.1 && summary.mean_flip_far.is_some());
@@ -316,6 +354,7 @@ fn chunks_that_come_again_are_counted() {
     let (summary, _) = run(
         &feed,
         &WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None },
+        Painter::default(),
         &mut |_| {},
     )
     .expect("a walk");

@@ -7,6 +7,7 @@
 use super::{
     baseline,
     feed::{Feed, Traffic},
+    hand::PaintError,
     judge::{JudgeError, Truth, Verdict},
     options::{Pace, WalkOptions},
     painter::{Painted, Painter, View, view_of},
@@ -16,7 +17,7 @@ use crate::{
     cache::Incomplete,
     frame::{Frame, Source},
     report::{FrameReport, StageMs, Summary, WalkTotals},
-    warp::{WarpError, WarpStats},
+    warp::WarpStats,
 };
 use ldi_protocol::{OutputCamera, path::Walk};
 use std::{
@@ -51,9 +52,9 @@ pub enum WalkError {
     /// The truth cannot be used.
     #[error(transparent)]
     Judge(#[from] JudgeError),
-    /// The options contradict each other.
+    /// The options contradict each other, or the graphics card fails.
     #[error(transparent)]
-    Warp(#[from] WarpError),
+    Paint(#[from] PaintError),
     /// The folder of the frames could not be made.
     #[error("{path}: {source}; give -o a folder that can be written")]
     Folder {
@@ -131,7 +132,7 @@ struct Walker<'a> {
     held_before: Vec<bool>,
 }
 
-/// Walks. Returns the summary and the kept frames.
+/// Walks, with whatever `painter` draws on. Returns the summary and the kept frames.
 ///
 /// # Errors
 ///
@@ -139,6 +140,7 @@ struct Walker<'a> {
 pub fn run(
     feed: &dyn Feed,
     job: &WalkJob<'_>,
+    painter: Painter,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<(Summary, Vec<FrameReport>), WalkError> {
     let folder = job.folder;
@@ -152,7 +154,7 @@ pub fn run(
             height: job.options.height,
             fov_deg: index.settings.camera.fov_deg,
         },
-        painter: Painter::default(),
+        painter,
         kept: Vec::new(),
         warp_totals: WarpStats::default(),
         totals: WalkTotals {

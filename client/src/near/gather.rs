@@ -16,9 +16,11 @@ const MAX_DRAWS: usize = (1 << 24) - 1;
 
 /// A cluster in the world.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Draw {
-    geometry: u32,
-    cluster: u32,
+pub(crate) struct Draw {
+    /// Position in [`Gathered::held`].
+    pub geometry: u32,
+    /// Position in its clusters.
+    pub cluster: u32,
     /// Placement of the cluster's mesh.
     pub world_from_mesh: DAffine3,
 }
@@ -33,9 +35,10 @@ struct Held {
 }
 
 /// Everything that one frame draws, held so that the cache cannot take it away.
-pub(super) struct Gathered<'a> {
+pub(crate) struct Gathered<'a> {
     materials: &'a [Material],
-    held: Vec<Arc<CellGeometry>>,
+    /// The chunks that the draws' clusters lie in.
+    pub held: Vec<Arc<CellGeometry>>,
     textures: BTreeMap<u32, Option<Held>>,
     /// In the order of the cells.
     pub draws: Vec<Draw>,
@@ -44,12 +47,7 @@ pub(super) struct Gathered<'a> {
 }
 
 /// Collects the draws of `cells`.
-pub(super) fn gather<'a>(
-    index: &'a Index,
-    resident: &dyn Resident,
-    cells: &[u32],
-    blocks: &mut BlockCache,
-) -> Gathered<'a> {
+pub(crate) fn gather<'a>(index: &'a Index, resident: &dyn Resident, cells: &[u32]) -> Gathered<'a> {
     let mut out = Gathered {
         materials: &index.materials,
         held: Vec::new(),
@@ -84,7 +82,6 @@ pub(super) fn gather<'a>(
             }
         }
     }
-    out.hold_blocks(blocks);
     let stats = &mut out.stats;
     stats.missing_chunks.sort_unstable();
     stats.missing_chunks.dedup();
@@ -121,7 +118,7 @@ impl<'a> Gathered<'a> {
     }
 
     /// Finds or makes the alpha blocks of masked textures, and forgets those of textures that are no longer drawn.
-    fn hold_blocks(&mut self, cache: &mut BlockCache) {
+    pub(super) fn hold_blocks(&mut self, cache: &mut BlockCache) {
         cache.retain(|number, _| self.textures.contains_key(number));
         for material in self.materials.iter().filter(|m| matches!(m.alpha, Alpha::Mask(_))) {
             let Some(number) = material.texture else { continue };
@@ -151,8 +148,13 @@ impl<'a> Gathered<'a> {
         Some(&*self.textures.get(&material.texture?)?.as_ref()?.texture)
     }
 
+    /// The textures in use that are here, by number.
+    pub fn textures(&self) -> impl Iterator<Item = (u32, &Arc<Texture>)> {
+        self.textures.iter().filter_map(|(number, held)| Some((*number, &held.as_ref()?.texture)))
+    }
+
     /// The alpha blocks of a masked material's texture.
-    pub fn blocks(&self, material: &Material) -> Option<&AlphaBlocks> {
+    pub(super) fn blocks(&self, material: &Material) -> Option<&AlphaBlocks> {
         self.textures.get(&material.texture?)?.as_ref()?.blocks.as_deref()
     }
 
@@ -195,7 +197,7 @@ impl<'a> Gathered<'a> {
 
 /// What alpha makes of a material.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Mask {
+pub(crate) enum Mask {
     /// Every covered pixel is there.
     Solid,
     /// A pixel is there where the texture's alpha times the factor reaches the cutoff.

@@ -27,13 +27,15 @@
 //! meet bit for bit. Both faces are drawn.
 
 mod alpha;
-mod gather;
+pub(crate) mod gather;
 mod horizon;
 mod raster;
 mod setup;
 mod shade;
 #[cfg(test)]
 mod tests;
+
+pub(crate) use shade::ABSENT_TEXEL;
 
 use crate::{
     frame::{Frame, Source},
@@ -97,7 +99,8 @@ impl Rasterizer {
         frame.reset(camera.width.min(MAX_SIDE_PX), camera.height.min(MAX_SIDE_PX));
         self.ids.clear();
         self.ids.resize(frame.len(), setup::NO_TRIANGLE);
-        let scene = gather::gather(index, resident, cells, &mut self.blocks);
+        let mut scene = gather::gather(index, resident, cells);
+        scene.hold_blocks(&mut self.blocks);
         if frame.is_empty() {
             return scene.stats;
         }

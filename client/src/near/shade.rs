@@ -23,7 +23,7 @@ use ldi_protocol::{
 const SLOTS: usize = 256;
 
 /// Linear grey shown in place of a texture that is not here at all: sRGB 128.
-const ABSENT_TEXEL: [f32; 3] = [0.216; 3];
+pub(crate) const ABSENT_TEXEL: [f32; 3] = [0.216; 3];
 
 /// What a triangle needs to be shaded anywhere.
 #[derive(Clone)]

@@ -215,7 +215,7 @@ fn texture_coordinates_are_perspective_correct() {
     memory.textures.insert(0, Arc::new(gradient_texture(1)));
     let pose = Pose { position: DVec3::new(0.25, 0.1, 0.5), yaw_deg: 20.0, pitch_deg: -25.0 };
     let view = setup::View::new(&camera, &pose);
-    let scene = gather::gather(&index, &memory, &all_cells(&index), &mut gather::BlockCache::new());
+    let scene = gather::gather(&index, &memory, &all_cells(&index));
     let (_, ids, _) = draw(&index, &memory, &camera, &pose);
     let mut seen = 0;
     for (i, id) in ids.iter().enumerate().filter(|(_, id)| **id != setup::NO_TRIANGLE) {

@@ -101,8 +101,7 @@ fn run(
         into.reset(camera.width, camera.height);
     }
     let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
-    let whole = [0, 0, into.width, into.height];
-    let within = options.within.map_or(whole, |w| std::array::from_fn(|k| w[k].min(whole[2 + k % 2])));
+    let within = wanted(options, camera);
     let mut tiles = match epipole {
         Some(_) => ldi.streams().reaching(&matrix, within, options.keep_all_tiles),
         None => ldi.blocks.reaching(&ldi.parts, &matrix, within, options.keep_all_tiles),
@@ -110,19 +109,7 @@ fn run(
     if let Some(epipole) = &epipole {
         epipole.sort_tiles(&mut tiles);
     }
-    let samples_warped = tiles.iter().map(|t| u64::from(t.tile.own)).sum();
-    let mut stats = WarpStats {
-        samples: ldi.samples as u64,
-        samples_warped,
-        primitives: match options.stamp {
-            Stamp::Quads => tiles.iter().map(|t| PreparedLdi::quads(t.part, t.tile)).sum(),
-            _ => samples_warped,
-        },
-        samples_culled: ldi.samples as u64 - samples_warped,
-        bytes: tiles.iter().map(|t| PreparedLdi::bytes(t.tile, options.stamp)).sum::<u64>()
-            + 2 * size_of_val(into.packed.as_slice()) as u64,
-        ..WarpStats::default()
-    };
+    let mut stats = counted(ldi, &tiles, options.stamp, into.packed.len());
     let clear = into.stale;
     into.stale = false;
     let width = into.width;
@@ -146,6 +133,53 @@ fn run(
         .collect();
     parts.iter().for_each(|p| stats.add(p));
     stats
+}
+
+/// The part of the picture that is wanted: from column, from row, to column, to row.
+fn wanted(options: &WarpOptions, camera: &OutputCamera) -> [u32; 4] {
+    let whole = [0, 0, camera.width, camera.height];
+    options.within.map_or(whole, |w| std::array::from_fn(|k| w[k].min(whole[2 + k % 2])))
+}
+
+/// What is known of a warp before it is done.
+fn counted(ldi: &PreparedLdi, tiles: &[Reach<'_>], stamp: Stamp, pixels: usize) -> WarpStats {
+    let samples_warped = tiles.iter().map(|t| u64::from(t.tile.own)).sum();
+    WarpStats {
+        samples: ldi.samples as u64,
+        samples_warped,
+        primitives: match stamp {
+            Stamp::Quads => tiles.iter().map(|t| PreparedLdi::quads(t.part, t.tile)).sum(),
+            _ => samples_warped,
+        },
+        samples_culled: ldi.samples as u64 - samples_warped,
+        bytes: tiles.iter().map(|t| PreparedLdi::bytes(t.tile, stamp)).sum::<u64>()
+            + (2 * pixels * size_of::<u64>()) as u64,
+        ..WarpStats::default()
+    }
+}
+
+/// A tile that reaches the picture, for those who draw it elsewhere.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TileJob {
+    /// Its part, and its place there.
+    pub number: [u32; 2],
+    /// X, Y and W on the output as functions of (u, v, 1, disparity), u and v in LDI pixels from the tile's upper left corner.
+    pub rows: [[f32; 4]; 3],
+}
+
+/// The tiles of an image that reach the picture, and what is known of the warp before it is done.
+pub fn tile_jobs(
+    ldi: &PreparedLdi,
+    pose: &Pose,
+    camera: &OutputCamera,
+    options: &WarpOptions,
+) -> (Vec<TileJob>, WarpStats) {
+    let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
+    let tiles = ldi.blocks.reaching(&ldi.parts, &matrix, wanted(options, camera), options.keep_all_tiles);
+    let stats = counted(ldi, &tiles, options.stamp, camera.width as usize * camera.height as usize);
+    let job =
+        |t: &Reach<'_>| TileJob { number: [t.number.0, t.number.1], rows: TileTransform::new(&matrix, t.tile).rows };
+    (tiles.iter().map(job).collect(), stats)
 }
 
 /// What the kernels make of every sample, clipped or not.

@@ -1,7 +1,8 @@
 //! Debug views: images recoloured by what is to be seen, then warped like any other.
 //!
 //! In: an [`Ldi`]. Out: the same with other colours: [`coloured_by_layer`] shows which layer a pixel came from,
-//! [`coloured_by_footprint`] how large its sample is in the picture, [`coloured_by_links`] where surfaces end.
+//! [`coloured_by_footprint`] how large its sample is in the picture, [`coloured_by_links`] where surfaces end,
+//! [`coloured_by_age`] how long it has been here.
 
 use super::WarpMatrix;
 use ldi_protocol::{
@@ -38,6 +39,16 @@ pub fn coloured_by_footprint(ldi: &Ldi, pose: &Pose, camera: &OutputCamera) -> L
 pub fn coloured_by_links(ldi: &Ldi) -> Ldi {
     let code = |missing: bool| if missing { 255 } else { 40 };
     recoloured(ldi, |_, s| [code(s.links & LINK_RIGHT == 0), code(s.links & LINK_DOWN == 0), 40])
+}
+
+/// The image in one colour by its age, seconds: white when new, dark blue after a minute.
+pub fn coloured_by_age(ldi: &Ldi, age_s: f64) -> Ldi {
+    let fade = 1.0 - ((1.0 + age_s.max(0.0)).ln() / 61.0f64.ln()).min(1.0);
+    let code = |old: f64| (old + (255.0 - old) * fade) as u8;
+    let colour = [code(10.0), code(30.0), code(90.0)];
+    let mut out = recoloured(ldi, |_, _| colour);
+    out.slivers.iter_mut().for_each(|s| s.rgb = colour);
+    out
 }
 
 /// The colour of slivers in all views.

@@ -33,7 +33,7 @@ mod stamps;
 mod tests;
 mod transform;
 
-pub use bands::{transform_only, transformed, warp, warp_images};
+pub use bands::{TileJob, tile_jobs, transform_only, transformed, warp, warp_images};
 pub use matrix::{WarpMatrix, Warped};
 pub use prepared::PreparedLdi;
 pub use transform::Transformed;
@@ -218,8 +218,15 @@ pub struct StretchHistogram([u32; Self::BINS]);
 
 impl StretchHistogram {
     /// Bins of an eighth of a pixel; the last takes everything from 32 pixels.
-    const BINS: usize = 257;
+    pub(crate) const BINS: usize = 257;
     const PER_PIXEL: f32 = 8.0;
+
+    /// From counts by bin.
+    pub(crate) fn of(counts: &[u32]) -> Self {
+        let mut bins = [0; Self::BINS];
+        bins.iter_mut().zip(counts).for_each(|(bin, n)| *bin = *n);
+        Self(bins)
+    }
 
     fn count(&mut self, side2_px: f32, counts: bool) {
         let bin = (side2_px.sqrt() * Self::PER_PIXEL) as usize;

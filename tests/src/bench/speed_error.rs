@@ -14,7 +14,7 @@ use anyhow::{Context as _, Result, bail};
 use ldi_client::{
     cache::Cache,
     composite::Fill,
-    engine::{Cull, Method, Pace, Painter, Truth, Verdict, View, WalkOptions, view_of},
+    engine::{Cull, Method, Pace, Painter, Shows, Truth, Verdict, View, WalkOptions, view_of},
     frame::{Frame, Source, supersampled},
     report::StageMs,
     resident::Resident as _,
@@ -221,6 +221,8 @@ impl Setting {
             every: 1,
             cache_bytes: None,
             debug_views: false,
+            shows: Shows::Scene,
+            layout_ms: None,
             baseline_frames: 0,
         }
     }

@@ -1,0 +1,107 @@
+//! Places that are kept: Ctrl and a digit keeps one, the digit alone goes there.
+//!
+//! A path file per scene, whose poses are the places and whose times are their digits: so it can be rendered or walked as well. It is written whole, beside its place and then moved there.
+
+use ldi_protocol::{Pose, path};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+/// Largest file that is read: nine poses take two kilobytes.
+const MAX_BYTES: u64 = 64 << 10;
+
+/// The places of one scene.
+#[derive(Debug)]
+pub struct Bookmarks {
+    file: PathBuf,
+    /// By digit, 1 to 9.
+    places: BTreeMap<u8, Pose>,
+}
+
+impl Bookmarks {
+    /// Where they are kept when nobody says: a file named after the scene in the user's configuration folder. None without a home.
+    pub fn default_file(scene: &str) -> Option<PathBuf> {
+        let letter = |c: char| if c.is_alphanumeric() || c == '-' { c } else { '_' };
+        let name: String = scene.chars().map(letter).take(80).collect();
+        let folder = directories::ProjectDirs::from("", "", "ldi")?.config_dir().join("bookmarks");
+        Some(folder.join(format!("{name}.path.json")))
+    }
+
+    /// Reads them; a file that is not there holds none.
+    ///
+    /// # Errors
+    /// If it is there and is no path file.
+    pub fn load(file: PathBuf) -> Result<Self, String> {
+        let said = |e: &dyn std::fmt::Display| format!("{}: {e}; mend or remove it", file.display());
+        let text = match std::fs::metadata(&file) {
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Self { file, places: BTreeMap::new() }),
+            Err(e) => return Err(said(&e)),
+            Ok(m) if m.len() > MAX_BYTES => return Err(said(&format!("{} bytes are too many for bookmarks", m.len()))),
+            Ok(_) => std::fs::read_to_string(&file).map_err(|e| said(&e))?,
+        };
+        let walk = path::parse(&text).map_err(|e| said(&e))?;
+        let place = |p: &path::TimedPose| (1.0..=9.0).contains(&p.t_s).then_some((p.t_s as u8, p.pose));
+        let places = walk.poses.iter().filter_map(place).collect();
+        Ok(Self { file, places })
+    }
+
+    /// A place.
+    pub fn get(&self, digit: u8) -> Option<Pose> {
+        self.places.get(&digit).copied()
+    }
+
+    /// Keeps a place, at once.
+    ///
+    /// # Errors
+    /// If the file cannot be written; the place is kept until the window is closed.
+    pub fn set(&mut self, digit: u8, pose: Pose) -> Result<(), String> {
+        self.places.insert(digit, pose);
+        let poses = self.places.iter().map(|(digit, pose)| path::TimedPose { t_s: f64::from(*digit), pose: *pose });
+        let walk = path::Walk { fps: 1.0, speed: 1.4, eye_height: None, poses: poses.collect() };
+        self.write(&(walk.to_json() + "\n"))
+    }
+
+    fn write(&self, text: &str) -> Result<(), String> {
+        let said = |path: &Path, e: std::io::Error| format!("the bookmark is not kept: {}: {e}", path.display());
+        if let Some(folder) = self.file.parent() {
+            std::fs::create_dir_all(folder).map_err(|e| said(folder, e))?;
+        }
+        let beside = self.file.with_extension(format!("{}.tmp", std::process::id()));
+        std::fs::write(&beside, text).map_err(|e| said(&beside, e))?;
+        std::fs::rename(&beside, &self.file).map_err(|e| said(&self.file, e))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    #[test]
+    fn places_come_back_and_can_be_walked() {
+        let folder = std::env::temp_dir().join(format!("ldi-bookmarks-{}", std::process::id()));
+        let file = folder.join("deeper").join("house.path.json");
+        let pose = |x: f64| Pose { position: DVec3::new(x, 1.6, -x), yaw_deg: 10.0 * x, pitch_deg: -x };
+        let mut bookmarks = Bookmarks::load(file.clone()).expect("none yet");
+        assert_eq!(bookmarks.get(3), None);
+        for (digit, x) in [(7, 1.0), (3, 2.0), (7, 3.0)] {
+            bookmarks.set(digit, pose(x)).expect("kept");
+        }
+        let again = Bookmarks::load(file.clone()).expect("read");
+        assert_eq!((again.get(3), again.get(7), again.get(1)), (Some(pose(2.0)), Some(pose(3.0)), None));
+        let text = std::fs::read_to_string(&file).expect("text");
+        assert_eq!(path::parse(&text).expect("a path file").poses.len(), 2);
+        std::fs::write(&file, "no path").expect("written");
+        let e = Bookmarks::load(file.clone()).expect_err("not JSON");
+        assert!(e.contains("house.path.json"), "{e}");
+        std::fs::remove_dir_all(&folder).expect("removed");
+    }
+
+    #[test]
+    fn names_of_scenes_become_names_of_files() {
+        let Some(file) = Bookmarks::default_file("builtin:house?triangles=5&seed=1/../x") else { return };
+        let name = file.file_name().expect("a name").to_string_lossy().into_owned();
+        assert_eq!(name, "builtin_house_triangles_5_seed_1____x.path.json");
+    }
+}

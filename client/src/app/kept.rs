@@ -1,0 +1,106 @@
+//! What a visitor keeps: recorded walks and places, and what is said about them.
+
+use super::{
+    AppConfig,
+    bookmarks::Bookmarks,
+    events::fields,
+    record::{self, Recording},
+};
+use ldi_protocol::{Pose, path::Walk};
+use serde_json::{Map, Value};
+use std::{path::PathBuf, sync::Arc, time::Instant};
+
+/// A message for the visitor, and an event.
+pub(super) struct Said {
+    pub text: String,
+    pub good: bool,
+    pub event: Option<(&'static str, Map<String, Value>)>,
+}
+
+impl Said {
+    fn bad(text: String) -> Self {
+        tracing::warn!("{text}");
+        Self { text, good: false, event: None }
+    }
+}
+
+/// See the module.
+pub(super) struct Kept {
+    folder: PathBuf,
+    recording: Option<Recording>,
+    /// The walk that P walks again.
+    walk: Option<Arc<Walk>>,
+    bookmarks: Option<Bookmarks>,
+    bookmarks_file: Option<PathBuf>,
+}
+
+impl Kept {
+    pub fn new(config: &AppConfig) -> Self {
+        Self {
+            folder: config.shots.clone(),
+            recording: None,
+            walk: config.replay.clone().map(Arc::new),
+            bookmarks: None,
+            bookmarks_file: config.bookmarks.clone(),
+        }
+    }
+
+    /// The walk to walk again, if there is one.
+    pub fn walk(&self) -> Option<Arc<Walk>> {
+        self.walk.clone()
+    }
+
+    /// A picture showed this pose.
+    pub fn pose(&mut self, pose: Pose, at: Instant) {
+        if let Some(recording) = &mut self.recording {
+            recording.pose(pose, at);
+        }
+    }
+
+    /// Begins to record a walk, or ends it and saves what was recorded.
+    pub fn record(&mut self, speed_m_per_s: f64) -> Said {
+        let Some(recording) = self.recording.take() else {
+            self.recording = Some(Recording::new());
+            let event = Some(("recording", fields! {}));
+            return Said { text: "recording the walk: R ends it".into(), good: true, event };
+        };
+        let Some(walk) = recording.walk(speed_m_per_s) else { return Said::bad("nothing was recorded".into()) };
+        let poses = walk.poses.len();
+        let saved = record::save(&self.folder, &walk);
+        // Even one that could not be saved can be walked again.
+        self.walk = Some(Arc::new(walk));
+        match saved.map(|path| std::path::absolute(&path).unwrap_or(path).display().to_string()) {
+            Ok(path) => {
+                println!("{path}");
+                let text = format!("saved {path}: P walks it again");
+                Said { text, good: true, event: Some(("recorded", fields! { "path": path, "poses": poses })) }
+            }
+            Err(e) => Said::bad(e),
+        }
+    }
+
+    /// Keeps a place under a digit; or the pose that is kept there, to go to.
+    pub fn bookmark(&mut self, digit: u8, keep: Option<Pose>, scene: &str) -> (Option<Pose>, Said) {
+        if self.bookmarks.is_none() {
+            let file = self.bookmarks_file.clone().or_else(|| Bookmarks::default_file(scene));
+            match file.ok_or("this user has no home folder: give --bookmarks FILE".into()).and_then(Bookmarks::load) {
+                Ok(bookmarks) => self.bookmarks = Some(bookmarks),
+                Err(e) => return (None, Said::bad(e)),
+            }
+        }
+        let bookmarks = self.bookmarks.as_mut();
+        let there = bookmarks.as_ref().and_then(|b| b.get(digit));
+        let event = Some(("bookmark", fields! { "digit": digit, "kept": keep.is_some() }));
+        match (keep, there) {
+            (Some(pose), _) => match bookmarks.map_or(Ok(()), |b| b.set(digit, pose)) {
+                Ok(()) => (None, Said { text: format!("place {digit} is kept"), good: true, event }),
+                Err(e) => (None, Said::bad(e)),
+            },
+            (None, Some(pose)) => (Some(pose), Said { text: format!("place {digit}"), good: true, event }),
+            (None, None) => {
+                let text = format!("no place {digit} is kept: Ctrl+{digit} keeps this one");
+                (None, Said { text, good: false, event: None })
+            }
+        }
+    }
+}

@@ -1,0 +1,64 @@
+//! What can be chosen while walking (F3).
+
+use egui::{Context, Slider, Window};
+
+/// Largest and smallest time for a picture, milliseconds.
+const FRAME_MS: std::ops::RangeInclusive<f64> = 5.0..=200.0;
+/// How the mouse turns, as a multiple of the usual.
+const LOOK: std::ops::RangeInclusive<f64> = 0.2..=5.0;
+
+/// See the module.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settings {
+    /// Whether the panel is shown.
+    pub open: bool,
+    /// Time for a picture while moving, milliseconds.
+    pub frame_ms: f64,
+    /// Resting pictures get four samples per pixel.
+    pub fine: bool,
+    /// How fast the mouse turns, as a multiple of the usual.
+    pub look: f64,
+    /// Up and down of the mouse are exchanged.
+    pub inverted: bool,
+}
+
+impl Settings {
+    /// As the command line has them.
+    pub fn new(frame_ms: f64) -> Self {
+        Self { open: false, frame_ms, fine: true, look: 1.0, inverted: false }
+    }
+
+    /// Draws the panel. Whether something was changed.
+    pub fn show(&mut self, ctx: &Context) -> bool {
+        let before = self.clone();
+        let mut open = self.open;
+        Window::new("Settings").open(&mut open).resizable(false).default_width(320.0).show(ctx, |ui| {
+            let ms = Slider::new(&mut self.frame_ms, FRAME_MS).logarithmic(true).suffix(" ms");
+            ui.add(ms.text("for a picture while moving")).on_hover_text("less is smoother, more is sharper");
+            ui.checkbox(&mut self.fine, "four samples per pixel at rest");
+            ui.add(Slider::new(&mut self.look, LOOK).logarithmic(true).text("speed of the mouse"));
+            ui.checkbox(&mut self.inverted, "mouse forward looks down");
+        });
+        self.open = open;
+        *self != before
+    }
+
+    /// Degrees that the head turns for a mouse that moved by so many counts: left and up are positive.
+    pub fn turn_deg(&self, (dx, dy): (f64, f64), deg_per_count: f64) -> (f64, f64) {
+        let k = self.look * deg_per_count;
+        (-dx * k, if self.inverted { dy * k } else { -dy * k })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_mouse_turns_as_chosen() {
+        let mut s = Settings::new(20.0);
+        assert_eq!(s.turn_deg((10.0, 5.0), 0.1), (-1.0, -0.5));
+        (s.look, s.inverted) = (2.0, true);
+        assert_eq!(s.turn_deg((10.0, 5.0), 0.1), (-2.0, 1.0));
+    }
+}

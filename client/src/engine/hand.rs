@@ -1,0 +1,140 @@
+//! Who draws: the processor, or a graphics card and the processor where that is faster or alone can.
+
+use super::painter::Painter;
+use crate::{
+    frame::Frame,
+    gpu::{Gpu, GpuError, GpuImage, WarpOn},
+    near::{NearStats, Rasterizer},
+    resident::Resident,
+    warp::{FarFrame, WarpError, WarpOptions, WarpStats, warp_images},
+};
+use ldi_protocol::{OutputCamera, Pose, index::Index};
+use serde::Serialize;
+
+/// What is to draw.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Renderer {
+    /// The processor.
+    Cpu,
+    /// The graphics card; a driver that only pretends to have one will do.
+    Gpu,
+    /// The graphics card where there is a real one, else the processor.
+    Auto,
+}
+
+impl Renderer {
+    /// Opens it; a card is compared with the processor by warping, or `on` says which of the two warps.
+    ///
+    /// # Errors
+    /// If a card is asked for, and there is none that can draw.
+    pub fn painter(self, on: WarpOn) -> Result<Painter, GpuError> {
+        let open = || {
+            let mut gpu = Gpu::open()?;
+            let real = self == Self::Gpu || !gpu.is_software();
+            if real {
+                let found = gpu.calibrate(on)?;
+                tracing::info!("drawing on {}, warping on {}", gpu.adapter(), found);
+            }
+            Ok(real.then_some(gpu))
+        };
+        match (self, if self == Self::Cpu { Ok(None) } else { open() }) {
+            (Self::Gpu, Err(e)) => Err(e),
+            (_, Ok(Some(gpu))) => Ok(Painter::on(gpu)),
+            (_, Err(e)) => {
+                tracing::info!("drawing on the processor: {e}");
+                Ok(Painter::default())
+            }
+            (_, Ok(None)) => Ok(Painter::default()),
+        }
+    }
+}
+
+/// A frame could not be drawn.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum PaintError {
+    /// The options ask for an order that cannot draw the stamp.
+    #[error(transparent)]
+    Warp(#[from] WarpError),
+    /// The card failed.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+}
+
+/// See the module.
+#[derive(Debug, Default)]
+pub struct Hand {
+    rasterizer: Rasterizer,
+    /// One image of several, where its order counts and must not mix with the others'.
+    single: FarFrame,
+    gpu: Option<Box<Gpu>>,
+}
+
+impl Hand {
+    /// A card's.
+    pub fn on(gpu: Gpu) -> Self {
+        Self { gpu: Some(Box::new(gpu)), ..Self::default() }
+    }
+
+    /// The card, if there is one.
+    pub fn gpu(&self) -> Option<&Gpu> {
+        self.gpu.as_deref()
+    }
+
+    /// Forgets the scene: numbers are about to mean something else.
+    pub fn forget(&mut self) {
+        self.rasterizer = Rasterizer::default();
+        if let Some(gpu) = &mut self.gpu {
+            gpu.forget();
+        }
+    }
+
+    /// The card, if it is to warp so.
+    fn warper(&mut self, options: &WarpOptions) -> Option<&mut Gpu> {
+        self.gpu.as_deref_mut().filter(|gpu| gpu.warps() && Gpu::can_warp(options).is_ok())
+    }
+
+    /// Near geometry; `frame` becomes as large as the camera.
+    pub fn draw_near(
+        &mut self,
+        index: &Index,
+        resident: &dyn Resident,
+        cells: &[u32],
+        camera: &OutputCamera,
+        pose: &Pose,
+        frame: &mut Frame,
+    ) -> Result<NearStats, PaintError> {
+        match &mut self.gpu {
+            Some(gpu) => Ok(gpu.draw(index, resident, cells, camera, pose, frame)?),
+            None => Ok(self.rasterizer.draw(index, resident, cells, camera, pose, frame)),
+        }
+    }
+
+    /// Puts an image where it can be warped from.
+    pub fn hold(&mut self, image: &GpuImage<'_>, options: &WarpOptions) -> Result<(), PaintError> {
+        if let Some(gpu) = self.warper(options) {
+            gpu.hold(image)?;
+        }
+        Ok(())
+    }
+
+    /// Warps images to one picture: within an image by the given order, between images by depth.
+    pub fn warp(
+        &mut self,
+        images: &[GpuImage<'_>],
+        pose: &Pose,
+        camera: &OutputCamera,
+        options: &WarpOptions,
+        into: &mut FarFrame,
+    ) -> Result<WarpStats, PaintError> {
+        if let Some(gpu) = self.warper(options) {
+            return Ok(gpu.warp_images(images, pose, camera, options, into)?);
+        }
+        let mut stats = WarpStats::default();
+        for image in images {
+            let options = WarpOptions { within: image.within, ..*options };
+            stats.add(&warp_images(&[image.laid_out], pose, camera, &options, into, &mut self.single)?);
+        }
+        Ok(stats)
+    }
+}

@@ -1,0 +1,91 @@
+//! Which warps faster, the card or the processor? Decided once, by warping the same image on both.
+
+use super::{Gpu, GpuError, GpuImage};
+use crate::warp::{FarFrame, PreparedLdi, WarpError, WarpOptions, analytic, warp};
+use glam::DVec3;
+use ldi_protocol::{OutputCamera, Pose, ldi::Ldi};
+use serde::Serialize;
+use std::{sync::Arc, time::Instant};
+
+/// Who warps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum WarpOn {
+    /// The faster one.
+    #[default]
+    Auto,
+    /// The processor.
+    Cpu,
+    /// The card.
+    Gpu,
+}
+
+/// What was found.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Calibration {
+    /// Whether the card warps.
+    pub on_card: bool,
+    /// Milliseconds of the calibration's image on the card, read back; None where nothing was compared.
+    pub card_ms: Option<f64>,
+    /// On the processor.
+    pub processor_ms: Option<f64>,
+}
+
+impl std::fmt::Display for Calibration {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(if self.on_card { "the card" } else { "the processor" })?;
+        match (self.card_ms, self.processor_ms) {
+            (Some(card), Some(processor)) => {
+                write!(f, " ({card:.1} ms on the card, {processor:.1} ms on the processor)")
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Warps of each, of which the fastest counts: the first ones pay for what is made once.
+const ROUNDS: usize = 4;
+/// Side of the calibration's image, samples: large enough for the warp to outweigh what a call costs, small enough to take no noticeable time.
+const SIDE: u32 = 512;
+const CAMERA: OutputCamera = OutputCamera { width: 640, height: 640, fov_deg: 60.0 };
+
+/// Compares both, or takes the caller's word.
+pub fn calibrate(gpu: &mut Gpu, on: WarpOn) -> Result<Calibration, GpuError> {
+    if on != WarpOn::Auto {
+        return Ok(Calibration { on_card: on == WarpOn::Gpu, card_ms: None, processor_ms: None });
+    }
+    let ldi = Arc::new(image());
+    let laid_out = PreparedLdi::new(&ldi);
+    let image = GpuImage { number: u32::MAX, ldi: &ldi, laid_out: &laid_out, within: None };
+    let pose = Pose { position: DVec3::new(0.1, 0.05, -0.1), yaw_deg: 3.0, pitch_deg: -2.0 };
+    let options = WarpOptions::default();
+    let mut far = FarFrame::default();
+    let mut best = [f64::INFINITY; 2];
+    for _ in 0..ROUNDS {
+        let start = Instant::now();
+        far.reset(CAMERA.width, CAMERA.height);
+        gpu.warp_images(&[image], &pose, &CAMERA, &options, &mut far)?;
+        best[0] = best[0].min(start.elapsed().as_secs_f64() * 1e3);
+        let start = Instant::now();
+        far.reset(CAMERA.width, CAMERA.height);
+        let done: Result<_, WarpError> = warp(&laid_out, &pose, &CAMERA, &options, &mut far);
+        // Order and stamp are the default ones, which go together.
+        debug_assert!(done.is_ok());
+        best[1] = best[1].min(start.elapsed().as_secs_f64() * 1e3);
+    }
+    gpu.warp.forget();
+    Ok(Calibration { on_card: best[0] < best[1], card_ms: Some(best[0]), processor_ms: Some(best[1]) })
+}
+
+/// Two walls, one behind the other, and a ball.
+fn image() -> Ldi {
+    let scene = analytic::Scene {
+        surfaces: vec![
+            analytic::Surface::Sphere { centre: DVec3::new(0.2, -0.1, -3.0), radius: 0.6 },
+            analytic::Surface::Fence { z: -4.0, period: 0.8, solid: 0.3 },
+            analytic::Surface::Fence { z: -6.0, period: 100.0, solid: 101.0 },
+        ],
+        wavelength_m: 0.7,
+    };
+    scene.ldi(analytic::ldi_camera(DVec3::ZERO, SIDE, SIDE, 66.0), 3)
+}

@@ -1,0 +1,188 @@
+//! The card: adapter, device, queue, and how failures of the driver become errors.
+
+use crate::warp::{Order, Stamp};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// The card cannot draw.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum GpuError {
+    /// No driver at all.
+    #[error(
+        "no driver for Vulkan, Metal or Direct3D 12 can draw ({0}); install one (on Debian: mesa-vulkan-drivers, which also draws without a graphics card), or use --renderer cpu"
+    )]
+    NoAdapter(String),
+    /// The driver lacks something.
+    #[error("the graphics driver {adapter} {reason}; use --renderer cpu")]
+    Lacking {
+        /// Its name.
+        adapter: String,
+        /// What it cannot do.
+        reason: String,
+    },
+    /// The driver gave up.
+    #[error("the graphics driver {adapter} failed: {reason}; start again, or use --renderer cpu")]
+    Failed {
+        /// Its name.
+        adapter: String,
+        /// What it said.
+        reason: String,
+    },
+    /// A stamp that only the processor draws.
+    #[error(
+        "the graphics card does not draw stamp `{0}`; use quads, 1px, 2x2, cross or 3x3 with --renderer gpu, or --renderer cpu"
+    )]
+    Stamp(Stamp),
+    /// An order that only the processor keeps.
+    #[error("the graphics card keeps the nearest sample: order `{}` needs --renderer cpu", .0.name())]
+    Order(Order),
+}
+
+/// How the nearest of many samples is kept in a pixel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Atomics {
+    /// The best way that the adapter has.
+    #[default]
+    Best,
+    /// One pass: disparity above colour in 64 bits.
+    Wide,
+    /// Two passes of 32 bits: the largest disparity, then the colour of the sample that has it.
+    Narrow,
+}
+
+/// See the module.
+pub struct Card {
+    pub device: wgpu::Device,
+    pub queue: wgpu::Queue,
+    /// Name of the adapter and how it is driven.
+    pub name: String,
+    pub software: bool,
+    /// Never [`Atomics::Best`].
+    pub atomics: Atomics,
+    /// What the driver said last and nobody has heard yet.
+    said: Arc<Mutex<Option<String>>>,
+}
+
+/// What 64-bit atomics take.
+const WIDE: wgpu::Features = wgpu::Features::SHADER_INT64.union(wgpu::Features::SHADER_INT64_ATOMIC_MIN_MAX);
+
+impl Card {
+    /// Opens the fastest adapter there is; `WGPU_BACKEND`, `WGPU_POWER_PREF` and `WGPU_ADAPTER_NAME` as everywhere.
+    pub fn open(atomics: Atomics) -> Result<Self, GpuError> {
+        let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
+        // Depths are read back and draws are numbered, which OpenGL does not offer everywhere.
+        descriptor.backends.remove(wgpu::Backends::GL);
+        let instance = wgpu::Instance::new(descriptor);
+        let wanted = wgpu::RequestAdapterOptions {
+            power_preference: wgpu::PowerPreference::from_env().unwrap_or(wgpu::PowerPreference::HighPerformance),
+            ..Default::default()
+        };
+        let adapter =
+            pollster::block_on(instance.request_adapter(&wanted)).map_err(|e| GpuError::NoAdapter(e.to_string()))?;
+        let info = adapter.get_info();
+        let name = format!("{} ({})", info.name, info.backend);
+        let lacking = |reason: &str| GpuError::Lacking { adapter: name.clone(), reason: reason.to_owned() };
+        let wide = adapter.features().contains(WIDE);
+        let atomics = match atomics {
+            Atomics::Best if wide => Atomics::Wide,
+            Atomics::Best => Atomics::Narrow,
+            Atomics::Wide if !wide => return Err(lacking("has no 64-bit atomics")),
+            given => given,
+        };
+        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("ldi-client"),
+            required_features: if atomics == Atomics::Wide { WIDE } else { wgpu::Features::empty() },
+            required_limits: adapter.limits(),
+            ..Default::default()
+        }))
+        .map_err(|e| GpuError::Failed { adapter: name.clone(), reason: e.to_string() })?;
+        let said = Arc::new(Mutex::new(None));
+        let heard = said.clone();
+        device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| {
+            heard.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(e.to_string());
+        }));
+        Ok(Self { device, queue, name, software: info.device_type == wgpu::DeviceType::Cpu, atomics, said })
+    }
+
+    /// What went wrong since the last time, if anything.
+    pub fn check(&self) -> Result<(), GpuError> {
+        match self.said.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            Some(reason) => Err(self.failed(reason)),
+            None => Ok(()),
+        }
+    }
+
+    pub fn failed(&self, reason: impl Into<String>) -> GpuError {
+        GpuError::Failed { adapter: self.name.clone(), reason: reason.into() }
+    }
+
+    pub fn lacking(&self, reason: impl Into<String>) -> GpuError {
+        GpuError::Lacking { adapter: self.name.clone(), reason: reason.into() }
+    }
+
+    /// A buffer with something in it; never empty, which bindings do not allow.
+    pub fn buffer(&self, label: &str, content: &[u8], usage: wgpu::BufferUsages) -> wgpu::Buffer {
+        let size = (content.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT).max(16);
+        let buffer = self.room(label, size, usage | wgpu::BufferUsages::COPY_DST);
+        if !content.is_empty() {
+            // Writes come in fours; what is left over goes with padding.
+            let whole = content.len() & !3;
+            self.queue.write_buffer(&buffer, 0, &content[..whole]);
+            if whole < content.len() {
+                let mut last = [0; 4];
+                last[..content.len() - whole].copy_from_slice(&content[whole..]);
+                self.queue.write_buffer(&buffer, whole as u64, &last);
+            }
+        }
+        buffer
+    }
+
+    /// An empty buffer.
+    pub fn room(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size,
+            usage,
+            mapped_at_creation: false,
+        })
+    }
+
+    pub fn shader(&self, label: &str, source: &str) -> wgpu::ShaderModule {
+        self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(label),
+            source: wgpu::ShaderSource::Wgsl(source.into()),
+        })
+    }
+
+    pub fn encoder(&self) -> wgpu::CommandEncoder {
+        self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
+    }
+}
+
+/// A buffer that grows as needed and is written anew each frame.
+pub struct Growing {
+    label: &'static str,
+    usage: wgpu::BufferUsages,
+    buffer: Option<wgpu::Buffer>,
+}
+
+impl Growing {
+    pub fn new(label: &'static str, usage: wgpu::BufferUsages) -> Self {
+        Self { label, usage, buffer: None }
+    }
+
+    /// Room for `size` bytes.
+    pub fn room(&mut self, card: &Card, size: u64) -> &wgpu::Buffer {
+        let size = size.max(256);
+        let held = self.buffer.take().filter(|b| b.size() >= size);
+        self.buffer.insert(held.unwrap_or_else(|| card.room(self.label, size.next_power_of_two(), self.usage)))
+    }
+
+    /// The content, in room for it.
+    pub fn write(&mut self, card: &Card, content: &[u8]) -> &wgpu::Buffer {
+        let buffer = self.room(card, content.len() as u64);
+        if !content.is_empty() {
+            card.queue.write_buffer(buffer, 0, content);
+        }
+        buffer
+    }
+}

@@ -1,0 +1,129 @@
+//! Images on the card: the arrays of a [`PreparedLdi`], one buffer each over all of its tiles, put there once.
+
+use super::{GpuImage, device::Card};
+use crate::warp::PreparedLdi;
+use bytemuck::{Pod, Zeroable};
+use ldi_protocol::ldi::Ldi;
+use std::sync::Weak;
+
+/// A tile's places in the buffers, as `warp.wgsl` reads it.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Tile {
+    first_sample: u32,
+    samples: u32,
+    first_quad: u32,
+    quads: u32,
+    first_group: u32,
+    pieces: u32,
+}
+
+/// A sample, likewise.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Sample {
+    /// Column in the tile, and row above it.
+    place: u32,
+    disparity: f32,
+    colour: u32,
+}
+
+/// Bits of a sample's number in a tile: there are at most 1,105.
+const NUMBER_BITS: u32 = 11;
+/// Marks the quads whose sides are counted, one in eight.
+const COUNTED: u32 = 1 << 31;
+const COUNTED_EVERY: u32 = 8;
+
+/// An image on the card.
+pub struct Uploaded {
+    pub number: u32,
+    /// Held so that the address stays this image's.
+    source: Weak<Ldi>,
+    pub tiles: wgpu::Buffer,
+    pub samples: wgpu::Buffer,
+    pub quads: wgpu::Buffer,
+    pub groups: wgpu::Buffer,
+    /// Number of the first tile of each part.
+    first_tile: Vec<u32>,
+    pub used: u64,
+}
+
+impl Uploaded {
+    pub fn new(card: &Card, image: &GpuImage<'_>, used: u64) -> Self {
+        let parts = &image.laid_out.parts;
+        let (mut tiles, mut samples, mut quads, mut groups) = (Vec::new(), Vec::new(), Vec::new(), Vec::<u32>::new());
+        let mut first_tile = Vec::with_capacity(parts.len());
+        for part in parts {
+            first_tile.push(tiles.len() as u32);
+            for tile in &part.tiles {
+                let ends = tile.row_start.iter().skip(1);
+                let count = ends.clone().next_back().copied().unwrap_or(0);
+                let (first_sample, first_quad) = (samples.len() as u32, quads.len() as u32);
+                for (row, (from, to)) in (0u32..).zip(tile.row_start.iter().zip(ends)) {
+                    samples.extend((*from..*to).map(|i| {
+                        let at = tile.first + i as usize;
+                        let place = u32::from(part.column[at]) | row << 8;
+                        Sample { place, disparity: part.disparity[at], colour: part.colour[at] }
+                    }));
+                }
+                for run in &part.runs[tile.runs.clone()] {
+                    quads.extend((0..u32::from(run.count)).map(|k| {
+                        let counted = if k % COUNTED_EVERY == 0 { COUNTED } else { 0 };
+                        (u32::from(run.top) + k) | (u32::from(run.bottom) + k) << NUMBER_BITS | counted
+                    }));
+                }
+                tiles.push(Tile {
+                    first_sample,
+                    samples: count,
+                    first_quad,
+                    quads: quads.len() as u32 - first_quad,
+                    // 128 words each.
+                    first_group: (groups.len() / 128) as u32,
+                    pieces: tile.pieces as u32,
+                });
+                for group in &part.pieces.groups[tile.groups.clone()] {
+                    for lanes in [&group.u, &group.v, &group.disparity] {
+                        groups.extend(lanes.as_flattened().iter().map(|x| x.to_bits()));
+                    }
+                    groups.extend(group.colour.as_flattened());
+                }
+            }
+        }
+        let storage = wgpu::BufferUsages::STORAGE;
+        Self {
+            number: image.number,
+            source: std::sync::Arc::downgrade(image.ldi),
+            tiles: card.buffer("tiles", bytemuck::cast_slice(&tiles), storage),
+            samples: card.buffer("samples", bytemuck::cast_slice(&samples), storage),
+            quads: card.buffer("quads", bytemuck::cast_slice(&quads), storage),
+            groups: card.buffer("pieces", bytemuck::cast_slice(&groups), storage),
+            first_tile,
+            used,
+        }
+    }
+
+    /// Whether this is what the image was laid out from.
+    pub fn is(&self, image: &GpuImage<'_>) -> bool {
+        self.number == image.number && self.source.as_ptr() == std::sync::Arc::as_ptr(image.ldi)
+    }
+
+    /// The number of a tile among all, from its part's and its own there.
+    pub fn tile(&self, [part, tile]: [u32; 2]) -> u32 {
+        self.first_tile.get(part as usize).map_or(0, |first| first + tile)
+    }
+
+    pub fn bytes(&self) -> u64 {
+        [&self.tiles, &self.samples, &self.quads, &self.groups].iter().map(|b| b.size()).sum()
+    }
+}
+
+/// Bytes that an image takes on the card in its largest buffer: to refuse what a card cannot bind.
+pub fn largest_buffer(laid_out: &PreparedLdi) -> u64 {
+    let (mut samples, mut quads, mut groups) = (0, 0, 0);
+    for part in &laid_out.parts {
+        samples += part.disparity.len() as u64;
+        quads += part.runs.iter().map(|r| u64::from(r.count)).sum::<u64>();
+        groups += part.pieces.groups.len() as u64;
+    }
+    (samples * size_of::<Sample>() as u64).max(quads * 4).max(groups * 512)
+}

@@ -1,0 +1,180 @@
+//! Drawing on a graphics card: the twin of `near` and `warp`, with their stages and names.
+//!
+//! In: what those take. Out: what those give, read back: a [`Frame`] of the near geometry and a [`FarFrame`] of the warped images, which `composite` merges as it
+//! merges the processor's. The near geometry goes through the card's rasterizer ([`near`]), the micro-quads and the fixed stamps through compute shaders ([`warp`]),
+//! so that an adapter without a rasterizer could still warp.
+//!
+//! Pictures equal the processor's up to rounding: f32 in place of f64 for vertices, a card's own filter weights, and pixels whose centres lie on an edge to
+//! within that. `tests` holds both to stated bounds.
+//!
+//! An adapter may be software ([`Gpu::is_software`]); there the processor's own warp is several times faster, so that a short calibration ([`Gpu::calibrate`]) decides which
+//! of the two draws.
+//!
+//! What was not taken from the papers: they had no cards. The 32-bit way to keep the nearest of many samples per pixel (two passes: depths first, then the colours of those that
+//! hold the depth) is that of Schütz, Kerbl and Wimmer ("Rendering Point Clouds with Compute Shaders", 2021), where 64-bit atomics, their other way, are missing.
+
+mod calibrate;
+mod device;
+mod geometry;
+mod images;
+mod near;
+mod read_back;
+#[cfg(test)]
+mod tests;
+mod textures;
+mod warp;
+
+pub use calibrate::{Calibration, WarpOn};
+pub use device::{Atomics, GpuError};
+
+use crate::{
+    frame::Frame,
+    near::NearStats,
+    resident::Resident,
+    warp::{FarFrame, Order, PreparedLdi, WarpOptions, WarpStats},
+};
+use device::Card;
+use ldi_protocol::{OutputCamera, Pose, index::Index, ldi::Ldi};
+use std::sync::Arc;
+
+/// An image to warp.
+#[derive(Clone, Copy)]
+pub struct GpuImage<'a> {
+    /// Position in the index's images: the name under which it stays on the card.
+    pub number: u32,
+    /// What it was laid out from.
+    pub ldi: &'a Arc<Ldi>,
+    /// Its layout.
+    pub laid_out: &'a PreparedLdi,
+    /// See [`WarpOptions::within`].
+    pub within: Option<[u32; 4]>,
+}
+
+/// A graphics card, and what lies on it.
+pub struct Gpu {
+    card: Card,
+    near: near::Near,
+    warp: warp::Warp,
+    calibration: Option<Calibration>,
+}
+
+impl std::fmt::Debug for Gpu {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Gpu").field("adapter", &self.card.name).field("calibration", &self.calibration).finish()
+    }
+}
+
+impl Gpu {
+    /// Opens the best adapter there is.
+    ///
+    /// # Errors
+    /// If there is none that can do it.
+    pub fn open() -> Result<Self, GpuError> {
+        Self::with(Card::open(Atomics::Best)?)
+    }
+
+    /// The same with a given way to keep the nearest sample: to compare them.
+    ///
+    /// # Errors
+    /// If there is no adapter that can do it.
+    pub fn open_with(atomics: Atomics) -> Result<Self, GpuError> {
+        Self::with(Card::open(atomics)?)
+    }
+
+    fn with(card: Card) -> Result<Self, GpuError> {
+        let (near, warp) = (near::Near::new(&card), warp::Warp::new(&card));
+        card.check()?;
+        Ok(Self { card, near, warp, calibration: None })
+    }
+
+    /// Name of the adapter and how it is driven.
+    pub fn adapter(&self) -> &str {
+        &self.card.name
+    }
+
+    /// Whether the adapter is the processor in disguise.
+    pub fn is_software(&self) -> bool {
+        self.card.software
+    }
+
+    /// How the nearest sample of a pixel is kept.
+    pub fn atomics(&self) -> Atomics {
+        self.card.atomics
+    }
+
+    /// Whether a card can warp so: not with every stamp, and by depth only.
+    ///
+    /// # Errors
+    /// Where it cannot.
+    pub fn can_warp(options: &WarpOptions) -> Result<(), GpuError> {
+        warp::number_of(options.stamp)?;
+        if options.order == Order::Z { Ok(()) } else { Err(GpuError::Order(options.order)) }
+    }
+
+    /// Decides whether the card warps, or the processor: by a short comparison, or as the caller says.
+    ///
+    /// # Errors
+    /// If the card fails meanwhile.
+    pub fn calibrate(&mut self, on: WarpOn) -> Result<Calibration, GpuError> {
+        let calibration = calibrate::calibrate(self, on)?;
+        self.calibration = Some(calibration);
+        Ok(calibration)
+    }
+
+    /// What the calibration found; None before one.
+    pub fn calibration(&self) -> Option<Calibration> {
+        self.calibration
+    }
+
+    /// Whether the card warps, as the calibration found; before one, yes.
+    pub fn warps(&self) -> bool {
+        self.calibration.is_none_or(|c| c.on_card)
+    }
+
+    /// What [`crate::near::Rasterizer::draw`] does.
+    ///
+    /// # Errors
+    /// If the card fails.
+    pub fn draw(
+        &mut self,
+        index: &Index,
+        resident: &dyn Resident,
+        cells: &[u32],
+        camera: &OutputCamera,
+        pose: &Pose,
+        frame: &mut Frame,
+    ) -> Result<NearStats, GpuError> {
+        self.near.draw(&self.card, index, resident, cells, camera, pose, frame)
+    }
+
+    /// Puts an image onto the card, unless it is there with the same layers. Returns whether it was new.
+    ///
+    /// # Errors
+    /// If the card fails.
+    pub fn hold(&mut self, image: &GpuImage<'_>) -> Result<bool, GpuError> {
+        let new = self.warp.hold(&self.card, image);
+        self.card.check()?;
+        Ok(new)
+    }
+
+    /// Warps images to one picture, by depth: what [`crate::warp::warp_images`] does with [`crate::warp::Order::Z`].
+    ///
+    /// # Errors
+    /// If the card fails, or cannot draw the stamp or the order.
+    pub fn warp_images(
+        &mut self,
+        images: &[GpuImage<'_>],
+        pose: &Pose,
+        camera: &OutputCamera,
+        options: &WarpOptions,
+        into: &mut FarFrame,
+    ) -> Result<WarpStats, GpuError> {
+        self.warp.warp_images(&self.card, images, pose, camera, options, into)
+    }
+
+    /// Forgets what lies on the card: numbers are about to mean something else.
+    pub fn forget(&mut self) {
+        self.near.forget();
+        self.warp.forget();
+    }
+}

@@ -1,0 +1,46 @@
+//! From the card back to the processor.
+
+use super::device::{Card, GpuError, Growing};
+use std::sync::mpsc;
+
+/// Rows of textures are copied to buffers at multiples of this.
+pub const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
+
+/// Buffers of the card whose content is read each frame.
+pub struct ReadBack {
+    staging: Growing,
+}
+
+impl ReadBack {
+    pub fn new() -> Self {
+        Self { staging: Growing::new("read back", wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ) }
+    }
+
+    /// Submits `encoder` after `fill` has copied `size` bytes into the buffer it is given, waits, and shows them to `see`.
+    pub fn run<T>(
+        &mut self,
+        card: &Card,
+        mut encoder: wgpu::CommandEncoder,
+        size: u64,
+        fill: impl FnOnce(&mut wgpu::CommandEncoder, &wgpu::Buffer),
+        see: impl FnOnce(&[u8]) -> T,
+    ) -> Result<T, GpuError> {
+        let staging = self.staging.room(card, size);
+        fill(&mut encoder, staging);
+        let submission = card.queue.submit([encoder.finish()]);
+        card.check()?;
+        let (told, done) = mpsc::channel();
+        // The receiver waits below: it is there.
+        staging.map_async(wgpu::MapMode::Read, 0..size, move |mapped| drop(told.send(mapped)));
+        let wait = wgpu::PollType::Wait { submission_index: Some(submission), timeout: None };
+        card.device.poll(wait).map_err(|e| card.failed(e.to_string()))?;
+        done.recv().map_err(|e| card.failed(e.to_string()))?.map_err(|e| card.failed(e.to_string()))?;
+        let seen = {
+            let view = staging.get_mapped_range(0..size).map_err(|e| card.failed(e.to_string()))?;
+            see(&view)
+        };
+        staging.unmap();
+        card.check()?;
+        Ok(seen)
+    }
+}

@@ -1,0 +1,338 @@
+//! The card's pictures against the processor's, on whatever adapter there is; a software one will do.
+
+use super::*;
+use crate::{
+    frame::{Source, unpack_rgb},
+    near::Rasterizer,
+    test_support::{Memory, dataset, plain_material, quad_cluster},
+    warp::{Order, Stamp, analytic, warp_images},
+};
+use glam::{DAffine3, DVec3, Vec3};
+use ldi_protocol::{
+    mesh::{Alpha, CellGeometry, Material, Wrap},
+    texture::{MipLevel, Texture},
+};
+
+/// The bound on the difference of a card's and the processor's pictures.
+const ALIKE_DB: f64 = 45.0;
+const CAMERA: OutputCamera = OutputCamera { width: 320, height: 200, fov_deg: 70.0 };
+
+/// A card, or None with the reason on the screen where this machine has none that could.
+fn card(atomics: Atomics) -> Option<Gpu> {
+    match Gpu::open_with(atomics) {
+        Err(e @ (GpuError::NoAdapter(_) | GpuError::Lacking { .. })) => {
+            eprintln!("SKIPPED: {e}");
+            None
+        }
+        opened => Some(opened.expect("an adapter that draws")),
+    }
+}
+
+fn validate(source: &str, capabilities: naga::valid::Capabilities) -> Result<usize, String> {
+    let module = naga::front::wgsl::parse_str(source).map_err(|e| e.emit_to_string(source))?;
+    let mut validator = naga::valid::Validator::new(naga::valid::ValidationFlags::all(), capabilities);
+    validator.validate(&module).map(|_| module.entry_points.len()).map_err(|e| format!("{e:?}"))
+}
+
+#[test]
+fn the_shaders_are_valid() {
+    use naga::valid::Capabilities as C;
+    assert_eq!(validate(include_str!("near.wgsl"), C::empty()), Ok(3));
+    let with = |keep: &str| format!("{}\n{keep}", include_str!("warp.wgsl"));
+    for keep in [include_str!("keep_depth.wgsl"), include_str!("keep_colour.wgsl")] {
+        assert_eq!(validate(&with(keep), C::empty()), Ok(1));
+    }
+    let wide = with(include_str!("keep_wide.wgsl"));
+    assert_eq!(validate(&wide, C::SHADER_INT64 | C::SHADER_INT64_ATOMIC_MIN_MAX), Ok(1));
+    assert!(validate(&wide, C::empty()).is_err(), "what a card must have for it is asked for");
+}
+
+/// PSNR of two pictures' colours, dB.
+fn psnr_db(a: &[u32], b: &[u32]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    let error = |(a, b): (&u32, &u32)| -> u64 {
+        unpack_rgb(*a).iter().zip(unpack_rgb(*b)).map(|(x, y)| u64::from(x.abs_diff(y)).pow(2)).sum()
+    };
+    let sum: u64 = a.iter().zip(b).map(error).sum();
+    if sum == 0 { f64::INFINITY } else { 10.0 * (255.0f64.powi(2) * 3.0 * a.len() as f64 / sum as f64).log10() }
+}
+
+/// Shares of pixels where one picture has something and the other nothing.
+fn disagree(a: &Frame, b: &Frame) -> f64 {
+    let n = a.source.iter().zip(&b.source).filter(|(a, b)| a != b).count();
+    n as f64 / a.len() as f64
+}
+
+/// Blobs of colour and alpha on an odd-sized texture, with its mip levels.
+fn texture() -> Texture {
+    let (width, height) = (93u32, 70u32);
+    let rgba = (0..width * height)
+        .map(|i| {
+            let (x, y) = ((i % width) as f32, (i / width) as f32);
+            let wave = |a: f32, b: f32| (((x * a).sin() * (y * b).cos() * 0.5 + 0.5) * 255.0) as u8;
+            [wave(0.21, 0.13), wave(0.1, 0.32), wave(0.05, 0.07), wave(0.15, 0.11)]
+        })
+        .collect();
+    Texture::from_base(MipLevel { width, height, rgba }, true)
+}
+
+/// Textured, masked, lit, coloured and absent things, some turned and scaled, `far_m` metres from the world's origin along each axis.
+fn scene(far_m: f64) -> (Index, Memory) {
+    let at = DVec3::splat(far_m);
+    let lit = Material { unlit: false, base_colour: [0.9, 0.5, 0.3, 1.0], ..plain_material() };
+    let textured = Material { texture: Some(0), unlit: false, ..plain_material() };
+    let masked =
+        Material { texture: Some(0), alpha: Alpha::Mask(0.5), wrap: [Wrap::Mirror, Wrap::Clamp], ..plain_material() };
+    let absent = Material { texture: Some(1), ..plain_material() };
+    let wall = |m: u32, x: f32, y: f32, z: f32, half: f32| {
+        let mut c = quad_cluster(
+            m,
+            [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(|[a, b]| Vec3::new(x + a * half, y + b * half, z)),
+        );
+        c.uvs.iter_mut().for_each(|t| *t = *t * 2.5 - 0.7);
+        c
+    };
+    let mut floor = quad_cluster(
+        0,
+        [[-30.0, -30.0], [30.0, -30.0], [30.0, 30.0], [-30.0, 30.0]].map(|[a, b]| Vec3::new(a, -1.5, b)),
+    );
+    floor.colours = vec![[1.0, 0.2, 0.2], [0.2, 1.0, 0.2], [0.2, 0.2, 1.0], [1.0; 3]];
+    let mut ball = quad_cluster(0, [Vec3::ZERO; 4]);
+    let on_ball = |i: usize, j: usize| {
+        let (a, b) = (i as f32 * std::f32::consts::TAU / 12.0, j as f32 * std::f32::consts::PI / 8.0);
+        Vec3::new(a.cos() * b.sin(), b.cos(), a.sin() * b.sin())
+    };
+    (ball.positions, ball.uvs) = ((0..9 * 13).map(|k| on_ball(k % 13, k / 13)).collect(), Vec::new());
+    ball.normals = ball.positions.clone();
+    let corner = |i: usize, j: usize| (j * 13 + i) as u16;
+    ball.triangles = (0..12 * 8)
+        .flat_map(|k| {
+            let (i, j) = (k % 12, k / 12);
+            let [a, b, c, d] = [corner(i, j), corner(i + 1, j), corner(i + 1, j + 1), corner(i, j + 1)];
+            [[a, b, c], [a, c, d]]
+        })
+        .collect();
+    let mut clusters = vec![
+        floor,
+        ball,
+        wall(1, -2.0, 0.5, -6.0, 1.5),
+        wall(2, 0.8, 0.0, -4.0, 1.2),
+        wall(3, 3.0, 1.0, -9.0, 2.0),
+        wall(1, 0.0, 3.0, -40.0, 12.0),
+    ];
+    clusters.iter_mut().for_each(|c| c.origin = DVec3::new(0.0, 0.0, 0.25));
+    let (index, mut memory) = dataset(CAMERA, vec![lit, textured, masked, absent], clusters);
+    memory.textures.insert(0, Arc::new(texture()));
+    for (number, cell) in &mut memory.cells {
+        let mut moved: CellGeometry = (**cell).clone();
+        let turned = match number {
+            1 => DAffine3::from_scale_rotation_translation(
+                DVec3::new(1.0, 0.6, 1.4),
+                glam::DQuat::from_rotation_y(0.7),
+                DVec3::new(0.5, 0.2, -7.0),
+            ),
+            _ => DAffine3::IDENTITY,
+        };
+        moved.instances[0].world_from_mesh = DAffine3::from_translation(at) * turned;
+        *cell = Arc::new(moved);
+    }
+    (index, memory)
+}
+
+fn poses(far_m: f64) -> Vec<Pose> {
+    let from = |x: f64, y: f64, z: f64, yaw_deg: f64, pitch_deg: f64| Pose {
+        position: DVec3::splat(far_m) + DVec3::new(x, y, z),
+        yaw_deg,
+        pitch_deg,
+    };
+    vec![from(0.0, 0.1, 0.0, 0.0, 0.0), from(0.7, -0.4, -1.0, 18.0, -24.0), from(-1.1, 0.3, -2.2, -31.0, 9.0)]
+}
+
+fn drawn(gpu: &mut Gpu, index: &Index, memory: &Memory, pose: &Pose) -> (Frame, NearStats) {
+    let cells: Vec<u32> = (0..index.cells.len() as u32).collect();
+    let mut frame = Frame::default();
+    let stats = gpu.draw(index, memory, &cells, &CAMERA, pose, &mut frame).expect("drawn");
+    (frame, stats)
+}
+
+#[test]
+fn near_geometry_is_the_processors() {
+    let Some(mut gpu) = card(Atomics::Best) else { return };
+    let (index, memory) = scene(0.0);
+    let cells: Vec<u32> = (0..index.cells.len() as u32).collect();
+    let mut rasterizer = Rasterizer::default();
+    let mut worst = f64::INFINITY;
+    for pose in poses(0.0) {
+        let (on_card, stats) = drawn(&mut gpu, &index, &memory, &pose);
+        let mut frame = Frame::default();
+        assert_eq!(rasterizer.draw(&index, &memory, &cells, &CAMERA, &pose, &mut frame), stats);
+        assert_eq!(stats.missing_textures, [1]);
+        let near = frame.count(Source::Near);
+        assert!(near > frame.len() / 3 && near < frame.len(), "{near}: surfaces and sky");
+        let db = psnr_db(&frame.colour, &on_card.colour);
+        assert!(db >= ALIKE_DB, "{pose:?}: {db} dB");
+        assert!(disagree(&frame, &on_card) < 1e-3, "{}", disagree(&frame, &on_card));
+        // Where both show the same surface; alpha tests and edges may differ in single pixels.
+        let far_off =
+            frame.disparity.iter().zip(&on_card.disparity).filter(|(a, b)| (*a - *b).abs() > 1e-5 * a.max(**b));
+        assert!((far_off.count() as f64) < 1e-3 * frame.len() as f64);
+        worst = worst.min(db);
+        // The comparison can fail: the same from a third of a pixel beside.
+        let beside = Pose { yaw_deg: pose.yaw_deg + 0.07, ..pose };
+        let other = drawn(&mut gpu, &index, &memory, &beside).0;
+        assert!(psnr_db(&frame.colour, &other.colour) < ALIKE_DB);
+    }
+    println!("{}: near geometry at least {worst:.1} dB alike", gpu.adapter());
+}
+
+#[test]
+fn far_from_the_worlds_origin_it_looks_the_same() {
+    let Some(mut gpu) = card(Atomics::Best) else { return };
+    for far_m in [1e6, 1e7] {
+        // Whole numbers of these sizes are exact in f64.
+        let (here, there) = (scene(0.0), scene(far_m));
+        for (a, b) in poses(0.0).iter().zip(poses(far_m)) {
+            let (a, b) = (drawn(&mut gpu, &here.0, &here.1, a).0, drawn(&mut gpu, &there.0, &there.1, &b).0);
+            let db = psnr_db(&a.colour, &b.colour);
+            assert!(db >= ALIKE_DB, "{far_m} m away: {db} dB");
+        }
+    }
+}
+
+#[test]
+fn finer_levels_replace_coarser_ones() {
+    let Some(mut gpu) = card(Atomics::Best) else { return };
+    let (index, mut memory) = scene(0.0);
+    let whole = memory.textures[&0].clone();
+    let mut coarse = (*whole).clone();
+    coarse.levels[..3].fill(None);
+    let cells: Vec<u32> = (0..index.cells.len() as u32).collect();
+    let (pose, mut pictures) = (poses(0.0)[0], Vec::new());
+    for texture in [Arc::new(coarse), whole] {
+        memory.textures.insert(0, texture);
+        let (on_card, stats) = drawn(&mut gpu, &index, &memory, &pose);
+        let mut frame = Frame::default();
+        assert_eq!(Rasterizer::default().draw(&index, &memory, &cells, &CAMERA, &pose, &mut frame), stats);
+        let db = psnr_db(&frame.colour, &on_card.colour);
+        assert!(db >= ALIKE_DB, "{db} dB with {} levels", stats.coarse_textures.len());
+        pictures.push(on_card);
+    }
+    assert!(psnr_db(&pictures[0].colour, &pictures[1].colour) < ALIKE_DB, "levels make a difference");
+}
+
+fn image(name: &str, side: u32) -> Arc<Ldi> {
+    Arc::new(analytic::scene(name).ldi(analytic::ldi_camera(DVec3::ZERO, side, side, 80.0), 3))
+}
+
+fn warped(
+    gpu: &mut Gpu,
+    images: &[(u32, &Arc<Ldi>, &PreparedLdi)],
+    pose: &Pose,
+    stamp: Stamp,
+) -> (FarFrame, WarpStats) {
+    let images: Vec<GpuImage<'_>> =
+        images.iter().map(|i| GpuImage { number: i.0, ldi: i.1, laid_out: i.2, within: None }).collect();
+    let mut far = FarFrame::new(CAMERA.width, CAMERA.height);
+    let options = WarpOptions { stamp, ..WarpOptions::default() };
+    let stats = gpu.warp_images(&images, pose, &CAMERA, &options, &mut far).expect("warped");
+    (far, stats)
+}
+
+/// Colours of a far picture, black where nothing is.
+fn colours(far: &FarFrame) -> Vec<u32> {
+    far.packed.iter().map(|p| *p as u32).collect()
+}
+
+#[test]
+fn warped_images_are_the_processors() {
+    for atomics in [Atomics::Wide, Atomics::Narrow] {
+        let Some(mut gpu) = card(atomics) else { continue };
+        let mut worst = f64::INFINITY;
+        for (number, name) in (0u32..).zip(["frontal", "slanted", "sphere", "fence", "floor"]) {
+            let ldi = image(name, 384);
+            let laid_out = PreparedLdi::new(&ldi);
+            for pose in poses(0.0) {
+                for stamp in [Stamp::Quads, Stamp::OnePixel, Stamp::TwoByTwo, Stamp::Cross, Stamp::ThreeByThree] {
+                    let (far, stats) = warped(&mut gpu, &[(number, &ldi, &laid_out)], &pose, stamp);
+                    let mut expected = FarFrame::new(CAMERA.width, CAMERA.height);
+                    let options = WarpOptions { stamp, ..WarpOptions::default() };
+                    let of_processor =
+                        warp_images(&[&laid_out], &pose, &CAMERA, &options, &mut expected, &mut FarFrame::default())
+                            .expect("by depth");
+                    assert!(of_processor.samples_warped > 1000, "{name}: something is seen");
+                    let counts = |s: &WarpStats| (s.samples, s.samples_warped, s.samples_culled, s.primitives, s.bytes);
+                    assert_eq!(counts(&stats), counts(&of_processor));
+                    let footprints = (stats.footprint_max_px, of_processor.footprint_max_px);
+                    assert!(
+                        (footprints.0 - footprints.1).abs() < 1e-3 * footprints.1,
+                        "{name} {stamp}: {footprints:?}"
+                    );
+                    // One sample on the other side of a pixel's border moves a whole stamp; a quad's pixels hardly change.
+                    let lost =
+                        far.packed.iter().zip(&expected.packed).filter(|(a, b)| (**a == 0) != (**b == 0)).count();
+                    assert!((lost as f64) < 1e-3 * far.packed.len() as f64, "{name} {stamp}: {lost} pixels");
+                    if stamp == Stamp::Quads {
+                        let db = psnr_db(&colours(&far), &colours(&expected));
+                        assert!(db >= ALIKE_DB, "{name} {stamp}: {db} dB");
+                        worst = worst.min(db);
+                        let (p, q) = (stats.stretch.quantile_px(0.99), of_processor.stretch.quantile_px(0.99));
+                        assert!((p - q).abs() <= 0.25, "{name}: {p} {q}");
+                    }
+                }
+            }
+        }
+        println!("{} {atomics:?}: warped images at least {worst:.1} dB alike", gpu.adapter());
+    }
+}
+
+#[test]
+fn both_ways_to_keep_the_nearest_sample_give_the_same_picture() {
+    let (Some(mut wide), Some(mut narrow)) = (card(Atomics::Wide), card(Atomics::Narrow)) else { return };
+    assert_eq!((wide.atomics(), narrow.atomics()), (Atomics::Wide, Atomics::Narrow));
+    let (ldi, other) = (image("sphere", 256), image("fence", 200));
+    let (a, b) = (PreparedLdi::new(&ldi), PreparedLdi::new(&other));
+    for pose in poses(0.0) {
+        for stamp in [Stamp::Quads, Stamp::ThreeByThree] {
+            let images = [(3, &ldi, &a), (5, &other, &b)];
+            let (one, two) = (warped(&mut wide, &images, &pose, stamp), warped(&mut narrow, &images, &pose, stamp));
+            assert!(one.0.painted() > 10_000);
+            assert_eq!(one, two, "{stamp}");
+        }
+    }
+}
+
+#[test]
+fn images_stay_until_they_change() {
+    let Some(mut gpu) = card(Atomics::Best) else { return };
+    let (first, second) = (image("sphere", 64), image("fence", 64));
+    let layouts = [PreparedLdi::new(&first), PreparedLdi::new(&second)];
+    let mut hold = |number: u32, ldi: &Arc<Ldi>, laid_out: &PreparedLdi| {
+        gpu.hold(&GpuImage { number, ldi, laid_out, within: None }).expect("held")
+    };
+    assert!(hold(7, &first, &layouts[0]));
+    assert!(!hold(7, &first, &layouts[0]));
+    assert!(hold(7, &second, &layouts[1]), "another content under the same number");
+    assert!(hold(8, &first, &layouts[0]));
+    assert!(!hold(7, &second, &layouts[1]));
+}
+
+#[test]
+fn what_only_the_processor_can_is_refused_by_name() {
+    let options = |stamp, order| WarpOptions { stamp, order, ..WarpOptions::default() };
+    assert_eq!(Gpu::can_warp(&options(Stamp::Quads, Order::Z)), Ok(()));
+    assert_eq!(Gpu::can_warp(&options(Stamp::Ewa, Order::Z)), Err(GpuError::Stamp(Stamp::Ewa)));
+    let refused = Gpu::can_warp(&options(Stamp::OnePixel, Order::Epipole)).expect_err("by depth only");
+    assert!(refused.to_string().contains("--renderer cpu"), "{refused}");
+}
+
+#[test]
+fn the_calibration_takes_the_callers_word_or_the_faster() {
+    let Some(mut gpu) = card(Atomics::Best) else { return };
+    for (on, warps) in [(WarpOn::Cpu, false), (WarpOn::Gpu, true)] {
+        gpu.calibrate(on).expect("nothing is drawn");
+        assert_eq!(gpu.warps(), warps);
+    }
+    let found = gpu.calibrate(WarpOn::Auto).expect("both warp");
+    assert_eq!(Some(found.on_card), found.card_ms.zip(found.processor_ms).map(|(card, processor)| card < processor));
+    println!("{}: {found}", gpu.adapter());
+}

@@ -1,0 +1,306 @@
+//! The warp by compute shaders (`warp.wgsl`): a workgroup per tile that reaches the picture.
+//!
+//! In: images that lie on the card, a pose. Out: the same picture as the processor's. What a frame sends is a matrix per tile; which tiles reach the picture the processor finds out, as it does for
+//! its own warp. Samples are written as maxima, so that the picture depends on no order.
+
+use super::{
+    GpuImage,
+    device::{Atomics, Card, GpuError, Growing},
+    images::{Uploaded, largest_buffer},
+    read_back::ReadBack,
+};
+use crate::warp::{FarFrame, Stamp, StretchHistogram, TileJob, WarpOptions, WarpStats, tile_jobs};
+use bytemuck::{Pod, Zeroable};
+use ldi_protocol::{OutputCamera, Pose};
+use rayon::prelude::*;
+
+/// Bytes of images that stay on the card besides those of the frame.
+const KEPT_BYTES: u64 = 256 << 20;
+/// Workgroups along one axis of a dispatch, at most, on any card.
+const ACROSS: u32 = 65_535;
+
+/// As `warp.wgsl` reads it.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Picture {
+    width: u32,
+    height: u32,
+    stamp: u32,
+    unused: u32,
+}
+
+/// Likewise.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Batch {
+    first_job: u32,
+    jobs: u32,
+    across: u32,
+    unused: u32,
+}
+
+/// Likewise.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Job {
+    rows: [[f32; 4]; 3],
+    tile: [u32; 4],
+}
+
+/// See the module.
+pub struct Warp {
+    /// One pass, or two.
+    passes: Vec<wgpu::ComputePipeline>,
+    frame_layout: wgpu::BindGroupLayout,
+    image_layout: wgpu::BindGroupLayout,
+    target_layout: wgpu::BindGroupLayout,
+    picture: Growing,
+    jobs: Growing,
+    figures: wgpu::Buffer,
+    /// One plane of 64 bits, or two of 32.
+    targets: [Growing; 2],
+    held: Vec<Uploaded>,
+    frame: u64,
+    read_back: ReadBack,
+}
+
+/// Words of the figures: the footprint and the histogram.
+const FIGURES: u64 = 1 + StretchHistogram::BINS as u64;
+
+fn storage(binding: u32, read_only: bool) -> wgpu::BindGroupLayoutEntry {
+    entry(binding, wgpu::BufferBindingType::Storage { read_only })
+}
+
+fn entry(binding: u32, ty: wgpu::BufferBindingType) -> wgpu::BindGroupLayoutEntry {
+    wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: wgpu::ShaderStages::COMPUTE,
+        ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
+        count: None,
+    }
+}
+
+/// What the card knows a stamp as.
+pub fn number_of(stamp: Stamp) -> Result<u32, GpuError> {
+    match stamp {
+        Stamp::Quads => Ok(0),
+        Stamp::OnePixel => Ok(1),
+        Stamp::TwoByTwo => Ok(2),
+        Stamp::Cross => Ok(3),
+        Stamp::ThreeByThree => Ok(4),
+        Stamp::Footprint | Stamp::Parallelogram | Stamp::Ewa => Err(GpuError::Stamp(stamp)),
+    }
+}
+
+impl Warp {
+    pub fn new(card: &Card) -> Self {
+        let layout = |label, entries: &[wgpu::BindGroupLayoutEntry]| {
+            card.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries })
+        };
+        let uniform = |binding| entry(binding, wgpu::BufferBindingType::Uniform);
+        let frame_layout = layout("warp", &[uniform(0), storage(1, true), storage(2, false)]);
+        let image_layout =
+            layout("image", &[storage(0, true), storage(1, true), storage(2, true), storage(3, true), uniform(4)]);
+        let planes = [storage(0, false), storage(1, false)];
+        let wide = card.atomics == Atomics::Wide;
+        let target_layout = layout("picture", if wide { &planes[..1] } else { &planes });
+        let pipeline_layout = card.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some("warp"),
+            bind_group_layouts: &[Some(&frame_layout), Some(&image_layout), Some(&target_layout)],
+            immediate_size: 0,
+        });
+        let keeps: &[&str] = match wide {
+            true => &[include_str!("keep_wide.wgsl")],
+            false => &[include_str!("keep_depth.wgsl"), include_str!("keep_colour.wgsl")],
+        };
+        let passes = keeps.iter().map(|keep| {
+            let module = card.shader("warp", &format!("{}\n{keep}", include_str!("warp.wgsl")));
+            card.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some("warp"),
+                layout: Some(&pipeline_layout),
+                module: &module,
+                entry_point: Some("warp_tile"),
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                cache: None,
+            })
+        });
+        let (copy, storage) = (wgpu::BufferUsages::COPY_DST, wgpu::BufferUsages::STORAGE);
+        let target = || Growing::new("picture", storage | copy | wgpu::BufferUsages::COPY_SRC);
+        Self {
+            passes: passes.collect(),
+            frame_layout,
+            image_layout,
+            target_layout,
+            picture: Growing::new("warp", wgpu::BufferUsages::UNIFORM | copy),
+            jobs: Growing::new("tiles of the frame", storage | copy),
+            figures: card.room("figures", 4 * FIGURES, storage | copy | wgpu::BufferUsages::COPY_SRC),
+            targets: [target(), target()],
+            held: Vec::new(),
+            frame: 0,
+            read_back: ReadBack::new(),
+        }
+    }
+
+    pub fn forget(&mut self) {
+        self.held.clear();
+    }
+
+    /// See [`super::Gpu::hold`].
+    pub fn hold(&mut self, card: &Card, image: &GpuImage<'_>) -> bool {
+        let frame = self.frame;
+        if let Some(found) = self.held.iter_mut().find(|u| u.is(image)) {
+            found.used = frame;
+            return false;
+        }
+        self.held.retain(|u| u.number != image.number);
+        self.held.push(Uploaded::new(card, image, frame));
+        true
+    }
+
+    /// Lets go of images that were used longest ago, until the rest is small enough.
+    fn make_room(&mut self) {
+        let mut bytes: u64 = self.held.iter().map(Uploaded::bytes).sum();
+        while bytes > KEPT_BYTES {
+            let idle = self.held.iter().enumerate().filter(|(_, u)| u.used < self.frame).min_by_key(|(_, u)| u.used);
+            let Some((at, _)) = idle else { break };
+            bytes -= self.held.swap_remove(at).bytes();
+        }
+    }
+
+    /// See [`super::Gpu::warp_images`].
+    pub fn warp_images(
+        &mut self,
+        card: &Card,
+        images: &[GpuImage<'_>],
+        pose: &Pose,
+        camera: &OutputCamera,
+        options: &WarpOptions,
+        into: &mut FarFrame,
+    ) -> Result<WarpStats, GpuError> {
+        super::Gpu::can_warp(options)?;
+        let stamp = number_of(options.stamp)?;
+        let limits = card.device.limits();
+        let pixels = u64::from(camera.width) * u64::from(camera.height);
+        if pixels * 8 > limits.max_storage_buffer_binding_size {
+            return Err(card
+                .lacking(format!("draws pictures of at most {} pixels", limits.max_storage_buffer_binding_size / 8)));
+        }
+        self.frame += 1;
+        let (mut stats, mut jobs, mut batches) = (WarpStats::default(), Vec::<Job>::new(), Vec::new());
+        for image in images {
+            if largest_buffer(image.laid_out) > limits.max_storage_buffer_binding_size {
+                return Err(card.lacking(format!("has no room for image {}", image.number)));
+            }
+            self.hold(card, image);
+            let options = WarpOptions { within: image.within, ..*options };
+            let (tiles, more) = tile_jobs(image.laid_out, pose, camera, &options);
+            stats.add(&more);
+            let Some(uploaded) = self.held.iter_mut().find(|u| u.is(image)) else { continue };
+            uploaded.used = self.frame;
+            let first_job = jobs.len() as u32;
+            jobs.extend(tiles.iter().map(|t: &TileJob| Job { rows: t.rows, tile: [uploaded.tile(t.number), 0, 0, 0] }));
+            let count = tiles.len() as u32;
+            batches.push((image.number, Batch { first_job, jobs: count, across: count.clamp(1, ACROSS), unused: 0 }));
+        }
+        self.make_room();
+        let picture = Picture { width: camera.width, height: camera.height, stamp, unused: 0 };
+        let encoder = self.encode(card, &picture, &jobs, &batches);
+        let figures = self.read(card, encoder, pixels, into)?;
+        stats.footprint_max_px = f32::from_bits(figures[0]).sqrt();
+        stats.stretch = StretchHistogram::of(&figures[1..]);
+        Ok(stats)
+    }
+
+    fn encode(
+        &mut self,
+        card: &Card,
+        picture: &Picture,
+        jobs: &[Job],
+        batches: &[(u32, Batch)],
+    ) -> wgpu::CommandEncoder {
+        let pixels = u64::from(picture.width) * u64::from(picture.height);
+        let [first, second] = &mut self.targets;
+        let planes = match card.atomics {
+            Atomics::Wide => vec![first.room(card, 8 * pixels)],
+            _ => vec![first.room(card, 4 * pixels), second.room(card, 4 * pixels)],
+        };
+        let bind = |layout, buffers: &[&wgpu::Buffer]| {
+            let entries: Vec<wgpu::BindGroupEntry<'_>> = (0u32..)
+                .zip(buffers)
+                .map(|(binding, b)| wgpu::BindGroupEntry { binding, resource: b.as_entire_binding() })
+                .collect();
+            card.device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries })
+        };
+        let target_group = bind(&self.target_layout, &planes);
+        let picture = self.picture.write(card, bytemuck::bytes_of(picture));
+        let jobs = self.jobs.write(card, bytemuck::cast_slice(jobs));
+        let frame_group = bind(&self.frame_layout, &[picture, jobs, &self.figures]);
+        let mut encoder = card.encoder();
+        for plane in &planes {
+            encoder.clear_buffer(plane, 0, None);
+        }
+        encoder.clear_buffer(&self.figures, 0, None);
+        let images: Vec<(wgpu::BindGroup, &Batch)> = batches
+            .iter()
+            .filter(|(_, batch)| batch.jobs > 0)
+            .filter_map(|(number, batch)| {
+                let held = self.held.iter().find(|u| u.number == *number)?;
+                let of_image = card.buffer("batch", bytemuck::bytes_of(batch), wgpu::BufferUsages::UNIFORM);
+                let buffers = [&held.tiles, &held.samples, &held.quads, &held.groups, &of_image];
+                Some((bind(&self.image_layout, &buffers), batch))
+            })
+            .collect();
+        // All depths come before any colour.
+        for pipeline in &self.passes {
+            let mut pass = encoder
+                .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("warp"), timestamp_writes: None });
+            pass.set_pipeline(pipeline);
+            pass.set_bind_group(0, &frame_group, &[]);
+            pass.set_bind_group(2, &target_group, &[]);
+            for (group, batch) in &images {
+                pass.set_bind_group(1, group, &[]);
+                pass.dispatch_workgroups(batch.across, batch.jobs.div_ceil(batch.across), 1);
+            }
+        }
+        encoder
+    }
+
+    /// Reads picture and figures back.
+    fn read(
+        &mut self,
+        card: &Card,
+        encoder: wgpu::CommandEncoder,
+        pixels: u64,
+        into: &mut FarFrame,
+    ) -> Result<Vec<u32>, GpuError> {
+        let size = 8 * pixels;
+        let wide = card.atomics == Atomics::Wide;
+        let [first, second] = &mut self.targets;
+        let planes = [first.room(card, 0), second.room(card, 0)];
+        let figures = &self.figures;
+        let copy = |encoder: &mut wgpu::CommandEncoder, to: &wgpu::Buffer| {
+            if wide {
+                encoder.copy_buffer_to_buffer(planes[0], 0, to, 0, size);
+            } else {
+                encoder.copy_buffer_to_buffer(planes[0], 0, to, 0, size / 2);
+                encoder.copy_buffer_to_buffer(planes[1], 0, to, size / 2, size / 2);
+            }
+            encoder.copy_buffer_to_buffer(figures, 0, to, size, 4 * FIGURES);
+        };
+        into.clear();
+        self.read_back.run(card, encoder, size + 4 * FIGURES, copy, |bytes| {
+            let (picture, figures) = bytes.split_at(size as usize);
+            if wide {
+                let read = picture.as_chunks::<8>().0;
+                into.packed.par_iter_mut().zip(read.par_iter()).for_each(|(to, p)| *to = u64::from_le_bytes(*p));
+            } else {
+                let (depths, colours) = picture.split_at(size as usize / 2);
+                let read = depths.as_chunks::<4>().0.par_iter().zip(colours.as_chunks::<4>().0.par_iter());
+                into.packed.par_iter_mut().zip(read).for_each(|(to, (d, c))| {
+                    *to = u64::from(u32::from_le_bytes(*d)) << 32 | u64::from(u32::from_le_bytes(*c));
+                });
+            }
+            figures.as_chunks::<4>().0.iter().map(|w| u32::from_le_bytes(*w)).collect()
+        })
+    }
+}
