@@ -6,7 +6,7 @@ use crate::{
     gpu::{Gpu, GpuError, GpuImage, WarpOn},
     near::{NearStats, Rasterizer},
     resident::Resident,
-    warp::{FarFrame, WarpError, WarpOptions, WarpStats, warp_images},
+    warp::{FarFrame, PreparedLdi, WarpError, WarpOptions, WarpStats, warp_images},
 };
 use ldi_protocol::{OutputCamera, Pose, index::Index};
 use serde::Serialize;
@@ -111,9 +111,9 @@ impl Hand {
     }
 
     /// Puts an image where it can be warped from.
-    pub fn hold(&mut self, image: &GpuImage<'_>, options: &WarpOptions) -> Result<(), PaintError> {
+    pub fn hold(&mut self, laid_out: &PreparedLdi, options: &WarpOptions) -> Result<(), PaintError> {
         if let Some(gpu) = self.warper(options) {
-            gpu.hold(image)?;
+            gpu.hold(laid_out)?;
         }
         Ok(())
     }

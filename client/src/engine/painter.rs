@@ -5,8 +5,8 @@
 
 use super::{
     hand::{Hand, PaintError},
+    layouts::{Layout, Layouts},
     options::{Cull, Method, WalkOptions},
-    views::Shows,
 };
 use crate::{
     composite::{
@@ -18,7 +18,7 @@ use crate::{
     report::StageMs,
     resident::Resident,
     tree::{StillPainter, TreeStats},
-    warp::{FarFrame, PreparedLdi, WarpOptions, WarpStats},
+    warp::{FarFrame, WarpOptions, WarpStats},
 };
 use ldi_protocol::{
     OutputCamera, Pose,
@@ -30,10 +30,6 @@ use ldi_protocol::{
     select::{DrawFrusta, DrawList, Nearest, Selection, ShownPortal, draw_list, nearest_cells, select},
 };
 use std::{sync::Arc, time::Instant};
-
-/// Prepared images that are kept besides those of the current frame: the ones that a walker goes back and forth between. Each is
-/// about three times as large as the decoded image.
-const PREPARED_KEPT: usize = 4;
 
 /// What a pose draws.
 #[derive(Debug, Clone, PartialEq)]
@@ -86,22 +82,7 @@ pub struct Painter {
     tree_rate: f64,
     /// Colours of the frame before, where holes are to show it.
     last: Vec<u32>,
-    /// Most recent last.
-    prepared: Vec<Prepared>,
-}
-
-/// An image, laid out.
-#[derive(Debug)]
-struct Prepared {
-    number: u32,
-    ldi: Arc<Ldi>,
-    laid_out: PreparedLdi,
-    since: Instant,
-}
-
-/// An image by its number.
-fn find(prepared: &[Prepared], number: u32) -> Option<&Prepared> {
-    prepared.iter().find(|p| p.number == number)
+    layouts: Layouts,
 }
 
 fn ms_since(start: Instant) -> f64 {
@@ -297,7 +278,7 @@ impl Painter {
         painted.missing_chunks.sort_unstable();
         painted.missing_chunks.dedup();
 
-        self.forget(&images);
+        self.layouts.forget_all_but(|number| images.iter().any(|(n, ..)| *n == number));
         let warp_options = WarpOptions {
             stamp: options.stamp,
             order: options.order,
@@ -307,29 +288,28 @@ impl Painter {
         for (number, _, held) in &mut images {
             let Some(ldi) = held else { continue };
             let start = Instant::now();
-            if options.layout_ms.is_some_and(|most| painted.ms.prepare > most) && !self.is_prepared(*number, ldi) {
+            if options.layout_ms.is_some_and(|most| painted.ms.prepare > most) && !self.layouts.holds(*number, ldi) {
                 (*held, painted.waiting) = (None, painted.waiting + 1);
                 continue;
             }
-            let new = self.prepare(*number, ldi);
-            if let Some(p) = find(&self.prepared, *number) {
-                let image = GpuImage { number: *number, ldi: &p.ldi, laid_out: &p.laid_out, within: None };
-                self.hand.hold(&image, &warp_options)?;
+            let new = self.layouts.lay_out(*number, ldi);
+            if let Some(l) = self.layouts.get(*number) {
+                self.hand.hold(&l.laid_out, &warp_options)?;
             }
             painted.ms.prepare += if new { ms_since(start) } else { 0.0 };
         }
         let gaps = near_gaps || images.iter().any(|(.., l)| l.is_none());
         self.far.reset(full_camera.width, full_camera.height);
-        let tinted = self.tinted(&images, pose, &full_camera, options.shows);
-        let prepared = if tinted.is_empty() { &self.prepared } else { &tinted };
-        let here: Vec<&Prepared> =
-            images.iter().filter(|i| i.2.is_some()).filter_map(|i| find(prepared, i.0)).collect();
+        let here = || images.iter().filter(|i| i.2.is_some()).map(|i| i.0);
+        let tinted = self.layouts.tinted(here(), pose, &full_camera, options.shows);
+        let layouts = tinted.as_ref().unwrap_or(&self.layouts);
+        let here: Vec<&Layout> = here().filter_map(|number| layouts.get(number)).collect();
         if !here.is_empty() {
             let start = Instant::now();
             let mut shown: Vec<GpuImage<'_>> = Vec::with_capacity(here.len());
             let mut show = |wanted: &dyn Fn(u32) -> bool, within| {
                 let wanted = here.iter().filter(|p| wanted(p.number));
-                shown.extend(wanted.map(|p| GpuImage { number: p.number, ldi: &p.ldi, laid_out: &p.laid_out, within }));
+                shown.extend(wanted.map(|p| GpuImage { laid_out: &p.laid_out, within }));
             };
             if view.portals.is_empty() {
                 show(&|_| true, None);
@@ -452,52 +432,5 @@ impl Painter {
         let filled = self.full.count(Source::Filled) as f64;
         let unpainted = self.full.count(Source::Unpainted) as f64;
         ((filled + unpainted) / n, unpainted / n)
-    }
-
-    /// Makes room for the images of a frame.
-    fn forget(&mut self, images: &[(u32, &ImageEntry, Option<Arc<Ldi>>)]) {
-        let in_use = |number: u32| images.iter().any(|(n, ..)| *n == number);
-        let mut spare = self.prepared.iter().filter(|p| !in_use(p.number)).count();
-        self.prepared.retain(|p| {
-            let keep = in_use(p.number) || spare <= PREPARED_KEPT;
-            spare -= usize::from(!keep);
-            keep
-        });
-    }
-
-    /// Whether an image is laid out, with these layers.
-    fn is_prepared(&self, number: u32, ldi: &Arc<Ldi>) -> bool {
-        find(&self.prepared, number).is_some_and(|p| Arc::ptr_eq(&p.ldi, ldi))
-    }
-
-    /// Lays out an image unless it is laid out already, with the same layers. Returns whether it was new.
-    fn prepare(&mut self, number: u32, ldi: &Arc<Ldi>) -> bool {
-        let held = self.is_prepared(number, ldi);
-        let at = self.prepared.iter().position(|p| p.number == number);
-        let before = at.map(|at| self.prepared.remove(at));
-        let entry = before.filter(|_| held).unwrap_or_else(|| Prepared {
-            number,
-            ldi: ldi.clone(),
-            laid_out: PreparedLdi::new(ldi),
-            since: Instant::now(),
-        });
-        self.prepared.push(entry);
-        !held
-    }
-
-    /// The images in the colours of a view; none where it shows them as they are.
-    fn tinted(
-        &self,
-        images: &[(u32, &ImageEntry, Option<Arc<Ldi>>)],
-        pose: &Pose,
-        camera: &OutputCamera,
-        shows: Shows,
-    ) -> Vec<Prepared> {
-        let shown = images.iter().filter(|i| i.2.is_some()).filter_map(|i| find(&self.prepared, i.0));
-        let tint = |p: &Prepared| {
-            let ldi = shows.tint(&p.ldi, pose, camera, p.since.elapsed().as_secs_f64())?;
-            Some(Prepared { number: p.number, laid_out: PreparedLdi::new(&ldi), ldi, since: p.since })
-        };
-        shown.filter_map(tint).collect()
     }
 }

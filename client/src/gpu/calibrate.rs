@@ -5,7 +5,7 @@ use crate::warp::{FarFrame, PreparedLdi, WarpError, WarpOptions, analytic, warp}
 use glam::DVec3;
 use ldi_protocol::{OutputCamera, Pose, ldi::Ldi};
 use serde::Serialize;
-use std::{sync::Arc, time::Instant};
+use std::time::Instant;
 
 /// Who warps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, clap::ValueEnum)]
@@ -54,9 +54,8 @@ pub fn calibrate(gpu: &mut Gpu, on: WarpOn) -> Result<Calibration, GpuError> {
     if on != WarpOn::Auto {
         return Ok(Calibration { on_card: on == WarpOn::Gpu, card_ms: None, processor_ms: None });
     }
-    let ldi = Arc::new(image());
-    let laid_out = PreparedLdi::new(&ldi);
-    let image = GpuImage { number: u32::MAX, ldi: &ldi, laid_out: &laid_out, within: None };
+    let laid_out = PreparedLdi::new(&image());
+    let image = GpuImage { laid_out: &laid_out, within: None };
     let pose = Pose { position: DVec3::new(0.1, 0.05, -0.1), yaw_deg: 3.0, pitch_deg: -2.0 };
     let options = WarpOptions::default();
     let mut far = FarFrame::default();

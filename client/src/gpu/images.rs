@@ -1,10 +1,8 @@
 //! Images on the card: the arrays of a [`PreparedLdi`], one buffer each over all of its tiles, put there once.
 
-use super::{GpuImage, device::Card};
+use super::device::Card;
 use crate::warp::PreparedLdi;
 use bytemuck::{Pod, Zeroable};
-use ldi_protocol::ldi::Ldi;
-use std::sync::Weak;
 
 /// A tile's places in the buffers, as `warp.wgsl` reads it.
 #[repr(C)]
@@ -36,9 +34,7 @@ const COUNTED_EVERY: u32 = 8;
 
 /// An image on the card.
 pub struct Uploaded {
-    pub number: u32,
-    /// Held so that the address stays this image's.
-    source: Weak<Ldi>,
+    pub serial: u64,
     pub tiles: wgpu::Buffer,
     pub samples: wgpu::Buffer,
     pub quads: wgpu::Buffer,
@@ -49,8 +45,8 @@ pub struct Uploaded {
 }
 
 impl Uploaded {
-    pub fn new(card: &Card, image: &GpuImage<'_>, used: u64) -> Self {
-        let parts = &image.laid_out.parts;
+    pub fn new(card: &Card, laid_out: &PreparedLdi, used: u64) -> Self {
+        let parts = &laid_out.parts;
         let (mut tiles, mut samples, mut quads, mut groups) = (Vec::new(), Vec::new(), Vec::new(), Vec::<u32>::new());
         let mut first_tile = Vec::with_capacity(parts.len());
         for part in parts {
@@ -91,8 +87,7 @@ impl Uploaded {
         }
         let storage = wgpu::BufferUsages::STORAGE;
         Self {
-            number: image.number,
-            source: std::sync::Arc::downgrade(image.ldi),
+            serial: laid_out.serial,
             tiles: card.buffer("tiles", bytemuck::cast_slice(&tiles), storage),
             samples: card.buffer("samples", bytemuck::cast_slice(&samples), storage),
             quads: card.buffer("quads", bytemuck::cast_slice(&quads), storage),
@@ -100,11 +95,6 @@ impl Uploaded {
             first_tile,
             used,
         }
-    }
-
-    /// Whether this is what the image was laid out from.
-    pub fn is(&self, image: &GpuImage<'_>) -> bool {
-        self.number == image.number && self.source.as_ptr() == std::sync::Arc::as_ptr(image.ldi)
     }
 
     /// The number of a tile among all, from its part's and its own there.

@@ -34,17 +34,12 @@ use crate::{
     warp::{FarFrame, Order, PreparedLdi, WarpOptions, WarpStats},
 };
 use device::Card;
-use ldi_protocol::{OutputCamera, Pose, index::Index, ldi::Ldi};
-use std::sync::Arc;
+use ldi_protocol::{OutputCamera, Pose, index::Index};
 
 /// An image to warp.
 #[derive(Clone, Copy)]
 pub struct GpuImage<'a> {
-    /// Position in the index's images: the name under which it stays on the card.
-    pub number: u32,
-    /// What it was laid out from.
-    pub ldi: &'a Arc<Ldi>,
-    /// Its layout.
+    /// Its layout; stays on the card under its serial number.
     pub laid_out: &'a PreparedLdi,
     /// See [`WarpOptions::within`].
     pub within: Option<[u32; 4]>,
@@ -147,12 +142,12 @@ impl Gpu {
         self.near.draw(&self.card, index, resident, cells, camera, pose, frame)
     }
 
-    /// Puts an image onto the card, unless it is there with the same layers. Returns whether it was new.
+    /// Puts an image onto the card, unless it is there. Returns whether it was new.
     ///
     /// # Errors
     /// If the card fails.
-    pub fn hold(&mut self, image: &GpuImage<'_>) -> Result<bool, GpuError> {
-        let new = self.warp.hold(&self.card, image);
+    pub fn hold(&mut self, laid_out: &PreparedLdi) -> Result<bool, GpuError> {
+        let new = self.warp.hold(&self.card, laid_out);
         self.card.check()?;
         Ok(new)
     }

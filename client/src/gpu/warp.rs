@@ -9,7 +9,7 @@ use super::{
     images::{Uploaded, largest_buffer},
     read_back::ReadBack,
 };
-use crate::warp::{FarFrame, Stamp, StretchHistogram, TileJob, WarpOptions, WarpStats, tile_jobs};
+use crate::warp::{FarFrame, PreparedLdi, Stamp, StretchHistogram, TileJob, WarpOptions, WarpStats, tile_jobs};
 use bytemuck::{Pod, Zeroable};
 use ldi_protocol::{OutputCamera, Pose};
 use rayon::prelude::*;
@@ -146,14 +146,13 @@ impl Warp {
     }
 
     /// See [`super::Gpu::hold`].
-    pub fn hold(&mut self, card: &Card, image: &GpuImage<'_>) -> bool {
+    pub fn hold(&mut self, card: &Card, laid_out: &PreparedLdi) -> bool {
         let frame = self.frame;
-        if let Some(found) = self.held.iter_mut().find(|u| u.is(image)) {
+        if let Some(found) = self.held.iter_mut().find(|u| u.serial == laid_out.serial) {
             found.used = frame;
             return false;
         }
-        self.held.retain(|u| u.number != image.number);
-        self.held.push(Uploaded::new(card, image, frame));
+        self.held.push(Uploaded::new(card, laid_out, frame));
         true
     }
 
@@ -189,18 +188,21 @@ impl Warp {
         let (mut stats, mut jobs, mut batches) = (WarpStats::default(), Vec::<Job>::new(), Vec::new());
         for image in images {
             if largest_buffer(image.laid_out) > limits.max_storage_buffer_binding_size {
-                return Err(card.lacking(format!("has no room for image {}", image.number)));
+                return Err(card.lacking("has no room for an image"));
             }
-            self.hold(card, image);
+            self.hold(card, image.laid_out);
             let options = WarpOptions { within: image.within, ..*options };
             let (tiles, more) = tile_jobs(image.laid_out, pose, camera, &options);
             stats.add(&more);
-            let Some(uploaded) = self.held.iter_mut().find(|u| u.is(image)) else { continue };
+            let Some(uploaded) = self.held.iter_mut().find(|u| u.serial == image.laid_out.serial) else { continue };
             uploaded.used = self.frame;
             let first_job = jobs.len() as u32;
             jobs.extend(tiles.iter().map(|t: &TileJob| Job { rows: t.rows, tile: [uploaded.tile(t.number), 0, 0, 0] }));
             let count = tiles.len() as u32;
-            batches.push((image.number, Batch { first_job, jobs: count, across: count.clamp(1, ACROSS), unused: 0 }));
+            batches.push((
+                image.laid_out.serial,
+                Batch { first_job, jobs: count, across: count.clamp(1, ACROSS), unused: 0 },
+            ));
         }
         self.make_room();
         let picture = Picture { width: camera.width, height: camera.height, stamp, unused: 0 };
@@ -216,7 +218,7 @@ impl Warp {
         card: &Card,
         picture: &Picture,
         jobs: &[Job],
-        batches: &[(u32, Batch)],
+        batches: &[(u64, Batch)],
     ) -> wgpu::CommandEncoder {
         let pixels = u64::from(picture.width) * u64::from(picture.height);
         let [first, second] = &mut self.targets;
@@ -243,8 +245,8 @@ impl Warp {
         let images: Vec<(wgpu::BindGroup, &Batch)> = batches
             .iter()
             .filter(|(_, batch)| batch.jobs > 0)
-            .filter_map(|(number, batch)| {
-                let held = self.held.iter().find(|u| u.number == *number)?;
+            .filter_map(|(serial, batch)| {
+                let held = self.held.iter().find(|u| u.serial == *serial)?;
                 let of_image = card.buffer("batch", bytemuck::bytes_of(batch), wgpu::BufferUsages::UNIFORM);
                 let buffers = [&held.tiles, &held.samples, &held.quads, &held.groups, &of_image];
                 Some((bind(&self.image_layout, &buffers), batch))

@@ -17,7 +17,13 @@ use super::{
 };
 use ldi_protocol::ldi::{Ldi, LdiCamera};
 use rayon::prelude::*;
-use std::{ops::Range, sync::OnceLock};
+use std::{
+    ops::Range,
+    sync::{
+        OnceLock,
+        atomic::{AtomicU64, Ordering},
+    },
+};
 
 /// Rows of a tile. Larger tiles cull worse and straddle more thread bands; smaller ones repeat more halo (17/16).
 pub const TILE_ROWS: usize = 16;
@@ -119,7 +125,12 @@ pub struct PreparedLdi {
     streams: OnceLock<Streams>,
     /// Samples in all.
     pub samples: usize,
+    /// No other layout has it: the name under which copies elsewhere are known.
+    pub serial: u64,
 }
+
+/// The next [`PreparedLdi::serial`].
+static SERIAL: AtomicU64 = AtomicU64::new(0);
 
 impl PreparedLdi {
     /// Lays out all layers that are there, and the slivers. Links to samples that do not exist are ignored.
@@ -133,7 +144,14 @@ impl PreparedLdi {
             .chain(slivers(ldi))
             .collect();
         let blocks = Blocks::new(&parts);
-        Self { camera: ldi.camera, parts, blocks, streams: OnceLock::new(), samples: ldi.samples() }
+        Self {
+            camera: ldi.camera,
+            parts,
+            blocks,
+            streams: OnceLock::new(),
+            samples: ldi.samples(),
+            serial: SERIAL.fetch_add(1, Ordering::Relaxed),
+        }
     }
 
     /// The samples in occlusion-compatible order, laid out when first asked for.
