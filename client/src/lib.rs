@@ -6,6 +6,7 @@ pub mod composite;
 pub mod engine;
 pub mod frame;
 pub mod gpu;
+mod lanes;
 pub mod metrics;
 pub mod near;
 pub mod report;

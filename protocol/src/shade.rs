@@ -3,13 +3,14 @@
 /// sRGB colour where no geometry is.
 pub const SKY_SRGB: [u8; 3] = [198, 214, 235];
 
+/// Where the light comes from: normalize(0.4, 0.8, 0.45).
+pub const LIGHT_FROM: [f32; 3] = [0.399_667_94, 0.799_335_9, 0.449_626_43];
+
 /// Light that a surface with unit normal `n` reflects, in linear light: 0.35 + 0.25 (0.5 + 0.5 n_y) + 0.40 |n . l|
 /// with l = normalize(0.4, 0.8, 0.45). The normal is never flipped toward the eye. Unlit materials take 1 instead.
 #[inline]
 pub fn light(n: [f32; 3]) -> f32 {
-    // normalize(0.4, 0.8, 0.45)
-    const L: [f32; 3] = [0.399_667_94, 0.799_335_9, 0.449_626_43];
-    let d = n[0] * L[0] + n[1] * L[1] + n[2] * L[2];
+    let d = n[0] * LIGHT_FROM[0] + n[1] * LIGHT_FROM[1] + n[2] * LIGHT_FROM[2];
     0.35 + 0.25 * (0.5 + 0.5 * n[1]) + 0.40 * d.abs()
 }
 
@@ -37,10 +38,20 @@ pub fn linear_from_srgb8_table() -> &'static [f32; 256] {
 /// exact for every value of [`linear_from_srgb8_table`].
 #[inline]
 pub fn srgb8_from_linear(l: f32) -> u8 {
-    const N: usize = 1 << 14;
+    srgb8_table()[(l.clamp(0.0, 1.0).sqrt() * SRGB8_TABLE_SCALE + 0.5) as usize]
+}
+
+/// See [`srgb8_table`].
+pub const SRGB8_TABLE_SCALE: f32 = SRGB8_STEPS as f32;
+const SRGB8_STEPS: usize = 1 << 14;
+
+/// The table behind [`srgb8_from_linear`]: the code of the light l is at sqrt(l) times [`SRGB8_TABLE_SCALE`], rounded. Square-root spacing: the curve is steep near black, where a
+/// uniform table would need 20 bits. Three bytes follow, so that four may be read anywhere.
+#[inline]
+pub fn srgb8_table() -> &'static [u8] {
     static TABLE: std::sync::LazyLock<Vec<u8>> = std::sync::LazyLock::new(|| {
-        (0..=N).map(|i| (srgb_from_linear((i as f32 / N as f32).powi(2)) * 255.0 + 0.5) as u8).collect()
+        let code = |i: usize| (srgb_from_linear((i as f32 / SRGB8_TABLE_SCALE).powi(2)) * 255.0 + 0.5) as u8;
+        (0..=SRGB8_STEPS).map(code).chain([0; 3]).collect()
     });
-    // Square-root spacing: the curve is steep near black, where a uniform table would need 20 bits.
-    TABLE[(l.clamp(0.0, 1.0).sqrt() * N as f32 + 0.5) as usize]
+    &TABLE
 }

@@ -121,6 +121,7 @@ fn client_stages_import_backward_only() {
         "client/src",
         &[
             "resident",
+            "lanes",
             "frame",
             "cache",
             "stream",

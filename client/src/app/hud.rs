@@ -25,7 +25,7 @@ const GOOD: Color32 = Color32::from_rgb(120, 220, 150);
 const BAD: Color32 = Color32::from_rgb(255, 180, 90);
 
 /// Keys, in a line.
-pub const HELP: &str = "click: look around  |  W A S D, arrows: walk  |  Shift: run  |  wheel: speed  |  M: map  |  G: walls  |  F1: figures  |  F2: views  |  F3: settings  |  R, P: record, replay  |  Ctrl+1, 1: keep a place, go there  |  F12: picture  |  Esc: let the pointer go  |  Ctrl+Q: leave";
+pub const HELP: &str = "click: look  |  W A S D: walk  |  Shift: run  |  wheel: speed  |  M: map  |  G: walls  |  R, P: record, replay  |  Ctrl+1, 1: keep a place, go there  |  F1: figures  |  F2: views  |  F3: settings  |  F12: picture  |  Esc: free the pointer  |  Ctrl+Q: leave";
 
 /// State of what is written.
 #[derive(Debug)]

@@ -1,6 +1,6 @@
 //! What can be chosen while walking (F3).
 
-use egui::{Context, Slider, Window};
+use egui::{Align2, Context, Slider, Window, vec2};
 
 /// Largest and smallest time for a picture, milliseconds.
 const FRAME_MS: std::ops::RangeInclusive<f64> = 5.0..=200.0;
@@ -32,7 +32,10 @@ impl Settings {
     pub fn show(&mut self, ctx: &Context) -> bool {
         let before = self.clone();
         let mut open = self.open;
-        Window::new("Settings").open(&mut open).resizable(false).default_width(320.0).show(ctx, |ui| {
+        let corner = vec2(-10.0, 10.0);
+        let window = Window::new("Settings").open(&mut open).resizable(false).default_width(320.0);
+        // Not below the figures, which have the other corner.
+        window.anchor(Align2::RIGHT_TOP, corner).show(ctx, |ui| {
             let ms = Slider::new(&mut self.frame_ms, FRAME_MS).logarithmic(true).suffix(" ms");
             ui.add(ms.text("for a picture while moving")).on_hover_text("less is smoother, more is sharper");
             ui.checkbox(&mut self.fine, "four samples per pixel at rest");

@@ -89,9 +89,14 @@ impl Hand {
         }
     }
 
+    /// The card, if it can draw pictures as large.
+    fn drawer(&mut self, camera: &OutputCamera) -> Option<&mut Gpu> {
+        self.gpu.as_deref_mut().filter(|gpu| gpu.fits(camera))
+    }
+
     /// The card, if it is to warp so.
-    fn warper(&mut self, options: &WarpOptions) -> Option<&mut Gpu> {
-        self.gpu.as_deref_mut().filter(|gpu| gpu.warps() && Gpu::can_warp(options).is_ok())
+    fn warper(&mut self, camera: &OutputCamera, options: &WarpOptions) -> Option<&mut Gpu> {
+        self.drawer(camera).filter(|gpu| gpu.warps() && Gpu::can_warp(options).is_ok())
     }
 
     /// Near geometry; `frame` becomes as large as the camera.
@@ -104,15 +109,20 @@ impl Hand {
         pose: &Pose,
         frame: &mut Frame,
     ) -> Result<NearStats, PaintError> {
-        match &mut self.gpu {
+        match self.drawer(camera) {
             Some(gpu) => Ok(gpu.draw(index, resident, cells, camera, pose, frame)?),
             None => Ok(self.rasterizer.draw(index, resident, cells, camera, pose, frame)),
         }
     }
 
     /// Puts an image where it can be warped from.
-    pub fn hold(&mut self, laid_out: &PreparedLdi, options: &WarpOptions) -> Result<(), PaintError> {
-        if let Some(gpu) = self.warper(options) {
+    pub fn hold(
+        &mut self,
+        laid_out: &PreparedLdi,
+        camera: &OutputCamera,
+        options: &WarpOptions,
+    ) -> Result<(), PaintError> {
+        if let Some(gpu) = self.warper(camera, options) {
             gpu.hold(laid_out)?;
         }
         Ok(())
@@ -127,7 +137,7 @@ impl Hand {
         options: &WarpOptions,
         into: &mut FarFrame,
     ) -> Result<WarpStats, PaintError> {
-        if let Some(gpu) = self.warper(options) {
+        if let Some(gpu) = self.warper(camera, options) {
             return Ok(gpu.warp_images(images, pose, camera, options, into)?);
         }
         let mut stats = WarpStats::default();

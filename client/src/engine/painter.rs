@@ -294,7 +294,7 @@ impl Painter {
             }
             let new = self.layouts.lay_out(*number, ldi);
             if let Some(l) = self.layouts.get(*number) {
-                self.hand.hold(&l.laid_out, &warp_options)?;
+                self.hand.hold(&l.laid_out, &full_camera, &warp_options)?;
             }
             painted.ms.prepare += if new { ms_since(start) } else { 0.0 };
         }

@@ -106,6 +106,14 @@ impl Gpu {
         if options.order == Order::Z { Ok(()) } else { Err(GpuError::Order(options.order)) }
     }
 
+    /// Whether pictures of this size fit the card: its textures, and what its shaders may write to.
+    pub fn fits(&self, camera: &OutputCamera) -> bool {
+        let limits = self.card.device.limits();
+        let pixels = u64::from(camera.width) * u64::from(camera.height);
+        camera.width.max(camera.height) <= limits.max_texture_dimension_2d
+            && warp::PIXEL_BYTES * pixels <= limits.max_storage_buffer_binding_size
+    }
+
     /// Decides whether the card warps, or the processor: by a short comparison, or as the caller says.
     ///
     /// # Errors

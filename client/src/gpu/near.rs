@@ -187,10 +187,6 @@ impl Near {
         if frame.is_empty() || scene.draws.is_empty() {
             return Ok(scene.stats);
         }
-        let most = card.device.limits().max_texture_dimension_2d;
-        if width.max(height) > most {
-            return Err(card.lacking(format!("draws pictures of at most {most} pixels along a side")));
-        }
         self.geometry.hold(card, &scene.held);
         self.textures.hold(card, scene.textures());
         let (items, placed) = arrange(&scene, camera, pose);

@@ -295,6 +295,17 @@ fn both_ways_to_keep_the_nearest_sample_give_the_same_picture() {
 }
 
 #[test]
+fn pictures_larger_than_the_card_are_the_processors() {
+    let Some(gpu) = card(Atomics::Best) else { return };
+    let of = |width, height| OutputCamera { width, height, ..CAMERA };
+    let side = gpu.card.device.limits().max_texture_dimension_2d;
+    assert!(gpu.fits(&of(1920, 1080)));
+    assert!(!gpu.fits(&of(side + 1, 2)));
+    let rows = gpu.card.device.limits().max_storage_buffer_binding_size / u64::from(side) / 8;
+    assert!(rows >= u64::from(side) || !gpu.fits(&of(side, rows as u32 + 1)));
+}
+
+#[test]
 fn images_stay_on_the_card() {
     let Some(mut gpu) = card(Atomics::Best) else { return };
     let (a, b) = (image("sphere", 64), image("sphere", 64));

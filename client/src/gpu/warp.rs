@@ -19,6 +19,9 @@ const KEPT_BYTES: u64 = 256 << 20;
 /// Workgroups along one axis of a dispatch, at most, on any card.
 const ACROSS: u32 = 65_535;
 
+/// Of a pixel: disparity and colour.
+pub const PIXEL_BYTES: u64 = 8;
+
 /// As `warp.wgsl` reads it.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -180,10 +183,6 @@ impl Warp {
         let stamp = number_of(options.stamp)?;
         let limits = card.device.limits();
         let pixels = u64::from(camera.width) * u64::from(camera.height);
-        if pixels * 8 > limits.max_storage_buffer_binding_size {
-            return Err(card
-                .lacking(format!("draws pictures of at most {} pixels", limits.max_storage_buffer_binding_size / 8)));
-        }
         self.frame += 1;
         let (mut stats, mut jobs, mut batches) = (WarpStats::default(), Vec::<Job>::new(), Vec::new());
         for image in images {
@@ -223,8 +222,8 @@ impl Warp {
         let pixels = u64::from(picture.width) * u64::from(picture.height);
         let [first, second] = &mut self.targets;
         let planes = match card.atomics {
-            Atomics::Wide => vec![first.room(card, 8 * pixels)],
-            _ => vec![first.room(card, 4 * pixels), second.room(card, 4 * pixels)],
+            Atomics::Wide => vec![first.room(card, PIXEL_BYTES * pixels)],
+            _ => [first, second].map(|plane| plane.room(card, PIXEL_BYTES / 2 * pixels)).to_vec(),
         };
         let bind = |layout, buffers: &[&wgpu::Buffer]| {
             let entries: Vec<wgpu::BindGroupEntry<'_>> = (0u32..)
@@ -275,7 +274,7 @@ impl Warp {
         pixels: u64,
         into: &mut FarFrame,
     ) -> Result<Vec<u32>, GpuError> {
-        let size = 8 * pixels;
+        let size = PIXEL_BYTES * pixels;
         let wide = card.atomics == Atomics::Wide;
         let [first, second] = &mut self.targets;
         let planes = [first.room(card, 0), second.room(card, 0)];

@@ -19,7 +19,7 @@
 //!    hides of the next ones is rejected here (`horizon`).
 //! 3. `raster`: bands in parallel; within a band triangles come in the order of the draws, those with an alpha test last, so
 //!    that fewer tests are made. The picture does not depend on the number of threads. The first of equally near triangles wins.
-//! 4. `shade`: bands in parallel; colours of the visible pixels.
+//! 4. `shade`: bands in parallel; colours of the visible pixels, eight neighbours at a time (`shade8`).
 //!
 //! Coverage: a pixel belongs to the triangle that contains its centre; on an edge, to the triangle on whose left or top
 //! side the edge lies. Both triangles of an edge evaluate the same expression with opposite signs, so a shared edge
@@ -32,6 +32,7 @@ mod horizon;
 mod raster;
 mod setup;
 mod shade;
+mod shade8;
 #[cfg(test)]
 mod tests;
 

@@ -260,6 +260,70 @@ fn masked_texels_let_through_what_lies_behind() {
     assert_eq!(stats.missing_textures, vec![0]);
 }
 
+/// Lit and textured surfaces of all wraps, near and far, smooth and facetted: eight pixels at a time, with AVX2 or without, show what one at a time shows.
+#[test]
+fn eight_pixels_at_a_time_are_shaded_as_one() {
+    use ldi_protocol::mesh::Wrap;
+    let camera = OutputCamera { width: 203, height: 151, fov_deg: 75.0 };
+    let noise = |n: u32| MipLevel {
+        width: n,
+        height: n,
+        rgba: (0..n * n).map(|i| i.wrapping_mul(2_654_435_761).to_le_bytes()).collect(),
+    };
+    let texture = Texture::from_base(noise(128), false);
+    let (mut materials, mut clusters) = (Vec::new(), Vec::new());
+    for (k, wrap) in [Wrap::Repeat, Wrap::Mirror, Wrap::Clamp].into_iter().enumerate() {
+        for unlit in [false, true] {
+            let m = materials.len() as u32;
+            materials.push(Material {
+                texture: (k > 0 || unlit).then_some(0),
+                unlit,
+                wrap: [wrap, Wrap::Repeat],
+                ..plain_material()
+            });
+            let x = m as f32 * 1.2 - 3.6;
+            let mut quad = quad_cluster(
+                m,
+                [[0.0, -2.0, -2.5], [1.2, -2.0, -2.0], [1.2, 1.5, -9.0], [0.0, 2.5, -30.0]]
+                    .map(|[a, b, z]| Vec3::new(x + a, b, z)),
+            );
+            quad.uvs.iter_mut().for_each(|t| *t = *t * 3.0 - 1.1);
+            quad.normals =
+                [[0.3, 0.9, 0.1], [-0.5, 0.4, 0.7], [0.0, -1.0, 0.2], [0.9, 0.1, 0.1]].map(Vec3::from).to_vec();
+            quad.colours = vec![[1.0, 0.4, 0.2], [0.1, 0.9, 0.3], [0.8; 3], [0.2, 0.2, 1.0]];
+            clusters.push(quad);
+        }
+    }
+    let (index, mut memory) = dataset(camera, materials, clusters);
+    // A finest level that is not here is replaced by the next.
+    for finest in [0, 2] {
+        let mut texture = texture.clone();
+        texture.levels[..finest].fill(None);
+        memory.textures.insert(0, Arc::new(texture));
+        let pose = Pose { position: DVec3::new(0.2, 0.3, 0.4), yaw_deg: 4.0, pitch_deg: -6.0 };
+        let (_, ids, _) = draw(&index, &memory, &camera, &pose);
+        let scene = gather::gather(&index, &memory, &all_cells(&index));
+        let view = setup::View::new(&camera, &pose);
+        let mut alone = vec![0; ids.len()];
+        for (i, id) in ids.iter().enumerate().filter(|(_, id)| **id != setup::NO_TRIANGLE) {
+            let attributes = shade::Attributes::new(&scene, &view, *id).expect("a triangle");
+            alone[i] = attributes.shade(&view, (i % 203) as f32 + 0.5, (i / 203) as f32 + 0.5);
+        }
+        let mut portable = vec![0; ids.len()];
+        shade::shade_band_with::<crate::lanes::Portable>(&scene, &view, 0, &ids, &mut portable);
+        let mut dispatched = vec![0; ids.len()];
+        shade::shade_band(&scene, &view, 0, &ids, &mut dispatched);
+        assert_eq!(portable, dispatched, "the picture does not depend on the machine");
+        let covered = ids.iter().filter(|id| **id != setup::NO_TRIANGLE).count();
+        assert!(covered > ids.len() / 3, "{covered}");
+        let off = |a: u32, b: u32| (0..3).map(|k| a.to_le_bytes()[k].abs_diff(b.to_le_bytes()[k])).max().unwrap_or(0);
+        let worst = portable.iter().zip(&alone).map(|(a, b)| off(*a, *b)).max();
+        assert!(worst <= Some(1), "{worst:?} codes");
+        let others = portable.iter().zip(&alone).filter(|(a, b)| a != b).count();
+        assert!(others * 100 < covered, "{others} of {covered}");
+    }
+}
+
 #[test]
 fn absent_chunks_are_named_and_the_rest_is_drawn() {
     let quad = |z: f32| {

@@ -4,13 +4,13 @@ use super::{
     FarFrame, Order, Stamp, WarpError, WarpMatrix, WarpOptions, WarpStats,
     cull::Reach,
     ewa::Means,
-    lanes::{Lanes, Portable},
     order::{Epipole, Streams, paint_tile},
     prepared::{Part, PreparedLdi, Tile},
     quads::{Target, draw_tile},
     stamps::{own_rows, stamp_tile},
     transform::{Scratch, TileTransform, Transformed, Window, transform_tile},
 };
+use crate::lanes::{Lanes, Portable};
 use ldi_protocol::{OutputCamera, Pose};
 use rayon::prelude::*;
 
@@ -226,7 +226,7 @@ fn transform_dispatch(
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn transform_tile_avx2(matrix: &WarpMatrix, part: &Part, tile: &Tile, window: &Window, scratch: &mut Scratch) {
-    transform_tile::<super::lanes::Avx2>(matrix, part, tile, window, scratch);
+    transform_tile::<crate::lanes::Avx2>(matrix, part, tile, window, scratch);
 }
 
 /// Warps single pixels to one pose in the order of another: to show that the order matters.
@@ -282,7 +282,7 @@ fn dispatch(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn draw_band_avx2(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
-    draw_band::<super::lanes::Avx2>(job, target)
+    draw_band::<crate::lanes::Avx2>(job, target)
 }
 
 #[inline(always)]

@@ -21,7 +21,6 @@ mod bands;
 mod cull;
 pub mod debug;
 mod ewa;
-mod lanes;
 mod layout;
 mod matrix;
 mod order;

@@ -19,7 +19,6 @@
 use super::{
     Stamp,
     cull::{Blocks, Reach},
-    lanes::{LANES, Lanes},
     layout::pad,
     matrix::WarpMatrix,
     prepared::{Part, TILE_COLUMNS, TILE_ROWS, Tile},
@@ -27,6 +26,7 @@ use super::{
     stamps::own_rows,
     transform::{Inside, Points, Slopes, TileTransform, first_lanes},
 };
+use crate::lanes::{LANES, Lanes};
 use ldi_protocol::{Pose, ldi::LdiCamera};
 use std::collections::BTreeMap;
 

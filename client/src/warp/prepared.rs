@@ -11,10 +11,10 @@
 use super::{
     Stamp,
     cull::{Blocks, Bounds},
-    lanes::LANES,
     layout::{Builder, Vertex, slivers},
     order::Streams,
 };
+use crate::lanes::LANES;
 use ldi_protocol::ldi::{Ldi, LdiCamera};
 use rayon::prelude::*;
 use std::{

@@ -12,10 +12,10 @@
 //! within 4.5 codes of exact linear light for codes up to 128 apart, where averaging the codes is off by up to 34.
 
 use super::{
-    lanes::{LANES, Lanes},
     prepared::{Part, PieceGroup, Tile},
     transform::{LANE_NUMBERS, Scratch, TileTransform, Window, affine8, warp8},
 };
+use crate::lanes::{LANES, Lanes};
 
 /// Slack of the inside test, in quads: f32 rounding of a shared edge seen from its two sides is below 1e-3 of a quad at
 /// the sizes that occur. Larger ones let surfaces grow (here by 1/512 of a sample), smaller ones show cracks.

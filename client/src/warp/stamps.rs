@@ -7,11 +7,11 @@
 
 use super::{
     Stamp,
-    lanes::{LANES, Lanes},
     prepared::{OVERLAP, Part, TILE_COLUMNS, TILE_ROWS, Tile},
     quads::Target,
     transform::{Scratch, TileTransform, Window, first_lanes},
 };
+use crate::lanes::{LANES, Lanes};
 use std::ops::Range;
 
 /// Largest side of a footprint stamp, pixels. The image guarantee keeps footprints at about 2, or 4 supersampled; beyond

@@ -2,12 +2,12 @@
 
 use super::{
     analytic::*,
-    lanes::Portable,
     prepared::{OVERLAP, TILE_SAMPLES},
     transform::{Scratch, Window, transform_tile},
     *,
 };
 use crate::frame::{pack_rgb, unpack_rgb};
+use crate::lanes::Portable;
 use glam::DVec3;
 use ldi_protocol::{
     OutputCamera, Pose,

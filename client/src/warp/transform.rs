@@ -7,10 +7,10 @@
 //! X to 24 bits, about X 2^-23, and grows with magnification as 1/W does); 2^-18 relative in disparity.
 
 use super::{
-    lanes::{LANES, Lanes},
     matrix::WarpMatrix,
     prepared::{Part, TILE_ROWS, TILE_SAMPLES, Tile},
 };
+use crate::lanes::{LANES, Lanes};
 
 /// Coefficients for one tile: X, Y, W as functions of tile-relative (u, v, 1, d).
 #[derive(Debug, Clone, Copy)]

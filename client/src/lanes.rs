@@ -1,6 +1,6 @@
 //! Eight numbers at a time.
 //!
-//! The kernels are written once, over the trait [`Lanes`], and compiled twice: over plain arrays, which runs
+//! The kernels of `near` and `warp` are written once, over the trait [`Lanes`], and compiled twice: over plain arrays, which runs
 //! everywhere, and over AVX2 registers, chosen at run time on x86-64 (`dispatch`). Both do the same IEEE operations in
 //! the same order (no fused multiply-add), so that pictures do not depend on the machine; a test compares
 //! them. A comparison yields a lane of all ones or all zeros; NaN compares false.
@@ -55,6 +55,14 @@ pub trait Lanes: Copy {
     fn mul_int(a: Self::I, b: Self::I) -> Self::I;
     /// Bits of the floats.
     fn bits(a: Self::F) -> Self::I;
+    /// Floats of the bits.
+    fn from_bits(a: Self::I) -> Self::F;
+    /// Elements of a table that is not empty; the last one for places past its end.
+    fn gather(table: &[f32], at: Self::I) -> Self::F;
+    /// Bytes of a table of at least four, of which the last three are never asked for.
+    fn gather_bytes(table: &[u8], at: Self::I) -> Self::I;
+    /// Texels of a raster that is not empty, red in the lowest byte; the last one for places past its end.
+    fn gather_texels(raster: &[[u8; 4]], at: Self::I) -> Self::I;
     /// Bit i is set where lane i of the mask is.
     fn mask_bits(a: Self::I) -> u32;
 }
@@ -194,6 +202,22 @@ impl Lanes for Portable {
         a.map(f32::to_bits)
     }
     #[inline(always)]
+    fn from_bits(a: Self::I) -> Self::F {
+        a.map(f32::from_bits)
+    }
+    #[inline(always)]
+    fn gather(table: &[f32], at: Self::I) -> Self::F {
+        at.map(|i| table[(i as usize).min(table.len() - 1)])
+    }
+    #[inline(always)]
+    fn gather_bytes(table: &[u8], at: Self::I) -> Self::I {
+        at.map(|i| u32::from(table[(i as usize).min(table.len() - 4)]))
+    }
+    #[inline(always)]
+    fn gather_texels(raster: &[[u8; 4]], at: Self::I) -> Self::I {
+        at.map(|i| u32::from_le_bytes(raster[(i as usize).min(raster.len() - 1)]))
+    }
+    #[inline(always)]
     fn mask_bits(a: Self::I) -> u32 {
         a.iter().enumerate().fold(0, |bits, (i, m)| bits | (m >> 31) << i)
     }
@@ -223,6 +247,13 @@ mod avx2 {
         )*};
     }
 
+    /// Places held at most at `last`, and below 2^31: gathers take signed ones.
+    #[inline(always)]
+    fn held(at: __m256i, last: u32) -> __m256i {
+        // SAFETY: only called where AVX2 is present; no memory is touched.
+        unsafe { _mm256_min_epu32(at, _mm256_set1_epi32(last.min(i32::MAX as u32) as i32)) }
+    }
+
     impl Lanes for Avx2 {
         type F = __m256;
         type I = __m256i;
@@ -248,6 +279,7 @@ mod avx2 {
             add_int(a: __m256i, b: __m256i) -> __m256i = _mm256_add_epi32(a, b);
             mul_int(a: __m256i, b: __m256i) -> __m256i = _mm256_mullo_epi32(a, b);
             bits(a: __m256) -> __m256i = _mm256_castps_si256(a);
+            from_bits(a: __m256i) -> __m256 = _mm256_castsi256_ps(a);
             mask_bits(a: __m256i) -> u32 = _mm256_movemask_ps(_mm256_castsi256_ps(a)) as u32;
         }
 
@@ -260,6 +292,27 @@ mod avx2 {
         fn shift_right<const N: i32>(a: __m256i) -> __m256i {
             // SAFETY: AVX2 is present; no memory is touched.
             unsafe { _mm256_srli_epi32::<N>(a) }
+        }
+        #[inline(always)]
+        fn gather(table: &[f32], at: __m256i) -> __m256 {
+            let last = u32::try_from(table.len() - 1).unwrap_or(i32::MAX as u32);
+            // SAFETY: AVX2 is present; places are held within the table, whose length fits 31 bits where it matters.
+            unsafe { _mm256_i32gather_ps::<4>(table.as_ptr(), held(at, last)) }
+        }
+        #[inline(always)]
+        fn gather_bytes(table: &[u8], at: __m256i) -> __m256i {
+            let last = u32::try_from(table.len() - 4).unwrap_or(i32::MAX as u32);
+            // SAFETY: AVX2 is present; four bytes from any place that is held so are in the table.
+            unsafe {
+                let words = _mm256_i32gather_epi32::<1>(table.as_ptr().cast(), held(at, last));
+                _mm256_and_si256(words, _mm256_set1_epi32(255))
+            }
+        }
+        #[inline(always)]
+        fn gather_texels(raster: &[[u8; 4]], at: __m256i) -> __m256i {
+            let last = u32::try_from(raster.len() - 1).unwrap_or(i32::MAX as u32);
+            // SAFETY: AVX2 is present; places are held within the raster; the reads may be unaligned.
+            unsafe { _mm256_i32gather_epi32::<4>(raster.as_ptr().cast(), held(at, last)) }
         }
         #[inline(always)]
         fn load(x: &[f32]) -> __m256 {
