@@ -19,7 +19,7 @@ use ldi_client::{
     stream::{ConnectConfig, ConnectError, Connection, DEFAULT_DISK_BYTES, DiskCache, Fingerprint, LinkSpec},
     warp::{Order, Stamp, WarpOptions},
 };
-use ldi_protocol::{path, wire::Picture};
+use ldi_protocol::{index::Index, path, wire::Picture};
 use std::{
     io::{IsTerminal, Read as _},
     path::{Path, PathBuf},
@@ -50,6 +50,7 @@ enum Command {
     #[command(after_help = "Examples:\n  \
         ldi-client walk localhost --fingerprint HEX --path clinic.path.json --size 1280x720 --pace wait --every 200 -o frames --report walk.json\n  \
         ldi-client walk localhost --fingerprint HEX --path clinic.path.json --size 1280x720 --truth truth -o frames --report walk.json\n  \
+        ldi-client walk localhost --fingerprint HEX --path house.path.json --size 640x512 --method warp2 --pace wait --every 13 -o frames --report walk.json\n  \
         ldi-client walk localhost --fingerprint HEX --path clinic.path.json --size 1280x720 --link rate=25mbit,delay=40ms,loss=2% -o frames --report walk.json\n\n\
         Exit codes: 0 done, 2 wrong usage, 1 a retry may help, 42 a retry will not help.")]
     Walk(Box<WalkArgs>),
@@ -92,6 +93,12 @@ struct WalkArgs {
     /// How what is far is shown.
     #[arg(long, value_enum, default_value = "auto")]
     method: Method,
+    /// With --method texture: 1, each portal shows the image taken from straight before it; all, the nearest of those taken along the semicircle.
+    #[arg(long, value_name = "1|all", default_value = "1", value_parser = ["1", "all"])]
+    portal_textures: String,
+    /// With --method portals: images wherever a portal has one for the eye, even where geometry would fit the budget.
+    #[arg(long)]
+    portals_everywhere: bool,
     /// How a warped sample becomes pixels: 1px, 2x2, 3x3, cross, footprint, parallelogram, ewa or quads [default: quads; 2x2 with --order epipole].
     #[arg(long, value_name = "NAME")]
     stamp: Option<Stamp>,
@@ -240,8 +247,19 @@ fn refuse_what_is_not_there(args: &WalkArgs) -> Result<(), Failure> {
     if args.warp_on == WarpOn::Gpu && args.renderer != Renderer::Cpu {
         Gpu::can_warp(&order_and_stamp)?;
     }
-    if matches!(args.method, Method::Texture | Method::Warp1 | Method::Warp2 | Method::Cache) {
-        return Err(not_there("this --method", "use auto, geometry, ldi, grid, portals or tree"));
+    if args.method == Method::Cache {
+        return Err(not_there(
+            "this --method",
+            "use auto, geometry, texture, warp1, warp2, ldi, grid, portals or tree",
+        ));
+    }
+    if args.portal_textures != "1" && args.method != Method::Texture {
+        return Err(Failure::usage("--portal-textures goes with --method texture"));
+    }
+    if args.portals_everywhere && args.method != Method::Portals {
+        return Err(Failure::usage(
+            "--portals-everywhere goes with --method portals; the methods of 1998 always do so",
+        ));
     }
     if args.frame_ms.is_some_and(|ms| !(ms.is_finite() && ms > 0.0)) {
         return Err(Failure::usage("--frame-ms is a positive number of milliseconds"));
@@ -255,6 +273,40 @@ fn refuse_what_is_not_there(args: &WalkArgs) -> Result<(), Failure> {
 /// The order is one of samples: what reaches over several, as quads do, needs depths.
 fn stamp(args: &WalkArgs) -> Stamp {
     args.stamp.unwrap_or(if args.order == Order::Epipole { Stamp::TwoByTwo } else { Stamp::Quads })
+}
+
+/// The method with its options.
+fn method_of(args: &WalkArgs) -> Method {
+    match args.method {
+        Method::Texture if args.portal_textures == "all" => Method::Textures,
+        Method::Portals if args.portals_everywhere => Method::PortalsEverywhere,
+        method => method,
+    }
+}
+
+/// Whether a dataset has what a method shows.
+fn check_offer(method: Method, index: &Index) -> Result<(), Failure> {
+    let name = method.to_possible_value().map_or_else(String::new, |v| v.get_name().to_owned());
+    let refused = |why: &str| Err(Failure::permanent(anyhow::anyhow!("--method {name}: {why}")));
+    let wanted = method.portals().images;
+    match &index.rooms {
+        None if matches!(method, Method::Texture | Method::Warp1 | Method::Warp2) => refused(
+            "the dataset has no rooms; build it with `ldi-server build SCENE --represent portals --portal-images paper`, or use --method auto",
+        ),
+        None if method == Method::Portals => refused(
+            "the dataset has no rooms; build it with `ldi-server build SCENE --represent portals`, or use --method auto",
+        ),
+        Some(_) if method == Method::Grid => {
+            refused("the dataset has rooms and no grid; build it with --represent grid, or use --method portals")
+        }
+        Some(rooms) if !rooms.built.offer(wanted) && wanted.is_paper() => refused(
+            "the dataset has no reference images of portals; build it with `--represent portals --portal-images paper` (or both), or use --method portals",
+        ),
+        Some(rooms) if !rooms.built.offer(wanted) => refused(
+            "the dataset has only images of portals as of 1998; build it with `--represent portals --portal-images ours` (or both), or use --method ldi",
+        ),
+        _ => Ok(()),
+    }
 }
 
 /// Frames that wait for their own data profit nothing from other data, and wait for it too.
@@ -299,6 +351,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     config.fingerprint = args.fingerprint.as_deref().map(str::parse::<Fingerprint>).transpose()?;
     config.token = token;
     config.prefetch_m = prefetch_m(args);
+    config.portals = method_of(args).portals();
     config.link = args.link;
     config.disk = args.disk_cache.as_deref().map(|d| disk(d, args.disk_cache_bytes)).transpose()?;
     if let Some(bytes) = args.cache_bytes {
@@ -309,24 +362,11 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     let drawn_by = drawn_by(&painter);
     let report_file = PendingReport::create(&args.report).map_err(Failure::permanent)?;
     let connection = Connection::connect(config)?;
-    let has_rooms = Feed::index(&connection).rooms.is_some();
-    match args.method {
-        Method::Portals if !has_rooms => {
-            return Err(Failure::permanent(anyhow::anyhow!(
-                "--method portals: the dataset has no rooms; build it with `ldi-server build SCENE --represent portals`, or use --method auto"
-            )));
-        }
-        Method::Grid | Method::Ldi if has_rooms => {
-            return Err(Failure::permanent(anyhow::anyhow!(
-                "--method grid: the dataset has rooms and no grid; build it with --represent grid, or use --method portals"
-            )));
-        }
-        _ => {}
-    }
+    check_offer(args.method, Feed::index(&connection))?;
     let options = WalkOptions {
         width: args.size.0,
         height: args.size.1,
-        method: args.method,
+        method: method_of(args),
         stamp: stamp(args),
         order: args.order,
         cull: args.cull,

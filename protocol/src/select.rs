@@ -14,6 +14,7 @@ use crate::{
     Aabb, Pose,
     camera::Frustum,
     index::{BuildSettings, CellEntry, Index},
+    room_index::ShowPortals,
     rooms::CellId,
     tree::{CutOptions, Lens, cut},
 };
@@ -135,8 +136,14 @@ pub struct DrawList {
 /// The cells that a pose draws: those in view that its placement does not replace. `picture_half_tan`: tangents of half the picture's
 /// horizontal and vertical field of view.
 pub fn draw_list(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> DrawList {
+    draw_list_showing(index, pose, picture_half_tan, ShowPortals::default())
+}
+
+/// The same with a wish for how portals are shown, which matters in a dataset with rooms alone. Images that the dataset was not built with count as absent: geometry is
+/// drawn, as far as the budget goes.
+pub fn draw_list_showing(index: &Index, pose: &Pose, picture_half_tan: (f64, f64), show: ShowPortals) -> DrawList {
     if let Some(rooms) = &index.rooms {
-        return portals::draw_list(index, rooms, pose, picture_half_tan);
+        return portals::draw_list(index, rooms, pose, picture_half_tan, show);
     }
     let selection = select(index, pose);
     let culled =

@@ -22,6 +22,7 @@ pub use binary::{PoseDatagram, StreamHeader, StreamKind};
 use crate::{
     OutputCamera,
     index::{BuildSettings, ChunkHash},
+    room_index::ShowPortals,
 };
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -116,6 +117,9 @@ pub struct Hello {
     /// Datasets whose whole manifest the client has from before, at most [`MAX_MANIFESTS`].
     #[serde(default)]
     pub manifests: Vec<ChunkHash>,
+    /// How the client shows portals, which decides what a pose needs in a dataset with rooms. A server that does not know of it sends what it would show, and the client asks for the rest.
+    #[serde(default)]
+    pub portals: ShowPortals,
 }
 
 /// The server's answer to [`Hello`]; a frame with the manifest's root follows it on the control stream, and all pages

@@ -17,6 +17,8 @@ use std::sync::{Arc, OnceLock};
 const SCENE: &str = "builtin:house?triangles=20000&seed=1";
 /// A twentieth of the house: less than a room and what is seen through its doors.
 const BUDGET: &str = "1300";
+/// Enough for the rooms of the eye and what is seen through the doors beside it, in all poses.
+const PAPER_BUDGET: &str = "4000";
 /// Small, so that its hundreds of images are made in a minute.
 const SIZE: &str = "192x108";
 
@@ -47,10 +49,32 @@ fn house() -> &'static House {
     })
 }
 
+/// The same with images of 1998 alone.
+fn paper_house() -> &'static House {
+    static HOUSE: OnceLock<House> = OnceLock::new();
+    HOUSE.get_or_init(|| {
+        let in_folder = |dir: &Path| House { dataset: dir.join("dataset"), poses: dir.join("poses.json") };
+        let tmp = Path::new(env!("CARGO_TARGET_TMPDIR"));
+        in_folder(&made_once(tmp, "portals-paper", |dir| {
+            let house = in_folder(dir);
+            build(&house.dataset, PAPER_BUDGET, &["--portal-images", "paper"]);
+            poses(&house.poses);
+        }))
+    })
+}
+
 fn make(house: &House) {
-    let mut c = server(&["build", SCENE, "--represent", "portals", "--budget", BUDGET, "--size", SIZE, "-o"]);
-    c.arg(&house.dataset);
+    build(&house.dataset, BUDGET, &[]);
+    poses(&house.poses);
+}
+
+fn build(dataset: &Path, budget: &str, more: &[&str]) {
+    let mut c = server(&["build", SCENE, "--represent", "portals", "--budget", budget, "--size", SIZE, "-o"]);
+    c.arg(dataset).args(more);
     run::run(c).expect("builds");
+}
+
+fn poses(file: &Path) {
     // Middles of rooms, beside walls, in doorways, up and down.
     let pose = |x: f64, z: f64, yaw: f64, pitch: f64| serde_json::json!({ "t": 0.0, "position": [x, 1.6, z], "yaw": yaw, "pitch": pitch });
     let poses = [
@@ -63,46 +87,110 @@ fn make(house: &House) {
         pose(5.0, -2.25, 90.0, 0.0),
         pose(9.0, 2.6, 0.0, 0.0),
     ];
-    std::fs::write(&house.poses, serde_json::json!({ "poses": poses }).to_string()).expect("writable");
+    std::fs::write(file, serde_json::json!({ "poses": poses }).to_string()).expect("writable");
 }
 
 fn json(path: &Path) -> Value {
     serde_json::from_str(&std::fs::read_to_string(path).expect("readable")).expect("JSON")
 }
 
+/// Truth and baseline of the poses.
+fn render(poses: &Path, out: &Path) {
+    for (samples, extra, name) in [("16", "--depth", "truth"), ("1", "--mips", "baseline")] {
+        let mut c = server(&["render", SCENE, "--path"]);
+        c.arg(poses).args(["--size", SIZE, "--samples", samples, extra, "-o"]).arg(out.join(name));
+        run::run(c).expect("renders");
+    }
+}
+
+/// A walk that is judged; its report goes to `walk.json`.
+fn walk(served: &Server, h: &House, out: &Path, more: &[&str]) -> Command {
+    let mut c = run::command("ldi-client").expect("built");
+    c.args(["walk", &served.quic, "--fingerprint", &served.fingerprint, "--pace", "wait", "--size", SIZE, "--path"])
+        .arg(&h.poses)
+        .arg("--truth")
+        .arg(out.join("truth"))
+        .arg("--baseline")
+        .arg(out.join("baseline"))
+        .arg("-o")
+        .arg(out.join("frames"))
+        .arg("--report")
+        .arg(out.join("walk.json"))
+        .args(more);
+    c
+}
+
+/// Each way of 1998 to show what lies beyond a portal, from the build to judged frames: the more it knows, the less it errs.
+#[test]
+fn the_more_an_image_of_a_portal_knows_the_less_it_errs() {
+    let (h, out) = (paper_house(), folder("portal-paper"));
+    render(&h.poses, &out);
+    let served = Server::start(&h.dataset).expect("serves");
+    let methods: [(&str, &[&str]); 5] = [
+        ("texture", &["--method", "texture"]),
+        ("texture", &["--method", "texture", "--portal-textures", "all"]),
+        ("warp1", &["--method", "warp1"]),
+        ("warp2", &["--method", "warp2"]),
+        ("ldi", &["--method", "ldi"]),
+    ];
+    let mut flips = Vec::new();
+    for (name, options) in methods {
+        run::run(walk(&served, h, &out, options)).expect("walks");
+        let report = json(&out.join("walk.json"));
+        let s = &report["summary"];
+        assert_eq!((&s["budget_violations"], &s["frames_incomplete"]), (&0.into(), &0.into()), "{name}: {s}");
+        let frames = report["frames"].as_array().expect("frames");
+        assert!(frames.iter().all(|f| f["dropped_cells"] == 0), "{name}: the budget was to be enough");
+        let shown: Vec<&Value> = frames.iter().filter(|f| f["method"] == name).collect();
+        assert!(shown.len() >= 4, "{name}: {} frames show images", shown.len());
+        let far: Vec<f64> = shown.iter().filter_map(|f| f["flip_far"].as_f64()).collect();
+        flips.push(far.iter().sum::<f64>() / far.len() as f64);
+    }
+    let [texture, textures, warp1, warp2, ldi] = flips[..] else { panic!("five methods") };
+    eprintln!("FLIP over pixels from images: {flips:.4?}");
+    assert!(textures < 0.95 * texture, "the nearest of 13 textures against the central one: {flips:?}");
+    assert!(warp1 < 0.8 * textures, "depth against none: {flips:?}");
+    assert!(warp2 <= 1.02 * warp1 && ldi <= 1.02 * warp2, "two images, layers: {flips:?}");
+    // What was not built is refused with the remedy.
+    let refused = walk(&served, h, &out, &["--method", "portals"]).output().expect("runs");
+    let text = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert_eq!(refused.status.code(), Some(42), "{text}");
+    assert!(text.contains("--portal-images ours"), "{text}");
+}
+
+#[test]
+fn options_of_portal_images_that_do_not_fit_are_refused() {
+    let (h, out) = (house(), folder("portal-options"));
+    let served = Server::start(&h.dataset).expect("serves");
+    for method in ["texture", "warp1", "warp2", "ldi"] {
+        let mut c = run::command("ldi-client").expect("built");
+        c.args(["walk", &served.quic, "--fingerprint", &served.fingerprint, "--method", method, "--size", SIZE]);
+        let refused =
+            c.arg("--path").arg(&h.poses).arg("-o").arg(&out).arg("--report").arg(out.join("walk.json")).output();
+        let refused = refused.expect("runs");
+        let text = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert_eq!(refused.status.code(), Some(42), "{text}");
+        assert!(text.contains(&format!("--method {method}")) && text.contains("--portal-images paper"), "{text}");
+    }
+    for (options, named) in [
+        (&["--portal-images", "paper"][..], "--represent portals"),
+        (&["--represent", "portals", "--portal-references", "13"], "--portal-images paper"),
+        (&["--represent", "portals", "--portal-images", "both", "--portal-references", "12"], "odd"),
+        (&["--represent", "portals", "--portal-images", "both", "--portal-arc", "200"], "arc"),
+    ] {
+        let refused = server(&["build", SCENE, "-o"]).arg(out.join("none")).args(options).output().expect("runs");
+        let text = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert_eq!(refused.status.code(), Some(2), "{text}");
+        assert!(text.contains(named), "{options:?}: {text}");
+    }
+}
+
 #[test]
 fn a_walk_by_portals_keeps_the_budget_and_looks_like_the_truth() {
     let (h, out) = (house(), folder("portal-walk"));
-    for (samples, extra, name) in [("16", "--depth", "truth"), ("1", "--mips", "baseline")] {
-        let mut c = server(&["render", SCENE, "--path"]);
-        c.arg(&h.poses).args(["--size", SIZE, "--samples", samples, extra, "-o"]).arg(out.join(name));
-        run::run(c).expect("renders");
-    }
+    render(&h.poses, &out);
     let served = Server::start(&h.dataset).expect("serves");
-    let mut c = run::command("ldi-client").expect("built");
-    c.args([
-        "walk",
-        &served.quic,
-        "--fingerprint",
-        &served.fingerprint,
-        "--method",
-        "portals",
-        "--pace",
-        "wait",
-        "--size",
-        SIZE,
-        "--path",
-    ])
-    .arg(&h.poses)
-    .arg("--truth")
-    .arg(out.join("truth"))
-    .arg("--baseline")
-    .arg(out.join("baseline"))
-    .arg("-o")
-    .arg(out.join("frames"))
-    .arg("--report")
-    .arg(out.join("walk.json"));
-    run::run(c).expect("walks");
+    run::run(walk(&served, h, &out, &["--method", "portals"])).expect("walks");
     let report = json(&out.join("walk.json"));
     let s = &report["summary"];
     assert_eq!((&s["budget_violations"], &s["frames_incomplete"]), (&0.into(), &0.into()), "{s}");

@@ -36,15 +36,15 @@ impl Layouts {
         self.get(number).is_some_and(|l| Arc::ptr_eq(&l.ldi, ldi))
     }
 
-    /// Lays out an image unless it is laid out already, with the same layers. Returns whether it was new.
-    pub fn lay_out(&mut self, number: u32, ldi: &Arc<Ldi>) -> bool {
+    /// Lays out an image, or what `paint` makes of it, unless it is laid out already, with the same layers. Returns whether it was new.
+    pub fn lay_out(&mut self, number: u32, ldi: &Arc<Ldi>, paint: impl FnOnce(&Ldi) -> Option<Ldi>) -> bool {
         let held = self.holds(number, ldi);
         let at = self.0.iter().position(|l| l.number == number);
         let before = at.map(|at| self.0.remove(at)).filter(|_| held);
         self.0.push(before.unwrap_or_else(|| Layout {
             number,
             ldi: ldi.clone(),
-            laid_out: PreparedLdi::new(ldi),
+            laid_out: PreparedLdi::new(paint(ldi).as_ref().unwrap_or(ldi)),
             since: Instant::now(),
         }));
         !held

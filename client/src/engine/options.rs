@@ -5,6 +5,7 @@ use crate::{
     composite::Fill,
     warp::{Order, Stamp},
 };
+use ldi_protocol::room_index::{PortalImages, ShowPortals};
 use serde::Serialize;
 
 /// How far geometry is represented.
@@ -15,22 +16,45 @@ pub enum Method {
     Auto,
     /// Draw every cell in the frustum.
     Geometry,
-    /// Portal textures.
+    /// Portal textures: the central reference image painted onto each portal.
     Texture,
-    /// One reference image.
+    /// The nearest of the reference images painted onto each portal.
+    #[value(skip)]
+    Textures,
+    /// Beyond portals the nearest reference image, warped.
     Warp1,
-    /// The two nearest reference images.
+    /// Beyond portals the two nearest reference images.
     Warp2,
-    /// Layered depth images of the grid.
+    /// Layered depth images: of portals, merged from reference images, in a dataset with rooms; of the grid in others.
     Ldi,
     /// The same.
     Grid,
-    /// Layered depth images at portals.
+    /// Layered depth images at portals, made for boxes of eyes.
     Portals,
+    /// The same wherever a portal has one, even where geometry would fit the budget.
+    #[value(skip)]
+    PortalsEverywhere,
     /// The tree of layered depth images.
     Tree,
     /// Cached images of a hierarchy.
     Cache,
+}
+
+impl Method {
+    /// How portals are shown in a dataset with rooms. Images as of 1998 show wherever there are some, as they did then.
+    pub fn portals(self) -> ShowPortals {
+        let (images, everywhere) = match self {
+            Self::Texture => (PortalImages::Texture, true),
+            Self::Textures => (PortalImages::Textures, true),
+            Self::Warp1 => (PortalImages::Reference, true),
+            Self::Warp2 => (PortalImages::TwoReferences, true),
+            Self::Ldi => (PortalImages::Layered, true),
+            Self::Portals => (PortalImages::Zones, false),
+            Self::PortalsEverywhere => (PortalImages::Zones, true),
+            Self::Auto | Self::Geometry | Self::Grid | Self::Tree | Self::Cache => (PortalImages::Offered, false),
+        };
+        ShowPortals { images, everywhere }
+    }
 }
 
 /// Whether samples that cannot be seen are rejected by groups before the warp.

@@ -18,7 +18,7 @@ use crate::{
     report::StageMs,
     resident::Resident,
     tree::{StillPainter, TreeStats},
-    warp::{FarFrame, WarpOptions, WarpStats},
+    warp::{FarFrame, WarpOptions, WarpStats, painted_onto},
 };
 use ldi_protocol::{
     OutputCamera, Pose,
@@ -26,8 +26,12 @@ use ldi_protocol::{
     ldi::Ldi,
     need::{Needed, needed},
     portal_view::Cone,
-    rooms::CellId,
-    select::{DrawFrusta, DrawList, Nearest, Selection, ShownPortal, draw_list, nearest_cells, select},
+    room_index::PortalImages,
+    rooms::{CellId, Portal},
+    select::{
+        DrawFrusta, DrawList, Nearest, Selection, ShownPortal, draw_list, draw_list_showing, nearest_cells, select,
+    },
+    shade::SKY_SRGB,
 };
 use std::{sync::Arc, time::Instant};
 
@@ -52,6 +56,8 @@ pub struct View {
     pub rooms: Vec<CellId>,
     /// Portals whose images show what lies beyond, nearest first.
     pub portals: Vec<ShownPortal>,
+    /// Which of their images do.
+    pub portal_images: PortalImages,
 }
 
 /// What a frame took and lacked.
@@ -83,6 +89,8 @@ pub struct Painter {
     /// Colours of the frame before, where holes are to show it.
     last: Vec<u32>,
     layouts: Layouts,
+    /// They are painted onto their portals.
+    textures: bool,
 }
 
 fn ms_since(start: Instant) -> f64 {
@@ -108,6 +116,7 @@ pub fn view_of(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method
             tree: Vec::new(),
             rooms: Vec::new(),
             portals: Vec::new(),
+            portal_images: PortalImages::Offered,
         };
     }
     // `draw_list` selects as well: its share is measured apart.
@@ -117,12 +126,14 @@ pub fn view_of(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method
     let start = Instant::now();
     let list = match method {
         Method::Tree => tree_list(index, pose, half_tan),
-        _ => draw_list(index, pose, half_tan),
+        _ => draw_list_showing(index, pose, half_tan, method.portals()),
     };
     ms.cull = (ms_since(start) - ms.select).max(0.0);
     let by_tree = method == Method::Tree || index.walks_by_tree();
     let DrawList { selection, cells, images, dropped, tree, rooms, portals, .. } = list;
-    View { selection, cells, images, dropped, triangles_in_frustum, by_tree, tree, rooms, portals }
+    let wanted = method.portals().images;
+    let portal_images = index.rooms.as_ref().map_or(wanted, |r| r.resolve(wanted));
+    View { selection, cells, images, dropped, triangles_in_frustum, by_tree, tree, rooms, portals, portal_images }
 }
 
 /// The cells to draw, and the texture chunks for want of which the others are not: as long as the LDI tree shows a cell in its colours, bare geometry would be a
@@ -197,6 +208,12 @@ impl View {
     /// The chunks that complete the view.
     pub fn needed(&self, index: &Index) -> Needed {
         needed(index, &self.images, &self.cells, &self.tree)
+    }
+
+    /// The portal that an image is painted onto.
+    fn canvas<'a>(&self, index: &'a Index, image: u32) -> Option<&'a Portal> {
+        let shown = self.portals.iter().find(|p| self.portal_images.is_texture() && p.images.contains(&image))?;
+        index.rooms.as_ref()?.rooms.portals().get(shown.portal as usize)
     }
 }
 
@@ -278,6 +295,10 @@ impl Painter {
         painted.missing_chunks.sort_unstable();
         painted.missing_chunks.dedup();
 
+        if std::mem::replace(&mut self.textures, view.portal_images.is_texture()) != self.textures {
+            // The same images, laid out otherwise.
+            self.layouts = Layouts::default();
+        }
         self.layouts.forget_all_but(|number| images.iter().any(|(n, ..)| *n == number));
         let warp_options = WarpOptions {
             stamp: options.stamp,
@@ -292,7 +313,9 @@ impl Painter {
                 (*held, painted.waiting) = (None, painted.waiting + 1);
                 continue;
             }
-            let new = self.layouts.lay_out(*number, ldi);
+            let canvas = view.canvas(index, *number);
+            let paint = |ldi: &Ldi| canvas.and_then(|p| painted_onto(ldi, p.normal(), p.centre(), SKY_SRGB));
+            let new = self.layouts.lay_out(*number, ldi, paint);
             if let Some(l) = self.layouts.get(*number) {
                 self.hand.hold(&l.laid_out, &full_camera, &warp_options)?;
             }

@@ -19,7 +19,7 @@ use crate::{
     report::{FrameReport, StageMs, Summary, WalkTotals},
     warp::WarpStats,
 };
-use ldi_protocol::{OutputCamera, path::Walk};
+use ldi_protocol::{OutputCamera, path::Walk, room_index::PortalImages};
 use std::{
     path::{Path, PathBuf},
     sync::mpsc,
@@ -325,7 +325,7 @@ impl Walker<'_> {
             pitch_deg: pose.pose.pitch_deg,
             method: match (view.by_tree, warp.is_some()) {
                 (true, _) if painted.tree.is_some() => "tree",
-                (_, true) if !view.portals.is_empty() => "portals",
+                (_, true) if !view.portals.is_empty() => portal_method(view.portal_images),
                 (_, true) => "grid",
                 _ => "geometry",
             },
@@ -397,6 +397,17 @@ impl Walker<'_> {
             self.totals.ms_first_useful_frame = Some(first.elapsed_ms);
             self.totals.bytes_first_useful_frame = Some(first.report.bytes_received);
         }
+    }
+}
+
+/// The name of a frame that shows these images of portals.
+fn portal_method(images: PortalImages) -> &'static str {
+    match images {
+        PortalImages::Offered | PortalImages::Zones => "portals",
+        PortalImages::Texture | PortalImages::Textures => "texture",
+        PortalImages::Reference => "warp1",
+        PortalImages::TwoReferences => "warp2",
+        PortalImages::Layered => "ldi",
     }
 }
 

@@ -84,6 +84,7 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
         prefetch_m: config.prefetch_m,
         name: config.name.clone(),
         manifests: known.iter().map(|(root, _)| root.hash).collect(),
+        portals: config.portals,
     });
     let hello = wire::encode(&hello).map_err(|e| ConnectError::Local(e.to_string()))?;
     config.progress.enter(Phase::Asking);

@@ -30,11 +30,13 @@ pub mod reference;
 mod stamps;
 #[cfg(test)]
 mod tests;
+mod texture;
 mod transform;
 
 pub use bands::{TileJob, tile_jobs, transform_only, transformed, warp, warp_images};
 pub use matrix::{WarpMatrix, Warped};
 pub use prepared::PreparedLdi;
+pub use texture::painted_onto;
 pub use transform::Transformed;
 
 use std::{fmt, str::FromStr};

@@ -7,7 +7,7 @@ use crate::{
         AngularRange, CellEntry, ChunkEntry, ChunkKind, GridPoint, ImageEntry, Placement, TextureChunk, TextureEntry,
     },
     mesh::{Alpha, Material, Wrap},
-    room_index::RoomIndex,
+    room_index::{BuiltImages, RoomIndex, SideImages},
     rooms::{Cell, Portal, PortalKind, Rooms},
     sky::SkyMap,
     tree::{SkyPlace, Tree, TreeNode},
@@ -146,11 +146,18 @@ fn rooms(n: usize) -> RoomIndex {
     ];
     let last = n as u32;
     let own = if n < 2 { last..last } else { last - 1..last };
+    // Placements of reference images have one image: every third one has.
+    let paper = n % 3 == 2;
+    let side = SideImages { references: last.saturating_sub(1)..last, central: last.saturating_sub(1), layered: None };
+    let layered = SideImages { layered: Some(side.central), ..side.clone() };
+    let sides = [[SideImages::default(), layered], [side, SideImages::default()]];
     RoomIndex {
         rooms: Rooms::new(0.15, vec![room("kitchen", 0.0), room("hall \u{e4}", 3.0)], portals).expect("sound"),
         near_m: 1.25,
         cells_of: vec![(0..last).filter(|c| c % 3 < 2).collect(), vec![], (last / 2..last).collect()],
         placements: vec![[0..0, own], [0..0, 0..0]],
+        built: if paper { BuiltImages::Both } else { BuiltImages::Ours },
+        sides: if paper { sides.to_vec() } else { vec![] },
     }
 }
 
@@ -188,7 +195,7 @@ fn decode(e: &Encoded) -> Result<Index, CodecError> {
 
 #[test]
 fn an_index_comes_back_exactly() {
-    for n in [0, 1, 3, 2500] {
+    for n in [0, 1, 3, 5, 2500] {
         let original = index(n);
         let encoded = encode(&original).unwrap();
         assert!(encoded.root.len() < 8000, "{} entries, root of {} bytes", n, encoded.root.len());
@@ -222,7 +229,7 @@ fn bounds_that_are_not_f32_are_refused() {
 #[test]
 fn every_broken_rule_is_named() {
     type Break = fn(&mut Index);
-    let breaks: [(&str, Break); 35] = [
+    let breaks: [(&str, Break); 41] = [
         ("chunk", |i| i.chunks[3].kind = ChunkKind::Page),
         ("cell", |i| i.cells[1].chunk = 0),
         ("tree", |i| i.tree.as_mut().unwrap().root_chunk = 0),
@@ -254,6 +261,12 @@ fn every_broken_rule_is_named() {
         ("rooms", |i| i.rooms.as_mut().unwrap().placements[1][0] = 4..9),
         ("rooms", |i| i.rooms.as_mut().unwrap().placements[1][0] = 0..1),
         ("rooms", |i| i.rooms.as_mut().unwrap().placements.truncate(1)),
+        ("rooms", |i| i.rooms.as_mut().unwrap().built = BuiltImages::Ours),
+        ("rooms", |i| i.rooms.as_mut().unwrap().sides.truncate(1)),
+        ("rooms", |i| i.rooms.as_mut().unwrap().sides[0][1].references.end += 1),
+        ("rooms", |i| i.rooms.as_mut().unwrap().sides[0][1].central = 0),
+        ("rooms", |i| i.rooms.as_mut().unwrap().sides[0][1].layered = Some(2)),
+        ("rooms", |i| i.rooms.as_mut().unwrap().sides[0][0].layered = Some(4)),
         ("image", |i| i.images.push(i.images[0].clone())),
         ("image", |i| i.images[2].basis.up = DVec3::X),
         ("image", |i| i.images[2].window[3] = f64::INFINITY),

@@ -1,7 +1,7 @@
 //! `select` in a dataset with rooms (Rafferty, Aliaga, Popescu and Lastra 1998, section 2).
 //!
 //! Pose -> rooms of the eye -> portal culling. The room of the eye is geometry. What lies beyond a portal is geometry as well, or comes from an image of that portal:
-//! an eye may use one if it is among the eyes of a placement ([`RoomIndex::placement_for`]); others, nearer ones above all, see geometry, which is what the image's
+//! an eye may use one if it is among the eyes of a placement ([`RoomIndex::shown`]); others, nearer ones above all, see geometry, which is what the image's
 //! footprint bound asks for.
 //!
 //! ```text
@@ -11,6 +11,8 @@
 //!   +-----------+-----------+             4. else room by room, the nearest portal first, as long as what (2) adds to each fits
 //! ```
 //!
+//! With [`ShowPortals::everywhere`], 3 and 4 are left out, as in the system of 1998 (section 5): what may be an image is one.
+//!
 //! Where even 1 and 2 exceed the budget, the farthest cells are left out and counted ([`DrawList::dropped`](super::DrawList::dropped)): the LDI tree shows through there.
 
 use super::{DrawFrusta, DrawList, Selection, images_within, tree_chunks, within_budget};
@@ -19,7 +21,7 @@ use crate::{
     camera::Frustum,
     index::Index,
     portal_view::{Cone, PortalView, portal_view_within},
-    room_index::RoomIndex,
+    room_index::{PortalImages, RoomIndex, ShowPortals},
     rooms::CellId,
 };
 
@@ -38,7 +40,9 @@ pub struct ShownPortal {
     pub side: usize,
     /// The placement whose images are used.
     pub placement: u32,
-    /// Its images that may be seen, as positions in [`Index::images`].
+    /// A second one, for [`PortalImages::TwoReferences`].
+    pub second: Option<u32>,
+    /// Their images that may be seen, as positions in [`Index::images`].
     pub images: Vec<u32>,
     /// What may be seen of the portal, one for each way to it.
     pub cones: Vec<Cone>,
@@ -52,6 +56,9 @@ struct Search<'a> {
     /// The picture, cut to the planning square.
     picture: Frustum,
     start: Vec<CellId>,
+    /// What is shown; not [`PortalImages::Offered`].
+    images: PortalImages,
+    everywhere: bool,
 }
 
 /// Rooms that are geometry, and what they draw.
@@ -64,7 +71,13 @@ struct State {
 }
 
 /// As [`super::draw_list`].
-pub(super) fn draw_list(index: &Index, rooms: &RoomIndex, pose: &Pose, half_tan: (f64, f64)) -> DrawList {
+pub(super) fn draw_list(
+    index: &Index,
+    rooms: &RoomIndex,
+    pose: &Pose,
+    half_tan: (f64, f64),
+    show: ShowPortals,
+) -> DrawList {
     let t = index.settings.square_half_tan();
     let search = Search {
         index,
@@ -73,6 +86,8 @@ pub(super) fn draw_list(index: &Index, rooms: &RoomIndex, pose: &Pose, half_tan:
         frusta: DrawFrusta::new(&index.settings, pose, half_tan),
         picture: Frustum::new(pose.position, &pose.basis(), half_tan.0.min(t), half_tan.1.min(t)),
         start: rooms.rooms.cells_near(pose.position, rooms.rooms.margin_m()),
+        images: rooms.resolve(show.images),
+        everywhere: show.everywhere,
     };
     let state = search.run();
     let portals = search.portals(&state.view);
@@ -93,15 +108,15 @@ pub(super) fn draw_list(index: &Index, rooms: &RoomIndex, pose: &Pose, half_tan:
 impl Search<'_> {
     fn run(&self) -> State {
         let budget = self.index.settings.budget;
-        let everything = self.state(vec![true; self.rooms.cells_of.len()]);
-        if everything.triangles <= budget {
+        let all = || self.state(vec![true; self.rooms.cells_of.len()]);
+        if let Some(everything) = (!self.everywhere).then(all).filter(|e| e.triangles <= budget) {
             return everything;
         }
         let mut geometry = vec![false; self.rooms.cells_of.len()];
         self.start.iter().for_each(|room| geometry[self.rooms.slot(*room)] = true);
         let mut best = self.closed(geometry);
         let mut tried = vec![false; self.rooms.cells_of.len()];
-        for _ in 0..MOST_TRIES {
+        for _ in 0..if self.everywhere { 0 } else { MOST_TRIES } {
             if best.triangles >= budget {
                 break;
             }
@@ -133,9 +148,7 @@ impl Search<'_> {
         loop {
             let state = self.state(geometry);
             let portals = self.rooms.rooms.portals();
-            let eye = self.pose.position;
-            let bare =
-                |portal: u32, side| self.rooms.placement_for(&self.index.placements, portal, side, eye).is_none();
+            let bare = |portal: u32, side| self.shown(portal, side).is_empty();
             let unserved = state.view.thresholds.iter().filter(|t| bare(t.portal, t.side));
             let rooms: Vec<usize> =
                 unserved.map(|t| self.rooms.slot(portals[t.portal as usize].cells[1 - t.side])).collect();
@@ -145,6 +158,11 @@ impl Search<'_> {
             geometry = state.geometry;
             rooms.into_iter().for_each(|room| geometry[room] = true);
         }
+    }
+
+    /// The placements that show a portal to the eye.
+    fn shown(&self, portal: u32, side: usize) -> Vec<u32> {
+        self.rooms.shown(&self.index.placements, self.images, portal, side, self.pose.position)
     }
 
     /// What is seen of these rooms.
@@ -177,16 +195,19 @@ impl Search<'_> {
                 known.cones.push(t.cone.clone());
                 continue;
             }
-            let found = self.rooms.placement_for(&self.index.placements, t.portal, t.side, self.pose.position);
-            let Some(placement) = found else { continue };
+            let found = self.shown(t.portal, t.side);
+            let Some(&placement) = found.first() else { continue };
             let (images, cones) = (Vec::new(), vec![t.cone.clone()]);
-            out.push(ShownPortal { portal: t.portal, side: t.side, placement, images, cones });
+            let second = found.get(1).copied();
+            out.push(ShownPortal { portal: t.portal, side: t.side, placement, second, images, cones });
         }
         for p in &mut out {
-            for cone in &p.cones {
-                for image in images_within(self.index, p.placement, self.pose, &cone.normals) {
-                    if !p.images.contains(&image) {
-                        p.images.push(image);
+            for placement in [Some(p.placement), p.second].into_iter().flatten() {
+                for cone in &p.cones {
+                    for image in images_within(self.index, placement, self.pose, &cone.normals) {
+                        if !p.images.contains(&image) {
+                            p.images.push(image);
+                        }
                     }
                 }
             }

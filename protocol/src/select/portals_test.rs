@@ -4,8 +4,9 @@ use super::*;
 use crate::{
     Aabb, OutputCamera, ViewBasis,
     index::{BuildSettings, CellEntry, ImageEntry, Placement, SceneInfo},
+    room_index::{BuiltImages, SideImages},
     rooms::{Cell, Portal, PortalKind, Rooms},
-    select::draw_list,
+    select::{draw_list, draw_list_showing},
 };
 use glam::DVec3;
 use proptest::prelude::*;
@@ -95,7 +96,7 @@ fn index(budget: u64, served: &[usize]) -> Index {
         images,
         volume: None,
         tree: None,
-        rooms: Some(RoomIndex { rooms, near_m: 0.6, cells_of, placements: ranges }),
+        rooms: Some(RoomIndex { rooms, near_m: 0.6, cells_of, placements: ranges, ..Default::default() }),
     }
 }
 
@@ -140,6 +141,82 @@ fn nearer_than_its_eyes_an_image_gives_way_to_geometry() {
     let fewer = draw_list(&index(399, &[0, 2]), &pose(-3.5, 0.0), SQUARE);
     assert!(fewer.portals.is_empty(), "the eye is not among those of the third door");
     assert!(fewer.dropped > 0, "{fewer:?}");
+}
+
+/// The same with five reference images before the second door, at 1.6 m from its middle, every 20 degrees from left to right, and one layered image.
+fn with_references(budget: u64) -> Index {
+    let mut index = index(budget, &[]);
+    for k in 0..6 {
+        let angle = (f64::from(k.min(4)) * 20.0 - 40.0_f64).to_radians();
+        // The sixth is the layered one, where the central one is.
+        let angle = if k == 5 { 0.0 } else { angle };
+        index.placements.push(Placement {
+            grid_point: None,
+            cop: DVec3::new(1.6 * angle.sin(), 1.5, -8.0 + 1.6 * angle.cos()),
+            culled: vec![],
+            footprint_px: 4.0,
+            users: Aabb { min: DVec3::new(-3.0, 1.0, -8.0), max: DVec3::new(3.0, 2.0, 0.0) },
+            images: k..k + 1,
+            sky: Default::default(),
+        });
+        index.images.push(ImageEntry {
+            basis: ViewBasis::from_yaw_pitch(0.0, 0.0),
+            plane_distance: 1.6 * angle.cos() * 0.999,
+            window: [-20.0, 20.0, -20.0, 20.0],
+            stretch_p99_px: f64::NAN,
+            chunks: vec![0],
+            samples_by_layer: vec![1],
+        });
+    }
+    if let Some(rooms) = &mut index.rooms {
+        rooms.built = BuiltImages::Paper;
+        rooms.sides = vec![Default::default(); ROOMS - 1];
+        rooms.sides[1][0] = SideImages { references: 0..5, central: 2, layered: Some(5) };
+        assert_eq!(rooms.check(index.cells.len(), &index.placements), Ok(()));
+    }
+    index
+}
+
+#[test]
+fn each_kind_of_image_is_the_one_that_was_asked_for() {
+    let index = with_references(1000);
+    let shown = |images, x: f64, everywhere| {
+        let pose = Pose { position: DVec3::new(x, 1.5, -5.0), yaw_deg: 0.0, pitch_deg: 0.0 };
+        let list = draw_list_showing(&index, &pose, SQUARE, ShowPortals { images, everywhere });
+        let portals: Vec<_> = list.portals.iter().map(|p| (p.portal, p.placement, p.second)).collect();
+        (portals, list.images, list.cells)
+    };
+    // Three metres before the door; 1 m aside is 18 degrees, 0.6 m is 11, 0.4 m is 8.
+    for (images, x, placement, second) in [
+        (PortalImages::Texture, 1.0, 2, None),
+        (PortalImages::Textures, 1.0, 3, None),
+        (PortalImages::Textures, -1.0, 1, None),
+        (PortalImages::Reference, 0.6, 3, None),
+        (PortalImages::Reference, 0.4, 2, None),
+        (PortalImages::TwoReferences, 0.4, 2, Some(3)),
+        (PortalImages::TwoReferences, -0.6, 1, Some(2)),
+        (PortalImages::Layered, 0.4, 5, None),
+        (PortalImages::Offered, 0.4, 5, None),
+    ] {
+        let (portals, of_view, cells) = shown(images, x, true);
+        assert_eq!(portals, [(1, placement, second)], "{images:?} at {x}");
+        assert_eq!(of_view, [Some(placement), second].into_iter().flatten().collect::<Vec<_>>());
+        assert!(cells.iter().all(|c| [2, 3].contains(c)), "the room of the eye alone: {cells:?}");
+    }
+    // What fits is geometry unless images are wanted everywhere; and what was not built is not shown.
+    assert!(shown(PortalImages::Layered, 0.4, false).0.is_empty());
+    assert!(shown(PortalImages::Zones, 0.4, true).0.is_empty());
+}
+
+#[test]
+fn eyes_that_are_near_or_askew_see_geometry_instead_of_references() {
+    let index = with_references(1000);
+    let rooms = index.rooms.as_ref().expect("it has some");
+    let shows =
+        |x: f64, z: f64| !rooms.shown(&index.placements, PortalImages::Layered, 1, 0, DVec3::new(x, 1.5, z)).is_empty();
+    assert!(shows(0.0, -7.0) && !shows(0.0, -7.5), "0.6 m");
+    assert!(shows(-2.5, -6.0) && !shows(-2.9, -7.2), "30 degrees off the plane");
+    assert!(!shows(0.0, -9.0), "beyond it");
 }
 
 proptest! {

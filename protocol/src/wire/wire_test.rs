@@ -1,7 +1,7 @@
 //! Every message survives the trip; every other byte string gives an error and nothing else.
 
 use super::*;
-use crate::Pose;
+use crate::{Pose, room_index::PortalImages};
 use glam::DVec3;
 use proptest::prelude::*;
 
@@ -14,6 +14,7 @@ fn hello() -> Hello {
         prefetch_m: 10.0,
         name: "test".into(),
         manifests: vec![ChunkHash([3; 32]); MAX_MANIFESTS],
+        portals: ShowPortals { images: PortalImages::TwoReferences, everywhere: true },
     }
 }
 
@@ -50,6 +51,22 @@ fn messages_survive_the_trip() {
     trip(ServerMessage::Refused { code: RefusalCode::Token, message: "no".into() });
     trip(Request::Name(ChunkHash([200; 32])));
     trip(Answer::Chunk { number: 3, bytes: 10 });
+}
+
+/// A client of before knows nothing of portals, and one of later may know more than this server.
+#[test]
+fn a_wish_for_portals_may_be_absent_and_an_unknown_one_is_refused() {
+    let bytes = encode(&ClientMessage::Hello(hello())).unwrap();
+    let body = &bytes[4..];
+    let at = |what: &[u8]| body.windows(what.len()).position(|w| w == what).expect("it is in the message");
+    let mut unknown = body.to_vec();
+    unknown[at(b"two_references")] = b'x';
+    assert!(decode::<ClientMessage>(&unknown).is_err());
+    // The name of the field damaged: one that nobody knows, and none of this name.
+    let mut absent = body.to_vec();
+    absent[at(b"portals")] = b'x';
+    let ClientMessage::Hello(heard) = decode(&absent).unwrap() else { panic!("a hello") };
+    assert_eq!(heard, Hello { portals: ShowPortals::default(), ..hello() });
 }
 
 #[test]

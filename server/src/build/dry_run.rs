@@ -96,7 +96,7 @@ pub fn draft(options: &BuildOptions, progress: &dyn Progress) -> Result<Draft, B
     let counts = octree::recount(&scene, &ranges, &bounds)?;
     let images: Vec<ImagePlan> = plan.plans.iter().flat_map(|p| p.images.iter().cloned()).collect();
     let none = Images::none_of(&plan.plans);
-    let Indexed { placements, images: entries, .. } = none.indexed(&plan.plans, 0);
+    let Indexed { placements, images: entries, .. } = none.indexed(&plan.plans, &[], 0);
     let statistics = plan.statistics.clone();
     let index =
         index_of(options, &scene, settings, plan, (geometry.cells, vec![]), vec![], (placements, entries, None));

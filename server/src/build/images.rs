@@ -1,14 +1,17 @@
 //! Constructs, encodes and keeps the images of all placements.
 
 use super::{BuildError, Progress, key};
-use crate::construct::{self, ConstructOptions, Constructed};
+use crate::construct::{self, ConstructOptions, Constructed, MergeFigures};
 use crate::pack::PackError;
 use crate::placement::{ImagePlan, PlacementPlan};
+use crate::portal::{EVERYWHERE, SidePlan};
 use crate::render::Caster;
 use crate::scene::Note;
 use crate::store::DatasetWriter;
 use ldi_protocol::codec::{ColourProfile, ldi};
 use ldi_protocol::index::{BuildSettings, ChunkEntry, ChunkHash, ChunkKind, ImageEntry, Placement};
+use ldi_protocol::ldi::Ldi;
+use ldi_protocol::room_index::SideImages;
 use ldi_protocol::sky::SkyMap;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -65,6 +68,8 @@ struct Kept {
     images: Vec<KeptImage>,
     sight_rays: u64,
     sky: SkyMap,
+    /// Of a side's reference images.
+    merge: Option<MergeFigures>,
 }
 
 /// What is kept of an image besides its chunks.
@@ -185,7 +190,7 @@ fn one(
     })?;
     let mut seconds = [0.0; STEPS.len()];
     seconds[0] = made.sight_seconds;
-    let mut kept = Kept { images: Vec::new(), sight_rays: made.sight_rays, sky: made.sky };
+    let mut kept = Kept { images: Vec::new(), sight_rays: made.sight_rays, sky: made.sky, merge: None };
     let mut chunks = Vec::new();
     for (planned, tiles) in made.images.iter().enumerate() {
         for Constructed { window, ldi, stats } in tiles {
@@ -206,17 +211,31 @@ fn one(
                 // Of no samples it says nothing.
                 image.quantization_error_px = stats.quantization_error_px;
                 let start = std::time::Instant::now();
-                let pack_error = |source| PackError { what: format!("an image of placement {number}"), source };
-                let coded = ldi::encode(ldi, colour, IMAGE_LEVEL).map_err(pack_error)?;
-                image.decoded_bytes = ldi::decoded_bytes(ldi).map(|b| u32::try_from(b).unwrap_or(u32::MAX));
-                image.lengths = coded.iter().map(|c| c.len() as u32).collect();
-                chunks.extend(coded);
+                image.code(ldi, colour, &format!("an image of placement {number}"), &mut chunks)?;
                 seconds[STEPS.len() - 1] += start.elapsed().as_secs_f64();
             }
             kept.images.push(image);
         }
     }
     Ok(((kept, chunks), seconds))
+}
+
+impl KeptImage {
+    /// Codes an image: its chunks go to the end of `chunks`.
+    fn code(
+        &mut self,
+        ldi: &Ldi,
+        colour: ColourProfile,
+        what: &str,
+        chunks: &mut Vec<Vec<u8>>,
+    ) -> Result<(), BuildError> {
+        let pack_error = |source| PackError { what: what.into(), source };
+        let coded = ldi::encode(ldi, colour, IMAGE_LEVEL).map_err(pack_error)?;
+        self.decoded_bytes = ldi::decoded_bytes(ldi).map(|b| u32::try_from(b).unwrap_or(u32::MAX));
+        self.lengths = coded.iter().map(|c| c.len() as u32).collect();
+        chunks.extend(coded);
+        Ok(())
+    }
 }
 
 fn pack((kept, chunks): &(Kept, Vec<Vec<u8>>)) -> Vec<u8> {
@@ -241,6 +260,109 @@ fn unpack(bytes: &[u8]) -> Option<(Kept, Vec<Vec<u8>>)> {
     rest.is_empty().then_some((kept, chunks))
 }
 
+/// Makes the reference images of every side of a portal that are not kept yet, and the layered ones merged from them (`construct::construct_side`): they follow the placements' in `images`.
+#[expect(clippy::too_many_arguments, reason = "as of construct_all, and what is merged")]
+pub fn construct_references(
+    images: &mut Images,
+    caster: &Caster,
+    plans: &[SidePlan],
+    same_depth: f64,
+    settings: &BuildSettings,
+    colour: ColourProfile,
+    scene_key: &[u8; 32],
+    writer: &DatasetWriter,
+    progress: &dyn Progress,
+) -> Result<ReferenceFigures, BuildError> {
+    let start = std::time::Instant::now();
+    let options = ConstructOptions::new(settings.camera);
+    let one = |plan: &SidePlan| -> Result<(Kept, Vec<Vec<u8>>), BuildError> {
+        let fault = |source| BuildError::Construct { number: plan.portal, total: plans.len(), source };
+        let made = construct::construct_side(caster, plan, &options, same_depth).map_err(fault)?;
+        let mut kept = Kept { sight_rays: made.rays, sky: made.sky, merge: Some(made.merge), ..Kept::default() };
+        let mut chunks = Vec::new();
+        for (planned, ldi) in made.references.iter().chain([&made.layered]).enumerate() {
+            let mut image = KeptImage { planned, window: EVERYWHERE, ..KeptImage::default() };
+            if let Some(ldi) = ldi {
+                image.samples_by_layer = ldi.layers.iter().map(|l| l.len() as u32).collect();
+                image.code(ldi, colour, &format!("a reference image of portal {}", plan.portal), &mut chunks)?;
+            }
+            kept.images.push(image);
+        }
+        Ok((kept, chunks))
+    };
+    let made: Vec<Result<(Piece, bool), BuildError>> = plans
+        .par_iter()
+        .with_max_len(1)
+        .map(|plan| {
+            let key = key::images_key(scene_key, settings, &(plan, same_depth));
+            let found = writer.cached(&key).and_then(|bytes| unpack(&bytes));
+            let new = found.is_none();
+            let (kept, chunks) = match found {
+                Some(found) => found,
+                None => {
+                    let made = one(plan)?;
+                    writer.store(&key, &pack(&made))?;
+                    made
+                }
+            };
+            progress.advance(1);
+            let hashes = chunks.iter().map(|bytes| ChunkHash(*blake3::hash(bytes).as_bytes())).collect();
+            Ok((Piece { kept, key, hashes }, new))
+        })
+        .collect();
+    let mut figures = ReferenceFigures::default();
+    for made in made {
+        let (piece, new) = made?;
+        figures.add(&piece.kept, new);
+        images.all.push(piece);
+    }
+    figures.seconds = start.elapsed().as_secs_f64();
+    Ok(figures)
+}
+
+/// Figures over all reference images and what was merged from them.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct ReferenceFigures {
+    /// Reference images that hold something.
+    pub references: u64,
+    /// Their samples.
+    pub reference_samples: u64,
+    /// Their bytes.
+    pub reference_bytes: u64,
+    /// Layered images.
+    pub layered: u64,
+    /// Samples of those, by layer (Figure 5 of Rafferty et al. 1998).
+    pub layered_samples: Vec<u64>,
+    /// Their bytes.
+    pub layered_bytes: u64,
+    /// What became of samples in merging.
+    pub merge: MergeFigures,
+    /// Rays cast in this run.
+    pub rays: u64,
+    /// Wall time.
+    pub seconds: f64,
+}
+
+impl ReferenceFigures {
+    fn add(&mut self, kept: &Kept, new: bool) {
+        self.rays += if new { kept.sight_rays } else { 0 };
+        kept.merge.iter().for_each(|m| self.merge.add(m));
+        let Some((layered, references)) = kept.images.split_last() else { return };
+        let bytes = |i: &KeptImage| i.lengths.iter().map(|l| u64::from(*l)).sum::<u64>();
+        for image in references {
+            self.references += u64::from(!image.lengths.is_empty());
+            self.reference_samples += image.samples_by_layer.iter().map(|n| u64::from(*n)).sum::<u64>();
+            self.reference_bytes += bytes(image);
+        }
+        self.layered += u64::from(!layered.lengths.is_empty());
+        self.layered_bytes += bytes(layered);
+        if self.layered_samples.len() < layered.samples_by_layer.len() {
+            self.layered_samples.resize(layered.samples_by_layer.len(), 0);
+        }
+        self.layered_samples.iter_mut().zip(&layered.samples_by_layer).for_each(|(a, b)| *a += u64::from(*b));
+    }
+}
+
 /// A placement's images as the index names them.
 pub struct Indexed<'a> {
     /// Placements.
@@ -249,6 +371,8 @@ pub struct Indexed<'a> {
     pub images: Vec<ImageEntry>,
     /// Per image, the plan that it is a part of.
     pub plans: Vec<&'a ImagePlan>,
+    /// Per planned side of a portal the placements of its images of 1998.
+    pub sides: Vec<SideImages>,
 }
 
 impl Images {
@@ -285,8 +409,8 @@ impl Images {
     }
 
     /// Placements and images as the index names them. A planned image of which nobody sees anything is one without chunks.
-    pub fn indexed<'a>(&self, plans: &'a [PlacementPlan], first_chunk: u32) -> Indexed<'a> {
-        let mut out = Indexed { placements: Vec::new(), images: Vec::new(), plans: Vec::new() };
+    pub fn indexed<'a>(&self, plans: &'a [PlacementPlan], sides: &'a [SidePlan], first_chunk: u32) -> Indexed<'a> {
+        let mut out = Indexed { placements: Vec::new(), images: Vec::new(), plans: Vec::new(), sides: Vec::new() };
         let mut next = first_chunk;
         for (plan, Piece { kept, .. }) in plans.iter().zip(&self.all) {
             let first_image = out.images.len() as u32;
@@ -320,6 +444,34 @@ impl Images {
                 sky: kept.sky.clone(),
             });
         }
+        for (side, Piece { kept, .. }) in sides.iter().zip(self.all.iter().skip(plans.len())) {
+            let first = out.placements.len() as u32;
+            for (plan, image) in side.references.iter().chain([&side.layered]).zip(&kept.images) {
+                let (number, last) = (out.images.len() as u32, next + image.lengths.len() as u32);
+                out.images.push(ImageEntry {
+                    basis: plan.basis,
+                    plane_distance: plan.plane_distance,
+                    window: image.window,
+                    stretch_p99_px: f64::NAN,
+                    chunks: (next..last).collect(),
+                    samples_by_layer: image.samples_by_layer.clone(),
+                });
+                next = last;
+                out.plans.push(plan);
+                out.placements.push(Placement {
+                    grid_point: None,
+                    cop: plan.cop,
+                    culled: Vec::new(),
+                    footprint_px: plan.footprint_px,
+                    users: plan.users,
+                    images: number..number + 1,
+                    sky: kept.sky.clone(),
+                });
+            }
+            let references = first..first + side.references.len() as u32;
+            let (central, layered) = (first + side.central as u32, Some(references.end));
+            out.sides.push(SideImages { references, central, layered });
+        }
         out
     }
 
@@ -351,7 +503,7 @@ mod tests {
     fn kept_work_survives_packing_and_torn_work_is_refused() {
         let image = |lengths| KeptImage { lengths, ..KeptImage::default() };
         let kept =
-            Kept { images: vec![image(vec![2]), image(vec![]), image(vec![3])], sight_rays: 9, sky: SkyMap::default() };
+            Kept { images: vec![image(vec![2]), image(vec![]), image(vec![3])], sight_rays: 9, ..Kept::default() };
         let packed = pack(&(kept, vec![vec![1, 2], vec![3, 4, 5]]));
         let (back, chunks) = unpack(&packed).expect("whole");
         assert_eq!((back.sight_rays, chunks), (9, vec![vec![1, 2], vec![3, 4, 5]]));

@@ -1,6 +1,5 @@
 //! Names of unfinished work: what an image depends on, hashed, so that a resumed build takes only what is still right.
 
-use crate::placement::PlacementPlan;
 use crate::scene::Scene;
 use ldi_protocol::index::BuildSettings;
 
@@ -45,8 +44,8 @@ pub fn scene_key(scene: &Scene) -> [u8; 32] {
     *h.finalize().as_bytes()
 }
 
-/// Key of the images of one placement.
-pub fn images_key(scene: &[u8; 32], settings: &BuildSettings, plan: &PlacementPlan) -> [u8; 32] {
+/// Key of the images that a plan is all of what they depend on but scene and settings.
+pub fn images_key(scene: &[u8; 32], settings: &BuildSettings, plan: &dyn std::fmt::Debug) -> [u8; 32] {
     let mut h = blake3::Hasher::new();
     h.update(&VERSION.to_le_bytes());
     h.update(scene);

@@ -20,9 +20,9 @@ use rooms::RoomPlan;
 
 pub use choose::Weighing;
 pub use dry_run::{Draft, DryRun, draft, dry_run};
-pub use images::{IMAGE_LEVEL, ImageFigures};
+pub use images::{IMAGE_LEVEL, ImageFigures, ReferenceFigures};
 pub use report::{images_per_grid_point, report_json};
-pub use rooms::{RoomFigures, RoomSource};
+pub use rooms::{PortalOptions, RoomFigures, RoomSource};
 
 use crate::construct::ConstructError;
 use crate::octree::{Clusters, Octree, RecountError};
@@ -41,6 +41,7 @@ use ldi_protocol::index::{
     BuildSettings, CellEntry, ChunkEntry, ChunkHash, ImageEntry, Index, Placement, SceneInfo, TextureEntry,
 };
 use ldi_protocol::ldi::LdiCamera;
+use ldi_protocol::room_index::BuiltImages;
 use ldi_protocol::select::CELLS;
 use ldi_protocol::tree::Tree;
 use std::borrow::Cow;
@@ -83,8 +84,8 @@ pub enum Represent {
     Portals {
         /// Where the rooms come from.
         rooms: RoomSource,
-        /// Eyes nearer than this to a portal see geometry beyond it, metres.
-        near_m: f64,
+        /// What is shown beyond portals.
+        portals: PortalOptions,
     },
 }
 
@@ -214,7 +215,7 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
     clock.lap("placement");
     let mut plan = plan;
     let mut rooms = None;
-    if let (Represent::Portals { rooms: source, near_m }, Some(caster)) = (&options.represent, &caster) {
+    if let (Represent::Portals { rooms: source, portals }, Some(caster)) = (&options.represent, &caster) {
         let entry = |c: &crate::octree::Cell| CellEntry {
             bounds: c.bounds,
             triangles: c.triangles,
@@ -225,10 +226,11 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
         let cells = octree.cells.iter().map(entry).collect();
         let (parts, nothing) = ((cells, Vec::new()), (Vec::new(), Vec::new(), None));
         let draft = index_of(options, &scene, settings.clone(), plan.clone(), parts, Vec::new(), nothing);
-        let found = rooms::plan_rooms(caster, source, *near_m, draft, progress)?;
+        let found = rooms::plan_rooms(caster, source, portals, draft, progress)?;
         plan.plans.clone_from(&found.plans.plans);
         plan.statistics.nothing_to_do = None;
         plan.statistics.coverage_certified = false;
+        // Of images that keep the bound; those of 1998 promise none.
         plan.statistics.max_footprint_px = plan.plans.iter().map(|p| p.footprint_px).fold(0.0, f64::max);
         rooms = Some(found);
         clock.lap("rooms");
@@ -332,7 +334,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     // First: whether the directory can be written is known at once, planning takes minutes.
     let writer = DatasetWriter::open(&options.output)?;
     let planned = plan(options, &mut clock, progress);
-    let Planned { scene, clusters, octree, settings, mut plan, caster, rooms } = match planned {
+    let Planned { scene, clusters, octree, settings, mut plan, caster, mut rooms } = match planned {
         Ok(planned) => planned,
         Err(e) => {
             writer.give_up();
@@ -380,11 +382,31 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     }
 
     progress.stage("layered depth images, by placement", plan.plans.len() as u64);
-    let images = match plan.plans.is_empty() {
+    let mut images = match plan.plans.is_empty() {
         false => images::construct_all(&caster, &plan.plans, &settings, options.colour, &scene_key, &writer, progress)?,
         true => images::Images::default(),
     };
     clock.lap("images");
+    let no_sides = Vec::new();
+    if let (Represent::Portals { portals, .. }, Some(rooms)) = (&options.represent, &mut rooms)
+        && portals.images != BuiltImages::Ours
+    {
+        progress.stage("reference images, by side of a portal", rooms.sides.len() as u64);
+        let made = images::construct_references(
+            &mut images,
+            &caster,
+            &rooms.sides,
+            portals.same_depth,
+            &settings,
+            options.colour,
+            &scene_key,
+            &writer,
+            progress,
+        )?;
+        rooms.figures.references = Some(made);
+        clock.lap("reference images");
+    }
+    let sides = rooms.as_ref().map_or(&no_sides, |r| &r.sides);
 
     progress.stage("LDI tree", 0);
     if built.is_none() {
@@ -405,7 +427,8 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
 
     progress.stage("writing", 0);
     let first_image_chunk = chunks.len() as u32;
-    let Indexed { placements, images: image_entries, plans } = images.indexed(&plan.plans, first_image_chunk);
+    let Indexed { placements, images: image_entries, plans, sides } =
+        images.indexed(&plan.plans, sides, first_image_chunk);
     let cameras: Vec<LdiCamera> = plans.into_iter().map(planned_camera).collect();
     let mut notes = scene.notes.clone();
     notes.extend(
@@ -426,8 +449,8 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     let placement = plan.statistics.clone();
     let parts = (geometry.cells, textures.textures);
     let mut index = index_of(options, &scene, settings, plan, parts, entries, (placements, image_entries, tree));
-    let room_figures = rooms.as_ref().map(|r| r.figures);
-    index.rooms = rooms.map(|r| r.index);
+    let room_figures = rooms.as_ref().map(|r| r.figures.clone());
+    index.rooms = rooms.map(|r| r.index_with(sides));
     let ranges = (0..octree.cells.len()).map(|c| octree.ranges(&scene, &clusters, c)).collect::<Vec<_>>();
     let counts: Vec<u64> = ranges.iter().map(|cell| cell.iter().map(|r| u64::from(r.count)).sum()).collect();
     let audit = placement::audit(&index, &counts, &|i| cameras.get(i as usize).copied(), AUDITED_POSES, 1);

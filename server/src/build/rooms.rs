@@ -1,10 +1,11 @@
 //! Rooms of a build: whose they are, which cells lie in them, what is planned for their portals.
 
+use super::images::ReferenceFigures;
 use super::{BuildError, Progress};
-use crate::portal::{self, PortalPlans, PortalStatistics};
+use crate::portal::{self, PortalPlans, PortalStatistics, Semicircle, SemicircleStatistics, SidePlan};
 use crate::render::Caster;
 use ldi_protocol::index::Index;
-use ldi_protocol::room_index::RoomIndex;
+use ldi_protocol::room_index::{BuiltImages, PortalImages, RoomIndex, SideImages};
 use ldi_protocol::rooms::{MAX_JSON_BYTES, Rooms};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -22,14 +23,44 @@ pub enum RoomSource {
     File(PathBuf),
 }
 
+/// What a build shows of portals.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PortalOptions {
+    /// Eyes nearer than this to a portal see geometry beyond it, metres.
+    pub near_m: f64,
+    /// Which images are made.
+    pub images: BuiltImages,
+    /// Where reference images are taken from.
+    pub semicircle: Semicircle,
+    /// Depths that differ by at most this share are one in merging.
+    pub same_depth: f64,
+}
+
+impl Default for PortalOptions {
+    fn default() -> Self {
+        Self {
+            near_m: portal::NEAR_M,
+            images: BuiltImages::Ours,
+            semicircle: Semicircle::default(),
+            same_depth: crate::construct::SAME_DEPTH,
+        }
+    }
+}
+
 /// Figures of rooms for the report.
-#[derive(Debug, Clone, Copy, Default, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 pub struct RoomFigures {
     /// Of the plan.
     #[serde(flatten)]
     pub plan: PortalStatistics,
     /// Eyes nearer than this to a portal see geometry beyond it, metres.
     pub portal_near_m: f64,
+    /// Which images of portals were made.
+    pub images: BuiltImages,
+    /// The semicircle, and what was planned on it; None without images of 1998.
+    pub semicircle: Option<(Semicircle, SemicircleStatistics)>,
+    /// What was made of it.
+    pub references: Option<ReferenceFigures>,
     /// Seconds until rooms were known.
     pub find_seconds: f64,
     /// Seconds to find their cells.
@@ -43,14 +74,29 @@ pub(super) struct RoomPlan {
     /// Placements are numbered from 0, in the plan's order.
     pub index: RoomIndex,
     pub plans: PortalPlans,
+    /// Reference images.
+    pub sides: Vec<SidePlan>,
     pub figures: RoomFigures,
+}
+
+impl RoomPlan {
+    /// The index with the placements of reference images, which come as the plan's sides do.
+    pub fn index_with(self, sides: Vec<SideImages>) -> RoomIndex {
+        let mut index = self.index;
+        for (plan, images) in self.sides.iter().zip(sides) {
+            if let Some(of_portal) = index.sides.get_mut(plan.portal) {
+                of_portal[plan.side] = images;
+            }
+        }
+        index
+    }
 }
 
 /// Finds rooms and plans the images of their portals.
 pub(super) fn plan_rooms(
     caster: &Caster,
     source: &RoomSource,
-    near_m: f64,
+    options: &PortalOptions,
     // Without chunks: cells, settings and the walk volume.
     mut draft: Index,
     progress: &dyn Progress,
@@ -66,22 +112,39 @@ pub(super) fn plan_rooms(
     progress.stage("images of portals", 0);
     let nowhere = || BuildError::Rooms { why: "there is no place where an eye may be".into() };
     let volume = draft.volume.clone().ok_or_else(nowhere)?;
+    let PortalOptions { near_m, images, semicircle, .. } = *options;
     let mut plans = portal::plan_portals(&rooms, &cells_of, cells, &volume, &draft.settings, near_m);
+    if !images.offer(PortalImages::Zones) {
+        plans.leave_out();
+    }
+    let (mut sides, mut on_semicircle) = (Vec::new(), None);
+    if images.offer(PortalImages::Layered) {
+        let sees = |a, b| super::sees(caster, a, b);
+        let (planned, found) = portal::plan_semicircles(&rooms, &volume, &draft.settings, near_m, &semicircle, &sees);
+        (sides, on_semicircle) = (planned, Some((semicircle, found)));
+    }
     let of_room = |list: &Vec<u32>| list.iter().map(|c| u64::from(draft.cells[*c as usize].triangles)).sum::<u64>();
     let inner = cells_of.len().saturating_sub(1);
     plans.statistics.largest_room_triangles = cells_of[..inner].iter().map(of_room).max().unwrap_or(0);
-    let mut index = RoomIndex { rooms, near_m, cells_of, placements: Vec::new() };
+    let nothing = match images {
+        BuiltImages::Ours => Vec::new(),
+        _ => vec![Default::default(); rooms.portals().len()],
+    };
+    let mut index = RoomIndex { rooms, near_m, cells_of, placements: Vec::new(), built: images, sides: nothing };
     draft.rooms = Some(index.clone());
-    plans.keep_used(draft, &volume);
+    plans.keep_used(draft, &volume, images == BuiltImages::Both);
     index.placements.clone_from(&plans.of_portal);
     let figures = RoomFigures {
         plan: plans.statistics,
         portal_near_m: near_m,
+        images,
+        semicircle: on_semicircle,
+        references: None,
         find_seconds: (known - start).as_secs_f64(),
         cells_seconds: (held - known).as_secs_f64(),
         plan_seconds: held.elapsed().as_secs_f64(),
     };
-    Ok(RoomPlan { index, plans, figures })
+    Ok(RoomPlan { index, plans, sides, figures })
 }
 
 fn rooms_of(caster: &Caster, source: &RoomSource) -> Result<Rooms, BuildError> {

@@ -36,6 +36,7 @@ pub enum Command {
 Examples:
   ldi-server build clinic.glb -o clinic.ldi --budget 135000
   ldi-server build 'builtin:house?triangles=300000&seed=1' -o house.ldi --budget 30000 --report build.json
+  ldi-server build builtin:house -o rooms.ldi --represent portals --portal-images both --portal-references 13
 A build that was stopped goes on where it was when the same command is given again.")]
     Build(Box<BuildArgs>),
     /// Say what is in a dataset, how big it is, what was skipped and why.
@@ -152,6 +153,22 @@ pub struct BuildArgs {
     /// With --represent portals: eyes nearer than this to a portal see geometry beyond it, metres.
     #[arg(long, value_name = "M", default_value_t = crate::portal::NEAR_M, value_parser = positive)]
     pub portal_near: f64,
+    /// With --represent portals: images of what lies beyond portals: ours (for boxes of eyes, with a bound on their samples' size), paper (reference images from a semicircle before each
+    /// portal, and a layered image merged from them, as of 1998), or both.
+    #[arg(long, value_name = "WHICH", default_value = "ours", value_parser = ["ours", "paper", "both"])]
+    pub portal_images: String,
+    /// With --portal-images paper or both: reference images on each side of a portal, an odd number [default: 13].
+    #[arg(long, value_name = "N")]
+    pub portal_references: Option<usize>,
+    /// Likewise: radius of the semicircle, metres from the portal's middle [default: 2].
+    #[arg(long, value_name = "M")]
+    pub portal_radius: Option<f64>,
+    /// Likewise: the part of the semicircle that the images are spread over, degrees; eyes more than 60 degrees off the portal's normal see geometry [default: 120].
+    #[arg(long, value_name = "DEG")]
+    pub portal_arc: Option<f64>,
+    /// Likewise: depths that differ by at most this share are one in merging [default: 0.02].
+    #[arg(long, value_name = "SHARE")]
+    pub portal_same_depth: Option<f64>,
     /// Threads [default: all cores].
     #[arg(long)]
     pub threads: Option<usize>,

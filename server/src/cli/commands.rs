@@ -3,7 +3,7 @@
 use super::Failure;
 use super::args::{BuildArgs, Command, InspectArgs, PlanArgs, RenderArgs, SceneArgs, ServeArgs, VerifyArgs};
 use super::progress::Stderr;
-use crate::build::{self, BuildError, BuildOptions, Progress as _, Represent, RoomSource};
+use crate::build::{self, BuildError, BuildOptions, PortalOptions, Progress as _, Represent, RoomSource};
 use crate::octree;
 use crate::placement::{self, PlacementError};
 use crate::render::{self, Caster};
@@ -15,6 +15,7 @@ use ldi_protocol::OutputCamera;
 use ldi_protocol::codec::ColourProfile;
 use ldi_protocol::index::BuildSettings;
 use ldi_protocol::path::Walk;
+use ldi_protocol::room_index::BuiltImages;
 use std::io::{BufWriter, Write as _};
 use std::path::Path;
 use std::sync::Arc;
@@ -90,6 +91,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
     if portals && a.dry_run {
         return Err(Failure::absent("--dry-run of --represent portals"));
     }
+    let portal_options = portal_options(&a, portals)?;
     let rooms = match (a.rooms, a.find_rooms) {
         (Some(file), _) => RoomSource::File(file),
         (None, true) => RoomSource::Found,
@@ -97,7 +99,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
     };
     let asked = |what: &str| a.represent.iter().any(|r| r == what);
     let represent = match (asked("auto") || asked("grid"), asked("tree")) {
-        _ if portals => Represent::Portals { rooms, near_m: a.portal_near },
+        _ if portals => Represent::Portals { rooms, portals: portal_options },
         (true, true) => Represent::Smaller,
         (false, true) => Represent::Tree { pitch_m: a.tree_pitch, side: a.tree_reference },
         _ => Represent::Grid,
@@ -156,6 +158,40 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         built.written.hash
     );
     Ok(())
+}
+
+/// What is shown beyond portals; refused where the options do not go together.
+fn portal_options(a: &BuildArgs, portals: bool) -> Result<PortalOptions, Failure> {
+    let mut options = PortalOptions { near_m: a.portal_near, ..PortalOptions::default() };
+    options.images = match a.portal_images.as_str() {
+        "paper" => BuiltImages::Paper,
+        "both" => BuiltImages::Both,
+        _ => BuiltImages::Ours,
+    };
+    let of_paper = [
+        a.portal_references.is_some(),
+        a.portal_radius.is_some(),
+        a.portal_arc.is_some(),
+        a.portal_same_depth.is_some(),
+    ];
+    if of_paper.contains(&true) && options.images == BuiltImages::Ours {
+        return Err(Failure::usage(anyhow!(
+            "--portal-references, -radius, -arc and -same-depth go with --portal-images paper or both"
+        )));
+    }
+    if !portals && options.images != BuiltImages::Ours {
+        return Err(Failure::usage(anyhow!("--portal-images goes with --represent portals")));
+    }
+    let s = &mut options.semicircle;
+    s.references = a.portal_references.unwrap_or(s.references);
+    s.radius_m = a.portal_radius.unwrap_or(s.radius_m);
+    s.arc_deg = a.portal_arc.unwrap_or(s.arc_deg);
+    s.check().map_err(|why| Failure::usage(anyhow!("images of portals: {why}")))?;
+    options.same_depth = a.portal_same_depth.unwrap_or(options.same_depth);
+    if !(0.0..1.0).contains(&options.same_depth) {
+        return Err(Failure::usage(anyhow!("--portal-same-depth is a share from 0 to below 1")));
+    }
+    Ok(options)
 }
 
 fn inspect(a: &InspectArgs) -> Result<(), Failure> {

@@ -99,7 +99,7 @@ fn build_bridges(known: &Known, layers: &mut [RawLayer], width: u32, tolerance: 
 }
 
 /// Links of samples that are sorted by pixel, one per pixel.
-fn links(samples: &[Prediction], width: u32, tolerance: &Tolerance) -> Vec<u8> {
+pub(super) fn links(samples: &[Prediction], width: u32, tolerance: &Tolerance) -> Vec<u8> {
     let mut below = 0;
     samples
         .iter()

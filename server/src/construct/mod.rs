@@ -28,7 +28,9 @@ mod ends;
 mod explain;
 mod layers;
 mod merge;
+mod portal_merge;
 mod quality;
+mod references;
 mod sample;
 mod sight;
 mod slivers;
@@ -40,6 +42,8 @@ mod view;
 mod tests;
 
 pub use caster::{Facet, Met, SubsetCaster};
+pub use portal_merge::{MergeFigures, Offer, SAME_DEPTH, is_similar, merge_place};
+pub use references::{SideImages, construct_side};
 pub use sight::Survey;
 pub use view::parallax_bound;
 

@@ -8,9 +8,9 @@ use super::zones::{Gate, Zone, zones};
 use crate::placement::{DirectionRange, Footprint, Gaze, ImagePlan, PlacementPlan, spread};
 use glam::DVec3;
 use ldi_protocol::index::{BuildSettings, Index, Placement};
-use ldi_protocol::room_index::is_faced;
+use ldi_protocol::room_index::{PortalImages, ShowPortals, is_faced};
 use ldi_protocol::rooms::Rooms;
-use ldi_protocol::select::draw_list;
+use ldi_protocol::select::draw_list_showing;
 use ldi_protocol::volume::WalkVolume;
 use ldi_protocol::{Aabb, Pose};
 use rayon::prelude::*;
@@ -111,10 +111,17 @@ pub fn plan_portals(
 }
 
 impl PortalPlans {
+    /// Plans nothing.
+    pub fn leave_out(&mut self) {
+        self.plans.clear();
+        self.of_portal.iter_mut().for_each(|sides| *sides = [0..0, 0..0]);
+        (self.statistics.sides, self.statistics.planned) = (0, 0);
+    }
+
     /// Leaves out placements that `select` returns for none of many poses: for most portals what lies beyond fits the budget as geometry. `index`: with cells and settings, and of
     /// rooms all but the placements. An eye between those tried that would use one of them sees geometry instead, and where that exceeds the budget the LDI tree; the audit counts
-    /// such poses.
-    pub fn keep_used(&mut self, mut index: Index, volume: &WalkVolume) {
+    /// such poses. `everywhere`: those also that it returns when images are shown wherever a portal has one.
+    pub fn keep_used(&mut self, mut index: Index, volume: &WalkVolume, everywhere: bool) {
         let Some(rooms) = &mut index.rooms else { return };
         rooms.placements.clone_from(&self.of_portal);
         let placement = |p: &PlacementPlan| Placement {
@@ -140,9 +147,17 @@ impl PortalPlans {
                     let yaw_deg = turn + 360.0 * k as f64 / YAWS_TRIED as f64;
                     // Level, mostly, as people look.
                     let pitch_deg = if k.is_multiple_of(3) { (random.unit() * 2.0 - 1.0) * pitch } else { 0.0 };
-                    draw_list(&index, &Pose { position, yaw_deg, pitch_deg }, half_tan)
+                    Pose { position, yaw_deg, pitch_deg }
                 };
-                let lists: Vec<_> = (0..YAWS_TRIED).map(look).collect();
+                let images = PortalImages::Zones;
+                let ways = if everywhere { &[false, true][..] } else { &[false] };
+                let lists: Vec<_> = (0..YAWS_TRIED)
+                    .map(look)
+                    .flat_map(|pose| ways.iter().map(move |everywhere| (pose, *everywhere)))
+                    .map(|(pose, everywhere)| {
+                        draw_list_showing(&index, &pose, half_tan, ShowPortals { images, everywhere })
+                    })
+                    .collect();
                 let mut used: Vec<u32> = lists.iter().flat_map(|l| &l.portals).map(|p| p.placement).collect();
                 used.sort_unstable();
                 used.dedup();

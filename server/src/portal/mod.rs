@@ -6,7 +6,7 @@
 //!   scene -> storeys -> basins -> openings -> volumes <-> leaks -> Rooms -> overrides -> plan (SVG)
 //!            free space  necks     polygons    3D cells    gaps              corrections
 //!   scene's annotations ------------------------------------------^
-//!   Rooms -> members (cells of the octree in each) -> zones, images (what a build shows beyond portals)
+//!   Rooms -> members (cells of the octree in each) -> zones, images (what a build shows beyond portals); semicircle (the same as of 1998)
 //! ```
 //!
 //! What keeps culling conservative. All of space is divided: what is no cell is the outside, which is a place like any other. Cells can
@@ -31,6 +31,7 @@ mod members;
 mod openings;
 mod overrides;
 mod plan_svg;
+mod semicircle;
 mod storeys;
 mod volumes;
 mod zones;
@@ -43,6 +44,8 @@ pub use images::{NEAR_M, PortalPlans, PortalStatistics, plan_portals};
 pub use members::cells_of_rooms;
 pub use overrides::{OverrideError, apply_overrides};
 pub use plan_svg::plan_svg;
+pub(crate) use semicircle::EVERYWHERE;
+pub use semicircle::{Semicircle, SemicircleStatistics, SidePlan, plan_semicircles};
 
 #[cfg(test)]
 mod tests;

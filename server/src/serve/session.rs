@@ -153,7 +153,7 @@ impl Session {
             ahead_worth: shared.ahead_worth,
             ..PlannerConfig::default()
         };
-        let views = SelectViews::new(index.clone(), &hello.picture.camera(&index.settings));
+        let views = SelectViews::showing(index.clone(), &hello.picture.camera(&index.settings), hello.portals);
         Self {
             planner: Planner::new(index, Arc::new(views), config),
             shared,

@@ -5,7 +5,8 @@ use ldi_protocol::{
     OutputCamera, Pose,
     index::Index,
     need::{Needed, needed},
-    select::draw_list,
+    room_index::ShowPortals,
+    select::draw_list_showing,
 };
 use std::sync::Arc;
 
@@ -13,18 +14,24 @@ use std::sync::Arc;
 pub struct SelectViews {
     index: Arc<Index>,
     picture_half_tan: (f64, f64),
+    show: ShowPortals,
 }
 
 impl SelectViews {
-    /// Views of this index through this picture.
+    /// Views of this index through this picture, portals shown as they are by default.
     pub fn new(index: Arc<Index>, picture: &OutputCamera) -> Self {
-        Self { index, picture_half_tan: (picture.half_tan_x(), picture.half_tan_y()) }
+        Self::showing(index, picture, ShowPortals::default())
+    }
+
+    /// The same with portals shown otherwise.
+    pub fn showing(index: Arc<Index>, picture: &OutputCamera, show: ShowPortals) -> Self {
+        Self { index, picture_half_tan: (picture.half_tan_x(), picture.half_tan_y()), show }
     }
 }
 
 impl Views for SelectViews {
     fn needed(&self, pose: &Pose) -> Needed {
-        let list = draw_list(&self.index, pose, self.picture_half_tan);
+        let list = draw_list_showing(&self.index, pose, self.picture_half_tan, self.show);
         needed(&self.index, &list.images, &list.cells, &list.tree)
     }
 }

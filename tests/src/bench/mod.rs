@@ -5,6 +5,8 @@ pub mod numerics;
 pub mod numerics_page;
 pub mod placement;
 pub mod placement_page;
+pub mod portals;
+pub mod portals_page;
 pub mod searches;
 pub mod speed_error;
 pub mod speed_error_page;

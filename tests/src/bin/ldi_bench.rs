@@ -7,7 +7,8 @@ use ldi_server::cli::size;
 use ldi_server::placement::AuditSize;
 use ldi_tests::args::percent;
 use ldi_tests::bench::{
-    numerics, numerics_page, placement, placement_page, searches, speed_error, speed_error_page, streaming, tree,
+    numerics, numerics_page, placement, placement_page, portals, portals_page, searches, speed_error, speed_error_page,
+    streaming, tree,
 };
 use std::path::{Path, PathBuf};
 
@@ -45,6 +46,12 @@ Examples:
   ldi-bench tree 'builtin:church?triangles=300000' -o out/tree
   ldi-bench tree clinic.glb --images 1,8,64 --side 256 -o out/tree")]
     Tree(TreeArgs),
+    /// Portals by culling alone, textures, one and two depth images, layered images and ours, along a path (Figures 5 and 6 of Rafferty, Aliaga, Popescu and Lastra 1998).
+    #[command(after_help = "\
+Examples:
+  ldi-server scene house -o house.glb; ldi-bench portals house.glb -o out/portals
+  ldi-bench portals 'builtin:house?triangles=100000' --path house.path.json --frames 130 -o out/portals")]
+    Portals(PortalArgs),
     /// Hard numerical cases: bound, why it holds, oracle, worst seen.
     #[command(after_help = "\
 Examples:
@@ -87,6 +94,43 @@ struct StreamingArgs {
     /// Walk the path a second time.
     #[arg(long)]
     twice: bool,
+}
+
+#[derive(Debug, clap::Args)]
+struct PortalArgs {
+    /// Scenes with rooms, as for `ldi-server build`; beside NAME.glb the path NAME.path.json is walked.
+    #[arg(required = true)]
+    scenes: Vec<String>,
+    /// Folder for what is left; datasets found there are used again.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Walk this path instead.
+    #[arg(long)]
+    path: Option<PathBuf>,
+    /// Output size.
+    #[arg(long, default_value = "640x512", value_parser = size)]
+    size: (u32, u32),
+    /// Frames along the path.
+    #[arg(long, default_value_t = 520, value_parser = clap::value_parser!(u32).range(1..))]
+    frames: u32,
+    /// Every so many of them are judged against 16 rays per pixel.
+    #[arg(long, default_value_t = 13, value_parser = clap::value_parser!(u32).range(1..))]
+    judge_every: u32,
+    /// Reference images on each side of a portal, an odd number.
+    #[arg(long, default_value_t = 13)]
+    references: usize,
+    /// Radius of the semicircle, metres.
+    #[arg(long, default_value_t = 2.0)]
+    radius: f64,
+    /// The part of it that images are spread over, degrees.
+    #[arg(long, default_value_t = 120.0)]
+    arc: f64,
+    /// Depths that differ by at most this share are one in merging.
+    #[arg(long, default_value_t = ldi_server::construct::SAME_DEPTH)]
+    same_depth: f64,
+    /// Geometry budget of the dataset, percent of the scene's triangles.
+    #[arg(long, default_value = "2", value_parser = percent)]
+    budget: f64,
 }
 
 #[derive(Debug, clap::Args)]
@@ -209,6 +253,7 @@ fn main() -> Result<()> {
         Command::Numerics(a) => numerics(a),
         Command::Tree(a) => ldi_tree(a),
         Command::Streaming(a) => streaming(&a),
+        Command::Portals(a) => portals_of(a),
     }
 }
 
@@ -299,6 +344,42 @@ fn ldi_tree(a: TreeArgs) -> Result<()> {
         write(&a.output.join(format!("{name}.svg")), &placement_page::standalone(&svg))?;
     }
     println!("look at {}", a.output.join("chart1.svg").display());
+    Ok(())
+}
+
+fn portals_of(a: PortalArgs) -> Result<()> {
+    std::fs::create_dir_all(&a.output).with_context(|| format!("cannot make {}", a.output.display()))?;
+    let path = a.path.as_ref().map(|file| {
+        let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+        ldi_protocol::path::parse(&text).with_context(|| file.display().to_string())
+    });
+    let semicircle = ldi_server::portal::Semicircle { references: a.references, radius_m: a.radius, arc_deg: a.arc };
+    if let Err(why) = semicircle.check() {
+        bail!("--references, --radius, --arc: {why}");
+    }
+    let study = portals::Study {
+        scenes: a.scenes,
+        output: a.output.clone(),
+        path: path.transpose()?,
+        size: a.size,
+        frames: a.frames as usize,
+        judge_every: a.judge_every as usize,
+        semicircle,
+        same_depth: a.same_depth,
+        budget_percent: a.budget,
+    };
+    let all = portals::run(&study, &(), |what| eprintln!("{what}"))?;
+    write(&a.output.join("portals.json"), &serde_json::to_string_pretty(&all)?)?;
+    write(&a.output.join("portals.csv"), &portals_page::csv(&all))?;
+    let table = portals_page::table(&all);
+    write(&a.output.join("portals.md"), &format!("`{}`\n{table}", typed()))?;
+    for (k, found) in all.iter().enumerate() {
+        for (name, svg) in portals_page::plots(found) {
+            write(&a.output.join(format!("{name}-{k}.svg")), &placement_page::standalone(&svg))?;
+        }
+    }
+    print!("{table}");
+    println!("look at {}", a.output.join("figure6-0.svg").display());
     Ok(())
 }
 

@@ -38,6 +38,7 @@ fn hello(version: u16) -> Vec<u8> {
         prefetch_m: 1000.0,
         name: "stranger".into(),
         manifests: vec![],
+        portals: Default::default(),
     }))
     .unwrap()
 }

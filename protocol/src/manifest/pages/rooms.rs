@@ -7,7 +7,7 @@ use crate::{
         CodecError,
         bytes::{Reader, Writer, put_varint},
     },
-    room_index::{MAX_PLACEMENTS, RoomIndex},
+    room_index::{BuiltImages, MAX_PLACEMENTS, MAX_REFERENCES, RoomIndex, SideImages},
     rooms::{Cell, CellId, MAX_BOXES, MAX_CORNERS, MAX_NAME_BYTES, Portal, PortalKind, Rooms},
 };
 use glam::DVec3;
@@ -26,6 +26,8 @@ pub(in crate::manifest) struct Draft {
     cells_of: Vec<Vec<u32>>,
     portals: Vec<Portal>,
     placements: Vec<[Range<u32>; 2]>,
+    built: BuiltImages,
+    sides: Vec<[SideImages; 2]>,
 }
 
 impl Draft {
@@ -44,7 +46,14 @@ impl Draft {
         }
         let rooms = Rooms::new(self.margin_m, self.cells, self.portals)
             .map_err(|e| CodecError::mismatch("rooms", e.to_string()))?;
-        Ok(Some(RoomIndex { rooms, near_m: self.near_m, cells_of: self.cells_of, placements: self.placements }))
+        Ok(Some(RoomIndex {
+            rooms,
+            near_m: self.near_m,
+            cells_of: self.cells_of,
+            placements: self.placements,
+            built: self.built,
+            sides: self.sides,
+        }))
     }
 }
 
@@ -57,6 +66,7 @@ pub(super) fn put_rooms(w: &mut Writer, rooms: &RoomIndex, range: Range<usize>) 
     put_numbers(w, "rooms' distances", [rooms.rooms.margin_m(), rooms.near_m])?;
     let cells = rooms.rooms.cells();
     let (mut numbers, mut names, mut boxes) = (Vec::new(), Vec::new(), Vec::new());
+    put_varint(&mut numbers, BuiltImages::ALL.iter().position(|b| *b == rooms.built).unwrap_or(0) as u64);
     for i in range {
         let (name, of_room) = cells.get(i).map_or(("", &[][..]), |c| (c.name.as_str(), c.boxes.as_slice()));
         put_varint(&mut numbers, name.len() as u64);
@@ -83,6 +93,14 @@ pub(super) fn take_rooms(
     }
     (draft.margin_m, draft.near_m) = (found[0], found[1]);
     let mut numbers = Numbers::take(r, "rooms")?;
+    let built = numbers.next("rooms' images")?;
+    let built = *BuiltImages::ALL
+        .get(built as usize)
+        .ok_or_else(|| CodecError::range("rooms' images", built, "0 for ours, 1 for those of 1998, 2 for both"))?;
+    if !draft.cells.is_empty() && built != draft.built {
+        return Err(CodecError::mismatch("rooms' images", "two pages disagree"));
+    }
+    draft.built = built;
     let mut shape = Vec::new();
     let mut boxes = 0;
     for _ in 0..n {
@@ -113,7 +131,8 @@ pub(super) fn take_rooms(
 
 pub(super) fn put_portals(w: &mut Writer, rooms: &RoomIndex, range: Range<usize>) -> Result<(), CodecError> {
     let (mut numbers, mut corners) = (Vec::new(), Vec::new());
-    for (portal, placements) in rooms.rooms.portals()[range.clone()].iter().zip(&rooms.placements[range]) {
+    for number in range {
+        let (portal, placements) = (&rooms.rooms.portals()[number], &rooms.placements[number]);
         // 0 is the outside.
         portal.cells.iter().for_each(|c| put_varint(&mut numbers, c.map_or(0, |c| 1 + u64::from(c))));
         put_varint(&mut numbers, KINDS.iter().position(|k| *k == portal.kind).unwrap_or(0) as u64);
@@ -122,6 +141,16 @@ pub(super) fn put_portals(w: &mut Writer, rooms: &RoomIndex, range: Range<usize>
         for side in placements {
             put_varint(&mut numbers, side.start.into());
             put_varint(&mut numbers, side.len() as u64);
+        }
+        for side in rooms.sides.get(number).into_iter().flatten() {
+            let first = side.references.start;
+            put_varint(&mut numbers, first.into());
+            put_varint(&mut numbers, side.references.len() as u64);
+            if !side.references.is_empty() {
+                put_varint(&mut numbers, (side.central - first).into());
+                // 0: none.
+                put_varint(&mut numbers, side.layered.map_or(0, |l| 1 + u64::from(l)));
+            }
         }
     }
     w.section("portals", &numbers)?;
@@ -146,6 +175,9 @@ pub(super) fn take_portals(r: &mut Reader<'_>, n: usize, draft: &mut Draft) -> R
             Ok(start..start.saturating_add(numbers.count("portal placements", MAX_PLACEMENTS)? as u32))
         };
         draft.placements.push([side()?, side()?]);
+        if draft.built != BuiltImages::Ours {
+            draft.sides.push([take_side(&mut numbers)?, take_side(&mut numbers)?]);
+        }
         draft.portals.push(Portal { cells, kind, corners: Vec::new() });
     }
     numbers.finish("portals")?;
@@ -158,4 +190,16 @@ pub(super) fn take_portals(r: &mut Reader<'_>, n: usize, draft: &mut Draft) -> R
         portal.corners = own.iter().map(|c| DVec3::from_array(*c)).collect();
     }
     Ok(())
+}
+
+/// The images of 1998 of one side of a portal; whether they exist is checked with the whole index.
+fn take_side(numbers: &mut Numbers) -> Result<SideImages, CodecError> {
+    let first = numbers.next("portal references")?;
+    let count = numbers.count("portal references", MAX_REFERENCES)? as u32;
+    let references = first..first.saturating_add(count);
+    if count == 0 {
+        return Ok(SideImages { references, central: 0, layered: None });
+    }
+    let central = first.saturating_add(numbers.next("central reference")?);
+    Ok(SideImages { references, central, layered: numbers.next("layered image")?.checked_sub(1) })
 }

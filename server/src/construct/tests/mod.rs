@@ -1,5 +1,6 @@
 //! Construction judged on analytic scenes: where samples lie, what is missing, what is doubled, what is linked.
 
+mod references;
 mod scenes;
 
 use super::{
