@@ -1,12 +1,18 @@
 //! Rooms and portals from scene to walked frames, by the real binaries, on a small built-in house; the judges are rays over the scene.
 
+use ldi_client::{
+    engine::{Method, Truth, view_of},
+    report::StageMs,
+};
 use ldi_protocol::{OutputCamera, Pose, path, select::draw_list};
 use ldi_server::{
     octree::{Clusters, Octree},
     render::{Caster, CellSet, Ray},
     scene,
+    serve::{SelectViews, planner::Views},
     store::Dataset,
 };
+use ldi_tests::bench::portals::walk_by;
 use ldi_tests::fixture::made_once;
 use ldi_tests::run::{self, Server};
 use serde_json::Value;
@@ -58,7 +64,7 @@ fn paper_house() -> &'static House {
         in_folder(&made_once(tmp, "portals-paper", |dir| {
             let house = in_folder(dir);
             build(&house.dataset, PAPER_BUDGET, &["--portal-images", "paper"]);
-            poses(&house.poses);
+            aside(&house.poses);
         }))
     })
 }
@@ -88,6 +94,23 @@ fn poses(file: &Path) {
         pose(9.0, 2.6, 0.0, 0.0),
     ];
     std::fs::write(file, serde_json::json!({ "poses": poses }).to_string()).expect("writable");
+}
+
+/// 2.4 m before doors, 25 to 50 degrees off their normals, looking at them: x, z and yaw.
+fn aside(file: &Path) {
+    let places = [
+        [-0.80, -8.45, 135.0],
+        [0.42, -3.45, -120.0],
+        [0.80, 3.95, -45.0],
+        [-0.42, 7.95, 60.0],
+        [-8.30, 1.70, 45.0],
+        [-3.80, 2.42, 150.0],
+        [3.30, -6.20, -135.0],
+        [8.80, -2.42, -30.0],
+    ];
+    let pose =
+        |[x, z, yaw]: [f64; 3]| serde_json::json!({ "t": 0.0, "position": [x, 1.6, z], "yaw": yaw, "pitch": 0.0 });
+    std::fs::write(file, serde_json::json!({ "poses": places.map(pose) }).to_string()).expect("writable");
 }
 
 fn json(path: &Path) -> Value {
@@ -148,14 +171,61 @@ fn the_more_an_image_of_a_portal_knows_the_less_it_errs() {
     }
     let [texture, textures, warp1, warp2, ldi] = flips[..] else { panic!("five methods") };
     eprintln!("FLIP over pixels from images: {flips:.4?}");
-    assert!(textures < 0.95 * texture, "the nearest of 13 textures against the central one: {flips:?}");
+    assert!(textures < 0.8 * texture, "the nearest of 13 textures against the central one: {flips:?}");
     assert!(warp1 < 0.8 * textures, "depth against none: {flips:?}");
-    assert!(warp2 <= 1.02 * warp1 && ldi <= 1.02 * warp2, "two images, layers: {flips:?}");
+    assert!(warp2 <= 1.02 * warp1, "a second image: {flips:?}");
+    // One image for all eyes: what no reference sees is not what it errs by, as the nearest of 13 is at most five degrees away, but that samples were taken by other cameras. So it errs a little more than the
+    // nearest image, and far less than the one image whose camera it has.
+    assert!(ldi < 0.8 * textures && ldi < 1.4 * warp1, "layers: {flips:?}");
+    let central = flip_of_the_central_image(h, &out);
+    assert!(ldi < 0.6 * central, "layers {ldi}, the central image alone {central}");
     // What was not built is refused with the remedy.
     let refused = walk(&served, h, &out, &["--method", "portals"]).output().expect("runs");
     let text = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert_eq!(refused.status.code(), Some(42), "{text}");
     assert!(text.contains("--portal-images ours"), "{text}");
+}
+
+/// Mean FLIP over pixels from images, where every portal has its central reference image alone.
+fn flip_of_the_central_image(h: &House, out: &Path) -> f64 {
+    let dataset = Dataset::open(&h.dataset).expect("opens");
+    let mut index = (**dataset.index()).clone();
+    let sides = index.rooms.iter_mut().flat_map(|r| r.sides.iter_mut().flatten());
+    sides.filter(|s| !s.references.is_empty()).for_each(|s| s.references = s.central..s.central + 1);
+    let walk = path::parse(&std::fs::read_to_string(&h.poses).expect("readable")).expect("a path");
+    let load = |name: &str, i: usize| Truth::load(&out.join(name), i).expect("readable").expect("rendered");
+    let truths: Vec<_> = (0..walk.poses.len()).map(|i| Some([load("truth", i), load("baseline", i)])).collect();
+    let camera = index.settings.camera;
+    let rows = walk_by(Method::Warp1, &dataset, &index, &walk.poses, &truths, &camera, None).expect("drawn");
+    let far: Vec<f64> = rows.iter().filter(|r| r.portals > 0).filter_map(|r| r.flip_far).collect();
+    assert!(far.len() >= 4, "{} frames show images", far.len());
+    far.iter().sum::<f64>() / far.len() as f64
+}
+
+/// The server's planner wants for each method what the client's frames want.
+#[test]
+fn server_and_client_agree_on_what_a_method_needs() {
+    let h = paper_house();
+    let dataset = Dataset::open(&h.dataset).expect("opens");
+    let index = dataset.index();
+    let walk = path::parse(&std::fs::read_to_string(&h.poses).expect("readable")).expect("a path");
+    let camera = index.settings.camera;
+    let (mut needs, methods) = (Vec::new(), [Method::Texture, Method::Warp1, Method::Warp2, Method::Ldi]);
+    for method in methods {
+        let views = SelectViews::showing(Arc::clone(index), &camera, method.portals());
+        let of_method: Vec<_> = walk
+            .poses
+            .iter()
+            .map(|p| {
+                let view = view_of(index, &p.pose, &camera, method, &mut StageMs::default());
+                let needed = views.needed(&p.pose);
+                assert_eq!(needed, view.needed(index), "{method:?} at {:?}", p.pose);
+                needed
+            })
+            .collect();
+        assert!(!needs.contains(&of_method), "{method:?} needs what another does");
+        needs.push(of_method);
+    }
 }
 
 #[test]

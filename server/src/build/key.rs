@@ -44,7 +44,7 @@ pub fn scene_key(scene: &Scene) -> [u8; 32] {
     *h.finalize().as_bytes()
 }
 
-/// Key of the images that a plan is all of what they depend on but scene and settings.
+/// Key of images that depend on scene, settings and `plan` alone.
 pub fn images_key(scene: &[u8; 32], settings: &BuildSettings, plan: &dyn std::fmt::Debug) -> [u8; 32] {
     let mut h = blake3::Hasher::new();
     h.update(&VERSION.to_le_bytes());

@@ -6,7 +6,8 @@
 //! 2. Every sample of the others, the nearest image first, is warped to it and meets what is in its place by the rules of `portal_merge`.
 //! 3. The k-th nearest of a place goes to layer k; neighbours that continue each other's surface are linked, as in our own images, because the warp draws linked samples as quads.
 //!
-//! As in the paper a merged sample moves to the middle of its place and keeps its depth; nothing is cast again (our own images do that: `merge`). Rays meet everything beyond the portal's plane,
+//! As in the paper nothing is cast again (our own images do that: `merge`): a merged sample moves to the middle of its place. Its depth follows its plane there, unless that changes it by more than the rules take
+//! for the same depth, as on surfaces along the line of sight; with the depth kept everywhere slanted surfaces were rough, and errors larger than those of one image (docs/portals.md). Rays meet everything beyond the portal's plane,
 //! cells that are drawn with the room before it included: so one image serves as a texture too, and where both are there they agree in depth.
 
 use super::{
@@ -26,7 +27,7 @@ use crate::{
 };
 use glam::{DVec3, Vec3};
 use ldi_protocol::{
-    ldi::{Ldi, LdiLayer},
+    ldi::{END_BITS, Ldi, LdiLayer, SIDES, end_of},
     sky::SkyMap,
 };
 use rayon::prelude::*;
@@ -210,6 +211,8 @@ struct Warped {
     place: (u32, u32),
     offer: Offer,
     sample: sample::Sample,
+    /// How far its surface goes on, as measured: of central samples, which stay where they are.
+    ends: Option<u16>,
 }
 
 /// Merges shots into one image; `rig` has its camera and the whole window.
@@ -222,7 +225,13 @@ fn merged(shots: &[Shot], central: usize, mut rig: Rig, same_depth: f64) -> (Opt
         let shot = &shots[*k];
         let before = all.len();
         let samples = shot.layer.samples.par_iter().zip(&shot.normals);
-        all.par_extend(samples.filter_map(|((pixel, s), n)| warped(shot, rank as u16, *pixel, s, n.as_dvec3(), &rig)));
+        all.par_extend(
+            samples
+                .filter_map(|((pixel, s), n)| warped(shot, rank as u16, (*pixel, s, n.as_dvec3()), &rig, same_depth)),
+        );
+        if rank == 0 && all.len() - before == shot.layer.ends.len() {
+            all[before..].iter_mut().zip(&shot.layer.ends).for_each(|(w, ends)| w.ends = Some(*ends));
+        }
         figures.offered += shot.layer.samples.len() as u64;
         figures.outside += (shot.layer.samples.len() - (all.len() - before)) as u64;
     }
@@ -254,6 +263,7 @@ fn merged(shots: &[Shot], central: usize, mut rig: Rig, same_depth: f64) -> (Opt
     };
     let width = rig.window.width;
     let mut raw: Vec<RawLayer> = Vec::new();
+    let mut measured: Vec<Vec<Option<u16>>> = Vec::new();
     for (place, (kept, own)) in places.iter().zip(kept) {
         figures.add(&own);
         for (k, at) in kept.into_iter().enumerate() {
@@ -263,8 +273,10 @@ fn merged(shots: &[Shot], central: usize, mut rig: Rig, same_depth: f64) -> (Opt
             }
             if raw.len() <= k {
                 raw.push(RawLayer::default());
+                measured.push(Vec::new());
             }
-            let Warped { place: (row, column), sample, .. } = &place[at];
+            let Warped { place: (row, column), sample, ends, .. } = &place[at];
+            measured[k].push(*ends);
             raw[k].samples.push(((row - top) * width + (column - left), *sample));
             figures.kept += 1;
         }
@@ -275,8 +287,10 @@ fn merged(shots: &[Shot], central: usize, mut rig: Rig, same_depth: f64) -> (Opt
         l.ends = vec![0; l.samples.len()];
     });
     let codes = if raw.is_empty() { NO_CODES } else { layers::codes(&rig, &raw, std::iter::empty()) };
-    let encode = |l: &RawLayer| -> LdiLayer { layers::encode(l, width, &codes).with_half_ends() };
-    let layers: Vec<LdiLayer> = raw.par_iter().map(encode).collect();
+    let encode = |(l, measured): (&RawLayer, &Vec<Option<u16>>)| -> LdiLayer {
+        with_measured_ends(layers::encode(l, width, &codes).with_half_ends(), measured)
+    };
+    let layers: Vec<LdiLayer> = raw.par_iter().zip(&measured).map(encode).collect();
     let mut sky = vec![0; (width as usize).div_ceil(64) * rig.window.height as usize];
     for (row, column) in open {
         super::set_sky(&mut sky, (row - top) * width + (column - left), &rig);
@@ -286,8 +300,25 @@ fn merged(shots: &[Shot], central: usize, mut rig: Rig, same_depth: f64) -> (Opt
     (Some(ldi), figures)
 }
 
+/// The layer with the ends that are known, where nothing is linked.
+fn with_measured_ends(mut layer: LdiLayer, measured: &[Option<u16>]) -> LdiLayer {
+    let linked = layer.linked_sides();
+    for ((ends, linked), known) in layer.ends.iter_mut().zip(linked).zip(measured) {
+        let Some(known) = known else { continue };
+        let open = (0..SIDES.len()).filter(|side| linked >> side & 1 == 0);
+        *ends = open.map(|side| end_of(*known, side) << (side * END_BITS)).sum();
+    }
+    layer
+}
+
 /// A sample as the layered image's camera sees it; None beside its window.
-fn warped(shot: &Shot, image: u16, pixel: u32, s: &sample::Sample, normal: DVec3, to: &Rig) -> Option<Warped> {
+fn warped(
+    shot: &Shot,
+    image: u16,
+    (pixel, s, normal): (u32, &sample::Sample, DVec3),
+    to: &Rig,
+    same_depth: f64,
+) -> Option<Warped> {
     let (u, v) = shot.rig.window.centre(pixel as usize);
     let (ray, depth_m) = (shot.rig.lens.ray(u, v), 1.0 / f64::from(s.disparity));
     let p = to.lens.in_basis(shot.rig.cop + ray * depth_m - to.cop);
@@ -300,15 +331,18 @@ fn warped(shot: &Shot, image: u16, pixel: u32, s: &sample::Sample, normal: DVec3
         (p.x * scale).floor() as i64 - i64::from(to.window.left),
         (-p.y * scale).floor() as i64 - i64::from(to.window.top),
     );
-    let _ = to.window.index(column, row)?;
+    let place = to.window.index(column, row)?;
     // A pixel's cone cuts the surface in z² / (f² |n . r|), r with component 1 along the axis.
     let f = shot.rig.lens.pixels_per_unit;
     let area_m2 = (depth_m / f).powi(2) / normal.dot(ray).abs();
     let ray = to.lens.ray(p.x * scale, -p.y * scale);
     let gradient = sample::gradient(&to.lens, normal, ray, disparity);
-    let sample = sample::Sample { disparity: disparity as f32, gradient, ..*s };
+    let (u, v) = to.window.centre(place);
+    let change = f64::from(gradient[0]) * (u - p.x * scale) + f64::from(gradient[1]) * (v + p.y * scale);
+    let at_middle = if change.abs() <= same_depth * disparity { disparity + change } else { disparity };
+    let sample = sample::Sample { disparity: at_middle as f32, gradient, ..*s };
     let offer = Offer { image, disparity: sample.disparity, area_m2: area_m2 as f32 };
-    Some(Warped { place: (row as u32, column as u32), offer, sample })
+    Some(Warped { place: (row as u32, column as u32), offer, sample, ends: None })
 }
 
 /// Places of the layered image whose directions a shot saw sky in: images are parallel, so that only their scales differ.

@@ -119,6 +119,9 @@ fn rooms(index: &Index, r: &RoomIndex) -> Value {
     json!({
         "portals": r.rooms.portals().len(),
         "placements": placements,
+        "images": r.built,
+        "references": r.sides.iter().flatten().map(|s| s.references.len()).sum::<usize>(),
+        "layered": r.sides.iter().flatten().filter(|s| s.layered.is_some()).count(),
         "margin_m": r.rooms.margin_m(),
         "list": r.cells_of.iter().enumerate().map(of_room).collect::<Vec<_>>(),
     })
@@ -191,10 +194,12 @@ pub fn inspect_text(value: &Value) -> String {
         line(
             "rooms",
             format!(
-                "{} and the outside, {} portals with {} placements, at most {} triangles in a room",
+                "{} and the outside, {} portals with {} placements, {} reference images and {} merged ones, at most {} triangles in a room",
                 list.len().saturating_sub(1),
                 number("/rooms/portals"),
                 number("/rooms/placements"),
+                number("/rooms/references"),
+                number("/rooms/layered"),
                 largest.unwrap_or(0)
             ),
         );

@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result, bail};
 use ldi_client::{
     cache::Cache,
     composite::Fill,
-    engine::{Cull, Method, Pace, Painter, Truth, Verdict, WalkOptions, view_of},
+    engine::{Cull, Method, Pace, Painter, Shows, Truth, Verdict, WalkOptions, view_of},
     frame::Frame,
     report::StageMs,
     warp::{Order, Stamp},
@@ -29,7 +29,10 @@ use ldi_server::{
     store::Dataset,
 };
 use serde::Serialize;
-use std::{path::PathBuf, sync::Arc};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 /// What to measure.
 #[derive(Debug, Clone)]
@@ -50,6 +53,8 @@ pub struct Study {
     pub semicircle: Semicircle,
     /// Depths that differ by at most this share are one in merging.
     pub same_depth: f64,
+    /// Which images the dataset has: both, or those of 1998 alone, which take less time to make.
+    pub built: BuiltImages,
     /// Geometry budget that the dataset is built for, percent of the scene's triangles; decides how large octree cells are, and which of our images are made.
     pub budget_percent: f64,
 }
@@ -175,8 +180,10 @@ fn of_scene(study: &Study, spec: &str, progress: &dyn Progress, heard: &mut impl
     let mut index: Index = (**dataset.index()).clone();
     index.settings.budget = u64::MAX;
     let mut methods = Vec::new();
-    for (name, method) in METHODS {
-        let frames = walk_by(method, &dataset, &index, &poses, &truths, study)?;
+    let ours = index.rooms.as_ref().is_some_and(|r| r.built == BuiltImages::Both);
+    for (name, method) in METHODS.into_iter().filter(|m| ours || m.1 != Method::PortalsEverywhere) {
+        let pictures = study.output.join("pictures").join(format!("{method:?}").to_lowercase());
+        let frames = walk_by(method, &dataset, &index, &poses, &truths, &camera, Some(&pictures))?;
         let rows = MethodRows { name, frames };
         heard(&line(&rows));
         methods.push(rows);
@@ -218,8 +225,8 @@ fn dataset_of(
     let name = std::path::Path::new(spec).file_stem().map_or_else(|| spec.into(), |n| n.to_string_lossy().into_owned());
     let name: String = name.chars().map(|c| if c.is_alphanumeric() { c } else { '-' }).collect();
     let output = study.output.join(format!(
-        "{name}-{}pct-{}x{}-{references}-{radius_m}-{arc_deg}-{}",
-        study.budget_percent, camera.width, camera.height, study.same_depth
+        "{name}-{:?}-{}pct-{}x{}-{references}-{radius_m}-{arc_deg}-{}",
+        study.built, study.budget_percent, camera.width, camera.height, study.same_depth
     ));
     let dataset = match Dataset::open(&output) {
         Ok(found) => found,
@@ -228,7 +235,7 @@ fn dataset_of(
             options.output = output.clone();
             options.settings.camera = *camera;
             let portals = PortalOptions {
-                images: BuiltImages::Both,
+                images: study.built,
                 semicircle: study.semicircle,
                 same_depth: study.same_depth,
                 ..PortalOptions::default()
@@ -271,15 +278,19 @@ fn truths(study: &Study, spec: &str, camera: &OutputCamera, path: &Walk) -> Resu
         .collect()
 }
 
-fn walk_by(
+/// Draws poses by a method, each complete. `index`: the dataset's, or one changed in what it shows. `truths`: per pose 16 rays per pixel and one, of those to be judged; their frames go to `pictures`.
+///
+/// # Errors
+/// Chunks that cannot be read, pictures that cannot be judged or written.
+pub fn walk_by(
     method: Method,
     dataset: &Dataset,
     index: &Index,
     poses: &[TimedPose],
     truths: &[Option<[Truth; 2]>],
-    study: &Study,
+    camera: &OutputCamera,
+    pictures: Option<&Path>,
 ) -> Result<Vec<FrameRow>> {
-    let camera = OutputCamera { width: study.size.0, height: study.size.1, fov_deg: 60.0 };
     let options = WalkOptions {
         width: camera.width,
         height: camera.height,
@@ -295,28 +306,31 @@ fn walk_by(
         every: 1,
         cache_bytes: None,
         debug_views: false,
+        shows: Shows::Scene,
+        layout_ms: None,
         baseline_frames: 0,
     };
     let cache = Cache::new(Arc::clone(dataset.index()), u64::MAX);
     let (mut painter, mut picture) = (Painter::default(), Frame::default());
-    let pictures = study.output.join("pictures").join(format!("{method:?}").to_lowercase());
-    std::fs::create_dir_all(&pictures).with_context(|| format!("cannot make {}", pictures.display()))?;
+    if let Some(folder) = pictures {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    }
     let mut rows = Vec::new();
     for (i, (at, truth)) in poses.iter().zip(truths).enumerate() {
         let mut ms = StageMs::default();
-        let view = view_of(index, &at.pose, &camera, method, &mut ms);
+        let view = view_of(index, &at.pose, camera, method, &mut ms);
         for chunk in cache.missing(view.needed(index).all()) {
             let bytes = dataset.chunk(chunk).with_context(|| format!("chunk {chunk} is missing"))?;
             cache.insert(chunk, bytes).with_context(|| format!("chunk {chunk}"))?;
         }
-        let painted = painter.paint(index, &cache, &view, &at.pose, &camera, &options, ms, &mut picture)?;
+        let painted = painter.paint(index, &cache, &view, &at.pose, camera, &options, ms, &mut picture)?;
         let verdict = match truth {
             Some([truth, baseline]) => truth.judge(&picture, painter.full(), Some(baseline))?,
             None => Verdict::default(),
         };
-        if truth.is_some() {
+        if let Some(folder) = pictures.filter(|_| truth.is_some()) {
             let rgb: Vec<u8> = picture.colour.iter().flat_map(|c| ldi_client::frame::unpack_rgb(*c)).collect();
-            let file = pictures.join(format!("frame_{i:05}.png"));
+            let file = folder.join(format!("frame_{i:05}.png"));
             image::save_buffer(&file, &rgb, camera.width, camera.height, image::ExtendedColorType::Rgb8)
                 .with_context(|| format!("cannot write {}", file.display()))?;
         }

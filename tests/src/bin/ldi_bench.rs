@@ -3,6 +3,7 @@
 use anyhow::{Context as _, Result, bail};
 use clap::{Parser, Subcommand};
 use ldi_client::{stream::LinkSpec, warp::Stamp};
+use ldi_protocol::room_index::BuiltImages;
 use ldi_server::cli::size;
 use ldi_server::placement::AuditSize;
 use ldi_tests::args::percent;
@@ -131,6 +132,9 @@ struct PortalArgs {
     /// Geometry budget of the dataset, percent of the scene's triangles.
     #[arg(long, default_value = "2", value_parser = percent)]
     budget: f64,
+    /// Leave out our own images, which take most of the time.
+    #[arg(long)]
+    paper_only: bool,
 }
 
 #[derive(Debug, clap::Args)]
@@ -366,6 +370,7 @@ fn portals_of(a: PortalArgs) -> Result<()> {
         judge_every: a.judge_every as usize,
         semicircle,
         same_depth: a.same_depth,
+        built: if a.paper_only { BuiltImages::Paper } else { BuiltImages::Both },
         budget_percent: a.budget,
     };
     let all = portals::run(&study, &(), |what| eprintln!("{what}"))?;
