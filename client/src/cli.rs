@@ -5,7 +5,7 @@
 mod connect;
 
 use anyhow::Context;
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum as _};
 use indicatif::{ProgressBar, ProgressStyle};
 use ldi_client::{
     composite::Fill,

@@ -4,7 +4,7 @@ use super::{BuildError, Progress, key};
 use crate::construct::{self, ConstructOptions, Constructed, MergeFigures};
 use crate::pack::PackError;
 use crate::placement::{ImagePlan, PlacementPlan};
-use crate::portal::{EVERYWHERE, SidePlan};
+use crate::portal::SidePlan;
 use crate::render::Caster;
 use crate::scene::Note;
 use crate::store::DatasetWriter;
@@ -64,21 +64,21 @@ type Made = ((Kept, Vec<Vec<u8>>), [f64; STEPS.len()]);
 
 /// What is kept of a placement's images besides their chunks.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
-struct Kept {
-    images: Vec<KeptImage>,
-    sight_rays: u64,
-    sky: SkyMap,
+pub(super) struct Kept {
+    pub images: Vec<KeptImage>,
+    pub sight_rays: u64,
+    pub sky: SkyMap,
     /// Of a side's reference images.
-    merge: Option<MergeFigures>,
+    pub merge: Option<MergeFigures>,
 }
 
 /// What is kept of an image besides its chunks.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
-struct KeptImage {
+pub(super) struct KeptImage {
     /// Position among the plan's images.
-    planned: usize,
-    window: [f64; 4],
-    samples_by_layer: Vec<u32>,
+    pub planned: usize,
+    pub window: [f64; 4],
+    pub samples_by_layer: Vec<u32>,
     decoded_bytes: [u32; 2],
     pruned: u64,
     lost: Lost,
@@ -88,7 +88,7 @@ struct KeptImage {
     stretch_max_px: f64,
     quantization_error_px: f64,
     /// Lengths of its chunks; none if nobody sees anything of it.
-    lengths: Vec<u32>,
+    pub lengths: Vec<u32>,
 }
 
 /// All images of a build. Their bytes lie in the writer's pieces, one for each placement: images may take more than the memory.
@@ -96,16 +96,16 @@ struct KeptImage {
 pub struct Images {
     /// Figures for the report.
     pub figures: ImageFigures,
-    all: Vec<Piece>,
+    pub(super) all: Vec<Piece>,
 }
 
 /// The images of a placement.
 #[derive(Debug, Clone, Default)]
-struct Piece {
-    kept: Kept,
-    key: [u8; 32],
+pub(super) struct Piece {
+    pub kept: Kept,
+    pub key: [u8; 32],
     /// Of all chunks.
-    hashes: Vec<ChunkHash>,
+    pub hashes: Vec<ChunkHash>,
 }
 
 /// Makes the images of every placement that are not kept yet.
@@ -221,8 +221,13 @@ fn one(
 }
 
 impl KeptImage {
+    /// Nothing yet, over a window.
+    pub fn over(planned: usize, window: [f64; 4]) -> Self {
+        Self { planned, window, ..Self::default() }
+    }
+
     /// Codes an image: its chunks go to the end of `chunks`.
-    fn code(
+    pub fn code(
         &mut self,
         ldi: &Ldi,
         colour: ColourProfile,
@@ -238,7 +243,7 @@ impl KeptImage {
     }
 }
 
-fn pack((kept, chunks): &(Kept, Vec<Vec<u8>>)) -> Vec<u8> {
+pub(super) fn pack((kept, chunks): &(Kept, Vec<Vec<u8>>)) -> Vec<u8> {
     // Figures that fail to serialize cannot occur: numbers and vectors of them.
     let head = serde_json::to_vec(kept).unwrap_or_default();
     let mut out = (head.len() as u32).to_le_bytes().to_vec();
@@ -247,7 +252,7 @@ fn pack((kept, chunks): &(Kept, Vec<Vec<u8>>)) -> Vec<u8> {
     out
 }
 
-fn unpack(bytes: &[u8]) -> Option<(Kept, Vec<Vec<u8>>)> {
+pub(super) fn unpack(bytes: &[u8]) -> Option<(Kept, Vec<Vec<u8>>)> {
     let (length, rest) = bytes.split_first_chunk::<4>()?;
     let (head, mut rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
     let kept: Kept = serde_json::from_slice(head).ok()?;
@@ -258,109 +263,6 @@ fn unpack(bytes: &[u8]) -> Option<(Kept, Vec<Vec<u8>>)> {
         rest = after;
     }
     rest.is_empty().then_some((kept, chunks))
-}
-
-/// Makes the reference images of every side of a portal that are not kept yet, and the layered ones merged from them (`construct::construct_side`): they follow the placements' in `images`.
-#[expect(clippy::too_many_arguments, reason = "as of construct_all, and what is merged")]
-pub fn construct_references(
-    images: &mut Images,
-    caster: &Caster,
-    plans: &[SidePlan],
-    same_depth: f64,
-    settings: &BuildSettings,
-    colour: ColourProfile,
-    scene_key: &[u8; 32],
-    writer: &DatasetWriter,
-    progress: &dyn Progress,
-) -> Result<ReferenceFigures, BuildError> {
-    let start = std::time::Instant::now();
-    let options = ConstructOptions::new(settings.camera);
-    let one = |plan: &SidePlan| -> Result<(Kept, Vec<Vec<u8>>), BuildError> {
-        let fault = |source| BuildError::Construct { number: plan.portal, total: plans.len(), source };
-        let made = construct::construct_side(caster, plan, &options, same_depth).map_err(fault)?;
-        let mut kept = Kept { sight_rays: made.rays, sky: made.sky, merge: Some(made.merge), ..Kept::default() };
-        let mut chunks = Vec::new();
-        for (planned, ldi) in made.references.iter().chain([&made.layered]).enumerate() {
-            let mut image = KeptImage { planned, window: EVERYWHERE, ..KeptImage::default() };
-            if let Some(ldi) = ldi {
-                image.samples_by_layer = ldi.layers.iter().map(|l| l.len() as u32).collect();
-                image.code(ldi, colour, &format!("a reference image of portal {}", plan.portal), &mut chunks)?;
-            }
-            kept.images.push(image);
-        }
-        Ok((kept, chunks))
-    };
-    let made: Vec<Result<(Piece, bool), BuildError>> = plans
-        .par_iter()
-        .with_max_len(1)
-        .map(|plan| {
-            let key = key::images_key(scene_key, settings, &(plan, same_depth));
-            let found = writer.cached(&key).and_then(|bytes| unpack(&bytes));
-            let new = found.is_none();
-            let (kept, chunks) = match found {
-                Some(found) => found,
-                None => {
-                    let made = one(plan)?;
-                    writer.store(&key, &pack(&made))?;
-                    made
-                }
-            };
-            progress.advance(1);
-            let hashes = chunks.iter().map(|bytes| ChunkHash(*blake3::hash(bytes).as_bytes())).collect();
-            Ok((Piece { kept, key, hashes }, new))
-        })
-        .collect();
-    let mut figures = ReferenceFigures::default();
-    for made in made {
-        let (piece, new) = made?;
-        figures.add(&piece.kept, new);
-        images.all.push(piece);
-    }
-    figures.seconds = start.elapsed().as_secs_f64();
-    Ok(figures)
-}
-
-/// Figures over all reference images and what was merged from them.
-#[derive(Debug, Clone, Default, Serialize)]
-pub struct ReferenceFigures {
-    /// Reference images that hold something.
-    pub references: u64,
-    /// Their samples.
-    pub reference_samples: u64,
-    /// Their bytes.
-    pub reference_bytes: u64,
-    /// Layered images.
-    pub layered: u64,
-    /// Samples of those, by layer (Figure 5 of Rafferty et al. 1998).
-    pub layered_samples: Vec<u64>,
-    /// Their bytes.
-    pub layered_bytes: u64,
-    /// What became of samples in merging.
-    pub merge: MergeFigures,
-    /// Rays cast in this run.
-    pub rays: u64,
-    /// Wall time.
-    pub seconds: f64,
-}
-
-impl ReferenceFigures {
-    fn add(&mut self, kept: &Kept, new: bool) {
-        self.rays += if new { kept.sight_rays } else { 0 };
-        kept.merge.iter().for_each(|m| self.merge.add(m));
-        let Some((layered, references)) = kept.images.split_last() else { return };
-        let bytes = |i: &KeptImage| i.lengths.iter().map(|l| u64::from(*l)).sum::<u64>();
-        for image in references {
-            self.references += u64::from(!image.lengths.is_empty());
-            self.reference_samples += image.samples_by_layer.iter().map(|n| u64::from(*n)).sum::<u64>();
-            self.reference_bytes += bytes(image);
-        }
-        self.layered += u64::from(!layered.lengths.is_empty());
-        self.layered_bytes += bytes(layered);
-        if self.layered_samples.len() < layered.samples_by_layer.len() {
-            self.layered_samples.resize(layered.samples_by_layer.len(), 0);
-        }
-        self.layered_samples.iter_mut().zip(&layered.samples_by_layer).for_each(|(a, b)| *a += u64::from(*b));
-    }
 }
 
 /// A placement's images as the index names them.

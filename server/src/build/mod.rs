@@ -12,6 +12,7 @@ mod choose;
 mod dry_run;
 mod images;
 mod key;
+mod references;
 mod report;
 mod rooms;
 
@@ -20,7 +21,8 @@ use rooms::RoomPlan;
 
 pub use choose::Weighing;
 pub use dry_run::{Draft, DryRun, draft, dry_run};
-pub use images::{IMAGE_LEVEL, ImageFigures, ReferenceFigures};
+pub use images::{IMAGE_LEVEL, ImageFigures};
+pub use references::ReferenceFigures;
 pub use report::{images_per_grid_point, report_json};
 pub use rooms::{PortalOptions, RoomFigures, RoomSource};
 
@@ -392,7 +394,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         && portals.images != BuiltImages::Ours
     {
         progress.stage("reference images, by side of a portal", rooms.sides.len() as u64);
-        let made = images::construct_references(
+        let made = references::construct_references(
             &mut images,
             &caster,
             &rooms.sides,

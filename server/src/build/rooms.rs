@@ -1,6 +1,6 @@
 //! Rooms of a build: whose they are, which cells lie in them, what is planned for their portals.
 
-use super::images::ReferenceFigures;
+use super::references::ReferenceFigures;
 use super::{BuildError, Progress};
 use crate::portal::{self, PortalPlans, PortalStatistics, Semicircle, SemicircleStatistics, SidePlan};
 use crate::render::Caster;

@@ -222,7 +222,7 @@ fn dataset_of(
     progress: &dyn Progress,
 ) -> Result<(Dataset, serde_json::Value)> {
     let Semicircle { references, radius_m, arc_deg } = study.semicircle;
-    let name = std::path::Path::new(spec).file_stem().map_or_else(|| spec.into(), |n| n.to_string_lossy().into_owned());
+    let name = Path::new(spec).file_stem().map_or_else(|| spec.into(), |n| n.to_string_lossy().into_owned());
     let name: String = name.chars().map(|c| if c.is_alphanumeric() { c } else { '-' }).collect();
     let output = study.output.join(format!(
         "{name}-{:?}-{}pct-{}x{}-{references}-{radius_m}-{arc_deg}-{}",
