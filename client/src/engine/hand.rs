@@ -29,23 +29,22 @@ impl Renderer {
     /// # Errors
     /// If a card is asked for, and there is none that can draw.
     pub fn painter(self, on: WarpOn) -> Result<Painter, GpuError> {
-        let open = || {
-            let mut gpu = Gpu::open()?;
-            let real = self == Self::Gpu || !gpu.is_software();
-            if real {
-                let found = gpu.calibrate(on)?;
-                tracing::info!("drawing on {}, warping on {}", gpu.adapter(), found);
-            }
-            Ok(real.then_some(gpu))
+        let opened = match self {
+            Self::Cpu => return Ok(Painter::default()),
+            Self::Gpu => Gpu::open(),
+            Self::Auto => Gpu::open_real(),
         };
-        match (self, if self == Self::Cpu { Ok(None) } else { open() }) {
-            (Self::Gpu, Err(e)) => Err(e),
-            (_, Ok(Some(gpu))) => Ok(Painter::on(gpu)),
-            (_, Err(e)) => {
+        let calibrated = opened.and_then(|mut gpu| {
+            let found = gpu.calibrate(on)?;
+            tracing::info!("drawing on {}, warping on {found}", gpu.adapter());
+            Ok(gpu)
+        });
+        match calibrated {
+            Err(e) if self == Self::Auto => {
                 tracing::info!("drawing on the processor: {e}");
                 Ok(Painter::default())
             }
-            (_, Ok(None)) => Ok(Painter::default()),
+            calibrated => Ok(Painter::on(calibrated?)),
         }
     }
 }

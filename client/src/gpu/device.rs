@@ -49,6 +49,13 @@ pub enum Atomics {
     Narrow,
 }
 
+/// Whether an adapter may be the processor in disguise.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Software {
+    Too,
+    No,
+}
+
 /// See the module.
 pub struct Card {
     pub device: wgpu::Device,
@@ -67,7 +74,7 @@ const WIDE: wgpu::Features = wgpu::Features::SHADER_INT64.union(wgpu::Features::
 
 impl Card {
     /// Opens the fastest adapter there is; `WGPU_BACKEND`, `WGPU_POWER_PREF` and `WGPU_ADAPTER_NAME` as everywhere.
-    pub fn open(atomics: Atomics) -> Result<Self, GpuError> {
+    pub fn open(atomics: Atomics, software: Software) -> Result<Self, GpuError> {
         let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
         // Depths are read back and draws are numbered, which OpenGL does not offer everywhere.
         descriptor.backends.remove(wgpu::Backends::GL);
@@ -81,6 +88,10 @@ impl Card {
         let info = adapter.get_info();
         let name = format!("{} ({})", info.name, info.backend);
         let lacking = |reason: &str| GpuError::Lacking { adapter: name.clone(), reason: reason.to_owned() };
+        let is_software = info.device_type == wgpu::DeviceType::Cpu;
+        if is_software && software == Software::No {
+            return Err(lacking("is software"));
+        }
         let wide = adapter.features().contains(WIDE);
         let atomics = match atomics {
             Atomics::Best if wide => Atomics::Wide,
@@ -100,7 +111,7 @@ impl Card {
         device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| {
             heard.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(e.to_string());
         }));
-        Ok(Self { device, queue, name, software: info.device_type == wgpu::DeviceType::Cpu, atomics, said })
+        Ok(Self { device, queue, name, software: is_software, atomics, said })
     }
 
     /// What went wrong since the last time, if anything.

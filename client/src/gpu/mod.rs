@@ -33,7 +33,7 @@ use crate::{
     resident::Resident,
     warp::{FarFrame, Order, PreparedLdi, WarpOptions, WarpStats},
 };
-use device::Card;
+use device::{Card, Software};
 use ldi_protocol::{OutputCamera, Pose, index::Index};
 
 /// An image to warp.
@@ -65,7 +65,15 @@ impl Gpu {
     /// # Errors
     /// If there is none that can do it.
     pub fn open() -> Result<Self, GpuError> {
-        Self::with(Card::open(Atomics::Best)?)
+        Self::with(Card::open(Atomics::Best, Software::Too)?)
+    }
+
+    /// The same, but none that is the processor in disguise; that is found out before anything is made.
+    ///
+    /// # Errors
+    /// If there is none that can do it.
+    pub fn open_real() -> Result<Self, GpuError> {
+        Self::with(Card::open(Atomics::Best, Software::No)?)
     }
 
     /// The same with a given way to keep the nearest sample: to compare them.
@@ -73,7 +81,7 @@ impl Gpu {
     /// # Errors
     /// If there is no adapter that can do it.
     pub fn open_with(atomics: Atomics) -> Result<Self, GpuError> {
-        Self::with(Card::open(atomics)?)
+        Self::with(Card::open(atomics, Software::Too)?)
     }
 
     fn with(card: Card) -> Result<Self, GpuError> {
