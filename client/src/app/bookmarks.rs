@@ -5,6 +5,7 @@
 use ldi_protocol::{Pose, path};
 use std::{
     collections::BTreeMap,
+    io::Read as _,
     path::{Path, PathBuf},
 };
 
@@ -34,12 +35,15 @@ impl Bookmarks {
     /// If it is there and is no path file.
     pub fn load(file: PathBuf) -> Result<Self, String> {
         let said = |e: &dyn std::fmt::Display| format!("{}: {e}; mend or remove it", file.display());
-        let text = match std::fs::metadata(&file) {
+        let mut text = String::new();
+        match std::fs::File::open(&file) {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Self { file, places: BTreeMap::new() }),
             Err(e) => return Err(said(&e)),
-            Ok(m) if m.len() > MAX_BYTES => return Err(said(&format!("{} bytes are too many for bookmarks", m.len()))),
-            Ok(_) => std::fs::read_to_string(&file).map_err(|e| said(&e))?,
+            Ok(open) => open.take(MAX_BYTES + 1).read_to_string(&mut text).map_err(|e| said(&e))?,
         };
+        if text.len() as u64 > MAX_BYTES {
+            return Err(said(&format!("more than {MAX_BYTES} bytes are too many for bookmarks")));
+        }
         let walk = path::parse(&text).map_err(|e| said(&e))?;
         let place = |p: &path::TimedPose| (1.0..=9.0).contains(&p.t_s).then_some((p.t_s as u8, p.pose));
         let places = walk.poses.iter().filter_map(place).collect();

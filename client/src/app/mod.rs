@@ -14,7 +14,7 @@
 //! - `motion`: keys and time to poses within the walk volume; `solids`: what stands in the way; `scale`: milliseconds to sizes. All pure.
 //! - `screen`: wgpu; the only file here that knows it. Nothing of it is loaded before a window is asked for. What draws is the engine's painter, on the processor or a
 //!   graphics card (`client/src/gpu`), whose pictures come back to the processor before they are shown.
-//! - `hud`, `map` with its `plan`, `start`: what is drawn over the picture. `kept`: walks (`record`) and places (`bookmarks`) that are kept; `settings`: what can be chosen. `keys`, `shot`, `events`, `pace`: small parts.
+//! - `hud`, `map` with its `plan`, `start`: what is drawn over the picture. `kept`: walks (`record`) and places (`bookmarks`) that are kept; `settings`: what can be chosen. `keys`, `shot`, `numbered`, `events`, `pace`: small parts.
 
 mod bookmarks;
 mod desk;
@@ -26,6 +26,7 @@ mod keys;
 mod link;
 mod map;
 mod motion;
+mod numbered;
 mod pace;
 mod plan;
 mod record;

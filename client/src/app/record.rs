@@ -3,19 +3,17 @@
 //! In: the poses of pictures and when they were drawn; later the time since the replay began. Out: a path file that `walk`, `render` and `plan` take; a pose for any time,
 //! interpolated between the recorded ones. Pure but for the file.
 
+use super::numbered::{first_free, said};
 use ldi_protocol::{
     Pose,
     path::{MAX_POSES, TimedPose, Walk},
 };
 use std::{
-    fs::OpenOptions,
-    io::{ErrorKind, Write as _},
+    io::Write as _,
     path::{Path, PathBuf},
     time::Instant,
 };
 
-/// Highest number of a file name.
-const MOST: u32 = 99_999;
 /// Frames per second that the file states; its poses have times of their own.
 const FPS: f64 = 60.0;
 
@@ -57,22 +55,9 @@ impl Recording {
 
 /// Writes a walk under the first free number.
 pub fn save(folder: &Path, walk: &Walk) -> Result<PathBuf, String> {
-    let said = |path: &Path, e: &dyn std::fmt::Display| {
-        format!("{}: {e}; give a folder that can be written with --shots", path.display())
-    };
-    std::fs::create_dir_all(folder).map_err(|e| said(folder, &e))?;
-    for number in 1..=MOST {
-        let path = folder.join(format!("walk-{number:04}.path.json"));
-        match OpenOptions::new().write(true).create_new(true).open(&path) {
-            Err(e) if e.kind() == ErrorKind::AlreadyExists => continue,
-            Err(e) => return Err(said(&path, &e)),
-            Ok(mut file) => {
-                file.write_all((walk.to_json() + "\n").as_bytes()).map_err(|e| said(&path, &e))?;
-                return Ok(path);
-            }
-        }
-    }
-    Err(format!("{}: there are {MOST} walks already; give another folder with --shots", folder.display()))
+    let (mut file, path) = first_free(folder, "walk-", ".path.json")?;
+    file.write_all((walk.to_json() + "\n").as_bytes()).map_err(|e| said(&path, &e))?;
+    Ok(path)
 }
 
 /// The pose at a time after the walk's begin; None once it is over.

@@ -1,16 +1,12 @@
 //! Screenshots: a picture as large as the window, without the interface, and its pose beside it as a path file.
 
+use super::numbered::{first_free, said};
 use crate::{engine::save_rgb, frame::Frame};
 use ldi_protocol::Pose;
 use std::{
-    fs::OpenOptions,
-    io::ErrorKind,
     path::{Path, PathBuf},
     sync::{Arc, mpsc},
 };
-
-/// Highest number of a file name.
-const MOST: u32 = 99_999;
 
 /// What became of a screenshot: its file, or why there is none.
 pub type Outcome = Result<PathBuf, String>;
@@ -45,29 +41,16 @@ impl Shots {
 }
 
 fn write(folder: &Path, frame: &Frame, pose: &Pose, fov_deg: f64) -> Outcome {
-    let said = |path: &Path, e: &dyn std::fmt::Display| {
-        format!("{}: {e}; give a folder that can be written with --shots", path.display())
-    };
-    std::fs::create_dir_all(folder).map_err(|e| said(folder, &e))?;
-    for number in 1..=MOST {
-        let path = folder.join(format!("ldi-{number:04}.png"));
-        // Made only if it is not there: two windows may share a folder.
-        match OpenOptions::new().write(true).create_new(true).open(&path) {
-            Err(e) if e.kind() == ErrorKind::AlreadyExists => continue,
-            Err(e) => return Err(said(&path, &e)),
-            Ok(_) => {}
-        }
-        save_rgb(&path, frame.width, frame.height, &frame.to_rgb8()).map_err(|e| e.to_string())?;
-        let beside = path.with_extension("path.json");
-        let poses = serde_json::json!({
-            "size": format!("{}x{}", frame.width, frame.height),
-            "fov_deg": fov_deg,
-            "poses": [{ "t": 0.0, "position": pose.position.to_array(), "yaw": pose.yaw_deg, "pitch": pose.pitch_deg }],
-        });
-        std::fs::write(&beside, poses.to_string() + "\n").map_err(|e| said(&beside, &e))?;
-        return Ok(path);
-    }
-    Err(format!("{}: there are {MOST} screenshots already; give another folder with --shots", folder.display()))
+    let (_, path) = first_free(folder, "ldi-", ".png")?;
+    save_rgb(&path, frame.width, frame.height, &frame.to_rgb8()).map_err(|e| e.to_string())?;
+    let beside = path.with_extension("path.json");
+    let poses = serde_json::json!({
+        "size": format!("{}x{}", frame.width, frame.height),
+        "fov_deg": fov_deg,
+        "poses": [{ "t": 0.0, "position": pose.position.to_array(), "yaw": pose.yaw_deg, "pitch": pose.pitch_deg }],
+    });
+    std::fs::write(&beside, poses.to_string() + "\n").map_err(|e| said(&beside, &e))?;
+    Ok(path)
 }
 
 #[cfg(test)]

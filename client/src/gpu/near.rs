@@ -189,7 +189,7 @@ impl Near {
         }
         self.geometry.hold(card, &scene.held);
         self.textures.hold(card, scene.textures());
-        let (items, placed) = arrange(&scene, camera, pose);
+        let (items, placed) = arrange(&scene, pose);
         let view = View {
             scale: [1.0 / camera.half_tan_x() as f32, 1.0 / camera.half_tan_y() as f32],
             near_m: NEAR_PLANE_M as f32,
@@ -310,10 +310,9 @@ impl Targets {
 }
 
 /// The draws of a frame and their placements, in the order of the cells.
-fn arrange(scene: &Gathered<'_>, camera: &OutputCamera, pose: &Pose) -> (Vec<Item>, Vec<Placed>) {
+fn arrange(scene: &Gathered<'_>, pose: &Pose) -> (Vec<Item>, Vec<Placed>) {
     let basis = pose.basis();
     let eye_from_world = DMat3::from_cols(basis.right, basis.up, basis.forward).transpose();
-    let _ = camera;
     let (mut items, mut placed) = (Vec::with_capacity(scene.draws.len()), Vec::with_capacity(scene.draws.len()));
     for draw in &scene.draws {
         let cluster = scene.cluster(draw);

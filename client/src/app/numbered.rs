@@ -1,0 +1,32 @@
+//! Files with numbers of their own: what a visitor saves never replaces what lies there.
+
+use std::{
+    fs::{File, OpenOptions},
+    io::ErrorKind,
+    path::{Path, PathBuf},
+};
+
+/// Highest number of a file name: five digits.
+const MOST: u32 = 99_999;
+
+/// What is wrong with a file of `--shots`, and the remedy.
+pub fn said(path: &Path, e: &dyn std::fmt::Display) -> String {
+    format!("{}: {e}; give a folder that can be written with --shots", path.display())
+}
+
+/// Makes `before`0001`after` in a folder, or the first number after it that is free; the folder too. Made only if it is not there: two windows may share a folder.
+///
+/// # Errors
+/// If the folder cannot be written, or no number is left.
+pub fn first_free(folder: &Path, before: &str, after: &str) -> Result<(File, PathBuf), String> {
+    std::fs::create_dir_all(folder).map_err(|e| said(folder, &e))?;
+    for number in 1..=MOST {
+        let path = folder.join(format!("{before}{number:04}{after}"));
+        match OpenOptions::new().write(true).create_new(true).open(&path) {
+            Err(e) if e.kind() == ErrorKind::AlreadyExists => {}
+            Err(e) => return Err(said(&path, &e)),
+            Ok(file) => return Ok((file, path)),
+        }
+    }
+    Err(format!("{}: there are {MOST} such files already; give another folder with --shots", folder.display()))
+}
