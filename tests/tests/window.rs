@@ -232,7 +232,13 @@ fn views_places_and_walks_are_at_hand() {
     let mut walk = Walk::open(&display, &served.quic, &dir, &more);
     walk.wait_for("first_complete_picture");
     let window = display.hand(&["search", "--name", "house"]);
+    // A key that is down when the window gets the keyboard was pressed for something else.
+    display.hand(&["keydown", "F2"]);
     display.hand(&["windowfocus", window.lines().last().expect("a window")]);
+    display.hand(&["key", "F1"]);
+    walk.wait_for("figures");
+    display.hand(&["keyup", "F2", "key", "F1"]);
+    assert_eq!(walk.count("view"), 0, "{:?}", walk.all());
     for shows in ["near", "far", "sources"] {
         display.hand(&["key", "F2"]);
         walk.wait(shows, |w| (w.last("view")?["shows"] == shows).then_some(()));

@@ -126,6 +126,8 @@ impl ApplicationHandler<News> for App {
                 open.capture(false, &mut self.events);
             }
             WindowEvent::ModifiersChanged(m) => open.modifiers = m.state(),
+            // Keys that were down when the window got the keyboard were pressed for something else.
+            WindowEvent::KeyboardInput { event, is_synthetic: true, .. } if event.state == ElementState::Pressed => {}
             WindowEvent::KeyboardInput { event, .. } => {
                 let leave = open.key(&event, &self.link, &mut self.events);
                 if leave {
