@@ -352,6 +352,8 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     config.token = token;
     config.prefetch_m = prefetch_m(args);
     config.portals = method_of(args).portals();
+    // Otherwise what is asked for has to be known to be there.
+    config.early = args.pace == Pace::Realtime && matches!(method_of(args), Method::Auto | Method::Tree);
     config.link = args.link;
     config.disk = args.disk_cache.as_deref().map(|d| disk(d, args.disk_cache_bytes)).transpose()?;
     if let Some(bytes) = args.cache_bytes {

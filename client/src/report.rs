@@ -179,6 +179,8 @@ pub struct WalkTotals {
     pub elapsed_s: f64,
     /// Bytes received, the index included.
     pub bytes_total: u64,
+    /// Milliseconds from connecting to the first frame.
+    pub ms_first_frame: Option<f64>,
     /// Bytes received when the first useful frame was drawn.
     pub bytes_first_useful_frame: Option<u64>,
     /// Milliseconds from connecting to the first useful frame.
@@ -246,6 +248,7 @@ pub struct Summary {
     pub warp_msamples_per_s: Option<f64>,
     pub stretch_p99_px: Option<f64>,
     pub bytes_total: u64,
+    pub ms_first_frame: Option<f64>,
     pub bytes_first_useful_frame: Option<u64>,
     pub ms_first_useful_frame: Option<f64>,
     pub ms_full_quality: Option<f64>,
@@ -430,6 +433,7 @@ impl Summary {
             warp_msamples_per_s: (warp_ms > 0.0).then(|| samples as f64 / warp_ms / 1e3),
             stretch_p99_px: totals.stretch_p99_px,
             bytes_total: totals.bytes_total,
+            ms_first_frame: totals.ms_first_frame,
             bytes_first_useful_frame: totals.bytes_first_useful_frame,
             ms_first_useful_frame: totals.ms_first_useful_frame,
             ms_full_quality: totals.ms_full_quality,

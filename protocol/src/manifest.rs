@@ -15,11 +15,13 @@
 //! Where a chunk lies in the packs is not written anywhere: [`layout`] says it, from the list of pages and the chunk table.
 
 mod content;
+mod early;
 pub mod layout;
 mod pages;
 mod validate;
 
 pub use content::{check_bundle, check_cell, check_cell_content, check_decoded_bytes, check_ldi, check_texture};
+pub use early::early;
 pub use validate::validate;
 
 use crate::{
@@ -259,21 +261,7 @@ pub fn assemble<B: AsRef<[u8]>>(root: &Root, pages: &[B]) -> Result<Index, Codec
     if pages.len() != root.pages.len() {
         return Err(CodecError::mismatch("pages", format!("{} of {} pages", pages.len(), root.pages.len())));
     }
-    let mut index = Index {
-        scene: root.scene.clone(),
-        settings: root.settings.clone(),
-        chunks: Vec::new(),
-        cells: Vec::new(),
-        materials: Vec::new(),
-        textures: Vec::new(),
-        pitch_bands_deg: root.pitch_bands_deg.clone(),
-        points: Vec::new(),
-        placements: Vec::new(),
-        images: Vec::new(),
-        volume: None,
-        tree: None,
-        rooms: None,
-    };
+    let mut index = root.without_entries();
     let mut room = pages::Room::of_index();
     for (entry, bytes) in root.pages.iter().zip(pages) {
         check_page_hash(entry, bytes.as_ref())?;
@@ -297,6 +285,25 @@ pub fn check_page_hash(entry: &PageEntry, bytes: &[u8]) -> Result<(), CodecError
 }
 
 impl Root {
+    /// The index but for what lies in pages.
+    fn without_entries(&self) -> Index {
+        Index {
+            scene: self.scene.clone(),
+            settings: self.settings.clone(),
+            chunks: Vec::new(),
+            cells: Vec::new(),
+            materials: Vec::new(),
+            textures: Vec::new(),
+            pitch_bands_deg: self.pitch_bands_deg.clone(),
+            points: Vec::new(),
+            placements: Vec::new(),
+            images: Vec::new(),
+            volume: None,
+            tree: None,
+            rooms: None,
+        }
+    }
+
     /// Pages come by kind and cover every entry once, in order.
     fn check_pages(&self) -> Result<(), CodecError> {
         let mut next = [0u64; PageKind::ALL.len()];

@@ -120,6 +120,9 @@ pub struct Hello {
     /// How the client shows portals, which decides what a pose needs in a dataset with rooms. A server that does not know of it sends what it would show, and the client asks for the rest.
     #[serde(default)]
     pub portals: ShowPortals,
+    /// The walk begins before the whole manifest is there: until [`ClientMessage::Whole`] only the LDI tree's coarse levels are sent beside it. A server that does not know of it sends the pages first.
+    #[serde(default)]
+    pub early: bool,
 }
 
 /// The server's answer to [`Hello`]; a frame with the manifest's root follows it on the control stream, and all pages
@@ -165,6 +168,8 @@ pub enum ClientMessage {
         /// Stored bytes that are decoded per second while something waits; 0: not known.
         bytes_per_s: u32,
     },
+    /// All pages of the manifest are here, after a Hello with [`Hello::early`].
+    Whole,
     /// The client leaves.
     Bye,
 }
@@ -308,7 +313,7 @@ impl Message for ClientMessage {
                 in_range("chunks", chunks.len() as f64, 0.0..=MAX_LIST as f64)
             }
             // Any numbers will do: they only shift what is sent ahead, within bounds of the server's own.
-            Self::Decoding { .. } | Self::Bye => Ok(()),
+            Self::Decoding { .. } | Self::Whole | Self::Bye => Ok(()),
         }
     }
 }

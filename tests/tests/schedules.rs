@@ -13,10 +13,7 @@ mod host;
 
 use fixture::{STEP_M, street};
 use host::{Memory, PICTURE, folder};
-use ldi_client::{
-    cache::Cache,
-    stream::{ConnectConfig, ConnectError, Connection, LinkSpec},
-};
+use ldi_client::stream::{ConnectConfig, ConnectError, Connection, Kept, LinkSpec};
 use ldi_protocol::Pose;
 use ldi_server::serve::{SelectViews, ServeConfig, Server, planner::Views};
 use std::{collections::BTreeMap, net::SocketAddr, sync::Arc, time::Duration};
@@ -59,7 +56,7 @@ struct Ended {
 /// Walks over a link until all is there, connecting again as often as it takes.
 async fn walk(config: &ConnectConfig, link: LinkSpec) -> Result<Ended, String> {
     let mut ended = Ended::default();
-    let mut kept: Option<Arc<Cache>> = None;
+    let mut kept: Option<Kept> = None;
     let begin = Instant::now();
     let mut trouble = BTreeMap::<String, u32>::new();
     loop {
@@ -86,15 +83,22 @@ async fn walk(config: &ConnectConfig, link: LinkSpec) -> Result<Ended, String> {
             Err(e) => return Err(format!("a bad link is no reason for {e:?}")),
         };
         let cache = connection.cache().clone();
-        kept = Some(cache.clone());
+        kept = Some(connection.kept());
+        while !connection.is_whole() && connection.lost().is_none() {
+            if begin.elapsed() > LIMIT {
+                return Err(format!("hangs before the index is whole: {ended:?}, {trouble:?}"));
+            }
+            sleep(Duration::from_millis(16)).await;
+        }
         let views = SelectViews::new(connection.index().clone(), &PICTURE.camera(&connection.index().settings));
         let mut whole = true;
         'stops: for (z, yaw_deg) in [(0.0, 0.0), (-1.5, 90.0), (-2.5, 180.0)] {
             let here = Pose { position: glam::DVec3::new(0.0, 0.0, z * STEP_M), yaw_deg, pitch_deg: 0.0 };
             let needed = views.needed(&here);
+            whole &= connection.is_whole();
             loop {
                 connection.look(&here, &needed);
-                if cache.missing(needed.all()).is_empty() {
+                if whole && cache.missing(needed.all()).is_empty() {
                     break;
                 }
                 if let Some(reason) = connection.lost() {
@@ -135,7 +139,7 @@ fn whatever_the_link_does_every_chunk_arrives_or_an_error_says_why() {
     let mut totals = Ended::default();
     runtime.block_on(async {
         let any = SocketAddr::from(([127, 0, 0, 1], 0));
-        let street = street(4, 64);
+        let street = street(4, 64).with_tree();
         let config =
             ServeConfig { listen: any, http: any, identity: Some(folder.join("identity")), ..Default::default() };
         let server = Server::start(Arc::new(Memory::new(street)), &config).await.unwrap();
@@ -144,6 +148,8 @@ fn whatever_the_link_does_every_chunk_arrives_or_an_error_says_why() {
         connect.decode_threads = 1;
         for seed in 0..count {
             let link = schedule(seed);
+            // Half of them begin before the whole manifest is there.
+            let connect = ConnectConfig { early: seed % 2 == 1, ..connect.clone() };
             match walk(&connect, link).await {
                 Ok(e) => {
                     totals.connections += e.connections;

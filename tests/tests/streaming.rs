@@ -7,7 +7,7 @@ mod host;
 #[path = "streaming/stranger.rs"]
 mod stranger;
 
-use fixture::{FIRST_CELL, LDI, STEP_M, street};
+use fixture::{FIRST_CELL, LDI, STEP_M, Street, street};
 use host::{Host, Memory, PATIENCE, PICTURE, folder};
 use ldi_client::{
     cache::Incomplete,
@@ -108,14 +108,73 @@ fn a_resumed_walk_streams_nothing_again() {
     let first = host.connect();
     let here = pose(0.0, 0.0);
     stand(&first, &here).unwrap();
-    let cache = first.cache().clone();
+    let kept = first.kept();
     drop(first);
-    let second = Connection::connect(ConnectConfig { resume: Some(cache), ..host.config() }).unwrap();
+    let second = Connection::connect(ConnectConfig { resume: Some(kept), ..host.config() }).unwrap();
     stand(&second, &here).unwrap();
     // A later view brings what is new, and only that.
     let new = stand(&second, &pose(-2.5 * STEP_M, 180.0)).unwrap();
     let stats = second.stats();
     assert_eq!((stats.chunks, stats.duplicates), (0, 0), "{new:?} {stats:?}");
+}
+
+/// Waits until something is so.
+fn until(what: &str, so: impl Fn() -> bool) {
+    let begin = std::time::Instant::now();
+    while !so() {
+        assert!(begin.elapsed() < PATIENCE, "{what} did not happen");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// A street of so many cells that its pages take seconds over the link below; the tree's are among the last of the manifest.
+fn long_street() -> Street {
+    street(6000, 16).with_tree()
+}
+
+#[test]
+fn a_walk_begins_before_the_whole_manifest_is_there() {
+    let host = Host::start("early", Memory::new(long_street()));
+    let whole = host.connect();
+    assert!(whole.is_whole());
+    let link = Some("rate=2mbit,delay=5ms,seed=1".parse().unwrap());
+    let early = Connection::connect(ConnectConfig { early: true, link, ..host.config() }).unwrap();
+    assert!(!early.is_whole() && early.index().cells.is_empty());
+    // The base layer, by number, while pages come.
+    let here = pose(5.0, 0.0);
+    let base = early.index().tree.as_ref().unwrap().root_chunk;
+    assert_eq!(stand(&early, &here).unwrap(), [base]);
+    assert!(!early.is_whole(), "{} bytes for a first picture", early.received_bytes());
+    assert!(early.cache().brood(base).is_some());
+    // Then everything, under the same numbers, and what is held stays.
+    until("the whole index", || early.is_whole());
+    assert_eq!(early.index(), whole.index());
+    assert!(early.cache().holds(base));
+    let all = stand(&early, &here).unwrap();
+    assert!(all.contains(&LDI[1]) && all.contains(&FIRST_CELL));
+    let stats = early.stats();
+    assert_eq!((stats.chunks as usize, stats.duplicates, stats.damaged), (all.len(), 0, 0), "{stats:?}");
+    early.cache().check().unwrap();
+}
+
+#[test]
+fn a_connection_lost_early_leaves_nothing_and_a_whole_one_its_manifest() {
+    let host = Host::start("early-resume", Memory::new(long_street()));
+    let link = Some("rate=2mbit,delay=5ms,seed=1".parse().unwrap());
+    let early = Connection::connect(ConnectConfig { early: true, link, ..host.config() }).unwrap();
+    assert!(!early.is_whole());
+    let kept = early.kept();
+    drop(early);
+    let again = Connection::connect(ConnectConfig { resume: Some(kept), ..host.config() }).unwrap();
+    stand(&again, &pose(5.0, 0.0)).unwrap();
+    let (kept, first) = (again.kept(), again.received_bytes());
+    drop(again);
+    // Whoever has the manifest in memory is not sent it again.
+    let third = Connection::connect(ConnectConfig { resume: Some(kept), early: true, ..host.config() }).unwrap();
+    assert!(third.is_whole());
+    stand(&third, &pose(5.0, 0.0)).unwrap();
+    let bytes = third.received_bytes();
+    assert!(bytes < 20_000 && bytes * 10 < first, "{bytes} bytes, {first} before");
 }
 
 #[test]

@@ -16,6 +16,8 @@ use std::{
 
 /// How often the line is looked at.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// The same while the rest of the index is to come: pictures wait for it.
+const LOOK_OFTEN: Duration = Duration::from_millis(10);
 /// Without a byte for this long the line is given up. A pose is repeated every 2 s at least and acknowledged, so that a living line
 /// is never silent for longer; QUIC itself would notice after 30 s only.
 const SILENCE: Duration = Duration::from_secs(6);
@@ -53,9 +55,17 @@ pub struct Scene {
     pub index: Arc<Index>,
     /// Decoded objects.
     pub cache: Arc<Cache>,
+    /// Whether the index is whole, or that of a first picture.
+    pub whole: bool,
 }
 
 impl Scene {
+    fn of(connection: &Connection) -> Self {
+        // First: the rest of the index may arrive meanwhile.
+        let whole = connection.is_whole();
+        Self { index: connection.index().clone(), cache: connection.cache().clone(), whole }
+    }
+
     /// Whether both are the same cache of the same dataset.
     pub fn is(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.cache, &other.cache)
@@ -207,10 +217,10 @@ impl Keeper {
     /// Keeps a connection until it is lost. None when the link is to stop.
     fn keep(&mut self, connection: Connection) -> Option<ConnectError> {
         let cache = connection.cache().clone();
-        self.config.resume = Some(cache.clone());
+        self.config.resume = Some(connection.kept());
         {
             let mut inner = lock(&self.inner);
-            let scene = Scene { index: connection.index().clone(), cache: cache.clone() };
+            let scene = Scene::of(&connection);
             if inner.scene.replace(scene.clone()).is_some_and(|old| !old.is(&scene)) {
                 // Another dataset: what was needed of the old one means nothing here.
                 inner.looked = None;
@@ -224,8 +234,13 @@ impl Keeper {
         let mut heard = (0, Instant::now());
         let mut samples = std::collections::VecDeque::new();
         let reason = loop {
-            if self.stops_within(LOOK_EVERY) {
+            let whole = lock(&self.inner).scene.as_ref().is_none_or(|s| s.whole);
+            if self.stops_within(if whole { LOOK_EVERY } else { LOOK_OFTEN }) {
                 break None;
+            }
+            if !whole && cache.is_whole() {
+                let mut inner = lock(&self.inner);
+                inner.scene = inner.connection.as_ref().map(Scene::of);
             }
             let now = Instant::now();
             let figures = {

@@ -79,21 +79,21 @@ fn step(link: &Link, picture: Option<&Picture>) -> (String, Option<f32>) {
             share(here, f.needed_bytes),
         )
     };
+    let index = || {
+        let (done, all) = link.progress().1;
+        let text = format!("the dataset's index: {:.2} of {:.2} MB", done as f64 * 1e-6, all as f64 * 1e-6);
+        (text, share(done, all))
+    };
     match link.state() {
+        LinkState::Up if picture.is_some_and(|p| !p.figures.whole) => index(),
         LinkState::Up => picture.map_or(("drawing the first view".into(), None), first_view),
         LinkState::Waiting { .. } => ("no connection".into(), None),
         LinkState::Refused(_) => ("the server does not let this client in".into(), None),
-        LinkState::Connecting(_) => {
-            let (phase, (done, all)) = link.progress();
-            match phase {
-                Phase::Idle | Phase::Dialling => ("looking for the server".into(), None),
-                Phase::Asking => ("asking to be let in".into(), None),
-                Phase::Index => (
-                    format!("the dataset's index: {:.2} of {:.2} MB", done as f64 * 1e-6, all as f64 * 1e-6),
-                    share(done, all),
-                ),
-                Phase::Assembling => ("putting the index together".into(), Some(1.0)),
-            }
-        }
+        LinkState::Connecting(_) => match link.progress().0 {
+            Phase::Idle | Phase::Dialling => ("looking for the server".into(), None),
+            Phase::Asking => ("asking to be let in".into(), None),
+            Phase::Index => index(),
+            Phase::Assembling => ("putting the index together".into(), Some(1.0)),
+        },
     }
 }

@@ -4,6 +4,7 @@ use super::{
     fixture::{BUNDLE, FIRST_CELL, LDI, Street, TEXTURE, street},
     *,
 };
+use ldi_protocol::index::ChunkKind;
 use proptest::prelude::*;
 
 const CELLS: u32 = 6;
@@ -39,6 +40,37 @@ fn what_is_put_in_is_at_hand() {
     assert!(cache.texture(0).unwrap().levels.iter().all(Option::is_some));
     assert!(cache.cell(99).is_none() && cache.ldi(99).is_none() && cache.texture(9).is_none());
     assert_eq!(cache.usage().bytes, street.index.chunks.iter().map(|c| u64::from(c.decoded_bytes)).sum::<u64>());
+}
+
+#[test]
+fn a_cache_of_a_first_picture_goes_on_with_the_whole_index() {
+    let street = street(CELLS, 16).with_tree();
+    let whole = Arc::new(street.index.clone());
+    let root = whole.tree.as_ref().unwrap().root_chunk;
+    let mut few = street.index.clone();
+    (few.cells, few.points, few.placements, few.images) = (vec![], vec![], vec![], vec![]);
+    (few.textures, few.materials) = (vec![], vec![]);
+    for (number, chunk) in (0u32..).zip(&mut few.chunks) {
+        if number != root {
+            (chunk.kind, chunk.stored_bytes, chunk.decoded_bytes) = (ChunkKind::Page, 0, 0);
+        }
+    }
+    let cache = Cache::new(Arc::new(few), 1 << 30).early();
+    assert!(!cache.is_whole());
+    assert!(matches!(cache.insert(FIRST_CELL, &street.chunks[FIRST_CELL as usize]), Err(DecodeError::Unreferenced)));
+    assert_eq!(put(&cache, &street, root), Inserted::Held);
+    cache.pin([root]);
+    let held = cache.brood(root).unwrap();
+    cache.complete(whole.clone());
+    cache.check().unwrap();
+    assert!(cache.is_whole() && Arc::ptr_eq(cache.index(), &whole));
+    assert!(Arc::ptr_eq(&held, &cache.brood(root).unwrap()) && cache.is_pinned(root));
+    for chunk in (0..root).rev() {
+        assert_eq!(put(&cache, &street, chunk), Inserted::Held);
+    }
+    assert_eq!(cache.held().len(), street.chunks.len());
+    assert_eq!(cache.cell(1).unwrap().instances.len(), 2);
+    assert_eq!(cache.ldi(0).unwrap().layers.len(), 2);
 }
 
 #[test]

@@ -9,6 +9,7 @@ use ldi_protocol::{
     ldi::{DisparityCodes, Ldi, LdiCamera, LdiLayer, Segment},
     mesh::{Alpha, CellGeometry, Cluster, ClusterInstance, ClusterRef, Material, Wrap},
     texture::{MipLevel, Texture},
+    tree::{Brood, NodeSamples, OPAQUE, Tree, TreeNode, TreeSample},
 };
 
 /// Index and stored chunks.
@@ -135,6 +136,33 @@ pub fn street(cells: u32, side: u32) -> Street {
         rooms: None,
     };
     Street { index, chunks: street.chunks }
+}
+
+impl Street {
+    /// With an LDI tree of one sample: the root's chunk, pinned, and the last of the dataset.
+    #[allow(dead_code, reason = "not every test that has a street needs one")]
+    pub fn with_tree(mut self) -> Self {
+        let sample = TreeSample {
+            face: 5,
+            column: 3,
+            row: 4,
+            alpha: OPAQUE,
+            depth: 9,
+            slope: [0; 2],
+            rgb: [200, 100, 50],
+            filtered: false,
+        };
+        let brood = Brood { nodes: vec![NodeSamples { samples: vec![sample] }] };
+        let mut builder = Builder { entries: self.index.chunks, chunks: self.chunks };
+        let bytes = codec::tree::encode(&brood, 1).unwrap();
+        let root_chunk = builder.add(ChunkKind::Tree, bytes, brood.decoded_bytes());
+        (self.index.chunks, self.chunks) = (builder.entries, builder.chunks);
+        let root =
+            TreeNode { level: 0, cell: [0; 3], samples: 1, unfiltered: 1, first_child: 0, children: 0, chunk: 0 };
+        let (origin, edge_m) = (DVec3::splat(-64.0), 128.0);
+        self.index.tree = Some(Tree { origin, edge_m, root_chunk, pinned_levels: 1, skies: vec![], nodes: vec![root] });
+        self
+    }
 }
 
 #[derive(Default)]

@@ -62,6 +62,13 @@ impl Layout {
             of_image: Vec::new(),
             brood_of_chunk: vec![None; n],
         };
+        // First: an index of a first picture has these alone, under the same numbers.
+        for (chunk, nodes) in index.tree.iter().flat_map(|t| t.broods()) {
+            // Equal chunks are one: whichever nodes it was listed for, the samples are the same.
+            if layout.brood_of_chunk.get(chunk as usize) == Some(&None) {
+                layout.brood_of_chunk[chunk as usize] = layout.add(ObjectKind::Brood(nodes), vec![chunk]);
+            }
+        }
         for (number, cell) in (0u32..).zip(&index.cells) {
             let object = layout.add(ObjectKind::Cell(number), vec![cell.chunk]);
             if let Some(slot) = layout.geometry_of_chunk.get_mut(cell.chunk as usize) {
@@ -90,12 +97,6 @@ impl Layout {
                 }
             };
             layout.of_image.push(object);
-        }
-        for (chunk, nodes) in index.tree.iter().flat_map(|t| t.broods()) {
-            // Equal chunks are one: whichever nodes it was listed for, the samples are the same.
-            if layout.brood_of_chunk.get(chunk as usize) == Some(&None) {
-                layout.brood_of_chunk[chunk as usize] = layout.add(ObjectKind::Brood(nodes), vec![chunk]);
-            }
         }
         layout
     }

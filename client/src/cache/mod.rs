@@ -23,7 +23,7 @@ use layout::{Layout, ObjectKind, Part};
 use ldi_protocol::{codec::CodecError, index::Index, ldi::Ldi, mesh::CellGeometry, texture::Texture, tree::Brood};
 use std::{
     collections::{BTreeMap, BTreeSet},
-    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError},
     time::{Duration, Instant},
 };
 
@@ -92,29 +92,51 @@ pub enum Incomplete {
 /// See the module. All methods may be called from any thread; none holds the lock while it decodes.
 #[derive(Debug)]
 pub struct Cache {
-    index: Arc<Index>,
-    layout: Layout,
+    first: Scope,
+    /// What follows if that is of a first picture only.
+    whole: OnceLock<Scope>,
+    is_early: bool,
     decoding: bool,
     inner: Mutex<Inner>,
     changed: Condvar,
 }
 
+/// An index and its objects.
+#[derive(Debug)]
+struct Scope {
+    index: Arc<Index>,
+    layout: Layout,
+}
+
+impl Scope {
+    fn new(index: Arc<Index>) -> Self {
+        Self { layout: Layout::new(&index), index }
+    }
+}
+
 impl Cache {
     /// An empty cache of at most `cap_bytes` decoded bytes.
     pub fn new(index: Arc<Index>, cap_bytes: u64) -> Self {
-        let layout = Layout::new(&index);
+        let first = Scope::new(index);
         let inner = Inner {
-            objects: layout.objects.iter().map(|_| Object::default()).collect(),
+            objects: first.layout.objects.iter().map(|_| Object::default()).collect(),
             order: BTreeSet::new(),
             tick: 1,
             usage: Usage { cap_bytes, ..Usage::default() },
-            damaged: vec![false; index.chunks.len()],
+            damaged: vec![false; first.index.chunks.len()],
             evicted: Vec::new(),
             refused: BTreeMap::new(),
             refusals_told: None,
             disconnected: None,
         };
-        Self { index, layout, decoding: true, inner: Mutex::new(inner), changed: Condvar::new() }
+        Self {
+            first,
+            whole: OnceLock::new(),
+            is_early: false,
+            decoding: true,
+            inner: Mutex::new(inner),
+            changed: Condvar::new(),
+        }
     }
 
     /// One that keeps the accounts of what would be held, decodes nothing and gives nothing out: for load tests.
@@ -122,9 +144,34 @@ impl Cache {
         Self { decoding: false, ..Self::new(index, cap_bytes) }
     }
 
-    /// The index whose chunks are held.
+    /// Its index is that of a first picture ([`ldi_protocol::manifest::early`]); [`Cache::complete`] brings the rest.
+    #[must_use]
+    pub fn early(self) -> Self {
+        Self { is_early: true, ..self }
+    }
+
+    /// Whether the whole index is known.
+    pub fn is_whole(&self) -> bool {
+        !self.is_early || self.whole.get().is_some()
+    }
+
+    /// The index whose chunks are held, as far as it is known.
     pub fn index(&self) -> &Arc<Index> {
-        &self.index
+        &self.scope().index
+    }
+
+    /// The whole index takes the place of that of a first picture; what is held stays. Once.
+    pub fn complete(&self, index: Arc<Index>) {
+        let scope = Scope::new(index);
+        let mut inner = self.lock();
+        // The tree's objects come first: those of both indices have the same numbers.
+        inner.objects.resize_with(scope.layout.objects.len(), Object::default);
+        let _ = self.whole.set(scope);
+    }
+
+    /// Whoever takes the lock asks for it first: objects are never fewer than the scope has.
+    fn scope(&self) -> &Scope {
+        self.whole.get().unwrap_or(&self.first)
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner> {
@@ -137,7 +184,7 @@ impl Cache {
     /// # Errors
     /// If the bytes are not what the index says of this chunk.
     pub fn insert(&self, chunk: u32, bytes: &[u8]) -> Result<Inserted, DecodeError> {
-        let parts = self.layout.parts(chunk);
+        let parts = self.scope().layout.parts(chunk);
         if parts.is_empty() {
             return Err(DecodeError::Unreferenced);
         }
@@ -153,9 +200,9 @@ impl Cache {
     }
 
     fn insert_part(&self, part: Part, chunk: u32, bytes: &[u8]) -> Result<Inserted, DecodeError> {
-        let entry = &self.layout.objects[part.object as usize];
+        let entry = &self.scope().layout.objects[part.object as usize];
         let levels = match entry.kind {
-            ObjectKind::Texture(t) if self.decoding => Some(decode::texture_levels(&self.index, t, part.part, bytes)?),
+            ObjectKind::Texture(t) if self.decoding => Some(decode::texture_levels(self.index(), t, part.part, bytes)?),
             _ => None,
         };
         loop {
@@ -170,12 +217,12 @@ impl Cache {
             let new = match (&entry.kind, &levels) {
                 _ if !self.decoding => Value::Undecoded,
                 (ObjectKind::Texture(t), Some(levels)) => {
-                    decode::texture(&old, &self.index.textures[*t as usize], levels)
+                    decode::texture(&old, &self.index().textures[*t as usize], levels)
                 }
-                (ObjectKind::Ldi(p), _) => decode::ldi(&self.index, *p, &old, part.part, bytes)?,
-                (ObjectKind::Brood(nodes), _) => decode::brood(&self.index, chunk, nodes.clone(), bytes)?,
-                (ObjectKind::Cell(c), _) => decode::cell(&self.index, *c, bytes)?,
-                (ObjectKind::Bundle | ObjectKind::Texture(_), _) => decode::bundle(&self.index, chunk, bytes)?,
+                (ObjectKind::Ldi(p), _) => decode::ldi(self.index(), *p, &old, part.part, bytes)?,
+                (ObjectKind::Brood(nodes), _) => decode::brood(self.index(), chunk, nodes.clone(), bytes)?,
+                (ObjectKind::Cell(c), _) => decode::cell(self.index(), *c, bytes)?,
+                (ObjectKind::Bundle | ObjectKind::Texture(_), _) => decode::bundle(self.index(), chunk, bytes)?,
             };
             if let Some(done) = self.install(part, chunk, new, version) {
                 return Ok(done);
@@ -189,8 +236,8 @@ impl Cache {
         if inner.objects[part.object as usize].version != version {
             return None;
         }
-        let bytes = u64::from(self.index.chunks[chunk as usize].decoded_bytes);
-        if !inner.make_room(&self.layout, bytes, part.object) {
+        let bytes = u64::from(self.index().chunks[chunk as usize].decoded_bytes);
+        if !inner.make_room(&self.scope().layout, bytes, part.object) {
             let view = inner.tick;
             inner.refused.insert(chunk, view);
             self.changed.notify_all();
@@ -215,7 +262,7 @@ impl Cache {
         inner.tick += 1;
         let tick = inner.tick;
         for chunk in chunks {
-            for part in self.layout.parts(chunk) {
+            for part in self.scope().layout.parts(chunk) {
                 let object = &mut inner.objects[part.object as usize];
                 if object.pinned_in != tick {
                     object.pinned_in = tick;
@@ -228,7 +275,7 @@ impl Cache {
     /// Whether the current view needs a chunk.
     pub fn is_pinned(&self, chunk: u32) -> bool {
         let inner = self.lock();
-        self.layout.parts(chunk).iter().any(|p| inner.objects[p.object as usize].pinned_in == inner.tick)
+        self.scope().layout.parts(chunk).iter().any(|p| inner.objects[p.object as usize].pinned_in == inner.tick)
     }
 
     /// Counts what is held of these as used now.
@@ -236,7 +283,7 @@ impl Cache {
         let mut inner = self.lock();
         let tick = inner.tick;
         for chunk in chunks {
-            for part in self.layout.parts(chunk) {
+            for part in self.scope().layout.parts(chunk) {
                 inner.use_at(part.object, tick);
             }
         }
@@ -246,12 +293,12 @@ impl Cache {
     pub fn count_used(&self, chunks: impl IntoIterator<Item = u32>) {
         let mut inner = self.lock();
         for chunk in chunks {
-            for part in self.layout.parts(chunk) {
+            for part in self.scope().layout.parts(chunk) {
                 let object = &mut inner.objects[part.object as usize];
                 let fresh = object.present & !object.used & 1 << part.part;
                 object.used |= fresh;
                 if fresh != 0 {
-                    inner.usage.useful_bytes += u64::from(self.index.chunks[chunk as usize].stored_bytes);
+                    inner.usage.useful_bytes += u64::from(self.index().chunks[chunk as usize].stored_bytes);
                 }
             }
         }
@@ -260,7 +307,7 @@ impl Cache {
     /// A chunk did not come over the network: that frames use it is not counted among [`Usage::useful_bytes`].
     pub fn count_elsewhere(&self, chunk: u32) {
         let mut inner = self.lock();
-        for part in self.layout.parts(chunk) {
+        for part in self.scope().layout.parts(chunk) {
             let object = &mut inner.objects[part.object as usize];
             object.used |= object.present & 1 << part.part;
         }
@@ -268,19 +315,19 @@ impl Cache {
 
     /// Whether a chunk is at hand.
     pub fn holds(&self, chunk: u32) -> bool {
-        self.lock().holds(&self.layout, chunk)
+        self.lock().holds(&self.scope().layout, chunk)
     }
 
     /// All chunks at hand, ascending.
     pub fn held(&self) -> Vec<u32> {
         let inner = self.lock();
-        (0..self.index.chunks.len() as u32).filter(|c| inner.holds(&self.layout, *c)).collect()
+        (0..self.index().chunks.len() as u32).filter(|c| inner.holds(&self.scope().layout, *c)).collect()
     }
 
     /// Those of `chunks` that are not at hand, damaged ones included.
     pub fn missing(&self, chunks: impl IntoIterator<Item = u32>) -> Vec<u32> {
         let inner = self.lock();
-        chunks.into_iter().filter(|c| !inner.holds(&self.layout, *c)).collect()
+        chunks.into_iter().filter(|c| !inner.holds(&self.scope().layout, *c)).collect()
     }
 
     /// A chunk came damaged so often that it is given up.
@@ -315,7 +362,7 @@ impl Cache {
         let deadline = Instant::now() + timeout;
         let mut inner = self.lock();
         loop {
-            let missing: Vec<u32> = chunks.iter().copied().filter(|c| !inner.holds(&self.layout, *c)).collect();
+            let missing: Vec<u32> = chunks.iter().copied().filter(|c| !inner.holds(&self.scope().layout, *c)).collect();
             let (damaged, coming): (Vec<u32>, Vec<u32>) =
                 missing.into_iter().partition(|c| inner.damaged.get(*c as usize).copied().unwrap_or(true));
             if coming.is_empty() {
@@ -343,7 +390,7 @@ impl Cache {
             inner.refusals_told = Some(now);
             out.extend(std::mem::take(&mut inner.refused).into_keys());
         }
-        out.retain(|c| !inner.holds(&self.layout, *c));
+        out.retain(|c| !inner.holds(&self.scope().layout, *c));
         out.sort_unstable();
         out.dedup();
         out
@@ -361,7 +408,7 @@ impl Cache {
     /// # Errors
     /// The first account that is off.
     pub fn check(&self) -> Result<(), String> {
-        self.lock().check(&self.layout, &self.index)
+        self.lock().check(&self.scope().layout, self.index())
     }
 
     fn object<T>(&self, number: Option<u32>, pick: impl Fn(&Value) -> Option<T>) -> Option<T> {
@@ -373,10 +420,10 @@ impl Cache {
         let fresh = object.present & !object.used;
         object.used |= fresh;
         if fresh != 0 {
-            let chunks = &self.layout.objects[number as usize].chunks;
+            let chunks = &self.scope().layout.objects[number as usize].chunks;
             inner.usage.useful_bytes += (0..chunks.len())
                 .filter(|p| fresh >> p & 1 == 1)
-                .map(|p| u64::from(self.index.chunks[chunks[p] as usize].stored_bytes))
+                .map(|p| u64::from(self.index().chunks[chunks[p] as usize].stored_bytes))
                 .sum::<u64>();
         }
         inner.use_at(number, tick);
@@ -386,22 +433,22 @@ impl Cache {
 
 impl Resident for Cache {
     fn cell(&self, cell: u32) -> Option<Arc<CellGeometry>> {
-        self.bundle(self.index.cells.get(cell as usize)?.chunk)
+        self.bundle(self.index().cells.get(cell as usize)?.chunk)
     }
     fn bundle(&self, chunk: u32) -> Option<Arc<CellGeometry>> {
-        let number = *self.layout.geometry_of_chunk.get(chunk as usize)?;
+        let number = *self.scope().layout.geometry_of_chunk.get(chunk as usize)?;
         self.object(number, |v| if let Value::Geometry(g) = v { Some(g.clone()) } else { None })
     }
     fn texture(&self, texture: u32) -> Option<Arc<Texture>> {
-        let number = *self.layout.of_texture.get(texture as usize)?;
+        let number = *self.scope().layout.of_texture.get(texture as usize)?;
         self.object(number, |v| if let Value::Texture(t) = v { Some(t.clone()) } else { None })
     }
     fn ldi(&self, image: u32) -> Option<Arc<Ldi>> {
-        let number = *self.layout.of_image.get(image as usize)?;
+        let number = *self.scope().layout.of_image.get(image as usize)?;
         self.object(number, |v| if let Value::Ldi(l) = v { Some(l.clone()) } else { None })
     }
     fn brood(&self, chunk: u32) -> Option<Arc<Brood>> {
-        let number = *self.layout.brood_of_chunk.get(chunk as usize)?;
+        let number = *self.scope().layout.brood_of_chunk.get(chunk as usize)?;
         self.object(number, |v| if let Value::Brood(b) = v { Some(b.clone()) } else { None })
     }
 }

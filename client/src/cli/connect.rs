@@ -101,6 +101,7 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
     let mut config = ConnectConfig::new(&args.server, Picture { width, height, fov_deg: None });
     config.token = token(args.token_file.as_deref())?;
     config.prefetch_m = args.prefetch_m;
+    config.early = true;
     if let Some(bytes) = args.cache_bytes {
         config.cache_bytes = bytes;
     }

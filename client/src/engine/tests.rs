@@ -76,6 +76,9 @@ impl Feed for MemoryFeed {
     fn index(&self) -> &Index {
         &self.index
     }
+    fn is_whole(&self) -> bool {
+        true
+    }
     fn dataset_hash(&self) -> String {
         "00".repeat(32)
     }

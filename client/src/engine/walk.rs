@@ -19,7 +19,7 @@ use crate::{
     report::{FrameReport, StageMs, Summary, WalkTotals},
     warp::WarpStats,
 };
-use ldi_protocol::{OutputCamera, path::Walk, room_index::PortalImages};
+use ldi_protocol::{OutputCamera, index::Index, path::Walk, room_index::PortalImages};
 use std::{
     path::{Path, PathBuf},
     sync::mpsc,
@@ -216,31 +216,26 @@ impl Walker<'_> {
                 std::thread::sleep(due.saturating_sub(start.elapsed()));
             }
             let mut ms = StageMs::default();
-            let view = view_of(self.feed.index(), &pose, &self.camera, options.method, &mut ms);
-            self.ask(&view, at)?;
-            let mut painted = self.painter.paint(
-                self.feed.index(),
-                self.feed,
-                &view,
-                &pose,
-                &self.camera,
-                options,
-                ms,
-                &mut frame,
-            )?;
+            let whole = self.feed.is_whole();
+            let index = self.feed.index();
+            let view = view_of(index, &pose, &self.camera, options.method, &mut ms);
+            self.ask(index, &view, at)?;
+            let mut painted =
+                self.painter.paint(index, self.feed, &view, &pose, &self.camera, options, ms, &mut frame)?;
             if options.pace == Pace::Realtime {
                 painted.ms.total += painted.ms.prepare;
             }
             self.totals.drawn.push((painted.triangles, painted.ms.total));
             let traffic = self.feed.traffic();
-            let complete = painted.missing_chunks.is_empty();
+            let complete = whole && painted.missing_chunks.is_empty();
+            self.totals.ms_first_frame.get_or_insert(traffic.elapsed_s * 1e3);
             if complete && self.totals.ms_full_quality.is_none() {
                 self.totals.ms_full_quality = Some(traffic.elapsed_s * 1e3);
             }
             self.totals.frames_incomplete += usize::from(!complete);
             progress(Progress { done: done + 1, total, bytes: traffic.bytes, frame_ms: painted.ms.total });
             if at % every == 0 {
-                self.keep(at, &view, &painted, &frame, traffic)?;
+                self.keep(at, &view, &painted, complete, &frame, traffic)?;
                 let picture = Picture { index: at, frame: frame.clone() };
                 if pictures.send(picture).is_err() {
                     // The writer has failed and says why.
@@ -264,8 +259,7 @@ impl Walker<'_> {
     }
 
     /// Asks for what a view needs, and for `--pace wait` waits for it.
-    fn ask(&mut self, view: &View, at: usize) -> Result<(), WalkError> {
-        let index = self.feed.index();
+    fn ask(&mut self, index: &Index, view: &View, at: usize) -> Result<(), WalkError> {
         let view_needs = view.needed(index);
         let needed: Vec<u32> = view_needs.all().collect();
         for chunk in &needed {
@@ -302,6 +296,7 @@ impl Walker<'_> {
         at: usize,
         view: &View,
         painted: &Painted,
+        complete: bool,
         frame: &Frame,
         traffic: Traffic,
     ) -> Result<(), WalkError> {
@@ -362,7 +357,7 @@ impl Walker<'_> {
         let later = self.job.truth.is_some() && self.job.options.pace == Pace::Realtime;
         self.kept.push(Kept {
             report,
-            complete: painted.missing_chunks.is_empty(),
+            complete,
             elapsed_ms: traffic.elapsed_s * 1e3,
             source: later.then(|| frame.source.clone()),
         });

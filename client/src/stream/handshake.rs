@@ -1,8 +1,9 @@
 //! From an address to a connection with a manifest.
 
 use super::{
-    ConnectConfig, ConnectError,
+    ConnectConfig, ConnectError, Kept,
     link_socket::LinkSocket,
+    pages::{Pages, is_listed},
     progress::Phase,
     receive::{self, Broken},
     transport,
@@ -10,8 +11,8 @@ use super::{
 };
 use ldi_protocol::{
     index::{ChunkHash, Index},
-    manifest,
-    wire::{self, ClientMessage, Hello, MAX_ROOT_BYTES, Message, RefusalCode, ServerMessage, StreamKind, Welcome},
+    manifest::{self, Root},
+    wire::{self, ClientMessage, Hello, MAX_MANIFESTS, MAX_ROOT_BYTES, Message, RefusalCode, ServerMessage, Welcome},
 };
 use quinn::{Connection, ConnectionError, Endpoint, RecvStream, SendStream};
 use std::{net::SocketAddr, sync::Arc, time::Duration};
@@ -26,6 +27,8 @@ pub(super) struct Opened {
     pub recv: RecvStream,
     pub dataset: ChunkHash,
     pub index: Arc<Index>,
+    /// The manifest as far as it is here, when the index is that of a first picture.
+    pub rest: Option<Pages>,
 }
 
 /// Connects to the first address that answers.
@@ -75,7 +78,11 @@ async fn step<T>(
 
 async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) -> Result<Opened, ConnectError> {
     let (mut send, mut recv) = connection.open_bi().await.map_err(|e| lost(&e))?;
-    let mut known = config.disk.as_ref().map_or_else(Vec::new, |d| d.manifests());
+    let known = config.disk.as_ref().map_or_else(Vec::new, |d| d.manifests());
+    // Of an earlier connection, in memory.
+    let resumed = config.resume.as_ref().filter(|k| k.cache.is_whole());
+    let names = resumed.map(|k| k.dataset).into_iter().chain(known.iter().map(|(root, _)| root.hash));
+    let names = names.take(MAX_MANIFESTS).collect();
     let hello = ClientMessage::Hello(Hello {
         version: wire::VERSION,
         token: config.token.clone(),
@@ -83,8 +90,9 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
         cache_bytes: config.cache_bytes,
         prefetch_m: config.prefetch_m,
         name: config.name.clone(),
-        manifests: known.iter().map(|(root, _)| root.hash).collect(),
+        manifests: names,
         portals: config.portals,
+        early: config.early,
     });
     let hello = wire::encode(&hello).map_err(|e| ConnectError::Local(e.to_string()))?;
     config.progress.enter(Phase::Asking);
@@ -95,43 +103,50 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
         ServerMessage::Refused { code, message } => return Err(ConnectError::Refused { code, message }),
         ServerMessage::Unavailable { .. } => return Err(ConnectError::Protocol("no welcome".into())),
     };
-    let (dataset, index) = match welcome.root_bytes {
-        0 => {
-            let at = known.iter().position(|(root, _)| root.hash == welcome.dataset);
-            let unknown = || ConnectError::Protocol("no manifest, and none was named that is this one's".into());
-            let (root, pages) = known.swap_remove(at.ok_or_else(unknown)?);
-            let index = manifest::assemble(&root, &pages).map_err(|e| ConnectError::Protocol(e.to_string()))?;
-            (root.hash, index)
+    let dataset = welcome.dataset;
+    let (index, rest) = match welcome.root_bytes {
+        0 => (named(resumed, &known, dataset)?, None),
+        _ => {
+            let (index, rest) = fetch_manifest(config, &welcome, &mut recv, &connection).await?;
+            (Arc::new(index), rest)
         }
-        _ => fetch_manifest(config, &welcome, &mut recv, &connection).await?,
     };
-    Ok(Opened { endpoint, link, connection, send, recv, dataset, index: Arc::new(index) })
+    Ok(Opened { endpoint, link, connection, send, recv, dataset, index, rest })
 }
 
+/// The index of a dataset whose manifest was named in the hello.
+fn named(
+    resumed: Option<&Kept>,
+    known: &[(Root, Vec<Vec<u8>>)],
+    dataset: ChunkHash,
+) -> Result<Arc<Index>, ConnectError> {
+    if let Some(kept) = resumed.filter(|k| k.dataset == dataset) {
+        return Ok(kept.cache.index().clone());
+    }
+    let unknown = || ConnectError::Protocol("no manifest, and none was named that is this one's".into());
+    let (root, pages) = known.iter().find(|(root, _)| root.hash == dataset).ok_or_else(unknown)?;
+    manifest::assemble(root, pages).map(Arc::new).map_err(|e| ConnectError::Protocol(e.to_string()))
+}
+
+/// The index, and what is still to come of the manifest when it is that of a first picture.
 async fn fetch_manifest(
     config: &ConnectConfig,
     welcome: &Welcome,
     recv: &mut RecvStream,
     connection: &Connection,
-) -> Result<(ChunkHash, Index), ConnectError> {
+) -> Result<(Index, Option<Pages>), ConnectError> {
     let protocol = |reason: String| ConnectError::Protocol(reason);
-    let bytes = step(config, read_frame(recv, connection, MAX_ROOT_BYTES)).await?;
-    let root = manifest::decode_root(&bytes).map_err(|e| protocol(e.to_string()))?;
-    if root.hash != welcome.dataset || root.pages.len() != welcome.pages as usize {
-        return Err(protocol("the manifest is not the one announced".into()));
-    }
-    let mut pages = vec![None; root.pages.len()];
-    let total = root.pages.iter().map(|p| u64::from(p.stored_bytes)).sum();
-    config.progress.pages(total);
-    for _ in 0..pages.len() {
+    let mut pages = Pages::new(step(config, read_frame(recv, connection, MAX_ROOT_BYTES)).await?, welcome)?;
+    config.progress.pages(pages.stored_bytes());
+    let listed = pages.listed();
+    while !pages.are_whole() {
         let page = async {
             let mut stream = connection.accept_uni().await.map_err(|_| Broken::Off { bytes: 0 })?;
             let header = receive::header(&mut stream).await?;
-            let entry = root.pages.get(header.number as usize).filter(|_| header.kind == StreamKind::Page);
-            if entry.is_none_or(|p| p.stored_bytes != header.bytes) {
+            if !is_listed(&listed, &header) {
                 return Err(Broken::Wrong("not a page of the manifest".into()));
             }
-            Ok((header.number as usize, receive::body(&mut stream, &header).await?))
+            Ok((header.number, receive::body(&mut stream, &header).await?))
         };
         let page = async {
             page.await.map_err(|e| match connection.close_reason() {
@@ -141,17 +156,16 @@ async fn fetch_manifest(
         };
         let (number, body) = step(config, page).await?;
         config.progress.page(body.len() as u64);
-        pages[number] = Some(body);
+        pages.take(number, body);
+        if config.early
+            && !pages.are_whole()
+            && let Some(index) = pages.early()?
+        {
+            return Ok((index, Some(pages)));
+        }
     }
-    let pages: Vec<Vec<u8>> = pages.into_iter().map(Option::unwrap_or_default).collect();
     config.progress.enter(Phase::Assembling);
-    let index = manifest::assemble(&root, &pages).map_err(|e| protocol(e.to_string()))?;
-    if let Some(disk) = &config.disk {
-        root.pages.iter().zip(&pages).for_each(|(entry, page)| disk.store(&entry.hash, page));
-        // Last: what has a root has its pages.
-        disk.store_root(&root.hash, &bytes);
-    }
-    Ok((root.hash, index))
+    Ok((pages.assemble(config.disk.as_deref())?, None))
 }
 
 /// The next frame of the control stream.

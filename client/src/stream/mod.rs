@@ -18,6 +18,7 @@ mod handshake;
 mod known_hosts;
 mod link;
 mod link_socket;
+mod pages;
 mod progress;
 mod receive;
 mod session;
@@ -77,10 +78,12 @@ pub struct ConnectConfig {
     pub prefetch_m: f64,
     /// Shown on the server's page.
     pub name: String,
-    /// The cache of an earlier connection: what it holds of the same dataset is not sent again.
-    pub resume: Option<Arc<Cache>>,
+    /// What an earlier connection left: what it holds of the same dataset is not sent again.
+    pub resume: Option<Kept>,
     /// Where chunks and manifests are kept between visits: what lies there is not sent again.
     pub disk: Option<Arc<DiskCache>>,
+    /// Begin with what of the index is enough for a first picture, where there is an LDI tree; the rest follows ([`Connection::is_whole`]).
+    pub early: bool,
     /// The index of an earlier connection, to be shared instead of holding an equal one again.
     pub index: Option<Arc<Index>>,
     /// Threads that verify and decode, unless there is a pool.
@@ -116,6 +119,7 @@ impl ConnectConfig {
             disk: None,
             // Half: the other half draws.
             decode_threads: (threads / 2).clamp(1, 4),
+            early: false,
             index: None,
             decode_pool: None,
             decoding: true,
@@ -127,10 +131,18 @@ impl ConnectConfig {
     }
 }
 
+/// What a connection leaves for the next one.
+#[derive(Debug, Clone)]
+pub struct Kept {
+    /// Name of the dataset.
+    pub dataset: ChunkHash,
+    /// What was received of it.
+    pub cache: Arc<Cache>,
+}
+
 /// A connection. Dropping it says goodbye, and waits for its threads if it has any.
 #[derive(Debug)]
 pub struct Connection {
-    index: Arc<Index>,
     dataset: ChunkHash,
     cache: Arc<Cache>,
     stats: Arc<Collector>,
@@ -141,7 +153,7 @@ pub struct Connection {
 }
 
 impl Connection {
-    /// Connects with threads of its own, and returns when the whole manifest is there.
+    /// Connects with threads of its own, and returns when the whole manifest is there, or as much of it as a first picture takes ([`ConnectConfig::early`]).
     ///
     /// # Errors
     /// See [`ConnectError`].
@@ -158,8 +170,7 @@ impl Connection {
             .map_err(|e| ConnectError::Local(e.to_string()))?;
         let ended = || Err(ConnectError::Local("the streaming thread ended".into()));
         let Ready { dataset, cache, loader } = connected.recv().unwrap_or_else(|_| ended())?;
-        let index = cache.index().clone();
-        Ok(Self { index, dataset, cache, stats, poses, commands, loader, thread: Some(thread) })
+        Ok(Self { dataset, cache, stats, poses, commands, loader, thread: Some(thread) })
     }
 
     /// Connects on the runtime that this is called in, as a task: many connections in one process. Dropping it does not wait.
@@ -175,8 +186,7 @@ impl Connection {
         tokio::spawn(session::stream(config, stats.clone(), poses_seen, commands_seen, say));
         let ended = |_| Err(ConnectError::Local("the streaming task ended".into()));
         let Ready { dataset, cache, loader } = connected.await.unwrap_or_else(ended)?;
-        let index = cache.index().clone();
-        Ok(Self { index, dataset, cache, stats, poses, commands, loader, thread: None })
+        Ok(Self { dataset, cache, stats, poses, commands, loader, thread: None })
     }
 
     /// Why nothing will arrive any more; None while the connection stands.
@@ -184,13 +194,21 @@ impl Connection {
         self.cache.disconnected()
     }
 
-    /// The dataset's index.
+    /// The dataset's index, as far as it is here.
     pub fn index(&self) -> &Arc<Index> {
-        &self.index
+        self.cache.index()
+    }
+    /// Whether all of it is.
+    pub fn is_whole(&self) -> bool {
+        self.cache.is_whole()
     }
     /// The dataset's name.
     pub fn dataset(&self) -> ChunkHash {
         self.dataset
+    }
+    /// For the next connection to the same server.
+    pub fn kept(&self) -> Kept {
+        Kept { dataset: self.dataset, cache: self.cache.clone() }
     }
     /// Decoded objects; implements [`crate::resident::Resident`].
     pub fn cache(&self) -> &Arc<Cache> {

@@ -4,7 +4,10 @@ use super::{
     ConnectConfig, ConnectError,
     behind::Behind,
     decoder::{DecodePool, Job, Target},
+    disk::DiskCache,
     handshake::{self, Opened},
+    pages::{Pages, is_listed},
+    progress::ConnectProgress,
     receive::{self, Broken},
     shelf::{Loader, Shelf},
     stats::{Collector, SAMPLE_EVERY},
@@ -14,7 +17,8 @@ use crate::cache::Cache;
 use glam::DVec3;
 use ldi_protocol::{
     Pose,
-    index::ChunkHash,
+    index::{ChunkHash, Index},
+    manifest::PageEntry,
     need::{PREFETCH_SHARE, Reach, near_to_far},
     wire::{self, Answer, ClientMessage, MAX_LIST, PoseDatagram, Request, ServerMessage, StreamKind, code},
 };
@@ -26,7 +30,7 @@ use std::{
 };
 use tokio::{
     sync::{mpsc, oneshot, watch},
-    task::JoinSet,
+    task::{JoinHandle, JoinSet},
     time::{interval, timeout},
 };
 
@@ -99,7 +103,7 @@ pub(super) async fn stream(
         opened.index = known.clone();
     }
     let cache = cache_for(&config, &opened);
-    let shelf = config.disk.as_ref().map(|d| Arc::new(Shelf::new(d.clone(), cache.index().clone())));
+    let shelf = config.disk.as_ref().map(|d| Arc::new(Shelf::new(d.clone(), cache.clone())));
     let (damaged, damage) = mpsc::unbounded_channel();
     let target = Arc::new(Target {
         cache: cache.clone(),
@@ -130,6 +134,10 @@ pub(super) async fn stream(
         target,
         loader,
         around: Vec::new(),
+        disk: config.disk.clone(),
+        progress: config.progress.clone(),
+        rest: opened.rest,
+        assembling: None,
     };
     let end = session.run(opened.recv, poses, commands, damage).await;
     let reason = end.map_or_else(|e| e.to_string(), |()| "the connection was closed".into());
@@ -140,11 +148,15 @@ pub(super) async fn stream(
 
 /// The cache of an earlier connection when it is of the same dataset, else a new one.
 fn cache_for(config: &ConnectConfig, opened: &Opened) -> Arc<Cache> {
-    match &config.resume {
-        Some(old) if old.index() == &opened.index => old.clone(),
-        _ if config.decoding => Arc::new(Cache::new(opened.index.clone(), config.cache_bytes)),
-        _ => Arc::new(Cache::without_decoding(opened.index.clone(), config.cache_bytes)),
+    if let Some(old) = &config.resume
+        && old.dataset == opened.dataset
+        && old.cache.is_whole()
+    {
+        return old.cache.clone();
     }
+    let make = if config.decoding { Cache::new } else { Cache::without_decoding };
+    let cache = make(opened.index.clone(), config.cache_bytes);
+    Arc::new(if opened.rest.is_some() { cache.early() } else { cache })
 }
 
 struct Session {
@@ -162,6 +174,12 @@ struct Session {
     loader: Option<Loader>,
     /// What lies around the eye, near to far, for the disk.
     around: Vec<u32>,
+    disk: Option<Arc<DiskCache>>,
+    progress: Arc<ConnectProgress>,
+    /// The manifest, while pages of it are to come.
+    rest: Option<Pages>,
+    /// The whole index is being put together.
+    assembling: Option<JoinHandle<Result<Index, ConnectError>>>,
 }
 
 impl Session {
@@ -172,14 +190,10 @@ impl Session {
         mut commands: mpsc::UnboundedReceiver<Command>,
         mut damage: mpsc::UnboundedReceiver<u32>,
     ) -> Result<(), ConnectError> {
-        let mut have = self.cache.held();
-        if let Some(loader) = &self.loader {
-            have.extend(loader.shelf.numbers());
-            have.sort_unstable();
-            have.dedup();
-        }
-        self.tell(have, |chunks| ClientMessage::Have { chunks }).await?;
+        self.tell_held().await?;
         let (messages, mut heard) = mpsc::channel(16);
+        let (paged, mut pages) = mpsc::channel(MAX_STREAMS as usize);
+        let listed: Arc<[PageEntry]> = self.rest.as_ref().map_or_else(Vec::new, Pages::listed).into();
         let mut tasks = JoinSet::new();
         tasks.spawn(listen(recv, self.connection.clone(), messages));
         let mut tick = interval(SAMPLE_EVERY);
@@ -190,7 +204,7 @@ impl Session {
                 // A stream that was read to its end no longer counts for QUIC: chunks that wait for a decoder must count here.
                 stream = self.connection.accept_uni(), if tasks.len() <= MAX_STREAMS as usize => {
                     let stream = stream.map_err(|e| handshake::lost(&e))?;
-                    tasks.spawn(take_in(stream, self.target.clone(), self.pool.clone()));
+                    tasks.spawn(take_in(stream, self.target.clone(), self.pool.clone(), listed.clone(), paged.clone()));
                 }
                 Ok(()) = poses.changed() => {
                     let pose = *poses.borrow_and_update();
@@ -216,6 +230,8 @@ impl Session {
                         return Ok(());
                     }
                 },
+                Some((number, bytes)) = pages.recv() => self.take_page(number, bytes),
+                index = assembled(&mut self.assembling) => self.become_whole(index?).await?,
                 Some(message) = heard.recv() => self.hear(message?),
                 Some(chunk) = damage.recv() => self.ask_again(chunk).await?,
                 _ = tick.tick() => {
@@ -225,6 +241,38 @@ impl Session {
                 Some(_) = tasks.join_next() => {}
             }
         }
+    }
+
+    /// Tells what is held from before.
+    async fn tell_held(&mut self) -> Result<(), ConnectError> {
+        let mut have = self.cache.held();
+        if let Some(loader) = &self.loader {
+            have.extend(loader.shelf.numbers());
+            have.sort_unstable();
+            have.dedup();
+        }
+        self.tell(have, |chunks| ClientMessage::Have { chunks }).await
+    }
+
+    /// A page after the walk has begun; with the last one the index is put together, which takes a moment and a thread.
+    fn take_page(&mut self, number: u32, bytes: Vec<u8>) {
+        let Some(rest) = &mut self.rest else { return };
+        self.progress.page(bytes.len() as u64);
+        rest.take(number, bytes);
+        if let Some(pages) = self.rest.take_if(|r| r.are_whole()) {
+            let disk = self.disk.clone();
+            self.assembling = Some(tokio::task::spawn_blocking(move || pages.assemble(disk.as_deref())));
+        }
+    }
+
+    async fn become_whole(&mut self, index: Index) -> Result<(), ConnectError> {
+        self.cache.complete(Arc::new(index));
+        if let Some(loader) = &self.loader {
+            loader.shelf.look();
+        }
+        // Before the server sends anything that is held.
+        self.tell_held().await?;
+        self.say(&ClientMessage::Whole).await
     }
 
     fn send_pose(&mut self, pose: Option<Pose>) {
@@ -319,17 +367,31 @@ async fn listen(mut recv: RecvStream, connection: Connection, out: mpsc::Sender<
     }
 }
 
-/// Takes one chunk in and hands it to the decoding threads.
-async fn take_in(mut stream: RecvStream, target: Arc<Target>, pool: Arc<DecodePool>) {
+/// The whole index, when it is put together.
+async fn assembled(assembling: &mut Option<JoinHandle<Result<Index, ConnectError>>>) -> Result<Index, ConnectError> {
+    let Some(task) = assembling else { return std::future::pending().await };
+    let done = task.await;
+    *assembling = None;
+    done.unwrap_or_else(|e| Err(ConnectError::Local(e.to_string())))
+}
+
+/// Takes in one page, for the session, or one chunk, for the decoding threads.
+async fn take_in(
+    mut stream: RecvStream,
+    target: Arc<Target>,
+    pool: Arc<DecodePool>,
+    listed: Arc<[PageEntry]>,
+    paged: mpsc::Sender<(u32, Vec<u8>)>,
+) {
     let Target { cache, stats, .. } = &*target;
     let taken = async {
         let header = receive::header(&mut stream).await?;
         let entry = cache.index().chunks.get(header.number as usize).filter(|_| header.kind == StreamKind::Chunk);
-        if entry.is_none_or(|e| e.stored_bytes != header.bytes) {
+        if entry.is_none_or(|e| e.stored_bytes != header.bytes) && !is_listed(&listed, &header) {
             receive::refuse(&mut stream, code::BAD_STREAM);
-            return Err(Broken::Wrong(format!("chunk {} is not as the index lists it", header.number)));
+            return Err(Broken::Wrong(format!("{:?} {} is not as the index lists it", header.kind, header.number)));
         }
-        if cache.holds(header.number) {
+        if header.kind == StreamKind::Chunk && cache.holds(header.number) {
             receive::refuse(&mut stream, code::DUPLICATE);
             stats.duplicate(0);
             return Ok(None);
@@ -338,6 +400,10 @@ async fn take_in(mut stream: RecvStream, target: Arc<Target>, pool: Arc<DecodePo
         Ok(Some((header, bytes)))
     };
     match taken.await {
+        Ok(Some((header, bytes))) if header.kind == StreamKind::Page => {
+            // The session is gone when nobody takes it.
+            let _ = paged.send((header.number, bytes)).await;
+        }
         Ok(Some((header, bytes))) => {
             let job = Job { chunk: header.number, urgency: header.urgency, bytes: Some(bytes), target: target.clone() };
             pool.send(job).await;

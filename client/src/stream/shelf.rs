@@ -8,7 +8,8 @@ use super::{
     decoder::{DecodePool, Job, Target},
     disk::DiskCache,
 };
-use ldi_protocol::{index::Index, wire::Urgency};
+use crate::cache::Cache;
+use ldi_protocol::wire::Urgency;
 use std::sync::{
     Arc,
     atomic::{AtomicU8, AtomicUsize, Ordering::Relaxed},
@@ -25,7 +26,8 @@ const BEING_READ: u8 = 2;
 #[derive(Debug)]
 pub(super) struct Shelf {
     disk: Arc<DiskCache>,
-    index: Arc<Index>,
+    /// Knows the index.
+    cache: Arc<Cache>,
     /// One per chunk.
     states: Vec<AtomicU8>,
     reading_ahead: AtomicUsize,
@@ -33,11 +35,20 @@ pub(super) struct Shelf {
 
 impl Shelf {
     /// Looks what is there.
-    pub fn new(disk: Arc<DiskCache>, index: Arc<Index>) -> Self {
-        let state =
-            |c: &ldi_protocol::index::ChunkEntry| if disk.has(&c.hash, c.stored_bytes) { HERE } else { ELSEWHERE };
-        let states = index.chunks.iter().map(|c| AtomicU8::new(state(c))).collect();
-        Self { disk, index, states, reading_ahead: AtomicUsize::new(0) }
+    pub fn new(disk: Arc<DiskCache>, cache: Arc<Cache>) -> Self {
+        let states = cache.index().chunks.iter().map(|_| AtomicU8::new(ELSEWHERE)).collect();
+        let shelf = Self { disk, cache, states, reading_ahead: AtomicUsize::new(0) };
+        shelf.look();
+        shelf
+    }
+
+    /// Looks for what was not there, or not known.
+    pub fn look(&self) {
+        for (entry, state) in self.cache.index().chunks.iter().zip(&self.states) {
+            if state.load(Relaxed) == ELSEWHERE && self.disk.has(&entry.hash, entry.stored_bytes) {
+                state.store(HERE, Relaxed);
+            }
+        }
     }
 
     /// Numbers of the chunks that lie here, ascending.
@@ -58,7 +69,7 @@ impl Shelf {
 
     /// Reads a chunk that was taken. None: it is damaged or gone, and no longer here.
     pub fn read(&self, chunk: u32) -> Option<Vec<u8>> {
-        let entry = self.index.chunks.get(chunk as usize)?;
+        let entry = self.cache.index().chunks.get(chunk as usize)?;
         self.disk.load(&entry.hash, entry.stored_bytes)
     }
 
@@ -74,7 +85,7 @@ impl Shelf {
 
     /// Keeps a chunk that came over the network.
     pub fn keep(&self, chunk: u32, bytes: &[u8]) {
-        let Some(entry) = self.index.chunks.get(chunk as usize) else { return };
+        let Some(entry) = self.cache.index().chunks.get(chunk as usize) else { return };
         self.disk.store(&entry.hash, bytes);
         if self.disk.has(&entry.hash, entry.stored_bytes) {
             let _ = self.states[chunk as usize].compare_exchange(ELSEWHERE, HERE, Relaxed, Relaxed);

@@ -204,6 +204,85 @@ fn an_index_comes_back_exactly() {
     }
 }
 
+/// The pages of a manifest as they arrive, in the order in which they are sent, and how many are enough.
+fn arriving(root: &Root, encoded: &Encoded, tree: Option<&Tree>) -> (Vec<u32>, usize, Vec<Option<Vec<u8>>>) {
+    let (order, enough) = root.sending_order(tree);
+    let mut sorted = order.clone();
+    sorted.sort_unstable();
+    assert!(sorted.into_iter().eq(0..encoded.pages.len() as u32), "every page once: {order:?}");
+    (order, enough, vec![None; encoded.pages.len()])
+}
+
+#[test]
+fn a_few_pages_are_enough_for_a_first_picture() {
+    let original = index(2500);
+    let encoded = encode(&original).unwrap();
+    let root = decode_root(&encoded.root).unwrap();
+    let (order, enough, mut pages) = arriving(&root, &encoded, original.tree.as_ref());
+    // One page of chunks of eight, the volume, the tree's two.
+    assert_eq!((enough, encoded.pages.len()), (4, 23));
+    for (n, page) in order[..enough].iter().enumerate() {
+        assert_eq!(early(&root, &pages).unwrap(), None, "{n} pages");
+        pages[*page as usize] = Some(encoded.pages[*page as usize].clone());
+    }
+    let part = early(&root, &pages).unwrap().expect("enough");
+    assert_eq!((&part.tree, &part.volume), (&original.tree, &original.volume));
+    assert_eq!((&part.settings, &part.scene), (&original.settings, &original.scene));
+    assert_eq!(part.chunks.len(), original.chunks.len());
+    let (mut known, mut pinned) = (0, part.tree.as_ref().unwrap().pinned_chunks());
+    assert!(pinned.all(|c| part.chunks[c as usize] == original.chunks[c as usize]));
+    for (ours, theirs) in part.chunks.iter().zip(&original.chunks) {
+        assert!(ours == theirs || ours.kind == ChunkKind::Page && ours.stored_bytes == 0);
+        known += usize::from(ours == theirs);
+    }
+    assert!(known > 0 && known <= 1024, "{known} chunks of {}", part.chunks.len());
+    assert!(part.cells.is_empty() && part.points.is_empty() && part.images.is_empty() && part.rooms.is_none());
+    // A damaged page is no part of anything.
+    let first = order[0] as usize;
+    pages[first].as_mut().unwrap()[9] ^= 1;
+    assert!(early(&root, &pages).is_err());
+}
+
+#[test]
+fn without_a_tree_nothing_is_early() {
+    let original = Index { tree: None, ..index(5) };
+    let encoded = encode(&original).unwrap();
+    let root = decode_root(&encoded.root).unwrap();
+    let (_, enough, pages) = arriving(&root, &encoded, None);
+    assert_eq!(enough, pages.len());
+    let all: Vec<_> = encoded.pages.iter().cloned().map(Some).collect();
+    assert_eq!(early(&root, &all).unwrap(), None);
+}
+
+#[test]
+fn what_is_early_keeps_the_rules_too() {
+    for damage in
+        [|i: &mut Index| i.chunks[8].kind = ChunkKind::Ldi, |i: &mut Index| i.chunks[8].decoded_bytes = u32::MAX]
+    {
+        let mut original = index(2);
+        assert_eq!(original.tree.as_ref().unwrap().root_chunk, 8);
+        damage(&mut original);
+        let pages = |kind, n| pages::encode(&original, kind, 0..n, LEVEL).unwrap();
+        let stored: Vec<_> =
+            [(PageKind::Chunks, 10), (PageKind::Volume, 1), (PageKind::Tree, 1), (PageKind::TreeNodes, 3)]
+                .map(|(kind, n)| (kind, n, pages(kind, n)))
+                .into();
+        let mut root = decode_root(&encode(&index(2)).unwrap().root).unwrap();
+        root.pages = stored
+            .iter()
+            .map(|(kind, n, bytes)| PageEntry {
+                kind: *kind,
+                first: 0,
+                count: *n as u32,
+                hash: ChunkHash(blake3::hash(bytes).into()),
+                stored_bytes: bytes.len() as u32,
+            })
+            .collect();
+        let held: Vec<_> = stored.into_iter().map(|(_, _, bytes)| Some(bytes)).collect();
+        assert!(early(&root, &held).is_err());
+    }
+}
+
 #[test]
 fn unknown_stretch_and_no_volume_come_back() {
     let mut original = index(2);

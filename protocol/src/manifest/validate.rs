@@ -4,10 +4,11 @@
 use crate::{
     Aabb, ViewBasis,
     codec::{CodecError, texture},
-    index::{BuildSettings, ChunkKind, GridPoint, ImageEntry, Index, Placement, TextureEntry},
+    index::{BuildSettings, ChunkEntry, ChunkKind, GridPoint, ImageEntry, Index, Placement, TextureEntry},
     ldi::Ldi,
     mesh::{Alpha, Material},
     texture::level_count,
+    tree::Tree,
 };
 
 /// Longest chunk, stored or decoded: what a reader may be asked to hold at once.
@@ -21,24 +22,9 @@ const MAX_LEVEL: u8 = 64;
 /// # Errors
 /// The first broken rule, with the entry's number.
 pub fn validate(index: &Index) -> Result<(), CodecError> {
-    check_settings(&index.settings)?;
-    let scene = &index.scene.bounds;
-    let finite = scene.min.is_finite() && scene.max.is_finite();
-    if !scene.is_empty() && !finite {
-        return Err(CodecError::mismatch("scene bounds", "they are not finite"));
-    }
-    each("chunk", &index.chunks, |c| {
-        if c.kind == ChunkKind::Page {
-            return Err("pages are not in the chunk table".into());
-        }
-        let most = c.stored_bytes.max(c.decoded_bytes);
-        if most > MAX_CHUNK_BYTES { Err(format!("{most} bytes; chunks have at most 2^30")) } else { Ok(()) }
-    })?;
-    let is = |chunk: u32, kind: ChunkKind| match index.chunks.get(chunk as usize) {
-        Some(c) if c.kind == kind => Ok(()),
-        Some(c) => Err(format!("chunk {chunk} is of kind {:?}, not {kind:?}", c.kind)),
-        None => Err(format!("there is no chunk {chunk}")),
-    };
+    check_scene(index)?;
+    each("chunk", &index.chunks, check_chunk)?;
+    let is = |chunk: u32, kind: ChunkKind| index.has_chunk(chunk, kind);
     each("material", &index.materials, |m| check_material(m, index.textures.len()))?;
     each("texture", &index.textures, |t| {
         check_texture_levels(t)?;
@@ -65,11 +51,53 @@ pub fn validate(index: &Index) -> Result<(), CodecError> {
     index.rooms.iter().try_for_each(|r| {
         r.check(index.cells.len(), &index.placements).map_err(|why| CodecError::mismatch("rooms", why))
     })?;
+    index.tree.iter().try_for_each(|t| check_tree(index, t, t.broods().map(|(chunk, _)| chunk)))
+}
+
+/// The index of a first picture ([`super::early()`]): what it has keeps the rules of [`validate`].
+pub(super) fn validate_early(index: &Index) -> Result<(), CodecError> {
+    check_scene(index)?;
     index.tree.iter().try_for_each(|t| {
-        t.check()
-            .and_then(|()| t.broods().try_for_each(|(c, _)| is(c, ChunkKind::Tree)))
-            .map_err(|why| CodecError::mismatch("tree", why))
+        check_tree(index, t, t.pinned_chunks())?;
+        let known = |c: &u32| index.chunks.get(*c as usize);
+        each("chunk", &t.pinned_chunks().collect::<Vec<_>>(), |c| known(c).map_or(Ok(()), check_chunk))
     })
+}
+
+fn check_scene(index: &Index) -> Result<(), CodecError> {
+    check_settings(&index.settings)?;
+    let scene = &index.scene.bounds;
+    let finite = scene.min.is_finite() && scene.max.is_finite();
+    if !scene.is_empty() && !finite {
+        return Err(CodecError::mismatch("scene bounds", "they are not finite"));
+    }
+    Ok(())
+}
+
+fn check_chunk(c: &ChunkEntry) -> Result<(), String> {
+    if c.kind == ChunkKind::Page {
+        return Err("pages are not in the chunk table".into());
+    }
+    let most = c.stored_bytes.max(c.decoded_bytes);
+    if most > MAX_CHUNK_BYTES { Err(format!("{most} bytes; chunks have at most 2^30")) } else { Ok(()) }
+}
+
+/// The tree keeps its rules, and these chunks of it are there.
+fn check_tree(index: &Index, tree: &Tree, mut chunks: impl Iterator<Item = u32>) -> Result<(), CodecError> {
+    tree.check()
+        .and_then(|()| chunks.try_for_each(|c| index.has_chunk(c, ChunkKind::Tree)))
+        .map_err(|why| CodecError::mismatch("tree", why))
+}
+
+impl Index {
+    /// There is such a chunk, and it is of this kind.
+    fn has_chunk(&self, chunk: u32, kind: ChunkKind) -> Result<(), String> {
+        match self.chunks.get(chunk as usize) {
+            Some(c) if c.kind == kind => Ok(()),
+            Some(c) => Err(format!("chunk {chunk} is of kind {:?}, not {kind:?}", c.kind)),
+            None => Err(format!("there is no chunk {chunk}")),
+        }
+    }
 }
 
 /// Runs a check over entries and names the entry in the error.

@@ -15,6 +15,7 @@ fn hello() -> Hello {
         name: "test".into(),
         manifests: vec![ChunkHash([3; 32]); MAX_MANIFESTS],
         portals: ShowPortals { images: PortalImages::TwoReferences, everywhere: true },
+        early: true,
     }
 }
 
@@ -38,6 +39,7 @@ fn messages_survive_the_trip() {
     trip(ClientMessage::Want { chunks: vec![0, 7, u32::MAX] });
     trip(ClientMessage::Drop { chunks: vec![] });
     trip(ClientMessage::Decoding { waiting_bytes: u32::MAX, bytes_per_s: 0 });
+    trip(ClientMessage::Whole);
     trip(ClientMessage::Bye);
     let many = Hello { manifests: vec![ChunkHash([3; 32]); MAX_MANIFESTS + 1], ..hello() };
     assert!(matches!(encode(&ClientMessage::Hello(many)), Err(WireError::OutOfRange { field: "manifests", .. })));

@@ -208,6 +208,12 @@ impl Planner {
         true
     }
 
+    /// The same poses need something else from now on.
+    pub fn views_changed(&mut self) {
+        self.stale_plan = true;
+        self.foreseen_at = None;
+    }
+
     /// What the link carries and the client decodes now.
     pub fn capacity(&mut self, capacity: Capacity) {
         if self.capacity.differs(&capacity) {

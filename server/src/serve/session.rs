@@ -30,7 +30,7 @@ use std::{
 use tokio::{
     sync::{mpsc, watch},
     task::JoinSet,
-    time::timeout,
+    time::{error::Elapsed, timeout},
 };
 
 /// Time for TLS and the first message. Longer: strangers hold places for nothing.
@@ -141,6 +141,9 @@ struct Session {
     capacity: Capacity,
     /// Datasets whose manifest the client has.
     manifests: Vec<ChunkHash>,
+    /// The walk begins before the whole manifest is there.
+    early: bool,
+    views: Arc<SelectViews>,
     poses: TokenBucket,
 }
 
@@ -154,8 +157,11 @@ impl Session {
             ..PlannerConfig::default()
         };
         let views = SelectViews::showing(index.clone(), &hello.picture.camera(&index.settings), hello.portals);
+        let views = Arc::new(views);
         Self {
-            planner: Planner::new(index, Arc::new(views), config),
+            planner: Planner::new(index, views.clone(), config),
+            views,
+            early: hello.early,
             shared,
             connection,
             walker,
@@ -172,7 +178,8 @@ impl Session {
 
     async fn run(mut self, send: &mut SendStream, recv: RecvStream) -> Result<(), SessionError> {
         // A client that reads nothing of it would keep its place for ever.
-        timeout(WELCOME, self.welcome(send)).await.map_err(|_| SessionError::Silent)??;
+        let mut pages = JoinSet::new();
+        timeout(WELCOME, self.welcome(send, &mut pages)).await.map_err(|_| SessionError::Silent)??;
         let (heard, mut messages) = mpsc::channel(CONTROL_QUEUE);
         let (answered, mut answers) = mpsc::channel(CONTROL_QUEUE);
         let mut helpers = JoinSet::new();
@@ -196,6 +203,7 @@ impl Session {
                 Some(number) = answers.recv() => self.planner.sent_elsewhere(number),
                 datagram = self.connection.read_datagram() => self.see(&datagram?),
                 Some(done) = self.pushes.join_next() => self.land(done),
+                Some(Ok(sent)) = pages.join_next() => sent.map_err(|_| SessionError::Silent)??,
                 () = sleep_until(wake) => {}
                 () = stopped(&mut stop) => {
                     self.connection.close(VarInt::from_u32(code::SHUTDOWN), b"the server stops");
@@ -205,15 +213,21 @@ impl Session {
         }
     }
 
-    async fn welcome(&mut self, send: &mut SendStream) -> Result<(), SessionError> {
+    /// Sends the manifest; to a client that begins early its first pages, and `pages` goes on with the rest.
+    async fn welcome(
+        &mut self,
+        send: &mut SendStream,
+        pages: &mut JoinSet<Result<Result<(), SessionError>, Elapsed>>,
+    ) -> Result<(), SessionError> {
         let served = &self.shared.served;
         let known = self.manifests.contains(&served.hash());
-        let (root, pages) = if known { (&[][..], 0) } else { (served.root(), served.pages()) };
+        let root = if known { &[][..] } else { served.root() };
+        let (first, rest) = if known { (&[][..], &[][..]) } else { served.pages() };
         let welcome = ServerMessage::Welcome(Welcome {
             version: wire::VERSION,
             dataset: served.hash(),
             root_bytes: root.len() as u32,
-            pages,
+            pages: (first.len() + rest.len()) as u32,
             walker: self.walker.id,
         });
         let mut opening = wire::encode(&welcome)?;
@@ -223,17 +237,36 @@ impl Session {
         let ended = |e: quinn::WriteError| SessionError::Control(e.to_string());
         send.set_priority(1).map_err(|e| SessionError::Control(e.to_string()))?;
         send.write_all(&opening).await.map_err(ended)?;
-        // Pages one after another: the client can do nothing before it has them all.
-        for number in 0..pages {
-            let Some(bytes) = served.page(number) else {
-                return Err(SessionError::Control(format!("page {number} of the manifest cannot be read")));
-            };
-            let header =
-                StreamHeader { kind: StreamKind::Page, urgency: Urgency::Now, number, bytes: bytes.len() as u32 };
-            let (_keep, verdict) = watch::channel(Verdict::Send(Urgency::Now));
-            push(self.connection.clone(), header, bytes, verdict, &self.walker.counters).await;
+        let first = self.push_pages(first.to_vec());
+        let rest = self.push_pages(rest.to_vec());
+        first.await?;
+        if self.early && !known {
+            // Beside the coarse levels of the tree, which need no more of the manifest than is there; before everything the root, for the first picture.
+            self.views.know_whole(false);
+            let root: Vec<u32> = self.shared.served.index().tree.iter().map(|t| t.root_chunk).collect();
+            self.planner.want(&root);
+            pages.spawn(timeout(WELCOME, rest));
+            return Ok(());
         }
-        Ok(())
+        rest.await
+    }
+
+    /// Pages one after another, as the client can do nothing with a part of them.
+    fn push_pages(&self, numbers: Vec<u32>) -> impl Future<Output = Result<(), SessionError>> + Send + use<> {
+        let (shared, connection, counters) =
+            (self.shared.clone(), self.connection.clone(), self.walker.counters.clone());
+        async move {
+            for number in numbers {
+                let Some(bytes) = shared.served.page(number) else {
+                    return Err(SessionError::Control(format!("page {number} of the manifest cannot be read")));
+                };
+                let header =
+                    StreamHeader { kind: StreamKind::Page, urgency: Urgency::Now, number, bytes: bytes.len() as u32 };
+                let (_keep, verdict) = watch::channel(Verdict::Send(Urgency::Now));
+                push(connection.clone(), header, bytes, verdict, &counters).await;
+            }
+            Ok(())
+        }
     }
 
     async fn hear(&mut self, message: ClientMessage, send: &mut SendStream) -> Result<(), SessionError> {
@@ -253,6 +286,10 @@ impl Session {
             }
             ClientMessage::Hello(_) => {
                 return Err(SessionError::Refused { code: RefusalCode::Protocol, message: "Hello twice".into() });
+            }
+            ClientMessage::Whole => {
+                self.views.know_whole(true);
+                self.planner.views_changed();
             }
             ClientMessage::Bye => {}
         }

@@ -1,7 +1,10 @@
 //! Where the server's bytes come from: the dataset on disk, or one in memory in tests.
 
 use bytes::Bytes;
-use ldi_protocol::index::{ChunkHash, Index};
+use ldi_protocol::{
+    index::{ChunkHash, Index},
+    manifest,
+};
 use std::{collections::HashMap, sync::Arc};
 
 /// A dataset that can be served. All bytes are handed out as stored.
@@ -41,6 +44,8 @@ pub struct Served {
     source: Arc<dyn ChunkSource>,
     hash: ChunkHash,
     numbers: HashMap<ChunkHash, u32>,
+    /// Pages in the order of sending, and how many of them are enough for a first picture.
+    pages: (Vec<u32>, usize),
 }
 
 /// A slice of the source that keeps the source alive: sent without a copy.
@@ -62,7 +67,10 @@ impl Served {
     pub fn new(source: Arc<dyn ChunkSource>) -> Self {
         let numbers = source.index().chunks.iter().enumerate().map(|(i, c)| (c.hash, i as u32)).collect();
         let hash = ChunkHash(*blake3::hash(source.root()).as_bytes());
-        Self { source, hash, numbers }
+        let all = || ((0..source.pages()).collect(), source.pages() as usize);
+        let tree = source.index().tree.as_ref();
+        let pages = manifest::decode_root(source.root()).map_or_else(|_| all(), |root| root.sending_order(tree));
+        Self { source, hash, numbers, pages }
     }
     /// BLAKE3 of the manifest's root.
     pub fn hash(&self) -> ChunkHash {
@@ -76,9 +84,9 @@ impl Served {
     pub fn root(&self) -> &[u8] {
         self.source.root()
     }
-    /// Number of pages.
-    pub fn pages(&self) -> u32 {
-        self.source.pages()
+    /// Numbers of the pages in the order of sending: those that are enough for a first picture, and the rest.
+    pub fn pages(&self) -> (&[u32], &[u32]) {
+        self.pages.0.split_at(self.pages.1)
     }
     /// The number of a chunk by its name.
     pub fn number_of(&self, name: &ChunkHash) -> Option<u32> {

@@ -8,13 +8,18 @@ use ldi_protocol::{
     room_index::ShowPortals,
     select::draw_list_showing,
 };
-use std::sync::Arc;
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering::Relaxed},
+};
 
 /// What is drawn for a pose and what that needs, for one picture.
 pub struct SelectViews {
     index: Arc<Index>,
     picture_half_tan: (f64, f64),
     show: ShowPortals,
+    /// The client knows the whole index.
+    whole: AtomicBool,
 }
 
 impl SelectViews {
@@ -25,12 +30,25 @@ impl SelectViews {
 
     /// The same with portals shown otherwise.
     pub fn showing(index: Arc<Index>, picture: &OutputCamera, show: ShowPortals) -> Self {
-        Self { index, picture_half_tan: (picture.half_tan_x(), picture.half_tan_y()), show }
+        Self {
+            index,
+            picture_half_tan: (picture.half_tan_x(), picture.half_tan_y()),
+            show,
+            whole: AtomicBool::new(true),
+        }
+    }
+
+    /// Whether the client knows the whole index; before, its views are those of the LDI tree's pinned levels.
+    pub fn know_whole(&self, whole: bool) {
+        self.whole.store(whole, Relaxed);
     }
 }
 
 impl Views for SelectViews {
     fn needed(&self, pose: &Pose) -> Needed {
+        if !self.whole.load(Relaxed) {
+            return needed(&self.index, &[], &[], &[]);
+        }
         let list = draw_list_showing(&self.index, pose, self.picture_half_tan, self.show);
         needed(&self.index, &list.images, &list.cells, &list.tree)
     }

@@ -39,6 +39,7 @@ fn hello(version: u16) -> Vec<u8> {
         name: "stranger".into(),
         manifests: vec![],
         portals: Default::default(),
+        early: false,
     }))
     .unwrap()
 }
