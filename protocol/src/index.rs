@@ -235,6 +235,11 @@ impl Index {
         self.tree.is_some() && !other && self.scene.triangles > self.settings.budget
     }
 
+    /// Whether it is all of a dataset's index, and not that of a first picture ([`crate::manifest::early`]).
+    pub fn is_whole(&self) -> bool {
+        !self.cells.is_empty() || self.chunks.iter().all(|c| c.kind != ChunkKind::Page)
+    }
+
     /// The images of a placement, with their numbers; none where the index has no such placement.
     pub fn images_of(&self, placement: u32) -> impl Iterator<Item = (u32, &ImageEntry)> {
         let range = self.placements.get(placement as usize).map_or(0..0, |p| p.images.clone());

@@ -84,7 +84,7 @@ async fn walk(config: &ConnectConfig, link: LinkSpec) -> Result<Ended, String> {
         };
         let cache = connection.cache().clone();
         kept = Some(connection.kept());
-        while !connection.is_whole() && connection.lost().is_none() {
+        while !connection.index().is_whole() && connection.lost().is_none() {
             if begin.elapsed() > LIMIT {
                 return Err(format!("hangs before the index is whole: {ended:?}, {trouble:?}"));
             }
@@ -95,7 +95,7 @@ async fn walk(config: &ConnectConfig, link: LinkSpec) -> Result<Ended, String> {
         'stops: for (z, yaw_deg) in [(0.0, 0.0), (-1.5, 90.0), (-2.5, 180.0)] {
             let here = Pose { position: glam::DVec3::new(0.0, 0.0, z * STEP_M), yaw_deg, pitch_deg: 0.0 };
             let needed = views.needed(&here);
-            whole &= connection.is_whole();
+            whole &= connection.index().is_whole();
             loop {
                 connection.look(&here, &needed);
                 if whole && cache.missing(needed.all()).is_empty() {

@@ -136,18 +136,18 @@ fn long_street() -> Street {
 fn a_walk_begins_before_the_whole_manifest_is_there() {
     let host = Host::start("early", Memory::new(long_street()));
     let whole = host.connect();
-    assert!(whole.is_whole());
+    assert!(whole.index().is_whole());
     let link = Some("rate=2mbit,delay=5ms,seed=1".parse().unwrap());
     let early = Connection::connect(ConnectConfig { early: true, link, ..host.config() }).unwrap();
-    assert!(!early.is_whole() && early.index().cells.is_empty());
+    assert!(!early.index().is_whole() && early.index().cells.is_empty());
     // The base layer, by number, while pages come.
     let here = pose(5.0, 0.0);
     let base = early.index().tree.as_ref().unwrap().root_chunk;
     assert_eq!(stand(&early, &here).unwrap(), [base]);
-    assert!(!early.is_whole(), "{} bytes for a first picture", early.received_bytes());
+    assert!(!early.index().is_whole(), "{} bytes for a first picture", early.received_bytes());
     assert!(early.cache().brood(base).is_some());
     // Then everything, under the same numbers, and what is held stays.
-    until("the whole index", || early.is_whole());
+    until("the whole index", || early.index().is_whole());
     assert_eq!(early.index(), whole.index());
     assert!(early.cache().holds(base));
     let all = stand(&early, &here).unwrap();
@@ -162,7 +162,7 @@ fn a_connection_lost_early_leaves_nothing_and_a_whole_one_its_manifest() {
     let host = Host::start("early-resume", Memory::new(long_street()));
     let link = Some("rate=2mbit,delay=5ms,seed=1".parse().unwrap());
     let early = Connection::connect(ConnectConfig { early: true, link, ..host.config() }).unwrap();
-    assert!(!early.is_whole());
+    assert!(!early.index().is_whole());
     let kept = early.kept();
     drop(early);
     let again = Connection::connect(ConnectConfig { resume: Some(kept), ..host.config() }).unwrap();
@@ -171,7 +171,7 @@ fn a_connection_lost_early_leaves_nothing_and_a_whole_one_its_manifest() {
     drop(again);
     // Whoever has the manifest in memory is not sent it again.
     let third = Connection::connect(ConnectConfig { resume: Some(kept), early: true, ..host.config() }).unwrap();
-    assert!(third.is_whole());
+    assert!(third.index().is_whole());
     stand(&third, &pose(5.0, 0.0)).unwrap();
     let bytes = third.received_bytes();
     assert!(bytes < 20_000 && bytes * 10 < first, "{bytes} bytes, {first} before");

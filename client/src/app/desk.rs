@@ -29,8 +29,6 @@ pub struct Figures {
     pub missing_bytes: u64,
     /// Stored bytes of all chunks that the view needs.
     pub needed_bytes: u64,
-    /// Whether all of the index was known.
-    pub whole: bool,
     /// Cells left out because the budget was used up.
     pub dropped_cells: u32,
     /// Samples per pixel along each side.
@@ -39,13 +37,6 @@ pub struct Figures {
     pub shows: Shows,
     /// Name of the card that drew it; None for the processor.
     pub card: Option<String>,
-}
-
-impl Figures {
-    /// Whether the picture lacks nothing.
-    pub fn is_complete(&self) -> bool {
-        self.whole && self.painted.missing_chunks.is_empty()
-    }
 }
 
 /// A finished picture.

@@ -177,7 +177,7 @@ impl Draughtsman {
             self.painter.forget_scene();
             (self.last, self.large_ms, self.solids) = (None, None, None);
             self.scene = Some(scene.clone());
-        } else if self.scene.as_ref().is_some_and(|s| s.whole != scene.whole) {
+        } else if self.scene.as_ref().is_some_and(|s| !Arc::ptr_eq(&s.index, &scene.index)) {
             // The rest of the index is here: the same view needs more.
             self.last = None;
             self.scene = Some(scene.clone());
@@ -215,7 +215,7 @@ impl Draughtsman {
         let rest = now - self.still_since;
         let window = desk.window_px.map(|n| n.clamp(1, MAX_SIDE_PX / 2));
         // Where something is still coming, pictures follow each other and need not be fine.
-        let complete = scene.whole && self.last.as_ref().is_some_and(|l| l.missing.is_empty());
+        let complete = scene.index.is_whole() && self.last.as_ref().is_some_and(|l| l.missing.is_empty());
         self.scale.aim(desk.frame_ms);
         let fine = desk.fine && complete && self.large_ms.is_some_and(|ms| 4.0 * ms < FINE_MS);
         let (size, supersample) = match rest {
@@ -296,7 +296,6 @@ impl Draughtsman {
             selection: view.selection,
             missing_bytes: painted.missing_chunks.iter().map(stored).sum(),
             needed_bytes: needed.all().map(|c| stored(&c)).sum(),
-            whole: scene.whole,
             dropped_cells: view.dropped,
             supersample: options.supersample,
             shows: options.shows,

@@ -51,19 +51,15 @@ pub enum LinkState {
 /// A dataset with what was received of it.
 #[derive(Debug, Clone)]
 pub struct Scene {
-    /// Its index.
+    /// Its index, as far as it is here.
     pub index: Arc<Index>,
     /// Decoded objects.
     pub cache: Arc<Cache>,
-    /// Whether the index is whole, or that of a first picture.
-    pub whole: bool,
 }
 
 impl Scene {
     fn of(connection: &Connection) -> Self {
-        // First: the rest of the index may arrive meanwhile.
-        let whole = connection.is_whole();
-        Self { index: connection.index().clone(), cache: connection.cache().clone(), whole }
+        Self { index: connection.index().clone(), cache: connection.cache().clone() }
     }
 
     /// Whether both are the same cache of the same dataset.
@@ -234,11 +230,11 @@ impl Keeper {
         let mut heard = (0, Instant::now());
         let mut samples = std::collections::VecDeque::new();
         let reason = loop {
-            let whole = lock(&self.inner).scene.as_ref().is_none_or(|s| s.whole);
+            let whole = lock(&self.inner).scene.as_ref().is_none_or(|s| s.index.is_whole());
             if self.stops_within(if whole { LOOK_EVERY } else { LOOK_OFTEN }) {
                 break None;
             }
-            if !whole && cache.is_whole() {
+            if !whole && cache.index().is_whole() {
                 let mut inner = lock(&self.inner);
                 inner.scene = inner.connection.as_ref().map(Scene::of);
             }

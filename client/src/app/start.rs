@@ -85,7 +85,7 @@ fn step(link: &Link, picture: Option<&Picture>) -> (String, Option<f32>) {
         (text, share(done, all))
     };
     match link.state() {
-        LinkState::Up if picture.is_some_and(|p| !p.figures.whole) => index(),
+        LinkState::Up if picture.is_some_and(|p| !p.figures.painted.whole) => index(),
         LinkState::Up => picture.map_or(("drawing the first view".into(), None), first_view),
         LinkState::Waiting { .. } => ("no connection".into(), None),
         LinkState::Refused(_) => ("the server does not let this client in".into(), None),

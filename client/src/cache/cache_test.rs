@@ -55,15 +55,15 @@ fn a_cache_of_a_first_picture_goes_on_with_the_whole_index() {
             (chunk.kind, chunk.stored_bytes, chunk.decoded_bytes) = (ChunkKind::Page, 0, 0);
         }
     }
-    let cache = Cache::new(Arc::new(few), 1 << 30).early();
-    assert!(!cache.is_whole());
+    let cache = Cache::new(Arc::new(few), 1 << 30);
+    assert!(!cache.index().is_whole());
     assert!(matches!(cache.insert(FIRST_CELL, &street.chunks[FIRST_CELL as usize]), Err(DecodeError::Unreferenced)));
     assert_eq!(put(&cache, &street, root), Inserted::Held);
     cache.pin([root]);
     let held = cache.brood(root).unwrap();
     cache.complete(whole.clone());
     cache.check().unwrap();
-    assert!(cache.is_whole() && Arc::ptr_eq(cache.index(), &whole));
+    assert!(cache.index().is_whole() && Arc::ptr_eq(cache.index(), &whole));
     assert!(Arc::ptr_eq(&held, &cache.brood(root).unwrap()) && cache.is_pinned(root));
     for chunk in (0..root).rev() {
         assert_eq!(put(&cache, &street, chunk), Inserted::Held);

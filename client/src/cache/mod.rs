@@ -95,7 +95,6 @@ pub struct Cache {
     first: Scope,
     /// What follows if that is of a first picture only.
     whole: OnceLock<Scope>,
-    is_early: bool,
     decoding: bool,
     inner: Mutex<Inner>,
     changed: Condvar,
@@ -129,14 +128,7 @@ impl Cache {
             refusals_told: None,
             disconnected: None,
         };
-        Self {
-            first,
-            whole: OnceLock::new(),
-            is_early: false,
-            decoding: true,
-            inner: Mutex::new(inner),
-            changed: Condvar::new(),
-        }
+        Self { first, whole: OnceLock::new(), decoding: true, inner: Mutex::new(inner), changed: Condvar::new() }
     }
 
     /// One that keeps the accounts of what would be held, decodes nothing and gives nothing out: for load tests.
@@ -144,23 +136,12 @@ impl Cache {
         Self { decoding: false, ..Self::new(index, cap_bytes) }
     }
 
-    /// Its index is that of a first picture ([`ldi_protocol::manifest::early`]); [`Cache::complete`] brings the rest.
-    #[must_use]
-    pub fn early(self) -> Self {
-        Self { is_early: true, ..self }
-    }
-
-    /// Whether the whole index is known.
-    pub fn is_whole(&self) -> bool {
-        !self.is_early || self.whole.get().is_some()
-    }
-
     /// The index whose chunks are held, as far as it is known.
     pub fn index(&self) -> &Arc<Index> {
         &self.scope().index
     }
 
-    /// The whole index takes the place of that of a first picture; what is held stays. Once.
+    /// The whole index takes the place of that of a first picture ([`ldi_protocol::manifest::early`]); what is held stays. Once.
     pub fn complete(&self, index: Arc<Index>) {
         let scope = Scope::new(index);
         let mut inner = self.lock();

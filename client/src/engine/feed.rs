@@ -25,11 +25,8 @@ pub struct Traffic {
 
 /// A source of chunks: a connection with its cache, or memory in tests.
 pub trait Feed: Resident {
-    /// The dataset's index, as far as it is here.
+    /// The dataset's index, as far as it is here; a frame asks once.
     fn index(&self) -> &Index;
-
-    /// Whether all of it is: ask before [`Feed::index`], as it may arrive between the two.
-    fn is_whole(&self) -> bool;
 
     /// Name of the dataset: hexadecimal BLAKE3 of its manifest.
     fn dataset_hash(&self) -> String;
@@ -75,9 +72,6 @@ impl Resident for Connection {
 impl Feed for Connection {
     fn index(&self) -> &Index {
         Self::index(self)
-    }
-    fn is_whole(&self) -> bool {
-        Self::is_whole(self)
     }
     fn dataset_hash(&self) -> String {
         self.dataset().to_string()

@@ -71,10 +71,19 @@ pub struct Painted {
     pub tree: Option<TreeStats>,
     /// Chunks that the view needs and that were not resident, finer levels and deeper layers included; ascending.
     pub missing_chunks: Vec<u32>,
+    /// Whether all of the index was known.
+    pub whole: bool,
     /// Images that are resident and wait for a frame with time to lay them out.
     pub waiting: usize,
     /// Time by stage. `total` is without `prepare`.
     pub ms: StageMs,
+}
+
+impl Painted {
+    /// Whether the picture lacks nothing.
+    pub fn is_complete(&self) -> bool {
+        self.whole && self.missing_chunks.is_empty()
+    }
 }
 
 /// Draws frames; keeps memory between them.
@@ -253,7 +262,7 @@ impl Painter {
         out: &mut Frame,
     ) -> Result<Painted, PaintError> {
         let full_camera = supersampled(camera, options.supersample);
-        let mut painted = Painted { ms, ..Painted::default() };
+        let mut painted = Painted { ms, whole: index.is_whole(), ..Painted::default() };
 
         self.last.clear();
         if options.fill == Fill::Last {
@@ -321,7 +330,7 @@ impl Painter {
             }
             painted.ms.prepare += if new { ms_since(start) } else { 0.0 };
         }
-        let gaps = near_gaps || images.iter().any(|(.., l)| l.is_none());
+        let gaps = !painted.whole || near_gaps || images.iter().any(|(.., l)| l.is_none());
         self.far.reset(full_camera.width, full_camera.height);
         let here = || images.iter().filter(|i| i.2.is_some()).map(|i| i.0);
         let tinted = self.layouts.tinted(here(), pose, &full_camera, options.shows);

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::{
-    cache::Incomplete,
+    cache::{Cache, Incomplete, fixture::street},
     composite::Fill,
     frame::{Frame, Source, unpack_rgb},
     report::StageMs,
@@ -75,9 +75,6 @@ impl Resident for MemoryFeed {
 impl Feed for MemoryFeed {
     fn index(&self) -> &Index {
         &self.index
-    }
-    fn is_whole(&self) -> bool {
-        true
     }
     fn dataset_hash(&self) -> String {
         "00".repeat(32)
@@ -366,4 +363,28 @@ fn chunks_that_come_again_are_counted() {
     assert_eq!((summary.revisit_bytes, summary.bytes_total), (CHUNK_BYTES, 4 * CHUNK_BYTES));
     assert_eq!((summary.ms_full_quality, summary.all_geometry_bytes, summary.speedup), (None, None, None));
     std::fs::remove_dir_all(&folder).expect("removed");
+}
+
+#[test]
+fn a_picture_of_a_first_index_shows_the_tree_and_takes_nothing_for_sky() {
+    let street = street(4, 16).with_tree();
+    let root = street.index.tree.as_ref().expect("a tree").root_chunk;
+    let mut first = street.index.clone();
+    (first.cells, first.points, first.placements, first.images) = (vec![], vec![], vec![], vec![]);
+    first.chunks.iter_mut().take(root as usize).for_each(|c| c.kind = ChunkKind::Page);
+    let cache = Cache::new(Arc::new(first), 1 << 30);
+    cache.insert(root, &street.chunks[root as usize]).expect("sound");
+    // Before the tree's one sample, of 2 m; and turned away from it.
+    for (yaw_deg, seen) in [(0.0, true), (180.0, false)] {
+        let pose = Pose { position: DVec3::new(-57.0, -55.0, -58.0), yaw_deg, pitch_deg: 0.0 };
+        let (index, mut ms, mut out) = (cache.index(), StageMs::default(), Frame::default());
+        let view = view_of(index, &pose, &CAMERA, Method::Auto, &mut ms);
+        assert_eq!(view.needed(index).all().collect::<Vec<_>>(), [root]);
+        let options = options(Pace::Realtime);
+        let painted = Painter::default().paint(index, &cache, &view, &pose, &CAMERA, &options, ms, &mut out);
+        let painted = painted.expect("a picture");
+        assert!(painted.missing_chunks.is_empty() && !painted.is_complete());
+        assert_eq!(out.count(Source::Tree) > 20, seen, "{} pixels of the tree", out.count(Source::Tree));
+        assert_eq!(out.count(Source::Sky), 0);
+    }
 }

@@ -216,7 +216,6 @@ impl Walker<'_> {
                 std::thread::sleep(due.saturating_sub(start.elapsed()));
             }
             let mut ms = StageMs::default();
-            let whole = self.feed.is_whole();
             let index = self.feed.index();
             let view = view_of(index, &pose, &self.camera, options.method, &mut ms);
             self.ask(index, &view, at)?;
@@ -227,7 +226,7 @@ impl Walker<'_> {
             }
             self.totals.drawn.push((painted.triangles, painted.ms.total));
             let traffic = self.feed.traffic();
-            let complete = whole && painted.missing_chunks.is_empty();
+            let complete = painted.is_complete();
             self.totals.ms_first_frame.get_or_insert(traffic.elapsed_s * 1e3);
             if complete && self.totals.ms_full_quality.is_none() {
                 self.totals.ms_full_quality = Some(traffic.elapsed_s * 1e3);
@@ -235,7 +234,7 @@ impl Walker<'_> {
             self.totals.frames_incomplete += usize::from(!complete);
             progress(Progress { done: done + 1, total, bytes: traffic.bytes, frame_ms: painted.ms.total });
             if at % every == 0 {
-                self.keep(at, &view, &painted, complete, &frame, traffic)?;
+                self.keep(at, &view, &painted, &frame, traffic)?;
                 let picture = Picture { index: at, frame: frame.clone() };
                 if pictures.send(picture).is_err() {
                     // The writer has failed and says why.
@@ -296,7 +295,6 @@ impl Walker<'_> {
         at: usize,
         view: &View,
         painted: &Painted,
-        complete: bool,
         frame: &Frame,
         traffic: Traffic,
     ) -> Result<(), WalkError> {
@@ -357,7 +355,7 @@ impl Walker<'_> {
         let later = self.job.truth.is_some() && self.job.options.pace == Pace::Realtime;
         self.kept.push(Kept {
             report,
-            complete,
+            complete: painted.is_complete(),
             elapsed_ms: traffic.elapsed_s * 1e3,
             source: later.then(|| frame.source.clone()),
         });

@@ -80,7 +80,7 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
     let (mut send, mut recv) = connection.open_bi().await.map_err(|e| lost(&e))?;
     let known = config.disk.as_ref().map_or_else(Vec::new, |d| d.manifests());
     // Of an earlier connection, in memory.
-    let resumed = config.resume.as_ref().filter(|k| k.cache.is_whole());
+    let resumed = config.resume.as_ref().filter(|k| k.cache.index().is_whole());
     let names = resumed.map(|k| k.dataset).into_iter().chain(known.iter().map(|(root, _)| root.hash));
     let names = names.take(MAX_MANIFESTS).collect();
     let hello = ClientMessage::Hello(Hello {

@@ -82,7 +82,7 @@ pub struct ConnectConfig {
     pub resume: Option<Kept>,
     /// Where chunks and manifests are kept between visits: what lies there is not sent again.
     pub disk: Option<Arc<DiskCache>>,
-    /// Begin with what of the index is enough for a first picture, where there is an LDI tree; the rest follows ([`Connection::is_whole`]).
+    /// Begin with what of the index is enough for a first picture, where there is an LDI tree; the rest follows ([`Index::is_whole`]).
     pub early: bool,
     /// The index of an earlier connection, to be shared instead of holding an equal one again.
     pub index: Option<Arc<Index>>,
@@ -197,10 +197,6 @@ impl Connection {
     /// The dataset's index, as far as it is here.
     pub fn index(&self) -> &Arc<Index> {
         self.cache.index()
-    }
-    /// Whether all of it is.
-    pub fn is_whole(&self) -> bool {
-        self.cache.is_whole()
     }
     /// The dataset's name.
     pub fn dataset(&self) -> ChunkHash {

@@ -150,13 +150,12 @@ pub(super) async fn stream(
 fn cache_for(config: &ConnectConfig, opened: &Opened) -> Arc<Cache> {
     if let Some(old) = &config.resume
         && old.dataset == opened.dataset
-        && old.cache.is_whole()
+        && old.cache.index().is_whole()
     {
         return old.cache.clone();
     }
     let make = if config.decoding { Cache::new } else { Cache::without_decoding };
-    let cache = make(opened.index.clone(), config.cache_bytes);
-    Arc::new(if opened.rest.is_some() { cache.early() } else { cache })
+    Arc::new(make(opened.index.clone(), config.cache_bytes))
 }
 
 struct Session {

@@ -43,7 +43,7 @@ impl Root {
 
 /// The index for a first picture, from the pages that are here, in the order of the root's list. None: it takes more of them, or there is no tree.
 ///
-/// It has the tree, the walk volume and the chunks that are known; entries of other chunks are empty, of kind [`ChunkKind::Page`]. No cells, images or rooms.
+/// It has the tree, the walk volume and the pinned chunks; entries of other chunks are empty, of kind [`ChunkKind::Page`], which says that it is not whole ([`Index::is_whole`]). No cells, images or rooms.
 ///
 /// # Errors
 /// As [`super::assemble`], of the pages that it takes.
@@ -70,10 +70,14 @@ pub fn early<B: AsRef<[u8]>>(root: &Root, pages: &[Option<B>]) -> Result<Option<
     for (entry, page) in listed().filter(|(entry, _)| entry.lists_pinned(&tree)) {
         let Some(page) = page else { return Ok(None) };
         decode(&mut index, entry, page)?;
-        let first = entry.first as usize;
-        for (slot, known) in chunks.iter_mut().skip(first).zip(index.chunks.drain(..)) {
-            *slot = known;
+        let first = entry.first;
+        for pinned in tree.pinned_chunks() {
+            let known = pinned.checked_sub(first).and_then(|at| index.chunks.get(at as usize));
+            if let (Some(slot), Some(known)) = (chunks.get_mut(pinned as usize), known) {
+                *slot = *known;
+            }
         }
+        index.chunks.clear();
     }
     index.chunks = chunks;
     index.tree = Some(tree);
