@@ -179,6 +179,8 @@ pub struct WalkTotals {
     pub elapsed_s: f64,
     /// Bytes received, the index included.
     pub bytes_total: u64,
+    /// Largest share of pixels of a frame that nothing reached, kept or not.
+    pub unpainted_fraction_max: f64,
     /// Milliseconds from connecting to the first frame.
     pub ms_first_frame: Option<f64>,
     /// Bytes received when the first useful frame was drawn.
@@ -402,7 +404,7 @@ impl Summary {
             max_flip_far: largest(frames.iter().filter_map(|f| f.flip_far)),
             flip_over_baseline: FlipRatio::new(frames),
             far_fraction_mean: over(&|f| f.far_fraction),
-            unpainted_fraction_max: largest(frames.iter().map(|f| f.unpainted_fraction)).unwrap_or(0.0),
+            unpainted_fraction_max: totals.unpainted_fraction_max,
             hole_fraction_mean: mean(frames.iter().filter_map(|f| f.hole_fraction)),
             hole_fraction_max: largest(frames.iter().filter_map(|f| f.hole_fraction)),
             hole_before_fill_mean: mean(frames.iter().filter_map(|f| f.hole_before_fill)),

@@ -120,7 +120,8 @@ pub struct Hello {
     /// How the client shows portals, which decides what a pose needs in a dataset with rooms. A server that does not know of it sends what it would show, and the client asks for the rest.
     #[serde(default)]
     pub portals: ShowPortals,
-    /// The walk begins before the whole manifest is there: until [`ClientMessage::Whole`] only the LDI tree's coarse levels are sent beside it. A server that does not know of it sends the pages first.
+    /// The walk begins before the whole manifest is there: until [`ClientMessage::Whole`] only the LDI tree's coarse levels are sent beside it, and nothing to a client that had the manifest. A server that does not know of it
+    /// sends the pages first.
     #[serde(default)]
     pub early: bool,
 }
@@ -168,7 +169,7 @@ pub enum ClientMessage {
         /// Stored bytes that are decoded per second while something waits; 0: not known.
         bytes_per_s: u32,
     },
-    /// All pages of the manifest are here, after a Hello with [`Hello::early`].
+    /// The whole manifest is here and what is held from before is told, after a Hello with [`Hello::early`].
     Whole,
     /// The client leaves.
     Bye,

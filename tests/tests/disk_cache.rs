@@ -89,6 +89,33 @@ fn a_second_visit_streams_next_to_nothing_and_shows_the_same() {
     second.cache().check().expect("sound accounts");
 }
 
+/// Without waiting until the server knows what lies here: with `early` it waits itself.
+#[test]
+fn a_second_visit_that_begins_at_once_is_sent_nothing() {
+    let host = Host::start("disk-early", Memory::new(street(8, 64).with_tree()));
+    let disk = folder("disk-early-cache").join("cache");
+    let visit = || {
+        let disk = Some(Arc::new(DiskCache::open(&disk, 1 << 30).expect("a folder")));
+        let config = ConnectConfig { disk, early: true, ..host.config() };
+        let connection = Connection::connect(config).expect("a connection");
+        while !connection.index().is_whole() {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        connection
+    };
+    let first = visit();
+    let needed = walk(&first);
+    wait_for_files(&disk, &needed, &first);
+    drop(first);
+    for _ in 0..5 {
+        let again = visit();
+        assert_eq!(walk(&again), needed);
+        let stats = again.stats();
+        assert_eq!((stats.chunks, stats.duplicates), (0, 0), "{stats:?}");
+        assert!(stats.bytes_total < 20_000, "{stats:?}");
+    }
+}
+
 #[test]
 fn a_damaged_file_is_fetched_anew() {
     let host = Host::start("disk-damaged", Memory::new(street(6, 64)));

@@ -157,6 +157,15 @@ fn a_walk_begins_before_the_whole_manifest_is_there() {
     early.cache().check().unwrap();
 }
 
+/// Nothing of such a dataset is early, and everything comes all the same.
+#[test]
+fn an_early_walk_without_a_tree_waits_for_the_manifest() {
+    let host = Host::start("early-none", Memory::new(street(4, 16)));
+    let connection = Connection::connect(ConnectConfig { early: true, ..host.config() }).unwrap();
+    assert!(connection.index().is_whole());
+    stand(&connection, &pose(0.0, 0.0)).unwrap();
+}
+
 #[test]
 fn a_connection_lost_early_leaves_nothing_and_a_whole_one_its_manifest() {
     let host = Host::start("early-resume", Memory::new(long_street()));

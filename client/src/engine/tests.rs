@@ -361,6 +361,7 @@ fn chunks_that_come_again_are_counted() {
     assert_eq!(summary.frames_incomplete, 3);
     // The first frame has the cell, the second the image in its place, the third the cell again: one that comes back.
     assert_eq!((summary.revisit_bytes, summary.bytes_total), (CHUNK_BYTES, 4 * CHUNK_BYTES));
+    assert_eq!(summary.ms_first_frame, Some(1000.0));
     assert_eq!((summary.ms_full_quality, summary.all_geometry_bytes, summary.speedup), (None, None, None));
     std::fs::remove_dir_all(&folder).expect("removed");
 }

@@ -225,6 +225,8 @@ impl Walker<'_> {
                 painted.ms.total += painted.ms.prepare;
             }
             self.totals.drawn.push((painted.triangles, painted.ms.total));
+            let (unpainted, _) = self.painter.unknown_fractions();
+            self.totals.unpainted_fraction_max = self.totals.unpainted_fraction_max.max(unpainted);
             let traffic = self.feed.traffic();
             let complete = painted.is_complete();
             self.totals.ms_first_frame.get_or_insert(traffic.elapsed_s * 1e3);

@@ -136,6 +136,7 @@ pub(super) async fn stream(
         around: Vec::new(),
         disk: config.disk.clone(),
         progress: config.progress.clone(),
+        early: config.early,
         rest: opened.rest,
         assembling: None,
     };
@@ -175,6 +176,8 @@ struct Session {
     around: Vec<u32>,
     disk: Option<Arc<DiskCache>>,
     progress: Arc<ConnectProgress>,
+    /// The server waits for [`ClientMessage::Whole`].
+    early: bool,
     /// The manifest, while pages of it are to come.
     rest: Option<Pages>,
     /// The whole index is being put together.
@@ -189,7 +192,10 @@ impl Session {
         mut commands: mpsc::UnboundedReceiver<Command>,
         mut damage: mpsc::UnboundedReceiver<u32>,
     ) -> Result<(), ConnectError> {
-        self.tell_held().await?;
+        match self.early && self.rest.is_none() {
+            true => self.tell_whole().await?,
+            false => self.tell_held().await?,
+        }
         let (messages, mut heard) = mpsc::channel(16);
         let (paged, mut pages) = mpsc::channel(MAX_STREAMS as usize);
         let listed: Arc<[PageEntry]> = self.rest.as_ref().map_or_else(Vec::new, Pages::listed).into();
@@ -269,7 +275,11 @@ impl Session {
         if let Some(loader) = &self.loader {
             loader.shelf.look();
         }
-        // Before the server sends anything that is held.
+        self.tell_whole().await
+    }
+
+    /// The server may send whatever views need, and knows before what is held.
+    async fn tell_whole(&mut self) -> Result<(), ConnectError> {
         self.tell_held().await?;
         self.say(&ClientMessage::Whole).await
     }

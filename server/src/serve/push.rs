@@ -48,16 +48,45 @@ pub async fn push(
     connection: Connection,
     header: StreamHeader,
     bytes: Bytes,
-    mut verdict: watch::Receiver<Verdict>,
+    verdict: watch::Receiver<Verdict>,
     counters: &Counters,
 ) -> Ended {
-    let Ok(mut stream) = connection.open_uni().await else { return Ended::Failed };
+    let small = bytes.len() < SMALL;
+    match transfer(connection, header, bytes, verdict, counters).await {
+        Ok((stream, urgency)) => {
+            if !urgency.is_pressing() && !small {
+                acknowledged(stream).await;
+            }
+            counters.sent_chunk();
+            Ended::Sent
+        }
+        Err(ended) => ended,
+    }
+}
+
+/// The same, but it always ends when the client has everything: for what has to be there before anything else fills the link's queues.
+pub async fn push_through(connection: Connection, header: StreamHeader, bytes: Bytes, counters: &Counters) {
+    let (_keep, verdict) = watch::channel(Verdict::Send(header.urgency));
+    if let Ok((stream, _)) = transfer(connection, header, bytes, verdict, counters).await {
+        acknowledged(stream).await;
+        counters.sent_chunk();
+    }
+}
+
+/// Hands header and bytes to the transport. The stream, and how urgent it was in the end; or how else it ended.
+async fn transfer(
+    connection: Connection,
+    header: StreamHeader,
+    bytes: Bytes,
+    mut verdict: watch::Receiver<Verdict>,
+    counters: &Counters,
+) -> Result<(SendStream, Urgency), Ended> {
+    let Ok(mut stream) = connection.open_uni().await else { return Err(Ended::Failed) };
     let _ = stream.set_priority(priority(header.urgency));
     let mut urgency = header.urgency;
     if stream.write_all(&header.encode()).await.is_err() {
-        return Ended::Failed;
+        return Err(Ended::Failed);
     }
-    let small = bytes.len() < SMALL;
     let mut left = bytes;
     while !left.is_empty() {
         let mut slice = [left.slice(..left.len().min(SLICE))];
@@ -71,7 +100,7 @@ pub async fn push(
                 Verdict::Stop if left.len() > FINISH_BELOW => {
                     let _ = stream.reset(VarInt::from_u32(code::STALE));
                     counters.stale();
-                    return Ended::Stale;
+                    return Err(Ended::Stale);
                 }
                 Verdict::Stop => {}
             },
@@ -81,21 +110,14 @@ pub async fn push(
                     counters.sent_bytes(w.bytes);
                     let _ = left.split_to(w.bytes);
                 }
-                Err(WriteError::Stopped(_)) => return Ended::Refused,
-                Err(_) => return Ended::Failed,
+                Err(WriteError::Stopped(_)) => return Err(Ended::Refused),
+                Err(_) => return Err(Ended::Failed),
             },
         }
     }
-    if stream.finish().is_err() {
-        return Ended::Failed;
-    }
-    if !urgency.is_pressing() && !small {
-        acknowledged(&mut stream).await;
-    }
-    counters.sent_chunk();
-    Ended::Sent
+    stream.finish().map(|()| (stream, urgency)).map_err(|_| Ended::Failed)
 }
 
-async fn acknowledged(stream: &mut SendStream) {
+async fn acknowledged(stream: SendStream) {
     let _ = stream.stopped().await;
 }

@@ -8,10 +8,10 @@ use super::{
     limits::{Door, Place, TokenBucket},
     meter::Metered,
     planner::{Capacity, Order, Planner, PlannerConfig, Turn},
-    push::{Ended, Verdict, push},
+    push::{Ended, Verdict, push, push_through},
     requests,
     source::Served,
-    views::SelectViews,
+    views::{Known, SelectViews},
     walkers::{Entry, Walkers},
 };
 use ldi_protocol::{
@@ -240,15 +240,34 @@ impl Session {
         let first = self.push_pages(first.to_vec());
         let rest = self.push_pages(rest.to_vec());
         first.await?;
+        if self.early && known {
+            self.views.know(Known::Unsaid);
+        }
         if self.early && !known {
-            // Beside the coarse levels of the tree, which need no more of the manifest than is there; before everything the root, for the first picture.
-            self.views.know_whole(false);
-            let root: Vec<u32> = self.shared.served.index().tree.iter().map(|t| t.root_chunk).collect();
-            self.planner.want(&root);
-            pages.spawn(timeout(WELCOME, rest));
+            // Beside the coarse levels of the tree, which need no more of the manifest than is there.
+            self.views.know(Known::Tree);
+            let picture = self.push_first_picture();
+            pages.spawn(timeout(WELCOME, async {
+                picture.await;
+                rest.await
+            }));
             return Ok(());
         }
         rest.await
+    }
+
+    /// The root of the LDI tree, which is a picture. The pages wait until it is there: they would fill the link's queues, and what is lost there comes late.
+    fn push_first_picture(&mut self) -> impl Future<Output = ()> + Send + use<> {
+        let root = self.shared.served.index().tree.as_ref().map(|t| t.root_chunk);
+        root.into_iter().for_each(|c| self.planner.sent_elsewhere(c));
+        let bytes = root.and_then(|c| Some((c, self.shared.served.chunk(c)?)));
+        let (connection, counters) = (self.connection.clone(), self.walker.counters.clone());
+        async move {
+            let Some((number, bytes)) = bytes else { return };
+            let urgency = Urgency::Asked;
+            let header = StreamHeader { kind: StreamKind::Chunk, urgency, number, bytes: bytes.len() as u32 };
+            push_through(connection, header, bytes, &counters).await;
+        }
     }
 
     /// Pages one after another, as the client can do nothing with a part of them.
@@ -288,7 +307,7 @@ impl Session {
                 return Err(SessionError::Refused { code: RefusalCode::Protocol, message: "Hello twice".into() });
             }
             ClientMessage::Whole => {
-                self.views.know_whole(true);
+                self.views.know(Known::Whole);
                 self.planner.views_changed();
             }
             ClientMessage::Bye => {}

@@ -10,16 +10,27 @@ use ldi_protocol::{
 };
 use std::sync::{
     Arc,
-    atomic::{AtomicBool, Ordering::Relaxed},
+    atomic::{AtomicU8, Ordering::Relaxed},
 };
+
+/// What a client knows of an index.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Known {
+    /// Perhaps all of it, but it has not yet said what it holds: nothing is to be sent.
+    Unsaid,
+    /// The LDI tree: its pinned levels are to be sent.
+    Tree,
+    /// All of it.
+    Whole,
+}
 
 /// What is drawn for a pose and what that needs, for one picture.
 pub struct SelectViews {
     index: Arc<Index>,
     picture_half_tan: (f64, f64),
     show: ShowPortals,
-    /// The client knows the whole index.
-    whole: AtomicBool,
+    known: AtomicU8,
 }
 
 impl SelectViews {
@@ -34,20 +45,22 @@ impl SelectViews {
             index,
             picture_half_tan: (picture.half_tan_x(), picture.half_tan_y()),
             show,
-            whole: AtomicBool::new(true),
+            known: AtomicU8::new(Known::Whole as u8),
         }
     }
 
-    /// Whether the client knows the whole index; before, its views are those of the LDI tree's pinned levels.
-    pub fn know_whole(&self, whole: bool) {
-        self.whole.store(whole, Relaxed);
+    /// How much the client knows of the index, which bounds what its views need.
+    pub fn know(&self, known: Known) {
+        self.known.store(known as u8, Relaxed);
     }
 }
 
 impl Views for SelectViews {
     fn needed(&self, pose: &Pose) -> Needed {
-        if !self.whole.load(Relaxed) {
-            return needed(&self.index, &[], &[], &[]);
+        match self.known.load(Relaxed) {
+            n if n == Known::Unsaid as u8 => return Needed::default(),
+            n if n == Known::Tree as u8 => return needed(&self.index, &[], &[], &[]),
+            _ => {}
         }
         let list = draw_list_showing(&self.index, pose, self.picture_half_tan, self.show);
         needed(&self.index, &list.images, &list.cells, &list.tree)
