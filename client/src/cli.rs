@@ -19,7 +19,7 @@ use ldi_client::{
     stream::{ConnectConfig, ConnectError, Connection, DEFAULT_DISK_BYTES, DiskCache, Fingerprint, LinkSpec},
     warp::{Order, Stamp, WarpOptions},
 };
-use ldi_protocol::{index::Index, path, wire::Picture};
+use ldi_protocol::{index::Index, path, said::said, wire::Picture};
 use std::{
     io::{IsTerminal, Read as _},
     path::{Path, PathBuf},
@@ -220,7 +220,7 @@ pub fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("ldi-client: {:#}", failure.error);
+            eprintln!("ldi-client: {}", said(failure.error.as_ref()));
             ExitCode::from(failure.code)
         }
     }

@@ -23,6 +23,7 @@ pub mod path;
 pub mod portal_view;
 pub mod room_index;
 pub mod rooms;
+pub mod said;
 pub mod select;
 pub mod shade;
 pub mod sky;

@@ -12,7 +12,7 @@ use ldi_client::{
         KnownHostsError,
     },
 };
-use ldi_protocol::{Pose, wire::Picture};
+use ldi_protocol::{Pose, said::said, wire::Picture};
 use std::{
     io::{BufRead as _, IsTerminal as _, Write as _},
     path::PathBuf,
@@ -113,7 +113,7 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
             (None, Some(folder)) => match disk(&folder, args.disk_cache_bytes) {
                 Ok(found) => Some(found),
                 Err(e) => {
-                    tracing::warn!("nothing is kept for the next visit: {:#}", e.error);
+                    tracing::warn!("nothing is kept for the next visit: {}", said(e.error.as_ref()));
                     None
                 }
             },

@@ -8,6 +8,7 @@ mod rooms;
 pub use args::size;
 
 use clap::Parser as _;
+use ldi_protocol::said::said;
 use std::process::ExitCode;
 
 /// A command that failed.
@@ -51,7 +52,7 @@ pub fn main() -> ExitCode {
     match commands::run(cli.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(f) => {
-            eprintln!("ldi-server: {:#}", f.error);
+            eprintln!("ldi-server: {}", said(f.error.as_ref()));
             ExitCode::from(f.kind as u8)
         }
     }

@@ -5,7 +5,7 @@
 use anyhow::Context as _;
 use clap::{Parser, ValueEnum};
 use ldi_client::stream::{ConnectConfig, Fingerprint, LinkSpec};
-use ldi_protocol::path;
+use ldi_protocol::{path, said::said};
 use ldi_tests::load::{
     self, Load, LoadError, decoding_fits, page,
     process::Process,
@@ -121,7 +121,7 @@ fn main() -> ExitCode {
     match run(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(Failure(code, e)) => {
-            eprintln!("ldi-load: {e:#}");
+            eprintln!("ldi-load: {}", said(e.as_ref()));
             ExitCode::from(code)
         }
     }
