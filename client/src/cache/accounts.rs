@@ -1,7 +1,13 @@
 //! What is held, in what order it was used, and how many bytes that is. No locks, no decoding.
 
 use super::{Usage, layout::Layout};
-use ldi_protocol::{index::Index, ldi::Ldi, mesh::CellGeometry, texture::Texture, tree::Brood};
+use ldi_protocol::{
+    index::{ChunkEntry, Index},
+    ldi::Ldi,
+    mesh::CellGeometry,
+    texture::Texture,
+    tree::Brood,
+};
 use std::{
     collections::{BTreeMap, BTreeSet},
     sync::Arc,
@@ -30,18 +36,33 @@ pub(super) struct Object {
     pub present: u32,
     /// Bit per part that a frame has used.
     pub used: u32,
+    /// Decoded bytes of the parts that are there.
     pub bytes: u64,
-    pub tick: u64,
+    /// Stored bytes of them: what it costs to bring them again.
+    pub stored: u64,
+    /// Clock when it was last used, and what it is worth.
+    credit: f64,
+    /// View in which it was last used.
+    tick: u64,
     pub pinned_in: u64,
     /// Counts changes, so that a join made outside the lock notices another one.
     pub version: u64,
 }
 
+impl Object {
+    /// By credit, and where that is equal by the last use; bits of numbers that are not negative have their order.
+    fn rank(&self) -> (u64, u64) {
+        (self.credit.to_bits(), self.tick)
+    }
+}
+
 #[derive(Debug)]
 pub(super) struct Inner {
     pub objects: Vec<Object>,
-    /// Objects that hold bytes, least recently used first.
-    pub order: BTreeSet<(u64, u32)>,
+    /// Objects that hold bytes, the first to go first: by [`Object::rank`].
+    pub order: BTreeSet<((u64, u64), u32)>,
+    /// The credit of whatever went last: what is used later outlives what was worth as much.
+    clock: f64,
     pub tick: u64,
     pub usage: Usage,
     pub damaged: Vec<bool>,
@@ -53,25 +74,44 @@ pub(super) struct Inner {
 }
 
 impl Inner {
+    /// Nothing is held of so many objects, in so many chunks.
+    pub fn new(objects: usize, chunks: usize, cap_bytes: u64) -> Self {
+        Self {
+            objects: std::iter::repeat_with(Object::default).take(objects).collect(),
+            order: BTreeSet::new(),
+            clock: 0.0,
+            tick: 1,
+            usage: Usage { cap_bytes, ..Usage::default() },
+            damaged: vec![false; chunks],
+            evicted: Vec::new(),
+            refused: BTreeMap::new(),
+            refusals_told: None,
+            disconnected: None,
+        }
+    }
+
     pub fn holds(&self, layout: &Layout, chunk: u32) -> bool {
         let parts = layout.parts(chunk);
         !parts.is_empty() && parts.iter().all(|p| self.objects[p.object as usize].present >> p.part & 1 == 1)
     }
 
-    /// Moves an object to the young end of the order. Absent ones only take the tick.
+    /// An object is used: its credit is what it is worth, stored bytes per decoded one, from now on (GreedyDual-Size, Cao and Irani 1997). Absent ones only take the tick.
     pub fn use_at(&mut self, number: u32, tick: u64) {
         let object = &mut self.objects[number as usize];
+        let old = object.rank();
+        object.tick = tick;
+        object.credit = self.clock + object.stored as f64 / object.bytes.max(1) as f64;
+        let new = object.rank();
         let listed = object.present != 0;
-        let old = std::mem::replace(&mut object.tick, tick);
-        if old != tick {
+        if old != new {
             self.order.remove(&(old, number));
         }
         if listed {
-            self.order.insert((tick, number));
+            self.order.insert((new, number));
         }
     }
 
-    /// Evicts the least recently used objects until `bytes` fit. False, and nothing evicted, when pinned ones and `keep` leave no room.
+    /// Evicts the objects of least credit until `bytes` fit. False, and nothing evicted, when pinned ones and `keep` leave no room.
     pub fn make_room(&mut self, layout: &Layout, bytes: u64, keep: u32) -> bool {
         let mut free = self.usage.cap_bytes - self.usage.bytes;
         let mut victims = Vec::new();
@@ -96,7 +136,8 @@ impl Inner {
 
     fn evict(&mut self, layout: &Layout, number: u32) {
         let object = &mut self.objects[number as usize];
-        self.order.remove(&(object.tick, number));
+        self.order.remove(&(object.rank(), number));
+        self.clock = self.clock.max(object.credit);
         self.usage.bytes -= object.bytes;
         self.usage.evictions += 1;
         let chunks = &layout.objects[number as usize].chunks;
@@ -109,14 +150,18 @@ impl Inner {
     pub fn check(&self, layout: &Layout, index: &Index) -> Result<(), String> {
         let mut sum = 0;
         for (number, (object, entry)) in (0u32..).zip(self.objects.iter().zip(&layout.objects)) {
-            let bytes: u64 = (0..entry.chunks.len())
-                .filter(|p| object.present >> p & 1 == 1)
-                .map(|p| u64::from(index.chunks[entry.chunks[p] as usize].decoded_bytes))
-                .sum();
+            let sum_of = |size: fn(&ChunkEntry) -> u32| -> u64 {
+                let present = (0..entry.chunks.len()).filter(|p| object.present >> p & 1 == 1);
+                present.map(|p| u64::from(size(&index.chunks[entry.chunks[p] as usize]))).sum()
+            };
+            let (bytes, stored) = (sum_of(|c| c.decoded_bytes), sum_of(|c| c.stored_bytes));
             if bytes != object.bytes {
                 return Err(format!("object {number}: parts {bytes} bytes, account {}", object.bytes));
             }
-            if self.order.contains(&(object.tick, number)) != (object.present != 0) {
+            if stored != object.stored {
+                return Err(format!("object {number}: parts take {stored} stored bytes, account {}", object.stored));
+            }
+            if self.order.contains(&(object.rank(), number)) != (object.present != 0) {
                 return Err(format!("object {number}: present {:b}, order disagrees", object.present));
             }
             if matches!(object.value, Value::Empty) != (object.present == 0) {

@@ -6,6 +6,7 @@ use super::{
 };
 use ldi_protocol::index::ChunkKind;
 use proptest::prelude::*;
+use std::collections::BTreeSet;
 
 const CELLS: u32 = 6;
 
@@ -120,6 +121,31 @@ fn the_least_recently_used_goes_first_and_the_pinned_stays() {
     assert_eq!(put(&cache, &street, a), Inserted::NoRoom);
     assert!(cache.holds(b) && cache.holds(c));
     assert_eq!(cache.usage().evictions, 1);
+}
+
+#[test]
+fn what_is_dear_to_bring_stays_longer_and_ages_too() {
+    let street = street(CELLS, 16);
+    let worth = |c: u32| f64::from(street.index.chunks[c as usize].stored_bytes) / decoded(&street, c) as f64;
+    // Noise does not compress; cells of one square do.
+    let (dear, cells) = (TEXTURE[1], [0, 2, 4].map(|i| FIRST_CELL + i));
+    assert!(cells.iter().all(|c| worth(*c) < worth(dear)));
+    let cache = Cache::new(Arc::new(street.index.clone()), decoded(&street, dear) + decoded(&street, cells[0]));
+    put(&cache, &street, dear);
+    cache.pin([]);
+    put(&cache, &street, cells[0]);
+    cache.pin([]);
+    // The newer, cheaper one goes.
+    put(&cache, &street, cells[1]);
+    assert!(cache.holds(dear) && !cache.holds(cells[0]));
+    // Not for ever: cheap ones that are used one after another wear it out.
+    let rounds = (0..1000).take_while(|round| {
+        cache.pin([]);
+        put(&cache, &street, cells[round % 3]);
+        cache.holds(dear)
+    });
+    let rounds = rounds.count();
+    assert!((1..900).contains(&rounds), "{rounds} rounds");
 }
 
 #[test]

@@ -6,9 +6,9 @@
 //! - The unit of arrival is the chunk, the unit of eviction the object: a cell, a bundle, an LDI with all its layers, a texture
 //!   with all its levels. An object is usable as soon as its first chunk is there, and is replaced as a whole when more
 //!   arrives: a frame keeps the one that it holds.
-//! - Accounts are in decoded bytes as the index states them, and never exceed the cap, not even for a moment. Least recently
-//!   used goes first (Aliaga and Lastra 1999, section 6); what the current view needs is pinned and stays. What lies around
-//!   the eye counts as used ([`Cache::touch`]), so that eviction does not undo the server's prefetching.
+//! - Accounts are in decoded bytes as the index states them, and never exceed the cap, not even for a moment. What is cheap to bring again for the memory that it
+//!   takes goes first, and what is used ages by what has gone (GreedyDual-Size, Cao and Irani 1997; measured against the least recently used of Aliaga and Lastra 1999, section 6, in
+//!   docs/streaming.md); what the current view needs is pinned and stays. What lies around the eye counts as used ([`Cache::touch`]), so that eviction does not undo the server's prefetching.
 //! - A chunk that does not fit beside the pinned ones is refused. The frame is drawn without it and says so.
 
 mod accounts;
@@ -22,7 +22,6 @@ use accounts::{Inner, Object, Value};
 use layout::{Layout, ObjectKind, Part};
 use ldi_protocol::{codec::CodecError, index::Index, ldi::Ldi, mesh::CellGeometry, texture::Texture, tree::Brood};
 use std::{
-    collections::{BTreeMap, BTreeSet},
     sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError},
     time::{Duration, Instant},
 };
@@ -117,17 +116,7 @@ impl Cache {
     /// An empty cache of at most `cap_bytes` decoded bytes.
     pub fn new(index: Arc<Index>, cap_bytes: u64) -> Self {
         let first = Scope::new(index);
-        let inner = Inner {
-            objects: first.layout.objects.iter().map(|_| Object::default()).collect(),
-            order: BTreeSet::new(),
-            tick: 1,
-            usage: Usage { cap_bytes, ..Usage::default() },
-            damaged: vec![false; first.index.chunks.len()],
-            evicted: Vec::new(),
-            refused: BTreeMap::new(),
-            refusals_told: None,
-            disconnected: None,
-        };
+        let inner = Inner::new(first.layout.objects.len(), first.index.chunks.len(), cap_bytes);
         Self { first, whole: OnceLock::new(), decoding: true, inner: Mutex::new(inner), changed: Condvar::new() }
     }
 
@@ -217,7 +206,8 @@ impl Cache {
         if inner.objects[part.object as usize].version != version {
             return None;
         }
-        let bytes = u64::from(self.index().chunks[chunk as usize].decoded_bytes);
+        let entry = self.index().chunks[chunk as usize];
+        let bytes = u64::from(entry.decoded_bytes);
         if !inner.make_room(&self.scope().layout, bytes, part.object) {
             let view = inner.tick;
             inner.refused.insert(chunk, view);
@@ -230,6 +220,7 @@ impl Cache {
         object.version += 1;
         object.present |= 1 << part.part;
         object.bytes += bytes;
+        object.stored += u64::from(entry.stored_bytes);
         inner.usage.bytes += bytes;
         inner.usage.peak_bytes = inner.usage.peak_bytes.max(inner.usage.bytes);
         inner.use_at(part.object, tick);
