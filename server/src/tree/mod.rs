@@ -42,7 +42,7 @@ pub const PINNED_BYTES: u64 = 2_000_000;
 const BASE_PIXELS: f64 = 24e6;
 /// Pixels along a side of a reference image, at least and at most.
 const REFERENCE_SIDES: [f64; 2] = [16.0, 512.0];
-/// Of so many references the sky is kept: the first, which see the most. About a kilobyte each, before anything is drawn.
+/// Of so many references the sky is kept. About a kilobyte each, before anything is drawn.
 const SKY_PLACES: usize = 64;
 /// References that are held in memory at a time, pixels of a point each.
 const BATCH_POINTS: usize = 2_000_000;
@@ -103,6 +103,23 @@ pub struct BuiltTree {
     pub figures: TreeFigures,
 }
 
+/// Some of the skies, spread: the first, then always the one farthest from those taken. An eye takes the nearest one's, so that none may be far from where eyes can be, however little it sees.
+fn spread(skies: &[SkyPlace]) -> Vec<SkyPlace> {
+    let mut distances = vec![f64::INFINITY; skies.len()];
+    let mut taken = Vec::new();
+    let mut next = (!skies.is_empty()).then_some(0);
+    while let Some(at) = next.filter(|_| taken.len() < SKY_PLACES) {
+        taken.push(at);
+        for (d, s) in distances.iter_mut().zip(skies) {
+            *d = d.min(s.position.distance_squared(skies[at].position));
+        }
+        // The first of equals, on every machine.
+        let farthest = (0..skies.len()).rev().max_by(|a, b| distances[*a].total_cmp(&distances[*b]));
+        next = farthest.filter(|n| distances[*n] > 0.0);
+    }
+    taken.into_iter().map(|at| skies[at].clone()).collect()
+}
+
 /// The cube of a tree around a scene's bounds: shifted by an odd part of a pitch, so that walls and floors at round numbers do not lie on the borders of cells.
 fn cube(bounds: &Aabb) -> (DVec3, f64) {
     let edge = bounds.size().max_element().max(1e-3) * (1.0 + 3.0 / f64::from(SIDE));
@@ -135,13 +152,13 @@ pub fn build_tree(
     for (k, positions) in chosen.positions.chunks(batch).enumerate() {
         let places: Vec<Vec<(DVec3, usize)>> = positions.iter().map(|p| (0..6).map(|f| (*p, f)).collect()).collect();
         let seen = grower.add_together(caster, &places, side);
-        skies.extend(seen.into_iter().take(SKY_PLACES.saturating_sub(skies.len())));
+        skies.extend(seen);
         heard(&format!("{} of {} references", (k * batch + positions.len()), chosen.positions.len()));
     }
     if grower.reference_pixels == 0 {
         return Ok(None);
     }
-    let mut built = grower.finish(skies, first_chunk)?;
+    let mut built = grower.finish(spread(&skies), first_chunk)?;
     built.figures = TreeFigures {
         references: chosen.positions.len(),
         candidates: chosen.candidates,

@@ -250,3 +250,21 @@ fn probes_look_beyond_what_the_budget_draws() {
         "two triangles are within the budget: it looks on in vain"
     );
 }
+
+/// However many references stand close together, one that stands alone is kept.
+#[test]
+fn skies_are_kept_of_places_far_apart() {
+    let place = |x: f64| SkyPlace { position: DVec3::new(x, 0.0, 0.0), sky: Default::default() };
+    let mut skies: Vec<SkyPlace> = (0..500).map(|i| place(f64::from(i) * 0.01)).collect();
+    skies.extend([place(100.0), place(100.0), place(-40.0)]);
+    let kept = spread(&skies);
+    assert_eq!(kept.len(), SKY_PLACES);
+    for lonely in [100.0, -40.0] {
+        assert_eq!(kept.iter().filter(|k| k.position.x == lonely).count(), 1);
+    }
+    // Twice as far as 500 cm in 61 steps would have it, at most.
+    let nearest = |s: &SkyPlace| kept.iter().map(|k| k.position.distance(s.position)).fold(f64::MAX, f64::min);
+    assert!(skies.iter().all(|s| nearest(s) <= 0.17), "{:?}", skies.iter().map(nearest).fold(0.0, f64::max));
+    assert_eq!(spread(&skies[..3]).len(), 3);
+    assert!(spread(&[]).is_empty());
+}
