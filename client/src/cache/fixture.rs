@@ -140,7 +140,6 @@ pub fn street(cells: u32, side: u32) -> Street {
 
 impl Street {
     /// With an LDI tree of one sample: the root's chunk, pinned, and the last of the dataset.
-    #[allow(dead_code, reason = "not every test that has a street needs one")]
     pub fn with_tree(mut self) -> Self {
         let sample = TreeSample {
             face: 5,

@@ -30,6 +30,7 @@ pub struct SelectViews {
     index: Arc<Index>,
     picture_half_tan: (f64, f64),
     show: ShowPortals,
+    /// A [`Known`]: the planner and its forecast share the views.
     known: AtomicU8,
 }
 
