@@ -15,13 +15,14 @@
 //! ```
 
 mod cut;
+mod skies;
 
 pub use cut::{Cut, CutNode, CutOptions, Lens, cut};
+pub use skies::{Skies, SkyPlace};
 
 use crate::{
     Aabb,
     codec::{self, CodecError},
-    sky::SkyMap,
 };
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -104,15 +105,6 @@ pub struct TreeNode {
     pub chunk: u32,
 }
 
-/// Where an eye stood when the tree was made, and where it saw sky.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct SkyPlace {
-    /// Of the eye.
-    pub position: DVec3,
-    /// What it saw.
-    pub sky: SkyMap,
-}
-
 /// The tree as both ends know it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Tree {
@@ -124,8 +116,8 @@ pub struct Tree {
     pub root_chunk: u32,
     /// Levels 0 to this one less one come first and stay.
     pub pinned_levels: u8,
-    /// Reference positions with the sky they saw.
-    pub skies: Vec<SkyPlace>,
+    /// Where eyes see sky.
+    pub skies: Skies,
     /// By level, then by parent, then by octant (x fastest): children of one node lie together.
     pub nodes: Vec<TreeNode>,
 }
@@ -183,12 +175,6 @@ impl Tree {
         codec::tree::decode(bytes, &listed)
     }
 
-    /// The sky of the reference position nearest to an eye.
-    pub fn sky_near(&self, eye: DVec3) -> Option<&SkyMap> {
-        let distance = |s: &&SkyPlace| s.position.distance_squared(eye);
-        self.skies.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).map(|s| &s.sky)
-    }
-
     /// The rules of a tree: nodes by level, children together and within their parent, each node but the root child of one.
     ///
     /// # Errors
@@ -201,9 +187,7 @@ impl Tree {
         if self.pinned_levels > MAX_LEVEL + 1 {
             return Err(format!("{} levels are pinned, there are at most {}", self.pinned_levels, MAX_LEVEL + 1));
         }
-        if self.skies.iter().any(|s| !s.position.is_finite()) {
-            return Err("a reference position is not finite".into());
-        }
+        self.skies.check()?;
         let Some(root) = self.nodes.first() else { return Err("it has no root".into()) };
         if root.level != 0 || root.cell != [0; 3] {
             return Err("its first node is not the root".into());

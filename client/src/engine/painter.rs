@@ -437,7 +437,7 @@ impl Painter {
             Some(ms) if self.tree_rate > 0.0 => (ms * self.tree_rate) as u64,
             _ => u64::MAX,
         };
-        let under = Under::new(pose, camera, tree.sky_near(pose.position));
+        let under = Under::new(pose, camera, tree.skies.at(pose.position, index.volume.as_ref()));
         let (full, width) = (&self.full, self.full.width as usize);
         let no_gap = |row: usize, column: usize| {
             matches!(full.source[row * width + column], Source::Near | Source::Far) || under.is_sky(row, column)

@@ -55,7 +55,7 @@ fn wall() -> (Tree, Memory) {
         edge_m: EDGE_M,
         root_chunk: 0,
         pinned_levels: 1,
-        skies: Vec::new(),
+        skies: Default::default(),
         nodes,
     };
     tree.check().expect("a tree by the rules");

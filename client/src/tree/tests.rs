@@ -20,7 +20,14 @@ impl Made {
         let n = samples.len() as u32;
         let root = TreeNode { level: 0, cell: [0; 3], samples: n, unfiltered, first_child: 0, children: 0, chunk: 0 };
         let origin = DVec3::splat(-edge / 2.0);
-        let tree = Tree { origin, edge_m: edge, root_chunk: 0, pinned_levels: 1, skies: Vec::new(), nodes: vec![root] };
+        let tree = Tree {
+            origin,
+            edge_m: edge,
+            root_chunk: 0,
+            pinned_levels: 1,
+            skies: Default::default(),
+            nodes: vec![root],
+        };
         let mut memory = Memory::default();
         memory.broods.insert(0, Arc::new(Brood { nodes: vec![NodeSamples { samples }] }));
         Self { tree, memory }

@@ -10,7 +10,7 @@ use crate::{
     room_index::{BuiltImages, RoomIndex, SideImages},
     rooms::{Cell, Portal, PortalKind, Rooms},
     sky::SkyMap,
-    tree::{SkyPlace, Tree, TreeNode},
+    tree::{Skies, SkyPlace, Tree, TreeNode},
     volume::WalkVolume,
 };
 use glam::DVec3;
@@ -179,7 +179,10 @@ fn tree(first_chunk: u32) -> Tree {
         edge_m: 10.0 / 3.0,
         root_chunk: first_chunk,
         pinned_levels: 1,
-        skies: (0..2).map(|k| SkyPlace { position: DVec3::splat(0.1 * f64::from(k)), sky: sky(k) }).collect(),
+        skies: Skies {
+            places: (0..2).map(|k| SkyPlace { position: DVec3::splat(0.1 * f64::from(k)), sky: sky(k) }).collect(),
+            of_run: vec![1, 0, 1],
+        },
         nodes: vec![root, node([1, 0, 0]), node([0, 1, 1])],
     }
 }

@@ -1,5 +1,5 @@
 use super::*;
-use crate::{OutputCamera, Pose, codec};
+use crate::{OutputCamera, Pose, codec, sky::SkyMap, volume::WalkVolume};
 
 /// A tree of a full octree's levels, one octant in two missing; chunks are numbered from 0 on.
 fn tree(levels: u8) -> Tree {
@@ -26,7 +26,7 @@ fn tree(levels: u8) -> Tree {
         edge_m: 8.0,
         root_chunk: 0,
         pinned_levels: 2,
-        skies: Vec::new(),
+        skies: Default::default(),
         nodes,
     }
 }
@@ -228,4 +228,26 @@ fn forged_chunks_are_refused() {
     let mut bad = b.clone();
     bad.nodes[1].samples.swap(0, 1);
     assert!(codec::tree::encode(&bad, 1).is_err());
+}
+
+/// The nearest place is on the other side of a floor; the one that counts is farther, on this side.
+#[test]
+fn an_eye_goes_by_the_sky_that_its_run_is_told() {
+    let sky = |square| SkyMap::of_runs(vec![[square, 1]]).unwrap();
+    let place = |x, y, square| SkyPlace { position: DVec3::new(x, y, 0.5), sky: sky(square) };
+    let floors = vec![vec![[0, 10], [30, 40]]; 10];
+    let cut = Aabb { min: DVec3::ZERO, max: DVec3::new(10.0, 0.0, 1.0) };
+    let volume = WalkVolume::new(DVec3::ZERO, 1.0, 0.1, [10, 1], &floors, &cut).unwrap();
+    let of_run = (0..10).flat_map(|column| [0, if column < 7 { 1 } else { 2 }]).collect();
+    let skies = Skies { places: vec![place(1.0, 0.5, 1), place(4.5, 3.5, 2), place(9.0, 3.5, 3)], of_run };
+    let told = |x, y, v| skies.at(DVec3::new(x, y, 0.5), v).cloned();
+    assert_eq!(told(1.0, 3.5, Some(&volume)), Some(sky(2)));
+    assert_eq!(told(1.0, 0.5, Some(&volume)), Some(sky(1)));
+    assert_eq!(told(8.0, 3.5, Some(&volume)), Some(sky(3)));
+    // Outside of the volume, or without one: the nearest.
+    assert_eq!(told(1.0, 2.0, Some(&volume)), Some(sky(1)));
+    assert_eq!(told(1.0, 3.5, None), Some(sky(1)));
+    assert_eq!(Skies::default().at(DVec3::ZERO, Some(&volume)), None);
+    let forged = Skies { of_run: vec![3], ..skies };
+    assert!(Tree { skies: forged, ..tree(2) }.check().unwrap_err().contains("place 3"));
 }

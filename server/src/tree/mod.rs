@@ -6,7 +6,8 @@
 //! 2. [`mod@reference`]: six square images of 90 degrees at each; of every pixel the point, the normal, the colour and the stamp.
 //! 3. [`grow`]: each pixel goes to the level whose pitch matches its stamp (section 3.1), bilinearly; filtered copies go up, level by level.
 //! 4. [`shape`]: what was grown, as nodes and chunks.
-//! 5. [`probe`]: how fine it has to be, and is, where random eyes look.
+//! 5. [`skies`]: where eyes see none of it.
+//! 6. [`probe`]: how fine it has to be, and is, where random eyes look.
 //!
 //! Where it differs from the paper: six faces per node instead of one (see [`ldi_protocol::tree`]); the stamp is measured along the surface, not across the ray, so that
 //! floors seen at a grazing angle do not fall apart; a pixel's filtered copies come from the level below and not from the pixel itself, which is the same sum in
@@ -17,6 +18,7 @@ mod places;
 mod probe;
 mod reference;
 mod shape;
+mod skies;
 #[cfg(test)]
 mod tests;
 
@@ -29,7 +31,8 @@ use glam::DVec3;
 use grow::Forest;
 use ldi_protocol::{
     Aabb,
-    tree::{MAX_LEVEL, SIDE, SkyPlace, Tree},
+    tree::{MAX_LEVEL, SIDE, Skies, SkyPlace, Tree},
+    volume::WalkVolume,
 };
 use rayon::prelude::*;
 use reference::Reference;
@@ -42,8 +45,6 @@ pub const PINNED_BYTES: u64 = 2_000_000;
 const BASE_PIXELS: f64 = 24e6;
 /// Pixels along a side of a reference image, at least and at most.
 const REFERENCE_SIDES: [f64; 2] = [16.0, 512.0];
-/// Of so many references the sky is kept. About a kilobyte each, before anything is drawn.
-const SKY_PLACES: usize = 64;
 /// References that are held in memory at a time, pixels of a point each.
 const BATCH_POINTS: usize = 2_000_000;
 
@@ -103,23 +104,6 @@ pub struct BuiltTree {
     pub figures: TreeFigures,
 }
 
-/// Some of the skies, spread: the first, then always the one farthest from those taken. An eye takes the nearest one's, so that none may be far from where eyes can be, however little it sees.
-fn spread(skies: &[SkyPlace]) -> Vec<SkyPlace> {
-    let mut distances = vec![f64::INFINITY; skies.len()];
-    let mut taken = Vec::new();
-    let mut next = (!skies.is_empty()).then_some(0);
-    while let Some(at) = next.filter(|_| taken.len() < SKY_PLACES) {
-        taken.push(at);
-        for (d, s) in distances.iter_mut().zip(skies) {
-            *d = d.min(s.position.distance_squared(skies[at].position));
-        }
-        // The first of equals, on every machine.
-        let farthest = (0..skies.len()).rev().max_by(|a, b| distances[*a].total_cmp(&distances[*b]));
-        next = farthest.filter(|n| distances[*n] > 0.0);
-    }
-    taken.into_iter().map(|at| skies[at].clone()).collect()
-}
-
 /// The cube of a tree around a scene's bounds: shifted by an odd part of a pitch, so that walls and floors at round numbers do not lie on the borders of cells.
 fn cube(bounds: &Aabb) -> (DVec3, f64) {
     let edge = bounds.size().max_element().max(1e-3) * (1.0 + 3.0 / f64::from(SIDE));
@@ -133,6 +117,7 @@ fn cube(bounds: &Aabb) -> (DVec3, f64) {
 pub fn build_tree(
     caster: &Caster,
     bounds: &Aabb,
+    volume: &WalkVolume,
     chosen: &Places,
     depth: Depth,
     first_chunk: u32,
@@ -158,7 +143,7 @@ pub fn build_tree(
     if grower.reference_pixels == 0 {
         return Ok(None);
     }
-    let mut built = grower.finish(spread(&skies), first_chunk)?;
+    let mut built = grower.finish(skies::choose(caster, &skies, volume), first_chunk)?;
     built.figures = TreeFigures {
         references: chosen.positions.len(),
         candidates: chosen.candidates,
@@ -217,7 +202,7 @@ impl Grower {
     ///
     /// # Errors
     /// If a chunk cannot be encoded.
-    pub fn finish(self, skies: Vec<SkyPlace>, first_chunk: u32) -> Result<BuiltTree, PackError> {
+    pub fn finish(self, skies: Skies, first_chunk: u32) -> Result<BuiltTree, PackError> {
         let mut built = shape::shape(self.forest.filter(), self.origin, self.edge_m, skies, first_chunk)?;
         let figures = &mut built.figures;
         let samples: u64 = figures.samples_by_level.iter().sum();

@@ -19,7 +19,7 @@ fn built(scene: Scene, places: &[DVec3], side: u32, max_level: u8) -> (BuiltTree
     let references: Vec<Reference> =
         places.iter().map(|p| Reference::take(&caster, *p, &[0, 1, 2, 3, 4, 5], side)).collect();
     forest.splat(&references, 0);
-    let tree = shape::shape(forest.filter(), origin, edge_m, Vec::new(), 0).expect("it can be encoded");
+    let tree = shape::shape(forest.filter(), origin, edge_m, Skies::default(), 0).expect("it can be encoded");
     tree.tree.check().expect("a good tree");
     (tree, references)
 }
@@ -233,10 +233,7 @@ fn probes_look_beyond_what_the_budget_draws() {
     let octree = Octree::build(&scene, &clusters, 1000);
     let caster = Caster::new(Arc::clone(&scene), &clusters, &octree);
     let cells = crate::pack::pack_geometry(&scene, &clusters, &octree, 0).expect("it can be packed").cells;
-    let volume = ldi_protocol::volume::WalkVolume::of_box(&Aabb::from_points([
-        DVec3::new(-1.0, -1.0, -1.0),
-        DVec3::new(1.0, 1.0, 1.0),
-    ]));
+    let volume = WalkVolume::of_box(&Aabb::from_points([DVec3::new(-1.0, -1.0, -1.0), DVec3::new(1.0, 1.0, 1.0)]));
     let volume = volume.expect("a volume");
     let look = |budget| {
         let settings = crate::placement::test_scenes::settings(budget);
@@ -249,22 +246,4 @@ fn probes_look_beyond_what_the_budget_draws() {
         all.far.is_empty() && all.surfaces > none.surfaces,
         "two triangles are within the budget: it looks on in vain"
     );
-}
-
-/// However many references stand close together, one that stands alone is kept.
-#[test]
-fn skies_are_kept_of_places_far_apart() {
-    let place = |x: f64| SkyPlace { position: DVec3::new(x, 0.0, 0.0), sky: Default::default() };
-    let mut skies: Vec<SkyPlace> = (0..500).map(|i| place(f64::from(i) * 0.01)).collect();
-    skies.extend([place(100.0), place(100.0), place(-40.0)]);
-    let kept = spread(&skies);
-    assert_eq!(kept.len(), SKY_PLACES);
-    for lonely in [100.0, -40.0] {
-        assert_eq!(kept.iter().filter(|k| k.position.x == lonely).count(), 1);
-    }
-    // Twice as far as 500 cm in 61 steps would have it, at most.
-    let nearest = |s: &SkyPlace| kept.iter().map(|k| k.position.distance(s.position)).fold(f64::MAX, f64::min);
-    assert!(skies.iter().all(|s| nearest(s) <= 0.17), "{:?}", skies.iter().map(nearest).fold(0.0, f64::max));
-    assert_eq!(spread(&skies[..3]).len(), 3);
-    assert!(spread(&[]).is_empty());
 }

@@ -6,7 +6,7 @@ use crate::{
         CodecError,
         bytes::{Reader, Writer, put_varint, unzigzag, zigzag},
     },
-    tree::{SkyPlace, Tree, TreeNode},
+    tree::{Skies, SkyPlace, Tree, TreeNode},
 };
 use glam::DVec3;
 
@@ -19,10 +19,13 @@ pub(super) fn put_head(w: &mut Writer, tree: &Tree) -> Result<(), CodecError> {
     let mut numbers = Vec::new();
     put_varint(&mut numbers, tree.root_chunk.into());
     put_varint(&mut numbers, tree.pinned_levels.into());
-    put_varint(&mut numbers, tree.skies.len() as u64);
-    tree.skies.iter().for_each(|s| put_sky(&mut numbers, &s.sky));
+    let places = &tree.skies.places;
+    put_varint(&mut numbers, places.len() as u64);
+    places.iter().for_each(|s| put_sky(&mut numbers, &s.sky));
+    put_varint(&mut numbers, tree.skies.of_run.len() as u64);
+    tree.skies.of_run.iter().for_each(|place| put_varint(&mut numbers, u64::from(*place)));
     w.section("tree", &numbers)?;
-    put_numbers(w, "reference positions", tree.skies.iter().flat_map(|s| s.position.to_array()))
+    put_numbers(w, "reference positions", places.iter().flat_map(|s| s.position.to_array()))
 }
 
 pub(super) fn take_head(r: &mut Reader<'_>, budget: &mut usize) -> Result<Tree, CodecError> {
@@ -31,13 +34,18 @@ pub(super) fn take_head(r: &mut Reader<'_>, budget: &mut usize) -> Result<Tree, 
     let root_chunk = numbers.next("root chunk")?;
     let pinned_levels = numbers.count("pinned levels", 255)? as u8;
     let places = numbers.count("reference positions", MAX_PLACES)?;
-    let mut skies = Vec::new();
+    let mut skies = Skies::default();
     for _ in 0..places {
-        skies.push(SkyPlace { position: DVec3::ZERO, sky: take_sky(&mut numbers, budget)? });
+        skies.places.push(SkyPlace { position: DVec3::ZERO, sky: take_sky(&mut numbers, budget)? });
+    }
+    let runs = numbers.count("runs with a sky", *budget)?;
+    *budget -= runs;
+    for _ in 0..runs {
+        skies.of_run.push(numbers.count("place of a sky", u16::MAX.into())? as u16);
     }
     numbers.finish("tree")?;
     let positions = take_numbers(r, "reference positions", 3 * places)?;
-    for (place, p) in skies.iter_mut().zip(positions.as_chunks().0) {
+    for (place, p) in skies.places.iter_mut().zip(positions.as_chunks().0) {
         place.position = DVec3::from_array(*p);
     }
     let origin = DVec3::new(cube[0], cube[1], cube[2]);
