@@ -85,6 +85,49 @@ fn without_the_server_s_process_its_cost_is_null_with_a_reason() {
     assert!(r["chunks"]["received"].as_u64() > Some(0));
 }
 
+/// They come and go, and the walker gets what it needs.
+#[test]
+fn hostile_connections_are_counted_beside_a_walker_who_lacks_nothing() {
+    let host = Host::start("load-hostile", Memory::new(street(12, 64)));
+    let folder = folder("load-hostile-report");
+    let more = ["--walkers", "1", "--seconds", "2", "--no-raw", "--hostile", "8"];
+    let out = load(&host, &folder, &more);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let text = std::fs::read_to_string(folder.join("load.json")).expect("a report");
+    let r: Value = serde_json::from_str(&text).expect("JSON");
+    assert_eq!((&r["connected"], &r["dropped"]), (&1.into(), &0.into()));
+    assert!(
+        r["chunks"]["unfinished_at_the_end"] == 0 && r["chunks"]["received"].as_u64() > Some(10),
+        "{}",
+        r["chunks"]
+    );
+    let toll = |manner: &str, field: &str| r["hostile"]["manners"][manner][field].as_u64().expect("a count");
+    for manner in ["silent", "slow", "flooding", "malformed"] {
+        assert!(toll(manner, "came_in") >= 2, "{manner}: {}", r["hostile"]);
+    }
+    assert!(toll("malformed", "thrown_out") >= 2, "{}", r["hostile"]);
+    assert_eq!(toll("slow", "thrown_out"), 0, "nothing that it does is forbidden");
+    assert!(toll("flooding", "bytes") > toll("silent", "bytes"), "{}", r["hostile"]);
+    let page = std::fs::read_to_string(folder.join("load.html")).expect("a page");
+    assert!(page.contains("malformed"));
+}
+
+#[test]
+fn hostile_connections_come_without_walkers_too() {
+    let host = Host::start("load-alone-hostile", Memory::new(street(2, 16)));
+    let folder = folder("load-alone-hostile-report");
+    let more = ["--walkers", "0", "--seconds", "0.5", "--no-raw", "--hostile", "2", "--hostile-as", "malformed"];
+    let out = load(&host, &folder, &more);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let text = std::fs::read_to_string(folder.join("load.json")).expect("a report");
+    let r: Value = serde_json::from_str(&text).expect("JSON");
+    assert!(r["incomplete_fraction"].is_null() && r["reasons"]["incomplete_fraction"].is_string());
+    assert_eq!(r["hostile"]["manners"].as_object().map(|m| m.len()), Some(1));
+    let out = load(&host, &folder, &["--walkers", "0", "--seconds", "1"]);
+    let said = String::from_utf8_lossy(&out.stderr).into_owned();
+    assert!(out.status.code() == Some(2) && said.contains("--hostile"), "{said}");
+}
+
 #[test]
 fn the_door_opens_as_for_the_client() {
     let host = Host::start("load-door", Memory::new(street(2, 16)));

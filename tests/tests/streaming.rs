@@ -259,7 +259,7 @@ fn garbage_and_sloth_harm_only_their_own_connection() {
     let victim = host.connect();
     // One that never reads, one per kind of nonsense.
     let slow = host.runtime.block_on(stranger::reads_nothing(address));
-    for nonsense in stranger::NONSENSE {
+    for nonsense in stranger::Nonsense::ALL {
         let end = host.runtime.block_on(stranger::sends(address, nonsense));
         assert!(end, "the server ends a connection that sends {nonsense:?}");
     }

@@ -35,6 +35,7 @@ pub use link::{Direction, Fate, HEADER_BYTES, Link, LinkCounts, LinkError, LinkS
 pub use progress::{ConnectProgress, Phase};
 pub use session::MAX_RETRIES;
 pub use stats::{Arrival, Stats};
+pub use transport::resolve;
 pub use trust::Fingerprint;
 
 use crate::cache::{Cache, Incomplete};

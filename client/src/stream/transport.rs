@@ -23,7 +23,10 @@ const POSES_WAITING: usize = 4;
 const SOCKET_BUFFER_BYTES: usize = 4 << 20;
 
 /// HOST, HOST:PORT, `[v6]:PORT` or a bare v6 address, resolved.
-pub(super) fn resolve(text: &str) -> Result<Vec<SocketAddr>, ConnectError> {
+///
+/// # Errors
+/// A text that is no address, or a name that nobody knows.
+pub fn resolve(text: &str) -> Result<Vec<SocketAddr>, ConnectError> {
     let wrong = |reason: String| ConnectError::Address { address: text.to_owned(), reason };
     let bare_v6 = text.parse::<Ipv6Addr>().is_ok();
     let has_port = !bare_v6 && text.rsplit_once(':').is_some_and(|(host, _)| !host.is_empty() && !text.ends_with(']'));

@@ -12,3 +12,4 @@ pub mod speed_error;
 pub mod speed_error_page;
 pub mod streaming;
 pub mod tree;
+pub mod video;

@@ -9,7 +9,7 @@ use ldi_server::placement::AuditSize;
 use ldi_tests::args::percent;
 use ldi_tests::bench::{
     numerics, numerics_page, placement, placement_page, portals, portals_page, searches, speed_error, speed_error_page,
-    streaming, tree,
+    streaming, tree, video,
 };
 use std::path::{Path, PathBuf};
 
@@ -65,6 +65,37 @@ Examples:
   ldi-bench streaming small_house --path small_house.path.json -o out/streaming
   ldi-bench streaming small_house --path small_house.path.json --link rate=25mbit,delay=40ms --decode-mb-s 15 --twice -o out/streaming")]
     Streaming(StreamingArgs),
+    /// The frames of a walk as video, as a server that renders every frame would stream them: bits per second against error. Needs ffmpeg.
+    #[command(after_help = "\
+Examples:
+  ldi-server render house.glb --path house.path.json --size 640x360 --samples 4 --mips -o frames
+  ldi-server render house.glb --path house.path.json --size 640x360 --samples 16 --every 60 -o truth
+  ldi-bench video frames --truth truth --flip 0.03 -o out/video")]
+    Video(VideoArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct VideoArgs {
+    /// Folder of the frames (PNG), shown in the order of their names.
+    frames: PathBuf,
+    /// Folder of the truth of some frames, under the same names.
+    #[arg(long)]
+    truth: PathBuf,
+    /// Frames per second.
+    #[arg(long, default_value_t = 60.0)]
+    fps: f64,
+    /// Encoders.
+    #[arg(long, value_enum, value_delimiter = ',', default_values = ["x264", "x264-best", "av1"])]
+    encoders: Vec<video::Encoder>,
+    /// Quality settings: constant rate factors.
+    #[arg(long, value_delimiter = ',', default_values_t = [14, 20, 26, 32, 38, 44])]
+    crf: Vec<u32>,
+    /// Say what each encoder needs for this mean FLIP: that of `ldi-client walk` over the same frames.
+    #[arg(long)]
+    flip: Option<f64>,
+    /// Folder for what is left.
+    #[arg(short, long)]
+    output: PathBuf,
 }
 
 #[derive(Debug, clap::Args)]
@@ -258,6 +289,7 @@ fn main() -> Result<()> {
         Command::Tree(a) => ldi_tree(a),
         Command::Streaming(a) => streaming(&a),
         Command::Portals(a) => portals_of(a),
+        Command::Video(a) => video_of(a),
     }
 }
 
@@ -405,6 +437,27 @@ fn streaming(a: &StreamingArgs) -> Result<()> {
     let found = streaming::run(&study, |r| eprintln!("{}", streaming::line(r)))?;
     write(&a.output.join("streaming.json"), &serde_json::to_string_pretty(&found)?)?;
     print!("{}", streaming::table(&found));
+    Ok(())
+}
+
+fn video_of(a: VideoArgs) -> Result<()> {
+    if !(a.fps.is_finite() && a.fps > 0.0) {
+        bail!("--fps {}: a number above 0", a.fps);
+    }
+    let study = video::Study {
+        frames: a.frames,
+        truth: a.truth,
+        fps: a.fps,
+        encoders: a.encoders,
+        crf: a.crf,
+        flip: a.flip,
+        output: a.output.clone(),
+    };
+    let found = video::run(&study, |r| eprintln!("{}", video::line(r)))?;
+    write(&a.output.join("video.json"), &serde_json::to_string_pretty(&found)?)?;
+    let table = video::table(&found, a.flip);
+    write(&a.output.join("video.md"), &format!("`{}`\n\n{table}", typed()))?;
+    print!("{table}");
     Ok(())
 }
 

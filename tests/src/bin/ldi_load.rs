@@ -7,7 +7,9 @@ use clap::{Parser, ValueEnum};
 use ldi_client::stream::{ConnectConfig, Fingerprint, LinkSpec};
 use ldi_protocol::{path, said::said};
 use ldi_tests::load::{
-    self, Load, LoadError, decoding_fits, page,
+    self, Load, LoadError, decoding_fits,
+    hostile::Manner,
+    page,
     process::Process,
     raw,
     report::report,
@@ -32,14 +34,15 @@ const MAX_TOKEN_BYTES: u64 = 1024;
 Examples:
   ldi-load localhost --fingerprint HEX --walkers 64 --seconds 60 --path house.path.json --report load.json --server-pid $(pgrep -x ldi-server)
   ldi-load localhost --fingerprint HEX --walkers 8 --seconds 30 --random 1 --ramp 5 --link rate=25mbit,delay=40ms,loss=2% --report load.json
+  nice -n 19 ldi-load localhost --fingerprint HEX --walkers 0 --hostile 1000 --seconds 60 --random 1 --report hostile.json
 
 A walker looks 60 times per second what of its view is missing. Exit codes: 0 done, 2 wrong usage, 1 a retry may help, 42 a retry will not help."
 )]
 struct Cli {
     /// HOST or HOST:PORT of the server.
     server: String,
-    /// How many walkers.
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=MAX_WALKERS))]
+    /// How many walkers; 0 with --hostile: only those.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(0..=MAX_WALKERS))]
     walkers: u32,
     /// How long they walk once all are in, seconds.
     #[arg(long, value_parser = seconds)]
@@ -69,6 +72,13 @@ struct Cli {
     /// How walkers move.
     #[arg(long, value_enum, default_value = "path")]
     scenario: Scenario,
+    /// Connections that want the server no good, beside the walkers: what they cost shows in the walkers' figures. To tell what they cost the server from what they cost this program, run
+    /// them in another one, of low priority: `nice -n 19 ldi-load ... --walkers 0 --hostile N`.
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=MAX_WALKERS))]
+    hostile: u32,
+    /// How those behave, in turn.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "HOW", default_values = ["silent", "slow", "flooding", "malformed"])]
+    hostile_as: Vec<Manner>,
     /// Time over which the walkers come in, seconds.
     #[arg(long, value_parser = ramp, default_value = "0")]
     ramp: f64,
@@ -140,6 +150,9 @@ fn run(cli: &Cli) -> Result<(), Failure> {
     if !(cli.prefetch_m.is_finite() && cli.prefetch_m >= 0.0) {
         return Err(Failure(2, anyhow::anyhow!("--prefetch-m is a number of metres, 0 or more")));
     }
+    if cli.walkers == 0 && cli.hostile == 0 {
+        return Err(Failure(2, anyhow::anyhow!("--walkers 0 leaves nothing to do: give 1 or more, or --hostile N")));
+    }
     let mut config = ConnectConfig::new(&cli.server, load::PICTURE);
     let fingerprint = cli.fingerprint.as_deref().map(str::parse::<Fingerprint>).transpose();
     config.fingerprint = fingerprint.map_err(|e| Failure(e.exit_code(), e.into()))?;
@@ -171,6 +184,8 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         walkers: cli.walkers as usize,
         seconds: cli.seconds,
         ramp_s: cli.ramp,
+        hostile: cli.hostile as usize,
+        manners: cli.hostile_as.clone(),
         route,
         scenario: cli.scenario,
         server: cli.server_pid.map(Process),

@@ -3,6 +3,7 @@
 //! In: a server, a path file or a seed, a number of walkers. Out: a report after the contract, and a page with plots.
 //!
 //! - [`track`]: where walkers go; pure. [`walker`]: one of them, a task.
+//! - [`hostile`]: who comes to harm the server; [`stranger`]: how they get in.
 //! - [`process`]: processor time and memory of the server. [`raw`]: a bare QUIC transfer in the same run to compare with.
 //! - [`report`], [`page`]: what is left.
 //! - [`rehearsal`]: a walk over a link in virtual time, to compare ways to send ahead; [`hindsight`]: what it is compared with;
@@ -10,22 +11,26 @@
 
 pub mod eviction;
 pub mod hindsight;
+pub mod hostile;
 pub mod page;
 pub mod process;
 pub mod raw;
 pub mod rehearsal;
 pub mod report;
+pub mod stranger;
 pub mod track;
 pub mod walker;
 
-use ldi_client::stream::{ConnectConfig, ConnectError, Connection, DecodePool};
-use ldi_protocol::wire::Picture;
+use hostile::{Manner, Siege, Toll};
+use ldi_client::stream::{ConnectConfig, ConnectError, Connection, DecodePool, resolve};
+use ldi_protocol::{index::Index, wire::Picture};
 use process::Process;
 use raw::Raw;
 use std::{
     sync::{Arc, Mutex},
     time::{Duration, Instant},
 };
+use tokio::task::JoinSet;
 use track::{Route, Scenario};
 use walker::{Course, Latencies, Outcome};
 
@@ -73,6 +78,10 @@ pub struct Load {
     pub seconds: f64,
     /// Time over which they come in.
     pub ramp_s: f64,
+    /// Connections that want no good, beside the walkers and from the begin on.
+    pub hostile: usize,
+    /// How those behave, one after another.
+    pub manners: Vec<Manner>,
     /// Where they go.
     pub route: Route,
     /// How.
@@ -90,6 +99,8 @@ pub struct ServerSecond {
     pub cpu_s: f64,
     /// Resident bytes.
     pub rss_bytes: u64,
+    /// Resident bytes without mapped files, as the dataset is.
+    pub anonymous_bytes: u64,
 }
 
 /// What was seen.
@@ -101,8 +112,10 @@ pub struct Seen {
     pub latencies: Latencies,
     /// Second by second, the last at the end; empty without --server-pid.
     pub server: Vec<ServerSecond>,
-    /// Resident bytes before the first walker.
-    pub server_rss_before: Option<u64>,
+    /// Before the first walker.
+    pub server_before: ServerSecond,
+    /// What became of the hostile connections, by manner.
+    pub hostile: Vec<(Manner, Toll)>,
     /// This program's own processor seconds.
     pub load_cpu_s: Option<f64>,
     /// The bare transfer, or why there is none.
@@ -145,10 +158,17 @@ pub async fn run(load: &Load, mut progress: impl FnMut(f64, usize)) -> Result<Se
     });
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let pool = Arc::new(DecodePool::new(threads)?);
-    let server_rss_before = load.server.and_then(Process::rss_bytes);
-    let cpu_before = load.server.and_then(Process::cpu_s).unwrap_or_default();
+    let server_now = || {
+        load.server.map(|p| ServerSecond {
+            cpu_s: p.cpu_s().unwrap_or_default(),
+            rss_bytes: p.rss_bytes().unwrap_or_default(),
+            anonymous_bytes: p.anonymous_bytes().unwrap_or_default(),
+        })
+    };
+    let server_before = server_now().unwrap_or_default();
     let own_cpu_before = Process::this().cpu_s();
-    let mut tasks = tokio::task::JoinSet::new();
+    let mut tasks = JoinSet::new();
+    let mut enemies = besiege(load, &index, course.end)?;
     for (i, track) in tracks.into_iter().enumerate() {
         let mut config = ConnectConfig {
             name: format!("ldi-load {}", i + 1),
@@ -168,8 +188,8 @@ pub async fn run(load: &Load, mut progress: impl FnMut(f64, usize)) -> Result<Se
     }
     let mut server = Vec::new();
     let look = |server: &mut Vec<ServerSecond>| {
-        if let Some((p, cpu)) = load.server.and_then(|p| Some((p, p.cpu_s()?))) {
-            server.push(ServerSecond { cpu_s: cpu - cpu_before, rss_bytes: p.rss_bytes().unwrap_or_default() });
+        if let Some(now) = server_now() {
+            server.push(ServerSecond { cpu_s: now.cpu_s - server_before.cpu_s, ..now });
         }
     };
     let mut second = tokio::time::interval_at((start + Duration::from_secs(1)).into(), Duration::from_secs(1));
@@ -187,6 +207,10 @@ pub async fn run(load: &Load, mut progress: impl FnMut(f64, usize)) -> Result<Se
         }
     }
     look(&mut server);
+    let mut hostile: Vec<(Manner, Toll)> = load.manners.iter().map(|m| (*m, Toll::default())).collect();
+    while let Some(Ok((manner, toll))) = enemies.join_next().await {
+        hostile.iter_mut().filter(|(m, _)| *m == manner).for_each(|(_, t)| *t += toll);
+    }
     let load_cpu_s = own_cpu_before.and_then(|before| Some(Process::this().cpu_s()? - before));
     if !walkers.iter().any(|w| w.refused.is_none())
         && let Some(e) = walkers.iter_mut().find_map(|w| w.refused.take())
@@ -194,7 +218,28 @@ pub async fn run(load: &Load, mut progress: impl FnMut(f64, usize)) -> Result<Se
         return Err(e.into());
     }
     let latencies = std::mem::take(&mut *course.latencies.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
-    Ok(Seen { walkers, latencies, server, server_rss_before, load_cpu_s, raw })
+    Ok(Seen { walkers, latencies, server, server_before, hostile, load_cpu_s, raw })
+}
+
+/// Sends the hostile connections, all from one socket.
+fn besiege(load: &Load, index: &Index, end: Instant) -> Result<JoinSet<(Manner, Toll)>, LoadError> {
+    let mut tasks = JoinSet::new();
+    if load.hostile == 0 {
+        return Ok(tasks);
+    }
+    let server = resolve(&load.config.server)?[0];
+    let endpoint = stranger::endpoint(hostile::address(server))?;
+    let mut chunks: Vec<u32> = (0..index.chunks.len() as u32).collect();
+    chunks.sort_by_key(|c| std::cmp::Reverse(index.chunks[*c as usize].stored_bytes));
+    let (token, picture) = (load.config.token.clone(), load.config.picture);
+    let siege = Arc::new(Siege { server, token, picture, chunks, end });
+    let seconds = load.seconds + load.ramp_s;
+    let tracks = track::tracks(&load.route, Scenario::Teleport, load.hostile, seconds, index.volume.as_ref())?;
+    for (number, (track, manner)) in tracks.into_iter().zip(load.manners.iter().cycle().copied()).enumerate() {
+        let (siege, endpoint) = (siege.clone(), endpoint.clone());
+        tasks.spawn(async move { (manner, siege.send(endpoint, manner, number, track).await) });
+    }
+    Ok(tasks)
 }
 
 /// The picture that walkers say they draw.

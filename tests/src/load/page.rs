@@ -86,7 +86,23 @@ pub fn html(report: &Value, seen: &Seen, command: &str) -> String {
             escape(&note)
         );
     }
-    h.push_str("</section><h2>Plots</h2><div class=\"plots\">");
+    h.push_str("</section>");
+    if let Some(manners) = report["hostile"]["manners"].as_object() {
+        h.push_str("<h2>Hostile connections beside them</h2><table><tr><th>manner</th><th>came in</th><th>thrown out</th><th>turned away</th><th>MB received</th></tr>");
+        for (manner, toll) in manners {
+            let _ = write!(
+                h,
+                "<tr><th>{}</th><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
+                escape(manner),
+                toll["came_in"],
+                toll["thrown_out"],
+                toll["turned_away"],
+                number(f(&toll["bytes"]) / 1e6)
+            );
+        }
+        h.push_str("</table>");
+    }
+    h.push_str("<h2>Plots</h2><div class=\"plots\">");
     for plot in plots(report, seen) {
         let _ = write!(h, "<figure>{}</figure>", plot.svg());
     }

@@ -28,6 +28,10 @@ impl Process {
     pub fn rss_bytes(self) -> Option<u64> {
         kib(&fs::read_to_string(self.file("status")).ok()?, "VmRSS:").map(|k| k * 1024)
     }
+    /// Resident bytes of its own, without mapped files.
+    pub fn anonymous_bytes(self) -> Option<u64> {
+        kib(&fs::read_to_string(self.file("status")).ok()?, "RssAnon:").map(|k| k * 1024)
+    }
 }
 
 /// Bytes of memory that can be had without swapping.

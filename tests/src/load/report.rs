@@ -67,8 +67,11 @@ pub fn report(load: &Load, seen: &Seen) -> Value {
         "raw_quic": seen.raw.as_ref().ok().map(|r| json!({
             "bytes": r.bytes, "seconds": r.seconds, "server_cpu_s": r.server_cpu_s, "connections": 1,
         })),
-        "server_rss_bytes_before": seen.server_rss_before,
-        "server_rss_bytes_per_walker": rss.zip(seen.server_rss_before).map(|(now, before)| now.saturating_sub(before) / load.walkers.max(1) as u64),
+        "server_rss_bytes_before": rss.map(|_| seen.server_before.rss_bytes),
+        "server_rss_bytes_per_walker": rss.map(|now| now.saturating_sub(seen.server_before.rss_bytes) / load.walkers.max(1) as u64),
+        "server_anonymous_bytes_before": rss.map(|_| seen.server_before.anonymous_bytes),
+        "server_anonymous_bytes": seen.server.iter().map(|s| s.anonymous_bytes).max(),
+        "hostile": (load.hostile > 0).then(|| hostile(load, seen)),
         "load_cpu_s": seen.load_cpu_s,
         "refused": seen.walkers.len() - inside.len(),
         "failures": failures,
@@ -115,6 +118,16 @@ pub fn report(load: &Load, seen: &Seen) -> Value {
     report
 }
 
+/// By manner: connections that stood, were ended by the server, never stood; and what they received.
+fn hostile(load: &Load, seen: &Seen) -> Value {
+    let manners = seen.hostile.iter().map(|(manner, t)| {
+        let toll =
+            json!({ "came_in": t.came_in, "thrown_out": t.thrown_out, "turned_away": t.turned_away, "bytes": t.bytes });
+        (manner.name().to_owned(), toll)
+    });
+    json!({ "connections": load.hostile, "manners": Value::Object(manners.collect()) })
+}
+
 /// Nothing measured is null, not 0.
 fn latency(h: &Histogram<u64>) -> Value {
     let ms = |us: u64| (!h.is_empty()).then_some(us as f64 * 1e-3);
@@ -146,6 +159,7 @@ fn by_second(load: &Load, walkers: &[&Outcome], seen: &Seen) -> Vec<Value> {
                 "bytes": all().map(|s| s.bytes).sum::<u64>(),
                 "server_cpu_s": cpu(i).map(|c| c - if i == 0 { 0.0 } else { cpu(i - 1).unwrap_or_default() }),
                 "server_rss_bytes": seen.server.get(i).map(|s| s.rss_bytes),
+                "server_anonymous_bytes": seen.server.get(i).map(|s| s.anonymous_bytes),
             })
         })
         .collect()

@@ -1,0 +1,247 @@
+//! Connections that want the server no good, beside the walkers: what they cost the others shows in the walkers' figures.
+//!
+//! Each behaves in one [`Manner`] until the end of the run; thrown out, it comes again.
+
+use super::{
+    stranger::{self, Nonsense},
+    track::Track,
+};
+use ldi_protocol::wire::{self, ClientMessage, MAX_LIST, Picture, PoseDatagram, Request};
+use quinn::{Connection, Endpoint, RecvStream, SendStream, VarInt};
+use std::{
+    net::{IpAddr, Ipv4Addr, SocketAddr},
+    sync::Arc,
+    time::{Duration, Instant},
+};
+use tokio::time::{interval, sleep, timeout_at};
+
+/// Whoever is thrown out or refused comes again after this time.
+const AGAIN: Duration = Duration::from_millis(100);
+/// Between two poses of one who floods: far more than the server takes.
+const FLOOD_POSES: Duration = Duration::from_millis(1);
+/// Between two messages of one who floods: just below the server's usual limit of 500 per second, beyond which it would be thrown out.
+const FLOOD_MESSAGES: Duration = Duration::from_micros(2_500);
+/// Requests that one who floods has open: as many as the server allows.
+const FLOOD_REQUESTS: u32 = 64;
+/// Between two bites of one who is slow, and their size.
+const SLOW_EVERY: Duration = Duration::from_millis(100);
+const SLOW_BYTES: usize = 1024;
+
+/// How a hostile connection behaves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Manner {
+    /// Comes in and says nothing.
+    Silent,
+    /// Walks and asks for large chunks, but reads a kilobyte now and then.
+    Slow,
+    /// Asks for everything again and again, as fast as the server lets it, and reads it.
+    Flooding,
+    /// Says what is no message.
+    Malformed,
+}
+
+impl Manner {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Silent, Self::Slow, Self::Flooding, Self::Malformed];
+
+    /// As on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Silent => "silent",
+            Self::Slow => "slow",
+            Self::Flooding => "flooding",
+            Self::Malformed => "malformed",
+        }
+    }
+}
+
+/// What they know of the server.
+#[derive(Debug)]
+pub struct Siege {
+    /// Where it is.
+    pub server: SocketAddr,
+    /// The secret: whoever has none is refused at the door, which is no danger.
+    pub token: Option<String>,
+    /// What they say they draw.
+    pub picture: Picture,
+    /// Its chunks, largest first.
+    pub chunks: Vec<u32>,
+    /// When everyone stops.
+    pub end: Instant,
+}
+
+/// What became of the connections of one manner.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Toll {
+    /// Connections that stood.
+    pub came_in: u64,
+    /// Those that the server ended.
+    pub thrown_out: u64,
+    /// Connections that never stood.
+    pub turned_away: u64,
+    /// Received on the wire.
+    pub bytes: u64,
+}
+
+impl std::ops::AddAssign for Toll {
+    fn add_assign(&mut self, other: Self) {
+        self.came_in += other.came_in;
+        self.thrown_out += other.thrown_out;
+        self.turned_away += other.turned_away;
+        self.bytes += other.bytes;
+    }
+}
+
+/// Where they come from: on loopback another address than the walkers', as another machine would.
+pub fn address(server: SocketAddr) -> IpAddr {
+    match server {
+        SocketAddr::V4(a) if a.ip().is_loopback() => Ipv4Addr::new(127, 0, 0, 2).into(),
+        SocketAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
+        SocketAddr::V6(_) => std::net::Ipv6Addr::UNSPECIFIED.into(),
+    }
+}
+
+impl Siege {
+    /// One of them, until the end. `number`: tells it from the others.
+    pub async fn send(self: Arc<Self>, endpoint: Endpoint, manner: Manner, number: usize, track: Track) -> Toll {
+        let mut toll = Toll::default();
+        let mut visit = number;
+        while Instant::now() < self.end {
+            visit += 1;
+            match timeout_at(self.end.into(), stranger::connect(&endpoint, self.server)).await {
+                Err(_) => break,
+                Ok(Err(_)) => toll.turned_away += 1,
+                Ok(Ok((connection, send, recv))) => {
+                    toll.came_in += 1;
+                    let stay = self.behave(manner, &connection, send, recv, &track, visit);
+                    let over = timeout_at(self.end.into(), stay).await.is_err();
+                    toll.thrown_out += u64::from(!over);
+                    toll.bytes += connection.stats().udp_rx.bytes;
+                    connection.close(VarInt::from_u32(0), b"");
+                }
+            }
+            sleep(AGAIN).await;
+        }
+        toll
+    }
+
+    /// Until the server ends it.
+    async fn behave(
+        &self,
+        manner: Manner,
+        connection: &Connection,
+        mut send: SendStream,
+        recv: RecvStream,
+        track: &Track,
+        visit: usize,
+    ) {
+        let hello = |version| stranger::hello(version, self.token.clone(), self.picture);
+        let doing = async {
+            match manner {
+                Manner::Silent => std::future::pending().await,
+                Manner::Malformed => {
+                    if let Ok(bytes) = Nonsense::ALL[visit % Nonsense::ALL.len()].bytes(hello) {
+                        let _ = send.write_all(&bytes).await;
+                    }
+                    std::future::pending().await
+                }
+                Manner::Slow | Manner::Flooding => {
+                    say(&mut send, &hello(wire::VERSION)).await;
+                    match manner {
+                        Manner::Slow => self.dawdle(connection, track).await,
+                        _ => self.flood(connection, send, recv, track).await,
+                    }
+                }
+            }
+        };
+        tokio::select! {
+            _ = connection.closed() => {}
+            () = doing => {}
+        }
+    }
+
+    async fn dawdle(&self, connection: &Connection, track: &Track) {
+        let mut asked = Vec::new();
+        for chunk in self.chunks.iter().take(FLOOD_REQUESTS as usize) {
+            if let Ok((mut send, recv)) = connection.open_bi().await {
+                request(&mut send, *chunk).await;
+                asked.push(recv);
+            }
+        }
+        let (mut pushed, mut bite) = (Vec::new(), [0; SLOW_BYTES]);
+        let mut due = interval(SLOW_EVERY);
+        for n in 0.. {
+            due.tick().await;
+            pose(connection, track, n);
+            while let Ok(Ok(stream)) = tokio::time::timeout(Duration::ZERO, connection.accept_uni()).await {
+                pushed.push(stream);
+            }
+            let all = asked.len() + pushed.len();
+            if let Some(stream) = asked.iter_mut().chain(&mut pushed).nth(n % all.max(1)) {
+                let _ = tokio::time::timeout(Duration::ZERO, stream.read(&mut bite)).await;
+            }
+        }
+    }
+
+    async fn flood(&self, connection: &Connection, mut send: SendStream, recv: RecvStream, track: &Track) {
+        let poses = async {
+            let mut due = interval(FLOOD_POSES);
+            for n in 0.. {
+                due.tick().await;
+                pose(connection, track, n);
+            }
+        };
+        let messages = async {
+            let mut due = interval(FLOOD_MESSAGES);
+            for list in self.chunks.chunks(MAX_LIST).cycle() {
+                for make in [|chunks| ClientMessage::Drop { chunks }, |chunks| ClientMessage::Want { chunks }] {
+                    due.tick().await;
+                    say(&mut send, &make(list.to_vec())).await;
+                }
+            }
+        };
+        let control = drain(recv);
+        let pushed = async {
+            let mut open = tokio::task::JoinSet::new();
+            while let Ok(stream) = connection.accept_uni().await {
+                while open.try_join_next().is_some() {}
+                open.spawn(drain(stream));
+            }
+        };
+        let asked = async {
+            let mut open = tokio::task::JoinSet::new();
+            for chunk in self.chunks.iter().cycle() {
+                if open.len() >= FLOOD_REQUESTS as usize {
+                    open.join_next().await;
+                }
+                let Ok((mut send, recv)) = connection.open_bi().await else { return };
+                request(&mut send, *chunk).await;
+                open.spawn(drain(recv));
+            }
+        };
+        tokio::join!(poses, messages, control, pushed, asked);
+    }
+}
+
+/// What cannot be said is not: the connection ends, and with it everything here.
+async fn say(send: &mut SendStream, message: &ClientMessage) {
+    if let Ok(frame) = wire::encode(message) {
+        let _ = send.write_all(&frame).await;
+    }
+}
+
+async fn request(send: &mut SendStream, chunk: u32) {
+    if let Ok(frame) = wire::encode(&Request::Number(chunk)) {
+        let _ = send.write_all(&frame).await;
+        let _ = send.finish();
+    }
+}
+
+fn pose(connection: &Connection, track: &Track, n: usize) {
+    let datagram = PoseDatagram { sequence: n as u32 + 1, sent_us: 0, pose: track.pose(n) };
+    let _ = connection.send_datagram(datagram.encode().to_vec().into());
+}
+
+async fn drain(mut stream: RecvStream) {
+    while let Ok(Some(_)) = stream.read_chunk(usize::MAX, true).await {}
+}
