@@ -18,7 +18,7 @@ pub struct SkyPlace {
 pub struct Skies {
     /// Reference positions with the sky they saw.
     pub places: Vec<SkyPlace>,
-    /// By run of the walk volume ([`WalkVolume::run_at`]): the place that eyes there go by, the nearest that is not behind a wall or a floor. Empty: eyes go by the nearest.
+    /// By run of the walk volume ([`WalkVolume::run_at`]): the place that eyes there go by: of the nearest the one that is right in most directions. Empty: eyes go by the nearest.
     pub of_run: Vec<u16>,
 }
 

@@ -1,8 +1,9 @@
 //! Which references' skies are kept, and by which of them the eyes in every run of the walk volume go.
 //!
-//! Behind a wall or a floor another sky is seen, so an eye goes by the nearest place that it sees. As few places are kept as tell every reference where it sees sky: greedily, always the one
+//! Behind a wall or a floor another sky is seen. As few places are kept as tell every reference where it sees sky, if it goes by the nearest that it sees: greedily, always the one
 //! whose own sky differs most from what it would be told, until none differs by much. Rooms without a window share one empty sky for as far as they see each other; outside,
-//! skies come to lie where they change.
+//! skies come to lie where they change. An eye in a run then goes by that one of the nearest places that is right in most directions: seeing a place is not enough, as a window shows rooms that
+//! have another sky.
 
 use crate::render::{Caster, CellSet, Ray};
 use glam::DVec3;
@@ -19,8 +20,10 @@ const MOST: usize = 1024;
 const MOST_RUNS: usize = 65_536;
 /// A reference whose sky is told with fewer wrong squares has no need of its own: a thousandth of all directions.
 const FEW: u32 = SkyMap::SQUARES / 1000;
-/// The nearest so many places are tried for each run of the volume; where none of them is seen, the nearest is taken.
+/// The nearest so many places are tried for each run of the volume.
 const TRIED: usize = 12;
+/// In so many directions, one bit of a number each. More tell places better apart; rays of all runs take seconds.
+const DIRECTIONS: u32 = u128::BITS;
 /// A volume of more runs has no table: eyes go by the nearest place. 250 m by 250 m in columns of half a metre.
 const MOST_TOLD: usize = 1 << 18;
 /// A volume of fewer runs is one of boxes to fly in, in which nothing says what is seen.
@@ -31,7 +34,8 @@ pub fn choose(caster: &Caster, skies: &[SkyPlace], volume: &WalkVolume) -> Skies
     let sees = |a: DVec3, b: DVec3| !caster.occluded(&Ray { t_max: 1.0, ..Ray::new(a, b - a) }, &CellSet::all());
     let places = keep(skies, &sees);
     let tells = (LEAST_TOLD..=MOST_TOLD).contains(&volume.runs()) && !places.is_empty();
-    let of_run = if tells { by_run(&places, volume, &sees) } else { Vec::new() };
+    let is_sky = |eye: DVec3, towards: DVec3| !caster.occluded(&Ray::new(eye, towards), &CellSet::all());
+    let of_run = if tells { by_run(&places, volume, &is_sky) } else { Vec::new() };
     Skies { places, of_run }
 }
 
@@ -87,9 +91,13 @@ fn keep(skies: &[SkyPlace], sees: &(dyn Fn(DVec3, DVec3) -> bool + Sync)) -> Vec
     kept.into_iter().map(|k| skies[k].clone()).collect()
 }
 
-/// For the middle of every run the nearest place that it sees.
-fn by_run(places: &[SkyPlace], volume: &WalkVolume, sees: &(dyn Fn(DVec3, DVec3) -> bool + Sync)) -> Vec<u16> {
+/// For the middle of every run that one of the nearest places which is right in most directions; of equals the nearest.
+fn by_run(places: &[SkyPlace], volume: &WalkVolume, is_sky: &(dyn Fn(DVec3, DVec3) -> bool + Sync)) -> Vec<u16> {
     let boxes: Vec<_> = volume.boxes().collect();
+    let bits = |is_sky: &dyn Fn(DVec3) -> bool| {
+        (0..DIRECTIONS).map(direction).zip(0u32..).map(|(d, bit)| u128::from(is_sky(d)) << bit).sum::<u128>()
+    };
+    let seen: Vec<u128> = places.iter().map(|p| bits(&|d| p.sky.holds(d))).collect();
     let told = |eye: DVec3| {
         let mut near: Vec<(f64, u16)> =
             (0u16..).zip(places).map(|(k, p)| (p.position.distance_squared(eye), k)).collect();
@@ -99,10 +107,20 @@ fn by_run(places: &[SkyPlace], volume: &WalkVolume, sees: &(dyn Fn(DVec3, DVec3)
             near.truncate(tried);
         }
         near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let seen = near.iter().find(|(_, k)| sees(eye, places[usize::from(*k)].position));
-        seen.unwrap_or(&near[0]).1
+        let own = bits(&|d| is_sky(eye, d));
+        let wrong = |(_, k): &&(f64, u16)| (seen[usize::from(*k)] ^ own).count_ones();
+        // The first of equals.
+        near.iter().min_by_key(wrong).map_or(0, |(_, k)| *k)
     };
     boxes.par_iter().map(|b| told(b.centre())).collect()
+}
+
+/// Evenly over the sphere, along a spiral.
+fn direction(k: u32) -> DVec3 {
+    let y = 1.0 - (2.0 * f64::from(k) + 1.0) / f64::from(DIRECTIONS);
+    let (sin, cos) = (f64::from(k) * std::f64::consts::PI * (3.0 - 5f64.sqrt())).sin_cos();
+    let r = (1.0 - y * y).sqrt();
+    DVec3::new(r * cos, y, r * sin)
 }
 
 #[cfg(test)]
@@ -136,7 +154,8 @@ mod tests {
         let all: Vec<SkyPlace> = (0..40).flat_map(|i| [0.5, 3.5].map(|y| place(f64::from(i) + 0.5, y))).collect();
         let places = keep(&all, &sees);
         assert_eq!(places.len(), 3, "{:?}", places.iter().map(|k| k.position).collect::<Vec<_>>());
-        let of_run = by_run(&places, &volume, &sees);
+        let is_sky = |eye: DVec3, towards| place(eye.x, eye.y).sky.holds(towards);
+        let of_run = by_run(&places, &volume, &is_sky);
         let skies = Skies { places, of_run };
         for s in &all {
             assert_eq!(skies.at(s.position, Some(&volume)), Some(&s.sky), "{}", s.position);
