@@ -107,6 +107,9 @@ pub struct Found {
     pub needed: Vec<Needed>,
 }
 
+/// Colours are rounded, not cut off, on their way to the encoder and back: the usual way darkens everything by a level, which FLIP counts on every plain surface.
+const EXACT_COLOURS: [&str; 2] = ["-sws_flags", "accurate_rnd+full_chroma_int+full_chroma_inp+bicubic"];
+
 fn pictures(folder: &Path) -> Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
     let mut files: Vec<PathBuf> = entries.filter_map(|e| Some(e.ok()?.path())).collect();
@@ -175,7 +178,7 @@ pub fn run(study: &Study, mut heard: impl FnMut(&Row)) -> Result<Found> {
             // One key frame, at the begin.
             let quality = ["-g", "100000", "-crf", &crf_text];
             let mut arguments = [&input[..], &[pattern.as_os_str()]].concat();
-            arguments.extend(encoder.options().iter().chain(&quality).map(OsStr::new));
+            arguments.extend(EXACT_COLOURS.iter().chain(encoder.options()).chain(&quality).map(OsStr::new));
             arguments.push(file.as_os_str());
             let start = Instant::now();
             ffmpeg(&arguments)?;
@@ -185,7 +188,9 @@ pub fn run(study: &Study, mut heard: impl FnMut(&Row)) -> Result<Found> {
             let _ = std::fs::remove_dir_all(&decoded);
             std::fs::create_dir_all(&decoded).with_context(|| format!("cannot make {}", decoded.display()))?;
             let out = decoded.join("%06d.png");
-            let back = [OsStr::new("-i"), file.as_os_str(), OsStr::new("-vsync"), OsStr::new("0"), out.as_os_str()];
+            let mut back = vec![OsStr::new("-i"), file.as_os_str()];
+            back.extend(EXACT_COLOURS.iter().chain(&["-pix_fmt", "rgb24", "-vsync", "0"]).map(OsStr::new));
+            back.push(out.as_os_str());
             ffmpeg(&back)?;
             // Numbered from 1 on.
             let pairs: Vec<_> =
