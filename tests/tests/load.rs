@@ -116,13 +116,16 @@ fn hostile_connections_are_counted_beside_a_walker_who_lacks_nothing() {
 fn hostile_connections_come_without_walkers_too() {
     let host = Host::start("load-alone-hostile", Memory::new(street(2, 16)));
     let folder = folder("load-alone-hostile-report");
-    let more = ["--walkers", "0", "--seconds", "0.5", "--no-raw", "--hostile", "2", "--hostile-as", "malformed"];
-    let out = load(&host, &folder, &more);
+    let pid = std::process::id().to_string();
+    let more = ["--walkers", "0", "--seconds", "2", "--no-raw", "--hostile", "2", "--hostile-as", "malformed"];
+    let out = load(&host, &folder, &[&more[..], &["--server-pid", &pid]].concat());
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
     let text = std::fs::read_to_string(folder.join("load.json")).expect("a report");
     let r: Value = serde_json::from_str(&text).expect("JSON");
     assert!(r["incomplete_fraction"].is_null() && r["reasons"]["incomplete_fraction"].is_string());
     assert_eq!(r["hostile"]["manners"].as_object().map(|m| m.len()), Some(1));
+    // The server is looked at for as long as they stay.
+    assert!(r["by_second"][1]["server_rss_bytes"].as_u64() > Some(0), "{}", r["by_second"]);
     let out = load(&host, &folder, &["--walkers", "0", "--seconds", "1"]);
     let said = String::from_utf8_lossy(&out.stderr).into_owned();
     assert!(out.status.code() == Some(2) && said.contains("--hostile"), "{said}");

@@ -14,19 +14,19 @@ use ldi_protocol::{
 };
 use rayon::prelude::*;
 
-/// At most so many are kept.
+/// At most so many are kept: more than references are taken, so that runs bound them; a place is told in 16 bits.
 const MOST: usize = 1024;
 /// At most so many runs of squares in all, but for the first sky; a byte or less each when they are stored, before anything is drawn.
 const MOST_RUNS: usize = 65_536;
 /// A reference whose sky is told with fewer wrong squares has no need of its own: a thousandth of all directions.
 const FEW: u32 = SkyMap::SQUARES / 1000;
-/// The nearest so many places are tried for each run of the volume.
+/// The nearest so many places are tried for each run of the volume. By judgement; fewer: none of them may be on the eye's side of walls and floors; more: outlines of places far off, which 128 directions do not tell from near ones.
 const TRIED: usize = 12;
 /// In so many directions, one bit of a number each. More tell places better apart; rays of all runs take seconds.
 const DIRECTIONS: u32 = u128::BITS;
 /// A volume of more runs has no table: eyes go by the nearest place. 250 m by 250 m in columns of half a metre.
 const MOST_TOLD: usize = 1 << 18;
-/// A volume of fewer runs is one of boxes to fly in, in which nothing says what is seen.
+/// A volume of fewer runs is one of boxes to fly in, in which one place cannot speak for all: references are spread in it likewise from so few on.
 const LEAST_TOLD: usize = 8;
 
 /// The skies of a tree from what its references saw.

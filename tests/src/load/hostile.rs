@@ -40,21 +40,6 @@ pub enum Manner {
     Malformed,
 }
 
-impl Manner {
-    /// All of them.
-    pub const ALL: [Self; 4] = [Self::Silent, Self::Slow, Self::Flooding, Self::Malformed];
-
-    /// As on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Silent => "silent",
-            Self::Slow => "slow",
-            Self::Flooding => "flooding",
-            Self::Malformed => "malformed",
-        }
-    }
-}
-
 /// What they know of the server.
 #[derive(Debug)]
 pub struct Siege {

@@ -158,12 +158,12 @@ pub async fn run(load: &Load, mut progress: impl FnMut(f64, usize)) -> Result<Se
     });
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let pool = Arc::new(DecodePool::new(threads)?);
+    // None without a process, or when it has ended.
     let server_now = || {
-        load.server.map(|p| ServerSecond {
-            cpu_s: p.cpu_s().unwrap_or_default(),
-            rss_bytes: p.rss_bytes().unwrap_or_default(),
-            anonymous_bytes: p.anonymous_bytes().unwrap_or_default(),
-        })
+        let p = load.server?;
+        let cpu_s = p.cpu_s()?;
+        let (rss_bytes, anonymous_bytes) = (p.rss_bytes()?, p.anonymous_bytes()?);
+        Some(ServerSecond { cpu_s, rss_bytes, anonymous_bytes })
     };
     let server_before = server_now().unwrap_or_default();
     let own_cpu_before = Process::this().cpu_s();
@@ -194,7 +194,8 @@ pub async fn run(load: &Load, mut progress: impl FnMut(f64, usize)) -> Result<Se
     };
     let mut second = tokio::time::interval_at((start + Duration::from_secs(1)).into(), Duration::from_secs(1));
     let mut walkers = Vec::new();
-    while !tasks.is_empty() {
+    let mut hostile: Vec<(Manner, Toll)> = load.manners.iter().map(|m| (*m, Toll::default())).collect();
+    while !tasks.is_empty() || !enemies.is_empty() {
         tokio::select! {
             _ = second.tick() => {
                 look(&mut server);
@@ -204,13 +205,14 @@ pub async fn run(load: &Load, mut progress: impl FnMut(f64, usize)) -> Result<Se
                 // A walker does not panic; one that did would be missing from the report.
                 walkers.extend(done.ok());
             }
+            Some(done) = enemies.join_next() => {
+                if let Ok((manner, toll)) = done {
+                    hostile.iter_mut().filter(|(m, _)| *m == manner).for_each(|(_, t)| *t += toll);
+                }
+            }
         }
     }
     look(&mut server);
-    let mut hostile: Vec<(Manner, Toll)> = load.manners.iter().map(|m| (*m, Toll::default())).collect();
-    while let Some(Ok((manner, toll))) = enemies.join_next().await {
-        hostile.iter_mut().filter(|(m, _)| *m == manner).for_each(|(_, t)| *t += toll);
-    }
     let load_cpu_s = own_cpu_before.and_then(|before| Some(Process::this().cpu_s()? - before));
     if !walkers.iter().any(|w| w.refused.is_none())
         && let Some(e) = walkers.iter_mut().find_map(|w| w.refused.take())

@@ -123,7 +123,7 @@ fn hostile(load: &Load, seen: &Seen) -> Value {
     let manners = seen.hostile.iter().map(|(manner, t)| {
         let toll =
             json!({ "came_in": t.came_in, "thrown_out": t.thrown_out, "turned_away": t.turned_away, "bytes": t.bytes });
-        (manner.name().to_owned(), toll)
+        (format!("{manner:?}").to_lowercase(), toll)
     });
     json!({ "connections": load.hostile, "manners": Value::Object(manners.collect()) })
 }
