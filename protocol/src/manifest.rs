@@ -33,7 +33,7 @@ use crate::{
 };
 
 /// Version of root and pages. Raised with every change that an older reader would misunderstand.
-pub const VERSION: u8 = 8;
+pub const VERSION: u8 = 9;
 /// Largest root that a build writes.
 pub const MAX_ROOT_BYTES: usize = 256_000;
 

@@ -62,19 +62,6 @@ impl SkyMap {
         self.runs[..after].last().is_some_and(|[first, length]| square < first + length)
     }
 
-    /// Squares that only one of two maps holds.
-    pub fn differs_by(&self, other: &Self) -> u32 {
-        let squares = |runs: &[[u32; 2]]| runs.iter().map(|r| r[1]).sum::<u32>();
-        let (mut a, mut b) = (&self.runs[..], &other.runs[..]);
-        let mut both = 0;
-        while let ([[a0, al], a_rest @ ..], [[b0, bl], b_rest @ ..]) = (a, b) {
-            let (a_end, b_end) = (a0 + al, b0 + bl);
-            both += a_end.min(b_end).saturating_sub(*a0.max(b0));
-            if a_end <= b_end { a = a_rest } else { b = b_rest }
-        }
-        squares(&self.runs) + squares(&other.runs) - 2 * both
-    }
-
     /// The square of a direction (world axes, any length but 0).
     pub fn square(direction: DVec3) -> u32 {
         let axis = direction.abs().max_position();
@@ -118,24 +105,6 @@ mod tests {
         // Corners and edges of the cube belong to some square.
         for d in [DVec3::ONE, -DVec3::ONE, DVec3::new(1.0, -1.0, 0.0), DVec3::new(0.0, 1.0, 1.0)] {
             assert!(SkyMap::square(d) < SkyMap::SQUARES);
-        }
-    }
-
-    #[test]
-    fn maps_differ_by_the_squares_that_one_of_them_lacks() {
-        let map = |of: &dyn Fn(u32) -> bool| (0..SkyMap::SQUARES).map(of).collect::<Vec<bool>>();
-        let kinds: [Vec<bool>; 5] = [
-            map(&|_| false),
-            map(&|_| true),
-            map(&|s| s % 97 < 31),
-            map(&|s| s % 64 >= 60 || s == 7),
-            map(&|s| s >= SkyMap::SQUARES - 2),
-        ];
-        for a in &kinds {
-            for b in &kinds {
-                let counted = a.iter().zip(b).filter(|(a, b)| a != b).count();
-                assert_eq!(SkyMap::of(a).differs_by(&SkyMap::of(b)), counted as u32);
-            }
         }
     }
 

@@ -15,10 +15,8 @@
 //! ```
 
 mod cut;
-mod skies;
 
 pub use cut::{Cut, CutNode, CutOptions, Lens, cut};
-pub use skies::{Skies, SkyPlace};
 
 use crate::{
     Aabb,
@@ -116,8 +114,6 @@ pub struct Tree {
     pub root_chunk: u32,
     /// Levels 0 to this one less one come first and stay.
     pub pinned_levels: u8,
-    /// Where eyes see sky.
-    pub skies: Skies,
     /// By level, then by parent, then by octant (x fastest): children of one node lie together.
     pub nodes: Vec<TreeNode>,
 }
@@ -187,7 +183,6 @@ impl Tree {
         if self.pinned_levels > MAX_LEVEL + 1 {
             return Err(format!("{} levels are pinned, there are at most {}", self.pinned_levels, MAX_LEVEL + 1));
         }
-        self.skies.check()?;
         let Some(root) = self.nodes.first() else { return Err("it has no root".into()) };
         if root.level != 0 || root.cell != [0; 3] {
             return Err("its first node is not the root".into());

@@ -95,23 +95,12 @@ impl WalkVolume {
 
     /// Whether an eye may be here.
     pub fn contains(&self, p: DVec3) -> bool {
-        self.run_at(p).is_some()
-    }
-
-    /// The run of layers that a point lies in, in the order of [`WalkVolume::boxes`]; None where no eye may be.
-    pub fn run_at(&self, p: DVec3) -> Option<usize> {
         if !self.bounds.contains(p) {
-            return None;
+            return false;
         }
         let (i, k) = self.column_at(p.x, p.z);
         let layer = (p.y - self.origin.y) / self.layer_m;
-        let own = self.runs_of(i, k).iter().position(|r| layer >= f64::from(r[0]) && layer <= f64::from(r[1]))?;
-        Some(self.first_run[(k * self.columns[0] + i) as usize] as usize + own)
-    }
-
-    /// How many runs of layers there are.
-    pub fn runs(&self) -> usize {
-        self.runs.len()
+        self.runs_of(i, k).iter().any(|r| layer >= f64::from(r[0]) && layer <= f64::from(r[1]))
     }
 
     /// Heights that eyes may have at (x, z): pairs of the lowest and the highest, metres, ascending and disjoint. None outside.
@@ -358,11 +347,6 @@ mod tests {
         assert!(!v.contains(DVec3::new(-0.4, 3.1, -1.9)), "second column starts at layer 5");
         assert!(!v.contains(DVec3::new(-1.1, 3.5, -1.9)), "left of the cut");
         assert_eq!(v.boxes().count(), 3);
-        assert_eq!(v.runs(), 3);
-        for (run, b) in v.boxes().enumerate() {
-            assert_eq!(v.run_at(b.centre()), Some(run));
-        }
-        assert_eq!(v.run_at(DVec3::new(-0.9, 4.5, -1.9)), None);
     }
 
     #[test]

@@ -159,8 +159,7 @@ impl Street {
         let root =
             TreeNode { level: 0, cell: [0; 3], samples: 1, unfiltered: 1, first_child: 0, children: 0, chunk: 0 };
         let (origin, edge_m) = (DVec3::splat(-64.0), 128.0);
-        self.index.tree =
-            Some(Tree { origin, edge_m, root_chunk, pinned_levels: 1, skies: Default::default(), nodes: vec![root] });
+        self.index.tree = Some(Tree { origin, edge_m, root_chunk, pinned_levels: 1, nodes: vec![root] });
         self
     }
 }

@@ -23,7 +23,7 @@ mod under;
 
 pub use downsample::downsample;
 pub use fill::Fill;
-pub use under::{Doubt, Under, lay_under, wanted_under};
+pub use under::{Doubt, lay_under, wanted_under};
 
 use crate::{
     frame::{Frame, SKY, Source},

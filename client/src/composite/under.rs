@@ -3,15 +3,13 @@
 //! In: a merged frame. Out: which pixels want a sample of the tree; and, once it is drawn, the frame with those samples.
 //!
 //! A pixel that is unpainted takes any. As long as data is missing a painted pixel may show what a missing surface hides, so that the tree's sample wins where it is clearly
-//! nearer; and sky that was taken for granted is not.
+//! nearer; and sky that was taken for granted is not. What then neither shows is sky: the tree holds every surface that references saw, and has closed its gaps.
 
-use super::Directions;
 use crate::{
     frame::{Frame, Source},
     tree::Wanted,
     warp::FarFrame,
 };
-use ldi_protocol::{OutputCamera, Pose, sky::SkyMap};
 
 /// Whether painted pixels are to be believed.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,25 +23,6 @@ pub enum Doubt {
     },
 }
 
-/// How the tree lies under a frame.
-pub struct Under<'a> {
-    directions: Directions,
-    sky: Option<&'a SkyMap>,
-}
-
-impl<'a> Under<'a> {
-    /// `sky`: where the nearest reference saw sky.
-    pub fn new(pose: &Pose, camera: &OutputCamera, sky: Option<&'a SkyMap>) -> Self {
-        Self { directions: Directions::new(pose, camera, |w| w.to_array()), sky }
-    }
-
-    /// Whether a gap at a pixel is sky.
-    pub fn is_sky(&self, row: usize, column: usize) -> bool {
-        let direction = || glam::DVec3::from_array(self.directions.of(row, column));
-        self.sky.is_some_and(|s| s.holds(direction()))
-    }
-}
-
 /// The pixels that want a sample.
 pub fn wanted_under(frame: &Frame, doubt: Doubt) -> Wanted {
     let wants = |s: &Source| *s == Source::Unpainted || doubt != Doubt::None;
@@ -51,10 +30,9 @@ pub fn wanted_under(frame: &Frame, doubt: Doubt) -> Wanted {
     Wanted::new(frame.width, frame.height, frame.source.iter().map(wants).collect(), &frame.disparity)
 }
 
-/// Lays the tree's picture under the frame; what is left unpainted where `under` knows of sky becomes sky. Returns the number of pixels that the tree gave.
-pub fn lay_under(frame: &mut Frame, tree: &FarFrame, doubt: Doubt, under: &Under<'_>) -> u64 {
+/// Lays the tree's picture under the frame. Returns the number of pixels that the tree gave.
+pub fn lay_under(frame: &mut Frame, tree: &FarFrame, doubt: Doubt) -> u64 {
     let mut given = 0;
-    let width = frame.width as usize;
     for at in 0..frame.len() {
         let source = frame.source[at];
         let takes = |sample: f32| match (source, doubt) {
@@ -66,16 +44,13 @@ pub fn lay_under(frame: &mut Frame, tree: &FarFrame, doubt: Doubt, under: &Under
                 sample + margin_m.max(0.1 * painted) < painted
             }
         };
-        match tree.get(at) {
-            Some((colour, disparity)) if takes(disparity) => {
-                (frame.colour[at], frame.disparity[at], frame.source[at]) = (colour, disparity, Source::Tree);
-                given += 1;
-            }
-            _ if source == Source::Unpainted && under.is_sky(at / width, at % width) => {
-                frame.source[at] = Source::Sky;
-            }
-            _ => {}
+        if let Some((colour, disparity)) = tree.get(at).filter(|(_, disparity)| takes(*disparity)) {
+            (frame.colour[at], frame.disparity[at], frame.source[at]) = (colour, disparity, Source::Tree);
+            given += 1;
         }
+    }
+    if doubt != Doubt::None {
+        frame.paint_rest_as_sky();
     }
     given
 }
@@ -84,23 +59,26 @@ pub fn lay_under(frame: &mut Frame, tree: &FarFrame, doubt: Doubt, under: &Under
 mod tests {
     use super::*;
     use crate::frame::pack_rgb;
-    use glam::DVec3;
 
-    const CAMERA: OutputCamera = OutputCamera { width: 8, height: 4, fov_deg: 60.0 };
     const BESIDE: u32 = pack_rgb([10, 20, 30]);
     const SAMPLE: u32 = pack_rgb([200, 100, 50]);
 
-    /// A frame of near geometry 2 m away with holes in its third column, and a tree that shows something at `depth_m` everywhere.
-    fn laid(depth_m: f32, doubt: Doubt) -> Frame {
+    /// A frame of near geometry 2 m away with holes in its third column.
+    fn beside_a_hole() -> Frame {
         let mut frame = Frame::new(8, 4);
         for at in (0..32).filter(|at| at % 8 != 2) {
             (frame.colour[at], frame.disparity[at], frame.source[at]) = (BESIDE, 0.5, Source::Near);
         }
+        frame
+    }
+
+    /// Laid over a tree that shows something at `depth_m` everywhere.
+    fn laid(depth_m: f32, doubt: Doubt) -> Frame {
+        let mut frame = beside_a_hole();
         let mut tree = FarFrame::new(8, 4);
         tree.clear();
         tree.packed.fill(FarFrame::pack(1.0 / depth_m, SAMPLE));
-        let pose = Pose { position: DVec3::ZERO, yaw_deg: 0.0, pitch_deg: 0.0 };
-        lay_under(&mut frame, &tree, doubt, &Under::new(&pose, &CAMERA, None));
+        lay_under(&mut frame, &tree, doubt);
         frame
     }
 
@@ -110,6 +88,18 @@ mod tests {
             let frame = laid(depth_m, Doubt::None);
             assert_eq!((frame.colour[10], frame.source[10]), (SAMPLE, Source::Tree), "at {depth_m} m");
             assert_eq!((frame.colour[11], frame.source[11]), (BESIDE, Source::Near), "what is painted stays");
+        }
+    }
+
+    /// Of a hole that the tree leaves open: with everything there it is a gap in what is painted; else what is painted says nothing of it, and the tree knows of no surface.
+    #[test]
+    fn what_the_tree_leaves_open_is_sky_where_it_alone_knows() {
+        for (doubt, source) in [(Doubt::None, Source::Unpainted), (Doubt::Missing { margin_m: 0.3 }, Source::Sky)] {
+            let mut frame = beside_a_hole();
+            let mut tree = FarFrame::new(8, 4);
+            tree.clear();
+            assert_eq!(lay_under(&mut frame, &tree, doubt), 0);
+            assert_eq!((frame.source[10], frame.source[11]), (source, Source::Near));
         }
     }
 

@@ -10,8 +10,7 @@ use super::{
 };
 use crate::{
     composite::{
-        CompositeOptions, Doubt, Far, FarImage, FarPortal, Fill, Under, downsample, finish, lay_under, merge,
-        wanted_under,
+        CompositeOptions, Doubt, Far, FarImage, FarPortal, Fill, downsample, finish, lay_under, merge, wanted_under,
     },
     frame::{Frame, Source, supersampled},
     gpu::{Gpu, GpuImage},
@@ -428,7 +427,8 @@ impl Painter {
         doubt: Doubt,
         start: Instant,
     ) -> Option<TreeStats> {
-        let tree = index.tree.as_ref()?;
+        // Without its root nothing is known.
+        let tree = index.tree.as_ref().filter(|t| resident.brood(t.root_chunk).is_some())?;
         let wanted = wanted_under(&self.full, doubt);
         if wanted.is_empty() {
             return None;
@@ -437,14 +437,11 @@ impl Painter {
             Some(ms) if self.tree_rate > 0.0 => (ms * self.tree_rate) as u64,
             _ => u64::MAX,
         };
-        let under = Under::new(pose, camera, tree.skies.at(pose.position, index.volume.as_ref()));
         let (full, width) = (&self.full, self.full.width as usize);
-        let no_gap = |row: usize, column: usize| {
-            matches!(full.source[row * width + column], Source::Near | Source::Far) || under.is_sky(row, column)
-        };
+        let no_gap = |row: usize, column: usize| full.source[row * width + column] != Source::Unpainted;
         let hides = &full.disparity;
         let (mut stats, picture) = self.tree.frame(tree, resident, pose, camera, max_samples, wanted, hides, &no_gap);
-        stats.given = lay_under(&mut self.full, picture, doubt, &under);
+        stats.given = lay_under(&mut self.full, picture, doubt);
         stats.ms = ms_since(start);
         if stats.samples > 10_000 {
             let rate = stats.samples as f64 / stats.ms.max(0.1);

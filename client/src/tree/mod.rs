@@ -5,7 +5,8 @@
 //! 1. `tiles`: every sample is a parallelogram on its surface, one pitch wide, projected as a quadrilateral with the plane's own disparity at every pixel.
 //! 2. `paint`: opaque tiles into a z-buffer; then all tiles once more, twice as wide and with bilinear weights, into what lies within a merge threshold
 //!    of the z-buffer: between samples colours run over smoothly, and what is partly covered mixes with what lies behind.
-//! 3. Gap filling (section 3.5): pixels that nothing reached are drawn again from ever coarser cuts, filtered samples included.
+//! 3. Gap filling (section 3.5): pixels that nothing reached are drawn again from coarser cuts, filtered samples included. What stays open then is wider than a few
+//!    samples: there is no surface.
 //!
 //! 4. While the eye stands still (section 3.4), `still` keeps the picture and the traversal: a finer picture is drawn wave by wave over several frames (`pass`), and shown
 //!    when it is done, so that nothing shown ever gets coarser.
@@ -32,10 +33,11 @@ pub use paint::{BLOCK, Wanted};
 use pass::Pass;
 pub use still::StillPainter;
 
-/// Stamps may be so many times larger in each pass of gap filling; the paper goes on with all filtered samples at once.
+/// Stamps may be so many times larger in each pass of gap filling.
 const GAP_STEP: f64 = 4.0;
-/// Passes of gap filling before the last, which draws the root.
-const GAP_PASSES: u32 = 4;
+/// Passes of gap filling; the paper goes on with all filtered samples at once. More: the sky between beams is filled with the beams' colours.
+/// Fewer: holes stay (docs/tree.md has figures).
+const GAP_PASSES: u32 = 2;
 
 /// How the tree is drawn.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -147,11 +149,11 @@ impl TreePainter {
         }
         wanted.drop_where(no_gap);
         let mut stamp_px = options.cut.stamp_px.max(1.0);
-        for pass in 0..=GAP_PASSES {
+        for _ in 0..GAP_PASSES {
             if wanted.is_empty() {
                 break;
             }
-            stamp_px = if pass == GAP_PASSES { f64::INFINITY } else { stamp_px * GAP_STEP };
+            stamp_px *= GAP_STEP;
             self.pass.begin(view.cut(&CutOptions { stamp_px, ..options.cut }));
             self.pass.advance(view, u64::MAX, wanted, out, &mut self.painting, stats);
             stats.gaps_filled += wanted.settle(out);

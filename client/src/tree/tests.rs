@@ -20,14 +20,7 @@ impl Made {
         let n = samples.len() as u32;
         let root = TreeNode { level: 0, cell: [0; 3], samples: n, unfiltered, first_child: 0, children: 0, chunk: 0 };
         let origin = DVec3::splat(-edge / 2.0);
-        let tree = Tree {
-            origin,
-            edge_m: edge,
-            root_chunk: 0,
-            pinned_levels: 1,
-            skies: Default::default(),
-            nodes: vec![root],
-        };
+        let tree = Tree { origin, edge_m: edge, root_chunk: 0, pinned_levels: 1, nodes: vec![root] };
         let mut memory = Memory::default();
         memory.broods.insert(0, Arc::new(Brood { nodes: vec![NodeSamples { samples }] }));
         Self { tree, memory }
@@ -80,7 +73,10 @@ fn ahead(z: f64) -> Pose {
     Pose { position: DVec3::new(0.0, 0.0, z), yaw_deg: 0.0, pitch_deg: 0.0 }
 }
 
-const ONCE: TreeOptions = TreeOptions { cut: CutOptions { stamp_px: 1.0, max_samples: u64::MAX }, fill_gaps: false };
+const ONCE: TreeOptions = TreeOptions {
+    cut: CutOptions { stamp_px: 1.0, max_samples: u64::MAX, coarsest_px: f64::INFINITY },
+    fill_gaps: false,
+};
 
 #[test]
 fn a_wall_has_no_holes_and_the_plane_s_own_depth_at_every_pixel() {
@@ -186,6 +182,12 @@ fn gaps_are_filled_from_filtered_samples_and_only_there() {
         }
     }
     assert!(kept > 500 && gaps > 2000 && stats.gaps_filled == gaps, "{kept}, {gaps}, {stats:?}");
+    // From nearby the root's samples are larger than a gap may be: what they show may as well be air.
+    let near = ahead(5.5);
+    let (bare, _) = made.draw(&near, &ONCE);
+    let (filled, stats) = made.draw(&near, &TreeOptions { fill_gaps: true, ..ONCE });
+    assert!(bare.packed == filled.packed && stats.gaps_filled == 0 && stats.painted > 500, "{stats:?}");
+    assert!(bare.packed.iter().any(|p| FarFrame::unpack(*p).is_none()));
 }
 
 #[test]

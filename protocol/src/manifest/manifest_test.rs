@@ -10,7 +10,7 @@ use crate::{
     room_index::{BuiltImages, RoomIndex, SideImages},
     rooms::{Cell, Portal, PortalKind, Rooms},
     sky::SkyMap,
-    tree::{Skies, SkyPlace, Tree, TreeNode},
+    tree::{Tree, TreeNode},
     volume::WalkVolume,
 };
 use glam::DVec3;
@@ -173,16 +173,11 @@ fn tree(first_chunk: u32) -> Tree {
         chunk: 0,
     };
     let root = TreeNode { level: 0, first_child: 1, children: 2, chunk: first_chunk + 1, ..node([0; 3]) };
-    let sky = |k: u32| SkyMap::of_runs(vec![[k, 3], [k + 9, 1]]).expect("apart");
     Tree {
         origin: DVec3::new(-1.0 / 3.0, 2.0, 1e6),
         edge_m: 10.0 / 3.0,
         root_chunk: first_chunk,
         pinned_levels: 1,
-        skies: Skies {
-            places: (0..2).map(|k| SkyPlace { position: DVec3::splat(0.1 * f64::from(k)), sky: sky(k) }).collect(),
-            of_run: vec![1, 0, 1],
-        },
         nodes: vec![root, node([1, 0, 0]), node([0, 1, 1])],
     }
 }

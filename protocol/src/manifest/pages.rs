@@ -115,7 +115,7 @@ pub(super) fn decode_into(
             index.images.extend(images);
         }
         PageKind::Volume => index.volume = take_packed(&mut r, "walk volume")?,
-        PageKind::Tree => index.tree = Some(tree::take_head(&mut r, &mut room.numbers)?),
+        PageKind::Tree => index.tree = Some(tree::take_head(&mut r)?),
         PageKind::TreeNodes => match &mut index.tree {
             Some(t) => t.nodes.extend(tree::take_nodes(&mut r, n)?),
             None => return Err(CodecError::mismatch("tree nodes", "there are nodes without a tree")),

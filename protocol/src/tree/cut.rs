@@ -34,13 +34,18 @@ pub struct Cut {
     pub limited: bool,
 }
 
+/// Larger samples save no time: fewer of them cover the picture more often, as they hide each other later (docs/tree.md has figures).
+pub const COARSEST_PX: f64 = 8.0;
+
 /// How far to refine.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CutOptions {
     /// Samples may be this large, output pixels. The paper: one.
     pub stamp_px: f64,
-    /// Samples that may be drawn; the root's are, in any case.
+    /// Samples that may be drawn; but larger ones than [`CutOptions::coarsest_px`] give way to finer ones in any case.
     pub max_samples: u64,
+    /// See [`CutOptions::max_samples`]; output pixels.
+    pub coarsest_px: f64,
 }
 
 /// What the picture looks at: half tangents across and up, and the focal length in pixels.
@@ -62,7 +67,7 @@ impl From<&OutputCamera> for Lens {
 
 impl Default for CutOptions {
     fn default() -> Self {
-        Self { stamp_px: 1.0, max_samples: u64::MAX }
+        Self { stamp_px: 1.0, max_samples: u64::MAX, coarsest_px: COARSEST_PX }
     }
 }
 
@@ -134,7 +139,7 @@ pub fn cut(tree: &Tree, pose: &Pose, lens: &Lens, options: &CutOptions, held: im
             let after = samples - u64::from(node.samples - node.unfiltered) + more;
             if !held(node.chunk) {
                 out.missing.push(node.chunk);
-            } else if after > options.max_samples {
+            } else if after > options.max_samples && stamp_px <= options.coarsest_px {
                 out.limited = true;
             } else {
                 filtered = false;

@@ -1,5 +1,5 @@
 use super::*;
-use crate::{OutputCamera, Pose, codec, sky::SkyMap, volume::WalkVolume};
+use crate::{OutputCamera, Pose, codec};
 
 /// A tree of a full octree's levels, one octant in two missing; chunks are numbered from 0 on.
 fn tree(levels: u8) -> Tree {
@@ -21,14 +21,7 @@ fn tree(levels: u8) -> Tree {
         }
         at += 1;
     }
-    Tree {
-        origin: DVec3::new(-4.0, -4.0, -4.0),
-        edge_m: 8.0,
-        root_chunk: 0,
-        pinned_levels: 2,
-        skies: Default::default(),
-        nodes,
-    }
+    Tree { origin: DVec3::new(-4.0, -4.0, -4.0), edge_m: 8.0, root_chunk: 0, pinned_levels: 2, nodes }
 }
 
 const CAMERA: OutputCamera = OutputCamera { width: 640, height: 400, fov_deg: 60.0 };
@@ -113,6 +106,21 @@ fn a_cut_has_fine_nodes_near_the_eye_and_coarse_ones_far_away() {
     );
 }
 
+#[test]
+fn a_bound_on_samples_leaves_none_that_are_large() {
+    let t = tree(6);
+    let largest = |coarsest_px| {
+        let options = CutOptions { max_samples: 1, coarsest_px, ..CutOptions::default() };
+        let found = cut(&t, &pose(0.0, 0.0, 4.5), &Lens::from(&CAMERA), &options, |_| true);
+        assert!(found.limited);
+        let inner = found.nodes.iter().filter(|c| c.filtered && t.nodes[c.node as usize].children > 0);
+        inner.map(|c| c.stamp_px).fold(0.0, f64::max)
+    };
+    assert!(largest(f64::INFINITY) > 16.0);
+    let bounded = largest(8.0);
+    assert!(bounded <= 8.0 && bounded > 1.0, "{bounded}");
+}
+
 /// Each place in view is drawn by exactly one node with filtered samples, whatever is at hand and however few samples are allowed.
 #[test]
 fn a_cut_covers_every_place_in_view_once() {
@@ -120,7 +128,13 @@ fn a_cut_covers_every_place_in_view_once() {
     let eye = pose(0.3, 0.2, 3.0);
     for (keep, most) in [(1, u64::MAX), (3, u64::MAX), (5, u64::MAX), (1, 700), (2, 1500)] {
         let held = |c: u32| c == 0 || c.is_multiple_of(keep);
-        let found = cut(&t, &eye, &Lens::from(&CAMERA), &CutOptions { stamp_px: 1.0, max_samples: most }, held);
+        let found = cut(
+            &t,
+            &eye,
+            &Lens::from(&CAMERA),
+            &CutOptions { max_samples: most, coarsest_px: f64::INFINITY, ..CutOptions::default() },
+            held,
+        );
         assert!(found.samples <= most.max(100));
         for k in 0..2000u64 {
             let coordinate = |s: u64| ((k * s) % 1000) as f64 / 125.0 - 4.0;
@@ -228,26 +242,4 @@ fn forged_chunks_are_refused() {
     let mut bad = b.clone();
     bad.nodes[1].samples.swap(0, 1);
     assert!(codec::tree::encode(&bad, 1).is_err());
-}
-
-/// The nearest place is on the other side of a floor; the one that counts is farther, on this side.
-#[test]
-fn an_eye_goes_by_the_sky_that_its_run_is_told() {
-    let sky = |square| SkyMap::of_runs(vec![[square, 1]]).unwrap();
-    let place = |x, y, square| SkyPlace { position: DVec3::new(x, y, 0.5), sky: sky(square) };
-    let floors = vec![vec![[0, 10], [30, 40]]; 10];
-    let cut = Aabb { min: DVec3::ZERO, max: DVec3::new(10.0, 0.0, 1.0) };
-    let volume = WalkVolume::new(DVec3::ZERO, 1.0, 0.1, [10, 1], &floors, &cut).unwrap();
-    let of_run = (0..10).flat_map(|column| [0, if column < 7 { 1 } else { 2 }]).collect();
-    let skies = Skies { places: vec![place(1.0, 0.5, 1), place(4.5, 3.5, 2), place(9.0, 3.5, 3)], of_run };
-    let told = |x, y, v| skies.at(DVec3::new(x, y, 0.5), v).cloned();
-    assert_eq!(told(1.0, 3.5, Some(&volume)), Some(sky(2)));
-    assert_eq!(told(1.0, 0.5, Some(&volume)), Some(sky(1)));
-    assert_eq!(told(8.0, 3.5, Some(&volume)), Some(sky(3)));
-    // Outside of the volume, or without one: the nearest.
-    assert_eq!(told(1.0, 2.0, Some(&volume)), Some(sky(1)));
-    assert_eq!(told(1.0, 3.5, None), Some(sky(1)));
-    assert_eq!(Skies::default().at(DVec3::ZERO, Some(&volume)), None);
-    let forged = Skies { of_run: vec![3], ..skies };
-    assert!(Tree { skies: forged, ..tree(2) }.check().unwrap_err().contains("place 3"));
 }

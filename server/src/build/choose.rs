@@ -143,7 +143,7 @@ pub fn weigh(
     let pixels_per_side = (MAX_PIXELS / (6 * c.places.positions.len().max(1)) as f64).sqrt();
     let side = (2.0 * focal_px / bound).clamp(SIDES[0], SIDES[1]).min(pixels_per_side) as u32;
     let depth = Depth::Fine { pitch_m, side };
-    let Some(built) = tree::build_tree(c.caster, &c.bounds, c.volume, c.places, depth, c.first_chunk, heard)? else {
+    let Some(built) = tree::build_tree(c.caster, &c.bounds, c.places, depth, c.first_chunk, heard)? else {
         found.why = "no reference sees any surface".into();
         return Ok((found, None));
     };

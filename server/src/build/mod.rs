@@ -416,7 +416,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
             Represent::Grid | Represent::Smaller | Represent::Portals { .. } => Depth::Base,
             Represent::Tree { pitch_m, side } => Depth::Fine { pitch_m, side },
         };
-        built = tree::build_tree(&caster, &scene.bounds(), &plan.volume, &places, depth, first_tree_chunk, &heard)?;
+        built = tree::build_tree(&caster, &scene.bounds(), &places, depth, first_tree_chunk, &heard)?;
     }
     let (tree, tree_figures) = match built {
         Some(BuiltTree { tree, chunks: of_tree, figures }) => {

@@ -83,7 +83,6 @@ pub fn inspect(dataset: &Dataset, per_cell: bool) -> Result<Value, StoreError> {
             "levels": t.nodes.iter().map(|n| n.level + 1).max(),
             "pinned_levels": t.pinned_levels,
             "samples": t.nodes.iter().map(|n| u64::from(n.samples)).sum::<u64>(),
-            "skies": t.skies.places.len(),
         })),
         "rooms": index.rooms.as_ref().map(|r| rooms(index, r)),
         "skipped": from_report("skipped"),

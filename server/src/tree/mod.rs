@@ -6,8 +6,7 @@
 //! 2. [`mod@reference`]: six square images of 90 degrees at each; of every pixel the point, the normal, the colour and the stamp.
 //! 3. [`grow`]: each pixel goes to the level whose pitch matches its stamp (section 3.1), bilinearly; filtered copies go up, level by level.
 //! 4. [`shape`]: what was grown, as nodes and chunks.
-//! 5. [`skies`]: where eyes see none of it.
-//! 6. [`probe`]: how fine it has to be, and is, where random eyes look.
+//! 5. [`probe`]: how fine it has to be, and is, where random eyes look.
 //!
 //! Where it differs from the paper: six faces per node instead of one (see [`ldi_protocol::tree`]); the stamp is measured along the surface, not across the ray, so that
 //! floors seen at a grazing angle do not fall apart; a pixel's filtered copies come from the level below and not from the pixel itself, which is the same sum in
@@ -18,7 +17,6 @@ mod places;
 mod probe;
 mod reference;
 mod shape;
-mod skies;
 #[cfg(test)]
 mod tests;
 
@@ -31,8 +29,7 @@ use glam::DVec3;
 use grow::Forest;
 use ldi_protocol::{
     Aabb,
-    tree::{MAX_LEVEL, SIDE, Skies, SkyPlace, Tree},
-    volume::WalkVolume,
+    tree::{MAX_LEVEL, SIDE, Tree},
 };
 use rayon::prelude::*;
 use reference::Reference;
@@ -117,7 +114,6 @@ fn cube(bounds: &Aabb) -> (DVec3, f64) {
 pub fn build_tree(
     caster: &Caster,
     bounds: &Aabb,
-    volume: &WalkVolume,
     chosen: &Places,
     depth: Depth,
     first_chunk: u32,
@@ -132,18 +128,16 @@ pub fn build_tree(
         Depth::Fine { pitch_m, side } => (pitch_m, side),
     };
     let mut grower = Grower::new(bounds, finest);
-    let mut skies = Vec::new();
     let batch = (BATCH_POINTS / (6 * (side * side) as usize)).max(2);
     for (k, positions) in chosen.positions.chunks(batch).enumerate() {
         let places: Vec<Vec<(DVec3, usize)>> = positions.iter().map(|p| (0..6).map(|f| (*p, f)).collect()).collect();
-        let seen = grower.add_together(caster, &places, side);
-        skies.extend(seen);
+        grower.add_together(caster, &places, side);
         heard(&format!("{} of {} references", (k * batch + positions.len()), chosen.positions.len()));
     }
     if grower.reference_pixels == 0 {
         return Ok(None);
     }
-    let mut built = grower.finish(skies::choose(caster, &skies, volume), first_chunk)?;
+    let mut built = grower.finish(first_chunk)?;
     built.figures = TreeFigures {
         references: chosen.positions.len(),
         candidates: chosen.candidates,
@@ -179,8 +173,8 @@ impl Grower {
         self.add_together(caster, &one_by_one, side);
     }
 
-    /// Adds references of several images from one place each; returns where they saw sky.
-    fn add_together(&mut self, caster: &Caster, places: &[Vec<(DVec3, usize)>], side: u32) -> Vec<SkyPlace> {
+    /// Adds references of several images from one place each.
+    fn add_together(&mut self, caster: &Caster, places: &[Vec<(DVec3, usize)>], side: u32) {
         let take = |images: &Vec<(DVec3, usize)>| {
             let faces: Vec<usize> = images.iter().map(|i| i.1).collect();
             Reference::take(caster, images[0].0, &faces, side)
@@ -190,7 +184,6 @@ impl Grower {
         self.taken += references.len();
         self.reference_pixels += references.iter().map(|r| r.points.len() as u64).sum::<u64>();
         self.rays += references.iter().map(|r| r.rays).sum::<u64>();
-        references.into_iter().map(|r| SkyPlace { position: r.position, sky: r.sky }).collect()
     }
 
     /// Pixels so far that met a surface.
@@ -202,8 +195,8 @@ impl Grower {
     ///
     /// # Errors
     /// If a chunk cannot be encoded.
-    pub fn finish(self, skies: Skies, first_chunk: u32) -> Result<BuiltTree, PackError> {
-        let mut built = shape::shape(self.forest.filter(), self.origin, self.edge_m, skies, first_chunk)?;
+    pub fn finish(self, first_chunk: u32) -> Result<BuiltTree, PackError> {
+        let mut built = shape::shape(self.forest.filter(), self.origin, self.edge_m, first_chunk)?;
         let figures = &mut built.figures;
         let samples: u64 = figures.samples_by_level.iter().sum();
         figures.reference_pixels = self.reference_pixels;

@@ -1,10 +1,10 @@
 //! Reference images: what an eye sees in all directions, as six square pictures of 90 degrees.
 //!
-//! In: a place. Out: of every pixel that meets a surface its point, normal, colour and stamp (section 3.1, equations 1 and 2), and where there is sky.
+//! In: a place. Out: of every pixel that meets a surface its point, normal, colour and stamp (section 3.1, equations 1 and 2).
 
 use crate::render::{Caster, CellSet, Hit, Ray, RayFootprint};
 use glam::{DVec3, Vec3};
-use ldi_protocol::{sky::SkyMap, tree::across};
+use ldi_protocol::tree::across;
 
 /// A surface seen at less than this cosine counts as seen at it: the stamp would be without bound.
 const SMALLEST_COSINE: f64 = 0.05;
@@ -28,12 +28,8 @@ pub struct Point {
 
 /// What one eye sees.
 pub struct Reference {
-    /// Of the eye.
-    pub position: DVec3,
     /// By face, row, column.
     pub points: Vec<Point>,
-    /// Where nothing is.
-    pub sky: SkyMap,
     /// Rays cast.
     pub rays: u64,
 }
@@ -41,7 +37,7 @@ pub struct Reference {
 /// Rows and columns of rays that are cast together.
 const BLOCK: u32 = 8;
 
-/// Directions of a face's pixels: face f of [`SkyMap`], `side` pixels along each side. Component 1 or -1 along the face's axis.
+/// Directions of a face's pixels: face f (-x, +x, -y, +y, -z, +z), `side` pixels along each side. Component 1 or -1 along the face's axis.
 pub fn direction(face: usize, column: f64, row: f64, side: u32) -> DVec3 {
     let axis = face / 2;
     let [a, b] = across(axis);
@@ -55,37 +51,29 @@ pub fn direction(face: usize, column: f64, row: f64, side: u32) -> DVec3 {
 impl Reference {
     /// The reference at a place: images of `side` x `side` pixels to these faces.
     pub fn take(caster: &Caster, position: DVec3, faces: &[usize], side: u32) -> Self {
-        let mut out = Self { position, points: Vec::new(), sky: SkyMap::default(), rays: 0 };
-        let mut sky = vec![false; (6 * side * side) as usize];
-        let (mut rays, mut hits, mut places) = (Vec::new(), Vec::new(), Vec::new());
+        let mut out = Self { points: Vec::new(), rays: 0 };
+        let (mut rays, mut hits) = (Vec::new(), Vec::new());
         for &face in faces {
             let step = |c: f64, r: f64| direction(face, c, r, side) - direction(face, 0.0, 0.0, side);
             let footprint = RayFootprint { direction_dx: step(1.0, 0.0), direction_dy: step(0.0, 1.0) };
             for top in (0..side).step_by(BLOCK as usize) {
                 for left in (0..side).step_by(BLOCK as usize) {
                     rays.clear();
-                    places.clear();
                     for row in top..(top + BLOCK).min(side) {
                         for column in left..(left + BLOCK).min(side) {
                             let d = direction(face, f64::from(column) + 0.5, f64::from(row) + 0.5, side);
                             rays.push(Ray { t_min: NEAR_M, ..Ray::new(position, d) });
-                            places.push((face as u32 * side + row) * side + column);
                         }
                     }
                     hits.clear();
                     hits.resize(rays.len(), None);
                     caster.trace_batch(&rays, &CellSet::all(), &mut hits);
-                    for ((ray, hit), place) in rays.iter().zip(&hits).zip(&places) {
-                        match hit {
-                            Some(hit) => out.points.extend(point(caster, ray, hit, &footprint, side)),
-                            None => sky[*place as usize] = true,
-                        }
-                    }
+                    let met = rays.iter().zip(&hits).filter_map(|(ray, hit)| Some((ray, hit.as_ref()?)));
+                    out.points.extend(met.filter_map(|(ray, hit)| point(caster, ray, hit, &footprint, side)));
                 }
             }
         }
         out.rays = faces.len() as u64 * u64::from(side * side);
-        out.sky = sky_map(&sky, side);
         out
     }
 }
@@ -110,20 +98,4 @@ fn point(caster: &Caster, ray: &Ray, hit: &Hit, footprint: &RayFootprint, side: 
         stamp_m: (frontal * length / cosine) as f32,
         area_m2: (frontal * frontal / (cosine * length)) as f32,
     })
-}
-
-/// Squares of the sky map all of whose corners and middle fall into sky pixels: a square that meets a surface is none.
-fn sky_map(sky: &[bool], side: u32) -> SkyMap {
-    let n = SkyMap::SIDE;
-    let pixel = |k: u32, part: u32| ((k * 4 + part) * side / (4 * n)).min(side - 1);
-    let mut squares = Vec::with_capacity(SkyMap::SQUARES as usize);
-    for face in 0..6 {
-        for row in 0..n {
-            for column in 0..n {
-                let at = |r: u32, c: u32| sky[((face * side + pixel(row, r)) * side + pixel(column, c)) as usize];
-                squares.push([(0, 0), (0, 3), (3, 0), (3, 3), (2, 2)].iter().all(|(r, c)| at(*r, *c)));
-            }
-        }
-    }
-    SkyMap::of(&squares)
 }

@@ -7,7 +7,7 @@ use ldi_protocol::{
     codec,
     index::ChunkKind,
     shade::srgb8_from_linear,
-    tree::{Brood, DEPTH_STEPS, NodeSamples, OPAQUE, SIDE, Skies, Tree, TreeNode, TreeSample},
+    tree::{Brood, DEPTH_STEPS, NodeSamples, OPAQUE, SIDE, Tree, TreeNode, TreeSample},
 };
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -21,7 +21,7 @@ const LEAST_COVERAGE: f32 = 0.5 / OPAQUE as f32;
 type Cells = BTreeMap<[u16; 3], Vec<TreeSample>>;
 
 /// Makes nodes and chunks.
-pub fn shape(grown: Grown, origin: DVec3, edge_m: f64, skies: Skies, first_chunk: u32) -> Result<BuiltTree, PackError> {
+pub fn shape(grown: Grown, origin: DVec3, edge_m: f64, first_chunk: u32) -> Result<BuiltTree, PackError> {
     let mut levels: Vec<Cells> = grown.layers.into_par_iter().map(cells_of).collect();
     while levels.len() > 1 && levels.last().is_some_and(Cells::is_empty) {
         levels.pop();
@@ -88,7 +88,7 @@ pub fn shape(grown: Grown, origin: DVec3, edge_m: f64, skies: Skies, first_chunk
         figures.pinned_bytes += bytes;
         figures.pinned_levels += 1;
     }
-    let tree = Tree { origin, edge_m, root_chunk: first_chunk, pinned_levels: figures.pinned_levels, skies, nodes };
+    let tree = Tree { origin, edge_m, root_chunk: first_chunk, pinned_levels: figures.pinned_levels, nodes };
     Ok(BuiltTree { tree, chunks, figures })
 }
 

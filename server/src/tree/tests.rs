@@ -5,7 +5,10 @@ use crate::octree::{Clusters, Octree};
 use crate::render::test_scenes::{plain, quad, scene, soup};
 use crate::scene::Scene;
 use glam::Vec3;
-use ldi_protocol::tree::{Brood, OPAQUE, TreeSample, across};
+use ldi_protocol::{
+    tree::{Brood, OPAQUE, TreeSample, across},
+    volume::WalkVolume,
+};
 use std::sync::Arc;
 
 /// References at these places, grown and shaped.
@@ -19,7 +22,7 @@ fn built(scene: Scene, places: &[DVec3], side: u32, max_level: u8) -> (BuiltTree
     let references: Vec<Reference> =
         places.iter().map(|p| Reference::take(&caster, *p, &[0, 1, 2, 3, 4, 5], side)).collect();
     forest.splat(&references, 0);
-    let tree = shape::shape(forest.filter(), origin, edge_m, Skies::default(), 0).expect("it can be encoded");
+    let tree = shape::shape(forest.filter(), origin, edge_m, 0).expect("it can be encoded");
     tree.tree.check().expect("a good tree");
     (tree, references)
 }

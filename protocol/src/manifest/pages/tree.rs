@@ -1,17 +1,14 @@
 //! The LDI tree in the manifest: one page for what it is, pages of nodes.
 
-use super::{MAX_SECTION, Numbers, put_numbers, put_sky, take_numbers, take_sky};
+use super::{MAX_SECTION, Numbers, put_numbers, take_numbers};
 use crate::{
     codec::{
         CodecError,
         bytes::{Reader, Writer, put_varint, unzigzag, zigzag},
     },
-    tree::{Skies, SkyPlace, Tree, TreeNode},
+    tree::{Tree, TreeNode},
 };
 use glam::DVec3;
-
-/// Most reference positions.
-const MAX_PLACES: usize = 1 << 20;
 
 /// The tree but its nodes.
 pub(super) fn put_head(w: &mut Writer, tree: &Tree) -> Result<(), CodecError> {
@@ -19,37 +16,17 @@ pub(super) fn put_head(w: &mut Writer, tree: &Tree) -> Result<(), CodecError> {
     let mut numbers = Vec::new();
     put_varint(&mut numbers, tree.root_chunk.into());
     put_varint(&mut numbers, tree.pinned_levels.into());
-    let places = &tree.skies.places;
-    put_varint(&mut numbers, places.len() as u64);
-    places.iter().for_each(|s| put_sky(&mut numbers, &s.sky));
-    put_varint(&mut numbers, tree.skies.of_run.len() as u64);
-    tree.skies.of_run.iter().for_each(|place| put_varint(&mut numbers, u64::from(*place)));
-    w.section("tree", &numbers)?;
-    put_numbers(w, "reference positions", places.iter().flat_map(|s| s.position.to_array()))
+    w.section("tree", &numbers)
 }
 
-pub(super) fn take_head(r: &mut Reader<'_>, budget: &mut usize) -> Result<Tree, CodecError> {
+pub(super) fn take_head(r: &mut Reader<'_>) -> Result<Tree, CodecError> {
     let cube = take_numbers(r, "tree cube", 4)?;
     let mut numbers = Numbers::take(r, "tree")?;
     let root_chunk = numbers.next("root chunk")?;
     let pinned_levels = numbers.count("pinned levels", 255)? as u8;
-    let places = numbers.count("reference positions", MAX_PLACES)?;
-    let mut skies = Skies::default();
-    for _ in 0..places {
-        skies.places.push(SkyPlace { position: DVec3::ZERO, sky: take_sky(&mut numbers, budget)? });
-    }
-    let runs = numbers.count("runs with a sky", *budget)?;
-    *budget -= runs;
-    for _ in 0..runs {
-        skies.of_run.push(numbers.count("place of a sky", u16::MAX.into())? as u16);
-    }
     numbers.finish("tree")?;
-    let positions = take_numbers(r, "reference positions", 3 * places)?;
-    for (place, p) in skies.places.iter_mut().zip(positions.as_chunks().0) {
-        place.position = DVec3::from_array(*p);
-    }
     let origin = DVec3::new(cube[0], cube[1], cube[2]);
-    Ok(Tree { origin, edge_m: cube[3], root_chunk, pinned_levels, skies, nodes: Vec::new() })
+    Ok(Tree { origin, edge_m: cube[3], root_chunk, pinned_levels, nodes: Vec::new() })
 }
 
 /// Numbers of nodes: differences to the node before where they grow slowly.
