@@ -8,6 +8,7 @@ use anyhow::Context;
 use clap::{Args, Parser, Subcommand, ValueEnum as _};
 use indicatif::{ProgressBar, ProgressStyle};
 use ldi_client::{
+    app::WalkLink,
     composite::Fill,
     engine::{
         Cull, Feed, Method, Pace, PaintError, Painter, Progress, Renderer, Shows, WalkError, WalkJob, WalkOptions,
@@ -363,8 +364,9 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     let painter = args.renderer.painter(args.warp_on)?;
     let drawn_by = drawn_by(&painter);
     let report_file = PendingReport::create(&args.report).map_err(Failure::permanent)?;
-    let connection = Connection::connect(config)?;
-    check_offer(args.method, Feed::index(&connection))?;
+    let connection = Connection::connect(config.clone())?;
+    check_offer(args.method, connection.index())?;
+    let link = WalkLink::new(connection, config).map_err(|e| Failure { code: 1, error: e.into() })?;
     let options = WalkOptions {
         width: args.size.0,
         height: args.size.1,
@@ -392,9 +394,9 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         baseline: args.baseline.as_deref(),
     };
     let mut show = Show::new();
-    let (summary, frames) = run(&connection, &job, painter, &mut |p| show.frame(p))?;
+    let (summary, frames) = run(&link, &job, painter, &mut |p| show.frame(p))?;
     show.done();
-    let index = Feed::index(&connection);
+    let index = link.index();
     let scene = &index.scene;
     let report = Report {
         scene: SceneReport {
@@ -405,7 +407,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
             bounds: [scene.bounds.min.to_array(), scene.bounds.max.to_array()],
         },
         dataset: DatasetReport {
-            hash: connection.dataset_hash(),
+            hash: link.dataset_hash(),
             budget: index.settings.budget,
             representations: match (&index.rooms, index.placements.is_empty()) {
                 (Some(_), _) => vec!["geometry", "portals"],
@@ -415,9 +417,9 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         },
         machine: MachineReport::here(),
         options: options_as_json(args, &options, drawn_by),
-        link: connection.stats().link.map(|[up, down]| LinkReport { up, down }),
+        link: link.stats().link.map(|[up, down]| LinkReport { up, down }),
         disk: args.disk_cache.is_some().then(|| {
-            let stats = connection.stats();
+            let stats = link.stats();
             DiskReport { chunks: stats.disk_chunks, bytes: stats.disk_bytes }
         }),
         summary,

@@ -143,6 +143,47 @@ fn a_walk_over_a_bad_link_draws_the_same_frames() {
     assert!(code == Some(2) && said.contains("for example rate=20mbit,delay=20ms"), "{code:?} {said}");
 }
 
+/// The server ends in the middle of a walk and comes back at the same address: the walk waits for it, and is sent the rest.
+#[test]
+fn a_walk_outlives_its_connection() {
+    let f = fixture();
+    let out = folder("outlives");
+    let walking = |name: &str, server: &str, fingerprint: &str, link: &str| {
+        let mut c = run::command("ldi-client").expect("built");
+        c.args(["walk", server, "--fingerprint", fingerprint, "--path"]).arg(&f.poses).args(["--size", SIZE]);
+        c.args(["--pace", "wait", "--link", link, "-o"]).arg(out.join(name)).arg("--report");
+        c.arg(out.join(format!("{name}.json"))).stdout(Stdio::null()).stderr(Stdio::null());
+        c
+    };
+    let served = Server::start(&f.dataset).expect("serves");
+    let (at, fingerprint) = (served.quic.clone(), served.fingerprint.clone());
+    let picture = |name: &str, pose: usize| out.join(name).join(format!("frame_{pose:05}.png"));
+    run::run(walking("whole", &at, &fingerprint, "delay=1ms")).expect("walks");
+    // Slow enough that there is a middle.
+    let mut child = walking("broken", &at, &fingerprint, "rate=2mbit,delay=1ms").spawn().expect("starts");
+    let ends = |child: &mut std::process::Child| child.try_wait().expect("known").is_some();
+    while !picture("broken", 0).exists() {
+        assert!(!ends(&mut child), "it ended before its first picture");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    drop(served);
+    assert!(!picture("broken", 4).exists(), "it was over before the server ended");
+    std::thread::sleep(Duration::from_secs(1));
+    assert!(!ends(&mut child), "it waits");
+    let _again = Server::start_at(&f.dataset, &at).expect("serves again");
+    assert!(child.wait().expect("ends").success());
+    let report = json(&out.join("broken.json"));
+    assert_eq!((&report["summary"]["frames"], &report["summary"]["frames_incomplete"]), (&5.into(), &0.into()));
+    for pose in 0..5 {
+        let [a, b] = ["whole", "broken"].map(|n| std::fs::read(picture(n, pose)).expect("a picture"));
+        assert!(a == b, "pose {pose}");
+    }
+    // What was sent before the loss is not sent again: of the whole walk's bytes a second handshake more.
+    let bytes =
+        |name: &str| json(&out.join(format!("{name}.json")))["summary"]["bytes_total"].as_f64().expect("a count");
+    assert!(bytes("broken") < 1.2 * bytes("whole"), "{} of {}", bytes("broken"), bytes("whole"));
+}
+
 #[test]
 fn one_thread_and_two_give_the_same_bytes() {
     let f = fixture();

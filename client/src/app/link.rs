@@ -5,7 +5,7 @@
 
 use crate::{
     cache::{Cache, Usage},
-    stream::{ConnectConfig, ConnectError, ConnectProgress, Connection, Phase},
+    stream::{ConnectConfig, ConnectError, ConnectProgress, Connection, Phase, Stats},
 };
 use ldi_protocol::{Pose, index::Index, need::Needed};
 use std::{
@@ -58,7 +58,7 @@ pub struct Scene {
 }
 
 impl Scene {
-    fn of(connection: &Connection) -> Self {
+    pub(super) fn of(connection: &Connection) -> Self {
         Self { index: connection.index().clone(), cache: connection.cache().clone() }
     }
 
@@ -86,8 +86,18 @@ struct Inner {
     scene: Option<Scene>,
     connection: Option<Connection>,
     figures: LinkFigures,
+    /// Of the connections before this one.
+    before: Stats,
     /// Where the eye looked last and what it needed: the next connection has to know at once.
     looked: Option<(Pose, Needed)>,
+}
+
+impl Inner {
+    /// The statistics of all connections so far.
+    fn all_stats(&self) -> Stats {
+        let now = self.connection.as_ref().map(Connection::stats).unwrap_or_default();
+        self.before.and_then(&now, self.scene.as_ref().map_or(0, |s| s.cache.usage().useful_bytes))
+    }
 }
 
 /// The line; stopped when dropped.
@@ -109,17 +119,34 @@ impl Link {
     /// # Errors
     /// If the system gives no thread.
     pub fn start(config: ConnectConfig, changed: impl Fn() + Send + 'static) -> std::io::Result<Self> {
+        Self::begin(None, config, Box::new(changed))
+    }
+
+    /// Keeps up what a connection made with `config` has begun.
+    ///
+    /// # Errors
+    /// If the system gives no thread.
+    pub fn keep_up(
+        connection: Connection,
+        config: ConnectConfig,
+        changed: impl Fn() + Send + 'static,
+    ) -> std::io::Result<Self> {
+        Self::begin(Some(connection), config, Box::new(changed))
+    }
+
+    fn begin(first: Option<Connection>, config: ConnectConfig, changed: Box<dyn Fn() + Send>) -> std::io::Result<Self> {
         let inner = Arc::new(Mutex::new(Inner {
-            state: LinkState::Connecting(1),
-            scene: None,
+            state: if first.is_some() { LinkState::Up } else { LinkState::Connecting(1) },
+            scene: first.as_ref().map(Scene::of),
             connection: None,
             figures: LinkFigures::default(),
+            before: Stats::default(),
             looked: None,
         }));
         let progress = config.progress.clone();
         let (stop, stopped) = mpsc::channel();
-        let keeper = Keeper { config, inner: inner.clone(), stopped, changed: Box::new(changed), bytes_before: 0 };
-        let thread = std::thread::Builder::new().name("ldi-link".into()).spawn(move || keeper.run())?;
+        let keeper = Keeper { config, inner: inner.clone(), stopped, changed };
+        let thread = std::thread::Builder::new().name("ldi-link".into()).spawn(move || keeper.run(first))?;
         Ok(Self { inner, progress, stop: Some(stop), thread: Some(thread) })
     }
 
@@ -136,6 +163,12 @@ impl Link {
     /// What the line carried.
     pub fn figures(&self) -> LinkFigures {
         lock(&self.inner).figures
+    }
+
+    /// The statistics of all connections.
+    pub fn stats(&self) -> Stats {
+        let inner = lock(&self.inner);
+        inner.all_stats()
     }
 
     /// How far connecting is: the phase; stored bytes of the index, and of all of it.
@@ -178,16 +211,17 @@ struct Keeper {
     inner: Arc<Mutex<Inner>>,
     stopped: mpsc::Receiver<()>,
     changed: Box<dyn Fn() + Send>,
-    /// Bytes of the connections before this one.
-    bytes_before: u64,
 }
 
 impl Keeper {
-    fn run(mut self) {
+    fn run(mut self, mut first: Option<Connection>) {
         let mut attempt = 1;
         loop {
-            self.enter(LinkState::Connecting(attempt));
-            let ended = match Connection::connect(self.config.clone()) {
+            let connected = first.take().map(Ok).unwrap_or_else(|| {
+                self.enter(LinkState::Connecting(attempt));
+                Connection::connect(self.config.clone())
+            });
+            let ended = match connected {
                 Ok(connection) => {
                     // Whoever loses it knows that the next attempt is another one.
                     attempt = 1;
@@ -227,6 +261,7 @@ impl Keeper {
             inner.connection = Some(connection);
         }
         self.enter(LinkState::Up);
+        let bytes_before = lock(&self.inner).before.bytes_total;
         let mut heard = (0, Instant::now());
         let mut samples = std::collections::VecDeque::new();
         let reason = loop {
@@ -256,7 +291,7 @@ impl Keeper {
             let seconds = (now - since).as_secs_f64().max(LOOK_EVERY.as_secs_f64());
             lock(&self.inner).figures = LinkFigures {
                 mbit_per_s: (received - first) as f64 * 8e-6 / seconds,
-                bytes: self.bytes_before + received,
+                bytes: bytes_before + received,
                 rtt_ms,
                 cache: cache.usage(),
             };
@@ -269,8 +304,8 @@ impl Keeper {
         };
         let connection = {
             let mut inner = lock(&self.inner);
-            self.bytes_before = inner.figures.bytes;
             inner.figures.mbit_per_s = 0.0;
+            inner.before = inner.all_stats();
             inner.connection.take()
         };
         // Says goodbye and waits for its threads: with the lock free.

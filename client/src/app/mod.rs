@@ -15,6 +15,7 @@
 //! - `screen`: wgpu; the only file here that knows it. Nothing of it is loaded before a window is asked for. What draws is the engine's painter, on the processor or a
 //!   graphics card (`client/src/gpu`), whose pictures come back to the processor before they are shown.
 //! - `hud`, `map` with its `plan`, `start`: what is drawn over the picture. `kept`: walks (`record`) and places (`bookmarks`) that are kept; `settings`: what can be chosen. `keys`, `shot`, `numbered`, `events`, `pace`: small parts.
+//! - `walk_link`: the same line for a walk without a window.
 
 mod bookmarks;
 mod desk;
@@ -37,9 +38,11 @@ mod shot;
 mod solids;
 mod start;
 mod visit;
+mod walk_link;
 mod window;
 
 pub use screen::ScreenError;
+pub use walk_link::WalkLink;
 pub use window::run;
 
 use crate::stream::{ConnectConfig, ConnectError};

@@ -1,7 +1,7 @@
 //! Where a walk gets its data: the one door between the engine and the network.
 
 use crate::{
-    cache::Incomplete,
+    cache::{Cache, Incomplete},
     resident::Resident,
     stream::{Connection, Stats},
 };
@@ -11,7 +11,7 @@ use std::{sync::Arc, time::Duration};
 /// What came over the line so far.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Traffic {
-    /// Seconds since the start of the connection.
+    /// Seconds since the start of the connection; of several in a row those with one.
     pub elapsed_s: f64,
     /// Bytes received since then, the dataset's index included.
     pub bytes: u64,
@@ -21,6 +21,19 @@ pub struct Traffic {
     pub mbit_per_s_p99_1s: f64,
     /// Largest sum of decoded bytes that the cache held.
     pub cache_peak_bytes: u64,
+}
+
+impl Traffic {
+    /// What the statistics of a connection, or of several with one cache, say.
+    pub fn of(stats: &Stats, cache: &Cache) -> Self {
+        Self {
+            elapsed_s: stats.elapsed.as_secs_f64(),
+            bytes: stats.bytes_total,
+            wasted_bytes: stats.wasted_bytes,
+            mbit_per_s_p99_1s: stats.mbit_per_s_p99_1s,
+            cache_peak_bytes: cache.usage().peak_bytes,
+        }
+    }
 }
 
 /// A source of chunks: a connection with its cache, or memory in tests.
@@ -89,13 +102,6 @@ impl Feed for Connection {
         self.cache().holds(chunk)
     }
     fn traffic(&self) -> Traffic {
-        let Stats { elapsed, bytes_total, wasted_bytes, mbit_per_s_p99_1s, .. } = self.stats();
-        Traffic {
-            elapsed_s: elapsed.as_secs_f64(),
-            bytes: bytes_total,
-            wasted_bytes,
-            mbit_per_s_p99_1s,
-            cache_peak_bytes: self.cache().usage().peak_bytes,
-        }
+        Traffic::of(&self.stats(), self.cache())
     }
 }

@@ -67,6 +67,38 @@ pub struct Stats {
     pub link: Option<[LinkCounts; 2]>,
 }
 
+impl Stats {
+    /// Those of two connections with one cache, `next` after this one; `useful_bytes` as of [`Collector::snapshot`], of both.
+    pub fn and_then(&self, next: &Self, useful_bytes: u64) -> Self {
+        let (elapsed, bytes_total) = (self.elapsed + next.elapsed, self.bytes_total + next.bytes_total);
+        let (chunk_bytes, lost_bytes) = (self.chunk_bytes + next.chunk_bytes, self.lost_bytes + next.lost_bytes);
+        let mut link = self.link.or(next.link);
+        if let (Some(both), Some(_), Some(next)) = (&mut link, self.link, next.link) {
+            both.iter_mut().zip(next).for_each(|(a, b)| *a += b);
+        }
+        Self {
+            elapsed,
+            bytes_total,
+            bytes_sent: self.bytes_sent + next.bytes_sent,
+            chunk_bytes,
+            chunks: self.chunks + next.chunks,
+            lost_bytes,
+            damaged: self.damaged + next.damaged,
+            duplicates: self.duplicates + next.duplicates,
+            broken_off: self.broken_off + next.broken_off,
+            given_up: self.given_up + next.given_up,
+            disk_chunks: self.disk_chunks + next.disk_chunks,
+            disk_bytes: self.disk_bytes + next.disk_bytes,
+            wasted_bytes: chunk_bytes.saturating_sub(useful_bytes) + lost_bytes,
+            mbit_per_s_mean: bytes_total as f64 * 8e-6 / elapsed.as_secs_f64().max(1e-9),
+            mbit_per_s_p99_1s: self.mbit_per_s_p99_1s.max(next.mbit_per_s_p99_1s),
+            rtt_ms: next.rtt_ms,
+            lost_packets: self.lost_packets + next.lost_packets,
+            link,
+        }
+    }
+}
+
 #[derive(Debug, Default)]
 struct Inner {
     stats: Stats,
@@ -224,6 +256,24 @@ mod tests {
         assert!((p99_of_windows(&burst) - 8.0).abs() < 1e-9);
         assert_eq!(p99_of_windows(&[]), 0.0);
         assert_eq!(p99_of_windows(&[5]), 0.0);
+    }
+
+    #[test]
+    fn one_connection_after_the_other() {
+        let of = |chunk_bytes, wasted_bytes, seconds| Stats {
+            elapsed: Duration::from_secs(seconds),
+            bytes_total: chunk_bytes + 10,
+            chunk_bytes,
+            wasted_bytes,
+            mbit_per_s_p99_1s: chunk_bytes as f64,
+            ..Stats::default()
+        };
+        // 70 of 100 bytes were useful; then 20 more came, and frames used them and 10 of those before.
+        let both = of(100, 30, 3).and_then(&of(20, 0, 1), 100);
+        assert_eq!((both.chunk_bytes, both.wasted_bytes, both.bytes_total), (120, 20, 140));
+        assert_eq!((both.elapsed.as_secs(), both.mbit_per_s_p99_1s), (4, 100.0));
+        assert!((both.mbit_per_s_mean - 140.0 * 8e-6 / 4.0).abs() < 1e-12);
+        assert_eq!(Stats::default().and_then(&both, 100), both);
     }
 
     #[test]

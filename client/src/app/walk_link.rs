@@ -1,0 +1,115 @@
+//! A walk without a window over a line that is kept up: after a loss it goes on with what the cache holds, and with the next connection.
+
+use super::link::{Link, LinkState, Scene};
+use crate::{
+    cache::Incomplete,
+    engine::{Feed, Traffic},
+    resident::Resident,
+    stream::{ConnectConfig, Connection, Stats},
+};
+use ldi_protocol::{Pose, index::Index, ldi::Ldi, mesh::CellGeometry, need::Needed, texture::Texture, tree::Brood};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+/// What does not come for so long is asked for, unless the line is busy.
+const ASK_AFTER: Duration = Duration::from_millis(300);
+/// Fewer bytes than these in that time are no progress: keep-alives and acknowledgements.
+const BUSY_BYTES: u64 = 4096;
+
+/// A dataset over a line that is kept up.
+pub struct WalkLink {
+    link: Link,
+    scene: Scene,
+    dataset: String,
+}
+
+impl WalkLink {
+    /// Goes on from a connection that was made with `config`.
+    ///
+    /// # Errors
+    /// If the system gives no thread.
+    pub fn new(connection: Connection, config: ConnectConfig) -> std::io::Result<Self> {
+        let (scene, dataset) = (Scene::of(&connection), connection.dataset().to_string());
+        let link = Link::keep_up(connection, config, || {})?;
+        Ok(Self { link, scene, dataset })
+    }
+
+    /// The statistics of all connections.
+    pub fn stats(&self) -> Stats {
+        self.link.stats()
+    }
+
+    /// Why nothing will come any more, though a lost line is made again: None while that may help.
+    fn in_vain(&self) -> Option<String> {
+        match self.link.state() {
+            LinkState::Refused(e) => Some(e.to_string()),
+            _ if self.link.scene().is_some_and(|s| !s.is(&self.scene)) => {
+                Some("the server came back with another dataset".into())
+            }
+            _ => None,
+        }
+    }
+}
+
+impl Resident for WalkLink {
+    fn cell(&self, cell: u32) -> Option<Arc<CellGeometry>> {
+        self.scene.cache.cell(cell)
+    }
+    fn bundle(&self, chunk: u32) -> Option<Arc<CellGeometry>> {
+        self.scene.cache.bundle(chunk)
+    }
+    fn texture(&self, texture: u32) -> Option<Arc<Texture>> {
+        self.scene.cache.texture(texture)
+    }
+    fn ldi(&self, image: u32) -> Option<Arc<Ldi>> {
+        self.scene.cache.ldi(image)
+    }
+    fn brood(&self, chunk: u32) -> Option<Arc<Brood>> {
+        self.scene.cache.brood(chunk)
+    }
+}
+
+impl Feed for WalkLink {
+    fn index(&self) -> &Index {
+        self.scene.cache.index()
+    }
+    fn dataset_hash(&self) -> String {
+        self.dataset.clone()
+    }
+    fn look(&self, pose: &Pose, needed: &Needed) {
+        self.link.look(pose, needed);
+    }
+    fn ask(&self, chunks: &[u32]) {
+        self.link.want(chunks);
+    }
+    fn wait_for(&self, chunks: &[u32], patience: Duration) -> Result<(), Incomplete> {
+        let deadline = Instant::now() + patience;
+        let mut received = self.link.stats().bytes_total;
+        loop {
+            let left = deadline.saturating_duration_since(Instant::now());
+            match self.scene.cache.wait(chunks, left.min(ASK_AFTER)) {
+                Err(Incomplete::Timeout(missing)) if left > ASK_AFTER => {
+                    let before = std::mem::replace(&mut received, self.link.stats().bytes_total);
+                    if received < before + BUSY_BYTES {
+                        self.link.want(&missing);
+                    }
+                }
+                Err(Incomplete::Disconnected(_)) if left > ASK_AFTER => {
+                    if let Some(reason) = self.in_vain() {
+                        return Err(Incomplete::Disconnected(reason));
+                    }
+                    std::thread::sleep(ASK_AFTER);
+                }
+                end => return end,
+            }
+        }
+    }
+    fn holds(&self, chunk: u32) -> bool {
+        self.scene.cache.holds(chunk)
+    }
+    fn traffic(&self) -> Traffic {
+        Traffic::of(&self.link.stats(), &self.scene.cache)
+    }
+}
