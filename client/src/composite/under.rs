@@ -30,7 +30,7 @@ pub fn wanted_under(frame: &Frame, doubt: Doubt) -> Wanted {
     Wanted::new(frame.width, frame.height, frame.source.iter().map(wants).collect(), &frame.disparity)
 }
 
-/// Lays the tree's picture under the frame. Returns the number of pixels that the tree gave.
+/// Lays the tree's picture under the frame; what neither shows becomes sky as long as something is missing, and else stays a hole. Returns the number of pixels that the tree gave.
 pub fn lay_under(frame: &mut Frame, tree: &FarFrame, doubt: Doubt) -> u64 {
     let mut given = 0;
     for at in 0..frame.len() {

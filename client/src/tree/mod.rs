@@ -36,7 +36,7 @@ pub use still::StillPainter;
 /// Stamps may be so many times larger in each pass of gap filling.
 const GAP_STEP: f64 = 4.0;
 /// Passes of gap filling; the paper goes on with all filtered samples at once. More: the sky between beams is filled with the beams' colours.
-/// Fewer: holes stay (docs/tree.md has figures).
+/// Fewer: holes stay (docs/decisions.md has figures).
 const GAP_PASSES: u32 = 2;
 
 /// How the tree is drawn.
