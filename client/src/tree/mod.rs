@@ -35,22 +35,23 @@ pub use still::StillPainter;
 
 /// Stamps may be so many times larger in each pass of gap filling.
 const GAP_STEP: f64 = 4.0;
-/// Passes of gap filling; the paper goes on with all filtered samples at once. More: the sky between beams is filled with the beams' colours.
-/// Fewer: holes stay (docs/decisions.md has figures).
-const GAP_PASSES: u32 = 2;
+/// Passes of gap filling. More: the sky between beams is filled with the beams' colours. Fewer: holes stay (docs/decisions.md has figures).
+pub const GAP_PASSES: u32 = 2;
+/// The last of so many draws the root: the paper fills from all filtered samples.
+pub const ALL_GAP_PASSES: u32 = 5;
 
 /// How the tree is drawn.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TreeOptions {
     /// How far to refine.
     pub cut: CutOptions,
-    /// Fill gaps from filtered samples.
-    pub fill_gaps: bool,
+    /// How often gaps are filled from filtered samples, each time four times as large.
+    pub gap_passes: u32,
 }
 
 impl Default for TreeOptions {
     fn default() -> Self {
-        Self { cut: CutOptions::default(), fill_gaps: true }
+        Self { cut: CutOptions::default(), gap_passes: GAP_PASSES }
     }
 }
 
@@ -144,16 +145,16 @@ impl TreePainter {
         stats.painted = wanted.settle(out);
         (stats.missing, stats.limited) = (std::mem::take(&mut self.pass.cut.missing), self.pass.cut.limited);
         stats.shown = self.pass.cut.samples;
-        if !options.fill_gaps {
+        if options.gap_passes == 0 {
             return;
         }
         wanted.drop_where(no_gap);
         let mut stamp_px = options.cut.stamp_px.max(1.0);
-        for _ in 0..GAP_PASSES {
+        for pass in 1..=options.gap_passes {
             if wanted.is_empty() {
                 break;
             }
-            stamp_px *= GAP_STEP;
+            stamp_px = if pass == ALL_GAP_PASSES { f64::INFINITY } else { stamp_px * GAP_STEP };
             self.pass.begin(view.cut(&CutOptions { stamp_px, ..options.cut }));
             self.pass.advance(view, u64::MAX, wanted, out, &mut self.painting, stats);
             stats.gaps_filled += wanted.settle(out);

@@ -69,7 +69,8 @@ impl StillPainter {
             let before = self.shown.take().filter(|_| stands).map_or(0, |s| s.samples);
             self.making = None;
             let max_samples = max_samples.max(before);
-            let options = TreeOptions { cut: CutOptions { max_samples, ..CutOptions::default() }, fill_gaps: true };
+            let options =
+                TreeOptions { cut: CutOptions { max_samples, ..CutOptions::default() }, ..TreeOptions::default() };
             // Only what a still eye shows is kept: copies cost a moving one time.
             let kept = stands.then(|| wanted.clone());
             let mut left = wanted;
@@ -118,7 +119,7 @@ impl StillPainter {
             return same(0);
         };
         self.painter.pass = pass;
-        let options = TreeOptions { cut: options, fill_gaps: true };
+        let options = TreeOptions { cut: options, ..TreeOptions::default() };
         self.painter.finish(view, &options, &mut wanted, no_gap, &mut picture, &mut stats);
         (shown.samples, shown.limited) = (stats.shown, stats.limited);
         shown.missing.clone_from(&stats.missing);

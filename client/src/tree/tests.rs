@@ -73,10 +73,8 @@ fn ahead(z: f64) -> Pose {
     Pose { position: DVec3::new(0.0, 0.0, z), yaw_deg: 0.0, pitch_deg: 0.0 }
 }
 
-const ONCE: TreeOptions = TreeOptions {
-    cut: CutOptions { stamp_px: 1.0, max_samples: u64::MAX, coarsest_px: f64::INFINITY },
-    fill_gaps: false,
-};
+const ONCE: TreeOptions =
+    TreeOptions { cut: CutOptions { stamp_px: 1.0, max_samples: u64::MAX, coarsest_px: f64::INFINITY }, gap_passes: 0 };
 
 #[test]
 fn a_wall_has_no_holes_and_the_plane_s_own_depth_at_every_pixel() {
@@ -169,7 +167,7 @@ fn gaps_are_filled_from_filtered_samples_and_only_there() {
     made.memory.broods.insert(1, Arc::new(Brood { nodes: vec![NodeSamples { samples: child }] }));
     let pose = ahead(12.0);
     let (bare, _) = made.draw(&pose, &ONCE);
-    let (filled, stats) = made.draw(&pose, &TreeOptions { fill_gaps: true, ..ONCE });
+    let (filled, stats) = made.draw(&pose, &TreeOptions { gap_passes: GAP_PASSES, ..ONCE });
     let red = |f: &FarFrame, at: usize| f.get(at).is_some_and(|(c, _)| unpack_rgb(c)[0] > 150);
     let (mut kept, mut gaps) = (0, 0u64);
     for at in 0..bare.packed.len() {
@@ -185,9 +183,11 @@ fn gaps_are_filled_from_filtered_samples_and_only_there() {
     // From nearby the root's samples are larger than a gap may be: what they show may as well be air.
     let near = ahead(5.5);
     let (bare, _) = made.draw(&near, &ONCE);
-    let (filled, stats) = made.draw(&near, &TreeOptions { fill_gaps: true, ..ONCE });
+    let (filled, stats) = made.draw(&near, &TreeOptions { gap_passes: GAP_PASSES, ..ONCE });
     assert!(bare.packed == filled.packed && stats.gaps_filled == 0 && stats.painted > 500, "{stats:?}");
-    assert!(bare.packed.iter().any(|p| FarFrame::unpack(*p).is_none()));
+    let open = |f: &FarFrame| f.packed.iter().filter(|p| FarFrame::unpack(**p).is_none()).count();
+    let (all, _) = made.draw(&near, &TreeOptions { gap_passes: ALL_GAP_PASSES, ..ONCE });
+    assert!(open(&bare) > open(&all), "{} pixels open, {} of them after all passes", open(&bare), open(&all));
 }
 
 #[test]
