@@ -4,6 +4,7 @@ pub mod args;
 pub mod bench;
 pub mod fixture;
 pub mod load;
+pub mod namespace;
 pub mod page;
 pub mod plot;
 pub mod run;

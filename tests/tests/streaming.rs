@@ -211,6 +211,26 @@ fn requests_by_number_and_by_name_are_answered() {
 }
 
 #[test]
+fn an_address_gets_no_more_than_its_bytes_per_second() {
+    // The least that the settings take: a tenth of a second's worth are seven of these chunks.
+    const LIMIT: f64 = 10_000.0;
+    let config = ServeConfig { bytes_per_second_per_address: LIMIT, ..Default::default() };
+    let host = Host::start_with("allowance", Memory::new(street(4, 16)), config);
+    let connections = [host.connect(), host.connect()];
+    let started = std::time::Instant::now();
+    let mut bytes = 0;
+    for round in 0..30 {
+        let chunk = connections[round % 2].fetch(Request::Number(FIRST_CELL)).unwrap().1;
+        bytes += chunk.len();
+    }
+    // Never more, however fast or slow this machine is: a tenth of a second's worth goes at once, and one chunk before it is counted.
+    let most = LIMIT * (started.elapsed().as_secs_f64() + 0.1) + (bytes / 30) as f64;
+    assert!(bytes as f64 <= most, "{bytes} bytes, {most} at most");
+    assert!(bytes as f64 > 0.3 * LIMIT, "{bytes} bytes are no test of the limit");
+    stand(&connections[0], &pose(0.0, 0.0)).unwrap();
+}
+
+#[test]
 fn the_door_opens_for_the_right_ones_only() {
     let token_file = folder("door-token").join("token");
     std::fs::write(&token_file, "open sesame\n").unwrap();

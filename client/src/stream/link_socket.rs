@@ -1,4 +1,4 @@
-//! A socket with a [`Link`] before it: QUIC above and the wire below notice nothing but the link's behaviour.
+//! A socket with a link before it: QUIC above and the wire below notice nothing but the link's behaviour.
 //!
 //! ```text
 //!   quinn ── try_send ──▶ Lane up ──▶ a task sends when due ──▶ the runtime's socket
@@ -6,16 +6,17 @@
 //! ```
 //!
 //! Segments of one transmit, and of one received buffer, are packets each. Time is that of the runtime, whose timers have steps of a millisecond: what is
-//! due within one arrives together, at most a millisecond late. Packets that wait lie in memory, [`MAX_WAITING`] per direction.
+//! due within one arrives together, at most a millisecond late. Packets that wait lie in memory, a bounded number per direction ([`Lane`]).
 
-use super::link::{Direction, Fate, Link, LinkCounts, LinkSpec};
+use super::{
+    lane::Lane,
+    link::{Direction, LinkCounts, LinkSpec},
+};
 use quinn::{
     AsyncUdpSocket, UdpPoller,
     udp::{EcnCodepoint, RecvMeta, Transmit},
 };
 use std::{
-    cmp::Reverse,
-    collections::BinaryHeap,
     future::poll_fn,
     io::{self, IoSliceMut},
     net::{IpAddr, SocketAddr},
@@ -35,8 +36,6 @@ use tokio::{
     time::{Instant, Sleep, sleep, sleep_until},
 };
 
-/// Packets on their way in one direction: 100 MB, a second at 800 Mbit/s. What comes beyond is dropped and counted.
-const MAX_WAITING: usize = 1 << 16;
 /// Buffers for one read of the socket below, each as large as the system may fill it.
 const BUFFERS: usize = 8;
 /// See [`BUFFERS`].
@@ -54,81 +53,10 @@ struct Packet {
     ecn: Option<EcnCodepoint>,
 }
 
-/// A packet with its time of arrival; a number keeps the order of those that arrive together.
-#[derive(Debug)]
-struct Waiting {
-    at: Duration,
-    number: u64,
-    packet: Packet,
-}
-
-impl PartialEq for Waiting {
-    fn eq(&self, other: &Self) -> bool {
-        (self.at, self.number) == (other.at, other.number)
-    }
-}
-impl Eq for Waiting {}
-impl PartialOrd for Waiting {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-impl Ord for Waiting {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        (self.at, self.number).cmp(&(other.at, other.number))
-    }
-}
-
-/// One direction: the link, and what is on its way.
-#[derive(Debug)]
-struct Lane {
-    link: Link,
-    waiting: BinaryHeap<Reverse<Waiting>>,
-    next: u64,
-}
-
-impl Lane {
-    fn new(spec: LinkSpec, direction: Direction) -> Self {
-        Self { link: Link::new(spec, direction), waiting: BinaryHeap::new(), next: 0 }
-    }
-
-    fn send(&mut self, now: Duration, packet: Packet) {
-        let (at, again) = match self.link.send(now, packet.bytes.len()) {
-            Fate::Arrives(at) => (at, None),
-            Fate::ArrivesTwice(at, again) => (at, Some(again)),
-            Fate::Lost | Fate::Dropped => return,
-        };
-        if self.waiting.len() >= MAX_WAITING {
-            return self.link.take_back(packet.bytes.len());
-        }
-        if let Some(again) = again {
-            self.hold(again, packet.clone());
-        }
-        self.hold(at, packet);
-    }
-
-    fn hold(&mut self, at: Duration, packet: Packet) {
-        self.waiting.push(Reverse(Waiting { at, number: self.next, packet }));
-        self.next += 1;
-    }
-
-    fn next_at(&self) -> Option<Duration> {
-        self.waiting.peek().map(|w| w.0.at)
-    }
-
-    /// The next packet that has arrived by now.
-    fn arrived(&mut self, now: Duration) -> Option<Packet> {
-        if self.next_at()? > now {
-            return None;
-        }
-        self.waiting.pop().map(|w| w.0.packet)
-    }
-}
-
 /// What the sending task shares with the socket.
 #[derive(Debug)]
 struct Up {
-    lane: Mutex<Lane>,
+    lane: Mutex<Lane<Packet>>,
     /// A packet was put in, or the socket is gone.
     changed: Notify,
     gone: AtomicBool,
@@ -136,7 +64,7 @@ struct Up {
 
 #[derive(Debug)]
 struct Down {
-    lane: Lane,
+    lane: Lane<Packet>,
     timer: Pin<Box<Sleep>>,
     buffers: Vec<Vec<u8>>,
 }
@@ -174,7 +102,7 @@ impl LinkSocket {
 
     /// What became of the packets, up and down.
     pub fn counts(&self) -> [LinkCounts; 2] {
-        [lock(&self.up.lane).link.counts(), lock(&self.down).lane.link.counts()]
+        [lock(&self.up.lane).counts(), lock(&self.down).lane.counts()]
     }
 }
 
@@ -246,7 +174,7 @@ impl AsyncUdpSocket for LinkSocket {
                 local: transmit.src_ip,
                 ecn: transmit.ecn,
             };
-            lane.send(now, packet);
+            lane.send(now, segment.len(), packet);
         }
         drop(lane);
         self.up.changed.notify_one();
@@ -307,7 +235,7 @@ fn take_in(inner: &dyn AsyncUdpSocket, cx: &mut Context<'_>, down: &mut Down, st
         for (m, buffer) in metas[..count?].iter().zip(&down.buffers) {
             for segment in segments(&buffer[..m.len], Some(m.stride)) {
                 let packet = Packet { bytes: segment.to_vec(), remote: m.addr, local: m.dst_ip, ecn: m.ecn };
-                down.lane.send(now, packet);
+                down.lane.send(now, segment.len(), packet);
             }
         }
     }
@@ -323,35 +251,7 @@ fn segments(bytes: &[u8], size: Option<usize>) -> impl Iterator<Item = &[u8]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn packet(byte: u8, bytes: usize) -> Packet {
-        Packet { bytes: vec![byte; bytes], remote: ([127, 0, 0, 1], 1).into(), local: None, ecn: None }
-    }
-
-    #[test]
-    fn a_lane_gives_packets_out_in_the_order_of_arrival() {
-        let spec = "rate=8mbit,delay=10ms".parse().expect("a link");
-        let mut lane = Lane::new(spec, Direction::Down);
-        let ms = Duration::from_millis;
-        // 972 bytes and 28 of headers take 1 ms.
-        (0..3).for_each(|i| lane.send(ms(0), packet(i, 972)));
-        assert_eq!(lane.next_at(), Some(ms(11)));
-        assert!(lane.arrived(ms(10)).is_none());
-        let mut out = Vec::new();
-        while let Some(p) = lane.arrived(ms(12)) {
-            out.push(p.bytes[0]);
-        }
-        assert_eq!((out, lane.next_at()), (vec![0, 1], Some(ms(13))));
-    }
-
-    #[test]
-    fn what_cannot_be_held_is_dropped_and_counted() {
-        let mut lane = Lane::new(LinkSpec { delay: Duration::from_secs(1), ..LinkSpec::default() }, Direction::Up);
-        (0..MAX_WAITING + 3).for_each(|_| lane.send(Duration::ZERO, packet(0, 10)));
-        let c = lane.link.counts();
-        assert_eq!((c.sent, c.delivered, c.dropped), (MAX_WAITING as u64 + 3, MAX_WAITING as u64, 3));
-        assert_eq!(c.bytes, 10 * MAX_WAITING as u64);
-    }
+    use crate::stream::link::{Fate, Link};
 
     #[test]
     fn segments_of_a_buffer_are_packets_each() {

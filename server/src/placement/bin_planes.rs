@@ -27,20 +27,27 @@ pub(super) enum Behind {
     Always,
 }
 
-/// One plane over a bin.
-#[derive(Debug, Clone, Copy)]
-struct Plane {
-    middle: DVec3,
-    by_yaw: DVec3,
-    by_pitch: DVec3,
-    /// |n0| + dy |n_y| + dp |n_p|, by component.
-    reach: DVec3,
+/// x, y and z of four vectors, one for each plane: all planes are tested at once.
+type FourVectors = [[f64; 4]; 3];
+
+/// Dot products of four vectors with one.
+#[inline(always)]
+fn dots(four: &FourVectors, v: DVec3) -> [f64; 4] {
+    let mut out = [0.0; 4];
+    for (k, d) in out.iter_mut().enumerate() {
+        *d = four[0][k] * v.x + four[1][k] * v.y + four[2][k] * v.z;
+    }
+    out
 }
 
 /// The four planes over a bin.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BinPlanes {
-    planes: [Plane; 4],
+    middle: FourVectors,
+    by_yaw: FourVectors,
+    by_pitch: FourVectors,
+    /// |n0| + dy |n_y| + dp |n_p|, by component.
+    reach: FourVectors,
     half_yaw: f64,
     half_pitch: f64,
     second: f64,
@@ -55,20 +62,32 @@ impl BinPlanes {
         let ViewBasis { right, up, forward } = ViewBasis::from_yaw_pitch(yaw, pitch);
         let (sin, cos) = pitch.to_radians().sin_cos();
         let ahead = DVec3::new(forward.x, 0.0, forward.z) / cos.abs().max(1e-12) * cos.signum();
-        let planes = [(1.0, 0.0, tx), (-1.0, 0.0, tx), (0.0, 1.0, ty), (0.0, -1.0, ty)].map(|(s, u, t)| {
+        let mut out = Self {
+            middle: [[0.0; 4]; 3],
+            by_yaw: [[0.0; 4]; 3],
+            by_pitch: [[0.0; 4]; 3],
+            reach: [[0.0; 4]; 3],
+            half_yaw,
+            half_pitch,
+            second: 0.5 * (half_yaw + half_pitch).powi(2) * (1.0 + tx.max(ty)),
+        };
+        for (plane, (s, u, t)) in
+            [(1.0, 0.0, tx), (-1.0, 0.0, tx), (0.0, 1.0, ty), (0.0, -1.0, ty)].into_iter().enumerate()
+        {
             let middle = right * s + up * u + forward * t;
             // d right / d yaw = ahead, d up / d yaw = right sin p, d forward / d yaw = -right cos p.
             let by_yaw = ahead * s + right * (u * sin) - right * (t * cos);
             // d up / d pitch = -forward, d forward / d pitch = up.
             let by_pitch = forward * -u + up * t;
-            Plane {
-                middle,
-                by_yaw,
-                by_pitch,
-                reach: middle.abs() + by_yaw.abs() * half_yaw + by_pitch.abs() * half_pitch,
+            let reach = middle.abs() + by_yaw.abs() * half_yaw + by_pitch.abs() * half_pitch;
+            for axis in 0..3 {
+                out.middle[axis][plane] = middle[axis];
+                out.by_yaw[axis][plane] = by_yaw[axis];
+                out.by_pitch[axis][plane] = by_pitch[axis];
+                out.reach[axis][plane] = reach[axis];
             }
-        });
-        Self { planes, half_yaw, half_pitch, second: 0.5 * (half_yaw + half_pitch).powi(2) * (1.0 + tx.max(ty)) }
+        }
+        out
     }
 
     /// Half widths of the bin in yaw and pitch, radians.
@@ -77,7 +96,7 @@ impl BinPlanes {
     }
 
     /// Whether points of a box may lie in the frusta of eyes in another: never, sometimes, or always for every eye and direction.
-    #[inline]
+    #[inline(always)]
     pub fn show(&self, eyes: &Aabb, b: &Aabb) -> Behind {
         // Every plane keeps a point for some eye exactly if it keeps their difference for an eye at the origin.
         let (w, h) = (b.centre() - eyes.centre(), (b.size() + eyes.size()) * 0.5);
@@ -85,22 +104,22 @@ impl BinPlanes {
     }
 
     /// The test for w = E - G in a box of middle `w` and half size `h`; `farthest` bounds |w| over the box.
-    #[inline]
+    #[inline(always)]
     pub fn behind(&self, w: DVec3, h: DVec3, farthest: f64) -> Behind {
         let common = (self.second + ROUNDING) * farthest;
-        let mut always = true;
-        for p in &self.planes {
-            let value = p.middle.dot(w);
-            let spread = self.half_yaw * p.by_yaw.dot(w).abs()
-                + self.half_pitch * p.by_pitch.dot(w).abs()
-                + p.reach.dot(h)
-                + common;
-            if value + spread < 0.0 {
-                return Behind::Never;
-            }
-            always &= value - spread >= 0.0;
+        let (value, by_yaw, by_pitch) = (dots(&self.middle, w), dots(&self.by_yaw, w), dots(&self.by_pitch, w));
+        let reach = dots(&self.reach, h);
+        let (mut never, mut always) = (false, true);
+        for k in 0..4 {
+            let spread = self.half_yaw * by_yaw[k].abs() + self.half_pitch * by_pitch[k].abs() + reach[k] + common;
+            never |= value[k] + spread < 0.0;
+            always &= value[k] - spread >= 0.0;
         }
-        if always { Behind::Always } else { Behind::Maybe }
+        match (never, always) {
+            (true, _) => Behind::Never,
+            (false, true) => Behind::Always,
+            (false, false) => Behind::Maybe,
+        }
     }
 }
 

@@ -39,28 +39,41 @@ impl Cells {
     /// The cells that some eye in the box may draw in some direction of a bin, added to `out`; returns their triangles.
     /// Blocks and groups of cells that are wholly in or out of view are decided at once.
     pub fn seen(&self, planes: &BinPlanes, eyes: &Aabb, out: &mut CellMask) -> u64 {
-        let test = |b: &Aabb| planes.show(eyes, b);
-        let mut take = |from: usize, to: usize| {
-            (from..to).for_each(|c| out.insert(c as u32));
-            self.before[to] - self.before[from]
-        };
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx2")]
+            fn wide(cells: &Cells, planes: &BinPlanes, eyes: &Aabb, out: &mut CellMask) -> u64 {
+                cells.see(planes, eyes, out)
+            }
+            if std::is_x86_feature_detected!("avx2") {
+                // SAFETY: the processor has AVX2.
+                return unsafe { wide(self, planes, eyes, out) };
+            }
+        }
+        self.see(planes, eyes, out)
+    }
+
+    /// [`Cells::seen`] with the vectors of whoever calls it. The same bits either way, as no operation is fused.
+    #[inline(always)]
+    fn see(&self, planes: &BinPlanes, eyes: &Aabb, out: &mut CellMask) -> u64 {
         let n = self.bounds.len();
         let mut triangles = 0;
+        // No iterator's closures here and in `count_in`: they would be compiled without the widest vectors.
         for (k, block) in self.blocks.iter().enumerate() {
             let first = k * GROUP;
-            match test(block) {
+            match planes.show(eyes, block) {
                 Behind::Never => {}
-                Behind::Always => triangles += take(first * GROUP, ((first + GROUP) * GROUP).min(n)),
+                Behind::Always => triangles += self.take(first * GROUP, ((first + GROUP) * GROUP).min(n), out),
                 Behind::Maybe => {
-                    for (g, group) in self.groups[first..].iter().take(GROUP).enumerate() {
-                        let first = (first + g) * GROUP;
-                        match test(group) {
+                    for g in first..(first + GROUP).min(self.groups.len()) {
+                        let first = g * GROUP;
+                        match planes.show(eyes, &self.groups[g]) {
                             Behind::Never => {}
-                            Behind::Always => triangles += take(first, (first + GROUP).min(n)),
+                            Behind::Always => triangles += self.take(first, (first + GROUP).min(n), out),
                             Behind::Maybe => {
                                 for c in first..(first + GROUP).min(n) {
-                                    if test(&self.bounds[c]) != Behind::Never {
-                                        triangles += take(c, c + 1);
+                                    if planes.show(eyes, &self.bounds[c]) != Behind::Never {
+                                        triangles += self.take(c, c + 1, out);
                                     }
                                 }
                             }
@@ -70,6 +83,12 @@ impl Cells {
             }
         }
         triangles
+    }
+
+    /// Adds the cells `from .. to` to `out`; returns their triangles.
+    fn take(&self, from: usize, to: usize, out: &mut CellMask) -> u64 {
+        (from..to).for_each(|c| out.insert(c as u32));
+        self.before[to] - self.before[from]
     }
 
     /// The empty set.
@@ -93,22 +112,38 @@ impl Cells {
 
     /// Triangles of those cells `among` these that some eye in the box may draw in some direction of a bin.
     pub fn count(&self, planes: &BinPlanes, eyes: &Aabb, among: &CellMask) -> u64 {
-        let test = |b: &Aabb| planes.show(eyes, b);
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx2")]
+            fn wide(cells: &Cells, planes: &BinPlanes, eyes: &Aabb, among: &CellMask) -> u64 {
+                cells.count_in(planes, eyes, among)
+            }
+            if std::is_x86_feature_detected!("avx2") {
+                // SAFETY: the processor has AVX2.
+                return unsafe { wide(self, planes, eyes, among) };
+            }
+        }
+        self.count_in(planes, eyes, among)
+    }
+
+    /// [`Cells::count`] with the vectors of whoever calls it.
+    #[inline(always)]
+    fn count_in(&self, planes: &BinPlanes, eyes: &Aabb, among: &CellMask) -> u64 {
         let mut triangles = 0;
         for (k, words) in among.words.chunks(GROUP * GROUP / 64).enumerate() {
-            if words.iter().all(|w| *w == 0) || test(&self.blocks[k]) == Behind::Never {
+            if words.iter().all(|w| *w == 0) || planes.show(eyes, &self.blocks[k]) == Behind::Never {
                 continue;
             }
-            for (g, group) in self.groups[k * GROUP..].iter().take(GROUP).enumerate() {
-                let mut bits = words.get(g / 4).map_or(0, |w| w >> (g % 4 * GROUP) & 0xffff);
+            for g in k * GROUP..((k + 1) * GROUP).min(self.groups.len()) {
+                let mut bits = words.get(g % GROUP / 4).map_or(0, |w| w >> (g % 4 * GROUP) & 0xffff);
                 if bits == 0 {
                     continue;
                 }
-                let verdict = test(group);
+                let verdict = planes.show(eyes, &self.groups[g]);
                 while bits != 0 && verdict != Behind::Never {
-                    let cell = (k * GROUP + g) * GROUP + bits.trailing_zeros() as usize;
+                    let cell = g * GROUP + bits.trailing_zeros() as usize;
                     bits &= bits - 1;
-                    if verdict == Behind::Always || test(&self.bounds[cell]) != Behind::Never {
+                    if verdict == Behind::Always || planes.show(eyes, &self.bounds[cell]) != Behind::Never {
                         triangles += u64::from(self.triangles[cell]);
                     }
                 }

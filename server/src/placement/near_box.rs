@@ -296,7 +296,10 @@ impl<'a> Fit<'a> {
             let b = &self.ctx.cells.bounds[cell as usize];
             let (low, high) = (b.min - self.cop, b.max - self.cop);
             for ((region, w), covered) in regions.iter().zip(&mut windows).zip(&mut covered) {
-                if let Some(t) = region.tangents_of(&region.local(low, high)) {
+                // Most boxes are beyond few of the faces.
+                if region.is_beyond(low, high)
+                    && let Some(t) = region.tangents_of(&region.local(low, high))
+                {
                     *covered += (t[1] - t[0]) * (t[3] - t[2]);
                     *w = [w[0].min(t[0]), w[1].max(t[1]), w[2].min(t[2]), w[3].max(t[3])];
                 }
@@ -349,6 +352,12 @@ impl Region {
             |(axis, sign): (usize, f64), positive: bool| distance[axis * 2 + usize::from((sign > 0.0) == positive)];
         let beside = [of(axes[0], false), of(axes[0], true), of(axes[1], false), of(axes[1], true)];
         Self { axes, distance: distance[face], beside }
+    }
+
+    /// Whether a box relative to the centre of projection reaches beyond the face.
+    pub fn is_beyond(&self, low: DVec3, high: DVec3) -> bool {
+        let (axis, sign) = self.axes[2];
+        (low[axis] * sign).max(high[axis] * sign) > self.distance
     }
 
     /// A box relative to the centre of projection, along right, up, forward.

@@ -23,6 +23,8 @@ pub struct ServeConfig {
     pub max_connections: usize,
     /// Connections from one address.
     pub max_connections_per_address: usize,
+    /// Bytes of chunks per second that all connections from one address share; 0: no limit.
+    pub bytes_per_second_per_address: f64,
     /// Control messages and requests per second of one client; short bursts of four times as many pass.
     pub messages_per_second: f64,
     /// Bytes that one connection may have on the way, unacknowledged. Smaller: less memory and fresher priorities; larger
@@ -58,6 +60,7 @@ impl Default for ServeConfig {
             identity: None,
             max_connections: 2_000,
             max_connections_per_address: 1_000,
+            bytes_per_second_per_address: 0.0,
             messages_per_second: 500.0,
             send_window: 4 << 20,
             ahead_worth: 1_000_000,
@@ -120,6 +123,10 @@ impl ServeConfig {
         if self.messages_per_second.is_nan() || self.messages_per_second < 1.0 {
             return value("messages_per_second", "must be at least 1");
         }
+        let per_address = self.bytes_per_second_per_address;
+        if per_address.is_nan() || (per_address != 0.0 && per_address < 10_000.0) {
+            return value("bytes_per_second_per_address", "below 10000 nothing is seen for minutes; 0 is no limit");
+        }
         if self.send_window < 256 << 10 {
             return value("send_window", "below 262144 bytes the sending stalls");
         }
@@ -179,6 +186,7 @@ mod tests {
         for c in [
             ServeConfig { max_connections: 0, ..Default::default() },
             ServeConfig { messages_per_second: f64::NAN, ..Default::default() },
+            ServeConfig { bytes_per_second_per_address: -1.0, ..Default::default() },
             ServeConfig { send_window: 1, ..Default::default() },
         ] {
             assert!(c.validate().is_err(), "{c:?}");

@@ -1,10 +1,11 @@
 //! Sends one chunk on one stream, in slices, and changes its mind while it does.
 
-use super::walkers::Counters;
+use super::{limits::Allowance, walkers::Counters};
 use bytes::Bytes;
 use ldi_protocol::wire::{StreamHeader, Urgency, code};
 use quinn::{Connection, SendStream, VarInt, WriteError};
-use tokio::sync::watch;
+use std::{sync::Arc, time::Instant};
+use tokio::{sync::watch, time::sleep_until};
 
 /// Bytes handed to the transport at a time. Larger: a change of priority waits longer; smaller: more wake-ups.
 const SLICE: usize = 64 * 1024;
@@ -37,6 +38,33 @@ pub enum Ended {
     Failed,
 }
 
+/// Where chunks of a session go: its connection, and the bytes per second that its address may have.
+#[derive(Debug, Clone)]
+pub struct Outlet {
+    /// QUIC.
+    pub connection: Connection,
+    /// None: no limit.
+    pub allowance: Option<Arc<Allowance>>,
+    /// When the server's time began, the same for all sessions.
+    pub epoch: Instant,
+}
+
+impl Outlet {
+    /// Waits until more may be sent.
+    pub async fn turn(&self) {
+        if let Some(allowance) = &self.allowance {
+            sleep_until((self.epoch + allowance.next_at()).into()).await;
+        }
+    }
+
+    /// Counts bytes that were sent.
+    pub fn sent(&self, bytes: usize) {
+        if let Some(allowance) = &self.allowance {
+            allowance.sent(self.epoch.elapsed(), bytes);
+        }
+    }
+}
+
 /// Strict priorities of the transport: higher goes first.
 fn priority(urgency: Urgency) -> i32 {
     -(urgency as i32)
@@ -45,14 +73,14 @@ fn priority(urgency: Urgency) -> i32 {
 /// Sends header and bytes. Pressing chunks and small ones end as soon as the transport has them; large ones in the background when the client
 /// has them, so that what nobody waits for never fills the send window that an urgent chunk needs.
 pub async fn push(
-    connection: Connection,
+    outlet: Outlet,
     header: StreamHeader,
     bytes: Bytes,
     verdict: watch::Receiver<Verdict>,
     counters: &Counters,
 ) -> Ended {
     let small = bytes.len() < SMALL;
-    match transfer(connection, header, bytes, verdict, counters).await {
+    match transfer(outlet, header, bytes, verdict, counters).await {
         Ok((stream, urgency)) => {
             if !urgency.is_pressing() && !small {
                 acknowledged(stream).await;
@@ -65,9 +93,9 @@ pub async fn push(
 }
 
 /// The same, but it always ends when the client has everything: for what has to be there before anything else fills the link's queues.
-pub async fn push_through(connection: Connection, header: StreamHeader, bytes: Bytes, counters: &Counters) {
+pub async fn push_through(outlet: Outlet, header: StreamHeader, bytes: Bytes, counters: &Counters) {
     let (_keep, verdict) = watch::channel(Verdict::Send(header.urgency));
-    if let Ok((stream, _)) = transfer(connection, header, bytes, verdict, counters).await {
+    if let Ok((stream, _)) = transfer(outlet, header, bytes, verdict, counters).await {
         acknowledged(stream).await;
         counters.sent_chunk();
     }
@@ -75,13 +103,13 @@ pub async fn push_through(connection: Connection, header: StreamHeader, bytes: B
 
 /// Hands header and bytes to the transport. The stream, and how urgent it was in the end; or how else it ended.
 async fn transfer(
-    connection: Connection,
+    outlet: Outlet,
     header: StreamHeader,
     bytes: Bytes,
     mut verdict: watch::Receiver<Verdict>,
     counters: &Counters,
 ) -> Result<(SendStream, Urgency), Ended> {
-    let Ok(mut stream) = connection.open_uni().await else { return Err(Ended::Failed) };
+    let Ok(mut stream) = outlet.connection.open_uni().await else { return Err(Ended::Failed) };
     let _ = stream.set_priority(priority(header.urgency));
     let mut urgency = header.urgency;
     if stream.write_all(&header.encode()).await.is_err() {
@@ -105,8 +133,9 @@ async fn transfer(
                 Verdict::Stop => {}
             },
             // Cancel-safe: it either writes or does not.
-            written = stream.write_chunks(&mut slice) => match written {
+            written = async { outlet.turn().await; stream.write_chunks(&mut slice).await } => match written {
                 Ok(w) => {
+                    outlet.sent(w.bytes);
                     counters.sent_bytes(w.bytes);
                     let _ = left.split_to(w.bytes);
                 }

@@ -3,10 +3,11 @@
 use super::{
     control::{SessionReadError, read_message},
     limits::TokenBucket,
+    push::Outlet,
     session::Shared,
 };
 use ldi_protocol::wire::{self, Answer, Request};
-use quinn::{Connection, RecvStream, SendStream};
+use quinn::{RecvStream, SendStream};
 use std::{
     sync::Arc,
     time::{Duration, Instant},
@@ -18,18 +19,18 @@ const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Answers until the connection ends; tells the planner which chunks went out. How many are open at once is limited by
 /// the transport; faster ones than the rate wait.
-pub(super) async fn answer_all(shared: Arc<Shared>, connection: Connection, answered: mpsc::Sender<u32>, rate: f64) {
+pub(super) async fn answer_all(shared: Arc<Shared>, outlet: Outlet, answered: mpsc::Sender<u32>, rate: f64) {
     let started = Instant::now();
     let mut bucket = TokenBucket::new(rate, 4.0 * rate);
     let mut open = JoinSet::new();
-    while let Ok((send, recv)) = connection.accept_bi().await {
+    while let Ok((send, recv)) = outlet.connection.accept_bi().await {
         while !bucket.take(started.elapsed()) {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
         while open.try_join_next().is_some() {}
-        let (shared, answered) = (shared.clone(), answered.clone());
+        let (shared, outlet, answered) = (shared.clone(), outlet.clone(), answered.clone());
         open.spawn(async move {
-            if let Some(number) = answer(&shared, send, recv).await {
+            if let Some(number) = answer(&shared, &outlet, send, recv).await {
                 let _ = answered.send(number).await;
             }
         });
@@ -37,7 +38,7 @@ pub(super) async fn answer_all(shared: Arc<Shared>, connection: Connection, answ
 }
 
 /// Answers one request. Returns the chunk that went out; whatever goes wrong ends this stream only.
-async fn answer(shared: &Shared, mut send: SendStream, mut recv: RecvStream) -> Option<u32> {
+async fn answer(shared: &Shared, outlet: &Outlet, mut send: SendStream, mut recv: RecvStream) -> Option<u32> {
     let request = match timeout(PATIENCE, read_message::<Request>(&mut recv)).await {
         Ok(Ok(request)) => request,
         Ok(Err(SessionReadError::Wire(e))) => return say(send, &e.to_string()).await,
@@ -52,6 +53,8 @@ async fn answer(shared: &Shared, mut send: SendStream, mut recv: RecvStream) -> 
     };
     metrics::counter!("ldi_requests_total").increment(1);
     let head = wire::encode(&Answer::Chunk { number, bytes: bytes.len() as u32 }).ok()?;
+    outlet.turn().await;
+    outlet.sent(bytes.len());
     send.write_all(&head).await.ok()?;
     send.write_chunk(bytes).await.ok()?;
     send.finish().ok()?;

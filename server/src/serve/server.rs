@@ -12,7 +12,12 @@ use super::{
 };
 use ldi_protocol::wire::MAX_ROOT_BYTES;
 use quinn::{Endpoint, VarInt};
-use std::{io::Write, net::SocketAddr, sync::Arc, time::Duration};
+use std::{
+    io::Write,
+    net::SocketAddr,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 use tokio::{sync::watch, task::JoinHandle};
 
 /// Time for clients to hear that the server stops.
@@ -48,7 +53,12 @@ impl Server {
             served: Served::new(dataset),
             walkers: Arc::default(),
             token,
-            door: Door::new(config.max_connections, config.max_connections_per_address),
+            door: Door::new(
+                config.max_connections,
+                config.max_connections_per_address,
+                config.bytes_per_second_per_address,
+            ),
+            epoch: Instant::now(),
             max_connections: config.max_connections,
             send_window: config.send_window,
             ahead_worth: config.ahead_worth,

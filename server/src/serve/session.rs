@@ -8,7 +8,7 @@ use super::{
     limits::{Door, Place, TokenBucket},
     meter::Metered,
     planner::{Capacity, Order, Planner, PlannerConfig, Turn},
-    push::{Ended, Verdict, push, push_through},
+    push::{Ended, Outlet, Verdict, push, push_through},
     requests,
     source::Served,
     views::{Known, SelectViews},
@@ -21,7 +21,7 @@ use ldi_protocol::{
         Welcome, code,
     },
 };
-use quinn::{Connection, RecvStream, SendStream, VarInt};
+use quinn::{RecvStream, SendStream, VarInt};
 use std::{
     collections::HashMap,
     sync::Arc,
@@ -67,12 +67,14 @@ pub struct Shared {
     pub ahead_worth: u64,
     /// See [`super::ServeConfig::messages_per_second`].
     pub messages_per_second: f64,
+    /// When the server's time began.
+    pub epoch: Instant,
     /// Turns true when the server stops.
     pub stop: watch::Receiver<bool>,
 }
 
 /// Serves one client until it leaves, breaks a rule, or the server stops.
-pub async fn run(shared: Arc<Shared>, incoming: quinn::Incoming, _place: Place) {
+pub async fn run(shared: Arc<Shared>, incoming: quinn::Incoming, place: Place) {
     let address = incoming.remote_address();
     let connection = match incoming.accept() {
         Ok(connecting) => timeout(HANDSHAKE, connecting).await,
@@ -84,7 +86,8 @@ pub async fn run(shared: Arc<Shared>, incoming: quinn::Incoming, _place: Place) 
         Err(_) => return tracing::debug!(%address, "handshake took too long"),
     };
     metrics::counter!("ldi_connections_total").increment(1);
-    let end = converse(&shared, &connection).await;
+    let outlet = Outlet { connection: connection.clone(), allowance: place.allowance.clone(), epoch: shared.epoch };
+    let end = converse(&shared, &outlet).await;
     match &end {
         Ok(()) => connection.close(VarInt::from_u32(code::BYE), b"bye"),
         Err(SessionError::Refused { code, message }) => {
@@ -99,7 +102,8 @@ pub async fn run(shared: Arc<Shared>, incoming: quinn::Incoming, _place: Place) 
     }
 }
 
-async fn converse(shared: &Arc<Shared>, connection: &Connection) -> Result<(), SessionError> {
+async fn converse(shared: &Arc<Shared>, outlet: &Outlet) -> Result<(), SessionError> {
+    let connection = &outlet.connection;
     let opening = async {
         let (send, mut recv) = connection.accept_bi().await?;
         let first = read_message::<ClientMessage>(&mut recv).await;
@@ -119,7 +123,7 @@ async fn converse(shared: &Arc<Shared>, connection: &Connection) -> Result<(), S
     };
     let walker = shared.walkers.enter(&hello.name);
     tracing::info!(address = %connection.remote_address(), walker = walker.id, name = %hello.name, "came in");
-    let end = Session::new(shared.clone(), connection.clone(), &hello, walker).run(&mut send, recv).await;
+    let end = Session::new(shared.clone(), outlet.clone(), &hello, walker).run(&mut send, recv).await;
     if let Err(SessionError::Refused { code, message }) = &end {
         refuse(&mut send, *code, message).await;
     }
@@ -128,7 +132,7 @@ async fn converse(shared: &Arc<Shared>, connection: &Connection) -> Result<(), S
 
 struct Session {
     shared: Arc<Shared>,
-    connection: Connection,
+    outlet: Outlet,
     walker: Entry,
     planner: Planner,
     started: Instant,
@@ -148,7 +152,7 @@ struct Session {
 }
 
 impl Session {
-    fn new(shared: Arc<Shared>, connection: Connection, hello: &Hello, walker: Entry) -> Self {
+    fn new(shared: Arc<Shared>, outlet: Outlet, hello: &Hello, walker: Entry) -> Self {
         let index = shared.served.index().clone();
         let config = PlannerConfig {
             cache_bytes: hello.cache_bytes,
@@ -163,7 +167,7 @@ impl Session {
             views,
             early: hello.early,
             shared,
-            connection,
+            outlet,
             walker,
             started: Instant::now(),
             pushes: JoinSet::new(),
@@ -185,7 +189,7 @@ impl Session {
         let mut helpers = JoinSet::new();
         let rate = self.shared.messages_per_second;
         helpers.spawn(control::read_all(recv, heard, rate));
-        helpers.spawn(requests::answer_all(self.shared.clone(), self.connection.clone(), answered, rate));
+        helpers.spawn(requests::answer_all(self.shared.clone(), self.outlet.clone(), answered, rate));
         let mut stop = self.shared.stop.clone();
         loop {
             self.push_next();
@@ -201,12 +205,12 @@ impl Session {
                     Some(Err(e)) => return Err(e),
                 },
                 Some(number) = answers.recv() => self.planner.sent_elsewhere(number),
-                datagram = self.connection.read_datagram() => self.see(&datagram?),
+                datagram = self.outlet.connection.read_datagram() => self.see(&datagram?),
                 Some(done) = self.pushes.join_next() => self.land(done),
                 Some(Ok(sent)) = pages.join_next() => sent.map_err(|_| SessionError::Silent)??,
                 () = sleep_until(wake) => {}
                 () = stopped(&mut stop) => {
-                    self.connection.close(VarInt::from_u32(code::SHUTDOWN), b"the server stops");
+                    self.outlet.connection.close(VarInt::from_u32(code::SHUTDOWN), b"the server stops");
                     return Ok(());
                 }
             }
@@ -261,19 +265,18 @@ impl Session {
         let root = self.shared.served.index().tree.as_ref().map(|t| t.root_chunk);
         root.into_iter().for_each(|c| self.planner.sent_elsewhere(c));
         let bytes = root.and_then(|c| Some((c, self.shared.served.chunk(c)?)));
-        let (connection, counters) = (self.connection.clone(), self.walker.counters.clone());
+        let (outlet, counters) = (self.outlet.clone(), self.walker.counters.clone());
         async move {
             let Some((number, bytes)) = bytes else { return };
             let urgency = Urgency::Asked;
             let header = StreamHeader { kind: StreamKind::Chunk, urgency, number, bytes: bytes.len() as u32 };
-            push_through(connection, header, bytes, &counters).await;
+            push_through(outlet, header, bytes, &counters).await;
         }
     }
 
     /// Pages one after another, as the client can do nothing with a part of them.
     fn push_pages(&self, numbers: Vec<u32>) -> impl Future<Output = Result<(), SessionError>> + Send + use<> {
-        let (shared, connection, counters) =
-            (self.shared.clone(), self.connection.clone(), self.walker.counters.clone());
+        let (shared, outlet, counters) = (self.shared.clone(), self.outlet.clone(), self.walker.counters.clone());
         async move {
             for number in numbers {
                 let Some(bytes) = shared.served.page(number) else {
@@ -282,7 +285,7 @@ impl Session {
                 let header =
                     StreamHeader { kind: StreamKind::Page, urgency: Urgency::Now, number, bytes: bytes.len() as u32 };
                 let (_keep, verdict) = watch::channel(Verdict::Send(Urgency::Now));
-                push(connection.clone(), header, bytes, verdict, &counters).await;
+                push(outlet.clone(), header, bytes, verdict, &counters).await;
             }
             Ok(())
         }
@@ -323,7 +326,7 @@ impl Session {
         match PoseDatagram::decode(datagram) {
             Ok(pose) => {
                 if self.planner.pose(pose) {
-                    self.walker.moved(pose.pose, self.connection.rtt().as_secs_f64() * 1e3);
+                    self.walker.moved(pose.pose, self.outlet.connection.rtt().as_secs_f64() * 1e3);
                 }
             }
             Err(e) => {
@@ -339,11 +342,11 @@ impl Session {
         let now = self.started.elapsed();
         if now - self.window_at >= WINDOW_INTERVAL {
             self.window_at = now;
-            let window = 2 * self.connection.stats().path.cwnd;
+            let window = 2 * self.outlet.connection.stats().path.cwnd;
             let largest = self.shared.send_window.max(MIN_SEND_WINDOW);
-            self.connection.set_send_window(window.clamp(MIN_SEND_WINDOW, largest));
-            self.capacity.round_trip = self.connection.rtt();
-            self.capacity.bytes_per_s = Metered::rate_of(&self.connection);
+            self.outlet.connection.set_send_window(window.clamp(MIN_SEND_WINDOW, largest));
+            self.capacity.round_trip = self.outlet.connection.rtt();
+            self.capacity.bytes_per_s = Metered::rate_of(&self.outlet.connection);
             self.planner.capacity(self.capacity);
         }
     }
@@ -380,8 +383,8 @@ impl Session {
             number: order.chunk,
             bytes: bytes.len() as u32,
         };
-        let (connection, counters) = (self.connection.clone(), self.walker.counters.clone());
-        self.pushes.spawn(async move { (order.chunk, push(connection, header, bytes, verdict, &counters).await) });
+        let (outlet, counters) = (self.outlet.clone(), self.walker.counters.clone());
+        self.pushes.spawn(async move { (order.chunk, push(outlet, header, bytes, verdict, &counters).await) });
     }
 
     fn land(&mut self, done: Result<(u32, Ended), tokio::task::JoinError>) {
