@@ -6,8 +6,10 @@
 //! -> cells in view that the placement does not replace. The build counts for every grid point what these steps can draw for any of
 //! its users; [`draw_list`] keeps the budget for all other poses too.
 
+mod groups;
 mod portals;
 
+pub use groups::CellGroups;
 pub use portals::ShownPortal;
 
 use crate::{
@@ -142,6 +144,17 @@ pub fn draw_list(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> Dr
 /// The same with a wish for how portals are shown, which matters in a dataset with rooms alone. Images that the dataset was not built with count as absent: geometry is
 /// drawn, as far as the budget goes.
 pub fn draw_list_showing(index: &Index, pose: &Pose, picture_half_tan: (f64, f64), show: ShowPortals) -> DrawList {
+    draw_list_of(index, &CellGroups::default(), pose, picture_half_tan, show)
+}
+
+/// The same list, found by groups of the index's cells: for whoever asks for many.
+pub fn draw_list_of(
+    index: &Index,
+    groups: &CellGroups,
+    pose: &Pose,
+    picture_half_tan: (f64, f64),
+    show: ShowPortals,
+) -> DrawList {
     if let Some(rooms) = &index.rooms {
         return portals::draw_list(index, rooms, pose, picture_half_tan, show);
     }
@@ -152,16 +165,20 @@ pub fn draw_list_showing(index: &Index, pose: &Pose, picture_half_tan: (f64, f64
     let mut culled = culled.iter().copied().peekable();
     let mut seen: Vec<(f64, u32)> = Vec::new();
     let mut triangles = 0;
-    for (cell, entry) in (0u32..).zip(&index.cells) {
-        // Both lists ascend.
-        while culled.next_if(|c| *c < cell).is_some() {}
-        if culled.peek() == Some(&cell) || !frusta.admit(&entry.bounds) {
-            continue;
-        }
-        let apart = pose.position.clamp(entry.bounds.min, entry.bounds.max) - pose.position;
-        seen.push((apart.length_squared(), cell));
-        triangles += u64::from(entry.triangles);
-    }
+    groups.each(
+        &index.cells,
+        |b| frusta.admit(b),
+        |cell, entry| {
+            // Both lists ascend.
+            while culled.next_if(|c| *c < cell).is_some() {}
+            if culled.peek() == Some(&cell) {
+                return;
+            }
+            let apart = pose.position.clamp(entry.bounds.min, entry.bounds.max) - pose.position;
+            seen.push((apart.length_squared(), cell));
+            triangles += u64::from(entry.triangles);
+        },
+    );
     let (cells, triangles, dropped) = within_budget(index, seen, triangles);
     let images = selection.placement.map_or_else(Vec::new, |p| frusta.images_in_view(index, p, pose));
     let tree = if index.walks_by_tree() { tree_chunks(index, pose, picture_half_tan) } else { Vec::new() };
@@ -379,6 +396,37 @@ mod tests {
         let beside = draw_list(&index("paper", 1000), &pose(-0.5, 20.0), (0.577, 0.32));
         assert_eq!(beside.selection.placement, None, "another angular range");
         assert_eq!(beside.cells.len(), 10);
+    }
+
+    #[test]
+    fn groups_of_cells_change_nothing_but_the_time() {
+        let mut index = index("paper", 20_000);
+        let mut state = 9u64;
+        let mut unit = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f64 / f64::from(1u32 << 24)
+        };
+        // Rows of neighbours, some without thickness; neither whole groups nor whole blocks.
+        let first = index.cells[0].clone();
+        index.cells = (0..1003)
+            .map(|i| {
+                let at = DVec3::new(f64::from(i % 32), unit(), f64::from(i / 32)) * 1.5 - DVec3::new(24.0, 1.0, 24.0);
+                let size = DVec3::new(unit(), if i % 5 == 0 { 0.0 } else { unit() }, unit());
+                CellEntry { bounds: Aabb { min: at, max: at + size * 2.0 }, ..first.clone() }
+            })
+            .collect();
+        let groups = CellGroups::of(&index.cells);
+        let (mut seen, mut dropped) = (0, 0);
+        for _ in 0..500 {
+            let position = DVec3::new(unit() - 0.5, unit() * 0.2, unit() - 0.5) * 40.0;
+            let pose = Pose { position, yaw_deg: unit() * 360.0, pitch_deg: (unit() - 0.5) * 60.0 };
+            let plain = draw_list(&index, &pose, (0.5, 0.3));
+            assert_eq!(plain, draw_list_of(&index, &groups, &pose, (0.5, 0.3), ShowPortals::default()), "{pose:?}");
+            seen += plain.cells.len();
+            dropped += plain.dropped;
+        }
+        assert!(seen > 20_000 && seen < 400_000 && dropped > 100, "{seen} cells seen, {dropped} dropped");
+        assert!(CellGroups::of(&[]).is_empty());
     }
 
     #[test]

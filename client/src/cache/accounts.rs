@@ -59,8 +59,12 @@ impl Object {
 #[derive(Debug)]
 pub(super) struct Inner {
     pub objects: Vec<Object>,
-    /// Objects that hold bytes, the first to go first: by [`Object::rank`].
-    pub order: BTreeSet<((u64, u64), u32)>,
+    /// Objects that hold bytes and may go, the first to go first: by [`Object::rank`]. Pinned ones are not in it: they are used in every frame, and would be put elsewhere each time.
+    order: BTreeSet<((u64, u64), u32)>,
+    /// What the current view needs.
+    pinned: Vec<u32>,
+    /// Objects that hold bytes.
+    held: usize,
     /// The credit of whatever went last: what is used later outlives what was worth as much.
     clock: f64,
     pub tick: u64,
@@ -79,6 +83,8 @@ impl Inner {
         Self {
             objects: std::iter::repeat_with(Object::default).take(objects).collect(),
             order: BTreeSet::new(),
+            pinned: Vec::new(),
+            held: 0,
             clock: 0.0,
             tick: 1,
             usage: Usage { cap_bytes, ..Usage::default() },
@@ -95,13 +101,41 @@ impl Inner {
         !parts.is_empty() && parts.iter().all(|p| self.objects[p.object as usize].present >> p.part & 1 == 1)
     }
 
+    /// A new view, which needs these objects.
+    pub fn pin(&mut self, objects: impl Iterator<Item = u32>) {
+        let last = self.tick;
+        self.tick += 1;
+        let before = std::mem::take(&mut self.pinned);
+        for number in objects {
+            let object = &mut self.objects[number as usize];
+            if object.pinned_in == self.tick {
+                continue;
+            }
+            if object.pinned_in != last {
+                self.order.remove(&(object.rank(), number));
+            }
+            object.pinned_in = self.tick;
+            self.pinned.push(number);
+            self.use_now(number);
+        }
+        for number in before {
+            let object = &self.objects[number as usize];
+            if object.pinned_in != self.tick && object.present != 0 {
+                self.order.insert((object.rank(), number));
+            }
+        }
+    }
+
     /// An object is used: its credit is what it is worth, stored bytes per decoded one, from now on (GreedyDual-Size, Cao and Irani 1997). Absent ones only take the tick.
-    pub fn use_at(&mut self, number: u32, tick: u64) {
+    pub fn use_now(&mut self, number: u32) {
         let object = &mut self.objects[number as usize];
         let old = object.rank();
-        object.tick = tick;
+        object.tick = self.tick;
         object.credit = self.clock + object.stored as f64 / object.bytes.max(1) as f64;
         let new = object.rank();
+        if object.pinned_in == self.tick {
+            return;
+        }
         let listed = object.present != 0;
         if old != new {
             self.order.remove(&(old, number));
@@ -109,6 +143,25 @@ impl Inner {
         if listed {
             self.order.insert((new, number));
         }
+    }
+
+    /// A part of an object came, of so many decoded and stored bytes. Room was made for it.
+    pub fn take_in(&mut self, number: u32, value: Value, part: u8, bytes: u64, stored: u64) {
+        let object = &mut self.objects[number as usize];
+        self.held += usize::from(object.present == 0);
+        object.value = value;
+        object.version += 1;
+        object.present |= 1 << part;
+        object.bytes += bytes;
+        object.stored += stored;
+        self.usage.bytes += bytes;
+        self.usage.peak_bytes = self.usage.peak_bytes.max(self.usage.bytes);
+        self.use_now(number);
+    }
+
+    /// What is held and what it takes.
+    pub fn usage(&self) -> Usage {
+        Usage { objects: self.held, ..self.usage }
     }
 
     /// Evicts the objects of least credit until `bytes` fit. False, and nothing evicted, when pinned ones and `keep` leave no room.
@@ -120,7 +173,7 @@ impl Inner {
                 break;
             }
             let object = &self.objects[number as usize];
-            if number != keep && object.pinned_in != self.tick {
+            if number != keep {
                 free += object.bytes;
                 victims.push(number);
             }
@@ -137,6 +190,7 @@ impl Inner {
     fn evict(&mut self, layout: &Layout, number: u32) {
         let object = &mut self.objects[number as usize];
         self.order.remove(&(object.rank(), number));
+        self.held -= 1;
         self.clock = self.clock.max(object.credit);
         self.usage.bytes -= object.bytes;
         self.usage.evictions += 1;
@@ -161,8 +215,15 @@ impl Inner {
             if stored != object.stored {
                 return Err(format!("object {number}: parts take {stored} stored bytes, account {}", object.stored));
             }
-            if self.order.contains(&(object.rank(), number)) != (object.present != 0) {
-                return Err(format!("object {number}: present {:b}, order disagrees", object.present));
+            let is_pinned = object.pinned_in == self.tick;
+            if self.order.contains(&(object.rank(), number)) != (object.present != 0 && !is_pinned) {
+                return Err(format!(
+                    "object {number}: present {:b}, pinned {is_pinned}, order disagrees",
+                    object.present
+                ));
+            }
+            if self.pinned.contains(&number) != is_pinned {
+                return Err(format!("object {number}: pinned {is_pinned}, the list of those disagrees"));
             }
             if matches!(object.value, Value::Empty) != (object.present == 0) {
                 return Err(format!("object {number}: present {:b}, value disagrees", object.present));
@@ -170,8 +231,8 @@ impl Inner {
             sum += bytes;
         }
         let held = self.objects.iter().filter(|o| o.present != 0).count();
-        if self.order.len() != held {
-            return Err(format!("{} objects in the order, {held} held", self.order.len()));
+        if self.held != held {
+            return Err(format!("{} objects counted, {held} held", self.held));
         }
         if sum != self.usage.bytes || sum > self.usage.cap_bytes {
             return Err(format!("{sum} bytes held, account {}, cap {}", self.usage.bytes, self.usage.cap_bytes));

@@ -214,16 +214,7 @@ impl Cache {
             self.changed.notify_all();
             return Some(Inserted::NoRoom);
         }
-        let tick = inner.tick;
-        let object = &mut inner.objects[part.object as usize];
-        object.value = new;
-        object.version += 1;
-        object.present |= 1 << part.part;
-        object.bytes += bytes;
-        object.stored += u64::from(entry.stored_bytes);
-        inner.usage.bytes += bytes;
-        inner.usage.peak_bytes = inner.usage.peak_bytes.max(inner.usage.bytes);
-        inner.use_at(part.object, tick);
+        inner.take_in(part.object, new, part.part, bytes, u64::from(entry.stored_bytes));
         self.changed.notify_all();
         Some(Inserted::Held)
     }
@@ -231,17 +222,8 @@ impl Cache {
     /// Opens a new view: what it needs is pinned, what the last one needed no longer is.
     pub fn pin(&self, chunks: impl IntoIterator<Item = u32>) {
         let mut inner = self.lock();
-        inner.tick += 1;
-        let tick = inner.tick;
-        for chunk in chunks {
-            for part in self.scope().layout.parts(chunk) {
-                let object = &mut inner.objects[part.object as usize];
-                if object.pinned_in != tick {
-                    object.pinned_in = tick;
-                    inner.use_at(part.object, tick);
-                }
-            }
-        }
+        let scope = self.scope();
+        inner.pin(chunks.into_iter().flat_map(|c| scope.layout.parts(c)).map(|p| p.object));
     }
 
     /// Whether the current view needs a chunk.
@@ -253,10 +235,9 @@ impl Cache {
     /// Counts what is held of these as used now.
     pub fn touch(&self, chunks: impl IntoIterator<Item = u32>) {
         let mut inner = self.lock();
-        let tick = inner.tick;
         for chunk in chunks {
             for part in self.scope().layout.parts(chunk) {
-                inner.use_at(part.object, tick);
+                inner.use_now(part.object);
             }
         }
     }
@@ -371,11 +352,11 @@ impl Cache {
     /// The accounts.
     pub fn usage(&self) -> Usage {
         let inner = self.lock();
-        Usage { objects: inner.order.len(), ..inner.usage }
+        inner.usage()
     }
 
     /// What must hold after every call: accounts equal the sum of what is there, within the cap; the order lists exactly the
-    /// objects that hold something.
+    /// objects that hold something and are not pinned.
     ///
     /// # Errors
     /// The first account that is off.
@@ -386,7 +367,6 @@ impl Cache {
     fn object<T>(&self, number: Option<u32>, pick: impl Fn(&Value) -> Option<T>) -> Option<T> {
         let number = number?;
         let mut inner = self.lock();
-        let tick = inner.tick;
         let object = &mut inner.objects[number as usize];
         let found = pick(&object.value)?;
         let fresh = object.present & !object.used;
@@ -398,7 +378,7 @@ impl Cache {
                 .map(|p| u64::from(self.index().chunks[chunks[p] as usize].stored_bytes))
                 .sum::<u64>();
         }
-        inner.use_at(number, tick);
+        inner.use_now(number);
         Some(found)
     }
 }

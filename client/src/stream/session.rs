@@ -36,6 +36,11 @@ use tokio::{
 
 /// How often a damaged chunk is asked for again. The wire has checksums, so damage is nearly always on the server's disk.
 pub const MAX_RETRIES: u8 = 2;
+/// Poses that follow one another go no closer than this, so of 60 per second every other one: the server plans again after 25 ms at the soonest, and acknowledgements of poses are most of what a walker
+/// who has everything receives. The last of them goes with the first repetition.
+const LEAST_POSE_INTERVAL: Duration = Duration::from_millis(30);
+/// A pose this much elsewhere than the last one that went, metres and degrees, goes at once.
+const ELSEWHERE: (f64, f64) = (0.5, 15.0);
 /// A pose is repeated after this time, then after twice as long, and so on up to [`MAX_POSE_INTERVAL`]: datagrams get lost.
 const MIN_POSE_INTERVAL: Duration = Duration::from_millis(50);
 /// See [`MIN_POSE_INTERVAL`].
@@ -127,6 +132,7 @@ pub(super) async fn stream(
         stats,
         tries: HashMap::new(),
         sequence: 0,
+        sent_pose: None,
         started: Instant::now(),
         touched_at: None,
         prefetch_m: config.prefetch_m,
@@ -166,6 +172,8 @@ struct Session {
     stats: Arc<Collector>,
     tries: HashMap<u32, u8>,
     sequence: u32,
+    /// The last pose that went, and when.
+    sent_pose: Option<(Pose, tokio::time::Instant)>,
     started: Instant,
     touched_at: Option<DVec3>,
     prefetch_m: f64,
@@ -213,9 +221,12 @@ impl Session {
                 }
                 Ok(()) = poses.changed() => {
                     let pose = *poses.borrow_and_update();
-                    self.send_pose(pose);
+                    let now = tokio::time::Instant::now();
+                    if self.is_due(pose, now) {
+                        self.send_pose(pose);
+                        repeat_at = now + MIN_POSE_INTERVAL;
+                    }
                     repeat = MIN_POSE_INTERVAL;
-                    repeat_at = tokio::time::Instant::now() + repeat;
                 }
                 () = tokio::time::sleep_until(repeat_at) => {
                     let pose = *poses.borrow();
@@ -284,8 +295,16 @@ impl Session {
         self.say(&ClientMessage::Whole).await
     }
 
+    /// Whether a new pose is to go now, and not with the next one.
+    fn is_due(&self, pose: Option<Pose>, now: tokio::time::Instant) -> bool {
+        let (Some((last, at)), Some(pose)) = (self.sent_pose, pose) else { return true };
+        let turned = (pose.yaw_deg - last.yaw_deg).abs().max((pose.pitch_deg - last.pitch_deg).abs());
+        now >= at + LEAST_POSE_INTERVAL || pose.position.distance(last.position) > ELSEWHERE.0 || turned > ELSEWHERE.1
+    }
+
     fn send_pose(&mut self, pose: Option<Pose>) {
         let Some(pose) = pose else { return };
+        self.sent_pose = Some((pose, tokio::time::Instant::now()));
         self.sequence = self.sequence.wrapping_add(1);
         let sent_us = self.started.elapsed().as_micros() as u64;
         let datagram = PoseDatagram { sequence: self.sequence, sent_us, pose };

@@ -160,7 +160,8 @@ impl Session {
             ahead_worth: shared.ahead_worth,
             ..PlannerConfig::default()
         };
-        let views = SelectViews::showing(index.clone(), &hello.picture.camera(&index.settings), hello.portals);
+        let (groups, camera) = (shared.served.groups().clone(), hello.picture.camera(&index.settings));
+        let views = SelectViews::showing(index.clone(), groups, &camera, hello.portals);
         let views = Arc::new(views);
         Self {
             planner: Planner::new(index, views.clone(), config),

@@ -4,6 +4,7 @@ use bytes::Bytes;
 use ldi_protocol::{
     index::{ChunkHash, Index},
     manifest,
+    select::CellGroups,
 };
 use std::{collections::HashMap, sync::Arc};
 
@@ -44,6 +45,7 @@ pub struct Served {
     source: Arc<dyn ChunkSource>,
     hash: ChunkHash,
     numbers: HashMap<ChunkHash, u32>,
+    groups: Arc<CellGroups>,
     /// Pages in the order of sending, and how many of them are enough for a first picture.
     pages: (Vec<u32>, usize),
 }
@@ -70,7 +72,8 @@ impl Served {
         let all = || ((0..source.pages()).collect(), source.pages() as usize);
         let tree = source.index().tree.as_ref();
         let pages = manifest::decode_root(source.root()).map_or_else(|_| all(), |root| root.sending_order(tree));
-        Self { source, hash, numbers, pages }
+        let groups = Arc::new(CellGroups::of(&source.index().cells));
+        Self { source, hash, numbers, groups, pages }
     }
     /// BLAKE3 of the manifest's root.
     pub fn hash(&self) -> ChunkHash {
@@ -79,6 +82,10 @@ impl Served {
     /// The decoded manifest.
     pub fn index(&self) -> &Arc<Index> {
         self.source.index()
+    }
+    /// Groups of the index's cells.
+    pub fn groups(&self) -> &Arc<CellGroups> {
+        &self.groups
     }
     /// The manifest's root.
     pub fn root(&self) -> &[u8] {

@@ -6,7 +6,7 @@ use ldi_protocol::{
     index::Index,
     need::{Needed, needed},
     room_index::ShowPortals,
-    select::draw_list_showing,
+    select::{CellGroups, draw_list_of},
 };
 use std::sync::{
     Arc,
@@ -28,6 +28,7 @@ pub enum Known {
 /// What is drawn for a pose and what that needs, for one picture.
 pub struct SelectViews {
     index: Arc<Index>,
+    groups: Arc<CellGroups>,
     picture_half_tan: (f64, f64),
     show: ShowPortals,
     /// A [`Known`]: the planner and its forecast share the views.
@@ -37,13 +38,15 @@ pub struct SelectViews {
 impl SelectViews {
     /// Views of this index through this picture, portals shown as they are by default.
     pub fn new(index: Arc<Index>, picture: &OutputCamera) -> Self {
-        Self::showing(index, picture, ShowPortals::default())
+        let groups = Arc::new(CellGroups::of(&index.cells));
+        Self::showing(index, groups, picture, ShowPortals::default())
     }
 
-    /// The same with portals shown otherwise.
-    pub fn showing(index: Arc<Index>, picture: &OutputCamera, show: ShowPortals) -> Self {
+    /// The same with portals shown otherwise, and with `groups` of the index's cells, which all who see it may share.
+    pub fn showing(index: Arc<Index>, groups: Arc<CellGroups>, picture: &OutputCamera, show: ShowPortals) -> Self {
         Self {
             index,
+            groups,
             picture_half_tan: (picture.half_tan_x(), picture.half_tan_y()),
             show,
             known: AtomicU8::new(Known::Whole as u8),
@@ -63,7 +66,7 @@ impl Views for SelectViews {
             n if n == Known::Tree as u8 => return needed(&self.index, &[], &[], &[]),
             _ => {}
         }
-        let list = draw_list_showing(&self.index, pose, self.picture_half_tan, self.show);
+        let list = draw_list_of(&self.index, &self.groups, pose, self.picture_half_tan, self.show);
         needed(&self.index, &list.images, &list.cells, &list.tree)
     }
 }
