@@ -36,8 +36,8 @@ use tokio::{
 
 /// How often a damaged chunk is asked for again. The wire has checksums, so damage is nearly always on the server's disk.
 pub const MAX_RETRIES: u8 = 2;
-/// Poses that follow one another go no closer than this, so of 60 per second every other one: the server plans again after 25 ms at the soonest, and acknowledgements of poses are most of what a walker
-/// who has everything receives. The last of them goes with the first repetition.
+/// Poses that follow one another go no closer than this, so of 60 per second every other one: the server plans again after 25 ms at the soonest, and each pose costs both
+/// ends a packet. The last of them goes with the first repetition.
 const LEAST_POSE_INTERVAL: Duration = Duration::from_millis(30);
 /// A pose this much elsewhere than the last one that went, metres and degrees, goes at once.
 const ELSEWHERE: (f64, f64) = (0.5, 15.0);
