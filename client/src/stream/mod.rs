@@ -20,6 +20,7 @@ mod lane;
 mod link;
 mod link_socket;
 mod pages;
+mod poses;
 mod progress;
 mod receive;
 mod session;

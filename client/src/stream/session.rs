@@ -7,6 +7,7 @@ use super::{
     disk::DiskCache,
     handshake::{self, Opened},
     pages::{Pages, is_listed},
+    poses::PoseClock,
     progress::ConnectProgress,
     receive::{self, Broken},
     shelf::{Loader, Shelf},
@@ -36,15 +37,6 @@ use tokio::{
 
 /// How often a damaged chunk is asked for again. The wire has checksums, so damage is nearly always on the server's disk.
 pub const MAX_RETRIES: u8 = 2;
-/// Poses that follow one another go no closer than this, so of 60 per second every other one: the server plans again after 25 ms at the soonest, and each pose costs both
-/// ends a packet. The last of them goes with the first repetition.
-const LEAST_POSE_INTERVAL: Duration = Duration::from_millis(30);
-/// A pose this much elsewhere than the last one that went, metres and degrees, goes at once.
-const ELSEWHERE: (f64, f64) = (0.5, 15.0);
-/// A pose is repeated after this time, then after twice as long, and so on up to [`MAX_POSE_INTERVAL`]: datagrams get lost.
-const MIN_POSE_INTERVAL: Duration = Duration::from_millis(50);
-/// See [`MIN_POSE_INTERVAL`].
-const MAX_POSE_INTERVAL: Duration = Duration::from_secs(2);
 /// After this much movement, metres, what lies around the eye is counted as used anew.
 const TOUCH_STEP_M: f64 = 0.5;
 /// So far around the eye data is kept in memory and read from disk unasked, metres.
@@ -132,7 +124,6 @@ pub(super) async fn stream(
         stats,
         tries: HashMap::new(),
         sequence: 0,
-        sent_pose: None,
         started: Instant::now(),
         touched_at: None,
         prefetch_m: config.prefetch_m,
@@ -172,8 +163,6 @@ struct Session {
     stats: Arc<Collector>,
     tries: HashMap<u32, u8>,
     sequence: u32,
-    /// The last pose that went, and when.
-    sent_pose: Option<(Pose, tokio::time::Instant)>,
     started: Instant,
     touched_at: Option<DVec3>,
     prefetch_m: f64,
@@ -210,8 +199,7 @@ impl Session {
         let mut tasks = JoinSet::new();
         tasks.spawn(listen(recv, self.connection.clone(), messages));
         let mut tick = interval(SAMPLE_EVERY);
-        let mut repeat = MIN_POSE_INTERVAL;
-        let mut repeat_at = tokio::time::Instant::now() + repeat;
+        let mut clock = PoseClock::new(tokio::time::Instant::now());
         loop {
             tokio::select! {
                 // A stream that was read to its end no longer counts for QUIC: chunks that wait for a decoder must count here.
@@ -221,18 +209,16 @@ impl Session {
                 }
                 Ok(()) = poses.changed() => {
                     let pose = *poses.borrow_and_update();
-                    let now = tokio::time::Instant::now();
-                    if self.is_due(pose, now) {
+                    if let Some(pose) = pose.filter(|p| clock.goes(p, tokio::time::Instant::now())) {
                         self.send_pose(pose);
-                        repeat_at = now + MIN_POSE_INTERVAL;
                     }
-                    repeat = MIN_POSE_INTERVAL;
                 }
-                () = tokio::time::sleep_until(repeat_at) => {
+                () = tokio::time::sleep_until(clock.repeat_at) => {
                     let pose = *poses.borrow();
-                    self.send_pose(pose);
-                    repeat = (2 * repeat).min(MAX_POSE_INTERVAL);
-                    repeat_at = tokio::time::Instant::now() + repeat;
+                    clock.repeated(pose.as_ref(), tokio::time::Instant::now());
+                    if let Some(pose) = pose {
+                        self.send_pose(pose);
+                    }
                 }
                 command = commands.recv() => match command {
                     Some(Command::Want(chunks)) => self.tell(chunks, |chunks| ClientMessage::Want { chunks }).await?,
@@ -295,16 +281,7 @@ impl Session {
         self.say(&ClientMessage::Whole).await
     }
 
-    /// Whether a new pose is to go now, and not with the next one.
-    fn is_due(&self, pose: Option<Pose>, now: tokio::time::Instant) -> bool {
-        let (Some((last, at)), Some(pose)) = (self.sent_pose, pose) else { return true };
-        let turned = (pose.yaw_deg - last.yaw_deg).abs().max((pose.pitch_deg - last.pitch_deg).abs());
-        now >= at + LEAST_POSE_INTERVAL || pose.position.distance(last.position) > ELSEWHERE.0 || turned > ELSEWHERE.1
-    }
-
-    fn send_pose(&mut self, pose: Option<Pose>) {
-        let Some(pose) = pose else { return };
-        self.sent_pose = Some((pose, tokio::time::Instant::now()));
+    fn send_pose(&mut self, pose: Pose) {
         self.sequence = self.sequence.wrapping_add(1);
         let sent_us = self.started.elapsed().as_micros() as u64;
         let datagram = PoseDatagram { sequence: self.sequence, sent_us, pose };
