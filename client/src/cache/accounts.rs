@@ -63,8 +63,6 @@ pub(super) struct Inner {
     order: BTreeSet<((u64, u64), u32)>,
     /// What the current view needs.
     pinned: Vec<u32>,
-    /// Objects that hold bytes.
-    held: usize,
     /// The credit of whatever went last: what is used later outlives what was worth as much.
     clock: f64,
     pub tick: u64,
@@ -84,7 +82,6 @@ impl Inner {
             objects: std::iter::repeat_with(Object::default).take(objects).collect(),
             order: BTreeSet::new(),
             pinned: Vec::new(),
-            held: 0,
             clock: 0.0,
             tick: 1,
             usage: Usage { cap_bytes, ..Usage::default() },
@@ -148,7 +145,7 @@ impl Inner {
     /// A part of an object came, of so many decoded and stored bytes. Room was made for it.
     pub fn take_in(&mut self, number: u32, value: Value, part: u8, bytes: u64, stored: u64) {
         let object = &mut self.objects[number as usize];
-        self.held += usize::from(object.present == 0);
+        self.usage.objects += usize::from(object.present == 0);
         object.value = value;
         object.version += 1;
         object.present |= 1 << part;
@@ -157,11 +154,6 @@ impl Inner {
         self.usage.bytes += bytes;
         self.usage.peak_bytes = self.usage.peak_bytes.max(self.usage.bytes);
         self.use_now(number);
-    }
-
-    /// What is held and what it takes.
-    pub fn usage(&self) -> Usage {
-        Usage { objects: self.held, ..self.usage }
     }
 
     /// Evicts the objects of least credit until `bytes` fit. False, and nothing evicted, when pinned ones and `keep` leave no room.
@@ -190,7 +182,7 @@ impl Inner {
     fn evict(&mut self, layout: &Layout, number: u32) {
         let object = &mut self.objects[number as usize];
         self.order.remove(&(object.rank(), number));
-        self.held -= 1;
+        self.usage.objects -= 1;
         self.clock = self.clock.max(object.credit);
         self.usage.bytes -= object.bytes;
         self.usage.evictions += 1;
@@ -231,8 +223,8 @@ impl Inner {
             sum += bytes;
         }
         let held = self.objects.iter().filter(|o| o.present != 0).count();
-        if self.held != held {
-            return Err(format!("{} objects counted, {held} held", self.held));
+        if self.usage.objects != held {
+            return Err(format!("{} objects counted, {held} held", self.usage.objects));
         }
         if sum != self.usage.bytes || sum > self.usage.cap_bytes {
             return Err(format!("{sum} bytes held, account {}, cap {}", self.usage.bytes, self.usage.cap_bytes));

@@ -351,8 +351,7 @@ impl Cache {
 
     /// The accounts.
     pub fn usage(&self) -> Usage {
-        let inner = self.lock();
-        inner.usage()
+        self.lock().usage
     }
 
     /// What must hold after every call: accounts equal the sum of what is there, within the cap; the order lists exactly the

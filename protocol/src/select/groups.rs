@@ -4,8 +4,9 @@
 //! support only grows with the box. So what is found is the same, cell by cell and in the same order.
 
 use crate::{Aabb, index::CellEntry};
+use std::ops::Range;
 
-/// Cells in a group, and groups in a block.
+/// Cells in a group, and groups in a block: as planning groups them. Smaller: more groups to look at; larger: looser bounds.
 const GROUP: usize = 16;
 
 /// Bounds of every [`GROUP`] cells, and of every [`GROUP`] of those.
@@ -18,53 +19,19 @@ pub struct CellGroups {
 impl CellGroups {
     /// Groups of these cells, in their order.
     pub fn of(cells: &[CellEntry]) -> Self {
-        let join = |bounds: &mut dyn Iterator<Item = Aabb>| {
-            let mut out: Vec<Aabb> = Vec::new();
-            for (k, b) in bounds.enumerate() {
-                if k % GROUP == 0 {
-                    out.push(Aabb::EMPTY);
-                }
-                if let Some(last) = out.last_mut() {
-                    *last = last.union(b);
-                }
-            }
-            out
-        };
-        let groups = join(&mut cells.iter().map(|c| c.bounds));
-        let blocks = join(&mut groups.iter().copied());
+        let union = |a: Aabb, b: Aabb| a.union(b);
+        let groups: Vec<Aabb> =
+            cells.chunks(GROUP).map(|g| g.iter().map(|c| c.bounds).fold(Aabb::EMPTY, union)).collect();
+        let blocks = groups.chunks(GROUP).map(|b| b.iter().copied().fold(Aabb::EMPTY, union)).collect();
         Self { groups, blocks }
     }
 
-    /// Whether there are none: then each cell is looked at.
-    pub fn is_empty(&self) -> bool {
-        self.blocks.is_empty()
-    }
-
-    /// Calls `found` with every one of `cells` (those that the groups are of, or any if there are no groups) whose bounds are admitted, ascending.
-    pub(super) fn each<'a>(
-        &self,
-        cells: &'a [CellEntry],
-        admit: impl Fn(&Aabb) -> bool,
-        mut found: impl FnMut(u32, &'a CellEntry),
-    ) {
-        let mut look = |from: usize, to: usize| {
-            for (k, cell) in cells.iter().enumerate().take(to).skip(from) {
-                if admit(&cell.bounds) {
-                    found(k as u32, cell);
-                }
-            }
-        };
-        if self.is_empty() {
-            return look(0, cells.len());
-        }
-        for (b, block) in self.blocks.iter().enumerate() {
-            if admit(block) {
-                for (g, group) in self.groups.iter().enumerate().skip(b * GROUP).take(GROUP) {
-                    if admit(group) {
-                        look(g * GROUP, (g + 1) * GROUP);
-                    }
-                }
-            }
-        }
+    /// Runs of the cells (`count` of them) whose groups are admitted, ascending; all of them if there are no groups.
+    pub(super) fn runs(&self, count: usize, admit: impl Fn(&Aabb) -> bool) -> impl Iterator<Item = Range<usize>> {
+        let whole = self.blocks.is_empty().then_some(0..count);
+        let groups_of = |b: usize| b * GROUP..((b + 1) * GROUP).min(self.groups.len());
+        let blocks = (0..self.blocks.len()).filter(|b| admit(&self.blocks[*b]));
+        let groups: Vec<usize> = blocks.flat_map(groups_of).filter(|g| admit(&self.groups[*g])).collect();
+        whole.into_iter().chain(groups.into_iter().map(move |g| g * GROUP..((g + 1) * GROUP).min(count)))
     }
 }
