@@ -22,6 +22,11 @@ impl Pose {
     }
 }
 
+/// The turn from one heading to another, degrees, the shorter way: -180 to 180.
+pub fn apart_deg(from: f64, to: f64) -> f64 {
+    (to - from + 180.0).rem_euclid(360.0) - 180.0
+}
+
 /// Orthonormal, right-handed: `right x up = -forward`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ViewBasis {
@@ -110,5 +115,15 @@ impl Frustum {
     /// near an edge of the pyramid that do not touch it).
     pub fn may_intersect(&self, b: &Aabb) -> bool {
         self.normals.iter().all(|n| b.support(*n) >= n.dot(self.apex))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::apart_deg;
+
+    #[test]
+    fn headings_are_apart_by_the_shorter_way() {
+        assert_eq!([apart_deg(350.0, 10.0), apart_deg(10.0, 350.0), apart_deg(0.0, 540.0).abs()], [20.0, -20.0, 180.0]);
     }
 }

@@ -38,7 +38,7 @@ pub struct Needed {
 
 impl Needed {
     /// All numbers in the order of sending.
-    pub fn all(&self) -> impl Iterator<Item = u32> + '_ {
+    pub fn all(&self) -> impl Iterator<Item = u32> + Clone + '_ {
         self.base.iter().chain(&self.now).chain(&self.fine).copied()
     }
 }

@@ -9,7 +9,7 @@
 mod groups;
 mod portals;
 
-pub use groups::CellGroups;
+pub use groups::{CellGroups, SomeCells};
 pub use portals::ShownPortal;
 
 use crate::{
@@ -181,6 +181,40 @@ pub fn draw_list_of(
     let tree = if index.walks_by_tree() { tree_chunks(index, pose, picture_half_tan) } else { Vec::new() };
     let (rooms, portals) = (Vec::new(), Vec::new());
     DrawList { selection, cells, images, triangles, dropped, tree, rooms, portals }
+}
+
+/// Of some cells and images, those that a pose draws, in no order. As [`draw_list_of`] finds them in a dataset with grid points, but for cells that would be left out because the
+/// budget is used up. For whoever has all others already and asks for many poses. `images`: per image of the index, whether it is one of them.
+pub fn draws_among(
+    index: &Index,
+    groups: &CellGroups,
+    (cells, images): (&SomeCells, &[bool]),
+    pose: &Pose,
+    picture_half_tan: (f64, f64),
+) -> (Vec<u32>, Vec<u32>) {
+    let placement = select(index, pose).placement;
+    let entry = placement.and_then(|p| index.placements.get(p as usize));
+    let frusta = DrawFrusta::new(&index.settings, pose, picture_half_tan);
+    let mut drawn = Vec::new();
+    groups.each_of(
+        cells,
+        |bounds| frusta.admit(bounds),
+        |cell| {
+            let is_culled = entry.is_some_and(|e| e.culled.binary_search(&(cell as u32)).is_ok());
+            if !is_culled && frusta.admit(&index.cells[cell].bounds) {
+                drawn.push(cell as u32);
+            }
+        },
+    );
+    let wanted = |image: &u32| images.get(*image as usize) == Some(&true);
+    let mut shown = Vec::new();
+    if let (Some(placement), Some(entry)) = (placement, entry)
+        && entry.images.clone().any(|i| wanted(&i))
+    {
+        shown = frusta.images_in_view(index, placement, pose);
+        shown.retain(wanted);
+    }
+    (drawn, shown)
 }
 
 /// Cells (distance, number) near to far, without the farthest ones that exceed the budget; the triangles that stay; how many cells went.

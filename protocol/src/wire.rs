@@ -28,7 +28,7 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 /// Raised when a peer of the previous version could not understand the next one.
 /// 2: clients say how far behind their decoding is ([`ClientMessage::Decoding`]) and which manifests they have ([`Hello::manifests`]).
-pub const VERSION: u16 = 2;
+pub const VERSION: u16 = 3;
 /// The application protocol that TLS agrees on.
 pub const ALPN: &[u8] = b"ldi/1";
 /// The port that a client tries when none is given.
@@ -114,13 +114,14 @@ pub struct Hello {
     /// What the client calls itself, for the server's page.
     #[serde(default)]
     pub name: String,
-    /// Datasets whose whole manifest the client has from before, at most [`MAX_MANIFESTS`].
+    /// Datasets whose whole manifest the client has from before, at most [`MAX_MANIFESTS`]. If the served one is among them, nothing is sent until [`ClientMessage::Whole`]: the client
+    /// says first what it has of it.
     #[serde(default)]
     pub manifests: Vec<ChunkHash>,
     /// How the client shows portals, which decides what a pose needs in a dataset with rooms. A server that does not know of it sends what it would show, and the client asks for the rest.
     #[serde(default)]
     pub portals: ShowPortals,
-    /// The walk begins before the whole manifest is there: until [`ClientMessage::Whole`] only the LDI tree's coarse levels are sent beside it, and nothing to a client that had the manifest. A server that does not know of it
+    /// The walk begins before the whole manifest is there: until [`ClientMessage::Whole`] only the LDI tree's coarse levels are sent beside it. A server that does not know of it
     /// sends the pages first.
     #[serde(default)]
     pub early: bool,

@@ -16,12 +16,17 @@ use ldi_client::{
 };
 use ldi_protocol::{
     Pose,
-    index::ChunkHash,
+    codec::ColourProfile,
+    index::{BuildSettings, ChunkHash, ChunkKind},
     need::Needed,
-    select::select,
+    select::{CELLS, select},
     wire::{RefusalCode, Request},
 };
-use ldi_server::serve::{SelectViews, ServeConfig, planner::Views};
+use ldi_server::{
+    build::{self, BuildOptions, Represent},
+    serve::{SelectViews, ServeConfig, planner::Views},
+    store::Dataset,
+};
 use std::time::Duration;
 
 /// A walker on the street's axis.
@@ -71,6 +76,60 @@ fn a_walk_gets_everything_it_needs_and_nothing_twice() {
     let used = u64::from(connection.index().chunks[LDI[0] as usize].stored_bytes)
         + u64::from(connection.index().chunks[LDI[1] as usize].stored_bytes);
     assert_eq!(stats.wasted_bytes, stats.chunk_bytes - used, "only the LDI was drawn");
+}
+
+/// Forecasts look only at what lacks something: they find what a look at everything finds.
+#[test]
+fn what_is_lacking_is_what_is_needed_and_absent() {
+    let folder = folder("lacking");
+    let options = BuildOptions {
+        scene: "builtin:house?triangles=20000".into(),
+        output: folder.join("house"),
+        settings: BuildSettings {
+            budget: 6_000,
+            optimize_budget: 0,
+            grid: CELLS.into(),
+            colour: "high".into(),
+            eye_height_m: Some(1.6),
+            ..street(1, 16).index.settings
+        },
+        colour: ColourProfile::High,
+        represent: Represent::Grid,
+        along: None,
+    };
+    build::build(&options, &()).unwrap();
+    let index = Dataset::open(&options.output).unwrap().index().clone();
+    let views = SelectViews::new(index.clone(), &PICTURE.camera(&index.settings));
+    let volume = index.volume.as_ref().unwrap().sampler();
+    let mut random =
+        (1u64..).map(|i| f64::from((i.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40) as u32) / f64::from(1u32 << 24));
+    let mut next = || random.next().unwrap();
+    let mut found = [0, 0];
+    for round in 0..40 {
+        let poses: Vec<Pose> = (0..25)
+            .map(|_| Pose {
+                position: volume.point([next(), next(), next(), next()]).unwrap(),
+                yaw_deg: next() * 360.0,
+                pitch_deg: next() * 100.0 - 50.0,
+            })
+            .collect();
+        // From hardly anything to nearly everything.
+        let absent: Vec<bool> = index.chunks.iter().map(|_| next() * 40.0 > f64::from(round)).collect();
+        let absent = |chunk: u32| absent[chunk as usize];
+        for (pose, lacking) in poses.iter().zip(views.lacking(&poses, &absent)) {
+            let Needed { now, fine, .. } = views.needed(pose);
+            let sorted = |mut list: Vec<u32>| {
+                list.sort_unstable();
+                list
+            };
+            let expected = sorted(now.into_iter().chain(fine).filter(|c| absent(*c)).collect());
+            assert_eq!(sorted(lacking), expected, "round {round}, {pose:?}");
+            for chunk in expected {
+                found[usize::from(index.chunks[chunk as usize].kind == ChunkKind::Ldi)] += 1;
+            }
+        }
+    }
+    assert!(found.iter().all(|n| *n > 100), "geometry, images: {found:?}");
 }
 
 #[test]

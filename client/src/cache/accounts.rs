@@ -43,7 +43,8 @@ pub(super) struct Object {
     /// Clock when it was last used, and what it is worth.
     credit: f64,
     /// View in which it was last used.
-    tick: u64,
+    used_in: u64,
+    /// [`Inner::pins`] when it was pinned last.
     pub pinned_in: u64,
     /// Counts changes, so that a join made outside the lock notices another one.
     pub version: u64,
@@ -52,7 +53,13 @@ pub(super) struct Object {
 impl Object {
     /// By credit, and where that is equal by the last use; bits of numbers that are not negative have their order.
     fn rank(&self) -> (u64, u64) {
-        (self.credit.to_bits(), self.tick)
+        (self.credit.to_bits(), self.used_in)
+    }
+
+    /// It is used in a view: its credit is what it is worth, stored bytes per decoded one, from now on (GreedyDual-Size, Cao and Irani 1997).
+    fn use_in(&mut self, view: u64, clock: f64) {
+        self.used_in = view;
+        self.credit = clock + self.stored as f64 / self.bytes.max(1) as f64;
     }
 }
 
@@ -61,11 +68,15 @@ pub(super) struct Inner {
     pub objects: Vec<Object>,
     /// Objects that hold bytes and may go, the first to go first: by [`Object::rank`]. Pinned ones are not in it: they are used in every frame, and would be put elsewhere each time.
     order: BTreeSet<((u64, u64), u32)>,
-    /// What the current view needs.
+    /// What the current view needs: objects, and the chunks they are of.
     pinned: Vec<u32>,
+    pinned_chunks: Vec<u32>,
     /// The credit of whatever went last: what is used later outlives what was worth as much.
     clock: f64,
-    pub tick: u64,
+    /// Views so far.
+    pub view: u64,
+    /// Views that needed other chunks than the one before.
+    pub pins: u64,
     pub usage: Usage,
     pub damaged: Vec<bool>,
     pub evicted: Vec<u32>,
@@ -82,8 +93,10 @@ impl Inner {
             objects: std::iter::repeat_with(Object::default).take(objects).collect(),
             order: BTreeSet::new(),
             pinned: Vec::new(),
+            pinned_chunks: Vec::new(),
             clock: 0.0,
-            tick: 1,
+            view: 1,
+            pins: 1,
             usage: Usage { cap_bytes, ..Usage::default() },
             damaged: vec![false; chunks],
             evicted: Vec::new(),
@@ -98,39 +111,52 @@ impl Inner {
         !parts.is_empty() && parts.iter().all(|p| self.objects[p.object as usize].present >> p.part & 1 == 1)
     }
 
-    /// A new view, which needs these objects.
-    pub fn pin(&mut self, objects: impl Iterator<Item = u32>) {
-        let last = self.tick;
-        self.tick += 1;
+    /// A new view, which needs these chunks. Mostly those of the last one: then nothing is to be done.
+    pub fn pin(&mut self, layout: &Layout, chunks: impl Iterator<Item = u32> + Clone) {
+        self.view += 1;
+        if chunks.clone().eq(self.pinned_chunks.iter().copied()) {
+            return;
+        }
+        self.pinned_chunks.clear();
+        self.pinned_chunks.extend(chunks.clone());
+        let last = self.pins;
+        self.pins += 1;
         let before = std::mem::take(&mut self.pinned);
-        for number in objects {
+        for number in chunks.flat_map(|c| layout.parts(c)).map(|p| p.object) {
             let object = &mut self.objects[number as usize];
-            if object.pinned_in == self.tick {
+            if object.pinned_in == self.pins {
                 continue;
             }
             if object.pinned_in != last {
                 self.order.remove(&(object.rank(), number));
             }
-            object.pinned_in = self.tick;
+            object.pinned_in = self.pins;
             self.pinned.push(number);
-            self.use_now(number);
         }
         for number in before {
-            let object = &self.objects[number as usize];
-            if object.pinned_in != self.tick && object.present != 0 {
-                self.order.insert((object.rank(), number));
+            let object = &mut self.objects[number as usize];
+            if object.pinned_in != self.pins {
+                object.use_in(self.view - 1, self.clock);
+                if object.present != 0 {
+                    self.order.insert((object.rank(), number));
+                }
             }
         }
     }
 
-    /// An object is used: its credit is what it is worth, stored bytes per decoded one, from now on (GreedyDual-Size, Cao and Irani 1997). Absent ones only take the tick.
+    /// Forgets which chunks the pinned objects are of: chunks may have other objects from now on.
+    pub fn forget_pinned_chunks(&mut self) {
+        // No view needs this one.
+        self.pinned_chunks = vec![u32::MAX];
+    }
+
+    /// An object is used. Absent ones only take the view.
     pub fn use_now(&mut self, number: u32) {
         let object = &mut self.objects[number as usize];
         let old = object.rank();
-        object.tick = self.tick;
-        object.credit = self.clock + object.stored as f64 / object.bytes.max(1) as f64;
+        object.use_in(self.view, self.clock);
         let new = object.rank();
-        if object.pinned_in == self.tick {
+        if object.pinned_in == self.pins {
             return;
         }
         let listed = object.present != 0;
@@ -188,8 +214,12 @@ impl Inner {
         self.usage.evictions += 1;
         let chunks = &layout.objects[number as usize].chunks;
         self.evicted.extend((0..chunks.len()).filter(|p| object.present >> p & 1 == 1).map(|p| chunks[p]));
-        *object =
-            Object { tick: object.tick, pinned_in: object.pinned_in, version: object.version + 1, ..Object::default() };
+        *object = Object {
+            used_in: object.used_in,
+            pinned_in: object.pinned_in,
+            version: object.version + 1,
+            ..Object::default()
+        };
     }
 
     /// See [`super::Cache::check`].
@@ -207,7 +237,7 @@ impl Inner {
             if stored != object.stored {
                 return Err(format!("object {number}: parts take {stored} stored bytes, account {}", object.stored));
             }
-            let is_pinned = object.pinned_in == self.tick;
+            let is_pinned = object.pinned_in == self.pins;
             if self.order.contains(&(object.rank(), number)) != (object.present != 0 && !is_pinned) {
                 return Err(format!(
                     "object {number}: present {:b}, pinned {is_pinned}, order disagrees",

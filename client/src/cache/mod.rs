@@ -136,6 +136,7 @@ impl Cache {
         let mut inner = self.lock();
         // The tree's objects come first: those of both indices have the same numbers.
         inner.objects.resize_with(scope.layout.objects.len(), Object::default);
+        inner.forget_pinned_chunks();
         let _ = self.whole.set(scope);
     }
 
@@ -209,7 +210,7 @@ impl Cache {
         let entry = self.index().chunks[chunk as usize];
         let bytes = u64::from(entry.decoded_bytes);
         if !inner.make_room(&self.scope().layout, bytes, part.object) {
-            let view = inner.tick;
+            let view = inner.view;
             inner.refused.insert(chunk, view);
             self.changed.notify_all();
             return Some(Inserted::NoRoom);
@@ -220,16 +221,15 @@ impl Cache {
     }
 
     /// Opens a new view: what it needs is pinned, what the last one needed no longer is.
-    pub fn pin(&self, chunks: impl IntoIterator<Item = u32>) {
+    pub fn pin(&self, chunks: impl IntoIterator<Item = u32, IntoIter: Clone>) {
         let mut inner = self.lock();
-        let scope = self.scope();
-        inner.pin(chunks.into_iter().flat_map(|c| scope.layout.parts(c)).map(|p| p.object));
+        inner.pin(&self.scope().layout, chunks.into_iter());
     }
 
     /// Whether the current view needs a chunk.
     pub fn is_pinned(&self, chunk: u32) -> bool {
         let inner = self.lock();
-        self.scope().layout.parts(chunk).iter().any(|p| inner.objects[p.object as usize].pinned_in == inner.tick)
+        self.scope().layout.parts(chunk).iter().any(|p| inner.objects[p.object as usize].pinned_in == inner.pins)
     }
 
     /// Counts what is held of these as used now.
@@ -321,7 +321,7 @@ impl Cache {
             if coming.is_empty() {
                 return if damaged.is_empty() { Ok(()) } else { Err(Incomplete::Damaged(damaged)) };
             }
-            if coming.iter().any(|c| inner.refused.get(c) == Some(&inner.tick)) {
+            if coming.iter().any(|c| inner.refused.get(c) == Some(&inner.view)) {
                 return Err(Incomplete::NoRoom { cap_bytes: inner.usage.cap_bytes });
             }
             if let Some(reason) = &inner.disconnected {

@@ -35,6 +35,7 @@ pub use error::ConnectError;
 pub use known_hosts::{Acquaintance, KnownHosts, KnownHostsError};
 pub use lane::Lane;
 pub use link::{Direction, Fate, HEADER_BYTES, Link, LinkCounts, LinkError, LinkSpec};
+pub use poses::PoseClock;
 pub use progress::{ConnectProgress, Phase};
 pub use session::MAX_RETRIES;
 pub use stats::{Arrival, Stats};
@@ -49,6 +50,7 @@ use ldi_protocol::{
     room_index::ShowPortals,
     wire::{Picture, Request},
 };
+use poses::Poses;
 use session::{Command, Ready, SayReady};
 use shelf::Loader;
 use stats::Collector;
@@ -57,7 +59,7 @@ use std::{
     thread::JoinHandle,
     time::{Duration, Instant},
 };
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{mpsc, oneshot};
 
 /// Without progress for this long, what is missing is asked for by number. Shorter: chunks that are only slow come twice.
 const ASK_AFTER: Duration = Duration::from_millis(300);
@@ -150,7 +152,7 @@ pub struct Connection {
     dataset: ChunkHash,
     cache: Arc<Cache>,
     stats: Arc<Collector>,
-    poses: watch::Sender<Option<Pose>>,
+    poses: Arc<Poses>,
     commands: mpsc::UnboundedSender<Command>,
     loader: Option<Loader>,
     thread: Option<JoinHandle<()>>,
@@ -163,7 +165,8 @@ impl Connection {
     /// See [`ConnectError`].
     pub fn connect(config: ConnectConfig) -> Result<Self, ConnectError> {
         let stats = Arc::new(Collector::new());
-        let (poses, poses_seen) = watch::channel(None);
+        let poses = Arc::new(Poses::new());
+        let poses_seen = poses.clone();
         let (commands, commands_seen) = mpsc::unbounded_channel();
         let (ready, connected) = std::sync::mpsc::channel();
         let collector = stats.clone();
@@ -183,7 +186,8 @@ impl Connection {
     /// See [`ConnectError`].
     pub async fn open(config: ConnectConfig) -> Result<Self, ConnectError> {
         let stats = Arc::new(Collector::new());
-        let (poses, poses_seen) = watch::channel(None);
+        let poses = Arc::new(Poses::new());
+        let poses_seen = poses.clone();
         let (commands, commands_seen) = mpsc::unbounded_channel();
         let (ready, connected) = oneshot::channel();
         let say: SayReady = Box::new(move |r| drop(ready.send(r)));
@@ -217,7 +221,7 @@ impl Connection {
 
     /// The eye is here now. The latest wins; a lost one is repeated.
     pub fn send_pose(&self, pose: &Pose) {
-        self.poses.send_replace(Some(*pose));
+        self.poses.look(pose);
     }
 
     /// A new frame: pins what it needs, has it read where it lies on disk, and tells the server where the eye is.

@@ -1,98 +1,262 @@
-//! When poses go: not every frame's, and the last one again and again, as datagrams get lost. No sockets; time comes in.
+//! When poses go: those that the server could not foretell, and now and then one of the others, as datagrams get lost.
+//!
+//! Dead reckoning, as networked simulations do it: both ends know the last two poses that went, and with them how the eye moves; while it goes on like that,
+//! what the server foresees holds, and a pose would only cost both ends a packet and a plan.
 
-use ldi_protocol::Pose;
-use std::time::Duration;
-use tokio::time::Instant;
+use glam::DVec3;
+use ldi_protocol::{Pose, camera::apart_deg};
+use std::{
+    sync::{Mutex, PoisonError},
+    time::Duration,
+};
+use tokio::{
+    sync::Notify,
+    time::{Instant, sleep_until},
+};
 
-/// Poses that follow one another go no closer than this, so of 60 per second every other one: the server plans again after 25 ms at the soonest, and each pose costs both
-/// ends a packet. The last of them goes with the first repetition.
+/// Poses that follow one another go no closer than this, so of 60 per second every other one at most: the server plans again after 25 ms at the soonest.
 const LEAST_INTERVAL: Duration = Duration::from_millis(30);
-/// A pose this much elsewhere than the last one that went, metres and degrees, goes at once.
+/// One goes after this time even if it was foretold. Longer: fewer packets, and what the server foresees is older.
+const MOST_INTERVAL: Duration = Duration::from_millis(100);
+/// A pose is foretold if it is no farther than this from where the motion so far leads, metres and degrees.
+const FORETOLD: (f64, f64) = (0.03, 2.0);
+/// A pose this far from there goes at once.
 const ELSEWHERE: (f64, f64) = (0.5, 15.0);
-/// A pose is repeated after this time, then after twice as long, and so on up to [`MAX_REPEAT`].
-const MIN_REPEAT: Duration = Duration::from_millis(50);
-/// See [`MIN_REPEAT`].
+/// One that went at once is repeated after this time.
+const FIRST_REPEAT: Duration = Duration::from_millis(50);
+/// A pose that stays the same is repeated after [`MOST_INTERVAL`], then after twice as long, and so on up to this.
 const MAX_REPEAT: Duration = Duration::from_secs(2);
 
-/// What went last, and when it goes again.
-#[derive(Debug)]
-pub(super) struct PoseClock {
-    last: Option<(Pose, Instant)>,
-    /// Time from the next repetition to the one after it.
+/// What went last, and when the newest pose goes. Pure: time comes in, as the time since any beginning.
+#[derive(Debug, Default)]
+pub struct PoseClock {
+    newest: Option<Pose>,
+    sent: Option<Sent>,
+    due: Option<Duration>,
     repeat: Duration,
-    /// When the newest pose goes unless a newer one goes before.
-    pub repeat_at: Instant,
+}
+
+/// A pose that went.
+#[derive(Debug, Clone, Copy)]
+struct Sent {
+    pose: Pose,
+    at: Duration,
+    velocity_m_s: DVec3,
+    /// Yaw and pitch, degrees per second.
+    turn_deg_s: [f64; 2],
+}
+
+impl Sent {
+    /// How far a pose is from where the motion so far leads, metres and degrees.
+    fn off(&self, pose: &Pose, now: Duration) -> (f64, f64) {
+        let t = now.saturating_sub(self.at).as_secs_f64();
+        let place = self.pose.position + self.velocity_m_s * t;
+        let [yaw, pitch] = turned(&self.pose, pose);
+        let turn = (yaw - self.turn_deg_s[0] * t).abs().max((pitch - self.turn_deg_s[1] * t).abs());
+        (pose.position.distance(place), turn)
+    }
+
+    /// After it, this one went.
+    fn then(&self, pose: Pose, at: Duration) -> Self {
+        let t = (at.saturating_sub(self.at)).as_secs_f64().max(1e-3);
+        Self {
+            pose,
+            at,
+            velocity_m_s: (pose.position - self.pose.position) / t,
+            turn_deg_s: turned(&self.pose, &pose).map(|d| d / t),
+        }
+    }
+}
+
+/// From one pose to another in yaw and pitch, degrees.
+fn turned(from: &Pose, to: &Pose) -> [f64; 2] {
+    [apart_deg(from.yaw_deg, to.yaw_deg), to.pitch_deg - from.pitch_deg]
+}
+
+fn beyond((metres, degrees): (f64, f64), limit: (f64, f64)) -> bool {
+    metres > limit.0 || degrees > limit.1
 }
 
 impl PoseClock {
-    /// Nothing went yet.
-    pub fn new(now: Instant) -> Self {
-        Self { last: None, repeat: 2 * MIN_REPEAT, repeat_at: now + MIN_REPEAT }
-    }
-
-    /// There is a new pose: whether it goes now.
-    pub fn goes(&mut self, pose: &Pose, now: Instant) -> bool {
-        let goes = self.last.as_ref().is_none_or(|(last, at)| {
-            let turned = (pose.yaw_deg - last.yaw_deg).abs().max((pose.pitch_deg - last.pitch_deg).abs());
-            let elsewhere = pose.position.distance(last.position) > ELSEWHERE.0 || turned > ELSEWHERE.1;
-            elsewhere || now >= *at + LEAST_INTERVAL
-        });
-        if goes {
-            self.last = Some((*pose, now));
-            self.repeat_at = now + MIN_REPEAT;
-        } else {
-            self.repeat_at = self.repeat_at.min(now + MIN_REPEAT);
+    /// The eye is here now. Whether the newest pose goes sooner than was said before.
+    pub fn look(&mut self, pose: &Pose, now: Duration) -> bool {
+        self.newest = Some(*pose);
+        let due = match &self.sent {
+            None => now,
+            Some(sent) => {
+                let off = sent.off(pose, now);
+                if beyond(off, ELSEWHERE) {
+                    now
+                } else if beyond(off, FORETOLD) {
+                    sent.at + LEAST_INTERVAL
+                } else if *pose != sent.pose {
+                    sent.at + MOST_INTERVAL
+                } else {
+                    return false;
+                }
+            }
+        };
+        let sooner = self.due.is_none_or(|before| due < before);
+        if sooner {
+            self.due = Some(due);
         }
-        self.repeat = 2 * MIN_REPEAT;
-        goes
+        sooner
     }
 
-    /// The newest pose, if there is one, goes because its time has come.
-    pub fn repeated(&mut self, pose: Option<&Pose>, now: Instant) {
-        self.last = pose.map(|p| (*p, now));
-        self.repeat_at = now + self.repeat;
-        self.repeat = (2 * self.repeat).min(MAX_REPEAT);
+    /// The newest pose, if its time has come.
+    pub fn take(&mut self, now: Duration) -> Option<Pose> {
+        let pose = self.newest.filter(|_| self.due.is_some_and(|due| now >= due))?;
+        let jumped = self.sent.as_ref().is_none_or(|s| beyond(s.off(&pose, now), ELSEWHERE));
+        self.repeat = match &self.sent {
+            _ if jumped => FIRST_REPEAT,
+            Some(sent) if sent.pose == pose => (2 * self.repeat).min(MAX_REPEAT),
+            _ => MOST_INTERVAL,
+        };
+        let standing = Sent { pose, at: now, velocity_m_s: DVec3::ZERO, turn_deg_s: [0.0; 2] };
+        self.sent = Some(self.sent.filter(|_| !jumped).map_or(standing, |s| s.then(pose, now)));
+        self.due = Some(now + self.repeat);
+        Some(pose)
+    }
+}
+
+/// Poses on their way from the render thread to the one that sends.
+#[derive(Debug)]
+pub(super) struct Poses {
+    clock: Mutex<PoseClock>,
+    began: Instant,
+    sooner: Notify,
+}
+
+impl Poses {
+    /// None yet.
+    pub fn new() -> Self {
+        Self { clock: Mutex::default(), began: Instant::now(), sooner: Notify::new() }
+    }
+
+    fn with<T>(&self, f: impl FnOnce(&mut PoseClock, Duration) -> T) -> T {
+        // A panic while it is held would leave a clock that is as good as any.
+        f(&mut self.clock.lock().unwrap_or_else(PoisonError::into_inner), self.began.elapsed())
+    }
+
+    /// The eye is here now.
+    pub fn look(&self, pose: &Pose) {
+        if self.with(|clock, now| clock.look(pose, now)) {
+            self.sooner.notify_one();
+        }
+    }
+
+    /// The newest pose.
+    pub fn newest(&self) -> Option<Pose> {
+        self.with(|clock, _| clock.newest)
+    }
+
+    /// Waits until a pose goes. Nothing is lost if the waiting is given up.
+    pub async fn next(&self) -> Pose {
+        loop {
+            let (pose, due) = self.with(|clock, now| (clock.take(now), clock.due));
+            if let Some(pose) = pose {
+                return pose;
+            }
+            let sleep = async {
+                match due {
+                    Some(due) => sleep_until(self.began + due).await,
+                    None => std::future::pending().await,
+                }
+            };
+            tokio::select! {
+                () = self.sooner.notified() => {}
+                () = sleep => {}
+            }
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::DVec3;
 
     fn pose(x: f64, yaw_deg: f64) -> Pose {
         Pose { position: DVec3::new(x, 0.0, 0.0), yaw_deg, pitch_deg: 0.0 }
     }
 
-    #[test]
-    fn of_sixty_poses_per_second_every_other_one_goes_and_jumps_at_once() {
-        let start = Instant::now();
-        let mut clock = PoseClock::new(start);
-        let at = |frame: u64| start + Duration::from_micros(16_667 * frame);
-        let went: Vec<u64> = (0..8).filter(|f| clock.goes(&pose(*f as f64 * 0.02, 0.0), at(*f))).collect();
-        assert_eq!(went, [0, 2, 4, 6]);
-        let soon = at(7) + Duration::from_millis(1);
-        assert!(!clock.goes(&pose(0.15, 3.0), soon), "a small step");
-        assert!(clock.goes(&pose(0.15, 20.0), soon), "a turn");
-        assert!(clock.goes(&pose(0.75, 20.0), soon), "a jump");
+    fn ms(ms: u64) -> Duration {
+        Duration::from_millis(ms)
+    }
+
+    /// Milliseconds at which poses go of a walk looked at 60 times per second, its clock read every millisecond.
+    fn went(clock: &mut PoseClock, walk: impl Fn(f64) -> Pose, from_ms: u64, to_ms: u64) -> Vec<u64> {
+        let mut out = Vec::new();
+        for t in from_ms..to_ms {
+            let frame = t * 60 / 1000;
+            if frame != t.saturating_sub(1) * 60 / 1000 || t == 0 {
+                clock.look(&walk(frame as f64 / 60.0), ms(t));
+            }
+            out.extend(clock.take(ms(t)).map(|_| t));
+        }
+        out
     }
 
     #[test]
-    fn the_last_pose_goes_soon_and_then_ever_more_seldom() {
-        let start = Instant::now();
-        let mut clock = PoseClock::new(start);
-        assert!(clock.goes(&pose(0.0, 0.0), start));
-        let mut waits = Vec::new();
-        let mut now = start;
-        for _ in 0..8 {
-            waits.push((clock.repeat_at - now).as_millis());
-            now = clock.repeat_at;
-            clock.repeated(Some(&pose(0.0, 0.0)), now);
+    fn a_steady_walk_needs_ten_poses_per_second_and_a_turn_is_told_soon() {
+        let mut clock = PoseClock::default();
+        let steady = |t: f64| pose(1.4 * t, 179.0 + 90.0 * t);
+        let first = went(&mut clock, steady, 0, 1000);
+        assert!((10..=14).contains(&first.len()), "{first:?}");
+        // Stands still and turns faster the other way.
+        let turns = |t: f64| pose(1.4, 269.0 - 120.0 * (t - 1.0).max(0.0));
+        let then = went(&mut clock, turns, 1000, 1200);
+        assert!(then[0] < 1060, "told late: {then:?}");
+        assert!(then.windows(2).all(|w| w[1] - w[0] >= 30), "{then:?}");
+    }
+
+    #[test]
+    fn an_unsteady_one_goes_with_every_other_frame() {
+        let mut clock = PoseClock::default();
+        let shaken = |t: f64| pose(0.0, 6.0 * (t * 40.0).sin());
+        let all = went(&mut clock, shaken, 0, 1000);
+        assert!((20..=34).contains(&all.len()) && all.windows(2).all(|w| w[1] - w[0] >= 30), "{all:?}");
+    }
+
+    #[test]
+    fn jumps_go_at_once_and_are_repeated_soon() {
+        let mut clock = PoseClock::default();
+        assert!(clock.look(&pose(0.0, 0.0), ms(0)) && clock.take(ms(0)).is_some());
+        assert!(!clock.look(&pose(0.02, 0.0), ms(5)) && clock.take(ms(5)).is_none(), "a small step");
+        assert!(clock.look(&pose(0.02, 20.0), ms(6)) && clock.take(ms(6)).is_some(), "a turn");
+        assert!(clock.look(&pose(0.72, 20.0), ms(7)) && clock.take(ms(7)).is_some(), "a jump");
+        assert_eq!(clock.due, Some(ms(7) + FIRST_REPEAT));
+    }
+
+    #[test]
+    fn the_last_pose_goes_ever_more_seldom_until_there_is_another() {
+        let mut clock = PoseClock::default();
+        clock.look(&pose(0.0, 0.0), ms(0));
+        let mut at = vec![0];
+        for _ in 0..9 {
+            let now = clock.due.unwrap();
+            at.push(now.as_millis() as u64);
+            assert!(clock.take(now).is_some());
+            assert!(!clock.look(&pose(0.0, 0.0), now + ms(1)), "the same again is no news");
         }
-        assert_eq!(waits, [50, 100, 200, 400, 800, 1600, 2000, 2000]);
-        // One small step right after a repetition: it may not wait for the next one, two seconds later.
-        let step = now + Duration::from_millis(10);
-        assert!(!clock.goes(&pose(0.02, 0.0), step));
-        assert_eq!(clock.repeat_at - step, MIN_REPEAT);
+        let waits: Vec<u64> = at.windows(2).map(|w| w[1] - w[0]).collect();
+        assert_eq!(waits, [0, 50, 100, 200, 400, 800, 1600, 2000, 2000]);
+        // A small step right after a repetition may not wait for the next one, two seconds later.
+        let now = ms(at[9] + 10);
+        assert!(clock.look(&pose(0.02, 0.0), now));
+        assert_eq!(clock.due, Some(ms(at[9]) + MOST_INTERVAL));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn waiting_ends_when_a_pose_goes() {
+        let poses = Poses::new();
+        let nothing = tokio::time::timeout(ms(500), poses.next()).await;
+        assert!(nothing.is_err());
+        let (first, ()) = tokio::join!(poses.next(), async { poses.look(&pose(1.0, 0.0)) });
+        assert_eq!(first, pose(1.0, 0.0));
+        let before = Instant::now();
+        assert_eq!(poses.next().await, pose(1.0, 0.0));
+        assert_eq!(before.elapsed().as_millis() / 10, 5, "repeated after 50 ms");
+        let (jumped, ()) = tokio::join!(poses.next(), async { poses.look(&pose(9.0, 0.0)) });
+        assert_eq!((jumped, poses.newest()), (pose(9.0, 0.0), Some(pose(9.0, 0.0))));
     }
 }

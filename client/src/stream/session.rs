@@ -7,7 +7,7 @@ use super::{
     disk::DiskCache,
     handshake::{self, Opened},
     pages::{Pages, is_listed},
-    poses::PoseClock,
+    poses::Poses,
     progress::ConnectProgress,
     receive::{self, Broken},
     shelf::{Loader, Shelf},
@@ -30,7 +30,7 @@ use std::{
     time::{Duration, Instant},
 };
 use tokio::{
-    sync::{mpsc, oneshot, watch},
+    sync::{mpsc, oneshot},
     task::{JoinHandle, JoinSet},
     time::{interval, timeout},
 };
@@ -66,7 +66,7 @@ pub(super) type SayReady = Box<dyn FnOnce(Result<Ready, ConnectError>) + Send>;
 pub(super) fn run(
     config: ConnectConfig,
     stats: Arc<Collector>,
-    poses: watch::Receiver<Option<Pose>>,
+    poses: Arc<Poses>,
     commands: mpsc::UnboundedReceiver<Command>,
     ready: SayReady,
 ) {
@@ -80,7 +80,7 @@ pub(super) fn run(
 pub(super) async fn stream(
     config: ConnectConfig,
     stats: Arc<Collector>,
-    poses: watch::Receiver<Option<Pose>>,
+    poses: Arc<Poses>,
     commands: mpsc::UnboundedReceiver<Command>,
     ready: SayReady,
 ) {
@@ -133,7 +133,6 @@ pub(super) async fn stream(
         around: Vec::new(),
         disk: config.disk.clone(),
         progress: config.progress.clone(),
-        early: config.early,
         rest: opened.rest,
         assembling: None,
     };
@@ -173,8 +172,6 @@ struct Session {
     around: Vec<u32>,
     disk: Option<Arc<DiskCache>>,
     progress: Arc<ConnectProgress>,
-    /// The server waits for [`ClientMessage::Whole`].
-    early: bool,
     /// The manifest, while pages of it are to come.
     rest: Option<Pages>,
     /// The whole index is being put together.
@@ -185,13 +182,13 @@ impl Session {
     async fn run(
         mut self,
         recv: RecvStream,
-        mut poses: watch::Receiver<Option<Pose>>,
+        poses: Arc<Poses>,
         mut commands: mpsc::UnboundedReceiver<Command>,
         mut damage: mpsc::UnboundedReceiver<u32>,
     ) -> Result<(), ConnectError> {
-        match self.early && self.rest.is_none() {
-            true => self.tell_whole().await?,
-            false => self.tell_held().await?,
+        match self.rest {
+            None => self.tell_whole().await?,
+            Some(_) => self.tell_held().await?,
         }
         let (messages, mut heard) = mpsc::channel(16);
         let (paged, mut pages) = mpsc::channel(MAX_STREAMS as usize);
@@ -199,7 +196,6 @@ impl Session {
         let mut tasks = JoinSet::new();
         tasks.spawn(listen(recv, self.connection.clone(), messages));
         let mut tick = interval(SAMPLE_EVERY);
-        let mut clock = PoseClock::new(tokio::time::Instant::now());
         loop {
             tokio::select! {
                 // A stream that was read to its end no longer counts for QUIC: chunks that wait for a decoder must count here.
@@ -207,19 +203,7 @@ impl Session {
                     let stream = stream.map_err(|e| handshake::lost(&e))?;
                     tasks.spawn(take_in(stream, self.target.clone(), self.pool.clone(), listed.clone(), paged.clone()));
                 }
-                Ok(()) = poses.changed() => {
-                    let pose = *poses.borrow_and_update();
-                    if let Some(pose) = pose.filter(|p| clock.goes(p, tokio::time::Instant::now())) {
-                        self.send_pose(pose);
-                    }
-                }
-                () = tokio::time::sleep_until(clock.repeat_at) => {
-                    let pose = *poses.borrow();
-                    clock.repeated(pose.as_ref(), tokio::time::Instant::now());
-                    if let Some(pose) = pose {
-                        self.send_pose(pose);
-                    }
-                }
+                pose = poses.next() => self.send_pose(pose),
                 command = commands.recv() => match command {
                     Some(Command::Want(chunks)) => self.tell(chunks, |chunks| ClientMessage::Want { chunks }).await?,
                     Some(Command::Fetch(request, answer)) => {
@@ -236,10 +220,7 @@ impl Session {
                 index = assembled(&mut self.assembling) => self.become_whole(index?).await?,
                 Some(message) = heard.recv() => self.hear(message?),
                 Some(chunk) = damage.recv() => self.ask_again(chunk).await?,
-                _ = tick.tick() => {
-                    let pose = *poses.borrow();
-                    self.tick(pose).await?;
-                }
+                _ = tick.tick() => self.tick(poses.newest()).await?,
                 Some(_) = tasks.join_next() => {}
             }
         }

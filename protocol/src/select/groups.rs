@@ -26,6 +26,27 @@ impl CellGroups {
         Self { groups, blocks }
     }
 
+    /// Some of the cells these are groups of, `count` in all.
+    pub fn some(&self, count: usize, wanted: impl Fn(usize) -> bool) -> SomeCells {
+        let cells: Vec<bool> = (0..count).map(wanted).collect();
+        let any = |c: &[bool]| c.contains(&true);
+        let groups: Vec<bool> = cells.chunks(GROUP).map(any).collect();
+        let blocks = groups.chunks(GROUP).map(any).collect();
+        SomeCells { cells, groups, blocks }
+    }
+
+    /// Those of `some` cells whose groups are admitted, ascending.
+    pub(super) fn each_of(&self, some: &SomeCells, admit: impl Fn(&Aabb) -> bool, mut found: impl FnMut(usize)) {
+        for block in (0..self.blocks.len()).filter(|b| some.blocks[*b] && admit(&self.blocks[*b])) {
+            for group in block * GROUP..((block + 1) * GROUP).min(self.groups.len()) {
+                if some.groups[group] && admit(&self.groups[group]) {
+                    let end = ((group + 1) * GROUP).min(some.cells.len());
+                    (group * GROUP..end).filter(|c| some.cells[*c]).for_each(&mut found);
+                }
+            }
+        }
+    }
+
     /// Runs of the cells (`count` of them) whose groups are admitted, ascending; all of them if there are no groups.
     pub(super) fn runs(&self, count: usize, admit: impl Fn(&Aabb) -> bool) -> impl Iterator<Item = Range<usize>> {
         let whole = self.blocks.is_empty().then_some(0..count);
@@ -34,4 +55,12 @@ impl CellGroups {
         let groups: Vec<usize> = blocks.flat_map(groups_of).filter(|g| admit(&self.groups[*g])).collect();
         whole.into_iter().chain(groups.into_iter().map(move |g| g * GROUP..((g + 1) * GROUP).min(count)))
     }
+}
+
+/// Some cells of an index, and which groups hold any: see [`CellGroups::some`].
+#[derive(Debug, Clone)]
+pub struct SomeCells {
+    cells: Vec<bool>,
+    groups: Vec<bool>,
+    blocks: Vec<bool>,
 }

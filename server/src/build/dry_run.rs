@@ -122,6 +122,7 @@ mod tests {
     fn the_audit_passes_a_plan_and_finds_every_promise_that_is_broken() {
         let options = BuildOptions {
             represent: crate::build::Represent::Grid,
+            along: None,
             scene: "builtin:house?triangles=20000".into(),
             output: "".into(),
             settings: test_scenes::settings(6_000),

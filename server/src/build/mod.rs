@@ -30,7 +30,7 @@ use crate::construct::ConstructError;
 use crate::octree::{Clusters, Octree, RecountError};
 use crate::pack::{self, PackError};
 use crate::placement::{
-    self, AuditReport, AuditSize, Groupings, ImagePlan, PlacementError, PlacementResult, PlacementStatistics,
+    self, AuditReport, AuditSize, Corridor, Groupings, ImagePlan, PlacementError, PlacementResult, PlacementStatistics,
     SearchCase, SearchComparison, Sees,
 };
 use crate::render::{Caster, CellSet, Ray};
@@ -65,6 +65,8 @@ pub struct BuildOptions {
     pub colour: ColourProfile,
     /// Images and a base layer, or the LDI tree alone.
     pub represent: Represent,
+    /// Eyes are near this path only; None: wherever one can walk.
+    pub along: Option<Corridor>,
 }
 
 /// How what is far is represented.
@@ -205,7 +207,7 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
     // A scene within its budget needs none.
     let caster = (scene.triangles() > settings.budget).then(|| Caster::new(Arc::clone(&scene), &clusters, &octree));
     clock.lap("caster");
-    let parameters = placement::Parameters::default();
+    let parameters = placement::Parameters { along: options.along.clone(), ..Default::default() };
     let in_sight = |a, b| caster.as_ref().is_none_or(|c| sees(c, a, b));
     let heard = |what: &str| progress.note(what);
     let mut planned_for = settings.clone();

@@ -36,6 +36,7 @@ pub enum Command {
 Examples:
   ldi-server build clinic.glb -o clinic.ldi --budget 135000
   ldi-server build 'builtin:house?triangles=300000&seed=1' -o house.ldi --budget 30000 --report build.json
+  ldi-server build plant.glb -o tour.ldi --budget 100000 --along tour.path.json --within 2
   ldi-server build builtin:house -o rooms.ldi --represent portals --portal-images both --portal-references 13
 A build that was stopped goes on where it was when the same command is given again.")]
     Build(Box<BuildArgs>),
@@ -134,6 +135,12 @@ pub struct BuildArgs {
     /// Walk volume: the whole box of the scene.
     #[arg(long)]
     pub fly: bool,
+    /// Walk volume: only near this path, for guided tours and for trying a large scene.
+    #[arg(long, value_name = "PATH.json", conflicts_with = "fly")]
+    pub along: Option<PathBuf>,
+    /// With --along: so far to its sides, up and down, metres.
+    #[arg(long, value_name = "M", default_value_t = 1.0, requires = "along", value_parser = positive)]
+    pub within: f64,
     /// Representations to build: grid (images of placements, over the coarse levels of an LDI tree), portals (rooms, with images of what lies beyond
     /// their portals, over the same) or tree (the LDI tree alone); grid,tree is whichever keeps --max-footprint with fewer bytes; auto is grid.
     #[arg(long, default_value = "auto", value_delimiter = ',')]

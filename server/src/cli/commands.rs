@@ -5,7 +5,7 @@ use super::args::{BuildArgs, Command, InspectArgs, PlanArgs, RenderArgs, SceneAr
 use super::progress::Stderr;
 use crate::build::{self, BuildError, BuildOptions, PortalOptions, Progress as _, Represent, RoomSource};
 use crate::octree;
-use crate::placement::{self, PlacementError};
+use crate::placement::{self, Corridor, PlacementError};
 use crate::render::{self, Caster};
 use crate::scene::{self, builtin};
 use crate::serve::{self, ServeConfig, ServeError};
@@ -91,6 +91,10 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
     if portals && a.dry_run {
         return Err(Failure::absent("--dry-run of --represent portals"));
     }
+    if portals && a.along.is_some() {
+        return Err(Failure::absent("--along with --represent portals"));
+    }
+    let walk = a.along.as_deref().map(read_walk).transpose()?;
     let portal_options = portal_options(&a, portals)?;
     let rooms = match (a.rooms, a.find_rooms) {
         (Some(file), _) => RoomSource::File(file),
@@ -109,6 +113,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         output: a.output.unwrap_or_default(),
         colour,
         represent,
+        along: walk.map(|walk| Corridor::around(&walk, a.within)),
         settings: BuildSettings {
             budget: a.budget,
             optimize_budget: a.optimize_budget.unwrap_or(0),

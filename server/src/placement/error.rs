@@ -33,6 +33,16 @@ pub enum PlacementError {
         /// Eye height.
         eye_height_m: f64,
     },
+    /// Nobody can stand near the path.
+    #[error(
+        "no eye position within {within_m} m of the path: no floor there lies below an eye at {eye_height_m} m; check that path and scene have the same unit and up axis, or give a larger --within"
+    )]
+    NowhereAlong {
+        /// Distance, metres.
+        within_m: f64,
+        /// Eye height.
+        eye_height_m: f64,
+    },
     /// No image can bring some view within the budget, however fine the grid.
     #[error(
         "budget {budget}: near ({x:.2}, {y:.2}, {z:.2}), yaw {yaw_deg:.0}, pitch {pitch_deg:.0}, {needed} triangles lie too near to be replaced by an image, however fine the grid; use --budget {needed} or more, a larger --max-footprint, or a larger --density",

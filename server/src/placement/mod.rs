@@ -28,6 +28,7 @@ mod bands;
 mod bin_planes;
 mod cells;
 pub(crate) mod columns;
+mod corridor;
 mod coverage;
 mod error;
 mod eye_tree;
@@ -53,6 +54,7 @@ mod view;
 mod walk;
 
 pub use audit::{Adversary, AuditReport, AuditSize, AuditedPose, PlanRow, Tally, audit, plan_row};
+pub use corridor::Corridor;
 pub use error::PlacementError;
 pub(crate) use footprint::{Footprint, SCALES};
 pub use gaze::Gaze;

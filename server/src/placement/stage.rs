@@ -1,7 +1,7 @@
 //! The stage's door: checks the settings, runs the steps, gathers the statistics.
 
 use super::{
-    PlacementError, PlacementResult, PlacementStatistics,
+    Corridor, PlacementError, PlacementResult, PlacementStatistics,
     bands::Directions,
     cells::Cells,
     eye_tree::EyeTree,
@@ -25,12 +25,14 @@ use rayon::prelude::*;
 const SMALLEST_FOV_DEG: f64 = 54.0;
 
 /// Choices beyond the build's settings.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Parameters {
     /// Constants of the cost-benefit function.
     pub cost_benefit: CostBenefit,
     /// Spacing of the level-0 grid, metres; None: half the model's longest axis, the paper's 3 x 3 x 3.
     pub spacing_m: Option<f64>,
+    /// Eyes are near this path; None: anywhere. Not for flying.
+    pub along: Option<Corridor>,
 }
 
 /// Plans all images of a scene.
@@ -45,7 +47,7 @@ pub fn plan_placements(
     sees: Sees<'_>,
     heard: &dyn Fn(&str),
 ) -> Result<PlacementResult, PlacementError> {
-    let Ground { volume, total, mut statistics } = Ground::of(scene, octree, settings)?;
+    let Ground { volume, total, mut statistics } = Ground::of(scene, octree, settings, parameters)?;
     if total <= settings.budget {
         statistics.nothing_to_do = Some(format!(
             "the whole scene has {total} triangles, within the budget of {} from everywhere",
@@ -101,11 +103,11 @@ pub fn compare_searches(
     sees: Sees<'_>,
     comparison: &SearchComparison,
 ) -> Result<(Vec<SearchCase>, Vec<Groupings>), PlacementError> {
-    let Ground { volume, total, mut statistics } = Ground::of(scene, octree, settings)?;
+    let parameters = Parameters::default();
+    let Ground { volume, total, mut statistics } = Ground::of(scene, octree, settings, &parameters)?;
     if total <= settings.budget {
         return Ok(Default::default());
     }
-    let parameters = Parameters::default();
     refined(scene, octree, settings, (&parameters, sees), &volume, (&mut statistics, &|_| ()), |ctx, refined, _| {
         let mut groups = refined.groups;
         let members: Vec<&Member> = groups.iter().flatten().filter(|m| !m.units.is_empty()).collect();
@@ -144,11 +146,17 @@ struct Ground {
 }
 
 impl Ground {
-    fn of(scene: &Scene, octree: &Octree, settings: &BuildSettings) -> Result<Self, PlacementError> {
+    fn of(
+        scene: &Scene,
+        octree: &Octree,
+        settings: &BuildSettings,
+        parameters: &Parameters,
+    ) -> Result<Self, PlacementError> {
         check(settings)?;
         let mut statistics = PlacementStatistics::default();
-        let (volume, skipped) =
-            timed(&mut statistics, "walk volume", || walk_volume(scene, &scene.bounds(), settings.eye_height_m))?;
+        let (volume, skipped) = timed(&mut statistics, "walk volume", || {
+            walk_volume(scene, &scene.bounds(), settings.eye_height_m, parameters.along.as_ref())
+        })?;
         statistics.skipped.extend(skipped);
         Ok(Self { volume, total: octree.cells.iter().map(|c| u64::from(c.triangles)).sum(), statistics })
     }

@@ -7,7 +7,8 @@
 //! cell can still hide between lines: an eye that stands on such a thing may lie outside, where only the frame cost is promised.
 
 use super::{
-    PlacementError, columns,
+    Corridor, PlacementError, columns,
+    corridor::Columns,
     floors::{self, Floor},
 };
 use crate::scene::Scene;
@@ -32,12 +33,13 @@ const LINES_PER_COLUMN: u32 = 4;
 /// Height of a layer, metres.
 const LAYER_M: f64 = 0.1;
 
-/// The walk volume of `scene` for an eye at `eye_height_m`, or the whole box, raised by 1.6 m, when None (flying); and what was left
-/// out, by reason.
+/// The walk volume of `scene` for an eye at `eye_height_m`, or the whole box, raised by 1.6 m, when None (flying); `along` keeps walkers near a path.
+/// And what was left out, by reason.
 pub(super) fn walk_volume(
     scene: &Scene,
     bounds: &Aabb,
     eye_height_m: Option<f64>,
+    along: Option<&Corridor>,
 ) -> Result<(WalkVolume, BTreeMap<String, u64>), PlacementError> {
     let Some(eye_height_m) = eye_height_m else {
         let mut b = *bounds;
@@ -66,10 +68,16 @@ pub(super) fn walk_volume(
             hits
         })
         .collect();
-    let (floors, skipped) = floors::floors(&heights.concat(), &raster, eye_height_m + CLEAR_M);
+    let (floors, mut skipped) = floors::floors(&heights.concat(), &raster, eye_height_m + CLEAR_M);
     let mut runs: Vec<Vec<[u16; 2]>> = vec![Vec::new(); columns[0] as usize * columns[1] as usize];
     for f in &floors {
         add_floor(&mut runs, f, &raster, columns, eye_height_m, |y| (y - origin.y) / layer_m);
+    }
+    if let Some(corridor) = along {
+        skipped.extend(corridor.cut(&mut runs, &Columns { origin, pitch_m: column_m, layer_m, count: columns }));
+        if runs.iter().all(Vec::is_empty) {
+            return Err(PlacementError::NowhereAlong { within_m: corridor.within_m(), eye_height_m });
+        }
     }
     let volume = WalkVolume::new(origin, column_m, layer_m, columns, &runs, bounds)?;
     if volume.is_empty() {
@@ -132,7 +140,7 @@ mod tests {
         let floor = Aabb { min: DVec3::new(0.0, -0.1, 0.0), max: DVec3::new(16.0, 0.0, 16.0) };
         let table = Aabb { min: DVec3::new(3.0, 0.7, 3.0), max: DVec3::new(5.0, 0.8, 5.0) };
         let scene = scene_of(&[block(&floor), block(&table)]);
-        let v = walk_volume(&scene, &scene.bounds(), Some(1.6)).unwrap().0;
+        let v = walk_volume(&scene, &scene.bounds(), Some(1.6), None).unwrap().0;
         let inside = |x: f64, y: f64, z: f64| v.contains(DVec3::new(x, y, z));
         assert!(inside(1.0, 1.6, 1.0) && inside(1.0, 1.11, 1.0) && inside(7.9, 1.99, 7.9));
         assert!(!inside(1.0, 0.9, 1.0) && !inside(1.0, 2.3, 1.0));

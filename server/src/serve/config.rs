@@ -63,7 +63,7 @@ impl Default for ServeConfig {
             bytes_per_second_per_address: 0.0,
             messages_per_second: 500.0,
             send_window: 4 << 20,
-            ahead_worth: 1_000_000,
+            ahead_worth: 2_500_000,
             congestion: Congestion::Veno,
         }
     }

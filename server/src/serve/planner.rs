@@ -27,11 +27,11 @@ pub use schedule::Capacity;
 use forecast::Forecast;
 use ldi_protocol::{
     Pose,
+    camera::apart_deg,
     index::Index,
     need::Needed,
     wire::{PoseDatagram, Urgency},
 };
-use motion::apart_deg;
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 /// A walker who moved so far, metres, or turned so far, degrees, is elsewhere: chunks that were evicted may be sent ahead again.
@@ -40,6 +40,15 @@ const ELSEWHERE: (f64, f64) = (0.5, 30.0);
 pub trait Views: Send + Sync {
     /// What this pose needs.
     fn needed(&self, pose: &Pose) -> Needed;
+
+    /// What of that is absent, per pose: for many poses of which most need nothing more. May name a little more.
+    fn lacking(&self, poses: &[Pose], absent: &dyn Fn(u32) -> bool) -> Vec<Vec<u32>> {
+        let of_pose = |pose: &Pose| {
+            let Needed { now, fine, .. } = self.needed(pose);
+            now.into_iter().chain(fine).filter(|c| absent(*c)).collect()
+        };
+        poses.iter().map(of_pose).collect()
+    }
 }
 
 /// What one walker may take.
@@ -65,7 +74,7 @@ impl Default for PlannerConfig {
         Self {
             cache_bytes: 1 << 30,
             prefetch_m: 10.0,
-            ahead_worth: 1_000_000,
+            ahead_worth: 2_500_000,
             replan_interval: Duration::from_millis(25),
             max_background: 8,
             max_flying: 20,

@@ -245,7 +245,7 @@ impl Session {
         let first = self.push_pages(first.to_vec());
         let rest = self.push_pages(rest.to_vec());
         first.await?;
-        if self.early && known {
+        if known {
             self.views.know(Known::Unsaid);
         }
         if self.early && !known {

@@ -3,10 +3,10 @@
 use super::planner::Views;
 use ldi_protocol::{
     OutputCamera, Pose,
-    index::Index,
+    index::{CellEntry, Index},
     need::{Needed, needed},
     room_index::ShowPortals,
-    select::{CellGroups, draw_list_of},
+    select::{CellGroups, draw_list_of, draws_among},
 };
 use std::sync::{
     Arc,
@@ -68,5 +68,32 @@ impl Views for SelectViews {
         }
         let list = draw_list_of(&self.index, &self.groups, pose, self.picture_half_tan, self.show);
         needed(&self.index, &list.images, &list.cells, &list.tree)
+    }
+
+    /// Looks only at cells and images that lack something: where most is there, a small part of the work. Where rooms or the LDI tree decide what is drawn it looks at all.
+    fn lacking(&self, poses: &[Pose], absent: &dyn Fn(u32) -> bool) -> Vec<Vec<u32>> {
+        let index = &*self.index;
+        let of = |n: Needed| -> Vec<u32> { n.now.into_iter().chain(n.fine).filter(|c| absent(*c)).collect() };
+        if self.known.load(Relaxed) != Known::Whole as u8 || index.points.is_empty() || index.rooms.is_some() {
+            return poses.iter().map(|pose| of(self.needed(pose))).collect();
+        }
+        let textures: Vec<bool> = index.textures.iter().map(|t| t.chunks.iter().any(|c| absent(c.chunk))).collect();
+        let lacks_texture = |material: &u32| {
+            let texture = index.materials.get(*material as usize).and_then(|m| m.texture);
+            texture.is_some_and(|t| textures.get(t as usize) == Some(&true))
+        };
+        let lacks = |cell: &CellEntry| {
+            absent(cell.chunk) || cell.bundles.iter().any(|b| absent(*b)) || cell.materials.iter().any(lacks_texture)
+        };
+        let cells = self.groups.some(index.cells.len(), |c| lacks(&index.cells[c]));
+        let images: Vec<bool> = index.images.iter().map(|i| i.chunks.iter().any(|c| absent(*c))).collect();
+        let of_pose = |pose: &Pose| {
+            let (cells, images) = draws_among(index, &self.groups, (&cells, &images), pose, self.picture_half_tan);
+            match cells.is_empty() && images.is_empty() {
+                true => Vec::new(),
+                false => of(needed(index, &images, &cells, &[])),
+            }
+        };
+        poses.iter().map(of_pose).collect()
     }
 }

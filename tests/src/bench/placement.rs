@@ -121,6 +121,7 @@ fn options(
 ) -> BuildOptions {
     BuildOptions {
         represent: Represent::Grid,
+        along: None,
         scene: scene.into(),
         output: PathBuf::new(),
         colour: ColourProfile::Lossless,

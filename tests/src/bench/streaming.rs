@@ -56,6 +56,8 @@ pub struct Row {
     pub waste: f64,
     /// Mean.
     pub mbit_per_s: f64,
+    /// Poses that were sent.
+    pub poses: usize,
     /// Streams broken off.
     pub stale: usize,
     /// Received in the second half: of a walk done twice, in the second lap.
@@ -142,6 +144,7 @@ fn row(setting: &Setting, s: &Score, lasts_s: f64) -> Row {
         received: s.received,
         waste: s.wasted as f64 / s.received.max(1) as f64,
         mbit_per_s: s.received as f64 * 8e-6 / lasts_s,
+        poses: s.poses,
         stale: s.stale,
         second_half: s.second_half,
     }
@@ -217,7 +220,7 @@ pub fn table(found: &Found) -> String {
 /// One row.
 pub fn line(r: &Row) -> String {
     format!(
-        "{:58} {:12} incomplete {:6.2}%  after 1 s {:6.2}%  gaps {:6.2}%  {:7.1} MB  {:5.1} Mbit/s  waste {:5.1}%  stale {:4}  second half {:7.2} MB",
+        "{:58} {:12} incomplete {:6.2}%  after 1 s {:6.2}%  gaps {:6.2}%  {:7.1} MB  {:5.1} Mbit/s  waste {:5.1}%  poses {:6}  stale {:4}  second half {:7.2} MB",
         r.link,
         r.policy,
         r.incomplete * 100.0,
@@ -226,6 +229,7 @@ pub fn line(r: &Row) -> String {
         r.received as f64 * 1e-6,
         r.mbit_per_s,
         r.waste * 100.0,
+        r.poses,
         r.stale,
         r.second_half as f64 * 1e-6,
     )

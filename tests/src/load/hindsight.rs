@@ -29,7 +29,7 @@ impl Hindsight {
 }
 
 impl Foresight for Hindsight {
-    fn expect(&mut self, motion: &Motion, _within_s: f64, _reach_m: f64) -> Vec<Expected> {
+    fn expect(&mut self, motion: &Motion, _within_s: f64, _reach_m: f64, _: &dyn Fn(u32) -> bool) -> Vec<Expected> {
         let now = motion.newest.sent_us as f64 * 1e-6;
         let next = |(chunk, times): (&u32, &Vec<f64>)| {
             let t = times.get(times.partition_point(|t| *t < now - 1e-6))?;
@@ -53,7 +53,7 @@ pub struct Everything {
 }
 
 impl Foresight for Everything {
-    fn expect(&mut self, motion: &Motion, _within_s: f64, reach_m: f64) -> Vec<Expected> {
+    fn expect(&mut self, motion: &Motion, _within_s: f64, reach_m: f64, _: &dyn Fn(u32) -> bool) -> Vec<Expected> {
         let here = motion.pose();
         let turned = |by: f64| Pose { yaw_deg: here.yaw_deg + by, ..here };
         let ahead = [0.4, 1.0]

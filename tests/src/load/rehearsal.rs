@@ -11,7 +11,7 @@
 use super::hindsight::{Everything, Hindsight};
 use ldi_client::{
     cache::Cache,
-    stream::{Direction, Fate, HEADER_BYTES, Link, LinkSpec},
+    stream::{Direction, Fate, HEADER_BYTES, Link, LinkSpec, PoseClock},
 };
 use ldi_protocol::{
     Pose,
@@ -117,6 +117,8 @@ pub struct Score {
     pub received: u64,
     /// Received, and used by no frame.
     pub wasted: u64,
+    /// Poses that went to the server.
+    pub poses: usize,
     /// Streams that were broken off.
     pub stale: usize,
     /// Received in the second half of the time.
@@ -144,7 +146,7 @@ enum Event {
     Arrives { chunk: u32, stream: u64, bytes: usize },
     Acknowledged { chunk: u32, stream: u64, bytes: usize, had_less: bool },
     Lost { chunk: u32, stream: u64, bytes: usize },
-    Seen { frame: usize },
+    Seen { frame: usize, sequence: u32, sent_us: u64 },
     Told { waiting: u64 },
     Dropped { chunk: u32 },
 }
@@ -154,6 +156,7 @@ struct Rehearsal<'a> {
     setting: &'a Setting,
     planner: Planner,
     cache: Cache,
+    clock: PoseClock,
     epoch: Instant,
     now: Duration,
     link: Link,
@@ -199,6 +202,7 @@ pub fn rehearse(script: &Script, setting: &Setting, views: Arc<dyn Views>) -> Sc
         setting,
         planner,
         cache: Cache::without_decoding(index, setting.cache_bytes),
+        clock: PoseClock::default(),
         epoch: Instant::now(),
         now: Duration::ZERO,
         link: Link::new(LinkSpec { queue: Duration::from_secs(10), ..setting.link }, Direction::Down),
@@ -239,6 +243,7 @@ impl Rehearsal<'_> {
                 self.draw(frame, t - start);
                 frame += 1;
             }
+            self.tell(frame.saturating_sub(1));
             if self.now >= tick {
                 tick += TICK;
                 self.report();
@@ -299,10 +304,9 @@ impl Rehearsal<'_> {
                     s.buffered += bytes;
                 }
             }
-            Event::Seen { frame } => {
-                let (t, pose) = self.script.poses[frame];
-                let datagram = PoseDatagram { sequence: frame as u32, sent_us: (t * 1e6) as u64, pose };
-                self.planner.pose(datagram);
+            Event::Seen { frame, sequence, sent_us } => {
+                let pose = self.script.poses[frame].1;
+                self.planner.pose(PoseDatagram { sequence, sent_us, pose });
             }
             Event::Told { waiting } => self.waiting_known = waiting,
             Event::Dropped { chunk } => self.planner.dropped(&[chunk]),
@@ -347,7 +351,16 @@ impl Rehearsal<'_> {
             self.score.settled_incomplete += usize::from(incomplete);
             self.score.settled_gaps += usize::from(gap);
         }
-        self.at(self.now + self.setting.link.delay, Event::Seen { frame });
+        self.clock.look(&self.script.poses[frame].1, self.now);
+    }
+
+    /// The newest pose, that of frame number `newest`, goes if its time has come.
+    fn tell(&mut self, newest: usize) {
+        if self.clock.take(self.now).is_some() {
+            self.score.poses += 1;
+            let (sequence, sent_us) = (self.score.poses as u32, self.now.as_micros() as u64);
+            self.at(self.now + self.setting.link.delay, Event::Seen { frame: newest, sequence, sent_us });
+        }
     }
 
     fn report(&mut self) {

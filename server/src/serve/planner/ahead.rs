@@ -51,8 +51,10 @@ impl Planner {
     /// Makes the list of what may be needed soon, within the client's cache.
     fn foresee(&mut self, motion: &Motion, now: Duration) {
         let within_s = self.capacity.horizon_s(SURGE_BYTES);
-        let mut expected = self.foresight.expect(motion, within_s, self.config.prefetch_m);
-        expected.retain(|e| self.held.get(e.chunk as usize).is_some_and(|h| *h != ChunkState::Held));
+        let held = &self.held;
+        let absent = |chunk: u32| held.get(chunk as usize).is_some_and(|h| *h != ChunkState::Held);
+        let mut expected = self.foresight.expect(motion, within_s, self.config.prefetch_m, &absent);
+        expected.retain(|e| absent(e.chunk));
         // A late chunk costs frames, whatever its size; one sent in vain costs its bytes.
         let worth = self.config.ahead_worth as f64;
         expected.retain(|e| {

@@ -53,8 +53,9 @@ pub struct Expected {
 
 /// Foresees what a walker needs. A trait, so that simulations can put hindsight in its place.
 pub trait Foresight: Send {
-    /// Chunks that may be needed within `within_s` seconds after the newest pose, at places at most `reach_m` away; each once, in any order.
-    fn expect(&mut self, motion: &Motion, within_s: f64, reach_m: f64) -> Vec<Expected>;
+    /// Chunks that may be needed within `within_s` seconds after the newest pose, at places at most `reach_m` away; each once, in any order. Only those that are `absent`
+    /// matter.
+    fn expect(&mut self, motion: &Motion, within_s: f64, reach_m: f64, absent: &dyn Fn(u32) -> bool) -> Vec<Expected>;
 }
 
 /// The foresight of a real server.
@@ -71,15 +72,14 @@ struct Guess {
 }
 
 impl Foresight for Forecast {
-    fn expect(&mut self, motion: &Motion, within_s: f64, reach_m: f64) -> Vec<Expected> {
+    fn expect(&mut self, motion: &Motion, within_s: f64, reach_m: f64, absent: &dyn Fn(u32) -> bool) -> Vec<Expected> {
         let here = motion.pose();
         let mut found: HashMap<u32, Expected> = HashMap::new();
-        for g in guesses(motion, within_s) {
-            if g.pose.position.distance(here.position) > reach_m {
-                continue;
-            }
-            let needed = self.views.needed(&g.pose);
-            for chunk in needed.now.iter().chain(&needed.fine).copied() {
+        let mut guesses = guesses(motion, within_s);
+        guesses.retain(|g| g.pose.position.distance(here.position) <= reach_m);
+        let poses: Vec<Pose> = guesses.iter().map(|g| g.pose).collect();
+        for (g, lacking) in guesses.iter().zip(self.views.lacking(&poses, absent)) {
+            for chunk in lacking {
                 let new = Expected { chunk, in_s: g.in_s, probability: g.probability, urgency: g.urgency };
                 let entry = found.entry(chunk).or_insert(new);
                 if rank_s(&new) < rank_s(entry) {

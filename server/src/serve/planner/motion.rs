@@ -1,7 +1,7 @@
 //! How a walker moves: velocity and turn rate from poses, smoothed, as poses come with the jitter of frames and of hands.
 
 use glam::DVec3;
-use ldi_protocol::{Pose, wire::PoseDatagram};
+use ldi_protocol::{Pose, camera::apart_deg, wire::PoseDatagram};
 
 /// Largest believable speed, m/s; a faster one is a jump and predicts nothing.
 const MAX_SPEED_M_S: f64 = 15.0;
@@ -71,11 +71,6 @@ impl Motion {
     }
 }
 
-/// The turn from one heading to another, the shorter way, -180 to 180.
-pub(super) fn apart_deg(from: f64, to: f64) -> f64 {
-    (to - from + 180.0).rem_euclid(360.0) - 180.0
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -114,10 +109,5 @@ mod tests {
         assert_eq!(m.then(at(40, 7.0, 0.0)).velocity_m_s, DVec3::ZERO);
         assert_eq!(m.then(at(40, 0.05, 170.0)).turn_deg_s, 0.0);
         assert_eq!(m.then(at(20, 0.04, 0.0)).velocity_m_s, DVec3::ZERO, "no time has passed");
-    }
-
-    #[test]
-    fn headings_are_apart_by_the_shorter_way() {
-        assert_eq!([apart_deg(350.0, 10.0), apart_deg(10.0, 350.0), apart_deg(0.0, 540.0).abs()], [20.0, -20.0, 180.0]);
     }
 }

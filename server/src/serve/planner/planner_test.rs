@@ -161,11 +161,11 @@ fn chunks_are_foreseen_when_the_walk_gets_to_them() {
     let mut forecast = Forecast { views: Arc::new(ByX) };
     let mut motion = Motion::standing(at(1, 0, 2.5));
     assert!(
-        forecast.expect(&motion, 4.0, 10.0).iter().all(|e| e.chunk == 2 || e.chunk == 3),
+        forecast.expect(&motion, 4.0, 10.0, &|_| true).iter().all(|e| e.chunk == 2 || e.chunk == 3),
         "it stands and looks aside"
     );
     motion.velocity_m_s = DVec3::new(2.0, 0.0, 0.0);
-    let found = forecast.expect(&motion, 2.0, 10.0);
+    let found = forecast.expect(&motion, 2.0, 10.0, &|_| true);
     for chunk in 4..=6 {
         let e = found.iter().find(|e| e.chunk == chunk).unwrap();
         // Chunk n sharpens from x = n - 1 on; guesses lie up to 40% apart in time, 80 ms at least.
@@ -175,12 +175,12 @@ fn chunks_are_foreseen_when_the_walk_gets_to_them() {
     }
     let chance = |chunk| found.iter().find(|e| e.chunk == chunk).unwrap().probability;
     assert!(chance(4) > chance(5) && chance(5) > chance(6));
-    assert!(forecast.expect(&motion, 0.4, 10.0).iter().all(|e| e.chunk <= 4), "no farther than asked");
-    assert!(forecast.expect(&motion, 2.0, 0.4).iter().all(|e| e.chunk <= 3), "within reach");
+    assert!(forecast.expect(&motion, 0.4, 10.0, &|_| true).iter().all(|e| e.chunk <= 4), "no farther than asked");
+    assert!(forecast.expect(&motion, 2.0, 0.4, &|_| true).iter().all(|e| e.chunk <= 3), "within reach");
     // Looking along the way it would walk off that way.
     let mut looking = at(1, 0, 2.5);
     looking.pose.yaw_deg = -90.0;
-    let found = forecast.expect(&Motion::standing(looking), 4.0, 10.0);
+    let found = forecast.expect(&Motion::standing(looking), 4.0, 10.0, &|_| true);
     assert!(found.iter().any(|e| e.chunk == 4 && e.urgency == Urgency::Around && e.probability < 0.6));
 }
 
