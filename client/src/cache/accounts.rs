@@ -44,8 +44,6 @@ pub(super) struct Object {
     credit: f64,
     /// View in which it was last used.
     used_in: u64,
-    /// [`Inner::pins`] when it was pinned last.
-    pub pinned_in: u64,
     /// Counts changes, so that a join made outside the lock notices another one.
     pub version: u64,
 }
@@ -66,6 +64,8 @@ impl Object {
 #[derive(Debug)]
 pub(super) struct Inner {
     pub objects: Vec<Object>,
+    /// Per object [`Inner::pins`] when it was pinned last. By itself, as every frame goes over hundreds of them.
+    pinned_in: Vec<u64>,
     /// Objects that hold bytes and may go, the first to go first: by [`Object::rank`]. Pinned ones are not in it: they are used in every frame, and would be put elsewhere each time.
     order: BTreeSet<((u64, u64), u32)>,
     /// What the current view needs: objects, and the chunks they are of.
@@ -76,7 +76,7 @@ pub(super) struct Inner {
     /// Views so far.
     pub view: u64,
     /// Views that needed other chunks than the one before.
-    pub pins: u64,
+    pins: u64,
     pub usage: Usage,
     pub damaged: Vec<bool>,
     pub evicted: Vec<u32>,
@@ -91,6 +91,7 @@ impl Inner {
     pub fn new(objects: usize, chunks: usize, cap_bytes: u64) -> Self {
         Self {
             objects: std::iter::repeat_with(Object::default).take(objects).collect(),
+            pinned_in: vec![0; objects],
             order: BTreeSet::new(),
             pinned: Vec::new(),
             pinned_chunks: Vec::new(),
@@ -123,19 +124,19 @@ impl Inner {
         self.pins += 1;
         let before = std::mem::take(&mut self.pinned);
         for number in chunks.flat_map(|c| layout.parts(c)).map(|p| p.object) {
-            let object = &mut self.objects[number as usize];
-            if object.pinned_in == self.pins {
+            let pinned_in = std::mem::replace(&mut self.pinned_in[number as usize], self.pins);
+            if pinned_in == self.pins {
                 continue;
             }
-            if object.pinned_in != last {
+            let object = &self.objects[number as usize];
+            if pinned_in != last && object.present != 0 {
                 self.order.remove(&(object.rank(), number));
             }
-            object.pinned_in = self.pins;
             self.pinned.push(number);
         }
         for number in before {
-            let object = &mut self.objects[number as usize];
-            if object.pinned_in != self.pins {
+            if self.pinned_in[number as usize] != self.pins {
+                let object = &mut self.objects[number as usize];
                 object.use_in(self.view - 1, self.clock);
                 if object.present != 0 {
                     self.order.insert((object.rank(), number));
@@ -144,19 +145,27 @@ impl Inner {
         }
     }
 
-    /// Forgets which chunks the pinned objects are of: chunks may have other objects from now on.
-    pub fn forget_pinned_chunks(&mut self) {
+    /// There are so many objects from now on, and chunks may have others of them.
+    pub fn grow(&mut self, objects: usize) {
+        self.objects.resize_with(objects, Object::default);
+        self.pinned_in.resize(objects, 0);
         // No view needs this one.
         self.pinned_chunks = vec![u32::MAX];
     }
 
+    /// Whether the current view needs an object.
+    pub fn is_pinned(&self, number: u32) -> bool {
+        self.pinned_in[number as usize] == self.pins
+    }
+
     /// An object is used. Absent ones only take the view.
     pub fn use_now(&mut self, number: u32) {
+        let is_pinned = self.is_pinned(number);
         let object = &mut self.objects[number as usize];
         let old = object.rank();
         object.use_in(self.view, self.clock);
         let new = object.rank();
-        if object.pinned_in == self.pins {
+        if is_pinned {
             return;
         }
         let listed = object.present != 0;
@@ -214,12 +223,7 @@ impl Inner {
         self.usage.evictions += 1;
         let chunks = &layout.objects[number as usize].chunks;
         self.evicted.extend((0..chunks.len()).filter(|p| object.present >> p & 1 == 1).map(|p| chunks[p]));
-        *object = Object {
-            used_in: object.used_in,
-            pinned_in: object.pinned_in,
-            version: object.version + 1,
-            ..Object::default()
-        };
+        *object = Object { used_in: object.used_in, version: object.version + 1, ..Object::default() };
     }
 
     /// See [`super::Cache::check`].
@@ -237,7 +241,7 @@ impl Inner {
             if stored != object.stored {
                 return Err(format!("object {number}: parts take {stored} stored bytes, account {}", object.stored));
             }
-            let is_pinned = object.pinned_in == self.pins;
+            let is_pinned = self.is_pinned(number);
             if self.order.contains(&(object.rank(), number)) != (object.present != 0 && !is_pinned) {
                 return Err(format!(
                     "object {number}: present {:b}, pinned {is_pinned}, order disagrees",

@@ -18,7 +18,7 @@ pub(crate) mod fixture;
 mod layout;
 
 use crate::resident::Resident;
-use accounts::{Inner, Object, Value};
+use accounts::{Inner, Value};
 use layout::{Layout, ObjectKind, Part};
 use ldi_protocol::{codec::CodecError, index::Index, ldi::Ldi, mesh::CellGeometry, texture::Texture, tree::Brood};
 use std::{
@@ -135,8 +135,7 @@ impl Cache {
         let scope = Scope::new(index);
         let mut inner = self.lock();
         // The tree's objects come first: those of both indices have the same numbers.
-        inner.objects.resize_with(scope.layout.objects.len(), Object::default);
-        inner.forget_pinned_chunks();
+        inner.grow(scope.layout.objects.len());
         let _ = self.whole.set(scope);
     }
 
@@ -229,7 +228,7 @@ impl Cache {
     /// Whether the current view needs a chunk.
     pub fn is_pinned(&self, chunk: u32) -> bool {
         let inner = self.lock();
-        self.scope().layout.parts(chunk).iter().any(|p| inner.objects[p.object as usize].pinned_in == inner.pins)
+        self.scope().layout.parts(chunk).iter().any(|p| inner.is_pinned(p.object))
     }
 
     /// Counts what is held of these as used now.
