@@ -7,7 +7,7 @@ use super::storeys::{Ground, Storey};
 use super::volumes::{self, Labelled, OUTSIDE, UNKNOWN, Volumes, id};
 use crate::render::Caster;
 use glam::DVec2;
-use ldi_protocol::rooms::{Cell, Portal, PortalKind, Rooms, RoomsError};
+use ldi_protocol::rooms::{Cell, CellId, Portal, PortalKind, Rooms, RoomsError};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -142,24 +142,28 @@ impl<'a> Plan<'a> {
         plan
     }
 
-    /// Joins cells and closes the gaps in their numbers.
+    /// Joins cells, with each other or with the outside, and closes the gaps in their numbers.
     fn renumber(&mut self, joined: &[[u32; 2]]) {
-        let mut root: Vec<u32> = (0..self.cells as u32).collect();
+        // The outside comes last.
+        let outside = self.cells as u32;
+        let mut root: Vec<u32> = (0..=outside).collect();
         let find = |root: &[u32], mut c: u32| {
             while root[c as usize] != c {
                 c = root[c as usize];
             }
             c
         };
-        for [a, b] in joined {
-            let (a, b) = (find(&root, *a), find(&root, *b));
-            root[a.max(b) as usize] = a.min(b);
+        for pair in joined {
+            let [a, b] = pair.map(|label| find(&root, label.min(outside)));
+            let (kept, gone) = if b == outside { (b, a) } else { (a, b) };
+            root[gone as usize] = kept;
         }
-        let mut places = vec![0u32; self.cells];
+        let mut places = vec![0u32; self.cells + 1];
         for label in self.free.iter().flatten().filter(|l| **l < OUTSIDE) {
             places[find(&root, *label) as usize] += 1;
         }
-        let mut number = vec![UNKNOWN; self.cells];
+        let mut number = vec![UNKNOWN; self.cells + 1];
+        number[outside as usize] = OUTSIDE;
         let mut cells = 0;
         for c in 0..self.cells {
             if places[c] > 0 {
@@ -167,7 +171,7 @@ impl<'a> Plan<'a> {
                 cells += 1;
             }
         }
-        let new = |label: u32| if label < OUTSIDE { number[find(&root, label) as usize] } else { label };
+        let new = |label: u32| if label < outside { number[find(&root, label) as usize] } else { label };
         self.free.iter_mut().flatten().for_each(|l| *l = new(*l));
         for p in &mut self.openings {
             p.cells = p.cells.map(|c| c.and_then(|c| id(new(c))));
@@ -199,6 +203,8 @@ impl<'a> Plan<'a> {
                 portals.truncate(sure.len());
                 portals.extend(gaps);
             }
+            let floor_m2 = self.floor_m2();
+            joined.retain(|[a, b]| *b < OUTSIDE || unmeant_m2(&portals, id(*a)) > floor_m2[*a as usize]);
             if !joined.is_empty() && join < JOINS {
                 statistics.joined += joined.len();
                 self.renumber(&joined);
@@ -224,6 +230,13 @@ impl<'a> Plan<'a> {
         Volumes::new(self.ground, &labelled, self.cells)
     }
 
+    /// Area of each cell in plan, all its storeys together.
+    fn floor_m2(&self) -> Vec<f64> {
+        let mut places = vec![0u32; self.cells];
+        self.free.iter().flatten().filter(|l| **l < OUTSIDE).for_each(|l| places[*l as usize] += 1);
+        places.into_iter().map(|n| f64::from(n) * self.ground.raster.pitch_m.powi(2)).collect()
+    }
+
     /// Where somebody can stand in a room.
     fn stands(&self) -> Vec<Stand> {
         let mut out = Vec::new();
@@ -234,6 +247,12 @@ impl<'a> Plan<'a> {
         }
         out
     }
+}
+
+/// Area of all gaps between a cell and the outside: larger than its floor, it is a part of the outside, as a terrace between columns is.
+fn unmeant_m2(portals: &[Portal], cell: CellId) -> f64 {
+    let gaps = portals.iter().filter(|p| p.kind == PortalKind::Gap && p.beyond(cell) == Some(None));
+    gaps.map(Portal::area_m2).sum()
 }
 
 /// Gives places close to a portal's plane the label of the side they lie on: the flood's border is ragged, the portal is not.
@@ -295,4 +314,57 @@ fn rooms(
         *statistics.portals.entry(name.into()).or_default() += 1;
     }
     Rooms::new(margin_m, named.collect(), portals)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::placement::test_scenes::{block, scene_of};
+    use glam::DVec3;
+    use ldi_protocol::Aabb;
+    use std::sync::Arc;
+
+    /// Three rooms of 4 by 4 m in a row, closed but for doors of 1 m between them.
+    fn row(ground: &Ground, caster: &Caster, check: impl FnOnce(&mut Plan)) {
+        let storeys = ground.storeys(caster);
+        let basins: Vec<Basins> = storeys.iter().map(|s| basins::basins(ground, s)).collect();
+        let openings = openings::openings(caster, ground, 0, &storeys[0], &basins[0]);
+        check(&mut Plan::new(ground, &storeys, basins, openings));
+    }
+
+    #[test]
+    fn a_room_that_joins_the_outside_is_outside() {
+        let mut blocks = Vec::new();
+        let mut add = |a: [f64; 3], b: [f64; 3]| blocks.push(block(&Aabb { min: DVec3::from(a), max: DVec3::from(b) }));
+        add([-0.2, -0.2, -0.2], [12.6, 0.0, 4.2]);
+        add([-0.2, 2.8, -0.2], [12.6, 3.0, 4.2]);
+        add([-0.2, 0.0, -0.2], [12.6, 2.8, 0.0]);
+        add([-0.2, 0.0, 4.0], [12.6, 2.8, 4.2]);
+        add([-0.2, 0.0, 0.0], [0.0, 2.8, 4.0]);
+        add([12.4, 0.0, 0.0], [12.6, 2.8, 4.0]);
+        for x in [4.0, 8.2] {
+            add([x, 0.0, 0.0], [x + 0.2, 2.8, 1.5]);
+            add([x, 0.0, 2.5], [x + 0.2, 2.8, 4.0]);
+            add([x, 2.1, 1.5], [x + 0.2, 2.8, 2.5]);
+        }
+        let caster = Caster::of_scene(Arc::new(scene_of(&blocks)), false);
+        let ground = Ground::new(&caster).unwrap();
+        row(&ground, &caster, |plan| {
+            assert_eq!((plan.cells, plan.openings.len()), (3, 2));
+            let label = |plan: &Plan, x: f64| plan.free[0][ground.place(DVec2::new(x, 2.0)).unwrap()];
+            let [west, middle, east] = [2.0, 6.0, 10.0].map(|x| label(plan, x));
+            assert!((plan.floor_m2()[middle as usize] - 16.0).abs() < 1.5, "{:?}", plan.floor_m2());
+            // The western room is the outside's, and what joins it later is, too.
+            plan.renumber(&[[west, OUTSIDE]]);
+            assert_eq!((plan.cells, label(plan, 2.0)), (2, OUTSIDE));
+            let [middle, east] = [middle, east].map(|old| old - u32::from(old > west));
+            assert_eq!([label(plan, 6.0), label(plan, 10.0)], [middle, east]);
+            let mut between: Vec<_> = plan.openings.iter().map(|p| p.cells).collect();
+            between.iter_mut().for_each(|p| p.sort_unstable());
+            between.sort_unstable();
+            assert_eq!(between, [[None, Some(middle)], [Some(0), Some(1)]]);
+            plan.renumber(&[[middle.min(east), middle.max(east)], [middle, OUTSIDE]]);
+            assert_eq!((plan.cells, plan.openings.len(), label(plan, 10.0)), (0, 0, OUTSIDE));
+        });
+    }
 }

@@ -169,7 +169,7 @@ fn along(
     None
 }
 
-/// Gaps, and pairs of cells to be joined because sight between them has no plane.
+/// Gaps, and pairs of labels with very many between them: sight between those has no plane.
 pub(super) fn gaps(mut leaks: Vec<Leak>) -> (Vec<Portal>, Vec<[u32; 2]>) {
     // Both directions of a border are one.
     for l in &mut leaks {
@@ -203,7 +203,7 @@ pub(super) fn gaps(mut leaks: Vec<Leak>) -> (Vec<Portal>, Vec<[u32; 2]>) {
             }
         }
         let of_pair = portals.iter().filter(|p: &&Portal| p.cells == labels.map(id)).count();
-        if of_pair > MOST_GAPS && labels[1] < OUTSIDE {
+        if of_pair > MOST_GAPS {
             joined.push(labels);
         }
     }

@@ -226,6 +226,24 @@ fn stairs_join_storeys_through_a_hatch() {
 }
 
 #[test]
+fn under_a_table_upstairs_it_is_upstairs() {
+    let storey = |b: Blocks, y: f64| b.floor([0.0, 8.0], [0.0, 5.0], y, false).shell([0.0, 8.0], [0.0, 5.0], y);
+    let (caster, found) = storey(storey(Blocks::default(), 0.0), 3.0)
+        .floor([0.0, 8.0], [0.0, 5.0], 3.0 + HIGH + 0.2, false)
+        // A table, and a board along the wall.
+        .add([3.0, 3.85, 2.0], [5.0, 3.9, 3.0])
+        .add([0.1, 3.85, 4.2], [7.9, 3.9, 4.9])
+        .found();
+    let r = &found.rooms;
+    let (low, high) = (at(r, 4.0, 1.0, 1.0), at(r, 4.0, 4.5, 1.0));
+    assert!(low.is_some() && high.is_some() && low != high, "{:?}", found.statistics);
+    assert_eq!([at(r, 4.0, 3.4, 2.5), at(r, 1.0, 3.4, 4.6)], [high; 2]);
+    assert!(r.portals().is_empty(), "{:?}", r.portals());
+    assert_eq!(found.statistics.leaking_rays, 0);
+    assert_nothing_missed(&caster, r);
+}
+
+#[test]
 fn one_big_hall_is_one_cell() {
     let mut b = Blocks::default().floor([0.0, 30.0], [0.0, 20.0], 0.0, true).shell([0.0, 30.0], [0.0, 20.0], 0.0);
     for i in 0..5 {

@@ -30,6 +30,8 @@ const INTO_WALLS_M: f64 = 0.6;
 const CEILING_M: f64 = 1.95;
 /// Thickest slab between storeys that counts as one, metres.
 const SLAB_M: f64 = 0.6;
+/// A surface so near the upper storey's floor is that floor, metres, whether somebody can stand on it or something stands on it.
+const SAME_FLOOR_M: f64 = 0.1;
 /// How far a border lies within a slab, metres.
 const INTO_SLAB_M: f64 = 0.05;
 /// Height of a room without ceiling and walls, metres.
@@ -153,6 +155,9 @@ fn heights(ground: &Ground, storeys: &[Labelled], cells: usize) -> Heights {
 /// Border between a floor and the storey above it: its height, and whether it is open.
 fn border(ground: &Ground, place: usize, floor_m: f64, upper_floor_m: f64, upper_stands: bool) -> (f64, bool) {
     let surfaces = ground.surfaces(place);
+    let is_floor = |y: &f32| (f64::from(*y) - upper_floor_m).abs() <= SAME_FLOOR_M;
+    // Under a table or a counter sight passes, and the floor is the border.
+    let upper_stands = upper_stands || surfaces.iter().any(is_floor);
     // What the upper storey only looks over may end some way above its floor: a parapet.
     let limit = upper_floor_m + if upper_stands { -0.01 } else { super::storeys::SIGHT_M[0] };
     let at = surfaces.partition_point(|y| f64::from(*y) <= limit);
