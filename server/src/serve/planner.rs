@@ -19,6 +19,7 @@ mod ahead;
 mod forecast;
 mod motion;
 mod schedule;
+mod ways;
 
 pub use forecast::{Expected, Foresight, QUICK_TURN_DEG_S};
 pub use motion::Motion;
@@ -163,7 +164,7 @@ const PRESSING: usize = 3;
 impl Planner {
     /// A client that holds nothing.
     pub fn new(index: Arc<Index>, views: Arc<dyn Views>, config: PlannerConfig) -> Self {
-        let foresight = Box::new(Forecast { views: views.clone() });
+        let foresight = Box::new(Forecast { index: index.clone(), views: views.clone() });
         Self::with_foresight(index, views, foresight, config)
     }
 

@@ -7,12 +7,16 @@
 //! - **turn**: it turns on the spot at [`QUICK_TURN_DEG_S`] to either side, from now on. A head turns faster than feet walk, and needs no run-up;
 //! - **off**: from where it stands or turns it walks off, straight ahead of where it looks then.
 //!
+//! In a dataset with rooms there are two things more, both by the way on foot ([`ways`]):
+//! - guesses of places that no straight way through doors leads to are left out: nobody walks through walls;
+//! - **doors**: it goes through one of the doors that can be reached, and looks into what lies beyond.
+//!
 //! Where it will be is uncertain by [`SPREAD`] of the way: guesses to both sides of the way carry part of its probability.
 //! A chunk counts at the earliest guess that needs it; probabilities of guesses that need it too are not added up, as the guesses are not exclusive.
 
-use super::Views;
 use super::motion::Motion;
-use ldi_protocol::{Pose, wire::Urgency};
+use super::{Views, ways};
+use ldi_protocol::{Pose, index::Index, rooms::Rooms, wire::Urgency};
 use std::{collections::HashMap, sync::Arc};
 
 /// How fast a head is believed to turn to look elsewhere, degrees per second. Path walkers of this project turn at 120, players faster, but few begin
@@ -33,6 +37,10 @@ const SETS_OFF: f64 = 0.5;
 const SPREAD: f64 = 0.4;
 /// Probability of a place beside the way, relative to one on it.
 const BESIDE: f64 = 0.4;
+/// Probability of the door straight ahead; of one behind the walker it is 0. Of those that look alike, the nearer one is likelier ([`KEEPS_TO_DOOR_S`]).
+const DOORS: f64 = 0.5;
+/// Mean time for which somebody keeps going to a door, seconds.
+const KEEPS_TO_DOOR_S: f64 = 3.0;
 /// Step of guesses in angle, degrees: below half the smallest field of view (54), so that no direction in between is left out.
 const STEP_DEG: f64 = 12.0;
 /// Times of guesses ahead, seconds.
@@ -60,6 +68,7 @@ pub trait Foresight: Send {
 
 /// The foresight of a real server.
 pub(super) struct Forecast {
+    pub index: Arc<Index>,
     pub views: Arc<dyn Views>,
 }
 
@@ -77,6 +86,10 @@ impl Foresight for Forecast {
         let mut found: HashMap<u32, Expected> = HashMap::new();
         let mut guesses = guesses(motion, within_s);
         guesses.retain(|g| g.pose.position.distance(here.position) <= reach_m);
+        if let Some(rooms) = &self.index.rooms {
+            guesses.retain(|g| ways::leads(&rooms.rooms, here.position, g.pose.position));
+            guesses.extend(through_doors(&rooms.rooms, motion, within_s, reach_m));
+        }
         let poses: Vec<Pose> = guesses.iter().map(|g| g.pose).collect();
         for (g, lacking) in guesses.iter().zip(self.views.lacking(&poses, absent)) {
             for chunk in lacking {
@@ -140,6 +153,27 @@ fn guesses(motion: &Motion, within_s: f64) -> Vec<Guess> {
         }
     }
     out
+}
+
+/// Poses in the doors that can be reached, looking into the room beyond.
+fn through_doors(rooms: &Rooms, motion: &Motion, within_s: f64, reach_m: f64) -> Vec<Guess> {
+    let here = motion.pose();
+    let speed = motion.velocity_m_s.length().max(WALK_M_S);
+    let heading = if motion.walks() { motion.velocity_m_s } else { here.basis().forward };
+    let heading = heading.with_y(0.0).normalize_or_zero();
+    let guess = |door: ways::Door| {
+        let in_s = door.distance_m / speed;
+        let ahead = 0.5 + 0.5 * heading.dot(door.toward);
+        let probability = DOORS * ahead * (-in_s / KEEPS_TO_DOOR_S).exp();
+        let yaw_deg = f64::atan2(-door.into.x, -door.into.z).to_degrees();
+        Guess {
+            pose: Pose { position: door.place, yaw_deg, pitch_deg: 0.0 },
+            in_s,
+            probability,
+            urgency: Urgency::Around,
+        }
+    };
+    ways::doors(rooms, here.position, reach_m.min(within_s * speed)).into_iter().map(guess).collect()
 }
 
 /// Times of guesses, and the time at which what is needed there comes into need: half way from the guess before.

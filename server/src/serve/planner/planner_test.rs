@@ -6,6 +6,8 @@ use ldi_protocol::{
     Aabb, OutputCamera,
     index::{BuildSettings, CellEntry, ChunkEntry, ChunkHash, ChunkKind, SceneInfo},
     need::PREFETCH_SHARE,
+    room_index::RoomIndex,
+    rooms::{Cell, Portal, PortalKind, Rooms},
 };
 use std::collections::BTreeSet;
 
@@ -158,7 +160,7 @@ fn what_the_client_evicted_goes_ahead_again_only_elsewhere() {
 /// Guesses against the motion worked out by hand.
 #[test]
 fn chunks_are_foreseen_when_the_walk_gets_to_them() {
-    let mut forecast = Forecast { views: Arc::new(ByX) };
+    let mut forecast = Forecast { index: index(), views: Arc::new(ByX) };
     let mut motion = Motion::standing(at(1, 0, 2.5));
     assert!(
         forecast.expect(&motion, 4.0, 10.0, &|_| true).iter().all(|e| e.chunk == 2 || e.chunk == 3),
@@ -308,4 +310,53 @@ fn asking_for_what_is_on_its_way_hurries_it_and_sends_nothing_twice() {
     p.sent(last.chunk);
     p.check().unwrap();
     assert!(drain(&mut p, ms(1000)).iter().all(|s| s.0 != last.chunk));
+}
+
+/// A room of 4 m by 10 m on either side of x = 4, with a door 6 m further along z than the walker stands.
+fn two_rooms() -> RoomIndex {
+    let room = |name: &str, x: f64| {
+        let (min, max) = (DVec3::new(x, 0.0, 0.0), DVec3::new(x + 4.0, 3.0, 10.0));
+        Cell { name: name.into(), boxes: vec![Aabb { min, max }] }
+    };
+    let at = |y: f64, z: f64| DVec3::new(4.0, y, z);
+    let corners = vec![at(0.0, 6.5), at(2.0, 6.5), at(2.0, 7.5), at(0.0, 7.5)];
+    let door = Portal { cells: [Some(0), Some(1)], kind: PortalKind::Door, corners };
+    let rooms = Rooms::new(0.1, vec![room("a", 0.0), room("b", 4.0)], vec![door]).unwrap();
+    RoomIndex { rooms, cells_of: vec![vec![]; 3], placements: vec![[0..0, 0..0]], ..Default::default() }
+}
+
+/// At z metres the view needs chunk floor(z).
+struct ByZ;
+impl Views for ByZ {
+    fn needed(&self, pose: &Pose) -> Needed {
+        Needed { now: vec![(pose.position.z.max(0.0) as u32).min(CHUNKS - 1)], ..Default::default() }
+    }
+}
+
+/// Somebody walks toward the wall: straight behind it lies the next room, which can be reached through the door only.
+#[test]
+fn nobody_walks_through_walls() {
+    let expected = |views: Arc<dyn Views>, rooms: Option<RoomIndex>, z: f64| {
+        let index = Arc::new(Index { rooms, ..(*index()).clone() });
+        let pose = |sequence, ms: u64, x: f64| {
+            let position = DVec3::new(x, 1.6, z);
+            PoseDatagram { sequence, sent_us: ms * 1000, pose: Pose { position, yaw_deg: -90.0, pitch_deg: 0.0 } }
+        };
+        let motion = (1..=30u32).fold(Motion::standing(pose(0, 0, 2.0)), |m, i| {
+            m.then(pose(i, u64::from(i) * 20, 2.0 + 0.028 * f64::from(i)))
+        });
+        let found = Forecast { index, views }.expect(&motion, 10.0, 10.0, &|_| true);
+        found.into_iter().map(|e| (e.chunk, e)).collect::<BTreeMap<u32, Expected>>()
+    };
+    let open = expected(Arc::new(ByX), None, 1.0);
+    assert!(open[&7].urgency == Urgency::Predicted && open[&5].in_s < 2.0, "{open:?}");
+    let walled = expected(Arc::new(ByX), Some(two_rooms()), 1.0);
+    assert!(!walled.contains_key(&6) && !walled.contains_key(&7), "{walled:?}");
+    // Before the door the way is free again.
+    assert!(expected(Arc::new(ByX), Some(two_rooms()), 7.0)[&7].urgency == Urgency::Predicted);
+    // Straight ahead nothing lies at the door's z, but the door does.
+    assert!(!expected(Arc::new(ByZ), None, 1.0).contains_key(&7));
+    let door = expected(Arc::new(ByZ), Some(two_rooms()), 1.0)[&7];
+    let way_s = DVec3::new(1.16, 0.0, 6.0).length() / 1.4;
+    assert!((door.in_s - way_s).abs() < 0.1 && door.urgency == Urgency::Around, "{door:?}");
 }
