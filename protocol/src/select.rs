@@ -1,7 +1,7 @@
 //! `select`: from a pose to what is drawn. A pure function over the [`Index`], so that the server plans with
 //! exactly what the client renders with (Aliaga and Lastra 1999, Figure 12).
 //!
-//! In a dataset with rooms: pose -> its room -> portals ([`portals`]). Else:
+//! In a dataset with rooms: pose -> its room -> portals ([`portals`]); where that exceeds the budget, and in a dataset without rooms:
 //! pose -> closest grid point (in the reverse frustum, or anywhere: [`CELLS`]) -> pitch band -> angular range -> placement or none
 //! -> cells in view that the placement does not replace. The build counts for every grid point what these steps can draw for any of
 //! its users; [`draw_list`] keeps the budget for all other poses too.
@@ -24,6 +24,9 @@ use glam::DVec3;
 
 /// Samples may lie before their image's plane by this share of its distance: depths are rounded.
 const PLANE_SLACK: f64 = 1e-3;
+
+/// An eye this close to a placement's users is one of them, metres: rounding.
+const USERS_SLACK_M: f64 = 1e-6;
 
 /// Value of `BuildSettings::grid` for view cells: the closest grid point counts, wherever it lies. Any other value: the paper's
 /// scheme, the closest one in the reverse frustum.
@@ -155,9 +158,22 @@ pub fn draw_list_of(
     picture_half_tan: (f64, f64),
     show: ShowPortals,
 ) -> DrawList {
-    if let Some(rooms) = &index.rooms {
-        return portals::draw_list(index, rooms, pose, picture_half_tan, show);
+    let Some(rooms) = &index.rooms else { return grid_list(index, groups, pose, picture_half_tan) };
+    let list = portals::draw_list(index, rooms, pose, picture_half_tan, show);
+    if list.dropped == 0 || index.points.is_empty() {
+        return list;
     }
+    // The rooms are too much for the budget: the grid, if it was made for this eye.
+    let grid = grid_list(index, groups, pose, picture_half_tan);
+    let users = grid.selection.placement.and_then(|p| index.placements.get(p as usize)).map(|p| &p.users);
+    match grid.dropped == 0 && users.is_none_or(|u| u.inflated(USERS_SLACK_M).contains(pose.position)) {
+        true => grid,
+        false => list,
+    }
+}
+
+/// The list by grid points.
+fn grid_list(index: &Index, groups: &CellGroups, pose: &Pose, picture_half_tan: (f64, f64)) -> DrawList {
     let selection = select(index, pose);
     let culled =
         selection.placement.and_then(|p| index.placements.get(p as usize)).map_or(&[][..], |p| p.culled.as_slice());

@@ -156,6 +156,18 @@ impl WalkVolume {
         })
     }
 
+    /// The same with some of its boxes only: those whose position among [`WalkVolume::boxes`] `keep` takes.
+    pub fn only(&self, keep: impl Fn(usize) -> bool) -> Self {
+        let (mut first_run, mut runs) = (Vec::with_capacity(self.first_run.len()), Vec::new());
+        for column in self.first_run.windows(2) {
+            first_run.push(runs.len() as u32);
+            let kept = (column[0] as usize..column[1] as usize).filter(|run| keep(*run));
+            runs.extend(kept.map(|run| self.runs[run]));
+        }
+        first_run.push(runs.len() as u32);
+        Self { first_run, runs, ..self.clone() }
+    }
+
     /// Draws points uniformly over the volume.
     pub fn sampler(&self) -> VolumeSampler {
         let mut total = 0.0;
@@ -347,6 +359,19 @@ mod tests {
         assert!(!v.contains(DVec3::new(-0.4, 3.1, -1.9)), "second column starts at layer 5");
         assert!(!v.contains(DVec3::new(-1.1, 3.5, -1.9)), "left of the cut");
         assert_eq!(v.boxes().count(), 3);
+    }
+
+    #[test]
+    fn some_of_the_boxes_are_a_volume_too() {
+        let v = volume([2, 2], &[vec![[0, 10], [20, 21]], vec![[5, 7]], vec![], vec![[1, 2]]]);
+        let boxes: Vec<Aabb> = v.boxes().collect();
+        for keep in 0..1u32 << boxes.len() {
+            let some = v.only(|b| keep >> b & 1 == 1);
+            let kept: Vec<Aabb> = boxes.iter().zip(0..).filter(|(_, b)| keep >> b & 1 == 1).map(|(b, _)| *b).collect();
+            assert_eq!(some.boxes().collect::<Vec<_>>(), kept);
+            assert_eq!(some.is_empty(), keep == 0);
+            assert!(boxes.iter().zip(0..).all(|(b, n)| some.contains(b.centre()) == (keep >> n & 1 == 1)));
+        }
     }
 
     #[test]

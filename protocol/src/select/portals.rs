@@ -20,14 +20,11 @@ use crate::{
     Pose,
     camera::Frustum,
     index::Index,
-    portal_view::{Cone, PortalView, portal_view_within},
+    portal_view::{Cone, PortalView, VISITS_PER_VIEW, portal_view_within},
     room_index::{PortalImages, RoomIndex, ShowPortals},
     rooms::CellId,
 };
 
-/// Steps through portals for one view. Beyond it everything counts as seen, which is right but costs budget. Larger: halls with hundreds of gaps are culled more exactly, and
-/// frames of them take longer: some 2 us per step.
-const MOST_VISITS: usize = 1_000;
 /// Rooms that are tried as geometry beyond what must be. Larger: more of the budget is used where many rooms are in view; each try is a view of its own.
 const MOST_TRIES: usize = 24;
 
@@ -168,7 +165,7 @@ impl Search<'_> {
     /// What is seen of these rooms.
     fn state(&self, geometry: Vec<bool>) -> State {
         let enters = |room: CellId| geometry[self.rooms.slot(room)];
-        let view = portal_view_within(&self.rooms.rooms, &self.picture, &self.start, &enters, MOST_VISITS);
+        let view = portal_view_within(&self.rooms.rooms, &self.picture, &self.start, &enters, VISITS_PER_VIEW);
         let mut taken = vec![false; self.index.cells.len()];
         let (mut cells, mut triangles) = (Vec::new(), 0);
         for room in &view.cells {

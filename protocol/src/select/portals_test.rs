@@ -3,7 +3,7 @@
 use super::*;
 use crate::{
     Aabb, OutputCamera, ViewBasis,
-    index::{BuildSettings, CellEntry, ImageEntry, Placement, SceneInfo},
+    index::{AngularRange, BuildSettings, CellEntry, GridPoint, ImageEntry, Placement, SceneInfo},
     room_index::{BuiltImages, SideImages},
     rooms::{Cell, Portal, PortalKind, Rooms},
     select::{draw_list, draw_list_showing},
@@ -141,6 +141,56 @@ fn nearer_than_its_eyes_an_image_gives_way_to_geometry() {
     let fewer = draw_list(&index(399, &[0, 2]), &pose(-3.5, 0.0), SQUARE);
     assert!(fewer.portals.is_empty(), "the eye is not among those of the third door");
     assert!(fewer.dropped > 0, "{fewer:?}");
+}
+
+/// The same with a grid point at the end of the first room, for eyes at least 3 m from the first door, whose placement replaces everything but that room.
+fn with_grid(budget: u64) -> Index {
+    let mut index = index(budget, &[]);
+    index.pitch_bands_deg = vec![-60.0, 60.0];
+    index.points = vec![GridPoint {
+        position: DVec3::new(0.0, 1.5, -0.5),
+        level: 0,
+        radius: 9.0,
+        bands: vec![vec![AngularRange { yaw_start_deg: 0.0, placement: Some(0) }]],
+    }];
+    index.placements = vec![Placement {
+        grid_point: Some(0),
+        cop: DVec3::new(0.0, 1.5, -0.5),
+        culled: (2..2 * ROOMS as u32).collect(),
+        footprint_px: 1.5,
+        users: Aabb { min: DVec3::new(-3.0, 1.0, -1.0), max: DVec3::new(3.0, 2.0, 0.0) },
+        images: 0..1,
+        sky: Default::default(),
+    }];
+    index.images = vec![ImageEntry {
+        basis: ViewBasis::from_yaw_pitch(0.0, 0.0),
+        plane_distance: 3.0,
+        window: [-1.0, 1.0, -1.0, 1.0],
+        stretch_p99_px: f64::NAN,
+        chunks: vec![0],
+        samples_by_layer: vec![1],
+    }];
+    index
+}
+
+#[test]
+fn where_rooms_are_too_much_the_grid_takes_over_for_its_eyes_alone() {
+    // 400 triangles are seen from the first room, with no image at its door.
+    let list = draw_list(&with_grid(399), &pose(-0.5, 0.0), SQUARE);
+    assert_eq!((list.selection.grid_point, list.selection.placement), (Some(0), Some(0)));
+    assert_eq!((list.cells.as_slice(), list.images.as_slice(), list.dropped), (&[0, 1][..], &[0][..], 0));
+    assert!(list.rooms.is_empty() && list.portals.is_empty());
+    // Within the budget it is the rooms'.
+    let list = draw_list(&with_grid(400), &pose(-0.5, 0.0), SQUARE);
+    assert_eq!((list.selection.grid_point, list.cells.len(), list.images.len()), (None, 4, 0));
+    // Another eye, which sees the second room only: the farthest cells go, as without a grid.
+    let other = pose(-1.5, 0.0);
+    let list = draw_list(&with_grid(199), &other, SQUARE);
+    assert!(list.selection.grid_point.is_none() && list.dropped > 0, "{list:?}");
+    assert_eq!(list, draw_list(&index(199, &[]), &other, SQUARE));
+    // Nor does the grid help where it exceeds the budget itself.
+    let list = draw_list(&with_grid(150), &pose(-0.5, 0.0), SQUARE);
+    assert!(list.selection.grid_point.is_none() && list.dropped > 0, "{list:?}");
 }
 
 /// The same with five reference images before the second door, at 1.6 m from its middle, every 20 degrees from left to right, and one layered image.

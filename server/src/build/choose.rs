@@ -1,6 +1,6 @@
-//! Whether what is far comes from images or from the LDI tree alone: the tree where it keeps the error bound with fewer bytes (row S7).
+//! Which representation a build takes where several would do: at the same bound on the error the one with fewer bytes.
 //!
-//! In: a plan, not yet made into images. Out: a [`Weighing`], and the tree if it was built for it.
+//! Rooms or the grid alone: [`RoomWeighing`]. Images or the LDI tree alone (row S7): in, a plan, not yet made into images; out, a [`Weighing`], and the tree if it was built for it.
 //!
 //! 1. Random eyes tell how fine samples have to be beyond the geometry ([`Probes`]).
 //! 2. The images of a few placements are made; all are expected to take as much each.
@@ -9,13 +9,14 @@
 
 use super::{BuildError, BuildOptions, images};
 use crate::pack::PackError;
-use crate::placement::PlacementPlan;
+use crate::placement::{AuditReport, PlacementPlan};
 use crate::render::Caster;
 use crate::scene::Note;
 use crate::store::DatasetWriter;
 use crate::tree::{self, BuiltTree, Depth, Places, Probes};
 use ldi_protocol::{
     Aabb,
+    codec::ColourProfile,
     index::{BuildSettings, CellEntry},
     volume::WalkVolume,
 };
@@ -73,6 +74,85 @@ impl Weighing {
     }
 }
 
+/// Bytes that the images of some plans are expected to take, by those of a few of them; and of how many.
+pub fn bytes_of(
+    caster: &Caster,
+    plans: &[PlacementPlan],
+    settings: &BuildSettings,
+    colour: ColourProfile,
+    scene_key: &[u8; 32],
+    writer: &DatasetWriter,
+) -> Result<(u64, usize), BuildError> {
+    let step = (plans.len() / SAMPLED).max(1);
+    let sampled: Vec<PlacementPlan> = plans.iter().step_by(step).cloned().collect();
+    if sampled.is_empty() {
+        return Ok((0, 0));
+    }
+    let made = images::construct_all(caster, &sampled, settings, colour, scene_key, writer, &())?;
+    let bytes: u64 = made.entries().map(|e| u64::from(e.stored_bytes)).sum();
+    Ok((bytes * plans.len() as u64 / sampled.len() as u64, sampled.len()))
+}
+
+fn megabytes(bytes: u64) -> String {
+    format!("{:.1} MB", bytes as f64 / 1e6)
+}
+
+/// Images by rooms, and by the grid where those are too much, against the grid alone: at the same bound on footprints, the fewer bytes.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RoomWeighing {
+    /// `portals` or `grid`.
+    pub chosen: &'static str,
+    /// In words.
+    pub why: String,
+    /// Bytes that the images of portals, and of the grid where it takes over, are expected to take.
+    pub portals_bytes_expected: u64,
+    /// Bytes that the images of the grid alone are expected to take.
+    pub grid_bytes_expected: u64,
+    /// Placements whose images were made to tell, of each.
+    pub placements_sampled: [usize; 2],
+    /// Poses of an audit of the plan by rooms, and in how many of them it breaks a promise; that of the grid alone is certified.
+    pub poses: u64,
+    /// See there.
+    pub violations: u64,
+}
+
+impl RoomWeighing {
+    /// A choice.
+    pub const PORTALS: &'static str = "portals";
+    /// A choice.
+    pub const GRID: &'static str = "grid";
+
+    /// Weighs; `(bytes, sampled)` of each as of [`bytes_of`].
+    pub(super) fn of(audit: &AuditReport, by_rooms: (u64, usize), grid: (u64, usize)) -> Self {
+        let (poses, violations) = (audit.all_poses(), audit.violations);
+        let bytes = format!(
+            "images by rooms are expected to take {}, those of the grid alone {}",
+            megabytes(by_rooms.0),
+            megabytes(grid.0)
+        );
+        let (chosen, why) = match (violations, by_rooms.0 <= grid.0) {
+            (0, true) => (Self::PORTALS, bytes),
+            (0, false) => (Self::GRID, bytes),
+            _ => (Self::GRID, format!("by rooms {violations} of {poses} poses would break a promise; {bytes}")),
+        };
+        Self {
+            chosen,
+            why,
+            portals_bytes_expected: by_rooms.0,
+            grid_bytes_expected: grid.0,
+            placements_sampled: [by_rooms.1, grid.1],
+            poses,
+            violations,
+        }
+    }
+
+    /// What was left out, and why.
+    pub fn note(&self) -> Note {
+        let what = if self.chosen == Self::PORTALS { "the grid alone: rooms" } else { "rooms: the grid alone" };
+        Note { what: what.into(), why: self.why.clone() }
+    }
+}
+
 /// What there is to weigh.
 pub struct Candidates<'a> {
     pub caster: &'a Caster,
@@ -98,19 +178,16 @@ pub fn weigh(
     let bound = c.settings.max_footprint_px;
     let probes = Probes::take(c.caster, c.volume, c.cells, c.settings);
     let needed = probes.needed_pitch_m(bound, focal_px, BEYOND);
-    let step = (c.plans.len() / SAMPLED).max(1);
-    let sampled: Vec<PlacementPlan> = c.plans.iter().step_by(step).cloned().collect();
-    heard(&format!("images of {} of {} placements, to tell what all take", sampled.len(), c.plans.len()));
-    let made = images::construct_all(c.caster, &sampled, c.settings, options.colour, c.scene_key, writer, &())?;
-    let sampled_bytes: u64 = made.entries().map(|e| u64::from(e.stored_bytes)).sum();
-    let images_bytes = sampled_bytes * c.plans.len() as u64 / sampled.len().max(1) as u64;
+    heard(&format!("images of some of {} placements, to tell what all take", c.plans.len()));
+    let (images_bytes, placements_sampled) =
+        bytes_of(c.caster, c.plans, c.settings, options.colour, c.scene_key, writer)?;
     let mut found = Weighing {
         chosen: "grid",
         why: String::new(),
         far_points: probes.far.len(),
         needed_pitch_m: needed.unwrap_or(0.0),
         images_bytes_expected: images_bytes,
-        placements_sampled: sampled.len(),
+        placements_sampled,
         tree_bytes_expected: 0,
         tree_bytes: None,
         tree_beyond_bound: None,
@@ -122,7 +199,6 @@ pub fn weigh(
     };
     let samples = c.places.samples_at(bound, focal_px, pitch_m);
     found.tree_bytes_expected = (samples * BYTES_PER_SAMPLE) as u64;
-    let megabytes = |bytes: u64| format!("{:.1} MB", bytes as f64 / 1e6);
     let images_take = megabytes(images_bytes);
     let expected = format!(
         "a tree with samples of {:.1} mm is expected to have {:.0} million of them and to take {}, images {images_take}",
@@ -164,4 +240,26 @@ pub fn weigh(
     }
     found.chosen = "tree";
     Ok((found, Some(built)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rooms_are_taken_where_they_keep_the_promises_with_fewer_bytes() {
+        let audit = |violations| AuditReport { poses: 1_000, violations, ..Default::default() };
+        let chosen = |violations, rooms, grid| {
+            let found = RoomWeighing::of(&audit(violations), (rooms, 3), (grid, 4));
+            assert_eq!((found.poses, found.violations, found.placements_sampled), (1_000, violations, [3, 4]));
+            (found.chosen, found.why)
+        };
+        assert_eq!(chosen(0, 2_000_000, 3_000_000).0, "portals");
+        let (grid, why) = chosen(0, 4_000_000, 3_000_000);
+        assert_eq!(grid, "grid");
+        assert!(why.contains("4.0 MB") && why.contains("3.0 MB"), "{why}");
+        let (grid, why) = chosen(7, 2_000_000, 3_000_000);
+        assert_eq!(grid, "grid");
+        assert!(why.contains("7 of 1000 poses"), "{why}");
+    }
 }

@@ -1,10 +1,6 @@
 //! What a build would take: the plan and its audit, without an image.
 
-use super::{
-    BuildError, BuildOptions, Clock, Planned, Progress,
-    images::{Images, Indexed},
-    index_of, plan, planned_camera,
-};
+use super::{BuildError, BuildOptions, Clock, Planned, Progress, RoomFigures, draft_index, plan, planned_camera};
 use crate::octree;
 use crate::pack;
 use crate::placement::{self, AuditReport, AuditSize, ImagePlan, PlacementStatistics};
@@ -22,6 +18,8 @@ pub struct Draft {
     pub counts: Vec<u64>,
     /// What placement found.
     pub statistics: PlacementStatistics,
+    /// Rooms; None without.
+    pub rooms: Option<RoomFigures>,
     /// Seconds per stage.
     pub seconds: Vec<(&'static str, f64)>,
 }
@@ -54,6 +52,8 @@ pub struct DryRun {
     pub images: usize,
     /// Their pixels, millions; what nobody sees of them costs little.
     pub megapixels: f64,
+    /// Rooms, and where the grid takes over; None without.
+    pub rooms: Option<RoomFigures>,
     /// Seconds per stage.
     pub seconds: Vec<(&'static str, f64)>,
     /// The audit of the plan: triangles counted over the scene, footprints of the images to be.
@@ -78,6 +78,7 @@ pub fn dry_run(options: &BuildOptions, size: AuditSize, progress: &dyn Progress)
         placements: draft.index.placements.len(),
         images: draft.images.len(),
         megapixels: draft.pixels() / 1e6,
+        rooms: draft.rooms,
         seconds,
         audit,
     })
@@ -89,18 +90,15 @@ pub fn dry_run(options: &BuildOptions, size: AuditSize, progress: &dyn Progress)
 /// As [`super::build`]; also if a triangle is in no cell, in two, or outside of its cell.
 pub fn draft(options: &BuildOptions, progress: &dyn Progress) -> Result<Draft, BuildError> {
     let mut clock = Clock::default();
-    let Planned { scene, clusters, octree, settings, plan, .. } = plan(options, &mut clock, progress)?;
+    let Planned { scene, clusters, octree, settings, plan, rooms, .. } = plan(options, &mut clock, progress)?;
     let geometry = pack::pack_geometry(&scene, &clusters, &octree, 0)?;
     let ranges: Vec<_> = (0..octree.cells.len()).map(|c| octree.ranges(&scene, &clusters, c)).collect();
     let bounds: Vec<_> = geometry.cells.iter().map(|c| c.bounds).collect();
     let counts = octree::recount(&scene, &ranges, &bounds)?;
     let images: Vec<ImagePlan> = plan.plans.iter().flat_map(|p| p.images.iter().cloned()).collect();
-    let none = Images::none_of(&plan.plans);
-    let Indexed { placements, images: entries, .. } = none.indexed(&plan.plans, &[], 0);
-    let statistics = plan.statistics.clone();
-    let index =
-        index_of(options, &scene, settings, plan, (geometry.cells, vec![]), vec![], (placements, entries, None));
-    Ok(Draft { index, images, counts, statistics, seconds: clock.laps })
+    let index = draft_index(options, &scene, &settings, &plan, geometry.cells, rooms.as_ref().map(|r| &r.index));
+    let statistics = plan.statistics;
+    Ok(Draft { index, images, counts, statistics, rooms: rooms.map(|r| r.figures), seconds: clock.laps })
 }
 
 #[cfg(test)]
@@ -114,7 +112,7 @@ mod tests {
         let mut index = d.index.clone();
         change(&mut index);
         let (images, counts) = (d.images.clone(), d.counts.clone());
-        let d = Draft { index, images, counts, statistics: d.statistics.clone(), seconds: vec![] };
+        let d = Draft { index, images, counts, statistics: d.statistics.clone(), rooms: None, seconds: vec![] };
         d.audit(AuditSize { random: 500, adversarial: 1_400 })
     }
 

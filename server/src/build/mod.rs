@@ -19,19 +19,19 @@ mod rooms;
 use images::Indexed;
 use rooms::RoomPlan;
 
-pub use choose::Weighing;
+pub use choose::{RoomWeighing, Weighing};
 pub use dry_run::{Draft, DryRun, draft, dry_run};
 pub use images::{IMAGE_LEVEL, ImageFigures};
 pub use references::ReferenceFigures;
 pub use report::{images_per_grid_point, report_json};
-pub use rooms::{PortalOptions, RoomFigures, RoomSource};
+pub use rooms::{GridUnderRooms, PortalOptions, RoomFigures, RoomSource};
 
 use crate::construct::ConstructError;
 use crate::octree::{Clusters, Octree, RecountError};
 use crate::pack::{self, PackError};
 use crate::placement::{
-    self, AuditReport, AuditSize, Corridor, Groupings, ImagePlan, PlacementError, PlacementResult, PlacementStatistics,
-    SearchCase, SearchComparison, Sees,
+    self, AuditReport, AuditSize, Corridor, Groupings, ImagePlan, PlacementError, PlacementPlan, PlacementResult,
+    PlacementStatistics, SearchCase, SearchComparison, Sees,
 };
 use crate::render::{Caster, CellSet, Ray};
 use crate::scene::{self, Note, Scene, SceneError};
@@ -43,9 +43,10 @@ use ldi_protocol::index::{
     BuildSettings, CellEntry, ChunkEntry, ChunkHash, ImageEntry, Index, Placement, SceneInfo, TextureEntry,
 };
 use ldi_protocol::ldi::LdiCamera;
-use ldi_protocol::room_index::BuiltImages;
+use ldi_protocol::room_index::{BuiltImages, RoomIndex};
 use ldi_protocol::select::CELLS;
 use ldi_protocol::tree::Tree;
+use ldi_protocol::volume::WalkVolume;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -84,8 +85,15 @@ pub enum Represent {
         /// Pixels along a side of a reference image.
         side: u32,
     },
-    /// Rooms, with images of what lies beyond their portals and the coarse levels of an LDI tree under them.
+    /// Rooms, with images of what lies beyond their portals, the grid's images where that exceeds the budget, and the coarse levels of an LDI tree under them.
     Portals {
+        /// Where the rooms come from.
+        rooms: RoomSource,
+        /// What is shown beyond portals.
+        portals: PortalOptions,
+    },
+    /// By rooms if the scene names some, or another source is given, and that keeps both promises with fewer bytes; else by the grid alone.
+    Auto {
         /// Where the rooms come from.
         rooms: RoomSource,
         /// What is shown beyond portals.
@@ -165,6 +173,8 @@ pub struct BuildFigures {
     pub tree: Option<TreeFigures>,
     /// How images and tree compare; None if that was not asked for, or there is nothing to place.
     pub weighing: Option<Weighing>,
+    /// How rooms and the grid alone compare; None if that was not asked for, or there are no rooms.
+    pub room_weighing: Option<RoomWeighing>,
     /// Rooms; None without.
     pub rooms: Option<RoomFigures>,
     /// What was skipped or changed.
@@ -193,6 +203,8 @@ struct Planned {
     /// None for a scene within its budget.
     caster: Option<Caster>,
     rooms: Option<RoomPlan>,
+    /// The grid's alone, to be weighed against a plan by rooms.
+    grid_alone: Option<PlacementResult>,
 }
 
 /// Whether nothing lies between two places.
@@ -207,39 +219,48 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
     // A scene within its budget needs none.
     let caster = (scene.triangles() > settings.budget).then(|| Caster::new(Arc::clone(&scene), &clusters, &octree));
     clock.lap("caster");
-    let parameters = placement::Parameters { along: options.along.clone(), ..Default::default() };
     let in_sight = |a, b| caster.as_ref().is_none_or(|c| sees(c, a, b));
     let heard = |what: &str| progress.note(what);
-    let mut planned_for = settings.clone();
-    if let Represent::Tree { .. } = options.represent {
-        // Nothing to place: what remains of a plan is the walk volume.
-        planned_for.budget = planned_for.budget.max(scene.triangles());
-    }
-    let plan = placement::plan_placements(&scene, &octree, &planned_for, &parameters, Sees(&in_sight), &heard)?;
+    let place = |budget: u64, volume: Option<WalkVolume>| {
+        let parameters = placement::Parameters { along: options.along.clone(), volume, ..Default::default() };
+        let settings = BuildSettings { budget, ..settings.clone() };
+        placement::plan_placements(&scene, &octree, &settings, &parameters, Sees(&in_sight), &heard)
+    };
+    // Nothing to place: what remains of a plan is the walk volume.
+    let ground = || place(settings.budget.max(scene.triangles()), None);
+    let (mut rooms, mut grid_alone) = (None, None);
+    let by_rooms = match &options.represent {
+        Represent::Portals { rooms, portals } => Some((rooms, portals)),
+        Represent::Auto { rooms, portals } if rooms::are_given(&scene, rooms) => Some((rooms, portals)),
+        _ => None,
+    };
+    let plan = match (by_rooms, &caster) {
+        _ if matches!(options.represent, Represent::Tree { .. }) => ground()?,
+        (Some((source, portals)), Some(caster)) => {
+            if matches!(options.represent, Represent::Auto { .. }) {
+                grid_alone = Some(place(settings.budget, None)?);
+                clock.lap("placement of the grid alone");
+            }
+            let entry = |c: &crate::octree::Cell| CellEntry {
+                bounds: c.bounds,
+                triangles: c.triangles,
+                chunk: 0,
+                bundles: Vec::new(),
+                materials: Vec::new(),
+            };
+            let cells = octree.cells.iter().map(entry).collect();
+            let (parts, nothing) = ((cells, Vec::new()), (Vec::new(), Vec::new(), None));
+            let draft = index_of(options, &scene, settings.clone(), ground()?, parts, Vec::new(), nothing);
+            clock.lap("walk volume");
+            let grid = |volume| place(settings.budget, Some(volume));
+            let (plan, found) = rooms::plan_rooms(caster, source, portals, draft, &grid, progress)?;
+            rooms = Some(found);
+            plan
+        }
+        _ => place(settings.budget, None)?,
+    };
     clock.lap("placement");
-    let mut plan = plan;
-    let mut rooms = None;
-    if let (Represent::Portals { rooms: source, portals }, Some(caster)) = (&options.represent, &caster) {
-        let entry = |c: &crate::octree::Cell| CellEntry {
-            bounds: c.bounds,
-            triangles: c.triangles,
-            chunk: 0,
-            bundles: Vec::new(),
-            materials: Vec::new(),
-        };
-        let cells = octree.cells.iter().map(entry).collect();
-        let (parts, nothing) = ((cells, Vec::new()), (Vec::new(), Vec::new(), None));
-        let draft = index_of(options, &scene, settings.clone(), plan.clone(), parts, Vec::new(), nothing);
-        let found = rooms::plan_rooms(caster, source, portals, draft, progress)?;
-        plan.plans.clone_from(&found.plans.plans);
-        plan.statistics.nothing_to_do = None;
-        plan.statistics.coverage_certified = false;
-        // Of images that keep the bound; those of 1998 promise none.
-        plan.statistics.max_footprint_px = plan.plans.iter().map(|p| p.footprint_px).fold(0.0, f64::max);
-        rooms = Some(found);
-        clock.lap("rooms");
-    }
-    Ok(Planned { rooms, scene, clusters, octree, settings, plan, caster })
+    Ok(Planned { rooms, grid_alone, scene, clusters, octree, settings, plan, caster })
 }
 
 /// Compares ways to search for the near boxes of a build; nothing is written.
@@ -312,6 +333,23 @@ fn index_of(
     }
 }
 
+/// The index of a plan before any image is made: without chunks.
+fn draft_index(
+    options: &BuildOptions,
+    scene: &Scene,
+    settings: &BuildSettings,
+    plan: &PlacementResult,
+    cells: Vec<CellEntry>,
+    rooms: Option<&RoomIndex>,
+) -> Index {
+    let none = images::Images::none_of(&plan.plans);
+    let Indexed { placements, images, .. } = none.indexed(&plan.plans, &[], 0);
+    let parts = ((cells, Vec::new()), Vec::new(), (placements, images, None));
+    let mut index = index_of(options, scene, settings.clone(), plan.clone(), parts.0, parts.1, parts.2);
+    index.rooms = rooms.cloned();
+    index
+}
+
 /// Poses of the audit that every build ends with: a second or two. `verify --guarantee` takes as many as one likes.
 const AUDITED_POSES: AuditSize = AuditSize { random: 5_000, adversarial: 5_000 };
 
@@ -338,7 +376,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     // First: whether the directory can be written is known at once, planning takes minutes.
     let writer = DatasetWriter::open(&options.output)?;
     let planned = plan(options, &mut clock, progress);
-    let Planned { scene, clusters, octree, settings, mut plan, caster, mut rooms } = match planned {
+    let Planned { scene, clusters, octree, settings, mut plan, caster, mut rooms, grid_alone } = match planned {
         Ok(planned) => planned,
         Err(e) => {
             writer.give_up();
@@ -356,6 +394,23 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     let caster = caster.unwrap_or_else(|| Caster::new(Arc::clone(&scene), &clusters, &octree)).with_mips();
     let scene_key = key::scene_key(&scene);
     let heard = |what: &str| progress.note(what);
+    let mut room_weighing = None;
+    if let (Some(grid_alone), Some(by_rooms)) = (grid_alone, &rooms) {
+        progress.stage("rooms or the grid alone", 0);
+        let index = draft_index(options, &scene, &settings, &plan, geometry.cells.clone(), Some(&by_rooms.index));
+        let counts: Vec<u64> = geometry.cells.iter().map(|c| u64::from(c.triangles)).collect();
+        let cameras: Vec<LdiCamera> = plan.plans.iter().flat_map(|p| &p.images).map(planned_camera).collect();
+        let audit = placement::audit(&index, &counts, &|i| cameras.get(i as usize).copied(), AUDITED_POSES, 1);
+        let bytes =
+            |plans: &[PlacementPlan]| choose::bytes_of(&caster, plans, &settings, options.colour, &scene_key, &writer);
+        let found = RoomWeighing::of(&audit, bytes(&plan.plans)?, bytes(&grid_alone.plans)?);
+        heard(&format!("{}: {}", found.chosen, found.why));
+        if found.chosen == RoomWeighing::GRID {
+            (plan, rooms) = (grid_alone, None);
+        }
+        room_weighing = Some(found);
+        clock.lap("weighing of rooms");
+    }
     progress.stage("reference positions of the LDI tree", 0);
     let places = tree::choose(&caster, &plan.volume);
     heard(&format!("{} of {} candidates", places.positions.len(), places.candidates));
@@ -392,7 +447,8 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     };
     clock.lap("images");
     let no_sides = Vec::new();
-    if let (Represent::Portals { portals, .. }, Some(rooms)) = (&options.represent, &mut rooms)
+    if let (Represent::Portals { portals, .. } | Represent::Auto { portals, .. }, Some(rooms)) =
+        (&options.represent, &mut rooms)
         && portals.images != BuiltImages::Ours
     {
         progress.stage("reference images, by side of a portal", rooms.sides.len() as u64);
@@ -415,8 +471,8 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     progress.stage("LDI tree", 0);
     if built.is_none() {
         let depth = match options.represent {
-            Represent::Grid | Represent::Smaller | Represent::Portals { .. } => Depth::Base,
             Represent::Tree { pitch_m, side } => Depth::Fine { pitch_m, side },
+            _ => Depth::Base,
         };
         built = tree::build_tree(&caster, &scene.bounds(), &places, depth, first_tree_chunk, &heard)?;
     }
@@ -440,6 +496,11 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     );
     notes.extend(images.notes(&plan.plans));
     notes.extend(weighing.iter().map(Weighing::note));
+    notes.extend(room_weighing.iter().map(RoomWeighing::note));
+    if matches!(options.represent, Represent::Auto { .. }) && room_weighing.is_none() && !plan.plans.is_empty() {
+        notes.push(rooms::none_given());
+    }
+    notes.extend(rooms.iter().map(|r| r.figures.grid.note()));
     let entries = chunks
         .iter()
         .map(|c| ChunkEntry {
@@ -487,6 +548,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         images: images.figures.clone(),
         tree: tree_figures,
         weighing,
+        room_weighing,
         rooms: room_figures,
         notes,
         seconds,

@@ -50,6 +50,7 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
         },
         "tree": f.tree,
         "weighing": f.weighing,
+        "room_weighing": f.room_weighing,
         "rooms": f.rooms,
         "bytes_per_sample": if samples > 0 { json!(ldi as f64 / samples as f64) } else { Value::Null },
         "guarantee": {

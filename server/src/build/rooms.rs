@@ -2,11 +2,14 @@
 
 use super::references::ReferenceFigures;
 use super::{BuildError, Progress};
+use crate::placement::{PlacementError, PlacementResult};
 use crate::portal::{self, PortalPlans, PortalStatistics, Semicircle, SemicircleStatistics, SidePlan};
 use crate::render::Caster;
+use crate::scene::{Note, Scene};
 use ldi_protocol::index::Index;
 use ldi_protocol::room_index::{BuiltImages, PortalImages, RoomIndex, SideImages};
 use ldi_protocol::rooms::{MAX_JSON_BYTES, Rooms};
+use ldi_protocol::volume::WalkVolume;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -61,6 +64,8 @@ pub struct RoomFigures {
     pub semicircle: Option<(Semicircle, SemicircleStatistics)>,
     /// What was made of it.
     pub references: Option<ReferenceFigures>,
+    /// Where the grid takes over.
+    pub grid: GridUnderRooms,
     /// Seconds until rooms were known.
     pub find_seconds: f64,
     /// Seconds to find their cells.
@@ -69,11 +74,34 @@ pub struct RoomFigures {
     pub plan_seconds: f64,
 }
 
+/// The part of the walk volume where what has to be geometry of rooms exceeds the budget.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct GridUnderRooms {
+    /// Boxes of the walk volume whose eyes the grid serves.
+    pub places: usize,
+    /// Boxes of the walk volume.
+    pub of: usize,
+    /// Grid points.
+    pub points: usize,
+    /// Placements of theirs.
+    pub placements: usize,
+}
+
+impl GridUnderRooms {
+    /// What was left out, and why.
+    pub fn note(&self) -> Note {
+        let Self { places, of, .. } = *self;
+        Note {
+            what: format!("the grid's images for {} of {of} places", of - places),
+            why: "the rooms of an eye there, and what portals without an image show, fit the budget as geometry".into(),
+        }
+    }
+}
+
 /// Rooms with their plan.
 pub(super) struct RoomPlan {
-    /// Placements are numbered from 0, in the plan's order.
+    /// Its placements are the plan's first.
     pub index: RoomIndex,
-    pub plans: PortalPlans,
     /// Reference images.
     pub sides: Vec<SidePlan>,
     pub figures: RoomFigures,
@@ -92,15 +120,17 @@ impl RoomPlan {
     }
 }
 
-/// Finds rooms and plans the images of their portals.
+/// Finds rooms and plans the images of their portals, and those of the grid where rooms are too much.
+///
+/// `draft`: without chunks: cells, settings and the walk volume. `grid`: plans the grid for the eyes of a volume.
 pub(super) fn plan_rooms(
     caster: &Caster,
     source: &RoomSource,
     options: &PortalOptions,
-    // Without chunks: cells, settings and the walk volume.
     mut draft: Index,
+    grid: &dyn Fn(WalkVolume) -> Result<PlacementResult, PlacementError>,
     progress: &dyn Progress,
-) -> Result<RoomPlan, BuildError> {
+) -> Result<(PlacementResult, RoomPlan), BuildError> {
     progress.stage("rooms", 0);
     let start = Instant::now();
     let rooms = rooms_of(caster, source)?;
@@ -132,8 +162,24 @@ pub(super) fn plan_rooms(
     };
     let mut index = RoomIndex { rooms, near_m, cells_of, placements: Vec::new(), built: images, sides: nothing };
     draft.rooms = Some(index.clone());
-    plans.keep_used(draft, &volume, images == BuiltImages::Both);
+    plans.keep_used(&mut draft, &volume, images == BuiltImages::Both);
     index.placements.clone_from(&plans.of_portal);
+    let plan_seconds = held.elapsed().as_secs_f64();
+    // Images of 1998 promise no budget.
+    let over = if images.offer(PortalImages::Zones) { portal::over_budget(&draft) } else { Vec::new() };
+    let places = over.iter().filter(|o| **o).count();
+    progress.note(&format!("{places} of {} places need the grid", volume.boxes().count()));
+    let there = match places {
+        0 => None,
+        _ => Some(grid(volume.only(|number| over[number]))?),
+    };
+    let under = GridUnderRooms {
+        places,
+        of: volume.boxes().count(),
+        points: there.as_ref().map_or(0, |t| t.points.len()),
+        placements: there.as_ref().map_or(0, |t| t.plans.len()),
+    };
+    let plan = joined(&plans, there, volume);
     let figures = RoomFigures {
         plan: plans.statistics,
         portal_near_m: near_m,
@@ -142,9 +188,43 @@ pub(super) fn plan_rooms(
         references: None,
         find_seconds: (known - start).as_secs_f64(),
         cells_seconds: (held - known).as_secs_f64(),
-        plan_seconds: held.elapsed().as_secs_f64(),
+        grid: under,
+        plan_seconds,
     };
-    Ok(RoomPlan { index, plans, sides, figures })
+    Ok((plan, RoomPlan { index, sides, figures }))
+}
+
+/// The placements of portals, then those of the grid.
+fn joined(portals: &PortalPlans, grid: Option<PlacementResult>, volume: WalkVolume) -> PlacementResult {
+    let first = portals.plans.len() as u32;
+    let mut plan = grid.unwrap_or_else(|| PlacementResult {
+        points: Vec::new(),
+        plans: Vec::new(),
+        pitch_bands_deg: Vec::new(),
+        volume: volume.clone(),
+        statistics: Default::default(),
+    });
+    for range in plan.points.iter_mut().flat_map(|p| p.bands.iter_mut().flatten()) {
+        range.placement = range.placement.map(|p| p + first);
+    }
+    plan.plans = portals.plans.iter().cloned().chain(plan.plans).collect();
+    plan.volume = volume;
+    // Where the grid takes over is sampled.
+    plan.statistics.coverage_certified = false;
+    // Of images that keep the bound; those of 1998 promise none.
+    plan.statistics.max_footprint_px = plan.plans.iter().map(|p| p.footprint_px).fold(0.0, f64::max);
+    plan
+}
+
+/// Whether there are rooms without looking for them, or they are to be looked for.
+pub(super) fn are_given(scene: &Scene, source: &RoomSource) -> bool {
+    *source != RoomSource::Scene || !scene.rooms.is_empty()
+}
+
+/// Why a build is not by rooms.
+pub(super) fn none_given() -> Note {
+    let why = "the scene names no rooms; with --find-rooms they are looked for, with --rooms they are read";
+    Note { what: "rooms and portals".into(), why: why.into() }
 }
 
 fn rooms_of(caster: &Caster, source: &RoomSource) -> Result<Rooms, BuildError> {

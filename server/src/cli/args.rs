@@ -217,9 +217,12 @@ pub struct RoomsArgs {
     /// Find rooms even if the scene names its own, and compare with those.
     #[arg(long)]
     pub auto: bool,
-    /// Judge culling from this many random poses by a ray per pixel of 320x200.
+    /// Judge culling from this many random poses by a ray per pixel.
     #[arg(long, default_value_t = 0, value_name = "POSES")]
     pub check: u32,
+    /// Pixels of a pose's picture there: many poses with few rays each find other faults than few with many.
+    #[arg(long, default_value = "320x200", value_parser = size)]
+    pub check_size: (u32, u32),
     /// Write figures as JSON.
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,

@@ -80,19 +80,18 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
             a.budget
         )));
     }
+    let asked = |what: &str| a.represent.iter().any(|r| r == what);
     let only = |name: &str| a.represent.iter().all(|r| r == name);
-    let portals = a.represent.iter().any(|r| r == "portals");
-    if portals && !only("portals") {
-        return Err(Failure::absent("--represent portals together with another; give it alone"));
+    let (portals, along) = (asked("portals"), a.along.is_some());
+    if portals && asked("tree") {
+        return Err(Failure::absent("--represent portals together with tree"));
     }
-    if !portals && (a.rooms.is_some() || a.find_rooms) {
-        return Err(Failure::usage(anyhow!("--rooms and --find-rooms go with --represent portals")));
+    let by_rooms = portals || only("auto");
+    if !by_rooms && (a.rooms.is_some() || a.find_rooms) {
+        return Err(Failure::usage(anyhow!("--rooms and --find-rooms go with --represent portals or auto")));
     }
-    if portals && a.dry_run {
-        return Err(Failure::absent("--dry-run of --represent portals"));
-    }
-    if portals && a.along.is_some() {
-        return Err(Failure::absent("--along with --represent portals"));
+    if along && (portals || a.rooms.is_some() || a.find_rooms) {
+        return Err(Failure::absent("--along with rooms"));
     }
     let walk = a.along.as_deref().map(read_walk).transpose()?;
     let portal_options = portal_options(&a, portals)?;
@@ -101,9 +100,10 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         (None, true) => RoomSource::Found,
         (None, false) => RoomSource::Scene,
     };
-    let asked = |what: &str| a.represent.iter().any(|r| r == what);
     let represent = match (asked("auto") || asked("grid"), asked("tree")) {
-        _ if portals => Represent::Portals { rooms, portals: portal_options },
+        _ if portals && only("portals") => Represent::Portals { rooms, portals: portal_options },
+        // What is planned depends on images, and near a path rooms are not known to be whole.
+        _ if (portals || only("auto")) && !a.dry_run && !along => Represent::Auto { rooms, portals: portal_options },
         (true, true) => Represent::Smaller,
         (false, true) => Represent::Tree { pitch_m: a.tree_pitch, side: a.tree_reference },
         _ => Represent::Grid,

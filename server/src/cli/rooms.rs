@@ -17,8 +17,6 @@ use std::sync::Arc;
 
 /// Name of the file of rooms beside a dataset's report.
 pub(super) const FILE: &str = "rooms.json";
-/// Picture of a pose of the check: enough to meet what is some pixels wide at the output's size.
-const CHECK: OutputCamera = OutputCamera { width: 320, height: 200, fov_deg: 60.0 };
 
 pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
     threads(a.threads)?;
@@ -57,7 +55,8 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
     let check = caster.as_ref().filter(|_| a.check > 0).map(|caster| {
         progress.stage("checking against rays", 0);
         let poses = portal::random_poses(caster, &rooms, a.check as usize, 1);
-        portal::check_sight(caster, &rooms, &poses, &CHECK)
+        let (width, height) = a.check_size;
+        portal::check_sight(caster, &rooms, &poses, &OutputCamera { width, height, fov_deg: 60.0 })
     });
     progress.finish();
     print(&summary(&a.scene, &rooms, statistics.as_ref()))?;
@@ -75,14 +74,15 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
     }
     if let Some(c) = &check {
         print(&format!(
-            "against rays: {} of {} poses miss a cell ({} of {} rays); {:.2} cells reported, {:.2} reached per pose; {:.0} us each",
+            "against rays: {} of {} poses miss a cell ({} of {} rays); {:.2} cells reported, {:.2} reached per pose; {:.0} us each; in {} all of space counts as seen",
             c.poses_with_a_miss,
             c.poses,
             c.missed_rays,
             c.rays,
             c.cells_reported_mean,
             c.cells_reached_mean,
-            c.cull_us_mean
+            c.cull_us_mean,
+            c.everything_seen
         ))?;
     }
     if let Some(file) = &a.report {

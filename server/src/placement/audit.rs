@@ -360,10 +360,14 @@ fn check(
     pose: &Pose,
     random: &mut Random,
 ) -> AuditedPose {
-    if let Some(rooms) = &index.rooms {
-        return rooms::check(index, rooms, recounted, cameras, (number, kind), pose, random);
-    }
     let camera = &index.settings.camera;
+    let (tx, ty) = (camera.half_tan_x(), camera.half_tan_y());
+    let list = draw_list(index, pose, (tx, ty));
+    if let Some(rooms) = &index.rooms
+        && list.selection.grid_point.is_none()
+    {
+        return rooms::check(index, rooms, &list, recounted, cameras, (number, kind), pose, random);
+    }
     let basis = pose.basis();
     let selection = select(index, pose);
     let placement = selection.placement.and_then(|p| index.placements.get(p as usize));
@@ -371,7 +375,6 @@ fn check(
     if selection.grid_point.is_none() && !index.points.is_empty() {
         faults.push("no grid point".to_string());
     }
-    let (tx, ty) = (camera.half_tan_x(), camera.half_tan_y());
     let square = tx.max(ty);
     let mut triangles = 0;
     for (cell, entry) in (0u32..).zip(&index.cells) {
@@ -383,7 +386,6 @@ fn check(
             triangles += triangles_in(index, recounted, &[cell]);
         }
     }
-    let list = draw_list(index, pose, (tx, ty));
     let by_tree = index.walks_by_tree();
     if by_tree {
         // The nearest cells are drawn, all else comes from the tree.

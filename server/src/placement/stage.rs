@@ -33,6 +33,8 @@ pub struct Parameters {
     pub spacing_m: Option<f64>,
     /// Eyes are near this path; None: anywhere. Not for flying.
     pub along: Option<Corridor>,
+    /// Eyes are here; None: wherever one can walk or, for flying, be.
+    pub volume: Option<WalkVolume>,
 }
 
 /// Plans all images of a scene.
@@ -154,8 +156,9 @@ impl Ground {
     ) -> Result<Self, PlacementError> {
         check(settings)?;
         let mut statistics = PlacementStatistics::default();
-        let (volume, skipped) = timed(&mut statistics, "walk volume", || {
-            walk_volume(scene, &scene.bounds(), settings.eye_height_m, parameters.along.as_ref())
+        let (volume, skipped) = timed(&mut statistics, "walk volume", || match &parameters.volume {
+            Some(volume) => Ok((volume.clone(), Default::default())),
+            None => walk_volume(scene, &scene.bounds(), settings.eye_height_m, parameters.along.as_ref()),
         })?;
         statistics.skipped.extend(skipped);
         Ok(Self { volume, total: octree.cells.iter().map(|c| u64::from(c.triangles)).sum(), statistics })

@@ -4,7 +4,7 @@ use super::leaks::Random;
 use crate::render::{Caster, CellSet, Ray};
 use glam::DVec3;
 use ldi_protocol::camera::{Frustum, ViewBasis};
-use ldi_protocol::portal_view::portal_view;
+use ldi_protocol::portal_view::{VISITS_PER_VIEW, portal_view_within};
 use ldi_protocol::rooms::Rooms;
 use ldi_protocol::{OutputCamera, Pose};
 use rayon::prelude::*;
@@ -25,6 +25,8 @@ pub struct SightCheck {
     pub cells_reported_mean: f64,
     /// Cells that rays reach per view, mean.
     pub cells_reached_mean: f64,
+    /// Views in which everything counts as seen, as culling would take too many steps.
+    pub everything_seen: u64,
     /// Portals clipped per view, mean.
     pub portals_clipped_mean: f64,
     /// Time of the culling alone per view, microseconds, mean.
@@ -43,11 +45,13 @@ pub fn check_sight(caster: &Caster, rooms: &Rooms, poses: &[Pose], camera: &Outp
         let basis = ViewBasis::from_yaw_pitch(pose.yaw_deg, pose.pitch_deg);
         let frustum = Frustum::new(pose.position, &basis, camera.half_tan_x(), camera.half_tan_y());
         let start = std::time::Instant::now();
-        let view = portal_view(rooms, &frustum);
+        let start_cells = rooms.cells_near(pose.position, rooms.margin_m());
+        let view = portal_view_within(rooms, &frustum, &start_cells, &|_| true, VISITS_PER_VIEW);
         let mut found = SightCheck {
             poses: 1,
             cells_reported_mean: view.cells.len() as f64,
             portals_clipped_mean: view.clipped as f64,
+            everything_seen: u64::from(view.everything),
             cull_us_mean: start.elapsed().as_secs_f64() * 1e6,
             ..SightCheck::default()
         };
@@ -89,6 +93,7 @@ pub fn check_sight(caster: &Caster, rooms: &Rooms, poses: &[Pose], camera: &Outp
         sum.poses_with_a_miss += f.poses_with_a_miss;
         sum.rays += f.rays;
         sum.missed_rays += f.missed_rays;
+        sum.everything_seen += f.everything_seen;
         sum.cells_reported_mean += f.cells_reported_mean;
         sum.cells_reached_mean += f.cells_reached_mean;
         sum.portals_clipped_mean += f.portals_clipped_mean;

@@ -120,23 +120,13 @@ impl PortalPlans {
 
     /// Leaves out placements that `select` returns for none of many poses: for most portals what lies beyond fits the budget as geometry. `index`: with cells and settings, and of
     /// rooms all but the placements. An eye between those tried that would use one of them sees geometry instead, and where that exceeds the budget the LDI tree; the audit counts
-    /// such poses. `everywhere`: those also that it returns when images are shown wherever a portal has one.
-    pub fn keep_used(&mut self, mut index: Index, volume: &WalkVolume, everywhere: bool) {
-        let Some(rooms) = &mut index.rooms else { return };
-        rooms.placements.clone_from(&self.of_portal);
-        let placement = |p: &PlacementPlan| Placement {
-            grid_point: None,
-            cop: p.cop,
-            culled: Vec::new(),
-            footprint_px: p.footprint_px,
-            users: p.users,
-            images: 0..0,
-            sky: Default::default(),
-        };
-        index.placements = self.plans.iter().map(placement).collect();
+    /// such poses. `everywhere`: those also that it returns when images are shown wherever a portal has one. `index` knows the placements that are left, afterwards.
+    pub fn keep_used(&mut self, index: &mut Index, volume: &WalkVolume, everywhere: bool) {
+        self.enter(index);
         let sampler = volume.sampler();
         let (camera, pitch) = (index.settings.camera, index.settings.pitch_deg);
         let half_tan = (camera.half_tan_x(), camera.half_tan_y());
+        let known = &*index;
         let used: Vec<Vec<u32>> = (0..EYES_TRIED)
             .into_par_iter()
             .map(|number| {
@@ -155,10 +145,12 @@ impl PortalPlans {
                     .map(look)
                     .flat_map(|pose| ways.iter().map(move |everywhere| (pose, *everywhere)))
                     .map(|(pose, everywhere)| {
-                        draw_list_showing(&index, &pose, half_tan, ShowPortals { images, everywhere })
+                        draw_list_showing(known, &pose, half_tan, ShowPortals { images, everywhere })
                     })
                     .collect();
-                let mut used: Vec<u32> = lists.iter().flat_map(|l| &l.portals).map(|p| p.placement).collect();
+                // Where even that exceeds the budget the grid serves.
+                let kept = lists.iter().filter(|l| l.dropped == 0);
+                let mut used: Vec<u32> = kept.flat_map(|l| &l.portals).map(|p| p.placement).collect();
                 used.sort_unstable();
                 used.dedup();
                 used
@@ -175,6 +167,22 @@ impl PortalPlans {
         self.plans.retain(|_| keep.next().unwrap_or(false));
         self.statistics.placements = self.plans.len();
         self.statistics.poses_tried = EYES_TRIED * YAWS_TRIED;
+        self.enter(index);
+    }
+
+    /// Makes the index know the placements.
+    fn enter(&self, index: &mut Index) {
+        let placement = |p: &PlacementPlan| Placement {
+            grid_point: None,
+            cop: p.cop,
+            culled: Vec::new(),
+            footprint_px: p.footprint_px,
+            users: p.users,
+            images: 0..0,
+            sky: Default::default(),
+        };
+        index.placements = self.plans.iter().map(placement).collect();
+        index.rooms.iter_mut().for_each(|rooms| rooms.placements.clone_from(&self.of_portal));
     }
 }
 

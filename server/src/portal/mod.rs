@@ -6,7 +6,7 @@
 //!   scene -> storeys -> basins -> openings -> volumes <-> leaks -> Rooms -> overrides -> plan (SVG)
 //!            free space  necks     polygons    3D cells    gaps              corrections
 //!   scene's annotations ------------------------------------------^
-//!   Rooms -> members (cells of the octree in each) -> zones, images (what a build shows beyond portals); semicircle (the same as of 1998)
+//!   Rooms -> members (cells of the octree in each) -> zones, images (what a build shows beyond portals); semicircle (the same as of 1998); excess (where the grid takes over)
 //! ```
 //!
 //! What keeps culling conservative. All of space is divided: what is no cell is the outside, which is a place like any other. Cells can
@@ -23,6 +23,7 @@ mod annotated;
 mod basins;
 mod check;
 mod compare;
+mod excess;
 mod find;
 mod hull;
 mod images;
@@ -39,6 +40,7 @@ mod zones;
 pub use annotated::annotated_rooms;
 pub use check::{SightCheck, check_sight, random_poses};
 pub use compare::{Comparison, compare};
+pub use excess::over_budget;
 pub use find::{FoundRooms, Statistics, find_rooms};
 pub use images::{NEAR_M, PortalPlans, PortalStatistics, plan_portals};
 pub use members::cells_of_rooms;

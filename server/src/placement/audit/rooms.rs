@@ -11,7 +11,7 @@ use ldi_protocol::{
     ldi::LdiCamera,
     room_index::RoomIndex,
     rooms::{CellId, Portal},
-    select::{DrawList, draw_list},
+    select::DrawList,
 };
 use std::collections::BTreeSet;
 
@@ -22,10 +22,12 @@ const MOST_ROOMS: usize = 64;
 /// Points beyond a portal at which windows and footprints are looked at, per ray.
 const POINTS: usize = 2;
 
-/// Checks one pose.
+/// Checks one pose with its list.
+#[expect(clippy::too_many_arguments, reason = "the audit's own, and what is special about rooms")]
 pub(super) fn check(
     index: &Index,
     rooms: &RoomIndex,
+    list: &DrawList,
     recounted: &[u64],
     cameras: &[Option<LdiCamera>],
     (number, kind): (u64, &'static str),
@@ -33,7 +35,6 @@ pub(super) fn check(
     random: &mut Random,
 ) -> AuditedPose {
     let camera = &index.settings.camera;
-    let list = draw_list(index, pose, (camera.half_tan_x(), camera.half_tan_y()));
     let triangles = triangles_in(index, recounted, &list.cells);
     let mut faults = Vec::new();
     if triangles > index.settings.budget {
@@ -45,7 +46,7 @@ pub(super) fn check(
             list.dropped
         ));
     }
-    let mut audit = Walk { index, rooms, cameras, pose, list: &list, footprint_px: 0.0, faults: BTreeSet::new() };
+    let mut audit = Walk { index, rooms, cameras, pose, list, footprint_px: 0.0, faults: BTreeSet::new() };
     let basis = pose.basis();
     for _ in 0..RAYS {
         let mut across = || random.unit() * 2.0 - 1.0;

@@ -1,0 +1,192 @@
+//! Where rooms are too much: the eyes for which what has to be geometry exceeds the budget. The grid takes over there.
+//!
+//! In: an index with rooms and their placements. Out: the boxes of the walk volume that hold such eyes ([`over_budget`]).
+//!
+//! 1. From places in every box, some level views and some up and down.
+//! 2. Around boxes where one exceeds the budget, more places and views, until no box is added.
+//! 3. The boxes next to those, since eyes between the tried ones were not.
+//!
+//! This is a sample, so what comes close to the budget counts as too much ([`SHARE`]). What it misses is what the audit counts; a frame there keeps its budget all the same, and shows the LDI tree beyond it.
+
+use super::leaks::Random;
+use glam::DVec3;
+use ldi_protocol::{Aabb, Pose, index::Index, room_index::ShowPortals, select::CellGroups, select::draw_list_of};
+use rayon::prelude::*;
+use std::collections::HashMap;
+
+/// Share of the budget that views of a sample may use. Less: fewer views between those tried exceed the budget; more images.
+const SHARE: f64 = 0.95;
+/// Places tried in every box.
+const PLACES: usize = 2;
+/// Views from a place: as many yaws, spread evenly; one of three looks up or down.
+const YAWS: usize = 9;
+/// Places tried in a box near others that exceed the budget.
+const CLOSER: usize = 4;
+/// Boxes so close to one that exceeds the budget are looked at more closely, metres: about a stride.
+const NEAR_M: f64 = 1.0;
+/// Boxes so close to one belong to the grid, tried or not, metres: those that touch it.
+const BESIDE_M: f64 = 0.01;
+
+/// Per box of the walk volume whether the grid has to serve its eyes. Nothing without a walk volume or rooms.
+pub fn over_budget(index: &Index) -> Vec<bool> {
+    let (Some(volume), Some(_)) = (&index.volume, &index.rooms) else { return Vec::new() };
+    let boxes: Vec<Aabb> = volume.boxes().collect();
+    let mut tight = index.clone();
+    tight.settings.budget = (index.settings.budget as f64 * SHARE) as u64;
+    let near = Neighbours::of(&boxes);
+    let exceeds = |number: usize, places: usize| {
+        let mut random = Random(number as u64 * 64 + places as u64);
+        (0..places).any(|_| views(&tight, &boxes[number], &mut random))
+    };
+    let mut over: Vec<bool> = (0..boxes.len()).into_par_iter().map(|b| exceeds(b, PLACES)).collect();
+    let mut tried = over.clone();
+    let mut front: Vec<usize> = (0..boxes.len()).filter(|b| over[*b]).collect();
+    while !front.is_empty() {
+        let mut next: Vec<usize> =
+            front.iter().flat_map(|b| near.within(&boxes, *b, NEAR_M)).filter(|b| !tried[*b]).collect();
+        next.sort_unstable();
+        next.dedup();
+        next.iter().for_each(|b| tried[*b] = true);
+        front = next.into_par_iter().filter(|b| exceeds(*b, CLOSER)).collect();
+        front.iter().for_each(|b| over[*b] = true);
+    }
+    let all: Vec<usize> = (0..boxes.len()).filter(|b| over[*b]).collect();
+    for beside in all.iter().flat_map(|b| near.within(&boxes, *b, BESIDE_M)) {
+        over[beside] = true;
+    }
+    over
+}
+
+/// Whether one of the views from a random place in a box exceeds the budget.
+fn views(index: &Index, within: &Aabb, random: &mut Random) -> bool {
+    let at = DVec3::new(random.unit(), random.unit(), random.unit());
+    let position = within.min + within.size() * at;
+    let (camera, pitch) = (&index.settings.camera, index.settings.pitch_deg);
+    let half_tan = (camera.half_tan_x(), camera.half_tan_y());
+    let turn = random.unit() * 360.0;
+    (0..YAWS).any(|k| {
+        let pitch_deg = if k % 3 == 2 { (random.unit() * 2.0 - 1.0) * pitch } else { 0.0 };
+        let pose = Pose { position, yaw_deg: (turn + 360.0 * k as f64 / YAWS as f64) % 360.0, pitch_deg };
+        draw_list_of(index, &CellGroups::default(), &pose, half_tan, ShowPortals::default()).dropped > 0
+    })
+}
+
+/// Boxes by the square of the plan that their middle lies in.
+struct Neighbours(HashMap<[i64; 2], Vec<usize>>);
+
+impl Neighbours {
+    fn square(p: DVec3) -> [i64; 2] {
+        [p.x, p.z].map(|x| (x / NEAR_M).floor() as i64)
+    }
+
+    fn of(boxes: &[Aabb]) -> Self {
+        let mut squares: HashMap<[i64; 2], Vec<usize>> = HashMap::new();
+        for (number, b) in boxes.iter().enumerate() {
+            squares.entry(Self::square(b.centre())).or_default().push(number);
+        }
+        Self(squares)
+    }
+
+    /// Boxes at most `apart_m` from a box, without itself; `apart_m` and the boxes' sides together at most twice [`NEAR_M`].
+    fn within<'a>(&'a self, boxes: &'a [Aabb], number: usize, apart_m: f64) -> impl Iterator<Item = usize> + 'a {
+        let reach = boxes[number].inflated(apart_m);
+        let [i, k] = Self::square(boxes[number].centre());
+        let squares = (i - 2..=i + 2).flat_map(move |i| (k - 2..=k + 2).map(move |k| [i, k]));
+        let there = squares.filter_map(|s| self.0.get(&s)).flatten().copied();
+        there.filter(move |b| *b != number && boxes[*b].intersects(&reach))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::placement::test_scenes::settings;
+    use ldi_protocol::{
+        index::{CellEntry, SceneInfo},
+        room_index::RoomIndex,
+        rooms::{Cell, Portal, PortalKind, Rooms},
+        select::draw_list,
+        volume::WalkVolume,
+    };
+
+    fn boxed(min: [f64; 3], max: [f64; 3]) -> Aabb {
+        Aabb { min: DVec3::from(min), max: DVec3::from(max) }
+    }
+
+    /// Two rooms of 8 m by 8 m on either side of x = 0, with a door of 1 m at z = 4; 1,000 triangles in the far corner of the one at x < 0.
+    fn index(budget: u64) -> Index {
+        let room =
+            |name: &str, x: f64| Cell { name: name.into(), boxes: vec![boxed([x, 0.0, 0.0], [x + 8.0, 3.0, 8.0])] };
+        let corners = [(0.0, 3.5), (2.0, 3.5), (2.0, 4.5), (0.0, 4.5)].map(|(y, z)| DVec3::new(0.0, y, z)).to_vec();
+        let door = Portal { cells: [Some(0), Some(1)], kind: PortalKind::Door, corners };
+        let rooms = Rooms::new(0.1, vec![room("full", -8.0), room("empty", 0.0)], vec![door]).unwrap();
+        let cell = CellEntry {
+            bounds: boxed([-8.0, 0.0, 0.0], [-7.0, 2.5, 1.0]),
+            triangles: 1_000,
+            chunk: 0,
+            bundles: vec![],
+            materials: vec![],
+        };
+        let cut = boxed([-8.0, 0.0, 0.0], [8.0, 3.0, 8.0]);
+        let runs = vec![vec![[0, 9]]; 32 * 16];
+        let volume = WalkVolume::new(DVec3::new(-8.0, 1.1, 0.0), 0.5, 0.1, [32, 16], &runs, &cut).unwrap();
+        Index {
+            scene: SceneInfo {
+                name: String::new(),
+                triangles: 1_000,
+                unique_triangles: 1_000,
+                instances: 1,
+                bounds: cut,
+            },
+            settings: settings(budget),
+            chunks: vec![],
+            cells: vec![cell],
+            materials: vec![],
+            textures: vec![],
+            pitch_bands_deg: vec![],
+            points: vec![],
+            placements: vec![],
+            images: vec![],
+            volume: Some(volume),
+            tree: None,
+            rooms: Some(RoomIndex {
+                rooms,
+                near_m: 1.5,
+                cells_of: vec![vec![0], vec![], vec![]],
+                placements: vec![[0..0, 0..0]],
+                ..Default::default()
+            }),
+        }
+    }
+
+    #[test]
+    fn places_that_see_too_much_are_found() {
+        let tight = index(990);
+        let over = over_budget(&tight);
+        let boxes: Vec<Aabb> = tight.volume.as_ref().unwrap().boxes().collect();
+        assert_eq!(over.len(), boxes.len());
+        // Against many more views: none exceeds the budget where nothing was found, and where something was, some view there or next to it comes close.
+        let mut random = Random(7);
+        let mut most = |number: usize| {
+            let view = |_| {
+                let position =
+                    boxes[number].min + boxes[number].size() * DVec3::new(random.unit(), random.unit(), random.unit());
+                let pose = Pose { position, yaw_deg: 360.0 * random.unit(), pitch_deg: 60.0 * random.unit() - 30.0 };
+                u64::from(draw_list(&tight, &pose, (0.577, 0.577)).dropped)
+            };
+            (0..200).map(view).max().unwrap()
+        };
+        let exceeds: Vec<bool> = (0..boxes.len()).map(|b| most(b) > 0).collect();
+        for (number, b) in boxes.iter().enumerate() {
+            assert!(over[number] || !exceeds[number], "{b:?}");
+            let beside = boxes.iter().zip(&exceeds).any(|(o, e)| *e && o.intersects(&b.inflated(0.6)));
+            assert!(!over[number] || beside, "{b:?}");
+        }
+        let found = over.iter().filter(|o| **o).count();
+        assert!(found > 256 && found < 400, "{found} of {}", over.len());
+        // All of it fits, but not by far: views between those tried could exceed the budget.
+        assert_eq!(over_budget(&index(1_020)), over);
+        assert!(over_budget(&index(1_100)).iter().all(|o| !o));
+        assert!(over_budget(&Index { rooms: None, ..index(10) }).is_empty());
+    }
+}
