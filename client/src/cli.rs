@@ -297,9 +297,9 @@ fn check_offer(method: Method, index: &Index) -> Result<(), Failure> {
         None if method == Method::Portals => refused(
             "the dataset has no rooms; build it with `ldi-server build SCENE --represent portals`, or use --method auto",
         ),
-        Some(_) if method == Method::Grid => {
-            refused("the dataset has rooms and no grid; build it with --represent grid, or use --method portals")
-        }
+        Some(_) if method == Method::Grid => refused(
+            "the dataset is walked by rooms, and has a grid at most where those are too much; build it with --represent grid, or use --method portals",
+        ),
         Some(rooms) if !rooms.built.offer(wanted) && wanted.is_paper() => refused(
             "the dataset has no reference images of portals; build it with `--represent portals --portal-images paper` (or both), or use --method portals",
         ),

@@ -172,6 +172,12 @@ pub fn draw_list_of(
     }
 }
 
+/// Triangles of what rooms have to draw as geometry: above the budget the grid takes over. None in a dataset without rooms.
+pub fn least_by_rooms(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> Option<u64> {
+    let rooms = index.rooms.as_ref()?;
+    Some(portals::least(index, rooms, pose, picture_half_tan))
+}
+
 /// The list by grid points.
 fn grid_list(index: &Index, groups: &CellGroups, pose: &Pose, picture_half_tan: (f64, f64)) -> DrawList {
     let selection = select(index, pose);

@@ -393,3 +393,24 @@ fn rooms_may_come_from_a_file_and_what_does_not_fit_is_named() {
     // A path file is what walks read.
     assert_eq!(path::parse(&std::fs::read_to_string(&h.poses).expect("readable")).expect("a path").poses.len(), 8);
 }
+
+/// By default rooms that the scene names are weighed against the grid alone; what was chosen is what was built, and the report says why.
+#[test]
+fn rooms_are_weighed_against_the_grid_alone() {
+    let out = folder("portal-auto");
+    let mut c = server(&["build", SCENE, "--budget", "9000", "--size", "96x54", "-o"]);
+    c.arg(out.join("auto"));
+    run::run(c).expect("builds");
+    let report = json(&out.join("auto").join("report.json"));
+    let found = &report["room_weighing"];
+    let figure = |of: &str| found[of].as_u64().expect("a figure");
+    let fewer = figure("portals_bytes_expected") <= figure("grid_bytes_expected");
+    let chosen = found["chosen"].as_str().expect("a choice");
+    assert_eq!(chosen, if fewer && figure("violations") == 0 { "portals" } else { "grid" }, "{found}");
+    assert_eq!(report["rooms"].is_null(), chosen == "grid", "{}", report["rooms"]);
+    let notes = report["skipped"].as_array().expect("notes");
+    let what = if chosen == "grid" { "rooms: the grid alone" } else { "the grid alone: rooms" };
+    let note = notes.iter().find(|n| n["what"] == what).expect("it says what was left out");
+    assert_eq!(note["why"], found["why"]);
+    assert_eq!(report["guarantee"]["violations"], 0);
+}

@@ -75,17 +75,7 @@ pub(super) fn draw_list(
     half_tan: (f64, f64),
     show: ShowPortals,
 ) -> DrawList {
-    let t = index.settings.square_half_tan();
-    let search = Search {
-        index,
-        rooms,
-        pose,
-        frusta: DrawFrusta::new(&index.settings, pose, half_tan),
-        picture: Frustum::new(pose.position, &pose.basis(), half_tan.0.min(t), half_tan.1.min(t)),
-        start: rooms.rooms.cells_near(pose.position, rooms.rooms.margin_m()),
-        images: rooms.resolve(show.images),
-        everywhere: show.everywhere,
-    };
+    let search = Search::new(index, rooms, pose, half_tan, show);
     let state = search.run();
     let portals = search.portals(&state.view);
     let State { view, cells, triangles, .. } = state;
@@ -102,16 +92,41 @@ pub(super) fn draw_list(
     DrawList { selection, cells, images, triangles, dropped, tree, rooms: seen, portals }
 }
 
-impl Search<'_> {
+/// Triangles of what has to be geometry (1 and 2).
+pub(super) fn least(index: &Index, rooms: &RoomIndex, pose: &Pose, half_tan: (f64, f64)) -> u64 {
+    let search = Search::new(index, rooms, pose, half_tan, ShowPortals::default());
+    search.least().triangles
+}
+
+impl<'a> Search<'a> {
+    fn new(index: &'a Index, rooms: &'a RoomIndex, pose: &'a Pose, half_tan: (f64, f64), show: ShowPortals) -> Self {
+        let t = index.settings.square_half_tan();
+        Self {
+            index,
+            rooms,
+            pose,
+            frusta: DrawFrusta::new(&index.settings, pose, half_tan),
+            picture: Frustum::new(pose.position, &pose.basis(), half_tan.0.min(t), half_tan.1.min(t)),
+            start: rooms.rooms.cells_near(pose.position, rooms.rooms.margin_m()),
+            images: rooms.resolve(show.images),
+            everywhere: show.everywhere,
+        }
+    }
+
+    /// The rooms of the eye, and those that are seen through portals without an image.
+    fn least(&self) -> State {
+        let mut geometry = vec![false; self.rooms.cells_of.len()];
+        self.start.iter().for_each(|room| geometry[self.rooms.slot(*room)] = true);
+        self.closed(geometry)
+    }
+
     fn run(&self) -> State {
         let budget = self.index.settings.budget;
         let all = || self.state(vec![true; self.rooms.cells_of.len()]);
         if let Some(everything) = (!self.everywhere).then(all).filter(|e| e.triangles <= budget) {
             return everything;
         }
-        let mut geometry = vec![false; self.rooms.cells_of.len()];
-        self.start.iter().for_each(|room| geometry[self.rooms.slot(*room)] = true);
-        let mut best = self.closed(geometry);
+        let mut best = self.least();
         let mut tried = vec![false; self.rooms.cells_of.len()];
         for _ in 0..if self.everywhere { 0 } else { MOST_TRIES } {
             if best.triangles >= budget {

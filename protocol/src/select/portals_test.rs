@@ -6,7 +6,7 @@ use crate::{
     index::{AngularRange, BuildSettings, CellEntry, GridPoint, ImageEntry, Placement, SceneInfo},
     room_index::{BuiltImages, SideImages},
     rooms::{Cell, Portal, PortalKind, Rooms},
-    select::{draw_list, draw_list_showing},
+    select::{draw_list, draw_list_showing, least_by_rooms},
 };
 use glam::DVec3;
 use proptest::prelude::*;
@@ -287,6 +287,8 @@ proptest! {
         let pose = Pose { position, yaw_deg: yaw, pitch_deg: 0.0 };
         let list = draw_list(&index, &pose, SQUARE);
         prop_assert!(list.triangles <= budget);
+        // What has to be geometry fits, or cells are left out.
+        prop_assert_eq!(least_by_rooms(&index, &pose, SQUARE).is_some_and(|t| t > budget), list.dropped > 0);
         let drawn: u64 = list.cells.iter().map(|c| u64::from(index.cells[*c as usize].triangles)).sum();
         prop_assert_eq!(drawn, list.triangles);
         if list.dropped > 0 {

@@ -263,3 +263,16 @@ fn rooms_of(caster: &Caster, source: &RoomSource) -> Result<Rooms, BuildError> {
         false => Ok(rooms),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rooms_are_given_by_the_scene_or_by_whoever_builds() {
+        let scene = |spec: &str| crate::scene::load(spec).unwrap();
+        let (house, pipes) = (scene("builtin:house?triangles=20000"), scene("builtin:pipes?triangles=20000"));
+        assert!(are_given(&house, &RoomSource::Scene) && !are_given(&pipes, &RoomSource::Scene));
+        assert!(are_given(&pipes, &RoomSource::Found) && are_given(&pipes, &RoomSource::File("rooms.json".into())));
+    }
+}

@@ -10,16 +10,16 @@
 
 use super::leaks::Random;
 use glam::DVec3;
-use ldi_protocol::{Aabb, Pose, index::Index, room_index::ShowPortals, select::CellGroups, select::draw_list_of};
+use ldi_protocol::{Aabb, Pose, index::Index, select::least_by_rooms};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
 /// Share of the budget that views of a sample may use. Less: fewer views between those tried exceed the budget; more images.
 const SHARE: f64 = 0.95;
 /// Places tried in every box.
-const PLACES: usize = 2;
+const PLACES: usize = 4;
 /// Views from a place: as many yaws, spread evenly; one of three looks up or down.
-const YAWS: usize = 9;
+const YAWS: usize = 12;
 /// Places tried in a box near others that exceed the budget.
 const CLOSER: usize = 4;
 /// Boxes so close to one that exceeds the budget are looked at more closely, metres: about a stride.
@@ -31,12 +31,11 @@ const BESIDE_M: f64 = 0.01;
 pub fn over_budget(index: &Index) -> Vec<bool> {
     let (Some(volume), Some(_)) = (&index.volume, &index.rooms) else { return Vec::new() };
     let boxes: Vec<Aabb> = volume.boxes().collect();
-    let mut tight = index.clone();
-    tight.settings.budget = (index.settings.budget as f64 * SHARE) as u64;
+    let most = (index.settings.budget as f64 * SHARE) as u64;
     let near = Neighbours::of(&boxes);
     let exceeds = |number: usize, places: usize| {
         let mut random = Random(number as u64 * 64 + places as u64);
-        (0..places).any(|_| views(&tight, &boxes[number], &mut random))
+        (0..places).any(|_| exceeds_in(index, &boxes[number], most, &mut random))
     };
     let mut over: Vec<bool> = (0..boxes.len()).into_par_iter().map(|b| exceeds(b, PLACES)).collect();
     let mut tried = over.clone();
@@ -57,8 +56,8 @@ pub fn over_budget(index: &Index) -> Vec<bool> {
     over
 }
 
-/// Whether one of the views from a random place in a box exceeds the budget.
-fn views(index: &Index, within: &Aabb, random: &mut Random) -> bool {
+/// Whether in one of the views from a random place in a box more triangles than `most` have to be geometry.
+fn exceeds_in(index: &Index, within: &Aabb, most: u64, random: &mut Random) -> bool {
     let at = DVec3::new(random.unit(), random.unit(), random.unit());
     let position = within.min + within.size() * at;
     let (camera, pitch) = (&index.settings.camera, index.settings.pitch_deg);
@@ -67,7 +66,7 @@ fn views(index: &Index, within: &Aabb, random: &mut Random) -> bool {
     (0..YAWS).any(|k| {
         let pitch_deg = if k % 3 == 2 { (random.unit() * 2.0 - 1.0) * pitch } else { 0.0 };
         let pose = Pose { position, yaw_deg: (turn + 360.0 * k as f64 / YAWS as f64) % 360.0, pitch_deg };
-        draw_list_of(index, &CellGroups::default(), &pose, half_tan, ShowPortals::default()).dropped > 0
+        least_by_rooms(index, &pose, half_tan).is_some_and(|triangles| triangles > most)
     })
 }
 

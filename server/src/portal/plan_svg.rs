@@ -21,6 +21,17 @@ fn colour(kind: PortalKind) -> &'static str {
     }
 }
 
+/// A colour of medium saturation as #rrggbb, which every program that draws SVG knows, unlike hsl(): hue in degrees, lightness in percent (CSS Color 3, section 4.2.4).
+fn hex(hue: f64, light_percent: f64) -> String {
+    let light = light_percent / 100.0;
+    let channel = |n: f64| {
+        let k = (n + hue / 30.0).rem_euclid(12.0);
+        let value = light - 0.7 * light.min(1.0 - light) * (k - 3.0).min(9.0 - k).clamp(-1.0, 1.0);
+        (value * 255.0).round() as u8
+    };
+    format!("#{:02x}{:02x}{:02x}", channel(0.0), channel(8.0), channel(4.0))
+}
+
 fn escaped(text: &str) -> String {
     text.chars().fold(String::new(), |mut out, c| {
         match c {
@@ -139,8 +150,8 @@ pub fn plan_svg(rooms: &Rooms, title: &str) -> String {
 fn draw_cell(out: &mut String, number: usize, cell: &Cell, scale: f64, at: &dyn Fn(f64, f64) -> (f64, f64)) {
     // Golden angles: neighbours in number differ in hue.
     let hue = (number as f64 * 137.508) % 360.0;
-    let light = 72 + 6 * (number % 3);
-    let _ = writeln!(out, "<g fill=\"hsl({hue:.0},70%,{light}%)\"><title>{}</title>", escaped(&cell.name));
+    let light = [72.0, 78.0, 84.0][number % 3];
+    let _ = writeln!(out, "<g fill=\"{}\"><title>{}</title>", hex(hue, light), escaped(&cell.name));
     for b in &cell.boxes {
         let ((x, y), s) = (at(b.min.x, b.min.z), b.size() * scale);
         let _ =
@@ -154,6 +165,14 @@ mod tests {
     use super::*;
     use glam::DVec3;
     use ldi_protocol::Aabb;
+
+    /// Red, green and blue of full lightness and others, worked out by hand from the definition.
+    #[test]
+    fn hues_are_colours() {
+        assert_eq!([hex(0.0, 50.0), hex(120.0, 50.0), hex(240.0, 50.0)], ["#d92626", "#26d926", "#2626d9"]);
+        assert_eq!([hex(60.0, 100.0), hex(200.0, 0.0)], ["#ffffff", "#000000"]);
+        assert_eq!(hex(30.0, 80.0), "#f0cca8");
+    }
 
     #[test]
     fn storeys_are_drawn_apart_and_names_are_escaped() {
