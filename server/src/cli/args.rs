@@ -142,7 +142,8 @@ pub struct BuildArgs {
     #[arg(long, value_name = "M", default_value_t = 1.0, requires = "along", value_parser = positive)]
     pub within: f64,
     /// Representations to build: grid (images of placements, over the coarse levels of an LDI tree), portals (rooms, with images of what lies beyond
-    /// their portals, over the same) or tree (the LDI tree alone); grid,tree is whichever keeps --max-footprint with fewer bytes; auto is grid.
+    /// their portals, and the grid's where that exceeds the budget, over the same) or tree (the LDI tree alone); grid,tree is whichever keeps --max-footprint with fewer bytes; auto is grid,
+    /// or portals if the scene names rooms, or --find-rooms or --rooms is given, and they take fewer bytes and break no promise.
     #[arg(long, default_value = "auto", value_delimiter = ',')]
     pub represent: Vec<String>,
     /// With --represent tree: smallest distance of samples, metres.
@@ -151,10 +152,10 @@ pub struct BuildArgs {
     /// With --represent tree: pixels along a side of each of a reference's six images.
     #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=2048))]
     pub tree_reference: u32,
-    /// With --represent portals: rooms as `ldi-server rooms --json` writes them [default: the scene's own, else found].
+    /// With --represent portals or auto: rooms as `ldi-server rooms --json` writes them [default: the scene's own; with portals else found].
     #[arg(long, value_name = "FILE")]
     pub rooms: Option<PathBuf>,
-    /// With --represent portals: find rooms even if the scene names its own.
+    /// With --represent portals or auto: find rooms even if the scene names its own.
     #[arg(long, conflicts_with = "rooms")]
     pub find_rooms: bool,
     /// With --represent portals: eyes nearer than this to a portal see geometry beyond it, metres.
