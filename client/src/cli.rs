@@ -410,6 +410,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
             hash: link.dataset_hash(),
             budget: index.settings.budget,
             representations: match (&index.rooms, index.placements.is_empty()) {
+                (Some(_), _) if !index.points.is_empty() => vec!["geometry", "portals", "grid"],
                 (Some(_), _) => vec!["geometry", "portals"],
                 (None, false) => vec!["geometry", "grid"],
                 (None, true) => vec!["geometry"],

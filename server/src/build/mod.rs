@@ -250,10 +250,14 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
             };
             let cells = octree.cells.iter().map(entry).collect();
             let (parts, nothing) = ((cells, Vec::new()), (Vec::new(), Vec::new(), None));
-            let draft = index_of(options, &scene, settings.clone(), ground()?, parts, Vec::new(), nothing);
+            let ground = ground()?;
+            let skipped = ground.statistics.skipped.clone();
+            let draft = index_of(options, &scene, settings.clone(), ground, parts, Vec::new(), nothing);
             clock.lap("walk volume");
             let grid = |volume| place(settings.budget, Some(volume));
-            let (plan, found) = rooms::plan_rooms(caster, source, portals, draft, &grid, progress)?;
+            let (mut plan, found) = rooms::plan_rooms(caster, source, portals, draft, &grid, progress)?;
+            // The grid was given its volume, so it left out nothing of it.
+            plan.statistics.skipped.extend(skipped);
             rooms = Some(found);
             plan
         }
