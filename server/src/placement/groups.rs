@@ -5,14 +5,14 @@
 //! other's only through the slab between, in deep layers and edge-on.
 
 use super::{
-    near_box::{Member, NearBox, fill, fit},
+    near_box::{Member, NearBox, PLACEMENT_SAMPLES, fill, fit},
     point::{Context, TooNear},
 };
 use glam::DVec3;
 use ldi_protocol::Aabb;
 use rayon::prelude::*;
 
-/// Groups members: top-down, a group that one box serves stays together unless two boxes are cheaper, and others are halved; then groups beside each other
+/// Groups members: halved, again and again, wherever one box cannot serve them or boxes of their parts are cheaper; then groups beside each other
 /// are joined where one box is cheaper than two. The boxes that are left take up what they leave of the budget.
 ///
 /// Returns the groups, as positions in `members`, each with its box, in a fixed order. Err: a member that no box serves.
@@ -21,7 +21,7 @@ pub(super) fn group(ctx: &Context, members: &[Member]) -> Result<Vec<(Vec<u32>, 
     if all.is_empty() {
         return Ok(Vec::new());
     }
-    let groups = join(ctx, members, divide(ctx, members, all, None)?);
+    let groups = join(ctx, members, divide(ctx, members, all)?);
     let filled = |(of, near): (Vec<u32>, NearBox)| {
         let near = fill(ctx, &of.iter().map(|m| &members[*m as usize]).collect::<Vec<_>>(), &near);
         (of, near)
@@ -104,7 +104,7 @@ fn apart(ctx: &Context, members: &[Member], of: &[u32]) -> bool {
     f64::from(seen) < IN_SIGHT * f64::from(pairs)
 }
 
-/// A split is made where it costs less than this share of the whole. By judgement: a placement is worth a little.
+/// A split is made where it costs less than this share of the whole. By judgement: a switch between placements is worth a little.
 const WORTH_SPLITTING: f64 = 0.95;
 
 type Grouped = Result<Vec<(Vec<u32>, NearBox)>, (u32, TooNear)>;
@@ -113,25 +113,35 @@ fn fit_of(ctx: &Context, members: &[Member], of: &[u32]) -> Result<NearBox, TooN
     fit(ctx, &of.iter().map(|m| &members[*m as usize]).collect::<Vec<_>>())
 }
 
-fn divide(ctx: &Context, members: &[Member], of: Vec<u32>, known: Option<Result<NearBox, TooNear>>) -> Grouped {
-    let fitted = |of: &[u32]| known.unwrap_or_else(|| fit_of(ctx, members, of));
+/// The cheapest groups that halving some members, their halves and so on gives. All halves are looked at: often two cost as much as the
+/// whole, and four much less.
+fn divide(ctx: &Context, members: &[Member], of: Vec<u32>) -> Grouped {
     if of.len() == 1 {
-        return fitted(&of).map(|b| vec![(of.clone(), b)]).map_err(|e| (of[0], e));
+        return fit_of(ctx, members, &of).map(|b| vec![(of.clone(), b)]).map_err(|e| (of[0], e));
     }
-    let whole = if apart(ctx, members, &of) { None } else { fitted(&of).ok() };
-    let (low, high) = halve(members, &of);
-    let (mut of_low, mut of_high) = (None, None);
-    if let Some(whole) = whole {
-        let (a, b) = rayon::join(|| fit_of(ctx, members, &low), || fit_of(ctx, members, &high));
-        if !matches!((&a, &b), (Ok(a), Ok(b)) if a.cost + b.cost < whole.cost * WORTH_SPLITTING) {
-            return Ok(vec![(of, whole)]);
-        }
-        (of_low, of_high) = (Some(a), Some(b));
+    let whole = if apart(ctx, members, &of) { None } else { fit_of(ctx, members, &of).ok() };
+    let limit = whole.as_ref().map_or(f64::INFINITY, |w| w.cost * WORTH_SPLITTING);
+    let parts = || {
+        let (low, high) = halve(members, &of);
+        let (low, high) = rayon::join(|| divide(ctx, members, low), || divide(ctx, members, high));
+        let mut groups = low?;
+        groups.extend(high?);
+        Ok(groups)
+    };
+    match whole {
+        None => parts(),
+        // No two groups cost less.
+        Some(whole) if limit <= 2.0 * PLACEMENT_SAMPLES => Ok(vec![(of, whole)]),
+        Some(whole) => match parts() {
+            Ok(parts) if cost_of(&parts) < limit => Ok(parts),
+            _ => Ok(vec![(of, whole)]),
+        },
     }
-    let (low, high) = rayon::join(|| divide(ctx, members, low, of_low), || divide(ctx, members, high, of_high));
-    let mut groups = low?;
-    groups.extend(high?);
-    Ok(groups)
+}
+
+/// What all groups cost, in samples to expect.
+fn cost_of(groups: &[(Vec<u32>, NearBox)]) -> f64 {
+    groups.iter().map(|g| g.1.cost).sum()
 }
 
 /// What ways to group the same view cells cost, in samples to expect.
@@ -141,7 +151,7 @@ pub struct Groupings {
     pub members: usize,
     /// Each by itself.
     pub apart: f64,
-    /// Halved as long as that is cheaper.
+    /// Halved wherever that is cheaper in the end.
     pub halved: f64,
     /// Halved, then joined: the way in use.
     pub joined: f64,
@@ -171,13 +181,12 @@ pub(super) fn compare(ctx: &Context, members: &[Member]) -> Option<Groupings> {
         let with_first = (1..=s).filter(|t| t & !s == 0 && t & first != 0);
         best[s] = with_first.map(|t| whole[t] + best[s & !t]).fold(f64::INFINITY, f64::min);
     }
-    let sum = |groups: &[(Vec<u32>, NearBox)]| groups.iter().map(|g| g.1.cost).sum::<f64>();
-    let halved = divide(ctx, members, (0..n as u32).collect(), None).ok()?;
+    let halved = divide(ctx, members, (0..n as u32).collect()).ok()?;
     Some(Groupings {
         members: n,
         apart: (0..n).map(|m| whole[1 << m]).sum(),
-        halved: sum(&halved),
-        joined: sum(&join(ctx, members, halved)),
+        halved: cost_of(&halved),
+        joined: cost_of(&join(ctx, members, halved)),
         best: *best.last()?,
     })
 }
@@ -204,7 +213,7 @@ mod tests {
         bands::Directions,
         cells::Cells,
         hull::EyeHull,
-        test_scenes::{settings, strewn},
+        test_scenes::{NOTHING_BETWEEN, settings, strewn},
     };
 
     #[test]
@@ -229,5 +238,56 @@ mod tests {
         };
         assert_eq!(mixed(Sees(&|_, _| false)), (true, false), "a slab between");
         assert_eq!(mixed(Sees(&|_, _| true)), (false, true), "nothing between");
+    }
+
+    /// Sixteen view cells in a row along a strewn hall.
+    fn row(ctx: &Context) -> Vec<Member> {
+        let member = |k: u32| {
+            let at = DVec3::new(f64::from(k) * 3.0 - 24.0, 0.0, 0.0);
+            let mut hull = EyeHull::EMPTY;
+            hull.add(&Aabb { min: at + DVec3::new(-1.5, 1.1, -1.5), max: at + DVec3::new(1.5, 2.0, 1.5) });
+            Member::new(ctx, hull, true)
+        };
+        (0..16).map(member).filter(|m| !m.units.is_empty()).collect()
+    }
+
+    /// What boxes cost when members are halved `levels` times; None where one cannot serve its part.
+    fn cut(ctx: &Context, members: &[Member], of: &[u32], levels: u32) -> Option<f64> {
+        if levels == 0 || of.len() == 1 {
+            return fit_of(ctx, members, of).ok().map(|b| b.cost);
+        }
+        let (low, high) = halve(members, of);
+        Some(cut(ctx, members, &low, levels - 1)? + cut(ctx, members, &high, levels - 1)?)
+    }
+
+    #[test]
+    fn halving_looks_past_halves_that_do_not_pay() {
+        let directions = Directions::new(60.0);
+        let mut late = 0;
+        for seed in 0..4 {
+            let (bounds, triangles) = strewn(1500, 33 + seed);
+            let cells = Cells::new(bounds, triangles);
+            for budget in [14_000, 20_000, 26_000] {
+                let ctx =
+                    Context::new(&cells, &directions, &settings(budget), 60.0, CostBenefit::default(), NOTHING_BETWEEN);
+                let members = row(&ctx);
+                let all: Vec<u32> = (0..members.len() as u32).collect();
+                let found = cost_of(&divide(&ctx, &members, all.clone()).map_err(|e| e.1.needed).expect("feasible"));
+                let cuts: Vec<Option<f64>> = (0..=4).map(|levels| cut(&ctx, &members, &all, levels)).collect();
+                for (levels, cost) in cuts.iter().enumerate() {
+                    let allowed = cost.map_or(f64::INFINITY, |c| c / WORTH_SPLITTING.powi(levels as i32));
+                    assert!(
+                        found <= allowed * (1.0 + 1e-9),
+                        "seed {seed}, {budget}: {found}, {levels} levels: {allowed}"
+                    );
+                }
+                if let [Some(whole), Some(halves), ..] = cuts[..]
+                    && halves >= whole * WORTH_SPLITTING
+                {
+                    late += u32::from(found < whole);
+                }
+            }
+        }
+        assert!(late > 0, "where two halves do not pay, parts of them may");
     }
 }

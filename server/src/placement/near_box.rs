@@ -44,7 +44,7 @@ const FINER: [f64; 4] = [0.5, 0.25, 0.125, 0.05];
 /// what the clinic's images at a twentieth hold: of the two guesses neither alone gave the best plans (docs/decisions.md).
 const SAMPLES_PER_PIXEL: [f64; 2] = [0.05, 0.008];
 /// What a placement costs besides its samples: the rays that find what eyes see, a switch for whoever walks past. In samples, by judgement.
-const PLACEMENT_SAMPLES: f64 = 500_000.0;
+pub(super) const PLACEMENT_SAMPLES: f64 = 500_000.0;
 /// Faces, by (axis, side).
 pub(super) const FACES: [(usize, usize); 6] = [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)];
 /// Sets of faces that may move together, as bits of [`FACES`]: all, the walls, floor and ceiling, each.

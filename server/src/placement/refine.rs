@@ -13,7 +13,7 @@ use super::{
     hull::EyeHull,
     lattice::Lattice,
     model::{PlacementPlan, PlacementStatistics},
-    near_box::{Member, feasible, needed},
+    near_box::{Member, feasible, fit, needed},
     nearest::nearest,
     plan::{plan, plan_box},
     point::{Context, Scheme, Solution, TooNear, solve},
@@ -72,18 +72,20 @@ pub(super) fn refine(
         solved.resize(positions.len(), false);
         let open: Vec<usize> = (0..positions.len()).filter(|i| !solved[*i] && !uses[*i].units.is_empty()).collect();
         let evaluate = |i: &usize| match ctx.scheme {
-            Scheme::Paper => solve(ctx, positions[*i], &uses[*i]).map(|_| ()),
+            Scheme::Paper => solve(ctx, positions[*i], &uses[*i]).map(|_| ()).map_err(Some),
             Scheme::Cells => {
                 let member = Member::new(ctx, uses[*i].units[0].1, false);
                 let extra_m = member.eyes.size().max_element() * 0.5 * (SHARED_REACH - 1.0);
                 // Below this spacing sharing is given up before the budget is.
                 let shared = lattice.spacing_of(lattice.points[*i].level) > FINEST_SHARED_M;
-                feasible(ctx, &member, if shared { extra_m } else { 0.0 })
+                feasible(ctx, &member, if shared { extra_m } else { 0.0 }).map_err(Some)?;
+                if shared && worth_subdividing(ctx, &member) { Err(None) } else { Ok(()) }
             }
         };
-        let results: Vec<Result<(), TooNear>> =
+        // Err(None): within the budget, but dearer than its parts.
+        let results: Vec<Result<(), Option<TooNear>>> =
             timed(statistics, "evaluate", || open.par_iter().with_max_len(4).map(evaluate).collect());
-        let mut failed: Vec<(usize, TooNear)> = Vec::new();
+        let mut failed: Vec<(usize, Option<TooNear>)> = Vec::new();
         for (i, result) in open.iter().zip(&results) {
             match result {
                 Ok(_) => solved[*i] = true,
@@ -107,7 +109,7 @@ pub(super) fn refine(
                     statistics.coverage_certified = true;
                     return Ok(refined);
                 }
-                Err(again) => failed = again,
+                Err(again) => failed = again.into_iter().map(|(i, e)| (i, Some(e))).collect(),
             }
         }
         let levels: Vec<u8> = lattice.points.iter().map(|p| p.level).collect();
@@ -124,7 +126,10 @@ pub(super) fn refine(
             };
             let too_fine = spacing_m < FINEST_SPACING_M || lattice.points.len() > most;
             if too_fine || !lattice.subdivide(i as u32, graded) {
-                return Err(infeasible(ctx, lattice.position(i), too_near));
+                match too_near {
+                    Some(too_near) => return Err(infeasible(ctx, lattice.position(i), too_near)),
+                    None => solved[i] = true,
+                }
             }
         }
     }
@@ -177,6 +182,39 @@ const SHARED_REACH: f64 = 1.5;
 
 /// Cells of this spacing and below need not be small enough for sharing, metres: their number would outgrow the images saved.
 const FINEST_SHARED_M: f64 = 1.3;
+
+/// A view cell whose own box is expected to hold more samples than this is subdivided if boxes for its halves or quarters hold fewer together.
+/// Below, planning would take longer than the samples are worth.
+const DEAR_SAMPLES: f64 = 8_000_000.0;
+/// They must hold less than this share: a grid of more view cells takes longer to plan. By judgement.
+const WORTH_SUBDIVIDING: f64 = 0.8;
+
+/// Whether a view cell's box is dear, and boxes for its parts are cheaper.
+fn worth_subdividing(ctx: &Context, member: &Member) -> bool {
+    let costs = |members: &[&Member]| fit(ctx, members).map_or(f64::INFINITY, |near| near.cost);
+    let whole = costs(&[member]);
+    if whole <= DEAR_SAMPLES {
+        return false;
+    }
+    let Aabb { min, max } = member.eyes;
+    let middle = member.eyes.centre();
+    let quarters: Vec<Member> = (0..4)
+        .map(|k| {
+            let within =
+                |axis: usize, upper: bool| if upper { (middle[axis], max[axis]) } else { (min[axis], middle[axis]) };
+            let ((x0, x1), (z0, z1)) = (within(0, k & 1 != 0), within(2, k & 2 != 0));
+            let mut hull = EyeHull::EMPTY;
+            hull.add(&Aabb { min: DVec3::new(x0, min.y, z0), max: DVec3::new(x1, max.y, z1) });
+            Member::new(ctx, hull, false)
+        })
+        .collect();
+    let of = |parts: &[&[usize]]| {
+        let part = |p: &&[usize]| costs(&p.iter().map(|k| &quarters[*k]).collect::<Vec<_>>());
+        parts.iter().map(part).sum::<f64>()
+    };
+    let best = of(&[&[0, 1], &[2, 3]]).min(of(&[&[0, 2], &[1, 3]])).min(of(&[&[0], &[1], &[2], &[3]]));
+    best < whole * WORTH_SUBDIVIDING
+}
 
 /// More view cells than this are given up, unused points included: some ten times what any plan that ended took (2,070).
 const MOST_VIEW_CELLS: usize = 20_000;
@@ -344,21 +382,53 @@ pub(super) fn timed<T>(statistics: &mut PlacementStatistics, step: &str, f: impl
 
 #[cfg(test)]
 mod tests {
+    use super::*;
     use crate::octree::{Clusters, Octree};
-    use crate::placement::{Parameters, PlacementError, plan_placements, test_scenes};
-    use ldi_protocol::index::BuildSettings;
+    use crate::placement::{
+        CostBenefit, Parameters, PlacementError,
+        cells::Cells,
+        plan_placements,
+        test_scenes::{NOTHING_BETWEEN, settings, strewn},
+    };
+    use ldi_protocol::{index::BuildSettings, volume::WalkVolume};
+
+    #[test]
+    fn view_cells_whose_box_is_dear_are_subdivided() {
+        let (bounds, triangles) = strewn(1500, 33);
+        let model = bounds.iter().fold(Aabb::EMPTY, |all, b| all.union(*b));
+        let (cells, directions) = (Cells::new(bounds, triangles), Directions::new(60.0));
+        let runs: Vec<Vec<[u16; 2]>> = (0..48 * 48).map(|_| vec![[11, 20]]).collect();
+        let cut = Aabb { min: DVec3::new(-24.0, 0.0, -24.0), max: DVec3::new(24.0, 3.0, 24.0) };
+        let volume = WalkVolume::new(DVec3::new(-24.0, 0.0, -24.0), 1.0, 0.1, [48, 48], &runs, &cut).expect("a volume");
+        let tree = EyeTree::new(&volume);
+        let at_density = |density: f64| {
+            let settings = BuildSettings { density, ..settings(12_000) };
+            let mut ctx = Context::new(&cells, &directions, &settings, 60.0, CostBenefit::default(), NOTHING_BETWEEN);
+            ctx.eyes = Some(&tree);
+            let lattice = Lattice::new(&model, 30.0);
+            let mut statistics = PlacementStatistics::default();
+            let refined = refine(&ctx, &tree, &directions, lattice, &mut statistics, &|_| ()).expect("feasible");
+            (ctx, refined.groups.into_iter().flatten().collect::<Vec<Member>>())
+        };
+        // More samples per pixel need no other boxes, but cost more.
+        let ((_, cheap), (ctx, fine)) = (at_density(1.0), at_density(3.0));
+        let total = |members: &[Member]| -> f64 {
+            members.iter().map(|m| fit(&ctx, &[m]).map_or(f64::INFINITY, |near| near.cost)).sum()
+        };
+        let (before, after) = (total(&cheap), total(&fine));
+        assert!(after < 0.6 * before, "{before} samples to expect without, {after} with");
+    }
 
     #[test]
     fn points_that_fail_with_fewer_users_are_subdivided() {
         // In this church the last round leaves points whose remaining users see cells outside of the widest image.
         let scene = crate::scene::load("builtin:church?triangles=20000").unwrap();
         let budget = 6_000;
-        let settings = BuildSettings { pitch_deg: 0.0, grid: "paper".into(), ..test_scenes::settings(budget) };
+        let settings = BuildSettings { pitch_deg: 0.0, grid: "paper".into(), ..settings(budget) };
         let clusters = Clusters::build(&scene);
         let octree = Octree::build(&scene, &clusters, budget);
         let result =
-            plan_placements(&scene, &octree, &settings, &Parameters::default(), test_scenes::NOTHING_BETWEEN, &|_| ())
-                .unwrap();
+            plan_placements(&scene, &octree, &settings, &Parameters::default(), NOTHING_BETWEEN, &|_| ()).unwrap();
         assert!(result.statistics.coverage_certified && !result.plans.is_empty());
         assert!(result.statistics.max_triangles <= budget);
     }
@@ -369,16 +439,9 @@ mod tests {
         let refused = |budget: u64| {
             let clusters = Clusters::build(&scene);
             let octree = Octree::build(&scene, &clusters, 1_000);
-            let settings = test_scenes::settings(budget);
+            let settings = settings(budget);
             let no_grid = |what: &str| panic!("{what}");
-            match plan_placements(
-                &scene,
-                &octree,
-                &settings,
-                &Parameters::default(),
-                test_scenes::NOTHING_BETWEEN,
-                &no_grid,
-            ) {
+            match plan_placements(&scene, &octree, &settings, &Parameters::default(), NOTHING_BETWEEN, &no_grid) {
                 Err(PlacementError::Infeasible { budget: given, needed, .. }) => {
                     assert!(given == budget && needed > budget, "{needed} for {budget}");
                     needed
