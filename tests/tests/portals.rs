@@ -414,3 +414,25 @@ fn rooms_are_weighed_against_the_grid_alone() {
     assert_eq!(note["why"], found["why"]);
     assert_eq!(report["guarantee"]["violations"], 0);
 }
+
+/// Who asks for rooms to be looked for where there are none gets the grid and is told so; who wants nothing but rooms gets an error.
+#[test]
+fn the_grid_is_taken_where_no_rooms_are_found() {
+    let out = folder("portal-none");
+    let build = |name: &str, represent: &str| {
+        let pipes = "builtin:pipes?triangles=20000";
+        let mut c = server(&["build", pipes, "--budget", "9000", "--size", "96x54", "--represent", represent]);
+        c.arg("--find-rooms").arg("-o").arg(out.join(name));
+        c.output().expect("runs")
+    };
+    let taken = build("auto", "auto");
+    assert!(taken.status.success(), "{}", String::from_utf8_lossy(&taken.stderr));
+    let report = json(&out.join("auto").join("report.json"));
+    assert!(report["rooms"].is_null() && report["placements"].as_u64() > Some(0), "{report}");
+    let notes = report["skipped"].as_array().expect("notes");
+    let note = notes.iter().find(|n| n["what"] == "rooms and portals").expect("it says why there are no rooms");
+    assert_eq!(note["why"], "none was found");
+    let refused = build("portals", "portals");
+    let text = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(!refused.status.success() && text.contains("none was found") && text.contains("auto"), "{text}");
+}

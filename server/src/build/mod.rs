@@ -148,6 +148,14 @@ pub enum BuildError {
         /// What is wrong.
         why: String,
     },
+    /// There are no rooms.
+    #[error(
+        "there are no rooms to walk by: {why}; give some by --rooms FILE (`ldi-server rooms`), or build with --represent auto or grid"
+    )]
+    NoRooms {
+        /// Why not.
+        why: String,
+    },
     /// Encoding.
     #[error(transparent)]
     Pack(#[from] PackError),
@@ -205,6 +213,8 @@ struct Planned {
     rooms: Option<RoomPlan>,
     /// The grid's alone, to be weighed against a plan by rooms.
     grid_alone: Option<PlacementResult>,
+    /// Why there is nothing to weigh it against, though rooms were welcome.
+    no_rooms: Option<String>,
 }
 
 /// Whether nothing lies between two places.
@@ -228,16 +238,33 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
     };
     // Nothing to place: what remains of a plan is the walk volume.
     let ground = || place(settings.budget.max(scene.triangles()), None);
-    let (mut rooms, mut grid_alone) = (None, None);
-    let by_rooms = match &options.represent {
-        Represent::Portals { rooms, portals } => Some((rooms, portals)),
-        Represent::Auto { rooms, portals } if rooms::are_given(&scene, rooms) => Some((rooms, portals)),
+    let (mut rooms, mut grid_alone, mut no_rooms) = (None, None, None);
+    let automatic = matches!(options.represent, Represent::Auto { .. });
+    let known = match (&options.represent, &caster) {
+        (Represent::Auto { rooms, .. }, Some(_)) if !rooms::are_given(&scene, rooms) => {
+            no_rooms = Some(rooms::NONE_GIVEN.to_string());
+            None
+        }
+        (Represent::Portals { rooms, portals } | Represent::Auto { rooms, portals }, Some(caster)) => {
+            progress.stage("rooms", 0);
+            let found = rooms::rooms_of(caster, rooms);
+            clock.lap("rooms");
+            match found {
+                Err(BuildError::NoRooms { why }) if automatic => {
+                    progress.note(&format!("grid: {why}"));
+                    no_rooms = Some(why);
+                    None
+                }
+                known => Some((known?, portals, caster)),
+            }
+        }
         _ => None,
     };
-    let plan = match (by_rooms, &caster) {
+    let plan = match known {
         _ if matches!(options.represent, Represent::Tree { .. }) => ground()?,
-        (Some((source, portals)), Some(caster)) => {
-            if matches!(options.represent, Represent::Auto { .. }) {
+        Some((known, portals, caster)) => {
+            if automatic {
+                progress.stage("grid and placement", 0);
                 grid_alone = Some(place(settings.budget, None)?);
                 clock.lap("placement of the grid alone");
             }
@@ -255,16 +282,16 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
             let draft = index_of(options, &scene, settings.clone(), ground, parts, Vec::new(), nothing);
             clock.lap("walk volume");
             let grid = |volume| place(settings.budget, Some(volume));
-            let (mut plan, found) = rooms::plan_rooms(caster, source, portals, draft, &grid, progress)?;
+            let (mut plan, found) = rooms::plan_rooms(caster, known, portals, draft, &grid, progress)?;
             // The grid was given its volume, so it left out nothing of it.
             plan.statistics.skipped.extend(skipped);
             rooms = Some(found);
             plan
         }
-        _ => place(settings.budget, None)?,
+        None => place(settings.budget, None)?,
     };
     clock.lap("placement");
-    Ok(Planned { rooms, grid_alone, scene, clusters, octree, settings, plan, caster })
+    Ok(Planned { rooms, grid_alone, no_rooms, scene, clusters, octree, settings, plan, caster })
 }
 
 /// Compares ways to search for the near boxes of a build; nothing is written.
@@ -380,7 +407,8 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     // First: whether the directory can be written is known at once, planning takes minutes.
     let writer = DatasetWriter::open(&options.output)?;
     let planned = plan(options, &mut clock, progress);
-    let Planned { scene, clusters, octree, settings, mut plan, caster, mut rooms, grid_alone } = match planned {
+    let Planned { scene, clusters, octree, settings, mut plan, caster, mut rooms, grid_alone, no_rooms } = match planned
+    {
         Ok(planned) => planned,
         Err(e) => {
             writer.give_up();
@@ -501,9 +529,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     notes.extend(images.notes(&plan.plans));
     notes.extend(weighing.iter().map(Weighing::note));
     notes.extend(room_weighing.iter().map(RoomWeighing::note));
-    if matches!(options.represent, Represent::Auto { .. }) && room_weighing.is_none() && !plan.plans.is_empty() {
-        notes.push(rooms::none_given());
-    }
+    notes.extend(no_rooms.map(rooms::without));
     notes.extend(rooms.iter().map(|r| r.figures.grid.note()));
     let entries = chunks
         .iter()

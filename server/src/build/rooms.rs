@@ -120,22 +120,19 @@ impl RoomPlan {
     }
 }
 
-/// Finds rooms and plans the images of their portals, and those of the grid where rooms are too much.
+/// Plans the images of portals, and those of the grid where rooms are too much.
 ///
 /// `draft`: without chunks: cells, settings and the walk volume. `grid`: plans the grid for the eyes of a volume.
 pub(super) fn plan_rooms(
     caster: &Caster,
-    source: &RoomSource,
+    Known { rooms, seconds: find_seconds }: Known,
     options: &PortalOptions,
     mut draft: Index,
     grid: &dyn Fn(WalkVolume) -> Result<PlacementResult, PlacementError>,
     progress: &dyn Progress,
 ) -> Result<(PlacementResult, RoomPlan), BuildError> {
-    progress.stage("rooms", 0);
-    let start = Instant::now();
-    let rooms = rooms_of(caster, source)?;
-    let known = Instant::now();
     progress.stage("cells of rooms", 0);
+    let start = Instant::now();
     let cells = draft.cells.len();
     let cells_of = portal::cells_of_rooms(caster, &rooms, cells);
     let held = Instant::now();
@@ -186,8 +183,8 @@ pub(super) fn plan_rooms(
         images,
         semicircle: on_semicircle,
         references: None,
-        find_seconds: (known - start).as_secs_f64(),
-        cells_seconds: (held - known).as_secs_f64(),
+        find_seconds,
+        cells_seconds: (held - start).as_secs_f64(),
         grid: under,
         plan_seconds,
     };
@@ -221,13 +218,27 @@ pub(super) fn are_given(scene: &Scene, source: &RoomSource) -> bool {
     *source != RoomSource::Scene || !scene.rooms.is_empty()
 }
 
-/// Why a build is not by rooms.
-pub(super) fn none_given() -> Note {
-    let why = "the scene names no rooms; with --find-rooms they are looked for, with --rooms they are read";
-    Note { what: "rooms and portals".into(), why: why.into() }
+/// Why a build that nobody gives rooms is not by rooms.
+pub(super) const NONE_GIVEN: &str =
+    "the scene names no rooms; with --find-rooms they are looked for, with --rooms they are read";
+
+/// A build that chose the grid because there are no rooms.
+pub(super) fn without(why: String) -> Note {
+    Note { what: "rooms and portals".into(), why }
 }
 
-fn rooms_of(caster: &Caster, source: &RoomSource) -> Result<Rooms, BuildError> {
+/// Rooms, and how long it took to know them.
+pub(super) struct Known {
+    rooms: Rooms,
+    seconds: f64,
+}
+
+/// Reads or finds rooms.
+///
+/// # Errors
+/// [`BuildError::NoRooms`] where there are none; [`BuildError::Rooms`] for faults of a file or an annotation.
+pub(super) fn rooms_of(caster: &Caster, source: &RoomSource) -> Result<Known, BuildError> {
+    let start = Instant::now();
     let fault = |why: String| BuildError::Rooms { why };
     let rooms = match source {
         RoomSource::File(file) => {
@@ -251,7 +262,7 @@ fn rooms_of(caster: &Caster, source: &RoomSource) -> Result<Rooms, BuildError> {
                 None => {
                     let found = portal::find_rooms(caster).map_err(|e| fault(e.to_string()))?;
                     if let Some(why) = found.statistics.no_cells {
-                        return Err(fault(why));
+                        return Err(BuildError::NoRooms { why });
                     }
                     found.rooms
                 }
@@ -259,8 +270,8 @@ fn rooms_of(caster: &Caster, source: &RoomSource) -> Result<Rooms, BuildError> {
         }
     };
     match rooms.cells().is_empty() {
-        true => Err(fault("there is none".into())),
-        false => Ok(rooms),
+        true => Err(BuildError::NoRooms { why: "none was found".into() }),
+        false => Ok(Known { rooms, seconds: start.elapsed().as_secs_f64() }),
     }
 }
 

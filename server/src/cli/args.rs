@@ -155,7 +155,7 @@ pub struct BuildArgs {
     /// With --represent portals or auto: rooms as `ldi-server rooms --json` writes them [default: the scene's own; with portals else found].
     #[arg(long, value_name = "FILE")]
     pub rooms: Option<PathBuf>,
-    /// With --represent portals or auto: find rooms even if the scene names its own.
+    /// With --represent portals or auto: find rooms even if the scene names its own; where there are none, auto takes the grid.
     #[arg(long, conflicts_with = "rooms")]
     pub find_rooms: bool,
     /// With --represent portals: eyes nearer than this to a portal see geometry beyond it, metres.
