@@ -47,6 +47,10 @@ pub const MAX_LIST: usize = 8_192;
 pub const MAX_MANIFESTS: usize = 16;
 /// Longest text in a message, bytes.
 pub const MAX_TEXT: usize = 1_024;
+/// Most walkers that a client is told of. More would hide a map.
+pub const MAX_OTHERS: usize = 64;
+/// Longest name of another walker, bytes: 64 characters.
+pub const MAX_NAME: usize = 256;
 
 /// Why bytes of a peer were refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -141,6 +145,22 @@ pub struct Welcome {
     pub pages: u32,
     /// Number of this walker on the server's page.
     pub walker: u64,
+    /// Whether [`ClientMessage::Others`] will be answered. A server that does not know of it does not say so.
+    #[serde(default)]
+    pub others: bool,
+}
+
+/// Another walker, for the map.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Other {
+    /// Its number on the server's page.
+    pub walker: u64,
+    /// What it calls itself, at most [`MAX_NAME`] bytes.
+    pub name: String,
+    /// World position, metres.
+    pub position: [f64; 3],
+    /// Degrees.
+    pub yaw_deg: f32,
 }
 
 /// Messages of a client on the control stream, after [`Hello`].
@@ -172,12 +192,17 @@ pub enum ClientMessage {
     },
     /// The whole manifest is here and what is held from before is told, after a Hello with [`Hello::early`].
     Whole,
+    /// The client shows where other walkers are, or no longer. Only to a server with [`Welcome::others`].
+    Others {
+        /// Whether it does.
+        shown: bool,
+    },
     /// The client leaves.
     Bye,
 }
 
 /// Messages of a server on the control stream.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ServerMessage {
     /// The door is open.
     Welcome(Welcome),
@@ -192,6 +217,11 @@ pub enum ServerMessage {
     Unavailable {
         /// Their numbers.
         chunks: Vec<u32>,
+    },
+    /// Where the other walkers are, to clients that said [`ClientMessage::Others`]: when it changes, twice per second at most.
+    Others {
+        /// The nearest ones, at most [`MAX_OTHERS`].
+        walkers: Vec<Other>,
     },
 }
 
@@ -315,7 +345,7 @@ impl Message for ClientMessage {
                 in_range("chunks", chunks.len() as f64, 0.0..=MAX_LIST as f64)
             }
             // Any numbers will do: they only shift what is sent ahead, within bounds of the server's own.
-            Self::Decoding { .. } | Self::Whole | Self::Bye => Ok(()),
+            Self::Decoding { .. } | Self::Whole | Self::Others { .. } | Self::Bye => Ok(()),
         }
     }
 }
@@ -328,6 +358,15 @@ impl Message for ServerMessage {
             Self::Welcome(w) => in_range("root bytes", f64::from(w.root_bytes), 0.0..=MAX_ROOT_BYTES as f64),
             Self::Refused { message, .. } => in_range("message", message.len() as f64, 0.0..=MAX_TEXT as f64),
             Self::Unavailable { chunks } => in_range("chunks", chunks.len() as f64, 0.0..=MAX_LIST as f64),
+            Self::Others { walkers } => {
+                in_range("walkers", walkers.len() as f64, 0.0..=MAX_OTHERS as f64)?;
+                for w in walkers {
+                    in_range("name bytes", w.name.len() as f64, 0.0..=MAX_NAME as f64)?;
+                    in_range("yaw", f64::from(w.yaw_deg), f64::from(f32::MIN)..=f64::from(f32::MAX))?;
+                    w.position.iter().try_for_each(|x| in_range("position", *x, -1e9..=1e9))?;
+                }
+                Ok(())
+            }
         }
     }
 }

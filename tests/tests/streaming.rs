@@ -12,7 +12,7 @@ use host::{Host, Memory, PATIENCE, PICTURE, folder};
 use ldi_client::{
     cache::Incomplete,
     resident::Resident,
-    stream::{ConnectConfig, ConnectError, Connection, Fingerprint, MAX_RETRIES},
+    stream::{ConnectConfig, ConnectError, Connection, Fingerprint, MAX_RETRIES, Others},
 };
 use ldi_protocol::{
     Pose,
@@ -287,6 +287,62 @@ fn an_address_gets_no_more_than_its_bytes_per_second() {
     assert!(bytes as f64 <= most, "{bytes} bytes, {most} at most");
     assert!(bytes as f64 > 0.3 * LIMIT, "{bytes} bytes are no test of the limit");
     stand(&connections[0], &pose(0.0, 0.0)).unwrap();
+}
+
+/// What a client's map knows of the others, once it is `expected`: walkers by name, and where they are along the street.
+fn others_become(others: &Others, expected: Option<&[(&str, f64)]>) {
+    let seen = || {
+        let list = others.list()?;
+        Some(list.into_iter().map(|o| (o.name, o.position[2], o.yaw_deg)).collect::<Vec<_>>())
+    };
+    let wanted = expected.map(|e| e.iter().map(|(n, z)| ((*n).to_owned(), *z, 90.0)).collect());
+    let deadline = std::time::Instant::now() + PATIENCE;
+    while seen() != wanted {
+        assert!(std::time::Instant::now() < deadline, "{:?} instead of {wanted:?}", seen());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
+fn who_wants_to_know_is_told_where_the_others_are() {
+    let mut host = Host::start("others", Memory::new(street(2, 16)));
+    let named = |name: &str| ConnectConfig { name: name.into(), ..host.config() };
+    let (watching, passing) = (named("watching"), named("passing"));
+    let others = watching.others.clone();
+    others.want(true);
+    let watcher = Connection::connect(watching.clone()).unwrap();
+    watcher.send_pose(&pose(0.0, 0.0));
+    others_become(&others, Some(&[]));
+    let passer = Connection::connect(passing.clone()).unwrap();
+    passer.send_pose(&pose(-1.0, 90.0));
+    others_become(&others, Some(&[("passing", -1.0)]));
+    passer.send_pose(&pose(-2.0, 90.0));
+    others_become(&others, Some(&[("passing", -2.0)]));
+    // Who did not ask is told nothing, and neither is who asks no longer.
+    assert_eq!(passing.others.list(), None);
+    others.want(false);
+    others_become(&others, None);
+    others.want(true);
+    others_become(&others, Some(&[("passing", -2.0)]));
+    drop(passer);
+    others_become(&others, Some(&[]));
+    // What was known is forgotten with the line, and asked for again by the next one.
+    host.stop();
+    others_become(&others, None);
+}
+
+#[test]
+fn a_server_may_keep_walkers_to_itself() {
+    let config = ServeConfig { show_walkers: false, ..Default::default() };
+    let host = Host::start_with("alone", Memory::new(street(2, 16)), config);
+    let config = host.config();
+    config.others.want(true);
+    let watcher = Connection::connect(config.clone()).unwrap();
+    let passer = host.connect();
+    passer.send_pose(&pose(-1.0, 90.0));
+    stand(&watcher, &pose(0.0, 0.0)).unwrap();
+    std::thread::sleep(Duration::from_secs(1));
+    assert_eq!(config.others.list(), None);
 }
 
 #[test]

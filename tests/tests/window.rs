@@ -5,7 +5,8 @@ mod display;
 
 use display::Display;
 use glam::DVec3;
-use ldi_protocol::volume::WalkVolume;
+use ldi_client::stream::{ConnectConfig, Connection};
+use ldi_protocol::{volume::WalkVolume, wire::Picture};
 use ldi_server::store::Dataset;
 use ldi_tests::{
     fixture::Fixture,
@@ -169,6 +170,19 @@ fn a_visit_with_keyboard_and_mouse() {
     let volume = index.volume.as_ref().expect("a volume");
     display.hand(&["key", "m"]);
     let map = walk.wait_for("map");
+    // Somebody else comes in, is shown, and leaves.
+    let shown = |walk: &mut Walk, n: u64| {
+        walk.wait("others on the map", |w| w.last("others").filter(|e| e["shown"] == n));
+    };
+    shown(&mut walk, 0);
+    let picture = Picture { width: 64, height: 36, fov_deg: None };
+    let mut config = ConnectConfig { name: "guide".into(), ..ConnectConfig::new(served.quic.clone(), picture) };
+    config.fingerprint = Some(served.fingerprint.parse().expect("a fingerprint"));
+    let other = Connection::connect(config).expect("connects");
+    other.send_pose(&pose);
+    shown(&mut walk, 1);
+    drop(other);
+    shown(&mut walk, 0);
     let number = |v: &Value| v.as_f64().expect("a number");
     let target = far_place(volume, walk.position());
     let scale = number(&map["px_per_m"]);

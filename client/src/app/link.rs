@@ -5,7 +5,7 @@
 
 use crate::{
     cache::{Cache, Usage},
-    stream::{ConnectConfig, ConnectError, ConnectProgress, Connection, Phase, Stats},
+    stream::{ConnectConfig, ConnectError, ConnectProgress, Connection, Others, Phase, Stats},
 };
 use ldi_protocol::{Pose, index::Index, need::Needed};
 use std::{
@@ -104,6 +104,7 @@ impl Inner {
 pub struct Link {
     inner: Arc<Mutex<Inner>>,
     progress: Arc<ConnectProgress>,
+    others: Arc<Others>,
     stop: Option<mpsc::Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -143,11 +144,11 @@ impl Link {
             before: Stats::default(),
             looked: None,
         }));
-        let progress = config.progress.clone();
+        let (progress, others) = (config.progress.clone(), config.others.clone());
         let (stop, stopped) = mpsc::channel();
         let keeper = Keeper { config, inner: inner.clone(), stopped, changed };
         let thread = std::thread::Builder::new().name("ldi-link".into()).spawn(move || keeper.run(first))?;
-        Ok(Self { inner, progress, stop: Some(stop), thread: Some(thread) })
+        Ok(Self { inner, progress, others, stop: Some(stop), thread: Some(thread) })
     }
 
     /// How the line is.
@@ -174,6 +175,11 @@ impl Link {
     /// How far connecting is: the phase; stored bytes of the index, and of all of it.
     pub fn progress(&self) -> (Phase, (u64, u64)) {
         (self.progress.phase(), self.progress.index_bytes())
+    }
+
+    /// Where other walkers are, if that is wanted and the server tells.
+    pub fn others(&self) -> &Others {
+        &self.others
     }
 
     /// The eye is here and needs this: it is pinned in the cache, and sent if there is a line.

@@ -1,4 +1,4 @@
-//! The map (M): the walk volume from above, where the walker is, where images are made for; a click goes there.
+//! The map (M): the walk volume from above, where the walker and others are, where images are made for; a click goes there.
 //!
 //! The plan itself ([`plan`]) is drawn on a thread of its own, and anew when more of the scene has arrived. -Z is up on the map, +X to the right: yaw 0 looks upward. One storey is shown bright, the others dim; Page Up and Page Down
 //! choose another one.
@@ -12,7 +12,7 @@ use super::{
 };
 use egui::{Color32, ColorImage, CornerRadius, Pos2, Rect, Shape, Stroke, TextureHandle, TextureOptions, pos2, vec2};
 use glam::DVec3;
-use ldi_protocol::{Pose, index::Index, select::Selection, volume::WalkVolume};
+use ldi_protocol::{Pose, index::Index, select::Selection, volume::WalkVolume, wire::Other};
 use std::{
     collections::BTreeMap,
     sync::mpsc,
@@ -23,6 +23,8 @@ use std::{
 const SMALLEST_STOREY: f64 = 0.04;
 /// The plan is drawn anew after so long when more of the scene has arrived.
 const AGAIN_AFTER: Duration = Duration::from_secs(2);
+/// Characters of another walker's name: more would hide the map.
+const LONGEST_NAME: usize = 24;
 /// Points that are drawn at most: more would hide the map.
 const MOST_POINTS: usize = 20_000;
 
@@ -99,8 +101,14 @@ impl Map {
         self.chosen_m = if up { next.next() } else { next.next_back() }.or(self.chosen_m);
     }
 
-    /// Draws it. Where somebody clicked: the eye's new place.
-    pub fn show(&mut self, ctx: &egui::Context, scene: &Scene, picture: &Picture) -> Option<DVec3> {
+    /// Draws it. `others`: None if the server does not tell. Where somebody clicked: the eye's new place.
+    pub fn show(
+        &mut self,
+        ctx: &egui::Context,
+        scene: &Scene,
+        picture: &Picture,
+        others: Option<&[Other]>,
+    ) -> Option<DVec3> {
         let (pose, selection) = (&picture.pose, &picture.figures.selection);
         let painter = ctx.layer_painter(egui::LayerId::new(egui::Order::Middle, egui::Id::unique("map")));
         let screen = ctx.content_rect();
@@ -116,6 +124,8 @@ impl Map {
             painter.image(texture.id(), sheet.area, whole, Color32::WHITE);
         }
         points(&painter, &sheet, &scene.index, drawn.storey_m, selection);
+        let storey_m = drawn.storey_m;
+        others.unwrap_or_default().iter().for_each(|o| other(&painter, &sheet, o, storey_m));
         walker(&painter, &sheet, pose, picture.fov_deg);
         let storeys = match drawn.storeys_m.len() {
             0 | 1 => String::new(),
@@ -124,9 +134,14 @@ impl Map {
                 format!("  |  storey {number} of {n}: Page Up, Page Down")
             }
         };
-        let text = format!("click: go there  |  M or Esc: close{storeys}  |  dots: grid points, orange: in use");
+        let others = match others.map_or(0, <[Other]>::len) {
+            0 => String::new(),
+            1 => "  |  green: another walker".into(),
+            n => format!("  |  green: {n} other walkers"),
+        };
+        let text =
+            format!("click: go there  |  M or Esc: close{storeys}  |  dots: grid points, orange: in use{others}");
         block(&painter, pos2(screen.left() + 10.0, screen.top() + 10.0), &text);
-        let storey_m = drawn.storey_m;
         self.sheet = Some(sheet);
         let clicked = ctx.input(|i| i.pointer.primary_clicked().then(|| i.pointer.interact_pos()).flatten())?;
         let [x, z] = sheet.area.contains(clicked).then(|| sheet.world(clicked))?;
@@ -234,18 +249,35 @@ fn points(painter: &egui::Painter, sheet: &Sheet, index: &Index, storey_m: f64, 
 /// The walker: what is in view, and an arrow.
 fn walker(painter: &egui::Painter, sheet: &Sheet, pose: &Pose, fov_deg: f64) {
     let at = sheet.show(pose.position);
-    let toward = |deg: f64, points: f32| {
-        let (sin, cos) = (pose.yaw_deg + deg).to_radians().sin_cos();
-        at + vec2(-sin as f32, -cos as f32) * points
-    };
+    let toward = |deg: f64, points: f32| toward(at, pose.yaw_deg + deg, points);
     let red = Color32::from_rgb(213, 40, 40);
     let view = vec![at, toward(fov_deg / 2.0, 46.0), toward(-fov_deg / 2.0, 46.0)];
     painter.add(Shape::convex_polygon(view, Color32::from_rgba_unmultiplied(213, 40, 40, 60), Stroke::NONE));
-    painter.add(Shape::convex_polygon(
-        vec![toward(0.0, 16.0), toward(140.0, 10.0), toward(-140.0, 10.0)],
-        red,
-        Stroke::new(1.0, Color32::WHITE),
-    ));
+    painter.add(arrow(at, pose.yaw_deg, 1.0, red));
+}
+
+/// Another walker: a smaller arrow with a name, dim on another storey.
+fn other(painter: &egui::Painter, sheet: &Sheet, o: &Other, storey_m: f64) {
+    let p = DVec3::from_array(o.position);
+    let at = sheet.show(p);
+    let dim = if (p.y - storey_m).abs() <= STOREY_M { 1.0 } else { 0.4 };
+    painter.add(arrow(at, f64::from(o.yaw_deg), 0.75, Color32::from_rgb(0, 158, 115).gamma_multiply(dim)));
+    let name: String = o.name.chars().filter(|c| !c.is_control()).take(LONGEST_NAME).collect();
+    let font = egui::FontId::proportional(12.0);
+    painter.text(at + vec2(10.0, 0.0), egui::Align2::LEFT_CENTER, name, font, Color32::WHITE.gamma_multiply(dim));
+}
+
+/// So many points from a place on the map toward a yaw.
+fn toward(at: Pos2, yaw_deg: f64, points: f32) -> Pos2 {
+    let (sin, cos) = yaw_deg.to_radians().sin_cos();
+    at + vec2(-sin as f32, -cos as f32) * points
+}
+
+/// Points where somebody looks.
+fn arrow(at: Pos2, yaw_deg: f64, size: f32, colour: Color32) -> Shape {
+    let corners = [(0.0, 16.0), (140.0, 10.0), (-140.0, 10.0)];
+    let corners = corners.map(|(deg, points)| toward(at, yaw_deg + deg, points * size)).to_vec();
+    Shape::convex_polygon(corners, colour, Stroke::new(1.0, Color32::WHITE))
 }
 
 #[cfg(test)]

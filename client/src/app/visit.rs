@@ -84,6 +84,7 @@ pub(super) struct Told {
     complete: bool,
     pose: Option<(Pose, Instant)>,
     map: bool,
+    others: Option<usize>,
 }
 
 impl Visit {
@@ -310,7 +311,7 @@ impl Visit {
                 Some(walk) => self.drawing.replay(Some(walk)),
                 None => self.hud.say("nothing to walk again yet: R records a walk".into(), false),
             },
-            Key::Named(NamedKey::Escape) if self.map.open => self.toggle_map(events),
+            Key::Named(NamedKey::Escape) if self.map.open => self.toggle_map(link, events),
             Key::Named(NamedKey::Escape) => self.capture(false, events),
             Key::Named(NamedKey::F1) => {
                 self.hud.figures = !self.hud.figures;
@@ -325,7 +326,7 @@ impl Visit {
             }
             Key::Named(NamedKey::PageUp) if self.map.open => self.map.change_storey(true),
             Key::Named(NamedKey::PageDown) if self.map.open => self.map.change_storey(false),
-            _ if letter("m") => self.toggle_map(events),
+            _ if letter("m") => self.toggle_map(link, events),
             _ => {}
         }
         self.window.request_redraw();
@@ -356,10 +357,11 @@ impl Visit {
         self.drawing.turn(yaw_deg, pitch_deg);
     }
 
-    fn toggle_map(&mut self, events: &mut Events) {
+    fn toggle_map(&mut self, link: &Link, events: &mut Events) {
         self.started = true;
         self.map.toggle();
-        self.told.map = false;
+        link.others().want(self.map.open);
+        (self.told.map, self.told.others) = (false, None);
         if self.map.open {
             self.capture_again = self.captured;
             self.capture(false, events);
@@ -387,6 +389,7 @@ impl Visit {
         let input = self.egui.take_egui_input(&self.window);
         let ctx = self.egui.egui_ctx().clone();
         let (scene, state, figures) = (link.scene(), link.state(), link.figures());
+        let others = link.others().list();
         let speed = self.drawing.speed_m_per_s();
         let mut clicked = None;
         let output = ctx.run_pass(input, |ctx| {
@@ -396,7 +399,7 @@ impl Visit {
                 return;
             }
             if let (true, Some(scene), Some(p)) = (self.map.open, &scene, shown) {
-                clicked = self.map.show(ctx, scene, p).or(clicked);
+                clicked = self.map.show(ctx, scene, p, others.as_deref()).or(clicked);
             }
             let shown = shown.zip(scene.as_ref()).map(|(p, s)| (p, &*s.index));
             let hud_below_map = self.map.open && self.hud.figures;
@@ -427,10 +430,14 @@ impl Visit {
             let [x, z] = sheet.corner;
             events.tell("map", fields! { "open": true, "area_px": px, "corner": [x, z], "px_per_m": sheet.per_metre * f64::from(scale) });
         }
+        let shown = others.filter(|_| self.map.open).map(|o| o.len());
+        if shown.is_some() && std::mem::replace(&mut self.told.others, shown) != shown {
+            events.tell("others", fields! { "shown": shown });
+        }
         if let Some(p) = clicked {
             self.drawing.teleport(p);
             events.tell("teleport", fields! { "position": p.to_array() });
-            self.toggle_map(events);
+            self.toggle_map(link, events);
         }
     }
 }

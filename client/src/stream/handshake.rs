@@ -29,6 +29,8 @@ pub(super) struct Opened {
     pub index: Arc<Index>,
     /// The manifest as far as it is here, when the index is that of a first picture.
     pub rest: Option<Pages>,
+    /// Whether the server tells where other walkers are.
+    pub tells_others: bool,
 }
 
 /// Connects to the first address that answers.
@@ -101,7 +103,9 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
     let welcome = match step(config, read_message::<ServerMessage>(&mut recv, &connection)).await? {
         ServerMessage::Welcome(w) => w,
         ServerMessage::Refused { code, message } => return Err(ConnectError::Refused { code, message }),
-        ServerMessage::Unavailable { .. } => return Err(ConnectError::Protocol("no welcome".into())),
+        ServerMessage::Unavailable { .. } | ServerMessage::Others { .. } => {
+            return Err(ConnectError::Protocol("no welcome".into()));
+        }
     };
     let dataset = welcome.dataset;
     let (index, rest) = match welcome.root_bytes {
@@ -111,7 +115,7 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
             (Arc::new(index), rest)
         }
     };
-    Ok(Opened { endpoint, link, connection, send, recv, dataset, index, rest })
+    Ok(Opened { endpoint, link, connection, send, recv, dataset, index, rest, tells_others: welcome.others })
 }
 
 /// The index of a dataset whose manifest was named in the hello.

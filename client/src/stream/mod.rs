@@ -19,6 +19,7 @@ mod known_hosts;
 mod lane;
 mod link;
 mod link_socket;
+mod others;
 mod pages;
 mod poses;
 mod progress;
@@ -35,6 +36,7 @@ pub use error::ConnectError;
 pub use known_hosts::{Acquaintance, KnownHosts, KnownHostsError};
 pub use lane::Lane;
 pub use link::{Direction, Fate, HEADER_BYTES, Link, LinkCounts, LinkError, LinkSpec};
+pub use others::Others;
 pub use poses::PoseClock;
 pub use progress::{ConnectProgress, Phase};
 pub use session::MAX_RETRIES;
@@ -106,6 +108,8 @@ pub struct ConnectConfig {
     pub timeout: Duration,
     /// Told how far connecting is, for whoever watches.
     pub progress: Arc<ConnectProgress>,
+    /// Where other walkers are, for whoever shows it.
+    pub others: Arc<Others>,
 }
 
 impl ConnectConfig {
@@ -133,6 +137,7 @@ impl ConnectConfig {
             link: None,
             timeout: Duration::from_secs(10),
             progress: Arc::default(),
+            others: Arc::default(),
         }
     }
 }

@@ -6,6 +6,7 @@ use super::{
     decoder::{DecodePool, Job, Target},
     disk::DiskCache,
     handshake::{self, Opened},
+    others::{Others, Wish},
     pages::{Pages, is_listed},
     poses::Poses,
     progress::ConnectProgress,
@@ -135,9 +136,12 @@ pub(super) async fn stream(
         progress: config.progress.clone(),
         rest: opened.rest,
         assembling: None,
+        others: config.others.clone(),
+        others_wish: opened.tells_others.then(Wish::default),
     };
     let end = session.run(opened.recv, poses, commands, damage).await;
     let reason = end.map_or_else(|e| e.to_string(), |()| "the connection was closed".into());
+    config.others.forget();
     cache.set_disconnected(Some(reason));
     opened.connection.close(VarInt::from_u32(code::BYE), b"bye");
     let _ = timeout(GOODBYE, endpoint.wait_idle()).await;
@@ -176,6 +180,9 @@ struct Session {
     rest: Option<Pages>,
     /// The whole index is being put together.
     assembling: Option<JoinHandle<Result<Index, ConnectError>>>,
+    others: Arc<Others>,
+    /// The wish that the server knows of; None for one that does not tell.
+    others_wish: Option<Wish>,
 }
 
 impl Session {
@@ -293,9 +300,14 @@ impl Session {
     }
 
     fn hear(&mut self, message: ServerMessage) {
-        if let ServerMessage::Unavailable { chunks } = message {
-            tracing::warn!("the server cannot read {} chunks, the first is {:?}", chunks.len(), chunks.first());
-            chunks.into_iter().for_each(|c| self.cache.mark_damaged(c));
+        match message {
+            ServerMessage::Unavailable { chunks } => {
+                tracing::warn!("the server cannot read {} chunks, the first is {:?}", chunks.len(), chunks.first());
+                chunks.into_iter().for_each(|c| self.cache.mark_damaged(c));
+            }
+            ServerMessage::Others { walkers } => self.others.told(walkers),
+            // Of the handshake: they mean nothing now.
+            ServerMessage::Welcome(_) | ServerMessage::Refused { .. } => {}
         }
     }
 
@@ -331,6 +343,11 @@ impl Session {
         }
         if let Some(news) = self.target.behind.news(self.pool.threads()) {
             self.say(&news).await?;
+        }
+        let wish = self.others.wish();
+        if self.others_wish.is_some_and(|said| said != wish) {
+            self.others_wish = Some(wish);
+            self.say(&ClientMessage::Others { shown: wish.wanted }).await?;
         }
         let mut gone = self.cache.take_evicted(Instant::now());
         if let Some(loader) = &self.loader {

@@ -40,6 +40,7 @@ fn messages_survive_the_trip() {
     trip(ClientMessage::Drop { chunks: vec![] });
     trip(ClientMessage::Decoding { waiting_bytes: u32::MAX, bytes_per_s: 0 });
     trip(ClientMessage::Whole);
+    trip(ClientMessage::Others { shown: true });
     trip(ClientMessage::Bye);
     let many = Hello { manifests: vec![ChunkHash([3; 32]); MAX_MANIFESTS + 1], ..hello() };
     assert!(matches!(encode(&ClientMessage::Hello(many)), Err(WireError::OutOfRange { field: "manifests", .. })));
@@ -49,6 +50,7 @@ fn messages_survive_the_trip() {
         root_bytes: 5,
         pages: 3,
         walker: 1,
+        others: true,
     }));
     trip(ServerMessage::Refused { code: RefusalCode::Token, message: "no".into() });
     trip(Request::Name(ChunkHash([200; 32])));
@@ -77,6 +79,35 @@ fn the_longest_list_fits_a_frame_and_a_longer_one_is_refused() {
     assert!(encode(&longest).is_ok());
     let longer = ClientMessage::Have { chunks: vec![0; MAX_LIST + 1] };
     assert!(matches!(encode(&longer), Err(WireError::OutOfRange { field: "chunks", .. })));
+}
+
+#[test]
+fn a_map_full_of_walkers_fits_a_frame_and_walkers_nowhere_are_refused() {
+    let other = Other { walker: u64::MAX, name: "x".repeat(MAX_NAME), position: [1e9, -1e9, 0.5], yaw_deg: 720.0 };
+    let with = |f: &dyn Fn(&mut Vec<Other>)| {
+        let mut walkers = vec![other.clone(); MAX_OTHERS];
+        f(&mut walkers);
+        encode(&ServerMessage::Others { walkers })
+    };
+    trip(ServerMessage::Others { walkers: vec![other.clone()] });
+    assert!(with(&|_| {}).is_ok());
+    assert!(with(&|w| w.push(other.clone())).is_err());
+    assert!(with(&|w| w[5].position[1] = f64::NAN).is_err());
+    assert!(with(&|w| w[5].position[2] = 1.1e9).is_err());
+    assert!(with(&|w| w[5].yaw_deg = f32::INFINITY).is_err());
+    assert!(with(&|w| w[5].name.push('x')).is_err());
+}
+
+/// A server of before does not say whether it tells of others: then it does not.
+#[test]
+fn a_server_that_says_nothing_of_others_does_not_tell() {
+    let welcome =
+        Welcome { version: VERSION, dataset: ChunkHash([9; 32]), root_bytes: 5, pages: 3, walker: 1, others: true };
+    let bytes = encode(&ServerMessage::Welcome(welcome.clone())).unwrap();
+    let mut absent = bytes[4..].to_vec();
+    let at = absent.windows(6).position(|w| w == b"others").expect("it is in the message");
+    absent[at] = b'x';
+    assert_eq!(decode::<ServerMessage>(&absent).unwrap(), ServerMessage::Welcome(Welcome { others: false, ..welcome }));
 }
 
 #[test]

@@ -35,6 +35,8 @@ pub struct ServeConfig {
     pub ahead_worth: u64,
     /// Which congestion controller: `cubic` or `newreno` (each loss slows them), `veno` (only losses with a queue), `bbr` (keeps its rate and floods queues).
     pub congestion: Congestion,
+    /// Walkers may see on their maps where the others are.
+    pub show_walkers: bool,
 }
 
 /// See [`ServeConfig::congestion`].
@@ -65,6 +67,7 @@ impl Default for ServeConfig {
             send_window: 4 << 20,
             ahead_worth: 2_500_000,
             congestion: Congestion::Veno,
+            show_walkers: true,
         }
     }
 }

@@ -63,6 +63,7 @@ impl Server {
             send_window: config.send_window,
             ahead_worth: config.ahead_worth,
             messages_per_second: config.messages_per_second,
+            show_walkers: config.show_walkers,
             stop: stopping.clone(),
         });
         // HTTP first: when QUIC cannot be bound nothing has been accepted yet.

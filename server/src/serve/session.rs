@@ -17,7 +17,7 @@ use super::{
 use ldi_protocol::{
     index::ChunkHash,
     wire::{
-        self, ClientMessage, Hello, PoseDatagram, RefusalCode, ServerMessage, StreamHeader, StreamKind, Urgency,
+        self, ClientMessage, Hello, Other, PoseDatagram, RefusalCode, ServerMessage, StreamHeader, StreamKind, Urgency,
         Welcome, code,
     },
 };
@@ -30,7 +30,7 @@ use std::{
 use tokio::{
     sync::{mpsc, watch},
     task::JoinSet,
-    time::{error::Elapsed, timeout},
+    time::{MissedTickBehavior, error::Elapsed, timeout},
 };
 
 /// Time for TLS and the first message. Longer: strangers hold places for nothing.
@@ -45,6 +45,8 @@ const MIN_SEND_WINDOW: u64 = 256 * 1024;
 const WRONG_TOKEN_DELAY: Duration = Duration::from_millis(300);
 /// Control messages that wait for the session; more and the reader waits, and with it the client.
 const CONTROL_QUEUE: usize = 64;
+/// How often a client that shows others is told where they are: a step of a walk.
+const OTHERS_EVERY: Duration = Duration::from_millis(500);
 /// Poses per second beyond which the rest is skipped: four times a fast screen.
 const POSES_PER_SECOND: f64 = 500.0;
 
@@ -67,6 +69,8 @@ pub struct Shared {
     pub ahead_worth: u64,
     /// See [`super::ServeConfig::messages_per_second`].
     pub messages_per_second: f64,
+    /// See [`super::ServeConfig::show_walkers`].
+    pub show_walkers: bool,
     /// When the server's time began.
     pub epoch: Instant,
     /// Turns true when the server stops.
@@ -149,6 +153,14 @@ struct Session {
     early: bool,
     views: Arc<SelectViews>,
     poses: TokenBucket,
+    /// The client shows where the others are.
+    others: Option<Told>,
+}
+
+/// What a client knows of the others.
+struct Told {
+    walkers: Vec<Other>,
+    again: tokio::time::Interval,
 }
 
 impl Session {
@@ -178,6 +190,7 @@ impl Session {
             capacity: Capacity::default(),
             manifests: hello.manifests.clone(),
             poses: TokenBucket::new(POSES_PER_SECOND, POSES_PER_SECOND),
+            others: None,
         }
     }
 
@@ -209,6 +222,7 @@ impl Session {
                 datagram = self.outlet.connection.read_datagram() => self.see(&datagram?),
                 Some(done) = self.pushes.join_next() => self.land(done),
                 Some(Ok(sent)) = pages.join_next() => sent.map_err(|_| SessionError::Silent)??,
+                () = due(&mut self.others) => self.tell_others(send).await?,
                 () = sleep_until(wake) => {}
                 () = stopped(&mut stop) => {
                     self.outlet.connection.close(VarInt::from_u32(code::SHUTDOWN), b"the server stops");
@@ -234,6 +248,7 @@ impl Session {
             root_bytes: root.len() as u32,
             pages: (first.len() + rest.len()) as u32,
             walker: self.walker.id,
+            others: self.shared.show_walkers,
         });
         let mut opening = wire::encode(&welcome)?;
         if !known {
@@ -314,9 +329,29 @@ impl Session {
                 self.views.know(Known::Whole);
                 self.planner.views_changed();
             }
+            ClientMessage::Others { shown } => {
+                let mut again = tokio::time::interval(OTHERS_EVERY);
+                again.set_missed_tick_behavior(MissedTickBehavior::Delay);
+                self.others = (shown && self.shared.show_walkers).then(|| Told { walkers: Vec::new(), again });
+                if self.others.is_some() {
+                    // That nobody else is there is news, too.
+                    tell(send, &ServerMessage::Others { walkers: Vec::new() }).await?;
+                }
+            }
             ClientMessage::Bye => {}
         }
         Ok(())
+    }
+
+    /// Where the others are, if that changed.
+    async fn tell_others(&mut self, send: &mut SendStream) -> Result<(), SessionError> {
+        let Some(told) = &mut self.others else { return Ok(()) };
+        let walkers = self.shared.walkers.others(self.walker.id);
+        if walkers == told.walkers {
+            return Ok(());
+        }
+        told.walkers.clone_from(&walkers);
+        tell(send, &ServerMessage::Others { walkers }).await
     }
 
     /// A datagram that is no pose is ignored: they may be damaged or from a later version.
@@ -402,6 +437,14 @@ impl Session {
 /// The server stops, or is gone.
 async fn stopped(stop: &mut watch::Receiver<bool>) {
     let _ = stop.wait_for(|s| *s).await;
+}
+
+/// Time to look where the others are.
+async fn due(others: &mut Option<Told>) {
+    match others {
+        Some(told) => drop(told.again.tick().await),
+        None => std::future::pending().await,
+    }
 }
 
 async fn sleep_until(at: Option<tokio::time::Instant>) {

@@ -1,6 +1,9 @@
 //! Who is connected: for the server's page, the metrics, and the numbers of walkers.
 
-use ldi_protocol::Pose;
+use ldi_protocol::{
+    Pose,
+    wire::{MAX_OTHERS, Other},
+};
 use serde::Serialize;
 use std::{
     collections::BTreeMap,
@@ -113,6 +116,25 @@ impl Walkers {
             })
             .collect()
     }
+    /// Where all but one are, those nearest to it: at most [`MAX_OTHERS`], by number.
+    pub fn others(&self, than: u64) -> Vec<Other> {
+        let connected = self.connected.lock().unwrap_or_else(PoisonError::into_inner);
+        let here = connected.get(&than).and_then(|w| w.pose).map(|p| p.position);
+        let far = |p: &Pose| here.map_or(0.0, |h| h.distance_squared(p.position));
+        let rest = connected.iter().filter(|(id, _)| **id != than);
+        let mut rest: Vec<(u64, &str, Pose)> =
+            rest.filter_map(|(id, w)| w.pose.map(|p| (*id, w.name.as_str(), p))).collect();
+        rest.sort_by(|a, b| far(&a.2).total_cmp(&far(&b.2)));
+        rest.truncate(MAX_OTHERS);
+        rest.sort_by_key(|(id, ..)| *id);
+        let told = |(walker, name, pose): (u64, &str, Pose)| Other {
+            walker,
+            name: name.to_owned(),
+            position: pose.position.to_array(),
+            yaw_deg: pose.yaw_deg as f32,
+        };
+        rest.into_iter().map(told).collect()
+    }
 }
 
 impl Entry {
@@ -130,5 +152,30 @@ impl Drop for Entry {
     fn drop(&mut self) {
         self.walkers.connected.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.id);
         metrics::gauge!("ldi_walkers").decrement(1.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    #[test]
+    fn the_nearest_others_are_told_by_number_and_never_oneself() {
+        let all = Arc::<Walkers>::default();
+        let at = |x: f64| Pose { position: DVec3::new(x, 0.0, 0.0), yaw_deg: 10.0, pitch_deg: 0.0 };
+        let entries: Vec<Entry> = (0..MAX_OTHERS + 3).map(|i| all.enter(&format!("{i}\n"))).collect();
+        let me = entries[0].id;
+        assert!(all.others(me).is_empty(), "nobody has said yet where it is");
+        // The later, the nearer, but for the last, which does not say.
+        entries.iter().rev().skip(1).enumerate().for_each(|(i, e)| e.moved(at(i as f64), 1.0));
+        entries[0].moved(at(-1.0), 1.0);
+        let told = all.others(me);
+        let numbers: Vec<u64> = told.iter().map(|o| o.walker).collect();
+        let expected: Vec<u64> = entries[2..entries.len() - 1].iter().map(|e| e.id).collect();
+        assert_eq!((numbers.len(), numbers), (MAX_OTHERS, expected), "all but the farthest");
+        assert_eq!((told[0].name.as_str(), told[0].position, told[0].yaw_deg), ("2", [63.0, 0.0, 0.0], 10.0));
+        drop(entries);
+        assert!(all.others(me).is_empty());
     }
 }

@@ -1,0 +1,58 @@
+//! Where other walkers are: wished for by whoever shows it, told by the server, kept through connections that come and go.
+
+use ldi_protocol::wire::Other;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// See the module.
+#[derive(Debug, Default)]
+pub struct Others(Mutex<Known>);
+
+#[derive(Debug, Default)]
+struct Known {
+    wish: Wish,
+    walkers: Option<Vec<Other>>,
+}
+
+/// Whether somebody wants to know, and the how manieth wish this is: one that comes back before the server heard that it was gone is a new one, as what was known is forgotten.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) struct Wish {
+    pub wanted: bool,
+    number: u64,
+}
+
+impl Others {
+    /// Asks the server to tell, or to stop.
+    pub fn want(&self, wanted: bool) {
+        let mut known = self.lock();
+        if known.wish.wanted != wanted {
+            known.wish = Wish { wanted, number: known.wish.number + 1 };
+            known.walkers = None;
+        }
+    }
+
+    /// As the server said last; None when it has not, or does not tell.
+    pub fn list(&self) -> Option<Vec<Other>> {
+        self.lock().walkers.clone()
+    }
+
+    pub(super) fn wish(&self) -> Wish {
+        self.lock().wish
+    }
+
+    pub(super) fn told(&self, walkers: Vec<Other>) {
+        let mut known = self.lock();
+        // What comes after the wish is gone is old by the time of the next one.
+        if known.wish.wanted {
+            known.walkers = Some(walkers);
+        }
+    }
+
+    pub(super) fn forget(&self) {
+        self.lock().walkers = None;
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Known> {
+        // Every change is complete before anything can panic.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
