@@ -19,7 +19,7 @@ const GRAPH_MS: f32 = 50.0;
 /// How long a message stays.
 const MESSAGE: Duration = Duration::from_secs(5);
 /// Behind text, so that it can be read over anything.
-const SHADE: Color32 = Color32::from_black_alpha(170);
+pub const SHADE: Color32 = Color32::from_black_alpha(170);
 const TEXT: Color32 = Color32::from_gray(235);
 const GOOD: Color32 = Color32::from_rgb(120, 220, 150);
 const BAD: Color32 = Color32::from_rgb(255, 180, 90);

@@ -5,7 +5,7 @@
 
 use super::{
     desk::Picture,
-    hud::{block, centred},
+    hud::{SHADE, block, centred},
     link::Scene,
     motion,
     plan::{self, STOREY_M},
@@ -256,15 +256,18 @@ fn walker(painter: &egui::Painter, sheet: &Sheet, pose: &Pose, fov_deg: f64) {
     painter.add(arrow(at, pose.yaw_deg, 1.0, red));
 }
 
-/// Another walker: a smaller arrow with a name, dim on another storey.
+/// Another walker: a smaller arrow with number and name, dim on another storey.
 fn other(painter: &egui::Painter, sheet: &Sheet, o: &Other, storey_m: f64) {
     let p = DVec3::from_array(o.position);
     let at = sheet.show(p);
     let dim = if (p.y - storey_m).abs() <= STOREY_M { 1.0 } else { 0.4 };
     painter.add(arrow(at, f64::from(o.yaw_deg), 0.75, Color32::from_rgb(0, 158, 115).gamma_multiply(dim)));
     let name: String = o.name.chars().filter(|c| !c.is_control()).take(LONGEST_NAME).collect();
-    let font = egui::FontId::proportional(12.0);
-    painter.text(at + vec2(10.0, 0.0), egui::Align2::LEFT_CENTER, name, font, Color32::WHITE.gamma_multiply(dim));
+    let colour = Color32::WHITE.gamma_multiply(dim);
+    let text = painter.layout_no_wrap(format!("{} {name}", o.walker), egui::FontId::proportional(12.0), colour);
+    let room = egui::Align2::LEFT_CENTER.anchor_size(at + vec2(12.0, 0.0), text.size() + vec2(8.0, 2.0));
+    painter.rect_filled(room, CornerRadius::same(3), SHADE.gamma_multiply(dim));
+    painter.galley(room.min + vec2(4.0, 1.0), text, colour);
 }
 
 /// So many points from a place on the map toward a yaw.

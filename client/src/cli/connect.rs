@@ -18,6 +18,9 @@ use std::{
     path::PathBuf,
 };
 
+/// Characters of a name; servers cut longer ones.
+const LONGEST_NAME: usize = 64;
+
 #[derive(Args)]
 pub struct ConnectArgs {
     /// HOST or HOST:PORT of the server.
@@ -34,6 +37,9 @@ pub struct ConnectArgs {
     /// File with the shared secret that the server asks for [default: the environment variable LDI_TOKEN].
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
+    /// What to be called on the maps of others and the server's page [default: the program and its version].
+    #[arg(long, value_name = "NAME", value_parser = parse_name)]
+    name: Option<String>,
     /// Size of the window in pixels.
     #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "1280x720")]
     size: (u32, u32),
@@ -101,6 +107,9 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
     let mut config = ConnectConfig::new(&args.server, Picture { width, height, fov_deg: None });
     config.token = token(args.token_file.as_deref())?;
     config.prefetch_m = args.prefetch_m;
+    if let Some(name) = &args.name {
+        config.name.clone_from(name);
+    }
     config.early = true;
     if let Some(bytes) = args.cache_bytes {
         config.cache_bytes = bytes;
@@ -181,6 +190,13 @@ fn ask(server: &str, found: Fingerprint) -> Result<(), Failure> {
     }
 }
 
+fn parse_name(text: &str) -> Result<String, String> {
+    match text.chars().count() {
+        1..=LONGEST_NAME if !text.chars().any(char::is_control) => Ok(text.to_owned()),
+        _ => Err(format!("give 1 to {LONGEST_NAME} characters in one line")),
+    }
+}
+
 fn parse_pose(text: &str) -> Result<Pose, String> {
     let numbers: Vec<f64> = text
         .split(',')
@@ -200,6 +216,15 @@ fn parse_pose(text: &str) -> Result<Pose, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_fit_what_servers_show() {
+        assert_eq!(parse_name("Zoë, guide").unwrap(), "Zoë, guide");
+        assert!(parse_name(&"ë".repeat(64)).is_ok());
+        for wrong in [String::new(), "a\nb".into(), "x".repeat(65)] {
+            assert!(parse_name(&wrong).is_err(), "{wrong}");
+        }
+    }
 
     #[test]
     fn poses_are_read() {
