@@ -383,7 +383,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         cache_bytes: args.cache_bytes,
         debug_views: args.debug_views,
         shows: Shows::Scene,
-        layout_ms: None,
+        beside: false,
         baseline_frames: args.baseline_frames as usize,
     };
     let job = WalkJob {

@@ -24,7 +24,7 @@ use crate::{
     warp::{Order, Stamp},
 };
 use glam::DVec3;
-use ldi_protocol::{OutputCamera, Pose, path::Walk};
+use ldi_protocol::{OutputCamera, Pose, camera::apart_deg, path::Walk};
 use std::{
     sync::{Arc, Condvar, Mutex, PoisonError},
     time::{Duration, Instant},
@@ -56,6 +56,15 @@ struct Depends {
     shows: Shows,
 }
 
+/// How far ahead images are looked for that will be seen, seconds: they are laid out by then. Larger: more that is never seen.
+const AHEAD_S: [f64; 2] = [0.4, 1.0];
+/// Images that are laid out ahead at most: each takes three times the memory of a decoded one.
+const MOST_AHEAD: usize = 8;
+/// Pictures farther apart than this tell nothing of how the eye moves.
+const LONGEST_STEP_S: f64 = 0.5;
+/// Nobody walks faster: it was a jump.
+const FASTEST_M_PER_S: f64 = 50.0;
+
 /// The last picture.
 struct Last {
     depends: Depends,
@@ -63,7 +72,7 @@ struct Last {
     missing: Vec<u32>,
     /// Bytes in the cache when it was drawn.
     cache_bytes: u64,
-    /// Whether images wait to be laid out.
+    /// Whether images are being laid out.
     waiting: bool,
 }
 
@@ -94,6 +103,8 @@ pub(super) struct Draughtsman {
     large_ms: Option<f64>,
     progress: (u64, Instant),
     solids: Option<Gathered>,
+    /// The pose of the last picture, and when it was begun.
+    before: Option<(Pose, Instant)>,
 }
 
 /// Surfaces around the eye, and what they depend on.
@@ -128,6 +139,7 @@ impl Draughtsman {
             large_ms: None,
             progress: (0, Instant::now()),
             solids: None,
+            before: None,
         }
     }
 
@@ -215,7 +227,7 @@ impl Draughtsman {
         let rest = now - self.still_since;
         let window = desk.window_px.map(|n| n.clamp(1, MAX_SIDE_PX / 2));
         // Where something is still coming, pictures follow each other and need not be fine.
-        let complete = scene.index.is_whole() && self.last.as_ref().is_some_and(|l| l.missing.is_empty());
+        let complete = scene.index.is_whole() && self.last.as_ref().is_some_and(|l| l.missing.is_empty() && !l.waiting);
         self.scale.aim(desk.frame_ms);
         let fine = desk.fine && complete && self.large_ms.is_some_and(|ms| 4.0 * ms < FINE_MS);
         let (size, supersample) = match rest {
@@ -228,7 +240,9 @@ impl Draughtsman {
         let shot = std::mem::take(&mut desk.shot);
         // What a complete picture does not need may come without a new one.
         let changed = self.last.as_ref().is_none_or(|l| {
-            l.depends != depends || l.waiting || (!l.missing.is_empty() && l.cache_bytes != cache_bytes)
+            l.depends != depends
+                || (l.waiting && self.painter.has_news())
+                || (!l.missing.is_empty() && l.cache_bytes != cache_bytes)
         });
         (changed || shot).then_some(Job { depends, cache_bytes, moving: rest < REST_LARGE, shot, window_px: window })
     }
@@ -236,9 +250,8 @@ impl Draughtsman {
     fn draw(&mut self, scene: &Scene, job: Job) {
         let mut frame = lock(&self.desk.0).spare.take().unwrap_or_default();
         let Depends { pose, size, supersample, shows } = job.depends;
-        let mut options = options(supersample, shows);
+        let mut options = WalkOptions { beside: true, ..options(supersample, shows) };
         if job.moving {
-            options.layout_ms = Some(self.scale.goal_ms());
             options.frame_ms = Some(self.scale.goal_ms());
             if self.scale.is_exhausted() {
                 options.stamp = Stamp::TwoByTwo;
@@ -266,6 +279,28 @@ impl Draughtsman {
         (self.done)();
     }
 
+    /// The images that are not seen yet and will be if the eye goes on as it does, soonest first.
+    fn images_ahead(&mut self, scene: &Scene, pose: &Pose, camera: &OutputCamera, seen: &[u32]) -> Vec<u32> {
+        let now = Instant::now();
+        let Some((before, at)) = self.before.replace((*pose, now)) else { return Vec::new() };
+        let dt_s = (now - at).as_secs_f64();
+        let step = pose.position - before.position;
+        if before == *pose || dt_s > LONGEST_STEP_S || step.length() > FASTEST_M_PER_S * dt_s {
+            return Vec::new();
+        }
+        let turn_deg = apart_deg(before.yaw_deg, pose.yaw_deg);
+        let mut ahead: Vec<u32> = Vec::new();
+        for t_s in AHEAD_S {
+            let (position, yaw_deg) = (pose.position + step * (t_s / dt_s), pose.yaw_deg + turn_deg * (t_s / dt_s));
+            let then = Pose { position, yaw_deg, ..*pose };
+            let view = view_of(&scene.index, &then, camera, Method::Auto, &mut StageMs::default());
+            let new: Vec<u32> = view.images.into_iter().filter(|i| !ahead.contains(i) && !seen.contains(i)).collect();
+            ahead.extend(new);
+        }
+        ahead.truncate(MOST_AHEAD);
+        ahead
+    }
+
     /// One picture.
     fn paint(
         &mut self,
@@ -282,6 +317,10 @@ impl Draughtsman {
         let view = view_of(index, pose, &camera, Method::Auto, &mut ms);
         let needed = view.needed(index);
         self.link.look(pose, &needed);
+        if options.beside {
+            let ahead = self.images_ahead(scene, pose, &camera, &view.images);
+            self.painter.expect(ahead);
+        }
         let painted = match self.painter.paint(index, &*scene.cache, &view, pose, &camera, &options, ms, out) {
             Err(PaintError::Gpu(e)) => {
                 tracing::error!("{e}; going on without it");
@@ -367,7 +406,7 @@ fn options(supersample: u32, shows: Shows) -> WalkOptions {
         cache_bytes: None,
         debug_views: false,
         shows,
-        layout_ms: None,
+        beside: false,
         baseline_frames: 0,
     }
 }

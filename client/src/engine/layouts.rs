@@ -21,6 +21,23 @@ pub struct Layout {
     since: Instant,
 }
 
+impl Layout {
+    /// Lays out an image as `painted` shows it.
+    pub fn new(number: u32, ldi: &Arc<Ldi>, painted: &Ldi) -> Self {
+        Self { number, ldi: ldi.clone(), laid_out: PreparedLdi::new(painted), since: Instant::now() }
+    }
+
+    /// Whether it is that of an image with these layers.
+    pub fn is_of(&self, number: u32, ldi: &Arc<Ldi>) -> bool {
+        self.number == number && Arc::ptr_eq(&self.ldi, ldi)
+    }
+
+    /// What was laid out.
+    pub fn ldi(&self) -> &Arc<Ldi> {
+        &self.ldi
+    }
+}
+
 /// See the module. Most recent last.
 #[derive(Debug, Default)]
 pub struct Layouts(Vec<Layout>);
@@ -33,7 +50,15 @@ impl Layouts {
 
     /// Whether an image is laid out, with these layers.
     pub fn holds(&self, number: u32, ldi: &Arc<Ldi>) -> bool {
-        self.get(number).is_some_and(|l| Arc::ptr_eq(&l.ldi, ldi))
+        self.get(number).is_some_and(|l| l.is_of(number, ldi))
+    }
+
+    /// Takes in a layout that was made elsewhere, unless there is one with more layers.
+    pub fn put(&mut self, layout: Layout) {
+        if !self.get(layout.number).is_some_and(|l| l.ldi.layers.len() > layout.ldi.layers.len()) {
+            self.0.retain(|l| l.number != layout.number);
+            self.0.push(layout);
+        }
     }
 
     /// Lays out an image, or what `paint` makes of it, unless it is laid out already, with the same layers. Returns whether it was new.
@@ -41,12 +66,7 @@ impl Layouts {
         let held = self.holds(number, ldi);
         let at = self.0.iter().position(|l| l.number == number);
         let before = at.map(|at| self.0.remove(at)).filter(|_| held);
-        self.0.push(before.unwrap_or_else(|| Layout {
-            number,
-            ldi: ldi.clone(),
-            laid_out: PreparedLdi::new(paint(ldi).as_ref().unwrap_or(ldi)),
-            since: Instant::now(),
-        }));
+        self.0.push(before.unwrap_or_else(|| Layout::new(number, ldi, paint(ldi).as_ref().unwrap_or(ldi))));
         !held
     }
 

@@ -22,6 +22,7 @@ mod save;
 mod tests;
 mod views;
 mod walk;
+mod workshop;
 
 pub use feed::{Feed, Traffic};
 pub use hand::{PaintError, Renderer};

@@ -114,8 +114,8 @@ pub struct WalkOptions {
     pub debug_views: bool,
     /// What pictures show.
     pub shows: Shows,
-    /// Milliseconds after which a frame lays out no more images that have come: they wait for the next one. None for all at once.
-    pub layout_ms: Option<f64>,
+    /// Images that have come are laid out on a thread of their own, and frames show them when they are ready. Otherwise the frame that needs them lays them out.
+    pub beside: bool,
     /// Frames of the all-geometry comparison; 0 skips it.
     pub baseline_frames: usize,
 }

@@ -7,6 +7,7 @@ use super::{
     hand::{Hand, PaintError},
     layouts::{Layout, Layouts},
     options::{Cull, Method, WalkOptions},
+    workshop::{Wanted, Workshop},
 };
 use crate::{
     composite::{
@@ -72,7 +73,7 @@ pub struct Painted {
     pub missing_chunks: Vec<u32>,
     /// Whether all of the index was known.
     pub whole: bool,
-    /// Images that are resident and wait for a frame with time to lay them out.
+    /// Images that are resident and being laid out beside; older layouts of theirs are shown, if there are any.
     pub waiting: usize,
     /// Time by stage. `total` is without `prepare`.
     pub ms: StageMs,
@@ -81,7 +82,7 @@ pub struct Painted {
 impl Painted {
     /// Whether the picture lacks nothing.
     pub fn is_complete(&self) -> bool {
-        self.whole && self.missing_chunks.is_empty()
+        self.whole && self.missing_chunks.is_empty() && self.waiting == 0
     }
 }
 
@@ -97,6 +98,10 @@ pub struct Painter {
     /// Colours of the frame before, where holes are to show it.
     last: Vec<u32>,
     layouts: Layouts,
+    /// Lays images out beside, once a frame asks for that; None also where the system gives no threads.
+    workshop: Option<Workshop>,
+    /// Images that the next frames may show, likeliest first.
+    ahead: Vec<u32>,
     /// They are painted onto their portals.
     textures: bool,
 }
@@ -236,6 +241,26 @@ impl Painter {
         self.hand.gpu()
     }
 
+    /// Images that the next frames may show, likeliest first: they are laid out beside when nothing else is.
+    pub fn expect(&mut self, images: Vec<u32>) {
+        self.ahead = images;
+    }
+
+    /// Whether images were laid out beside that no frame has shown yet.
+    pub fn has_news(&self) -> bool {
+        self.workshop.as_ref().is_some_and(Workshop::has_finished)
+    }
+
+    /// Opens the workshop when it is wanted for the first time.
+    fn workshop(&mut self) -> Option<&Workshop> {
+        if self.workshop.is_none() {
+            self.workshop = Workshop::open()
+                .map_err(|e| tracing::warn!("images are laid out by the frames that show them: {e}"))
+                .ok();
+        }
+        self.workshop.as_ref()
+    }
+
     /// Forgets the scene, for another one.
     pub fn forget_scene(&mut self) {
         let mut hand = std::mem::take(&mut self.hand);
@@ -307,7 +332,12 @@ impl Painter {
             // The same images, laid out otherwise.
             self.layouts = Layouts::default();
         }
-        self.layouts.forget_all_but(|number| images.iter().any(|(n, ..)| *n == number));
+        let beside = options.beside && self.workshop().is_some();
+        let made = self.workshop.as_ref().map(Workshop::take);
+        made.into_iter().flatten().for_each(|layout| self.layouts.put(layout));
+        let ahead = std::mem::take(&mut self.ahead);
+        self.layouts.forget_all_but(|number| images.iter().any(|(n, ..)| *n == number) || ahead.contains(&number));
+        let mut wanted: Vec<Wanted> = Vec::new();
         let warp_options = WarpOptions {
             stamp: options.stamp,
             order: options.order,
@@ -315,19 +345,26 @@ impl Painter {
             ..WarpOptions::default()
         };
         for (number, _, held) in &mut images {
+            let canvas = view.canvas(index, *number);
+            if let Some(ldi) = held.take_if(|l| beside && canvas.is_none() && !self.layouts.holds(*number, l)) {
+                // What was laid out when it had fewer layers, if there is that.
+                *held = self.layouts.get(*number).map(|l| l.ldi().clone());
+                wanted.push((*number, ldi));
+                painted.waiting += 1;
+            }
             let Some(ldi) = held else { continue };
             let start = Instant::now();
-            if options.layout_ms.is_some_and(|most| painted.ms.prepare > most) && !self.layouts.holds(*number, ldi) {
-                (*held, painted.waiting) = (None, painted.waiting + 1);
-                continue;
-            }
-            let canvas = view.canvas(index, *number);
             let paint = |ldi: &Ldi| canvas.and_then(|p| painted_onto(ldi, p.normal(), p.centre(), SKY_SRGB));
             let new = self.layouts.lay_out(*number, ldi, paint);
             if let Some(l) = self.layouts.get(*number) {
                 self.hand.hold(&l.laid_out, &full_camera, &warp_options)?;
             }
             painted.ms.prepare += if new { ms_since(start) } else { 0.0 };
+        }
+        if let Some(workshop) = self.workshop.as_ref().filter(|_| beside) {
+            let resident = ahead.iter().filter_map(|n| Some((*n, resident.ldi(*n)?)));
+            wanted.extend(resident.filter(|(n, ldi)| !self.layouts.holds(*n, ldi)));
+            workshop.want(wanted);
         }
         let gaps = !painted.whole || near_gaps || images.iter().any(|(.., l)| l.is_none());
         self.far.reset(full_camera.width, full_camera.height);

@@ -193,7 +193,7 @@ fn options(pace: Pace) -> WalkOptions {
         cache_bytes: None,
         debug_views: true,
         shows: Shows::Scene,
-        layout_ms: None,
+        beside: false,
         baseline_frames: 2,
     }
 }
@@ -250,23 +250,63 @@ fn near_and_far_come_together() {
     assert_eq!((colour_at(&frame, 18, 24), painted.warp.is_none()), ([0, 255, 0], true));
 }
 
-#[test]
-fn images_wait_for_a_frame_with_time_to_lay_them_out() {
-    let feed = scene();
-    let ahead = Pose { position: DVec3::new(0.05, 0.0, 0.0), yaw_deg: 0.0, pitch_deg: 0.0 };
-    let view = view_of(&feed.index, &ahead, &CAMERA, Method::Auto, &mut StageMs::default());
-    feed.wait_for(&view.needed(&feed.index).all().collect::<Vec<_>>(), Duration::ZERO).expect("memory does not fail");
-    let (mut painter, mut frame) = (Painter::default(), Frame::default());
-    let mut waiting = |layout_ms: Option<f64>| {
-        let options = WalkOptions { layout_ms, ..options(Pace::Wait) };
-        let ms = StageMs::default();
-        let painted =
-            painter.paint(&feed.index, &feed, &view, &ahead, &CAMERA, &options, ms, &mut frame).expect("quads by z");
+/// A painter that lays images out beside, and a frame of its own.
+#[derive(Default)]
+struct Beside(Painter, Frame);
+
+impl Beside {
+    /// How many images wait, and whether any is seen.
+    fn paint(&mut self, feed: &MemoryFeed, pose: &Pose) -> (usize, bool) {
+        let Self(painter, frame) = self;
+        let view = view_of(&feed.index, pose, &CAMERA, Method::Auto, &mut StageMs::default());
+        let all: Vec<u32> = view.needed(&feed.index).all().collect();
+        feed.wait_for(&all, Duration::ZERO).expect("memory does not fail");
+        let options = WalkOptions { beside: true, ..options(Pace::Realtime) };
+        let painted = painter.paint(&feed.index, feed, &view, pose, &CAMERA, &options, StageMs::default(), frame);
+        let painted = painted.expect("quads by z");
         assert!(painted.missing_chunks.is_empty());
+        assert_eq!(painted.is_complete(), painted.waiting == 0);
         (painted.waiting, frame.count(Source::Far) > 100)
-    };
-    // No time at all; time enough; and no time is needed for what is laid out.
-    assert_eq!([Some(-1.0), Some(0.0), Some(-1.0)].map(&mut waiting), [(1, false), (0, true), (0, true)]);
+    }
+
+    fn wait_for_news(&self) {
+        let begun = std::time::Instant::now();
+        while !self.0.has_news() {
+            assert!(begun.elapsed() < Duration::from_secs(60), "nothing was laid out");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+}
+
+const AHEAD: Pose = Pose { position: DVec3::new(0.05, 0.0, 0.0), yaw_deg: 0.0, pitch_deg: 0.0 };
+
+#[test]
+fn no_frame_waits_for_images_to_be_laid_out() {
+    let mut feed = scene();
+    let mut painter = Beside::default();
+    assert_eq!(painter.paint(&feed, &AHEAD), (1, false));
+    painter.wait_for_news();
+    assert_eq!([(); 2].map(|()| painter.paint(&feed, &AHEAD)), [(0, true); 2]);
+    // Another layer: what was laid out without it is shown until then.
+    let mut more = (*feed.memory.ldis[&0]).clone();
+    more.layers.push(more.layers[0].clone());
+    feed.memory.ldis.insert(0, Arc::new(more));
+    assert_eq!(painter.paint(&feed, &AHEAD), (1, true));
+    painter.wait_for_news();
+    assert_eq!(painter.paint(&feed, &AHEAD), (0, true));
+}
+
+#[test]
+fn what_is_expected_is_laid_out_before_it_is_seen() {
+    let feed = scene();
+    let away = Pose { yaw_deg: 180.0, ..AHEAD };
+    let mut painter = Beside::default();
+    feed.wait_for(&[2], Duration::ZERO).expect("memory does not fail");
+    assert_eq!(painter.paint(&feed, &away), (0, false));
+    painter.0.expect(vec![0]);
+    assert_eq!(painter.paint(&feed, &away), (0, false));
+    painter.wait_for_news();
+    assert_eq!(painter.paint(&feed, &AHEAD), (0, true));
 }
 
 #[test]

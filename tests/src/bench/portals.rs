@@ -307,7 +307,7 @@ pub fn walk_by(
         cache_bytes: None,
         debug_views: false,
         shows: Shows::Scene,
-        layout_ms: None,
+        beside: false,
         baseline_frames: 0,
     };
     let cache = Cache::new(Arc::clone(dataset.index()), u64::MAX);

@@ -222,7 +222,7 @@ impl Setting {
             cache_bytes: None,
             debug_views: false,
             shows: Shows::Scene,
-            layout_ms: None,
+            beside: false,
             baseline_frames: 0,
         }
     }
