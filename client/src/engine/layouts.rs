@@ -1,7 +1,7 @@
 //! Images laid out for the warp, kept from frame to frame.
 
 use super::views::Shows;
-use crate::warp::PreparedLdi;
+use crate::warp::{PreparedLdi, halved};
 use ldi_protocol::{OutputCamera, Pose, ldi::Ldi};
 use std::{sync::Arc, time::Instant};
 
@@ -9,32 +9,45 @@ use std::{sync::Arc, time::Instant};
 /// about three times as large as the decoded image.
 const KEPT: usize = 4;
 
+/// What is laid out.
+#[derive(Debug, Clone)]
+pub struct Wanted {
+    /// Position in the index's images.
+    pub number: u32,
+    /// At half the resolution.
+    pub half: bool,
+    /// What is there of it.
+    pub ldi: Arc<Ldi>,
+}
+
+impl Wanted {
+    /// Whether both are the same layers of the same image at the same resolution.
+    pub fn is(&self, other: &Self) -> bool {
+        (self.number, self.half) == (other.number, other.half) && Arc::ptr_eq(&self.ldi, &other.ldi)
+    }
+}
+
 /// An image, laid out.
 #[derive(Debug)]
 pub struct Layout {
-    /// Position in the index's images.
-    pub number: u32,
     /// What was laid out.
-    ldi: Arc<Ldi>,
+    pub of: Wanted,
     /// The layout.
     pub laid_out: PreparedLdi,
     since: Instant,
 }
 
 impl Layout {
-    /// Lays out an image as `painted` shows it.
-    pub fn new(number: u32, ldi: &Arc<Ldi>, painted: &Ldi) -> Self {
-        Self { number, ldi: ldi.clone(), laid_out: PreparedLdi::new(painted), since: Instant::now() }
+    /// Lays out an image.
+    pub fn new(of: Wanted) -> Self {
+        let laid_out = if of.half { PreparedLdi::new(&halved(&of.ldi)) } else { PreparedLdi::new(&of.ldi) };
+        Self { of, laid_out, since: Instant::now() }
     }
 
-    /// Whether it is that of an image with these layers.
-    pub fn is_of(&self, number: u32, ldi: &Arc<Ldi>) -> bool {
-        self.number == number && Arc::ptr_eq(&self.ldi, ldi)
-    }
-
-    /// What was laid out.
-    pub fn ldi(&self) -> &Arc<Ldi> {
-        &self.ldi
+    /// Lays out at full resolution what `painted` shows of an image.
+    fn painted(of: Wanted, painted: Option<Ldi>) -> Self {
+        let laid_out = PreparedLdi::new(painted.as_ref().unwrap_or(&of.ldi));
+        Self { of, laid_out, since: Instant::now() }
     }
 }
 
@@ -43,38 +56,45 @@ impl Layout {
 pub struct Layouts(Vec<Layout>);
 
 impl Layouts {
-    /// The layout of an image.
-    pub fn get(&self, number: u32) -> Option<&Layout> {
-        self.0.iter().find(|l| l.number == number)
+    /// The layout of an image, at the resolution that is wanted if there is that.
+    pub fn get(&self, number: u32, half: bool) -> Option<&Layout> {
+        let of_image = || self.0.iter().filter(|l| l.of.number == number);
+        of_image().find(|l| l.of.half == half).or_else(|| of_image().next())
     }
 
-    /// Whether an image is laid out, with these layers.
-    pub fn holds(&self, number: u32, ldi: &Arc<Ldi>) -> bool {
-        self.get(number).is_some_and(|l| l.is_of(number, ldi))
+    /// Whether this is laid out.
+    pub fn holds(&self, wanted: &Wanted) -> bool {
+        self.0.iter().any(|l| l.of.is(wanted))
     }
 
     /// Takes in a layout that was made elsewhere, unless there is one with more layers.
     pub fn put(&mut self, layout: Layout) {
-        if !self.get(layout.number).is_some_and(|l| l.ldi.layers.len() > layout.ldi.layers.len()) {
-            self.0.retain(|l| l.number != layout.number);
+        let same = |l: &Layout| (l.of.number, l.of.half) == (layout.of.number, layout.of.half);
+        if !self.0.iter().any(|l| same(l) && l.of.ldi.layers.len() > layout.of.ldi.layers.len()) {
+            self.0.retain(|l| !same(l));
             self.0.push(layout);
         }
     }
 
-    /// Lays out an image, or what `paint` makes of it, unless it is laid out already, with the same layers. Returns whether it was new.
+    /// Lays out an image, or what `paint` makes of it, at full resolution, unless it is laid out already, with the same layers. Returns whether it was new.
     pub fn lay_out(&mut self, number: u32, ldi: &Arc<Ldi>, paint: impl FnOnce(&Ldi) -> Option<Ldi>) -> bool {
-        let held = self.holds(number, ldi);
-        let at = self.0.iter().position(|l| l.number == number);
-        let before = at.map(|at| self.0.remove(at)).filter(|_| held);
-        self.0.push(before.unwrap_or_else(|| Layout::new(number, ldi, paint(ldi).as_ref().unwrap_or(ldi))));
-        !held
+        let wanted = Wanted { number, half: false, ldi: ldi.clone() };
+        let held = self.0.iter().position(|l| l.of.is(&wanted));
+        match held {
+            Some(at) => {
+                let layout = self.0.remove(at);
+                self.0.push(layout);
+            }
+            None => self.put(Layout::painted(wanted, paint(ldi))),
+        }
+        held.is_none()
     }
 
     /// Makes room for the images of a frame: of others some stay.
     pub fn forget_all_but(&mut self, in_use: impl Fn(u32) -> bool) {
-        let mut spare = self.0.iter().filter(|l| !in_use(l.number)).count();
+        let mut spare = self.0.iter().filter(|l| !in_use(l.of.number)).count();
         self.0.retain(|l| {
-            let keep = in_use(l.number) || spare <= KEPT;
+            let keep = in_use(l.of.number) || spare <= KEPT;
             spare -= usize::from(!keep);
             keep
         });
@@ -89,10 +109,11 @@ impl Layouts {
         shows: Shows,
     ) -> Option<Self> {
         let tint = |l: &Layout| {
-            let ldi = shows.tint(&l.ldi, pose, camera, l.since.elapsed().as_secs_f64())?;
-            Some(Layout { number: l.number, laid_out: PreparedLdi::new(&ldi), ldi, since: l.since })
+            let ldi = shows.tint(&l.of.ldi, pose, camera, l.since.elapsed().as_secs_f64())?;
+            let of = Wanted { half: false, ldi: ldi.clone(), ..l.of };
+            Some(Layout { of, laid_out: PreparedLdi::new(&ldi), since: l.since })
         };
-        let tinted: Vec<Layout> = numbers.filter_map(|n| self.get(n)).filter_map(tint).collect();
+        let tinted: Vec<Layout> = numbers.filter_map(|n| self.get(n, false)).filter_map(tint).collect();
         (!tinted.is_empty()).then_some(Self(tinted))
     }
 }

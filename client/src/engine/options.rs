@@ -114,7 +114,8 @@ pub struct WalkOptions {
     pub debug_views: bool,
     /// What pictures show.
     pub shows: Shows,
-    /// Images that have come are laid out on a thread of their own, and frames show them when they are ready. Otherwise the frame that needs them lays them out.
+    /// Images that have come are laid out on a thread of their own, and frames show them when they are ready; pictures of half the size that the dataset was made for, or smaller, show them at
+    /// half their resolution, where samples cover no more pixels than was promised. Otherwise the frame that needs them lays them out as they are.
     pub beside: bool,
     /// Frames of the all-geometry comparison; 0 skips it.
     pub baseline_frames: usize,

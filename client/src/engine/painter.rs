@@ -5,9 +5,9 @@
 
 use super::{
     hand::{Hand, PaintError},
-    layouts::{Layout, Layouts},
+    layouts::{Layout, Layouts, Wanted},
     options::{Cull, Method, WalkOptions},
-    workshop::{Wanted, Workshop},
+    workshop::Workshop,
 };
 use crate::{
     composite::{
@@ -333,6 +333,8 @@ impl Painter {
             self.layouts = Layouts::default();
         }
         let beside = options.beside && self.workshop().is_some();
+        // At half the size that the dataset was made for.
+        let half = beside && 2.0 * full_camera.focal_px() <= index.settings.camera.focal_px() * (1.0 + 1e-6);
         let made = self.workshop.as_ref().map(Workshop::take);
         made.into_iter().flatten().for_each(|layout| self.layouts.put(layout));
         let ahead = std::mem::take(&mut self.ahead);
@@ -346,24 +348,33 @@ impl Painter {
         };
         for (number, _, held) in &mut images {
             let canvas = view.canvas(index, *number);
-            if let Some(ldi) = held.take_if(|l| beside && canvas.is_none() && !self.layouts.holds(*number, l)) {
-                // What was laid out when it had fewer layers, if there is that.
-                *held = self.layouts.get(*number).map(|l| l.ldi().clone());
-                wanted.push((*number, ldi));
-                painted.waiting += 1;
+            if beside && canvas.is_none() {
+                let Some(ldi) = held.take() else { continue };
+                let want = Wanted { number: *number, half, ldi };
+                // Until it is ready, what was laid out when it had fewer layers or at the other resolution, if there is that.
+                let shown = self.layouts.get(*number, half);
+                *held = shown.map(|l| l.of.ldi.clone());
+                if let Some(l) = shown {
+                    self.hand.hold(&l.laid_out, &full_camera, &warp_options)?;
+                }
+                if !self.layouts.holds(&want) {
+                    wanted.push(want);
+                    painted.waiting += 1;
+                }
+                continue;
             }
             let Some(ldi) = held else { continue };
             let start = Instant::now();
             let paint = |ldi: &Ldi| canvas.and_then(|p| painted_onto(ldi, p.normal(), p.centre(), SKY_SRGB));
             let new = self.layouts.lay_out(*number, ldi, paint);
-            if let Some(l) = self.layouts.get(*number) {
+            if let Some(l) = self.layouts.get(*number, false) {
                 self.hand.hold(&l.laid_out, &full_camera, &warp_options)?;
             }
             painted.ms.prepare += if new { ms_since(start) } else { 0.0 };
         }
         if let Some(workshop) = self.workshop.as_ref().filter(|_| beside) {
-            let resident = ahead.iter().filter_map(|n| Some((*n, resident.ldi(*n)?)));
-            wanted.extend(resident.filter(|(n, ldi)| !self.layouts.holds(*n, ldi)));
+            let resident = ahead.iter().filter_map(|n| Some(Wanted { number: *n, half, ldi: resident.ldi(*n)? }));
+            wanted.extend(resident.filter(|w| !self.layouts.holds(w)));
             workshop.want(wanted);
         }
         let gaps = !painted.whole || near_gaps || images.iter().any(|(.., l)| l.is_none());
@@ -371,12 +382,12 @@ impl Painter {
         let here = || images.iter().filter(|i| i.2.is_some()).map(|i| i.0);
         let tinted = self.layouts.tinted(here(), pose, &full_camera, options.shows);
         let layouts = tinted.as_ref().unwrap_or(&self.layouts);
-        let here: Vec<&Layout> = here().filter_map(|number| layouts.get(number)).collect();
+        let here: Vec<&Layout> = here().filter_map(|number| layouts.get(number, half)).collect();
         if !here.is_empty() {
             let start = Instant::now();
             let mut shown: Vec<GpuImage<'_>> = Vec::with_capacity(here.len());
             let mut show = |wanted: &dyn Fn(u32) -> bool, within| {
-                let wanted = here.iter().filter(|p| wanted(p.number));
+                let wanted = here.iter().filter(|p| wanted(p.of.number));
                 shown.extend(wanted.map(|p| GpuImage { laid_out: &p.laid_out, within }));
             };
             if view.portals.is_empty() {

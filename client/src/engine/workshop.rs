@@ -2,15 +2,11 @@
 //!
 //! What is wanted is said anew with every picture, the most urgent first: nothing is laid out that nobody wants any more.
 
-use super::layouts::Layout;
-use ldi_protocol::ldi::Ldi;
+use super::layouts::{Layout, Wanted};
 use std::{
     sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
     thread::JoinHandle,
 };
-
-/// An image to lay out: its position in the index's images, and what is there of it.
-pub type Wanted = (u32, Arc<Ldi>);
 
 /// See the module; the thread ends with it.
 #[derive(Debug)]
@@ -28,9 +24,8 @@ struct Desk {
 }
 
 impl Desk {
-    fn is_under_way(&self, (number, ldi): &Wanted) -> bool {
-        let busy = self.busy.as_ref().is_some_and(|(n, l)| n == number && Arc::ptr_eq(l, ldi));
-        busy || self.done.iter().any(|l| l.is_of(*number, ldi))
+    fn is_under_way(&self, wanted: &Wanted) -> bool {
+        self.busy.iter().chain(self.done.iter().map(|l| &l.of)).any(|w| w.is(wanted))
     }
 }
 
@@ -50,8 +45,8 @@ impl Workshop {
         let desk = Arc::<(Mutex<Desk>, Condvar)>::default();
         let seen = desk.clone();
         let work = move || {
-            while let Some((number, ldi)) = next(&seen) {
-                let layout = pool.install(|| Layout::new(number, &ldi, &ldi));
+            while let Some(wanted) = next(&seen) {
+                let layout = pool.install(|| Layout::new(wanted));
                 let mut desk = lock(&seen.0);
                 desk.busy = None;
                 desk.done.push(layout);

@@ -21,6 +21,7 @@ mod bands;
 mod cull;
 pub mod debug;
 mod ewa;
+mod halve;
 mod layout;
 mod matrix;
 mod order;
@@ -34,6 +35,7 @@ mod texture;
 mod transform;
 
 pub use bands::{TileJob, tile_jobs, transform_only, transformed, warp, warp_images};
+pub use halve::halved;
 pub use matrix::{WarpMatrix, Warped};
 pub use prepared::PreparedLdi;
 pub use texture::painted_onto;

@@ -553,3 +553,92 @@ fn names_round_trip_and_errors_help() {
     assert_eq!("epipole".parse::<Order>().unwrap(), Order::Epipole);
     assert!("zz".parse::<Order>().unwrap_err().to_string().contains("epipole"));
 }
+
+/// A picture at half the size: drawn from an image at half the resolution it is as near to the truth as drawn from the whole one, or nearly.
+#[test]
+fn an_image_at_half_its_resolution_shows_the_same_at_half_the_size() {
+    for name in SCENES {
+        for (left, top) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+            let mut camera = ldi_camera(DVec3::ZERO, 640, 480, 90.0);
+            (camera.left, camera.top) = (camera.left + left, camera.top + top);
+            let ldi = scene(name).ldi(camera, 4);
+            let half = halved(&ldi);
+            let share = half.samples() as f64 / ldi.samples() as f64;
+            assert!((0.24..0.40).contains(&share), "{name}: {share} of the samples");
+            for p in &poses() {
+                let truth = scene(name).truth(p, &CAMERA).into_iter();
+                let truth: Vec<_> = truth.map(|t| t.map(|t| (pack_rgb(t.rgb), (1.0 / t.depth) as f32))).collect();
+                let against = |ldi: &Ldi| {
+                    let (frame, stats) = render(ldi, p, &WarpOptions::default());
+                    (compare(pixels(&frame), truth.iter().copied()), stats.footprint_max_px)
+                };
+                let ((whole, fine), (d, coarse)) = (against(&ldi), against(&half));
+                let wrong = |d: &Difference| d.one_only + d.other_surface;
+                assert!(wrong(&d) <= wrong(&whole) + d.pixels / 100, "{name}: {d:?}, {whole:?}");
+                assert!(d.mean <= 1.5 * whole.mean + 1.0, "{name}: {d:?}, {whole:?}");
+                assert!((coarse / fine - 2.0).abs() < 0.1, "{name}: {coarse}, {fine}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_plane_stays_the_plane_and_whole_at_half_its_resolution() {
+    for (left, top) in [(0, 0), (1, 1)] {
+        let mut camera = ldi_camera(DVec3::ZERO, 321, 239, 90.0);
+        (camera.left, camera.top) = (camera.left + left, camera.top + top);
+        let s = scene("slanted");
+        let half = halved(&s.ldi(camera, 1));
+        let [layer] = &half.layers[..] else { panic!("one layer") };
+        let mut inner = 0;
+        for segment in &layer.segments {
+            for i in segment.first as usize..segment.first as usize + usize::from(segment.count) {
+                let (column, row) =
+                    (u32::from(segment.column_base) + u32::from(layer.column[i]), u32::from(segment.row));
+                if column == 0 || row == 0 || column + 1 >= half.camera.width || row + 1 >= half.camera.height {
+                    continue;
+                }
+                inner += 1;
+                let ray = half.camera.ray(f64::from(column) + 0.5, f64::from(row) + 0.5);
+                let depth = s.hits(DVec3::ZERO, ray)[0].depth;
+                let off = half.codes.disparity(layer.disparity[i]) - 1.0 / depth;
+                assert!(off.abs() <= 1.01 * half.codes.step, "{off} at {column}, {row}");
+                assert_eq!(layer.links[i], LINK_RIGHT | LINK_DOWN);
+            }
+        }
+        assert!(inner > 15_000);
+        for p in &poses() {
+            let (frame, _) = render(&half, p, &WarpOptions::default());
+            assert_eq!(frame.painted(), frame.packed.len(), "no cracks");
+        }
+    }
+}
+
+#[test]
+fn what_is_not_linked_stays_apart_at_half_the_resolution() {
+    let (r, d) = (LINK_RIGHT, LINK_DOWN);
+    // Two columns of one block that are linked within themselves; a lone sample; three in a corner.
+    let shape = [(4, 6, d), (4, 7, d), (5, 6, 0), (5, 7, 0), (8, 8, 0), (8, 12, r | d), (8, 13, 0), (9, 12, 0)];
+    let half = halved(&small(&shape, 0.1));
+    let samples: Vec<usize> = half.layers.iter().map(LdiLayer::len).collect();
+    assert_eq!(samples, [3, 1]);
+    for layer in &half.layers {
+        assert!(layer.links.iter().all(|l| *l == 0));
+    }
+    let mut slivers = with_ends_and_slivers(image("slanted"));
+    slivers.camera.left += 1;
+    let at = |ldi: &Ldi, c: &SliverCorner| {
+        let place = |v: i32, from: i32| {
+            (f64::from(from) + f64::from(v) / f64::from(Sliver::PARTS)) / ldi.camera.pixels_per_unit
+        };
+        DVec3::new(place(c.u, ldi.camera.left), place(c.v, ldi.camera.top), f64::from(c.disparity))
+    };
+    let half = halved(&slivers);
+    assert_eq!(half.slivers.len(), slivers.slivers.len());
+    let part = 1.0 / f64::from(Sliver::PARTS) / half.camera.pixels_per_unit;
+    for (a, b) in slivers.slivers.iter().zip(&half.slivers) {
+        for (a, b) in a.corners.iter().zip(&b.corners) {
+            assert!(at(&slivers, a).distance(at(&half, b)) < 2.0 * part);
+        }
+    }
+}
