@@ -49,8 +49,8 @@ pub const MAX_MANIFESTS: usize = 16;
 pub const MAX_TEXT: usize = 1_024;
 /// Most walkers that a client is told of. More would hide a map.
 pub const MAX_OTHERS: usize = 64;
-/// Longest name of another walker, bytes: 64 characters.
-pub const MAX_NAME: usize = 256;
+/// Longest name that a server shows, characters: longer ones are cut.
+pub const MAX_NAME_CHARS: usize = 64;
 
 /// Why bytes of a peer were refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -155,11 +155,11 @@ pub struct Welcome {
 pub struct Other {
     /// Its number on the server's page.
     pub walker: u64,
-    /// What it calls itself, at most [`MAX_NAME`] bytes.
+    /// What it calls itself, at most [`MAX_NAME_CHARS`].
     pub name: String,
     /// World position, metres.
     pub position: [f64; 3],
-    /// Degrees.
+    /// Degrees, 0 to 360.
     pub yaw_deg: f32,
 }
 
@@ -361,8 +361,8 @@ impl Message for ServerMessage {
             Self::Others { walkers } => {
                 in_range("walkers", walkers.len() as f64, 0.0..=MAX_OTHERS as f64)?;
                 for w in walkers {
-                    in_range("name bytes", w.name.len() as f64, 0.0..=MAX_NAME as f64)?;
-                    in_range("yaw", f64::from(w.yaw_deg), f64::from(f32::MIN)..=f64::from(f32::MAX))?;
+                    in_range("name characters", w.name.chars().count() as f64, 0.0..=MAX_NAME_CHARS as f64)?;
+                    in_range("yaw", f64::from(w.yaw_deg), 0.0..=360.0)?;
                     w.position.iter().try_for_each(|x| in_range("position", *x, -1e9..=1e9))?;
                 }
                 Ok(())

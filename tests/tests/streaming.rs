@@ -327,6 +327,10 @@ fn who_wants_to_know_is_told_where_the_others_are() {
     drop(passer);
     others_become(&others, Some(&[]));
     // What was known is forgotten with the line, and asked for again by the next one.
+    drop(watcher);
+    others_become(&others, None);
+    let _watcher = Connection::connect(watching.clone()).unwrap();
+    others_become(&others, Some(&[]));
     host.stop();
     others_become(&others, None);
 }

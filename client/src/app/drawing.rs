@@ -319,7 +319,7 @@ impl Draughtsman {
         self.link.look(pose, &needed);
         if options.beside {
             let ahead = self.images_ahead(scene, pose, &camera, &view.images);
-            self.painter.expect(ahead);
+            self.painter.anticipate(ahead);
         }
         let painted = match self.painter.paint(index, &*scene.cache, &view, pose, &camera, &options, ms, out) {
             Err(PaintError::Gpu(e)) => {

@@ -12,14 +12,15 @@ use ldi_client::{
         KnownHostsError,
     },
 };
-use ldi_protocol::{Pose, said::said, wire::Picture};
+use ldi_protocol::{
+    Pose,
+    said::said,
+    wire::{MAX_NAME_CHARS, Picture},
+};
 use std::{
     io::{BufRead as _, IsTerminal as _, Write as _},
     path::PathBuf,
 };
-
-/// Characters of a name; servers cut longer ones.
-const LONGEST_NAME: usize = 64;
 
 #[derive(Args)]
 pub struct ConnectArgs {
@@ -192,8 +193,8 @@ fn ask(server: &str, found: Fingerprint) -> Result<(), Failure> {
 
 fn parse_name(text: &str) -> Result<String, String> {
     match text.chars().count() {
-        1..=LONGEST_NAME if !text.chars().any(char::is_control) => Ok(text.to_owned()),
-        _ => Err(format!("give 1 to {LONGEST_NAME} characters in one line")),
+        1..=MAX_NAME_CHARS if !text.chars().any(char::is_control) => Ok(text.to_owned()),
+        _ => Err(format!("give 1 to {MAX_NAME_CHARS} characters in one line")),
     }
 }
 

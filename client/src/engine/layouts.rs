@@ -51,7 +51,7 @@ impl Layout {
     }
 }
 
-/// See the module. Most recent last.
+/// See the module. The newest is last, and what a frame laid out or found laid out by itself.
 #[derive(Debug, Default)]
 pub struct Layouts(Vec<Layout>);
 

@@ -242,7 +242,7 @@ impl Painter {
     }
 
     /// Images that the next frames may show, likeliest first: they are laid out beside when nothing else is.
-    pub fn expect(&mut self, images: Vec<u32>) {
+    pub fn anticipate(&mut self, images: Vec<u32>) {
         self.ahead = images;
     }
 

@@ -303,7 +303,7 @@ fn what_is_expected_is_laid_out_before_it_is_seen() {
     let mut painter = Beside::default();
     feed.wait_for(&[2], Duration::ZERO).expect("memory does not fail");
     assert_eq!(painter.paint(&feed, &away), (0, false));
-    painter.0.expect(vec![0]);
+    painter.0.anticipate(vec![0]);
     assert_eq!(painter.paint(&feed, &away), (0, false));
     painter.wait_for_news();
     assert_eq!(painter.paint(&feed, &AHEAD), (0, true));

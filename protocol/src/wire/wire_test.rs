@@ -83,7 +83,12 @@ fn the_longest_list_fits_a_frame_and_a_longer_one_is_refused() {
 
 #[test]
 fn a_map_full_of_walkers_fits_a_frame_and_walkers_nowhere_are_refused() {
-    let other = Other { walker: u64::MAX, name: "x".repeat(MAX_NAME), position: [1e9, -1e9, 0.5], yaw_deg: 720.0 };
+    let other = Other {
+        walker: u64::MAX,
+        name: "\u{10348}".repeat(MAX_NAME_CHARS),
+        position: [1e9, -1e9, 0.5],
+        yaw_deg: 360.0,
+    };
     let with = |f: &dyn Fn(&mut Vec<Other>)| {
         let mut walkers = vec![other.clone(); MAX_OTHERS];
         f(&mut walkers);
@@ -94,7 +99,8 @@ fn a_map_full_of_walkers_fits_a_frame_and_walkers_nowhere_are_refused() {
     assert!(with(&|w| w.push(other.clone())).is_err());
     assert!(with(&|w| w[5].position[1] = f64::NAN).is_err());
     assert!(with(&|w| w[5].position[2] = 1.1e9).is_err());
-    assert!(with(&|w| w[5].yaw_deg = f32::INFINITY).is_err());
+    assert!(with(&|w| w[5].yaw_deg = f32::NAN).is_err());
+    assert!(with(&|w| w[5].yaw_deg = -1.0).is_err());
     assert!(with(&|w| w[5].name.push('x')).is_err());
 }
 

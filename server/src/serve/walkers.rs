@@ -2,7 +2,7 @@
 
 use ldi_protocol::{
     Pose,
-    wire::{MAX_OTHERS, Other},
+    wire::{MAX_NAME_CHARS, MAX_OTHERS, Other},
 };
 use serde::Serialize;
 use std::{
@@ -92,7 +92,7 @@ impl Walkers {
     pub fn enter(self: &Arc<Self>, name: &str) -> Entry {
         let id = self.next.fetch_add(1, Relaxed) + 1;
         let counters = Arc::<Counters>::default();
-        let name = name.chars().filter(|c| !c.is_control()).take(64).collect();
+        let name = name.chars().filter(|c| !c.is_control()).take(MAX_NAME_CHARS).collect();
         let walker = Walker { name, pose: None, rtt_ms: 0.0, counters: counters.clone() };
         self.connected.lock().unwrap_or_else(PoisonError::into_inner).insert(id, walker);
         metrics::gauge!("ldi_walkers").increment(1.0);
@@ -131,7 +131,8 @@ impl Walkers {
             walker,
             name: name.to_owned(),
             position: pose.position.to_array(),
-            yaw_deg: pose.yaw_deg as f32,
+            // A walker may say any finite yaw, and must not spoil the others' message with one beyond f32.
+            yaw_deg: pose.yaw_deg.rem_euclid(360.0) as f32,
         };
         rest.into_iter().map(told).collect()
     }
@@ -159,6 +160,7 @@ impl Drop for Entry {
 mod tests {
     use super::*;
     use glam::DVec3;
+    use ldi_protocol::wire;
 
     #[test]
     fn the_nearest_others_are_told_by_number_and_never_oneself() {
@@ -175,7 +177,12 @@ mod tests {
         let expected: Vec<u64> = entries[2..entries.len() - 1].iter().map(|e| e.id).collect();
         assert_eq!((numbers.len(), numbers), (MAX_OTHERS, expected), "all but the farthest");
         assert_eq!((told[0].name.as_str(), told[0].position, told[0].yaw_deg), ("2", [63.0, 0.0, 0.0], 10.0));
-        drop(entries);
+        // Whatever finite pose and name somebody has, the others' message can be sent.
+        entries[5].moved(Pose { yaw_deg: -1e300, ..at(0.5) }, 1.0);
+        let long = all.enter(&"\u{10348}".repeat(1_000));
+        long.moved(at(0.0), 1.0);
+        assert!(wire::encode(&wire::ServerMessage::Others { walkers: all.others(me) }).is_ok());
+        drop((entries, long));
         assert!(all.others(me).is_empty());
     }
 }
