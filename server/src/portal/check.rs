@@ -110,7 +110,28 @@ pub fn check_sight(caster: &Caster, rooms: &Rooms, poses: &[Pose], camera: &Outp
     sum
 }
 
-/// Poses at eye height in free places of the rooms: 1.1 to 2 m above the floor of a box, something below, 0.1 m clear of all around.
+/// Half of the width of a person, metres.
+const HALF_A_PERSON_M: f64 = 0.25;
+/// Directions in plan, for [`stands_in_the_open`].
+const DIRECTIONS: u32 = 8;
+
+/// Whether somebody whose eye is there has room to stand, at most 0.45 m beside it: not in the cavity of a hollow wall.
+fn stands_in_the_open(caster: &Caster, eye: DVec3) -> bool {
+    let free = |from: DVec3, to: DVec3| {
+        !caster.occluded(&Ray { origin: from, direction: to - from, t_min: 0.0, t_max: 1.0 }, &CellSet::all())
+    };
+    let around = || {
+        (0..DIRECTIONS).map(|k| {
+            let angle = f64::from(k) * std::f64::consts::TAU / f64::from(DIRECTIONS);
+            DVec3::new(angle.cos(), 0.0, angle.sin())
+        })
+    };
+    let fits = |at: DVec3| around().all(|d| free(at, at + d * HALF_A_PERSON_M));
+    let beside = [0.15, 0.3, 0.45].into_iter().flat_map(|m| around().map(move |d| eye + d * m));
+    fits(eye) || beside.filter(|at| free(eye, *at)).any(fits)
+}
+
+/// Poses at eye height in free places of the rooms: 1.1 to 2 m above the floor of a box, something below, 0.1 m clear of all around, and beside them room for a person.
 pub fn random_poses(caster: &Caster, rooms: &Rooms, count: usize, seed: u64) -> Vec<Pose> {
     let boxes: Vec<_> = rooms.cells().iter().flat_map(|c| &c.boxes).collect();
     let area: Vec<f64> = boxes
@@ -139,9 +160,27 @@ pub fn random_poses(caster: &Caster, rooms: &Rooms, count: usize, seed: u64) -> 
             .iter()
             .all(|d| !caster.occluded(&Ray { origin: eye, direction: *d, t_min: 0.0, t_max: 0.1 }, &CellSet::all()));
         let (yaw_deg, pitch_deg) = (360.0 * r.unit(), 120.0 * r.unit() - 60.0);
-        if clear && b.contains(eye) {
+        if clear && b.contains(eye) && stands_in_the_open(caster, eye) {
             poses.push(Pose { position: eye, yaw_deg, pitch_deg });
         }
     }
     poses
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::placement::test_scenes::{block, scene_of};
+    use ldi_protocol::Aabb;
+    use std::sync::Arc;
+
+    #[test]
+    fn nobody_stands_in_a_hollow_wall() {
+        let walls =
+            [0.0, 0.35, 3.0].map(|x| Aabb { min: DVec3::new(x - 0.05, 0.0, -5.0), max: DVec3::new(x, 3.0, 5.0) });
+        let caster = Caster::of_scene(Arc::new(scene_of(&walls.each_ref().map(block))), false);
+        let open = |x: f64| stands_in_the_open(&caster, DVec3::new(x, 1.6, 0.0));
+        assert!(!open(0.15) && !open(0.2), "between the two sheets");
+        assert!(open(0.45) && open(2.0) && open(2.85), "beside a wall");
+    }
 }
