@@ -299,6 +299,55 @@ fn views_places_and_walks_are_at_hand() {
     assert!(code == Some(42) && said.contains("/absent.path.json"), "{said}");
 }
 
+/// A record of Linux's joystick interface: time, value, kind, number.
+fn joystick(value: i16, kind: u8, number: u8) -> [u8; 8] {
+    let [a, b] = value.to_ne_bytes();
+    [0, 0, 0, 0, a, b, kind, number]
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_gamepad_walks() {
+    use std::io::Write as _;
+    let Some(display) = display() else { return };
+    let f = fixture();
+    let dir = folder("pad");
+    // A pipe tells what a pad's device file would.
+    let pipe = dir.join("js0");
+    assert!(Command::new("mkfifo").arg(&pipe).status().expect("mkfifo is there").success());
+    let served = Server::start(&f.dataset).expect("serves");
+    let more = ["--fingerprint", &served.fingerprint, "--gamepad", pipe.to_str().expect("UTF-8"), BEGIN];
+    let mut walk = Walk::open(&display, &served.quic, &dir, &more);
+    walk.wait_for("first_complete_picture");
+    let window = display.hand(&["search", "--name", "house"]);
+    display.hand(&["windowfocus", window.lines().last().expect("a window")]);
+    let mut pad = std::fs::OpenOptions::new().write(true).open(&pipe).expect("somebody reads it");
+    let mut say = |records: &[[u8; 8]]| pad.write_all(&records.concat()).expect("read");
+    let (axis, button, first) = (2, 1, 0x80);
+    let at_rest: Vec<_> =
+        (0..8).map(|n| joystick(if n == 2 || n == 5 { -32767 } else { 0 }, axis | first, n)).collect();
+    say(&at_rest);
+    let (begin, yaw) = (walk.position(), walk.yaw());
+    say(&[joystick(-32767, axis, 1)]);
+    walk.wait("walking", |w| (w.position().distance(begin) > 0.5).then_some(()));
+    say(&[joystick(0, axis, 1), joystick(32767, axis, 3)]);
+    walk.wait("a turn to the right", |w| ((w.yaw() - yaw + 540.0).rem_euclid(360.0) - 180.0 < -5.0).then_some(()));
+    say(&[joystick(0, axis, 3), joystick(1, button, 3)]);
+    assert_eq!(walk.wait_for("map")["open"], true);
+    say(&[joystick(0, button, 3), joystick(1, button, 3)]);
+    walk.wait("the map's end", |w| (w.last("map")?["open"] == false).then_some(()));
+    say(&[joystick(1, button, 2)]);
+    walk.wait_for("screenshot");
+    // Unplugged while a stick is held: the walker stops.
+    say(&[joystick(-32767, axis, 1)]);
+    drop(pad);
+    walk.wait("standing", |w| {
+        let before = w.position();
+        std::thread::sleep(Duration::from_millis(700));
+        (w.position() == before).then_some(())
+    });
+}
+
 #[test]
 fn a_lost_server_is_found_again() {
     let Some(display) = display() else { return };

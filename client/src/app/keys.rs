@@ -65,6 +65,7 @@ impl Keys {
             right: is(Act::Right) - is(Act::Left),
             up: is(Act::Up) - is(Act::Down),
             turn: is(Act::TurnLeft) - is(Act::TurnRight),
+            tilt: 0.0,
             run: is(Act::Run) > 0.0,
         }
     }

@@ -14,13 +14,14 @@
 //! - `motion`: keys and time to poses within the walk volume; `solids`: what stands in the way; `scale`: milliseconds to sizes. All pure.
 //! - `screen`: wgpu; the only file here that knows it. Nothing of it is loaded before a window is asked for. What draws is the engine's painter, on the processor or a
 //!   graphics card (`client/src/gpu`), whose pictures come back to the processor before they are shown.
-//! - `hud`, `map` with its `plan`, `start`: what is drawn over the picture. `kept`: walks (`record`) and places (`bookmarks`) that are kept; `settings`: what can be chosen. `keys`, `shot`, `numbered`, `events`, `pace`: small parts.
+//! - `hud`, `map` with its `plan`, `start`: what is drawn over the picture. `kept`: walks (`record`) and places (`bookmarks`) that are kept; `settings`: what can be chosen. `keys`, `gamepad`, `shot`, `numbered`, `events`, `pace`: small parts.
 //! - `walk_link`: the same line for a walk without a window.
 
 mod bookmarks;
 mod desk;
 mod drawing;
 mod events;
+mod gamepad;
 mod hud;
 mod kept;
 mod keys;
@@ -41,6 +42,7 @@ mod visit;
 mod walk_link;
 mod window;
 
+pub use gamepad::GamepadAt;
 pub use screen::ScreenError;
 pub use walk_link::WalkLink;
 pub use window::run;
@@ -64,6 +66,8 @@ pub struct AppConfig {
     pub shots: PathBuf,
     /// A walk to walk once the first view is complete, and again with P.
     pub replay: Option<Walk>,
+    /// The gamepad to walk with, too.
+    pub gamepad: GamepadAt,
     /// File of the places that are kept; None for one named after the scene in the user's configuration folder.
     pub bookmarks: Option<PathBuf>,
     /// Where to write what happens, a JSON object per line.

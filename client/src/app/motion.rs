@@ -59,10 +59,27 @@ pub struct Intent {
     pub right: f64,
     /// Upward; when flying only.
     pub up: f64,
-    /// Turning left, by keys.
+    /// Turning left, by keys or a stick.
     pub turn: f64,
+    /// Looking up, by a stick.
+    pub tilt: f64,
     /// Faster.
     pub run: bool,
+}
+
+impl Intent {
+    /// What two ask for together.
+    pub fn and(self, other: Self) -> Self {
+        let sum = |a: f64, b: f64| (a + b).clamp(-1.0, 1.0);
+        Self {
+            forward: sum(self.forward, other.forward),
+            right: sum(self.right, other.right),
+            up: sum(self.up, other.up),
+            turn: sum(self.turn, other.turn),
+            tilt: sum(self.tilt, other.tilt),
+            run: self.run || other.run,
+        }
+    }
 }
 
 /// What is known of the world around a walker.
@@ -172,8 +189,8 @@ impl Walker {
         let decay = (-slice_s / RESPONSE_S).exp();
         for _ in 0..slices as u32 {
             // Half of the turn before and half after the step: the way is that of the slice's middle.
-            let half_turn_deg = 0.5 * intent.turn * TURN_DEG_PER_S * slice_s;
-            self.turn(half_turn_deg, 0.0);
+            let [half_turn_deg, half_tilt_deg] = [intent.turn, intent.tilt].map(|v| 0.5 * v * TURN_DEG_PER_S * slice_s);
+            self.turn(half_turn_deg, half_tilt_deg);
             let asked = self.asked(intent);
             // Exact for a velocity that approaches `asked` exponentially.
             let excess = self.velocity - asked;
@@ -184,7 +201,7 @@ impl Walker {
                 None if self.flying => self.pose.position + delta,
                 _ => settle(ground, slide(ground, self.pose.position, delta), slice_s),
             };
-            self.turn(half_turn_deg, 0.0);
+            self.turn(half_turn_deg, half_tilt_deg);
         }
         if !self.is_moving() && self.asked(intent) == DVec3::ZERO {
             self.velocity = DVec3::ZERO;

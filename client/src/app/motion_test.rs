@@ -45,7 +45,7 @@ fn walker(v: &WalkVolume, x: f64, z: f64, yaw_deg: f64) -> Walker {
     Walker::new(Pose { position: DVec3::new(x, 1.6, z), yaw_deg, pitch_deg: 0.0 }, Some(v), false, 60.0)
 }
 
-const AHEAD: Intent = Intent { forward: 1.0, right: 0.0, up: 0.0, turn: 0.0, run: false };
+const AHEAD: Intent = Intent { forward: 1.0, right: 0.0, up: 0.0, turn: 0.0, tilt: 0.0, run: false };
 
 /// A course with turns, sideways steps, runs and stops, each second something else; updated `rate` times per second.
 fn course(v: &WalkVolume, start: (f64, f64), rate: u32) -> Vec<DVec3> {
@@ -263,7 +263,7 @@ proptest! {
         w.change_speed(8.0);
         for (turn, forward, right, run, dt) in steps {
             w.turn(turn, turn / 3.0);
-            w.advance(Some(&v), &Intent { forward, right, up: right, turn: forward, run }, dt);
+            w.advance(Some(&v), &Intent { forward, right, up: right, turn: forward, tilt: right, run }, dt);
             prop_assert!(v.contains(w.pose().position), "{:?}", w.pose());
         }
     }

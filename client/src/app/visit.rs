@@ -4,11 +4,13 @@ use super::{
     AppConfig, AppError,
     desk::{Drawing, DrawingConfig, Picture},
     events::{Events, fields},
+    gamepad::{Gamepad, PadPress},
     hud::Hud,
     kept::{Kept, Said},
     keys::Keys,
     link::Link,
     map::Map,
+    motion::Intent,
     pace::Pace,
     screen::{Interface, Screen},
     settings::Settings,
@@ -43,6 +45,8 @@ const DEFAULT_HZ: f64 = 60.0;
 pub(super) enum News {
     /// A picture.
     Picture,
+    /// The gamepad.
+    Pad,
     /// The link's state, or a screenshot.
     Other,
 }
@@ -58,6 +62,9 @@ pub(super) struct Visit {
     pub hud: Hud,
     pub map: Map,
     pub keys: Keys,
+    pad: Gamepad,
+    /// The window has the keyboard, and with it the gamepad.
+    focused: bool,
     pub modifiers: ModifiersState,
     pub captured: bool,
     /// Captured before the map was opened.
@@ -147,6 +154,8 @@ impl Visit {
             hud: Hud::default(),
             map: Map::default(),
             keys: Keys::default(),
+            pad: Gamepad::look(config.gamepad.clone(), tell(News::Pad)),
+            focused: true,
             modifiers: ModifiersState::empty(),
             captured: false,
             capture_again: false,
@@ -272,10 +281,46 @@ impl Visit {
             let control = self.modifiers.control_key() || self.modifiers.super_key();
             if self.keys.set(code, pressed && !control) {
                 self.started |= pressed;
-                self.drawing.press(self.keys.intent());
+                self.drawing.press(self.intent());
             }
         }
         false
+    }
+
+    /// What keys and gamepad ask for together.
+    fn intent(&self) -> Intent {
+        match self.focused {
+            true => self.keys.intent().and(self.pad.pad().intent()),
+            false => Intent::default(),
+        }
+    }
+
+    /// The window got the keyboard, or lost it.
+    pub fn focus(&mut self, focused: bool, events: &mut Events) {
+        self.focused = focused;
+        if !focused {
+            self.keys.release();
+            self.capture(false, events);
+        }
+        self.drawing.press(self.intent());
+    }
+
+    /// The gamepad moved.
+    pub fn pad(&mut self, link: &Link, events: &mut Events) {
+        let presses = self.pad.pad().presses();
+        if !self.focused {
+            return;
+        }
+        let intent = self.intent();
+        self.started |= intent != Intent::default();
+        self.drawing.press(intent);
+        for press in presses {
+            match press {
+                PadPress::Shot => self.drawing.shoot(),
+                PadPress::Map => self.toggle_map(link, events),
+            }
+            self.window.request_redraw();
+        }
     }
 
     /// A key that does something once.

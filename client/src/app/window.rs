@@ -102,8 +102,11 @@ impl ApplicationHandler<News> for App {
             self.told = state;
         }
         let Some(open) = &mut self.open else { return };
-        if let News::Picture = news {
-            open.take(&mut self.events);
+        match news {
+            News::Picture => open.take(&mut self.events),
+            // Sticks tell of themselves hundreds of times per second: there is nothing new to show.
+            News::Pad => return open.pad(&self.link, &mut self.events),
+            News::Other => {}
         }
         for outcome in open.shots.try_iter().collect::<Vec<_>>() {
             open.shot(outcome, &mut self.events);
@@ -120,11 +123,7 @@ impl ApplicationHandler<News> for App {
         match event {
             WindowEvent::CloseRequested => event_loop.exit(),
             WindowEvent::Resized(size) => open.resize(size),
-            WindowEvent::Focused(false) => {
-                open.keys.release();
-                open.drawing.press(open.keys.intent());
-                open.capture(false, &mut self.events);
-            }
+            WindowEvent::Focused(focused) => open.focus(focused, &mut self.events),
             WindowEvent::ModifiersChanged(m) => open.modifiers = m.state(),
             // Keys that were down when the window got the keyboard were pressed for something else.
             WindowEvent::KeyboardInput { event, is_synthetic: true, .. } if event.state == ElementState::Pressed => {}

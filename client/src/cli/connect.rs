@@ -4,7 +4,7 @@ use super::{Failure, disk, parse_size, read_path, token};
 use clap::Args;
 use glam::DVec3;
 use ldi_client::{
-    app::{self, AppConfig, AppError},
+    app::{self, AppConfig, AppError, GamepadAt},
     engine::Renderer,
     gpu::WarpOn,
     stream::{
@@ -74,6 +74,9 @@ pub struct ConnectArgs {
     /// Path file to walk along once the first view is complete; P walks it again.
     #[arg(long, value_name = "PATH.json")]
     replay: Option<PathBuf>,
+    /// Device file of the gamepad, or `off` [default: the first of /dev/input/js0 to js3, on Linux; plugged in later, too].
+    #[arg(long, value_name = "FILE")]
+    gamepad: Option<PathBuf>,
     /// File of the places kept with Ctrl and a digit [default: one named after the scene in the user's configuration folder].
     #[arg(long, value_name = "FILE")]
     bookmarks: Option<PathBuf>,
@@ -138,6 +141,11 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
         begin: args.start,
         shots: args.shots.clone(),
         replay,
+        gamepad: match &args.gamepad {
+            None => GamepadAt::Any,
+            Some(file) if file.as_os_str() == "off" => GamepadAt::Nowhere,
+            Some(file) => GamepadAt::File(file.clone()),
+        },
         bookmarks: args.bookmarks.clone(),
         events: args.events.clone(),
     };

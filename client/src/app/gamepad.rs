@@ -1,0 +1,248 @@
+//! A gamepad: sticks and buttons to an [`Intent`].
+//!
+//! Linux's joystick interface (`/dev/input/js0`, kernel documentation "Linux Joystick support"): records of eight bytes, whatever the pad: time in milliseconds (u32), value (i16), kind
+//! and number (u8), in the machine's byte order. All axes span -32,767 to 32,767, and who opens the file is told the state of everything first. It is read on a thread of its own, which looks for a pad while there is none.
+//!
+//! Which number is which axis differs in one thing: pads with analogue triggers have one between the sticks. It rests at its end, which no stick does.
+
+use super::motion::Intent;
+use std::{
+    io::Read,
+    path::{Path, PathBuf},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+
+/// Bytes of a record.
+const RECORD: usize = 8;
+/// How often a pad is looked for while there is none.
+const LOOK_EVERY: Duration = Duration::from_secs(2);
+/// Files that are looked at.
+const DEVICES: [&str; 4] = ["/dev/input/js0", "/dev/input/js1", "/dev/input/js2", "/dev/input/js3"];
+/// Sticks at rest are off by less than this. Larger: slow steps are lost; smaller: worn sticks creep.
+const DEAD_ZONE: f64 = 0.15;
+/// A trigger that is pressed so far counts as pressed.
+const PRESSED: f64 = 0.5;
+/// More buttons and axes than any pad has.
+const MOST: usize = 32;
+
+/// Once for each press.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PadPress {
+    /// X, on PlayStation pads triangle: a screenshot.
+    Shot,
+    /// Y, on PlayStation pads square: the map.
+    Map,
+}
+
+/// What is known of a pad.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Pad {
+    axes: [f64; MOST],
+    buttons: [bool; MOST],
+    /// Axis 2 is a trigger.
+    triggers: bool,
+    presses: Vec<PadPress>,
+}
+
+impl Pad {
+    /// Takes a record in. Those of kinds and numbers that no pad has are passed over.
+    pub fn record(&mut self, record: &[u8; RECORD]) {
+        /// Marks the records that tell the state at the beginning.
+        const INITIAL: u8 = 0x80;
+        let value = i16::from_ne_bytes([record[4], record[5]]);
+        let (kind, number) = (record[6], usize::from(record[7]));
+        if number >= MOST {
+            return;
+        }
+        match kind & !INITIAL {
+            1 => {
+                let down = value != 0;
+                let was_down = std::mem::replace(&mut self.buttons[number], down);
+                let pressed = down && !was_down && kind & INITIAL == 0;
+                match number {
+                    2 if pressed => self.presses.push(PadPress::Shot),
+                    3 if pressed => self.presses.push(PadPress::Map),
+                    _ => {}
+                }
+            }
+            2 => {
+                self.axes[number] = (f64::from(value) / f64::from(i16::MAX)).max(-1.0);
+                if kind & INITIAL != 0 && number == 2 {
+                    self.triggers = value < -i16::MAX / 2;
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// What the sticks and the buttons that are held ask for: left stick walks, right stick turns, right trigger or A runs, shoulders fly down and up.
+    pub fn intent(&self) -> Intent {
+        let look = if self.triggers { [3, 4] } else { [2, 3] };
+        let [right, back] = stick([self.axes[0], self.axes[1]]);
+        let [turn, tilt] = stick(look.map(|k| self.axes[k]));
+        let held = |k: usize| if self.buttons[k] { 1.0 } else { 0.0 };
+        Intent {
+            forward: -back,
+            right,
+            up: held(5) - held(4),
+            // Squares: fine near the middle, fast at the end.
+            turn: -turn * turn.abs(),
+            tilt: -tilt * tilt.abs(),
+            run: self.buttons[0] || self.triggers && self.axes[5] > PRESSED,
+        }
+    }
+
+    /// What was pressed since the last time.
+    pub fn presses(&mut self) -> Vec<PadPress> {
+        std::mem::take(&mut self.presses)
+    }
+}
+
+/// A stick without its dead zone, which is a disc, so that slow circles stay circles.
+fn stick(at: [f64; 2]) -> [f64; 2] {
+    let length = at[0].hypot(at[1]);
+    if length <= DEAD_ZONE {
+        return [0.0; 2];
+    }
+    let scale = ((length - DEAD_ZONE) / (1.0 - DEAD_ZONE)).min(1.0) / length;
+    at.map(|v| v * scale)
+}
+
+/// Where to look for a pad.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub enum GamepadAt {
+    /// The first there is, now or later.
+    #[default]
+    Any,
+    /// This file.
+    File(PathBuf),
+    /// None is wanted.
+    Nowhere,
+}
+
+/// The pad that is plugged in, if any.
+#[derive(Debug, Clone, Default)]
+pub struct Gamepad {
+    pad: Arc<Mutex<Pad>>,
+}
+
+impl Gamepad {
+    /// Begins to look; `changed` is called on another thread whenever something is pressed or moved. Without a thread there is no pad.
+    pub fn look(at: GamepadAt, changed: impl Fn() + Send + 'static) -> Self {
+        let gamepad = Self::default();
+        let pad = gamepad.pad.clone();
+        let files: Vec<PathBuf> = match at {
+            GamepadAt::Nowhere => return gamepad,
+            GamepadAt::File(file) => vec![file],
+            GamepadAt::Any if cfg!(target_os = "linux") => DEVICES.iter().map(PathBuf::from).collect(),
+            GamepadAt::Any => return gamepad,
+        };
+        let body = move || {
+            loop {
+                files.iter().for_each(|file| follow(file, &pad, &changed));
+                std::thread::sleep(LOOK_EVERY);
+            }
+        };
+        // It waits in a read for as long as the program runs, and ends with it.
+        if let Err(e) = std::thread::Builder::new().name("gamepad".into()).spawn(body) {
+            tracing::warn!("no gamepad: {e}");
+        }
+        gamepad
+    }
+
+    /// The pad's state.
+    pub fn pad(&self) -> MutexGuard<'_, Pad> {
+        self.pad.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Reads a pad until it is unplugged; then nothing is pressed.
+fn follow(file: &Path, pad: &Mutex<Pad>, changed: &impl Fn()) {
+    let Ok(mut source) = std::fs::File::open(file) else { return };
+    tracing::info!("a gamepad: {}", file.display());
+    let mut record = [0; RECORD];
+    while source.read_exact(&mut record).is_ok() {
+        pad.lock().unwrap_or_else(PoisonError::into_inner).record(&record);
+        changed();
+    }
+    tracing::info!("the gamepad {} is gone", file.display());
+    *pad.lock().unwrap_or_else(PoisonError::into_inner) = Pad::default();
+    changed();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(value: i16, kind: u8, number: u8) -> [u8; RECORD] {
+        let [a, b] = value.to_ne_bytes();
+        [1, 2, 3, 4, a, b, kind, number]
+    }
+
+    /// As such a pad begins: everything at rest, triggers at their end.
+    fn with_triggers() -> Pad {
+        let mut pad = Pad::default();
+        for axis in 0..8 {
+            pad.record(&record(if axis == 2 || axis == 5 { -i16::MAX } else { 300 }, 0x82, axis));
+        }
+        (0..11).for_each(|button| pad.record(&record(0, 0x81, button)));
+        pad
+    }
+
+    #[test]
+    fn a_pad_at_rest_asks_for_nothing() {
+        assert_eq!(with_triggers().intent(), Intent::default());
+        let mut odd = with_triggers();
+        odd.record(&record(i16::MAX, 2, 200));
+        odd.record(&record(1, 7, 0));
+        assert_eq!(odd, with_triggers(), "numbers and kinds that no pad has");
+    }
+
+    #[test]
+    fn sticks_walk_and_turn_whether_or_not_there_are_triggers() {
+        let mut pad = with_triggers();
+        [0, 4].into_iter().for_each(|axis| pad.record(&record(0, 2, axis)));
+        pad.record(&record(i16::MIN, 2, 1));
+        pad.record(&record(i16::MAX, 2, 3));
+        assert_eq!(pad.intent(), Intent { forward: 1.0, turn: -1.0, ..Intent::default() });
+        pad.record(&record(i16::MAX, 2, 5));
+        pad.record(&record(1, 1, 5));
+        assert_eq!(pad.intent(), Intent { forward: 1.0, turn: -1.0, run: true, up: 1.0, ..Intent::default() });
+
+        let mut plain = Pad::default();
+        (0..6).for_each(|axis| plain.record(&record(0, 0x82, axis)));
+        plain.record(&record(i16::MAX, 2, 2));
+        plain.record(&record(-i16::MAX, 2, 3));
+        // Both at their ends: along the diagonal, no faster than along the axes.
+        let half = 0.5;
+        let asked = plain.intent();
+        assert!((asked.turn + half).abs() < 1e-9 && (asked.tilt - half).abs() < 1e-9, "{asked:?}");
+    }
+
+    #[test]
+    fn slow_steps_begin_at_the_dead_zone() {
+        let mut pad = with_triggers();
+        let mut forward = |share: f64| {
+            pad.record(&record((-share * f64::from(i16::MAX)) as i16, 2, 1));
+            pad.intent().forward
+        };
+        assert_eq!(forward(DEAD_ZONE - 0.01), 0.0);
+        assert!((0.0..0.02).contains(&forward(DEAD_ZONE + 0.01)));
+        assert!((forward(0.575) - 0.5).abs() < 0.01);
+    }
+
+    #[test]
+    fn a_press_counts_once_and_not_when_it_was_held_before() {
+        let mut pad = with_triggers();
+        pad.record(&record(1, 0x81, 3));
+        assert_eq!(pad.presses(), []);
+        pad.record(&record(0, 1, 3));
+        for _ in 0..2 {
+            pad.record(&record(1, 1, 3));
+        }
+        pad.record(&record(1, 1, 2));
+        assert_eq!(pad.presses(), [PadPress::Map, PadPress::Shot]);
+        assert_eq!(pad.presses(), []);
+    }
+}
