@@ -45,6 +45,13 @@ pub fn made_once(tmp: &Path, name: &str, make: impl FnOnce(&Path)) -> PathBuf {
     dir
 }
 
+/// A file of the shared scenes, which lie beside the project or where `LDI_SHARED` says; None where they are not.
+pub fn shared_scene(file: &str) -> Option<PathBuf> {
+    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared");
+    let shared = std::env::var_os("LDI_SHARED").map_or_else(beside, PathBuf::from);
+    Some(shared.join("scenes").join(file)).filter(|f| f.is_file())
+}
+
 impl Fixture {
     /// The fixture below `tmp`, the folder that cargo gives to tests.
     ///

@@ -9,7 +9,7 @@ use ldi_client::stream::{ConnectConfig, Connection};
 use ldi_protocol::{volume::WalkVolume, wire::Picture};
 use ldi_server::store::Dataset;
 use ldi_tests::{
-    fixture::Fixture,
+    fixture::{Fixture, made_once, shared_scene},
     run::{self, Server},
 };
 use serde_json::Value;
@@ -346,6 +346,64 @@ fn a_gamepad_walks() {
         std::thread::sleep(Duration::from_millis(700));
         (w.position() == before).then_some(())
     });
+}
+
+/// From a room of a real building through two doors, with the keys alone; then by the map to the other end of the storey.
+#[test]
+fn three_rooms_of_the_clinic() {
+    let Some(scene) = shared_scene("clinic.glb") else {
+        println!("SKIPPED: clinic.glb is not among the shared scenes here");
+        return;
+    };
+    let Some(display) = display() else { return };
+    let made = made_once(Path::new(env!("CARGO_TARGET_TMPDIR")), "clinic", |dir| {
+        let mut c = run::command("ldi-server").expect("built");
+        c.arg("build").arg(&scene).args(["--budget", "400000", "--size", "320x180", "-o"]).arg(dir.join("clinic.ldi"));
+        run::run(c).expect("builds");
+    });
+    let dataset = made.join("clinic.ldi");
+    let dir = folder("clinic");
+    let served = Server::start(&dataset).expect("serves");
+    // In line with two doors, whose walls stand at these z; looking along -z.
+    let (begin, walls) = ("--start=-17.2,1.65,20,0", [18.2, 16.7]);
+    let mut walk = Walk::open(&display, &served.quic, &dir, &["--fingerprint", &served.fingerprint, begin]);
+    walk.wait_for("first_complete_picture");
+    let window = display.hand(&["search", "--name", "clinic"]);
+    display.hand(&["windowfocus", window.lines().last().expect("a window")]);
+    display.hand(&["key", "F12"]);
+    let picture = image::open(walk.wait_for("screenshot")["path"].as_str().expect("a path")).expect("a picture");
+    let picture = picture.into_rgb8();
+    let colours: std::collections::BTreeSet<_> = picture.pixels().map(|p| p.0).collect();
+    assert!(colours.len() > 20, "{} colours", colours.len());
+    display.hand(&["keydown", "w"]);
+    walk.wait("the third room", |w| (w.position().z < walls[1] - 0.5).then_some(()));
+    display.hand(&["keyup", "w"]);
+    let poses: Vec<DVec3> = walk.all().iter().filter(|e| e["event"] == "pose").map(position).collect();
+    for room in [walls[0]..f64::INFINITY, walls[1]..walls[0], f64::NEG_INFINITY..walls[1]] {
+        assert!(poses.iter().any(|p| room.contains(&p.z)), "{room:?}: {poses:?}");
+    }
+    // Straight through the doors: no wall was slid along, none walked through.
+    assert!(poses.iter().all(|p| (p.x + 17.2).abs() < 0.3), "{poses:?}");
+    let volume = Dataset::open(&dataset).expect("opens").index().volume.clone().expect("a volume");
+    display.hand(&["key", "m"]);
+    let map = walk.wait_for("map");
+    // Of this storey, as that is what the map shows.
+    let storey = volume.boxes().map(|b| b.centre()).filter(|c| (c.y - walk.position().y).abs() < 0.3);
+    let target = storey.max_by(|a, b| a.distance(poses[0]).total_cmp(&b.distance(poses[0]))).expect("a place");
+    let number = |v: &Value| v.as_f64().expect("a number");
+    let scale = number(&map["px_per_m"]);
+    let px = |v: f64, axis: usize| number(&map["area_px"][axis]) + (v - number(&map["corner"][axis])) * scale;
+    display.hand(&["mousemove", &px(target.x, 0).round().to_string(), &px(target.z, 1).round().to_string()]);
+    std::thread::sleep(Duration::from_millis(300));
+    display.hand(&["click", "1"]);
+    let told = position(&walk.wait_for("teleport"));
+    assert!(DVec3::new(told.x - target.x, 0.0, told.z - target.z).length() < 3.0 / scale + 1.0, "{told}, {target}");
+    walk.wait("the new place", |w| (w.position().distance(told) < 0.7).then_some(()));
+    display.hand(&["key", "F1"]);
+    walk.wait_for("figures");
+    display.hand(&["key", "ctrl+q"]);
+    let status = walk.client.wait().expect("ends");
+    assert!(status.success(), "{status}: {}", std::fs::read_to_string(&walk.log).unwrap_or_default());
 }
 
 #[test]
