@@ -103,30 +103,64 @@ impl Cone {
         self.normals.iter().all(|n| b.support(*n) >= n.dot(self.apex) - TOLERANCE)
     }
 
+    /// False only when a side has the whole ball beyond it.
+    fn may_reach(&self, centre: DVec3, radius_m: f64) -> bool {
+        let v = centre - self.apex;
+        let reach = radius_m + TOLERANCE * (v.length() + radius_m);
+        self.normals.iter().all(|n| n.dot(v) + reach >= 0.0)
+    }
+
     /// The part of a convex polygon within the cone (Sutherland and Hodgman 1974); empty if there is none.
     pub fn clip(&self, polygon: &[DVec3]) -> Vec<DVec3> {
-        let mut kept = polygon.to_vec();
-        for n in &self.normals {
-            let side = |p: &DVec3| {
-                let v = *p - self.apex;
+        let mut clipping = Clipping::default();
+        clipping.clip(self, polygon);
+        clipping.kept
+    }
+}
+
+/// Memory of clipping, kept from one polygon to the next.
+#[derive(Debug, Default)]
+struct Clipping {
+    /// What is left of the polygon.
+    kept: Vec<DVec3>,
+    before: Vec<DVec3>,
+    /// How far each corner lies within the side at hand.
+    within: Vec<f64>,
+}
+
+impl Clipping {
+    /// [`Cone::clip`], into `kept`.
+    fn clip(&mut self, cone: &Cone, polygon: &[DVec3]) {
+        self.kept.clear();
+        self.kept.extend_from_slice(polygon);
+        for n in &cone.normals {
+            self.within.clear();
+            self.within.extend(self.kept.iter().map(|p| {
+                let v = *p - cone.apex;
                 n.dot(v) + TOLERANCE * v.length()
-            };
-            let before = std::mem::take(&mut kept);
-            for (i, p) in before.iter().enumerate() {
-                let q = &before[(i + 1) % before.len()];
-                let (s, t) = (side(p), side(q));
+            }));
+            if self.within.iter().all(|s| *s >= 0.0) {
+                continue;
+            }
+            std::mem::swap(&mut self.kept, &mut self.before);
+            self.kept.clear();
+            let count = self.before.len();
+            for i in 0..count {
+                let next = if i + 1 < count { i + 1 } else { 0 };
+                let (p, q) = (self.before[i], self.before[next]);
+                let (s, t) = (self.within[i], self.within[next]);
                 if s >= 0.0 {
-                    kept.push(*p);
+                    self.kept.push(p);
                 }
                 if (s >= 0.0) != (t >= 0.0) {
-                    kept.push(*p + (*q - *p) * (s / (s - t)));
+                    self.kept.push(p + (q - p) * (s / (s - t)));
                 }
             }
-            if kept.len() < 3 {
-                return Vec::new();
+            if self.kept.len() < 3 {
+                self.kept.clear();
+                return;
             }
         }
-        kept
     }
 }
 
@@ -157,7 +191,7 @@ pub struct PortalView {
     pub cells: Vec<VisibleCell>,
     /// Where [`portal_view_within`] stopped; a portal comes once for each way to it.
     pub thresholds: Vec<Threshold>,
-    /// Portals that were clipped.
+    /// Portals that were clipped; those that lie wholly beyond a side of the cone are not.
     pub clipped: usize,
     /// Whether [`MAX_VISITS`] was reached, so that everything counts as seen.
     pub everything: bool,
@@ -197,6 +231,7 @@ pub fn portal_view_within(
         found: PortalView::default(),
         slot: vec![usize::MAX; rooms.cells().len() + 1],
         visits: 0,
+        clipping: Clipping::default(),
     };
     // A stack of its own: paths may be as long as there are portals.
     let mut open: Vec<(CellId, Cone)> = Vec::new();
@@ -221,6 +256,7 @@ struct Walk<'a> {
     /// Position of each cell in `found`; the outside's comes last.
     slot: Vec<usize>,
     visits: usize,
+    clipping: Clipping,
 }
 
 impl Walk<'_> {
@@ -248,7 +284,8 @@ impl Walk<'_> {
             let Some(beyond) = portal.beyond(cell) else { continue };
             let side = usize::from(portal.cells[0] != cell);
             // Beyond the plane for an eye on this side of it.
-            let ahead = (portal.corners[0] - eye).dot(portal.normal()) * if side == 0 { 1.0 } else { -1.0 };
+            let face = &self.rooms.faces()[number as usize];
+            let ahead = (portal.corners[0] - eye).dot(face.normal) * if side == 0 { 1.0 } else { -1.0 };
             if ahead < -margin {
                 continue;
             }
@@ -260,8 +297,11 @@ impl Walk<'_> {
                 go_on(cone.clone());
                 continue;
             }
-            let left = cone.clip(&portal.corners);
-            if let Some(narrow) = Cone::over(eye, &left).filter(|_| !left.is_empty()) {
+            if !cone.may_reach(face.centre, face.radius_m) {
+                continue;
+            }
+            self.clipping.clip(&cone, &portal.corners);
+            if let Some(narrow) = Cone::over(eye, &self.clipping.kept) {
                 go_on(narrow);
             }
             self.found.clipped += 1;

@@ -159,6 +159,26 @@ pub struct Rooms {
     portals_of: Vec<Vec<u32>>,
     /// Box around each cell.
     bounds: Vec<Aabb>,
+    /// Of each portal.
+    faces: Vec<Face>,
+}
+
+/// What culling asks of a portal at every look.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Face {
+    /// [`Portal::normal`].
+    pub normal: DVec3,
+    /// A ball around it: [`Portal::centre`], and the distance of the farthest corner, metres.
+    pub centre: DVec3,
+    pub radius_m: f64,
+}
+
+impl Face {
+    fn of(portal: &Portal) -> Self {
+        let centre = portal.centre();
+        let radius_m = portal.corners.iter().map(|c| c.distance(centre)).fold(0.0, f64::max);
+        Self { normal: portal.normal(), centre, radius_m }
+    }
 }
 
 /// The stored form.
@@ -215,7 +235,8 @@ impl Rooms {
             }
         }
         let bounds = cells.iter().map(Cell::bounds).collect();
-        Ok(Self { margin_m, cells, portals, portals_of, bounds })
+        let faces = portals.iter().map(Face::of).collect();
+        Ok(Self { margin_m, cells, portals, portals_of, bounds, faces })
     }
 
     /// Reads the JSON form.
@@ -247,6 +268,11 @@ impl Rooms {
     /// Portals of a cell or of the outside, by their positions in [`Rooms::portals`].
     pub fn portals_of(&self, cell: CellId) -> &[u32] {
         self.portals_of.get(cell.map_or(self.cells.len(), |c| c as usize)).map_or(&[], Vec::as_slice)
+    }
+
+    /// Of each portal, in the order of [`Self::portals`].
+    pub(crate) fn faces(&self) -> &[Face] {
+        &self.faces
     }
 
     /// Name of a cell or of the outside.
