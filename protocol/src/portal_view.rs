@@ -205,7 +205,7 @@ impl PortalView {
 }
 
 /// Steps through portals for one view of a frame. Beyond it everything counts as seen, which is right but costs budget. Larger: halls with hundreds of gaps are culled more exactly, and
-/// frames of them take longer: some 2 us per step.
+/// frames of them take longer: half a microsecond to one per step.
 pub const VISITS_PER_VIEW: usize = 1_000;
 
 /// What an eye at the frustum's apex may see within the frustum.
