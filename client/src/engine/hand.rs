@@ -121,7 +121,7 @@ impl Hand {
         camera: &OutputCamera,
         options: &WarpOptions,
     ) -> Result<(), PaintError> {
-        if let Some(gpu) = self.warper(camera, options) {
+        if let Some(gpu) = self.warper(camera, options).filter(|gpu| gpu.fits_image(laid_out)) {
             gpu.hold(laid_out)?;
         }
         Ok(())
@@ -136,7 +136,9 @@ impl Hand {
         options: &WarpOptions,
         into: &mut FarFrame,
     ) -> Result<WarpStats, PaintError> {
-        if let Some(gpu) = self.warper(camera, options) {
+        // One picture is drawn by one of the two.
+        let fit = |gpu: &&mut Gpu| images.iter().all(|i| gpu.fits_image(i.laid_out));
+        if let Some(gpu) = self.warper(camera, options).filter(fit) {
             return Ok(gpu.warp_images(images, pose, camera, options, into)?);
         }
         let mut stats = WarpStats::default();
@@ -145,5 +147,37 @@ impl Hand {
             stats.add(&warp_images(&[image.laid_out], pose, camera, &options, into, &mut self.single)?);
         }
         Ok(stats)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{gpu::GpuError, warp::analytic};
+    use glam::DVec3;
+
+    #[test]
+    fn images_larger_than_the_card_are_the_processors() {
+        let gpu = match Gpu::open() {
+            Err(e @ (GpuError::NoAdapter(_) | GpuError::Lacking { .. })) => return eprintln!("SKIPPED: {e}"),
+            opened => opened.expect("an adapter that draws"),
+        };
+        let laid_out =
+            PreparedLdi::new(&analytic::scene("sphere").ldi(analytic::ldi_camera(DVec3::ZERO, 64, 64, 80.0), 3));
+        let camera = OutputCamera { width: 160, height: 100, fov_deg: 70.0 };
+        let pose = Pose { position: DVec3::new(0.1, 0.05, -0.2), yaw_deg: 5.0, pitch_deg: 0.0 };
+        let mut small = Hand::on(gpu);
+        small.gpu.as_mut().expect("a card").shrink(1000);
+        let options = WarpOptions::default();
+        small.hold(&laid_out, &camera, &options).expect("left out");
+        let drawn = |hand: &mut Hand| {
+            let mut far = FarFrame::new(camera.width, camera.height);
+            let images = [GpuImage { laid_out: &laid_out, within: None }];
+            hand.warp(&images, &pose, &camera, &options, &mut far).expect("warped");
+            far.packed
+        };
+        assert!(drawn(&mut small) == drawn(&mut Hand::default()), "bit by bit");
+        let gpu = small.gpu.as_mut().expect("a card");
+        assert!(gpu.hold(&laid_out).expect("held"), "it was not there yet");
     }
 }

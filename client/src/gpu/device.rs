@@ -126,10 +126,6 @@ impl Card {
         GpuError::Failed { adapter: self.name.clone(), reason: reason.into() }
     }
 
-    pub fn lacking(&self, reason: impl Into<String>) -> GpuError {
-        GpuError::Lacking { adapter: self.name.clone(), reason: reason.into() }
-    }
-
     /// A buffer with something in it; never empty, which bindings do not allow.
     pub fn buffer(&self, label: &str, content: &[u8], usage: wgpu::BufferUsages) -> wgpu::Buffer {
         let size = (content.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT).max(16);

@@ -107,7 +107,7 @@ impl Uploaded {
     }
 }
 
-/// Bytes that an image takes on the card in its largest buffer: to refuse what a card cannot bind.
+/// Bytes that an image takes on the card in its largest buffer: cards cannot bind any size.
 pub fn largest_buffer(laid_out: &PreparedLdi) -> u64 {
     let (mut samples, mut quads, mut groups) = (0, 0, 0);
     for part in &laid_out.parts {

@@ -51,6 +51,8 @@ pub struct Gpu {
     near: near::Near,
     warp: warp::Warp,
     calibration: Option<Calibration>,
+    /// Largest array that it can bind or hold, bytes.
+    largest_bytes: u64,
 }
 
 impl std::fmt::Debug for Gpu {
@@ -87,7 +89,9 @@ impl Gpu {
     fn with(card: Card) -> Result<Self, GpuError> {
         let (near, warp) = (near::Near::new(&card), warp::Warp::new(&card));
         card.check()?;
-        Ok(Self { card, near, warp, calibration: None })
+        let limits = card.device.limits();
+        let largest_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        Ok(Self { card, near, warp, calibration: None, largest_bytes })
     }
 
     /// Name of the adapter and how it is driven.
@@ -120,6 +124,17 @@ impl Gpu {
         let pixels = u64::from(camera.width) * u64::from(camera.height);
         camera.width.max(camera.height) <= limits.max_texture_dimension_2d
             && warp::PIXEL_BYTES * pixels <= limits.max_storage_buffer_binding_size
+    }
+
+    /// Whether an image fits the card. Software drivers bind no more than 128 MiB: some ten million samples are larger.
+    pub fn fits_image(&self, laid_out: &PreparedLdi) -> bool {
+        images::largest_buffer(laid_out) <= self.largest_bytes
+    }
+
+    /// A smaller card.
+    #[cfg(test)]
+    pub(crate) fn shrink(&mut self, largest_bytes: u64) {
+        self.largest_bytes = largest_bytes;
     }
 
     /// Decides whether the card warps, or the processor: by a short comparison, or as the caller says.
@@ -158,7 +173,7 @@ impl Gpu {
         self.near.draw(&self.card, index, resident, cells, camera, pose, frame)
     }
 
-    /// Puts an image onto the card, unless it is there. Returns whether it was new.
+    /// Puts an image that fits ([`Self::fits_image`]) onto the card, unless it is there. Returns whether it was new.
     ///
     /// # Errors
     /// If the card fails.
@@ -168,7 +183,7 @@ impl Gpu {
         Ok(new)
     }
 
-    /// Warps images to one picture, by depth: what [`crate::warp::warp_images`] does with [`crate::warp::Order::Z`].
+    /// Warps images that fit ([`Self::fits_image`]) to one picture, by depth: what [`crate::warp::warp_images`] does with [`crate::warp::Order::Z`].
     ///
     /// # Errors
     /// If the card fails, or cannot draw the stamp or the order.

@@ -6,7 +6,7 @@
 use super::{
     GpuImage,
     device::{Atomics, Card, GpuError, Growing},
-    images::{Uploaded, largest_buffer},
+    images::Uploaded,
     read_back::ReadBack,
 };
 use crate::warp::{FarFrame, PreparedLdi, Stamp, StretchHistogram, TileJob, WarpOptions, WarpStats, tile_jobs};
@@ -181,14 +181,10 @@ impl Warp {
     ) -> Result<WarpStats, GpuError> {
         super::Gpu::can_warp(options)?;
         let stamp = number_of(options.stamp)?;
-        let limits = card.device.limits();
         let pixels = u64::from(camera.width) * u64::from(camera.height);
         self.frame += 1;
         let (mut stats, mut jobs, mut batches) = (WarpStats::default(), Vec::<Job>::new(), Vec::new());
         for image in images {
-            if largest_buffer(image.laid_out) > limits.max_storage_buffer_binding_size {
-                return Err(card.lacking("has no room for an image"));
-            }
             self.hold(card, image.laid_out);
             let options = WarpOptions { within: image.within, ..*options };
             let (tiles, more) = tile_jobs(image.laid_out, pose, camera, &options);
