@@ -268,3 +268,46 @@ fn an_eye_in_a_doorway_sees_both_rooms_whichever_way_it_looks() {
         }
     }
 }
+
+/// Points of the polygon lie in the clipped one exactly if they lie in the cone, and no polygon of which something is left is rejected by its ball.
+#[test]
+fn clipping_keeps_what_lies_in_the_cone_and_the_ball_rejects_nothing_of_it() {
+    let mut r = Random(11);
+    let (mut kept, mut cut, mut rejected) = (0, 0, 0);
+    for _ in 0..12_000 {
+        let mut point = |scale: f64| (DVec3::new(r.unit(), r.unit(), r.unit()) - 0.5) * scale;
+        let (eye, toward) = (point(1.0), point(10.0));
+        let (u, v) = (point(2.0), point(2.0));
+        let window = [toward - u - v, toward + u - v, toward + u + v, toward - u + v];
+        let Some(cone) = Cone::over(eye, &window) else { continue };
+        let (middle, a, b) = (point(14.0), point(4.0), point(4.0));
+        let corners = vec![middle - a - b, middle + a - b, middle + a + b, middle - a + b];
+        let left = cone.clip(&corners);
+        let portal = Portal { cells: [Some(0), None], kind: PortalKind::Door, corners };
+        let face = crate::rooms::Face::of(&portal);
+        let reaches = cone.may_reach(face.centre, face.radius_m);
+        assert!(reaches || left.is_empty(), "{cone:?} {portal:?}");
+        rejected += u32::from(!reaches);
+        // Positive inside all sides of the clipped polygon.
+        let n = a.cross(b).normalize_or_zero();
+        let within = |p: DVec3| {
+            (0..left.len())
+                .map(|i| {
+                    let (c, d) = (left[i], left[(i + 1) % left.len()]);
+                    n.cross((d - c).normalize_or_zero()).dot(p - c)
+                })
+                .fold(if left.is_empty() { -1.0 } else { f64::INFINITY }, f64::min)
+        };
+        for _ in 0..20 {
+            let p = middle + a * (2.0 * r.unit() - 1.0) + b * (2.0 * r.unit() - 1.0);
+            let depth = cone.normals.iter().map(|n| n.dot(p - eye)).fold(f64::INFINITY, f64::min);
+            // On the border rounding decides; slivers have no normals to speak of.
+            if depth.abs() < 1e-3 || a.cross(b).length() < 0.1 {
+                continue;
+            }
+            assert_eq!(depth > 0.0, within(p) > 0.0, "{p}: {depth}, {}", within(p));
+            if depth > 0.0 { kept += 1 } else { cut += 1 }
+        }
+    }
+    assert!(kept > 1000 && cut > 10_000 && rejected > 500, "{kept} {cut} {rejected}");
+}

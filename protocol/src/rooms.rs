@@ -174,7 +174,7 @@ pub(crate) struct Face {
 }
 
 impl Face {
-    fn of(portal: &Portal) -> Self {
+    pub(crate) fn of(portal: &Portal) -> Self {
         let centre = portal.centre();
         let radius_m = portal.corners.iter().map(|c| c.distance(centre)).fold(0.0, f64::max);
         Self { normal: portal.normal(), centre, radius_m }

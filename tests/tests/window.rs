@@ -6,7 +6,7 @@ mod display;
 use display::Display;
 use glam::DVec3;
 use ldi_client::stream::{ConnectConfig, Connection};
-use ldi_protocol::{volume::WalkVolume, wire::Picture};
+use ldi_protocol::wire::Picture;
 use ldi_server::store::Dataset;
 use ldi_tests::{
     fixture::{Fixture, made_once, shared_scene},
@@ -90,6 +90,15 @@ impl Walk {
         self.all().iter().filter(|e| e["event"] == event).count()
     }
 
+    /// The newest screenshot, once there is one, and where it lies; it shows more than a few plain surfaces.
+    fn shot(&mut self) -> (PathBuf, image::RgbImage) {
+        let path = PathBuf::from(self.wait_for("screenshot")["path"].as_str().expect("a path"));
+        let picture = image::open(&path).expect("a picture").into_rgb8();
+        let colours: std::collections::BTreeSet<_> = picture.pixels().map(|p| p.0).collect();
+        assert!(colours.len() > 20, "{} colours", colours.len());
+        (path, picture)
+    }
+
     fn position(&self) -> DVec3 {
         position(&self.last("pose").expect("a pose"))
     }
@@ -121,10 +130,24 @@ fn display() -> Option<Display> {
     }
 }
 
-/// A place of the volume far from `from`, in the middle of a column.
-fn far_place(volume: &WalkVolume, from: DVec3) -> DVec3 {
-    let centres = volume.boxes().map(|b| b.centre());
-    centres.max_by(|a, b| a.distance(from).total_cmp(&b.distance(from))).expect("a volume")
+/// The place farthest from `from`.
+fn far_place(places: impl Iterator<Item = DVec3>, from: DVec3) -> DVec3 {
+    places.max_by(|a, b| a.distance(from).total_cmp(&b.distance(from))).expect("a volume")
+}
+
+/// Clicks on an open map, which goes there: within a pixel or two of it.
+fn click_on_map(display: &Display, walk: &mut Walk, map: &Value, target: DVec3) {
+    let number = |v: &Value| v.as_f64().expect("a number");
+    let scale = number(&map["px_per_m"]);
+    let px = |v: f64, axis: usize| number(&map["area_px"][axis]) + (v - number(&map["corner"][axis])) * scale;
+    display.hand(&["mousemove", &px(target.x, 0).round().to_string(), &px(target.z, 1).round().to_string()]);
+    // A hand rests before it presses: the pointer's place is known by then.
+    std::thread::sleep(Duration::from_millis(300));
+    display.hand(&["click", "1"]);
+    let told = position(&walk.wait_for("teleport"));
+    walk.wait("the new place", |w| (w.position().distance(told) < 0.7).then_some(()));
+    let off = DVec3::new(told.x - target.x, 0.0, told.z - target.z).length();
+    assert!(off < 3.0 / scale + 0.01, "{told} instead of {target}");
 }
 
 #[test]
@@ -155,12 +178,9 @@ fn a_visit_with_keyboard_and_mouse() {
     walk.wait_for("released");
     // A screenshot: as large as the window, neither sky alone nor one colour, with its pose beside it.
     display.hand(&["key", "F12"]);
-    let path = PathBuf::from(walk.wait_for("screenshot")["path"].as_str().expect("a path"));
-    let picture = image::open(&path).expect("a picture").into_rgb8();
+    let (path, picture) = walk.shot();
     assert_eq!(picture.dimensions(), SIZE);
-    let colours: std::collections::BTreeSet<_> = picture.pixels().map(|p| p.0).collect();
     let sky = picture.pixels().filter(|p| p.0 == [198, 214, 235]).count();
-    assert!(colours.len() > 20, "{} colours", colours.len());
     assert!(sky * 10 < picture.pixels().count() * 9, "{sky} pixels of sky");
     let beside = std::fs::read_to_string(path.with_extension("path.json")).expect("a pose beside it");
     let pose = ldi_protocol::path::parse(&beside).expect("a path file").poses[0].pose;
@@ -183,20 +203,8 @@ fn a_visit_with_keyboard_and_mouse() {
     shown(&mut walk, 1);
     drop(other);
     shown(&mut walk, 0);
-    let number = |v: &Value| v.as_f64().expect("a number");
-    let target = far_place(volume, walk.position());
-    let scale = number(&map["px_per_m"]);
-    let px = |v: f64, axis: usize| number(&map["area_px"][axis]) + (v - number(&map["corner"][axis])) * scale;
-    let (x, y) = (px(target.x, 0).round().to_string(), px(target.z, 1).round().to_string());
-    display.hand(&["mousemove", &x, &y]);
-    // A hand rests before it presses: the pointer's place is known by then.
-    std::thread::sleep(Duration::from_millis(300));
-    display.hand(&["click", "1"]);
-    let told = position(&walk.wait_for("teleport"));
-    walk.wait("the new place", |w| (w.position().distance(told) < 0.7).then_some(()));
-    // Within a pixel or two of the map.
-    let off = DVec3::new(told.x - target.x, 0.0, told.z - target.z).length();
-    assert!(off < 3.0 / scale + 0.01, "{told} instead of {target}");
+    let target = far_place(volume.boxes().map(|b| b.centre()), walk.position());
+    click_on_map(&display, &mut walk, &map, target);
     // Nobody has left the volume.
     for pose in walk.all().iter().filter(|e| e["event"] == "pose") {
         assert!(volume.contains(position(pose)), "{pose}");
@@ -225,10 +233,7 @@ fn a_card_draws_for_the_window() {
     let window = display.hand(&["search", "--name", "house"]);
     display.hand(&["windowfocus", window.lines().last().expect("a window")]);
     display.hand(&["key", "F12"]);
-    let path = PathBuf::from(walk.wait_for("screenshot")["path"].as_str().expect("a path"));
-    let picture = image::open(&path).expect("a picture").into_rgb8();
-    let colours: std::collections::BTreeSet<_> = picture.pixels().map(|p| p.0).collect();
-    assert!(colours.len() > 20, "{} colours", colours.len());
+    walk.shot();
     display.hand(&["key", "ctrl+q"]);
     let status = walk.client.wait().expect("ends");
     assert!(status.success(), "{status}: {}", std::fs::read_to_string(&walk.log).unwrap_or_default());
@@ -371,10 +376,7 @@ fn three_rooms_of_the_clinic() {
     let window = display.hand(&["search", "--name", "clinic"]);
     display.hand(&["windowfocus", window.lines().last().expect("a window")]);
     display.hand(&["key", "F12"]);
-    let picture = image::open(walk.wait_for("screenshot")["path"].as_str().expect("a path")).expect("a picture");
-    let picture = picture.into_rgb8();
-    let colours: std::collections::BTreeSet<_> = picture.pixels().map(|p| p.0).collect();
-    assert!(colours.len() > 20, "{} colours", colours.len());
+    walk.shot();
     display.hand(&["keydown", "w"]);
     walk.wait("the third room", |w| (w.position().z < walls[1] - 0.5).then_some(()));
     display.hand(&["keyup", "w"]);
@@ -389,16 +391,8 @@ fn three_rooms_of_the_clinic() {
     let map = walk.wait_for("map");
     // Of this storey, as that is what the map shows.
     let storey = volume.boxes().map(|b| b.centre()).filter(|c| (c.y - walk.position().y).abs() < 0.3);
-    let target = storey.max_by(|a, b| a.distance(poses[0]).total_cmp(&b.distance(poses[0]))).expect("a place");
-    let number = |v: &Value| v.as_f64().expect("a number");
-    let scale = number(&map["px_per_m"]);
-    let px = |v: f64, axis: usize| number(&map["area_px"][axis]) + (v - number(&map["corner"][axis])) * scale;
-    display.hand(&["mousemove", &px(target.x, 0).round().to_string(), &px(target.z, 1).round().to_string()]);
-    std::thread::sleep(Duration::from_millis(300));
-    display.hand(&["click", "1"]);
-    let told = position(&walk.wait_for("teleport"));
-    assert!(DVec3::new(told.x - target.x, 0.0, told.z - target.z).length() < 3.0 / scale + 1.0, "{told}, {target}");
-    walk.wait("the new place", |w| (w.position().distance(told) < 0.7).then_some(()));
+    let target = far_place(storey, walk.position());
+    click_on_map(&display, &mut walk, &map, target);
     display.hand(&["key", "F1"]);
     walk.wait_for("figures");
     display.hand(&["key", "ctrl+q"]);

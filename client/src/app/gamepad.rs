@@ -25,13 +25,27 @@ const DEAD_ZONE: f64 = 0.15;
 const PRESSED: f64 = 0.5;
 /// More buttons and axes than any pad has.
 const MOST: usize = 32;
+/// Buttons by number, as the kernel orders them (its gamepad specification; south is A or cross).
+const SOUTH: usize = 0;
+/// X; on PlayStation pads triangle.
+const X: usize = 2;
+/// Y; on PlayStation pads square.
+const Y: usize = 3;
+/// Left and right.
+const SHOULDERS: [usize; 2] = [4, 5];
+/// Across and down.
+const LEFT_STICK: [usize; 2] = [0, 1];
+/// Of pads with analogue triggers, and of others.
+const RIGHT_STICK: [[usize; 2]; 2] = [[3, 4], [2, 3]];
+/// Left and right, where they are analogue.
+const TRIGGERS: [usize; 2] = [2, 5];
 
 /// Once for each press.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PadPress {
-    /// X, on PlayStation pads triangle: a screenshot.
+    /// [`X`]: a screenshot.
     Shot,
-    /// Y, on PlayStation pads square: the map.
+    /// [`Y`]: the map.
     Map,
 }
 
@@ -40,7 +54,7 @@ pub enum PadPress {
 pub struct Pad {
     axes: [f64; MOST],
     buttons: [bool; MOST],
-    /// Axis 2 is a trigger.
+    /// The triggers are analogue.
     triggers: bool,
     presses: Vec<PadPress>,
 }
@@ -61,14 +75,14 @@ impl Pad {
                 let was_down = std::mem::replace(&mut self.buttons[number], down);
                 let pressed = down && !was_down && kind & INITIAL == 0;
                 match number {
-                    2 if pressed => self.presses.push(PadPress::Shot),
-                    3 if pressed => self.presses.push(PadPress::Map),
+                    X if pressed => self.presses.push(PadPress::Shot),
+                    Y if pressed => self.presses.push(PadPress::Map),
                     _ => {}
                 }
             }
             2 => {
                 self.axes[number] = (f64::from(value) / f64::from(i16::MAX)).max(-1.0);
-                if kind & INITIAL != 0 && number == 2 {
+                if kind & INITIAL != 0 && number == TRIGGERS[0] {
                     self.triggers = value < -i16::MAX / 2;
                 }
             }
@@ -78,18 +92,18 @@ impl Pad {
 
     /// What the sticks and the buttons that are held ask for: left stick walks, right stick turns, right trigger or A runs, shoulders fly down and up.
     pub fn intent(&self) -> Intent {
-        let look = if self.triggers { [3, 4] } else { [2, 3] };
-        let [right, back] = stick([self.axes[0], self.axes[1]]);
+        let look = RIGHT_STICK[usize::from(!self.triggers)];
+        let [right, back] = stick(LEFT_STICK.map(|k| self.axes[k]));
         let [turn, tilt] = stick(look.map(|k| self.axes[k]));
         let held = |k: usize| if self.buttons[k] { 1.0 } else { 0.0 };
         Intent {
             forward: -back,
             right,
-            up: held(5) - held(4),
+            up: held(SHOULDERS[1]) - held(SHOULDERS[0]),
             // Squares: fine near the middle, fast at the end.
             turn: -turn * turn.abs(),
             tilt: -tilt * tilt.abs(),
-            run: self.buttons[0] || self.triggers && self.axes[5] > PRESSED,
+            run: self.buttons[SOUTH] || self.triggers && self.axes[TRIGGERS[1]] > PRESSED,
         }
     }
 
@@ -110,10 +124,9 @@ fn stick(at: [f64; 2]) -> [f64; 2] {
 }
 
 /// Where to look for a pad.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub enum GamepadAt {
     /// The first there is, now or later.
-    #[default]
     Any,
     /// This file.
     File(PathBuf),
@@ -132,6 +145,11 @@ impl Gamepad {
     pub fn look(at: GamepadAt, changed: impl Fn() + Send + 'static) -> Self {
         let gamepad = Self::default();
         let pad = gamepad.pad.clone();
+        if let GamepadAt::File(file) = &at
+            && let Err(e) = std::fs::metadata(file)
+        {
+            tracing::warn!("no gamepad at {} yet: {e}", file.display());
+        }
         let files: Vec<PathBuf> = match at {
             GamepadAt::Nowhere => return gamepad,
             GamepadAt::File(file) => vec![file],
@@ -153,8 +171,12 @@ impl Gamepad {
 
     /// The pad's state.
     pub fn pad(&self) -> MutexGuard<'_, Pad> {
-        self.pad.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.pad)
     }
+}
+
+fn lock(pad: &Mutex<Pad>) -> MutexGuard<'_, Pad> {
+    pad.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Reads a pad until it is unplugged; then nothing is pressed.
@@ -163,11 +185,11 @@ fn follow(file: &Path, pad: &Mutex<Pad>, changed: &impl Fn()) {
     tracing::info!("a gamepad: {}", file.display());
     let mut record = [0; RECORD];
     while source.read_exact(&mut record).is_ok() {
-        pad.lock().unwrap_or_else(PoisonError::into_inner).record(&record);
+        lock(pad).record(&record);
         changed();
     }
     tracing::info!("the gamepad {} is gone", file.display());
-    *pad.lock().unwrap_or_else(PoisonError::into_inner) = Pad::default();
+    *lock(pad) = Pad::default();
     changed();
 }
 

@@ -128,7 +128,7 @@ impl Gpu {
 
     /// Whether an image fits the card. Software drivers bind no more than 128 MiB: some ten million samples are larger.
     pub fn fits_image(&self, laid_out: &PreparedLdi) -> bool {
-        images::largest_buffer(laid_out) <= self.largest_bytes
+        self.warp.holds(laid_out) || images::largest_buffer(laid_out) <= self.largest_bytes
     }
 
     /// A smaller card.

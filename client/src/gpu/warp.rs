@@ -148,6 +148,11 @@ impl Warp {
         self.held.clear();
     }
 
+    /// Whether an image lies on the card.
+    pub fn holds(&self, laid_out: &PreparedLdi) -> bool {
+        self.held.iter().any(|u| u.serial == laid_out.serial)
+    }
+
     /// See [`super::Gpu::hold`].
     pub fn hold(&mut self, card: &Card, laid_out: &PreparedLdi) -> bool {
         let frame = self.frame;

@@ -1,6 +1,7 @@
 //! Does portal culling miss what is seen? Ray casts over the scene are the judge.
 
 use super::leaks::Random;
+use super::storeys::is_free;
 use crate::render::{Caster, CellSet, Ray};
 use glam::DVec3;
 use ldi_protocol::camera::{Frustum, ViewBasis};
@@ -112,23 +113,22 @@ pub fn check_sight(caster: &Caster, rooms: &Rooms, poses: &[Pose], camera: &Outp
 
 /// Half of the width of a person, metres.
 const HALF_A_PERSON_M: f64 = 0.25;
-/// Directions in plan, for [`stands_in_the_open`].
+/// How far beside an eye room to stand is looked for, metres: eyes lean over tables and around corners, and those close to walls are the hard ones.
+const BESIDE_M: [f64; 3] = [0.15, 0.3, 0.45];
+/// Directions in plan that are tried: sheets of a wall are met by some of them whichever way it runs.
 const DIRECTIONS: u32 = 8;
 
 /// Whether somebody whose eye is there has room to stand, at most 0.45 m beside it: not in the cavity of a hollow wall.
 fn stands_in_the_open(caster: &Caster, eye: DVec3) -> bool {
-    let free = |from: DVec3, to: DVec3| {
-        !caster.occluded(&Ray { origin: from, direction: to - from, t_min: 0.0, t_max: 1.0 }, &CellSet::all())
-    };
     let around = || {
         (0..DIRECTIONS).map(|k| {
             let angle = f64::from(k) * std::f64::consts::TAU / f64::from(DIRECTIONS);
             DVec3::new(angle.cos(), 0.0, angle.sin())
         })
     };
-    let fits = |at: DVec3| around().all(|d| free(at, at + d * HALF_A_PERSON_M));
-    let beside = [0.15, 0.3, 0.45].into_iter().flat_map(|m| around().map(move |d| eye + d * m));
-    fits(eye) || beside.filter(|at| free(eye, *at)).any(fits)
+    let fits = |at: DVec3| around().all(|d| is_free(caster, at, at + d * HALF_A_PERSON_M));
+    let beside = BESIDE_M.into_iter().flat_map(|m| around().map(move |d| eye + d * m));
+    fits(eye) || beside.filter(|at| is_free(caster, eye, *at)).any(fits)
 }
 
 /// Poses at eye height in free places of the rooms: 1.1 to 2 m above the floor of a box, something below, 0.1 m clear of all around, and beside them room for a person.
