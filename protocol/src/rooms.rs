@@ -112,6 +112,21 @@ impl Portal {
         }
     }
 
+    /// Where a line from its side `side` (0: of the first cell) passes through the polygon: factor of `ray`, above 0.
+    pub fn crossed(&self, side: usize, origin: DVec3, ray: DVec3) -> Option<f64> {
+        let normal = self.normal();
+        let toward = if side == 0 { normal } else { -normal };
+        let along = ray.dot(toward);
+        if along <= 0.0 {
+            return None;
+        }
+        let t = (self.corners[0] - origin).dot(toward) / along;
+        let p = origin + ray * t;
+        let n = self.corners.len();
+        let turns = |i: usize| (self.corners[(i + 1) % n] - self.corners[i]).cross(p - self.corners[i]).dot(normal);
+        (t > 0.0 && (0..n).all(|i| turns(i) > 1e-9)).then_some(t)
+    }
+
     /// Distance from a point to the polygon.
     pub fn distance_m(&self, p: DVec3) -> f64 {
         let n = self.normal();

@@ -158,13 +158,15 @@ pub fn draw_list_of(
     picture_half_tan: (f64, f64),
     show: ShowPortals,
 ) -> DrawList {
-    let Some(rooms) = &index.rooms else { return grid_list(index, groups, pose, picture_half_tan) };
+    let Some(rooms) = &index.rooms else {
+        return grid_list(index, groups, select(index, pose), pose, picture_half_tan);
+    };
     let list = portals::draw_list(index, rooms, pose, picture_half_tan, show);
     if list.dropped == 0 || index.points.is_empty() {
         return list;
     }
     // The rooms are too much for the budget: the grid, if it was made for this eye.
-    let grid = grid_list(index, groups, pose, picture_half_tan);
+    let grid = grid_list(index, groups, select(index, pose), pose, picture_half_tan);
     let users = grid.selection.placement.and_then(|p| index.placements.get(p as usize)).map(|p| &p.users);
     match grid.dropped == 0 && users.is_none_or(|u| u.inflated(USERS_SLACK_M).contains(pose.position)) {
         true => grid,
@@ -178,9 +180,22 @@ pub fn least_by_rooms(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) 
     Some(portals::least(index, rooms, pose, picture_half_tan))
 }
 
+/// What a pose draws with a placement of the grid that need not be its own: for a stand-in while that one's images are on their way. `dropped` may be above 0 for eyes that
+/// are not among the placement's users, and footprints above the bound.
+pub fn draw_list_by(index: &Index, placement: u32, pose: &Pose, picture_half_tan: (f64, f64)) -> DrawList {
+    let grid_point = index.placements.get(placement as usize).and_then(|p| p.grid_point);
+    let selection = Selection { grid_point, placement: Some(placement) };
+    grid_list(index, &CellGroups::default(), selection, pose, picture_half_tan)
+}
+
 /// The list by grid points.
-fn grid_list(index: &Index, groups: &CellGroups, pose: &Pose, picture_half_tan: (f64, f64)) -> DrawList {
-    let selection = select(index, pose);
+fn grid_list(
+    index: &Index,
+    groups: &CellGroups,
+    selection: Selection,
+    pose: &Pose,
+    picture_half_tan: (f64, f64),
+) -> DrawList {
     let culled =
         selection.placement.and_then(|p| index.placements.get(p as usize)).map_or(&[][..], |p| p.culled.as_slice());
     let frusta = DrawFrusta::new(&index.settings, pose, picture_half_tan);

@@ -5,7 +5,7 @@
 //! angular range, draw what is not culled, warp the image of what is, compose by depth.
 //!
 //! - [`painter`](Painter): one frame from resident data; never waits.
-//! - `layouts`: images laid out for the warp. `hand`: who draws, the processor or a graphics card.
+//! - `stand_in`: what shows while a view is on its way. `layouts`: images laid out for the warp. `hand`: who draws, the processor or a graphics card.
 //! - `walk`: paces frames, asks the feed for what they need, keeps every Nth.
 //! - `baseline`: the same poses with all geometry, for the speedup.
 //! - `judge`: kept frames against the truth. `save`: pictures on disk. `views`: the same frame in other colours.
@@ -18,6 +18,7 @@ mod layouts;
 mod options;
 mod painter;
 mod save;
+mod stand_in;
 #[cfg(test)]
 mod tests;
 mod views;

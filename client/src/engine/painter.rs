@@ -7,6 +7,7 @@ use super::{
     hand::{Hand, PaintError},
     layouts::{Layout, Layouts, Wanted},
     options::{Cull, Method, WalkOptions},
+    stand_in::{StandIn, absent_chunks},
     workshop::Workshop,
 };
 use crate::{
@@ -75,6 +76,8 @@ pub struct Painted {
     pub whole: bool,
     /// Images that are resident and being laid out beside; older layouts of theirs are shown, if there are any.
     pub waiting: usize,
+    /// The placement that stands in for the view's own, which is not at hand yet.
+    pub stand_in: Option<u32>,
     /// Time by stage. `total` is without `prepare`.
     pub ms: StageMs,
 }
@@ -98,6 +101,7 @@ pub struct Painter {
     /// Colours of the frame before, where holes are to show it.
     last: Vec<u32>,
     layouts: Layouts,
+    stand_in: StandIn,
     /// Lays images out beside, once a frame asks for that; None also where the system gives no threads.
     workshop: Option<Workshop>,
     /// Images that the next frames may show, likeliest first.
@@ -173,6 +177,16 @@ fn drawable(index: &Index, resident: &dyn Resident, cells: &[u32]) -> (Vec<u32>,
         bare.extend(wanted);
     }
     (drawn, bare)
+}
+
+/// The chunks of an image that are not there.
+fn absent_layers<'a>(entry: &'a ImageEntry, ldi: Option<&Ldi>) -> &'a [u32] {
+    match ldi {
+        None => &entry.chunks,
+        // Two chunks: the first layer, and the rest.
+        Some(ldi) if entry.chunks.len() > 1 && ldi.layers.len() < entry.samples_by_layer.len() => &entry.chunks[1..],
+        Some(_) => &[],
+    }
 }
 
 /// The nearest cells that the budget allows, and no images.
@@ -293,6 +307,19 @@ impl Painter {
             std::mem::swap(&mut self.last, &mut self.full.colour);
         }
         let start = Instant::now();
+        let beside = options.beside && self.workshop().is_some();
+        // At half the size that the dataset was made for.
+        let half = beside && 2.0 * full_camera.focal_px() <= index.settings.camera.focal_px() * (1.0 + 1e-6);
+        let made = self.workshop.as_ref().map(Workshop::take);
+        made.into_iter().flatten().for_each(|layout| self.layouts.put(layout));
+        let is_at_hand = |image| match beside {
+            true => self.layouts.get(image, half).is_some(),
+            false => resident.ldi(image).is_some(),
+        };
+        let looks = (pose, (camera.half_tan_x(), camera.half_tan_y()));
+        let stand_in = self.stand_in.view(index, resident, view, looks, &is_at_hand);
+        let (own, view) = (view, stand_in.as_ref().unwrap_or(view));
+        painted.stand_in = stand_in.as_ref().and_then(|v| v.selection.placement);
         let (cells, bare) = drawable(index, resident, &view.cells);
         let near = self.hand.draw_near(index, resident, &cells, &full_camera, pose, &mut self.full)?;
         painted.ms.near = ms_since(start);
@@ -316,14 +343,19 @@ impl Painter {
         let mut images: Vec<(u32, &ImageEntry, Option<Arc<Ldi>>)> =
             view.images.iter().filter_map(|i| Some((*i, index.images.get(*i as usize)?, resident.ldi(*i)))).collect();
         for (_, entry, ldi) in &images {
-            match ldi {
-                None => painted.missing_chunks.extend(&entry.chunks),
-                // Two chunks: the first layer, and the rest.
-                Some(ldi) if entry.chunks.len() > 1 && ldi.layers.len() < entry.samples_by_layer.len() => {
-                    painted.missing_chunks.extend(&entry.chunks[1..])
-                }
-                Some(_) => {}
+            painted.missing_chunks.extend(absent_layers(entry, ldi.as_deref()));
+        }
+        // What the view itself waits for.
+        let mut wanted: Vec<Wanted> = Vec::new();
+        if stand_in.is_some() {
+            painted.missing_chunks.extend(absent_chunks(index, resident, &own.cells));
+            for (number, entry) in own.images.iter().filter_map(|i| Some((*i, index.images.get(*i as usize)?))) {
+                let ldi = resident.ldi(number);
+                painted.missing_chunks.extend(absent_layers(entry, ldi.as_deref()));
+                let want = ldi.map(|ldi| Wanted { number, half, ldi });
+                wanted.extend(want.filter(|w| beside && !self.layouts.holds(w)));
             }
+            painted.waiting = wanted.len();
         }
         painted.missing_chunks.sort_unstable();
         painted.missing_chunks.dedup();
@@ -332,14 +364,10 @@ impl Painter {
             // The same images, laid out otherwise.
             self.layouts = Layouts::default();
         }
-        let beside = options.beside && self.workshop().is_some();
-        // At half the size that the dataset was made for.
-        let half = beside && 2.0 * full_camera.focal_px() <= index.settings.camera.focal_px() * (1.0 + 1e-6);
-        let made = self.workshop.as_ref().map(Workshop::take);
-        made.into_iter().flatten().for_each(|layout| self.layouts.put(layout));
         let ahead = std::mem::take(&mut self.ahead);
-        self.layouts.forget_all_but(|number| images.iter().any(|(n, ..)| *n == number) || ahead.contains(&number));
-        let mut wanted: Vec<Wanted> = Vec::new();
+        self.layouts.forget_all_but(|number| {
+            images.iter().any(|(n, ..)| *n == number) || own.images.contains(&number) || ahead.contains(&number)
+        });
         let warp_options = WarpOptions {
             stamp: options.stamp,
             order: options.order,
@@ -378,6 +406,9 @@ impl Painter {
             workshop.want(wanted);
         }
         let gaps = !painted.whole || near_gaps || images.iter().any(|(.., l)| l.is_none());
+        if stand_in.is_none() && !gaps {
+            self.stand_in.remember(view);
+        }
         self.far.reset(full_camera.width, full_camera.height);
         let here = || images.iter().filter(|i| i.2.is_some()).map(|i| i.0);
         let tinted = self.layouts.tinted(here(), pose, &full_camera, options.shows);

@@ -12,12 +12,13 @@ use crate::{
 };
 use glam::{DVec3, Vec3};
 use ldi_protocol::{
-    OutputCamera, Pose, ViewBasis,
+    Aabb, OutputCamera, Pose, ViewBasis,
     index::{AngularRange, ChunkEntry, ChunkHash, ChunkKind, GridPoint, ImageEntry, Index, Placement},
     ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiCamera, LdiLayer, Segment},
     mesh::{CellGeometry, Material},
     need::Needed,
     path::{self, Walk},
+    select::CELLS,
     texture::Texture,
     tree::Brood,
 };
@@ -307,6 +308,76 @@ fn what_is_expected_is_laid_out_before_it_is_seen() {
     assert_eq!(painter.paint(&feed, &away), (0, false));
     painter.wait_for_news();
     assert_eq!(painter.paint(&feed, &AHEAD), (0, true));
+}
+
+/// [`scene`] with a second view cell, around z = -1: its image is chunk 3, and everything looks as from the first one.
+fn two_view_cells() -> MemoryFeed {
+    let mut feed = scene();
+    let index = &mut feed.index;
+    index.settings.grid = CELLS.into();
+    let users = |z: f64| Aabb { min: DVec3::new(-0.25, -0.25, z - 0.25), max: DVec3::new(0.25, 0.25, z + 0.25) };
+    index.chunks.push(ChunkEntry { hash: ChunkHash([10; 32]), ..index.chunks[2].clone() });
+    index.images.push(ImageEntry { chunks: vec![3], ..index.images[0].clone() });
+    index.placements[0].users = users(0.0);
+    index.placements.push(Placement {
+        grid_point: Some(1),
+        users: users(-1.0),
+        images: 1..2,
+        ..index.placements[0].clone()
+    });
+    let ahead = AngularRange { yaw_start_deg: 0.0, placement: Some(1) };
+    index.points[0].position = DVec3::ZERO;
+    index.points.push(GridPoint { position: DVec3::NEG_Z, bands: vec![vec![ahead]], ..index.points[0].clone() });
+    let ldi = feed.memory.ldis[&0].clone();
+    feed.memory.ldis.insert(1, ldi);
+    feed
+}
+
+#[test]
+fn the_placement_before_stands_in_near_its_users_and_within_the_budget() {
+    let at = |z: f64| Pose { position: DVec3::new(0.05, 0.0, z), ..AHEAD };
+    let (begun, beyond, far_off) = (at(0.0), at(-0.6), at(-1.6));
+    let mut feed = two_view_cells();
+    feed.lost = BTreeSet::from([3]);
+    let mut painter = Painter::default();
+    let mut frame = Frame::default();
+    let mut paint = |feed: &MemoryFeed, pose: &Pose| {
+        let view = view_of(&feed.index, pose, &CAMERA, Method::Auto, &mut StageMs::default());
+        feed.wait_for(&view.needed(&feed.index).all().collect::<Vec<_>>(), Duration::ZERO).expect("memory");
+        let options = options(Pace::Realtime);
+        let painted = painter.paint(&feed.index, feed, &view, pose, &CAMERA, &options, StageMs::default(), &mut frame);
+        let painted = painted.expect("quads by z");
+        assert_eq!(painted.is_complete(), painted.missing_chunks.is_empty());
+        (painted.stand_in, painted.missing_chunks, frame.count(Source::Unpainted))
+    };
+    assert_eq!(paint(&feed, &begun), (None, vec![], 0));
+    assert_eq!(paint(&feed, &beyond), (Some(0), vec![3], 0));
+    let (stand_in, missing, _) = paint(&feed, &far_off);
+    assert_eq!((stand_in, missing), (None, vec![3]), "1.35 m from its users, a quarter of 5 m allowed");
+    // All it replaces would be geometry: four triangles, and the budget is three.
+    let culled = std::mem::take(&mut feed.index.placements[0].culled);
+    assert_eq!(paint(&feed, &beyond).0, None);
+    feed.index.placements[0].culled = culled;
+    assert_eq!(paint(&feed, &beyond).0, Some(0));
+    // It has come: the view itself, which from now on is what stands in.
+    feed.lost.clear();
+    assert_eq!(paint(&feed, &beyond), (None, vec![], 0));
+    feed.state().0.retain(|c| *c != 2);
+    feed.lost = BTreeSet::from([2]);
+    assert_eq!(paint(&feed, &at(-0.45)), (Some(1), vec![2], 0));
+}
+
+#[test]
+fn the_placement_before_stands_in_while_images_are_laid_out() {
+    let feed = two_view_cells();
+    let mut painter = Beside::default();
+    assert_eq!(painter.paint(&feed, &AHEAD), (1, false));
+    painter.wait_for_news();
+    assert_eq!(painter.paint(&feed, &AHEAD), (0, true));
+    let beyond = Pose { position: DVec3::new(0.05, 0.0, -0.6), ..AHEAD };
+    assert_eq!(painter.paint(&feed, &beyond), (1, true));
+    painter.wait_for_news();
+    assert_eq!(painter.paint(&feed, &beyond), (0, true));
 }
 
 #[test]

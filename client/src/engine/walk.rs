@@ -325,7 +325,7 @@ impl Walker<'_> {
                 _ => "geometry",
             },
             grid_point: view.selection.grid_point,
-            placement: view.selection.placement,
+            placement: painted.stand_in.or(view.selection.placement),
             triangles: painted.triangles,
             dropped_cells: view.dropped,
             triangles_in_frustum: view.triangles_in_frustum,

@@ -5,12 +5,13 @@ use super::args::RoomsArgs;
 use super::commands::{print, threads, write_file, write_json};
 use super::progress::Stderr;
 use crate::build::Progress as _;
+use crate::octree::{Clusters, Octree};
 use crate::portal::{self, Statistics};
 use crate::render::Caster;
-use crate::scene;
+use crate::scene::{self, Scene};
 use anyhow::{Context as _, anyhow};
-use ldi_protocol::OutputCamera;
 use ldi_protocol::rooms::{self, Rooms};
+use ldi_protocol::{Aabb, OutputCamera};
 use serde_json::json;
 use std::path::Path;
 use std::sync::Arc;
@@ -29,7 +30,8 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
     if needs_rays {
         progress.stage("sorting triangles for rays", 0);
     }
-    let caster = needs_rays.then(|| Caster::of_scene(scene.clone(), false));
+    let (caster, cells) = needs_rays.then(|| in_cells(&scene)).unzip();
+    let cells: Vec<Aabb> = cells.unwrap_or_default();
     let (mut rooms, statistics) = match (annotated, &caster) {
         (Some(rooms), _) if !a.auto => (rooms, None),
         (_, Some(caster)) => {
@@ -56,7 +58,7 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
         progress.stage("checking against rays", 0);
         let poses = portal::random_poses(caster, &rooms, a.check as usize, 1);
         let (width, height) = a.check_size;
-        portal::check_sight(caster, &rooms, &poses, &OutputCamera { width, height, fov_deg: 60.0 })
+        portal::check_sight(caster, &cells, &rooms, &poses, &OutputCamera { width, height, fov_deg: 60.0 })
     });
     progress.finish();
     print(&summary(&a.scene, &rooms, statistics.as_ref()))?;
@@ -74,11 +76,13 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
     }
     if let Some(c) = &check {
         print(&format!(
-            "against rays: {} of {} poses miss a cell ({} of {} rays); {:.2} cells reported, {:.2} reached per pose; {:.0} us each; in {} all of space counts as seen",
+            "against rays: {} of {} poses miss a cell ({} of {} rays), in {} of them a surface would not be drawn ({} rays); {:.2} cells reported, {:.2} reached per pose; {:.0} us each; in {} all of space counts as seen",
             c.poses_with_a_miss,
             c.poses,
             c.missed_rays,
             c.rays,
+            c.poses_left_out,
+            c.left_out_rays,
             c.cells_reported_mean,
             c.cells_reached_mean,
             c.cull_us_mean,
@@ -90,6 +94,14 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
         write_json(file, &report)?;
     }
     Ok(())
+}
+
+/// Rays against a scene in the octree's cells of a build with a tenth of its triangles, and the bounds of these.
+fn in_cells(scene: &Arc<Scene>) -> (Caster, Vec<Aabb>) {
+    let clusters = Clusters::build(scene);
+    let octree = Octree::build(scene, &clusters, scene.triangles() / 10);
+    let bounds = octree.cells.iter().map(|c| c.bounds).collect();
+    (Caster::new(scene.clone(), &clusters, &octree), bounds)
 }
 
 fn summary(scene: &str, rooms: &Rooms, statistics: Option<&Statistics>) -> String {

@@ -1,15 +1,17 @@
 //! Does portal culling miss what is seen? Ray casts over the scene are the judge.
 
 use super::leaks::Random;
+use super::members::cells_of_rooms;
 use super::storeys::is_free;
 use crate::render::{Caster, CellSet, Ray};
 use glam::DVec3;
 use ldi_protocol::camera::{Frustum, ViewBasis};
 use ldi_protocol::portal_view::{VISITS_PER_VIEW, portal_view_within};
 use ldi_protocol::rooms::Rooms;
-use ldi_protocol::{OutputCamera, Pose};
+use ldi_protocol::{Aabb, OutputCamera, Pose};
 use rayon::prelude::*;
 use serde::Serialize;
+use std::collections::HashMap;
 
 /// Result of [`check_sight`].
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
@@ -22,6 +24,10 @@ pub struct SightCheck {
     pub rays: u64,
     /// Rays whose surface lies in no cell that culling reports.
     pub missed_rays: u64,
+    /// Views in which a surface is seen that would not be drawn.
+    pub poses_left_out: u64,
+    /// Rays that hit such a surface: no room that its cell of the octree lies in is reported with a cone that reaches that cell.
+    pub left_out_rays: u64,
     /// Cells reported per view, mean; the outside counts as one.
     pub cells_reported_mean: f64,
     /// Cells that rays reach per view, mean.
@@ -32,16 +38,27 @@ pub struct SightCheck {
     pub portals_clipped_mean: f64,
     /// Time of the culling alone per view, microseconds, mean.
     pub cull_us_mean: f64,
-    /// Some of the misses: eye, surface, the cells there.
+    /// Some of the misses: eye, surface, the cells there; "left out" where it would not be drawn.
     pub worst: Vec<(DVec3, DVec3, String)>,
 }
 
 /// Most misses that are written out.
 const MOST_WORST: usize = 20;
 
-/// Judges culling from these poses by one ray per pixel. A surface counts as reported if any cell within the rooms' margin of it is: walls
-/// stand in two rooms.
-pub fn check_sight(caster: &Caster, rooms: &Rooms, poses: &[Pose], camera: &OutputCamera) -> SightCheck {
+/// Judges culling from these poses by one ray per pixel. A cell counts as reported if any within the rooms' margin of the surface is: walls stand in two rooms. A surface counts as
+/// drawn if its cell of the octree is, as a frame draws it where the budget allows all that is seen. `cells`: bounds of the octree's cells, which `caster` knows.
+pub fn check_sight(
+    caster: &Caster,
+    cells: &[Aabb],
+    rooms: &Rooms,
+    poses: &[Pose],
+    camera: &OutputCamera,
+) -> SightCheck {
+    let mut rooms_of = vec![Vec::new(); cells.len()];
+    for (room, held) in (0u32..).zip(cells_of_rooms(caster, rooms, cells.len())) {
+        let id = ((room as usize) < rooms.cells().len()).then_some(room);
+        held.into_iter().for_each(|cell| rooms_of[cell as usize].push(id));
+    }
     let one = |pose: &Pose| {
         let basis = ViewBasis::from_yaw_pitch(pose.yaw_deg, pose.pitch_deg);
         let frustum = Frustum::new(pose.position, &basis, camera.half_tan_x(), camera.half_tan_y());
@@ -59,6 +76,13 @@ pub fn check_sight(caster: &Caster, rooms: &Rooms, poses: &[Pose], camera: &Outp
         let mut rays = Vec::with_capacity(camera.width as usize);
         let mut hits = vec![None; camera.width as usize];
         let mut reached = std::collections::BTreeSet::new();
+        let reaches =
+            |room, b: &Aabb| view.cells.iter().any(|c| c.cell == room && c.cones.iter().any(|k| k.may_intersect(b)));
+        let mut drawn: HashMap<u32, bool> = HashMap::new();
+        let mut is_drawn = |cell: u32| {
+            let n = cell as usize;
+            *drawn.entry(cell).or_insert_with(|| rooms_of[n].iter().any(|room| reaches(*room, &cells[n])))
+        };
         for v in 0..camera.height {
             rays.clear();
             rays.extend(
@@ -74,17 +98,24 @@ pub fn check_sight(caster: &Caster, rooms: &Rooms, poses: &[Pose], camera: &Outp
                 if near.len() == 1 {
                     reached.insert(near[0]);
                 }
-                if !near.iter().any(|c| view.sees(*c)) {
-                    found.missed_rays += 1;
-                    if found.worst.is_empty() {
-                        let names: Vec<&str> = near.iter().map(|c| rooms.name(*c)).collect();
-                        found.worst.push((pose.position, p, names.join(", ")));
-                    }
+                let missed = !near.iter().any(|c| view.sees(*c));
+                let left_out = !is_drawn(caster.cell_of(hit.triangle));
+                found.missed_rays += u64::from(missed);
+                if left_out && found.left_out_rays == 0 {
+                    // Worse than a miss that shows nowhere.
+                    found.worst.clear();
+                }
+                found.left_out_rays += u64::from(left_out);
+                if (missed || left_out) && found.worst.is_empty() {
+                    let mut names: Vec<&str> = near.iter().map(|c| rooms.name(*c)).collect();
+                    names.extend(left_out.then_some("left out"));
+                    found.worst.push((pose.position, p, names.join(", ")));
                 }
             }
         }
         found.cells_reached_mean = reached.len() as f64;
         found.poses_with_a_miss = u64::from(found.missed_rays > 0);
+        found.poses_left_out = u64::from(found.left_out_rays > 0);
         found
     };
     let all: Vec<SightCheck> = poses.par_iter().map(one).collect();
@@ -94,15 +125,17 @@ pub fn check_sight(caster: &Caster, rooms: &Rooms, poses: &[Pose], camera: &Outp
         sum.poses_with_a_miss += f.poses_with_a_miss;
         sum.rays += f.rays;
         sum.missed_rays += f.missed_rays;
+        sum.poses_left_out += f.poses_left_out;
+        sum.left_out_rays += f.left_out_rays;
         sum.everything_seen += f.everything_seen;
         sum.cells_reported_mean += f.cells_reported_mean;
         sum.cells_reached_mean += f.cells_reached_mean;
         sum.portals_clipped_mean += f.portals_clipped_mean;
         sum.cull_us_mean += f.cull_us_mean;
-        if sum.worst.len() < MOST_WORST {
-            sum.worst.extend(f.worst);
-        }
+        sum.worst.extend(f.worst);
     }
+    sum.worst.sort_by_key(|w| !w.2.contains("left out"));
+    sum.worst.truncate(MOST_WORST);
     let n = poses.len().max(1) as f64;
     sum.cells_reported_mean /= n;
     sum.cells_reached_mean /= n;

@@ -25,8 +25,6 @@ const ACROSS_M: f64 = 0.45;
 const BESIDE_M: f64 = 0.03;
 /// Stretches of a ray shorter than this between two others are noise of the raster, metres.
 const SHORT_M: f64 = 0.3;
-/// The last stretch before the hit may belong to the wall, metres.
-const LAST_M: f64 = 0.2;
 /// Leaks within this distance belong together, metres.
 const TOGETHER_M: f64 = 0.5;
 /// How far a gap reaches beyond the rays that found it, metres.
@@ -135,15 +133,9 @@ fn along(
             })
         })
     };
-    // What lies within the margin of a border belongs to both sides, eyes and surfaces alike: `Rooms::cells_near`, by samples.
+    // What lies within the margin of a border belongs to both sides, eyes and surfaces alike, as in `Rooms::cells_near`: no more, or culling misses it.
     let margin_m = MARGIN_PLACES * ground.raster.pitch_m;
-    let is_near = |p: DVec3, label: u32| {
-        (0..27).any(|k| {
-            let by = DVec3::new(f64::from(k % 3), f64::from(k / 3 % 3), f64::from(k / 9)) - 1.0;
-            let by = if label == OUTSIDE { by } else { by.normalize_or_zero() };
-            volumes.at(ground, p + by * margin_m) == label
-        })
-    };
+    let is_near = |p: DVec3, label: u32| volumes.is_near(ground, p, label, margin_m);
     let mut from = 0;
     while from + 1 < stretches.len() {
         let (a, _) = stretches[from];
@@ -154,7 +146,7 @@ fn along(
             continue;
         }
         if from + 2 == stretches.len() {
-            if end - t <= LAST_M || is_near(ray.at(reach), a) {
+            if is_near(ray.at(reach), a) {
                 return None;
             }
         } else if end - t <= SHORT_M {

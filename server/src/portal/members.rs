@@ -6,12 +6,15 @@
 //! - Borders of rooms may be off by the rooms' margin. So a triangle also lies in each room within the margin of one of its corners or its middle, along an axis, if no surface of another object is
 //!   between: a wall's face that the raster put on the wrong side is free toward its room, the bookcase behind it is not.
 //!
+//! - What rays see from a room beside all portals lies in it as well ([`super::seen`]).
+//!
 //! A cell lies in the rooms of its triangles.
 
+use super::seen::seen_beside;
 use crate::render::{Caster, CellSet, Ray};
 use glam::DVec3;
 use ldi_protocol::Aabb;
-use ldi_protocol::rooms::Rooms;
+use ldi_protocol::rooms::{CellId, Rooms};
 use rayon::prelude::*;
 
 /// Pieces thinner than this are no part that sticks out, metres: boxes that touch are computed in different ways.
@@ -30,10 +33,14 @@ pub fn cells_of_rooms(caster: &Caster, rooms: &Rooms, cells: usize) -> Vec<Vec<u
     let bounds: Vec<Aabb> = rooms.cells().iter().map(|c| c.bounds()).collect();
     let members = Members { caster, rooms };
     let found: Vec<Vec<usize>> = of_cell.par_iter().map(|triangles| members.rooms_of(triangles, &bounds)).collect();
+    let slot = |room: CellId| room.map_or(rooms.cells().len(), |r| r as usize);
+    let seen = seen_beside(caster, rooms, &|cell, room| found[cell as usize].contains(&slot(room)));
     let mut out = vec![Vec::new(); rooms.cells().len() + 1];
     for (cell, of) in (0u32..).zip(found) {
         of.into_iter().for_each(|room| out[room].push(cell));
     }
+    seen.into_iter().for_each(|(cell, room)| out[slot(room)].push(cell));
+    out.iter_mut().for_each(|cells| cells.sort_unstable());
     out
 }
 

@@ -32,6 +32,7 @@ mod members;
 mod openings;
 mod overrides;
 mod plan_svg;
+mod seen;
 mod semicircle;
 mod storeys;
 mod volumes;

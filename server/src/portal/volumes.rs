@@ -228,6 +228,33 @@ impl Volumes {
         self.runs_of(place).iter().find(|r| r.low_m <= y && y <= r.high_m).map_or(OUTSIDE, |r| r.label)
     }
 
+    /// Whether a label lies within `margin_m` of a point, metres. The outside does if it holds the point or a corner of the cube of that half edge around it.
+    pub(super) fn is_near(&self, ground: &Ground, p: DVec3, label: u32, margin_m: f64) -> bool {
+        if label == OUTSIDE {
+            let corners = Aabb { min: p - margin_m, max: p + margin_m }.corners();
+            return corners.into_iter().chain([p]).any(|q| self.at(ground, q) == OUTSIDE);
+        }
+        let raster = &ground.raster;
+        let at = DVec2::new(p.x, p.z) - raster.origin;
+        let range = |at: f64, size: u32| {
+            let place = |v: f64| (v / raster.pitch_m).floor().max(0.0) as usize;
+            place(at - margin_m)..(place(at + margin_m) + 1).min(size as usize)
+        };
+        let beside = |at: f64, n: usize| {
+            let low = n as f64 * raster.pitch_m;
+            (low - at).max(at - low - raster.pitch_m).max(0.0)
+        };
+        range(at.y, raster.size[1]).any(|k| {
+            range(at.x, raster.size[0]).any(|i| {
+                let plan2 = beside(at.x, i).powi(2) + beside(at.y, k).powi(2);
+                self.runs_of(k * ground.width() + i).iter().filter(|r| r.label == label).any(|r| {
+                    let up = (f64::from(r.low_m) - p.y).max(p.y - f64::from(r.high_m)).max(0.0);
+                    plan2 + up * up <= margin_m * margin_m
+                })
+            })
+        })
+    }
+
     /// The cells' boxes: runs joined along x, then along z.
     pub(super) fn boxes(&self, ground: &Ground, cells: &mut [Cell]) {
         let [w, h] = ground.raster.size.map(|n| n as usize);

@@ -5,14 +5,7 @@
 
 use super::{AuditedPose, Random, footprint, holds, triangles_in};
 use glam::DVec3;
-use ldi_protocol::{
-    Aabb, Pose,
-    index::Index,
-    ldi::LdiCamera,
-    room_index::RoomIndex,
-    rooms::{CellId, Portal},
-    select::DrawList,
-};
+use ldi_protocol::{Aabb, Pose, index::Index, ldi::LdiCamera, room_index::RoomIndex, rooms::CellId, select::DrawList};
 use std::collections::BTreeSet;
 
 /// Rays of a pose.
@@ -90,7 +83,7 @@ impl Walk<'_> {
             let ahead = rooms.portals_of(room).iter().filter_map(|p| {
                 let portal = &rooms.portals()[*p as usize];
                 let side = usize::from(portal.cells[0] != room);
-                crossing(portal, eye, ray, side).filter(|t| *t > from).map(|t| (t, *p, side))
+                portal.crossed(side, eye, ray).filter(|t| *t > from).map(|t| (t, *p, side))
             });
             let next = ahead.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
             if self.list.dropped == 0 {
@@ -155,21 +148,6 @@ impl Walk<'_> {
             }
         }
     }
-}
-
-/// Where a line from the portal's side `side` crosses its polygon.
-fn crossing(portal: &Portal, eye: DVec3, ray: DVec3, side: usize) -> Option<f64> {
-    let n = portal.normal() * if side == 0 { 1.0 } else { -1.0 };
-    let along = ray.dot(n);
-    if along <= 0.0 {
-        return None;
-    }
-    let t = (portal.corners[0] - eye).dot(n) / along;
-    let p = eye + ray * t;
-    let k = portal.corners.len();
-    let turns =
-        |i: usize| (portal.corners[(i + 1) % k] - portal.corners[i]).cross(p - portal.corners[i]).dot(portal.normal());
-    (t > 0.0 && (0..k).all(|i| turns(i) > 1e-9)).then_some(t)
 }
 
 /// Whether a part of a line passes through the inside of a box.

@@ -1,0 +1,74 @@
+//! What is shown while a view's images or geometry are on their way, or its images are being laid out: the same pose by the placement before, which is at hand, as long as the eye
+//! has not gone far from its users.
+//!
+//! The LDI tree would show there, too, but coarser and for longer: its pixels are those of a whole placement's images. Nothing is promised of a stand-in but the budget:
+//! footprints and what is uncovered grow with the way from the users, so that way is bounded.
+
+use super::painter::View;
+use crate::resident::Resident;
+use ldi_protocol::{
+    Pose,
+    index::Index,
+    select::{DrawList, draw_list_by},
+};
+
+/// How far the eye may be from the placement's users, as a share of the distance of its nearest image plane. There footprints are a third above the bound. Larger: what lies behind
+/// corners is missing in more of the picture.
+const AWAY: f64 = 0.25;
+
+/// See the module.
+#[derive(Debug, Default)]
+pub(super) struct StandIn {
+    /// The placement of the last view that had all it draws; None also where that was geometry alone.
+    placement: Option<u32>,
+}
+
+impl StandIn {
+    /// A view had all it draws.
+    pub fn remember(&mut self, view: &View) {
+        self.placement = view.selection.placement;
+    }
+
+    /// The placement before, for a view that lacks something. None where it would not do: too far away, itself not at hand, or above the budget. `is_at_hand`: whether an image can be
+    /// warped now.
+    pub fn view(
+        &self,
+        index: &Index,
+        resident: &dyn Resident,
+        view: &View,
+        (pose, half_tan): (&Pose, (f64, f64)),
+        is_at_hand: &dyn Fn(u32) -> bool,
+    ) -> Option<View> {
+        let number = self.placement.filter(|p| view.selection.placement != Some(*p))?;
+        if view.by_tree || !view.portals.is_empty() {
+            return None;
+        }
+        let is_whole =
+            |v: &View| v.images.iter().all(|i| is_at_hand(*i)) && absent_chunks(index, resident, &v.cells).is_empty();
+        let placement = index.placements.get(number as usize)?;
+        let plane_m = index.images_of(number).map(|(_, i)| i.plane_distance).fold(f64::INFINITY, f64::min);
+        if placement.users.distance(pose.position) > AWAY * plane_m || is_whole(view) {
+            return None;
+        }
+        let DrawList { selection, cells, images, dropped, tree, rooms, portals, .. } =
+            draw_list_by(index, number, pose, half_tan);
+        let before = View { selection, cells, images, dropped, tree, rooms, portals, ..view.clone() };
+        (dropped == 0 && is_whole(&before)).then_some(before)
+    }
+}
+
+/// The chunks for want of which these cells, or their textures, do not show at all.
+pub(super) fn absent_chunks(index: &Index, resident: &dyn Resident, cells: &[u32]) -> Vec<u32> {
+    let mut absent = Vec::new();
+    for cell in cells {
+        let Some(entry) = index.cells.get(*cell as usize) else { continue };
+        if resident.cell(*cell).is_none() {
+            absent.push(entry.chunk);
+        }
+        absent.extend(entry.bundles.iter().filter(|b| resident.bundle(**b).is_none()));
+        let textures = entry.materials.iter().filter_map(|m| index.materials.get(*m as usize)?.texture);
+        let bare = textures.filter(|t| resident.texture(*t).is_none());
+        absent.extend(bare.filter_map(|t| Some(index.textures.get(t as usize)?.chunks.first()?.chunk)));
+    }
+    absent
+}
