@@ -35,14 +35,15 @@ pub fn lay_under(frame: &mut Frame, tree: &FarFrame, doubt: Doubt) -> u64 {
     let mut given = 0;
     for at in 0..frame.len() {
         let source = frame.source[at];
-        let takes = |sample: f32| match (source, doubt) {
-            (Source::Unpainted, _) => true,
-            (_, Doubt::None) => false,
-            (Source::Sky, _) => true,
-            (_, Doubt::Missing { margin_m }) => {
+        if doubt == Doubt::None && source != Source::Unpainted {
+            continue;
+        }
+        let takes = |sample: f32| match doubt {
+            Doubt::Missing { margin_m } if !matches!(source, Source::Unpainted | Source::Sky) => {
                 let (painted, sample) = (1.0 / frame.disparity[at].max(1e-9), 1.0 / sample);
                 sample + margin_m.max(0.1 * painted) < painted
             }
+            _ => true,
         };
         if let Some((colour, disparity)) = tree.get(at).filter(|(_, disparity)| takes(*disparity)) {
             (frame.colour[at], frame.disparity[at], frame.source[at]) = (colour, disparity, Source::Tree);

@@ -28,6 +28,8 @@ pub struct Wanted {
     pixels: Vec<bool>,
     /// Wanted pixels of each block.
     blocks: Vec<u32>,
+    /// Column and row of each block that had wanted pixels at first: large samples touch more blocks than these where little is wanted.
+    listed: Vec<[u32; 2]>,
     /// Smallest disparity that a sample needs to show in some wanted pixel of each block; infinite in blocks without.
     floors: Vec<f32>,
     total: u64,
@@ -40,12 +42,16 @@ impl Wanted {
         assert_eq!(pixels.len(), width * height, "a flag per pixel");
         let blocks_across = width.div_ceil(BLOCK).max(1);
         let mut blocks = vec![0; blocks_across * height.div_ceil(BLOCK)];
-        for (at, _) in pixels.iter().enumerate().filter(|(_, w)| **w) {
-            blocks[at / width / BLOCK * blocks_across + at % width / BLOCK] += 1;
+        for (row, pixels) in pixels.chunks(width.max(1)).enumerate() {
+            let of_row = &mut blocks[row / BLOCK * blocks_across..][..blocks_across];
+            for (block, pixels) in of_row.iter_mut().zip(pixels.chunks(BLOCK)) {
+                *block += pixels.iter().map(|w| u32::from(*w)).sum::<u32>();
+            }
         }
         let total = blocks.iter().map(|b| u64::from(*b)).sum();
-        let floors = Vec::new();
-        let mut wanted = Self { width, blocks_across, pixels, blocks, floors, total };
+        let place = |block: usize| [block % blocks_across, block / blocks_across].map(|v| v as u32);
+        let listed = (0..blocks.len()).filter(|b| blocks[*b] > 0).map(place).collect();
+        let mut wanted = Self { width, blocks_across, pixels, blocks, listed, floors: Vec::new(), total };
         wanted.floors = wanted.floors_of(|at| hidden_below.get(at).copied().unwrap_or(0.0));
         wanted
     }
@@ -54,6 +60,9 @@ impl Wanted {
     fn floors_of(&self, hidden_below: impl Fn(usize) -> f32 + Sync) -> Vec<f32> {
         let height = self.pixels.len() / self.width.max(1);
         let floor = |block: usize| {
+            if self.blocks[block] == 0 {
+                return f32::INFINITY;
+            }
             let (row, column) = (block / self.blocks_across * BLOCK, block % self.blocks_across * BLOCK);
             let mut floor = f32::INFINITY;
             for r in row..(row + BLOCK).min(height) {
@@ -105,19 +114,32 @@ impl Wanted {
 
     /// Whether something of this disparity shows in a block that a rectangle (first and last columns and rows, within the picture) touches.
     pub(super) fn any(&self, columns: [i32; 2], rows: [i32; 2], disparity: f32) -> bool {
-        let block = |v: i32| v as usize / BLOCK;
-        (block(rows[0])..=block(rows[1])).any(|r| {
-            let row = &self.floors[r * self.blocks_across..][..self.blocks_across];
-            row[block(columns[0])..=block(columns[1])].iter().any(|floor| disparity >= *floor)
-        })
+        let [columns, rows] = [columns, rows].map(|[first, last]| first as usize / BLOCK..last as usize / BLOCK + 1);
+        let floors = |row: usize| &self.floors[row * self.blocks_across..][..self.blocks_across];
+        if self.listed.len() < rows.len() * columns.len() {
+            let touched = self.listed.iter().map(|place| place.map(|v| v as usize));
+            let mut touched = touched.filter(|[column, row]| columns.contains(column) && rows.contains(row));
+            return touched.any(|[column, row]| disparity >= floors(row)[column]);
+        }
+        rows.into_iter().any(|row| floors(row)[columns.clone()].iter().any(|floor| disparity >= *floor))
+    }
+
+    /// The parts of a row, as positions in the picture, that lie in blocks with wanted pixels. Where little is wanted, that is nearly nothing of it.
+    fn spans(&self, row: usize) -> impl Iterator<Item = Range<usize>> + '_ {
+        let of_row = &self.blocks[row / BLOCK * self.blocks_across..][..self.blocks_across];
+        let span = move |block: usize| {
+            row * self.width + block * BLOCK..row * self.width + ((block + 1) * BLOCK).min(self.width)
+        };
+        (0..self.blocks_across).filter(|b| of_row[*b] > 0).map(span)
     }
 
     /// Pixels of which `unwanted` holds, by row and column, are no longer wanted.
     pub(super) fn drop_where(&mut self, unwanted: &(dyn Fn(usize, usize) -> bool + Sync)) {
-        let dropped: Vec<usize> = (0..self.pixels.len())
-            .into_par_iter()
-            .filter(|at| self.pixels[*at] && unwanted(at / self.width, at % self.width))
-            .collect();
+        let height = self.pixels.len() / self.width.max(1);
+        let seen = &*self;
+        let of_row =
+            |row: usize| seen.spans(row).flatten().filter(move |at| seen.pixels[*at] && unwanted(row, at % seen.width));
+        let dropped: Vec<usize> = (0..height).into_par_iter().flat_map_iter(of_row).collect();
         dropped.into_iter().for_each(|at| self.drop_one(at));
     }
 
@@ -134,11 +156,7 @@ impl Wanted {
     /// What `frame` shows is no longer wanted; returns how many pixels that are.
     pub(super) fn settle(&mut self, frame: &FarFrame) -> u64 {
         let before = self.total;
-        for at in 0..self.pixels.len() {
-            if self.pixels[at] && FarFrame::unpack(frame.packed[at]).is_some() {
-                self.drop_one(at);
-            }
-        }
+        self.drop_where(&|row, column| FarFrame::unpack(frame.packed[row * frame.width as usize + column]).is_some());
         before - self.total
     }
 }
@@ -167,14 +185,14 @@ impl Painting {
         out: &mut FarFrame,
     ) {
         self.bands(camera, rows, wanted, out, |band| {
-            band.sums.fill([0.0; 4]);
+            band.spans().for_each(|span| band.sums[span].fill([0.0; 4]));
             tiles.iter().flatten().for_each(|t| band.cover_thinly(t));
             tiles.iter().flatten().for_each(|t| band.mix(t));
             band.resolve();
         });
     }
 
-    /// Calls `f` with bands of these rows, in parallel.
+    /// Calls `f` with bands of these rows that have wanted pixels, in parallel.
     fn bands(
         &mut self,
         camera: &OutputCamera,
@@ -189,7 +207,10 @@ impl Painting {
         let pixels = rows.start * width..rows.end * width;
         let packed = out.packed[pixels.clone()].par_chunks_mut(deep * width);
         packed.zip(self.sums[pixels].par_chunks_mut(deep * width)).enumerate().for_each(|(k, (packed, sums))| {
-            f(&mut Band { first_row: (rows.start + k * deep) as i32, width, packed, sums, wanted });
+            let mut band = Band { first_row: (rows.start + k * deep) as i32, width, packed, sums, wanted };
+            if band.spans().next().is_some() {
+                f(&mut band);
+            }
         });
     }
 }
@@ -203,7 +224,15 @@ struct Band<'a> {
     wanted: &'a Wanted,
 }
 
-impl Band<'_> {
+impl<'a> Band<'a> {
+    /// The parts of its rows, as positions in it, that lie in blocks with wanted pixels.
+    fn spans(&self) -> impl Iterator<Item = Range<usize>> + use<'a> {
+        let (wanted, first) = (self.wanted, self.first_row as usize);
+        let begin = first * self.width;
+        let rows = first..first + self.packed.len() / self.width;
+        rows.flat_map(move |row| wanted.spans(row)).map(move |span| span.start - begin..span.end - begin)
+    }
+
     /// Calls `f` with the pixels of a tile in this band: position in it, disparity, place on the tile.
     fn each(&mut self, tile: &Tile, mut f: impl FnMut(&mut Self, usize, (f32, f32, f32))) {
         let last_row = self.first_row + (self.packed.len() / self.width) as i32 - 1;
@@ -271,7 +300,8 @@ impl Band<'_> {
     }
 
     fn resolve(&mut self) {
-        for (packed, sum) in self.packed.iter_mut().zip(&*self.sums) {
+        for at in self.spans().flatten() {
+            let (packed, sum) = (&mut self.packed[at], &self.sums[at]);
             let Some((colour, disparity)) = FarFrame::unpack(*packed) else { continue };
             *packed = FarFrame::pack(disparity, colour & !THIN);
             if sum[3] > LEAST_WEIGHT {
