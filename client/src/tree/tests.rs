@@ -249,3 +249,39 @@ fn what_turns_away_or_is_not_wanted_is_not_drawn() {
     );
     assert_eq!((stats.painted, &stats.missing[..]), (0, &[0u32][..]));
 }
+
+#[test]
+fn whether_something_shows_is_the_same_however_little_is_wanted() {
+    let (width, height) = (150usize, 70usize);
+    let mut state = 7u64;
+    let mut random = |n: usize| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize % n
+    };
+    for wanted_pixels in [0, 1, 5, 200, 5_000] {
+        let mut pixels = vec![false; width * height];
+        (0..wanted_pixels).for_each(|_| pixels[random(width * height)] = true);
+        let hidden_below: Vec<f32> = (0..width * height).map(|_| random(1000) as f32 * 1e-3).collect();
+        let wanted = Wanted::new(width as u32, height as u32, pixels.clone(), &hidden_below);
+        assert_eq!(wanted.count(), pixels.iter().filter(|w| **w).count() as u64);
+        let mut shown = 0;
+        for _ in 0..300 {
+            let span = |a: usize, b: usize| [a.min(b) as i32, a.max(b) as i32];
+            let columns = span(random(width), random(width));
+            let rows = span(random(height), random(height));
+            let disparity = random(1000) as f32 * 1e-3;
+            // Blocks decide, not pixels.
+            let block = |v: [i32; 2]| v[0] as usize / BLOCK..=v[1] as usize / BLOCK;
+            let expected = (0..width * height).any(|at| {
+                let (column, row) = (at % width / BLOCK, at / width / BLOCK);
+                pixels[at]
+                    && block(columns).contains(&column)
+                    && block(rows).contains(&row)
+                    && disparity >= hidden_below[at]
+            });
+            assert_eq!(wanted.any(columns, rows, disparity), expected, "{wanted_pixels}: {columns:?} {rows:?}");
+            shown += usize::from(expected);
+        }
+        assert!(wanted_pixels == 0 || (5..296).contains(&shown), "{shown} of 300 with {wanted_pixels}");
+    }
+}

@@ -6,6 +6,7 @@ use ldi_client::{stream::LinkSpec, warp::Stamp};
 use ldi_protocol::room_index::BuiltImages;
 use ldi_server::cli::size;
 use ldi_server::placement::AuditSize;
+use ldi_server::serve::planner::PlannerConfig;
 use ldi_tests::args::percent;
 use ldi_tests::bench::{
     numerics, numerics_page, placement, placement_page, portals, portals_page, searches, speed_error, speed_error_page,
@@ -121,7 +122,7 @@ struct StreamingArgs {
     #[arg(long, default_value_t = 1 << 30)]
     cache_bytes: u64,
     /// What the server takes sending ahead to be worth, bytes: its setting `ahead_worth`.
-    #[arg(long, default_value_t = 1_000_000)]
+    #[arg(long, default_value_t = PlannerConfig::default().ahead_worth)]
     ahead_worth: u64,
     /// Walk the path a second time.
     #[arg(long)]
