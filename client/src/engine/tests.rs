@@ -316,7 +316,7 @@ fn two_view_cells() -> MemoryFeed {
     let index = &mut feed.index;
     index.settings.grid = CELLS.into();
     let users = |z: f64| Aabb { min: DVec3::new(-0.25, -0.25, z - 0.25), max: DVec3::new(0.25, 0.25, z + 0.25) };
-    index.chunks.push(ChunkEntry { hash: ChunkHash([10; 32]), ..index.chunks[2].clone() });
+    index.chunks.push(ChunkEntry { hash: ChunkHash([10; 32]), ..index.chunks[2] });
     index.images.push(ImageEntry { chunks: vec![3], ..index.images[0].clone() });
     index.placements[0].users = users(0.0);
     index.placements.push(Placement {
