@@ -155,7 +155,7 @@ pub fn view_of(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method
 
 /// The cells to draw, and the texture chunks for want of which the others are not: as long as the LDI tree shows a cell in its colours, bare geometry would be a
 /// step back.
-fn drawable(index: &Index, resident: &dyn Resident, cells: &[u32]) -> (Vec<u32>, Vec<u32>) {
+pub(super) fn drawable(index: &Index, resident: &dyn Resident, cells: &[u32]) -> (Vec<u32>, Vec<u32>) {
     if index.tree.is_none() {
         return (cells.to_vec(), Vec::new());
     }
@@ -310,6 +310,10 @@ impl Painter {
         let beside = options.beside && self.workshop().is_some();
         // At half the size that the dataset was made for.
         let half = beside && 2.0 * full_camera.focal_px() <= index.settings.camera.focal_px() * (1.0 + 1e-6);
+        if std::mem::replace(&mut self.textures, view.portal_images.is_texture()) != self.textures {
+            // The same images, laid out otherwise.
+            self.layouts = Layouts::default();
+        }
         let made = self.workshop.as_ref().map(Workshop::take);
         made.into_iter().flatten().for_each(|layout| self.layouts.put(layout));
         let is_at_hand = |image| match beside {
@@ -360,10 +364,6 @@ impl Painter {
         painted.missing_chunks.sort_unstable();
         painted.missing_chunks.dedup();
 
-        if std::mem::replace(&mut self.textures, view.portal_images.is_texture()) != self.textures {
-            // The same images, laid out otherwise.
-            self.layouts = Layouts::default();
-        }
         let ahead = std::mem::take(&mut self.ahead);
         self.layouts.forget_all_but(|number| {
             images.iter().any(|(n, ..)| *n == number) || own.images.contains(&number) || ahead.contains(&number)

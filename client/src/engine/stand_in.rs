@@ -4,7 +4,7 @@
 //! The LDI tree would show there, too, but coarser and for longer: its pixels are those of a whole placement's images. Nothing is promised of a stand-in but the budget:
 //! footprints and what is uncovered grow with the way from the users, so that way is bounded.
 
-use super::painter::View;
+use super::painter::{View, drawable};
 use crate::resident::Resident;
 use ldi_protocol::{
     Pose,
@@ -46,7 +46,8 @@ impl StandIn {
         let is_whole =
             |v: &View| v.images.iter().all(|i| is_at_hand(*i)) && absent_chunks(index, resident, &v.cells).is_empty();
         let placement = index.placements.get(number as usize)?;
-        let plane_m = index.images_of(number).map(|(_, i)| i.plane_distance).fold(f64::INFINITY, f64::min);
+        // Without images nothing bounds the way, and what is culled shows nowhere.
+        let plane_m = index.images_of(number).map(|(_, i)| i.plane_distance).min_by(f64::total_cmp)?;
         if placement.users.distance(pose.position) > AWAY * plane_m || is_whole(view) {
             return None;
         }
@@ -57,18 +58,12 @@ impl StandIn {
     }
 }
 
-/// The chunks for want of which these cells, or their textures, do not show at all.
+/// The chunks for want of which these cells do not show.
 pub(super) fn absent_chunks(index: &Index, resident: &dyn Resident, cells: &[u32]) -> Vec<u32> {
-    let mut absent = Vec::new();
-    for cell in cells {
-        let Some(entry) = index.cells.get(*cell as usize) else { continue };
-        if resident.cell(*cell).is_none() {
-            absent.push(entry.chunk);
-        }
+    let (_, mut absent) = drawable(index, resident, cells);
+    for (cell, entry) in cells.iter().filter_map(|c| Some((*c, index.cells.get(*c as usize)?))) {
+        absent.extend(resident.cell(cell).is_none().then_some(entry.chunk));
         absent.extend(entry.bundles.iter().filter(|b| resident.bundle(**b).is_none()));
-        let textures = entry.materials.iter().filter_map(|m| index.materials.get(*m as usize)?.texture);
-        let bare = textures.filter(|t| resident.texture(*t).is_none());
-        absent.extend(bare.filter_map(|t| Some(index.textures.get(t as usize)?.chunks.first()?.chunk)));
     }
     absent
 }

@@ -359,6 +359,11 @@ fn the_placement_before_stands_in_near_its_users_and_within_the_budget() {
     assert_eq!(paint(&feed, &beyond).0, None);
     feed.index.placements[0].culled = culled;
     assert_eq!(paint(&feed, &beyond).0, Some(0));
+    // Without images nothing says how far it may be used.
+    let images = std::mem::replace(&mut feed.index.placements[0].images, 0..0);
+    assert_eq!(paint(&feed, &beyond).0, None);
+    feed.index.placements[0].images = images;
+    assert_eq!(paint(&feed, &beyond).0, Some(0));
     // It has come: the view itself, which from now on is what stands in.
     feed.lost.clear();
     assert_eq!(paint(&feed, &beyond), (None, vec![], 0));

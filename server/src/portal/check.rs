@@ -38,8 +38,21 @@ pub struct SightCheck {
     pub portals_clipped_mean: f64,
     /// Time of the culling alone per view, microseconds, mean.
     pub cull_us_mean: f64,
-    /// Some of the misses: eye, surface, the cells there; "left out" where it would not be drawn.
-    pub worst: Vec<(DVec3, DVec3, String)>,
+    /// Some of the misses, surfaces that would not be drawn first.
+    pub worst: Vec<Miss>,
+}
+
+/// A surface that is seen and that culling misses.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Miss {
+    /// The eye, metres.
+    pub eye: DVec3,
+    /// The surface, metres.
+    pub surface: DVec3,
+    /// Names of the cells there.
+    pub cells: String,
+    /// Whether it would not be drawn.
+    pub left_out: bool,
 }
 
 /// Most misses that are written out.
@@ -107,9 +120,8 @@ pub fn check_sight(
                 }
                 found.left_out_rays += u64::from(left_out);
                 if (missed || left_out) && found.worst.is_empty() {
-                    let mut names: Vec<&str> = near.iter().map(|c| rooms.name(*c)).collect();
-                    names.extend(left_out.then_some("left out"));
-                    found.worst.push((pose.position, p, names.join(", ")));
+                    let names: Vec<&str> = near.iter().map(|c| rooms.name(*c)).collect();
+                    found.worst.push(Miss { eye: pose.position, surface: p, cells: names.join(", "), left_out });
                 }
             }
         }
@@ -134,7 +146,7 @@ pub fn check_sight(
         sum.cull_us_mean += f.cull_us_mean;
         sum.worst.extend(f.worst);
     }
-    sum.worst.sort_by_key(|w| !w.2.contains("left out"));
+    sum.worst.sort_by_key(|w| !w.left_out);
     sum.worst.truncate(MOST_WORST);
     let n = poses.len().max(1) as f64;
     sum.cells_reported_mean /= n;

@@ -6,9 +6,7 @@
 //! - Borders of rooms may be off by the rooms' margin. So a triangle also lies in each room within the margin of one of its corners or its middle, along an axis, if no surface of another object is
 //!   between: a wall's face that the raster put on the wrong side is free toward its room, the bookcase behind it is not.
 //!
-//! - What rays see from a room beside all portals lies in it as well ([`super::seen`]).
-//!
-//! A cell lies in the rooms of its triangles.
+//! A cell lies in the rooms of its triangles, and in those from which rays see it beside all portals ([`super::seen`]).
 
 use super::seen::seen_beside;
 use crate::render::{Caster, CellSet, Ray};
