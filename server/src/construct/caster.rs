@@ -10,8 +10,6 @@ use glam::DVec3;
 pub struct Facet {
     /// Unit normal of the geometry (not interpolated) in the world, of either sign; zero if it has none.
     pub normal: DVec3,
-    /// Whether its colours are filtered over the pixel by [`SubsetCaster::shade`]: a texture. Else they are those of one point.
-    pub filtered: bool,
     /// Number of the surface: equal for all hits on one primitive of one instance. Two surfaces may, rarely, share one.
     pub surface: u32,
 }
@@ -40,7 +38,7 @@ pub trait SubsetCaster: Sync {
     fn meet(&self, rays: &[Ray], met: &mut [Met]);
     /// The plane and the surface at a hit.
     fn facet(&self, ray: &Ray, hit: &Hit) -> Facet;
-    /// Colour at a hit in linear light, textures filtered over the pixel.
+    /// Colour at a hit in linear light, textures filtered over the footprint.
     fn shade(&self, ray: &Ray, hit: &Hit, footprint: &RayFootprint) -> [f32; 3];
 }
 
@@ -74,7 +72,7 @@ impl SubsetCaster for Subset<'_> {
         let s = self.caster.surface(hit, ray);
         // Odd multipliers spread (instance, primitive) over 32 bits; two surfaces that collide may be linked over a step.
         let surface = s.source.instance.wrapping_mul(0x9E37_79B1) ^ s.source.primitive.wrapping_mul(0x85EB_CA6B);
-        Facet { normal: s.geometric_normal, surface, filtered: s.uv != glam::Vec2::ZERO }
+        Facet { normal: s.geometric_normal, surface }
     }
 
     fn shade(&self, ray: &Ray, hit: &Hit, footprint: &RayFootprint) -> [f32; 3] {

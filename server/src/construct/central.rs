@@ -13,6 +13,9 @@ use rayon::prelude::*;
 /// Rays traced together: enough to share a call, few enough to keep both threads busy to the end.
 const BATCH: usize = 2048;
 
+/// Textures are filtered over this share of a pixel across; [`super::colour`] averages such rays over the pixel. A whole pixel blurs twice: the warp interpolates between samples.
+const FILTERED: f64 = 0.5;
+
 /// Turns hits into samples of one camera, remembering the last plane: neighbours mostly share it.
 pub(super) struct Surveyor<'a, C> {
     caster: &'a C,
@@ -23,7 +26,7 @@ pub(super) struct Surveyor<'a, C> {
 
 impl<'a, C: SubsetCaster> Surveyor<'a, C> {
     pub fn new(caster: &'a C, lens: &'a Lens) -> Self {
-        let s = 1.0 / lens.pixels_per_unit;
+        let s = FILTERED / lens.pixels_per_unit;
         let footprint = RayFootprint { direction_dx: lens.basis.right * s, direction_dy: -lens.basis.up * s };
         Self { caster, lens, footprint, last: None }
     }
@@ -53,7 +56,6 @@ impl<'a, C: SubsetCaster> Surveyor<'a, C> {
             gradient: sample::gradient(self.lens, facet.normal, ray.direction, d),
             surface: facet.surface,
             triangle: hit.triangle,
-            filtered: facet.filtered,
             rgb: self.linear(ray, hit).map(srgb8_from_linear),
         }
     }

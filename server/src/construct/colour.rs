@@ -1,8 +1,9 @@
 //! Colours averaged over the pixel, where it shows.
 //!
 //! A sample's colour is the mean, in linear light, of n x n rays through its pixel that hit its surface or what continues it; its disparity
-//! stays that of the central ray, so nothing is averaged across a depth edge. Textures are filtered by the shader over the pixel
-//! already, and a plain wall has the same colour all over its pixel: so rays go only where linked neighbours differ in colour.
+//! stays that of the central ray, so nothing is averaged across a depth edge. A plain wall has the same colour all over its pixel: so
+//! rays go only where linked neighbours differ in colour. Textures are among those: each ray filters a part of the pixel, as one mip level for
+//! all of it is as coarse as the pixel's longest side on the surface.
 
 use super::{
     caster::SubsetCaster,
@@ -62,8 +63,7 @@ fn uneven(layer: &RawLayer, width: u32) -> Vec<usize> {
     let mut marks = vec![false; layer.samples.len()];
     for_each_link(layer, width, |i, j, _| {
         let (a, b) = (&layer.samples[i].1, &layer.samples[j].1);
-        let filtered = a.surface == b.surface && a.filtered;
-        if !filtered && (0..3).any(|k| a.rgb[k].abs_diff(b.rgb[k]) > VISIBLE) {
+        if (0..3).any(|k| a.rgb[k].abs_diff(b.rgb[k]) > VISIBLE) {
             marks[i] = true;
             marks[j] = true;
         }

@@ -125,7 +125,6 @@ pub(super) fn trace_construction<C: SubsetCaster>(
             surface: facet.surface,
             triangle: hit.triangle,
             rgb: [0; 3],
-            filtered: false,
         };
         let prediction = (pixel as u32, sample);
         if known.has(&prediction, tolerance) { Seen::Known } else { Seen::New(prediction, *from) }

@@ -21,8 +21,6 @@ pub(super) struct Sample {
     pub triangle: u32,
     /// sRGB.
     pub rgb: [u8; 3],
-    /// The colour is filtered over the pixel already.
-    pub filtered: bool,
 }
 
 /// A sample to be: its pixel, and the disparity at the pixel's centre that its plane predicts.

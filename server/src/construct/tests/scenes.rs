@@ -137,7 +137,7 @@ impl SubsetCaster for Analytic {
     fn facet(&self, ray: &Ray, hit: &Hit) -> Facet {
         let all = self.all_hits(ray.origin, ray.direction);
         let normal = all.iter().find(|h| h.0 == hit.t).map_or(DVec3::ZERO, |h| h.2);
-        Facet { normal, filtered: false, surface: hit.triangle & 15 }
+        Facet { normal, surface: hit.triangle & 15 }
     }
 
     fn shade(&self, _: &Ray, hit: &Hit, _: &RayFootprint) -> [f32; 3] {
