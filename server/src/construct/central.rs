@@ -2,6 +2,7 @@
 
 use super::{
     caster::{Facet, SubsetCaster},
+    colour::RAYS_ACROSS,
     sample::{self, Prediction, Sample, Tolerance},
     sight::Looked,
     view::{Lens, Rig},
@@ -13,9 +14,6 @@ use rayon::prelude::*;
 /// Rays traced together: enough to share a call, few enough to keep both threads busy to the end.
 const BATCH: usize = 2048;
 
-/// Textures are filtered over this share of a pixel across; [`super::colour`] averages such rays over the pixel. A whole pixel blurs twice: the warp interpolates between samples.
-const FILTERED: f64 = 0.5;
-
 /// Turns hits into samples of one camera, remembering the last plane: neighbours mostly share it.
 pub(super) struct Surveyor<'a, C> {
     caster: &'a C,
@@ -26,7 +24,8 @@ pub(super) struct Surveyor<'a, C> {
 
 impl<'a, C: SubsetCaster> Surveyor<'a, C> {
     pub fn new(caster: &'a C, lens: &'a Lens) -> Self {
-        let s = FILTERED / lens.pixels_per_unit;
+        // Textures are filtered over what one of the rays stands for that are averaged.
+        let s = 1.0 / (lens.pixels_per_unit * f64::from(RAYS_ACROSS));
         let footprint = RayFootprint { direction_dx: lens.basis.right * s, direction_dy: -lens.basis.up * s };
         Self { caster, lens, footprint, last: None }
     }

@@ -18,31 +18,26 @@ use ldi_protocol::shade::srgb8_from_linear;
 /// shading gradients, which a mean does not change; larger leaves visible steps.
 const VISIBLE: u8 = 4;
 
+/// Rays that are averaged, across a pixel and down it. One blurs textures (docs/decisions.md); more cost a build their square.
+pub(super) const RAYS_ACROSS: u32 = 2;
+
 /// Averages the colours of the layers in place; returns the number of rays.
-pub(super) fn average<C: SubsetCaster>(
-    caster: &C,
-    rig: &Rig,
-    layers: &mut [RawLayer],
-    tolerance: &Tolerance,
-    per_side: u32,
-) -> u64 {
-    if per_side < 2 {
-        return 0;
-    }
+pub(super) fn average<C: SubsetCaster>(caster: &C, rig: &Rig, layers: &mut [RawLayer], tolerance: &Tolerance) -> u64 {
     let mut rays = 0;
     for layer in layers {
         let marked = uneven(layer, rig.window.width);
-        let mut items: Vec<(Prediction, f64, f64)> = Vec::with_capacity(marked.len() * (per_side * per_side) as usize);
+        let mut items: Vec<(Prediction, f64, f64)> =
+            Vec::with_capacity(marked.len() * (RAYS_ACROSS * RAYS_ACROSS) as usize);
         for &i in &marked {
-            for sub in 0..per_side * per_side {
-                let at = |k: u32| (f64::from(k) + 0.5) / f64::from(per_side) - 0.5;
-                items.push((layer.samples[i], at(sub % per_side), at(sub / per_side)));
+            for sub in 0..RAYS_ACROSS * RAYS_ACROSS {
+                let at = |k: u32| (f64::from(k) + 0.5) / f64::from(RAYS_ACROSS) - 0.5;
+                items.push((layer.samples[i], at(sub % RAYS_ACROSS), at(sub / RAYS_ACROSS)));
             }
         }
         rays += items.len() as u64;
         let ray_of = |(p, du, dv): &(Prediction, f64, f64)| ray_beside(rig, p, [*du, *dv], tolerance);
         let colours = traced(caster, rig, &items, ray_of, |surveyor, _, ray, hit| hit.map(|h| surveyor.linear(ray, h)));
-        for (i, seen) in marked.into_iter().zip(colours.chunks((per_side * per_side) as usize)) {
+        for (i, seen) in marked.into_iter().zip(colours.chunks((RAYS_ACROSS * RAYS_ACROSS) as usize)) {
             let mut sum = [0.0_f32; 3];
             let mut n = 0.0_f32;
             for c in seen.iter().flatten() {

@@ -67,8 +67,6 @@ use view::{Rig, View};
 pub struct ConstructOptions {
     /// The picture the dataset is made for: sets how fine disparities must be and what users can see.
     pub output: OutputCamera,
-    /// Colours are averaged over this many by this many rays per pixel where neighbours differ; 1 turns it off. At most 8.
-    pub sub_rays_per_side: u32,
     /// Largest number of pixels of an image; more is an error, as memory grows by 100 bytes each.
     pub max_pixels: u64,
     /// Repeat samples where a surface changes layer, so that it stays linked.
@@ -78,7 +76,7 @@ pub struct ConstructOptions {
 impl ConstructOptions {
     /// Defaults for a picture.
     pub fn new(output: OutputCamera) -> Self {
-        Self { output, sub_rays_per_side: 2, max_pixels: 1 << 26, bridges: true }
+        Self { output, max_pixels: 1 << 26, bridges: true }
     }
 }
 
@@ -311,7 +309,7 @@ fn tile<C: SubsetCaster>(
     stats.rays.slivers = rays;
     stats.slivers = slivers.len() as u32;
     stats.rays.ends = raw.iter_mut().map(|l| ends::measure(caster, &rig, l, &tolerance)).sum();
-    stats.rays.colour = colour::average(caster, &rig, &mut raw, &tolerance, options.sub_rays_per_side.min(8));
+    stats.rays.colour = colour::average(caster, &rig, &mut raw, &tolerance);
     let codes = layers::codes(&rig, &raw, slivers.iter().flat_map(|s| s.disparities()));
     let sizes = quality::measure(&rig, plan, &options.output, &raw);
     stats.stretch_p99_px = sizes.stretch_p99;

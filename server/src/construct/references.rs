@@ -155,7 +155,7 @@ fn shoot<C: SubsetCaster>(
     layer.links = layers::links(&layer.samples, rig.window.width, &tolerance);
     rays += ends::measure(caster, &rig, &mut layer, &tolerance);
     let mut layers = [layer];
-    rays += colour::average(caster, &rig, &mut layers, &tolerance, options.sub_rays_per_side.min(8));
+    rays += colour::average(caster, &rig, &mut layers, &tolerance);
     let [layer] = layers;
     Ok(Shot { rig, layer, normals, open, rays })
 }

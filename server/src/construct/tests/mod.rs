@@ -16,6 +16,7 @@ use crate::octree::{Clusters, Octree};
 use crate::placement::{Gaze, ImagePlan, PlacementPlan};
 use crate::render::Caster;
 use glam::DVec3;
+use ldi_protocol::shade::srgb8_from_linear;
 use ldi_protocol::{
     Aabb, ViewBasis,
     ldi::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, SIDES, Sliver, SliverCorner, end_of},
@@ -306,6 +307,20 @@ fn colours_are_averaged_over_the_pixel_where_they_change() {
     }
     let border = samples(&made.ldi).iter().filter(|s| s.1 == column || s.1 + 1 == column).count() as u64;
     assert_eq!(made.stats.rays.colour, border * 4, "only the border's two columns are averaged");
+}
+
+#[test]
+fn textures_are_averaged_over_the_pixel_and_no_more() {
+    let metres_per_pixel = 10.0 / OUTPUT.focal_px();
+    // Half a period is less than two pixels: every pixel has a neighbour of another colour.
+    let period = 3.3 * metres_per_pixel;
+    let wall = Analytic::default().rect([-20.0, -20.0, -10.0], [40.0, 0.0, 0.0], [0.0, 40.0, 0.0], None, [1.0; 3]);
+    let ldi = made(&Analytic { grating_m: Some(period), ..wall }, &plan(9.0, [1e-6; 3])).ldi;
+    for s in samples(&ldi) {
+        let left = (s.1 + i64::from(ldi.camera.left)) as f64 * metres_per_pixel;
+        let expected = srgb8_from_linear(scenes::lit_share(period, left, left + metres_per_pixel));
+        assert!(s.4.iter().all(|c| c.abs_diff(expected) <= 1), "column {}: {:?}, not {expected}", s.1, s.4);
+    }
 }
 
 #[test]

@@ -32,6 +32,8 @@ pub(super) struct Analytic {
     pub pieces: Vec<Piece>,
     /// What stays: an opaque scene that images do not hold.
     pub staying: Option<Box<Analytic>>,
+    /// Period of a texture on everything, metres along x: lit for the first half of each, dark for the second.
+    pub grating_m: Option<f64>,
 }
 
 impl Analytic {
@@ -140,9 +142,19 @@ impl SubsetCaster for Analytic {
         Facet { normal, surface: hit.triangle & 15 }
     }
 
-    fn shade(&self, _: &Ray, hit: &Hit, _: &RayFootprint) -> [f32; 3] {
-        self.pieces[(hit.triangle & 15) as usize].linear
+    fn shade(&self, ray: &Ray, hit: &Hit, footprint: &RayFootprint) -> [f32; 3] {
+        let linear = self.pieces[(hit.triangle & 15) as usize].linear;
+        let Some(period) = self.grating_m else { return linear };
+        let x = (ray.origin + ray.direction * hit.t).x;
+        let half = 0.5 * footprint.direction_dx.x * hit.t;
+        linear.map(|c| c * lit_share(period, x - half, x + half))
     }
+}
+
+/// How much of a grating is lit between two places along x, as a share.
+pub(super) fn lit_share(period: f64, from: f64, to: f64) -> f32 {
+    let lit_until = |x: f64| ((x / period).floor() + (2.0 * (x / period).rem_euclid(1.0)).min(1.0)) * 0.5 * period;
+    ((lit_until(to) - lit_until(from)) / (to - from)) as f32
 }
 
 /// A small picture, so that tests are quick.
