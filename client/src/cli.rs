@@ -437,7 +437,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         s.mean_flip.map_or(String::new(), |f| format!(", mean FLIP {f:.4}"))
             + &s.flip_over_baseline.map_or(String::new(), |r| format!(
                 " ({:.2} x the baseline's over {} frames with images, worst frame {:.2} x, far pixels {:.2} x)",
-                r.mean, r.frames, r.worst, r.far
+                r.mean, r.frames, r.worst, r.far_by_pixel
             )),
         s.bytes_total,
         s.frames_incomplete,

@@ -107,21 +107,30 @@ pub struct FlipRatio {
     pub mean: f64,
     /// Largest over largest.
     pub worst: f64,
-    /// Mean over mean, of the pixels that we warped.
+    /// Mean over mean, of the pixels that we warped; every frame counts alike, however few it has.
     pub far: f64,
+    /// The same, every pixel counting alike.
+    pub far_by_pixel: f64,
 }
 
 impl FlipRatio {
     fn new(frames: &[FrameReport]) -> Option<Self> {
         let both = |f: &FrameReport| {
-            f.flip_far.zip(f.flip_baseline_far).zip(f.flip.zip(f.flip_baseline)).map(|(far, all)| [all, far])
+            let far = f.flip_far.zip(f.flip_baseline_far)?;
+            Some([f.flip.zip(f.flip_baseline)?, far, (far.0 * f.far_fraction, far.1 * f.far_fraction)])
         };
-        let pairs: Vec<[(f64, f64); 2]> = frames.iter().filter_map(both).collect();
+        let pairs: Vec<[(f64, f64); 3]> = frames.iter().filter_map(both).collect();
         let ratio = |reduce: &dyn Fn(Vec<f64>) -> Option<f64>, which: usize| {
             let side = |pick: fn(&(f64, f64)) -> f64| reduce(pairs.iter().map(|p| pick(&p[which])).collect());
             Some(side(|p| p.0)? / side(|p| p.1)?)
         };
-        Some(Self { frames: pairs.len(), mean: ratio(&mean, 0)?, worst: ratio(&largest, 0)?, far: ratio(&mean, 1)? })
+        Some(Self {
+            frames: pairs.len(),
+            mean: ratio(&mean, 0)?,
+            worst: ratio(&largest, 0)?,
+            far: ratio(&mean, 1)?,
+            far_by_pixel: ratio(&mean, 2)?,
+        })
     }
 }
 
@@ -465,24 +474,28 @@ mod tests {
 
     #[test]
     fn the_ratio_to_the_baseline_is_over_frames_that_warped() {
-        let frame = |flip: Option<f64>, far: Option<f64>, baseline: [f64; 2]| FrameReport {
+        let frame = |flip: Option<f64>, far: Option<f64>, far_fraction: f64, baseline: [f64; 2]| FrameReport {
             flip,
             flip_far: far,
             flip_baseline: Some(baseline[0]),
             flip_baseline_far: far.map(|_| baseline[1]),
+            far_fraction,
             ..FrameReport::default()
         };
         let frames = [
-            frame(Some(0.02), Some(0.04), [0.02, 0.01]),
+            frame(Some(0.02), Some(0.04), 0.1, [0.02, 0.01]),
             // Geometry alone, and one without truth.
-            frame(Some(0.9), None, [0.1, 0.1]),
-            frame(None, None, [0.1, 0.1]),
-            frame(Some(0.04), Some(0.06), [0.01, 0.03]),
+            frame(Some(0.9), None, 0.0, [0.1, 0.1]),
+            frame(None, None, 0.0, [0.1, 0.1]),
+            frame(Some(0.04), Some(0.06), 0.4, [0.01, 0.03]),
         ];
         let got = FlipRatio::new(&frames).expect("two frames");
         assert_eq!(got.frames, 2);
-        let want = [0.06 / 0.03, 0.04 / 0.02, 0.1 / 0.04];
-        assert!([got.mean, got.worst, got.far].iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-12), "{got:?}");
+        let want = [0.06 / 0.03, 0.04 / 0.02, 0.1 / 0.04, 0.028 / 0.013];
+        assert!(
+            [got.mean, got.worst, got.far, got.far_by_pixel].iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-12),
+            "{got:?}"
+        );
         assert_eq!(FlipRatio::new(&frames[1..3]), None);
     }
 

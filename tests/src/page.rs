@@ -70,7 +70,7 @@ impl Page<'_> {
                         r("mean"),
                         number(r("frames")),
                         r("worst"),
-                        r("far")
+                        r("far_by_pixel")
                     )
                 }
                 None => "no frame used images".into(),
@@ -293,7 +293,7 @@ mod tests {
         let walk = json!({
             "summary": {
                 "frames": 2, "mean_flip": 0.05, "budget_triangles": 1000,
-                "flip_over_baseline": { "frames": 1, "mean": 1.25, "worst": 1.5, "far": 2.0 }
+                "flip_over_baseline": { "frames": 1, "mean": 1.25, "worst": 1.5, "far": 3.0, "far_by_pixel": 2.0 }
             },
             "frames": [ { "index": 0, "triangles": 10, "flip": 0.05 }, { "index": 7, "triangles": 20, "flip": null, "far_fraction": 0.1 } ]
         });
