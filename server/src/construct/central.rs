@@ -56,6 +56,7 @@ impl<'a, C: SubsetCaster> Surveyor<'a, C> {
             surface: facet.surface,
             triangle: hit.triangle,
             rgb: self.linear(ray, hit).map(srgb8_from_linear),
+            apart: [0; 2],
         }
     }
 }

@@ -55,7 +55,7 @@ impl Known {
         &of_row[first..first + count]
     }
 
-    /// Whether a prediction is the same piece of surface as something in its pixel.
+    /// Whether a prediction is the same piece of surface as something in its pixel, or none that is wanted.
     pub fn has(&self, p: &Prediction, tolerance: &Tolerance) -> bool {
         let central = &self.central[p.0 as usize];
         // Nothing can be found on a ray that hit nothing, or before its first hit; nor is anything wanted where nobody looks.
@@ -125,6 +125,7 @@ pub(super) fn trace_construction<C: SubsetCaster>(
             surface: facet.surface,
             triangle: hit.triangle,
             rgb: [0; 3],
+            apart: camera.apart(d, gradient),
         };
         let prediction = (pixel as u32, sample);
         if known.has(&prediction, tolerance) { Seen::Known } else { Seen::New(prediction, *from) }
@@ -155,7 +156,7 @@ pub(super) fn recast<C: SubsetCaster>(
     };
     let result = |surveyor: &mut Surveyor<'_, C>, p: &Prediction, ray: &Ray, hit: Option<&Hit>| {
         let hit = hit?;
-        let found = surveyor.sample(ray, hit);
+        let found = Sample { apart: p.1.apart, ..surveyor.sample(ray, hit) };
         let near = (found.disparity - p.1.disparity).abs() <= 2.0 * tolerance.step;
         (near || found.surface == p.1.surface).then_some((p.0, found))
     };
@@ -172,6 +173,32 @@ pub(super) fn recast<C: SubsetCaster>(
         .collect();
     known.add(new, tolerance);
     Recast { rays, missed }
+}
+
+/// Predicts what lies between a hit of a construction camera and the next piece of its surface in the row or column, where the camera's
+/// pixels are farther apart than [`ring`] reaches ([`Sample::apart`]).
+pub(super) fn between(rig: &Rig, known: &Known, tolerance: &Tolerance) -> Vec<Prediction> {
+    let (width, height) = (rig.window.width, rig.window.height);
+    let gap = |(pixel, s): &Prediction, axis: usize, sign: f32| {
+        let (column, row) = (pixel % width, pixel / width);
+        let (stride, room) = match (axis, sign > 0.0) {
+            (0, true) => (1, width - 1 - column),
+            (0, false) => (1, column),
+            (_, true) => (width, height - 1 - row),
+            (_, false) => (width, row),
+        };
+        let at = |k: u32| {
+            let there = if sign > 0.0 { pixel + k * stride } else { pixel - k * stride };
+            let disparity = s.disparity + sign * k as f32 * s.gradient[axis];
+            (there, Sample { disparity: disparity.clamp(0.25 * s.disparity, 4.0 * s.disparity), ..*s })
+        };
+        // A ray between two hits may have brought nothing.
+        let reach = 2 * u32::from(s.apart[axis]);
+        let beyond = (1..=room.min(reach)).find(|k| known.has(&at(*k), tolerance));
+        (1..beyond.unwrap_or(1)).map(at).collect::<Vec<_>>()
+    };
+    let sides = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)];
+    known.deeper.par_iter().flat_map_iter(|d| sides.into_iter().flat_map(|(axis, sign)| gap(d, axis, sign))).collect()
 }
 
 /// Passes of [`ring`]: around every sample, twice as construction cameras have half the resolution, then into what is still open on three

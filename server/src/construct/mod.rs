@@ -9,7 +9,7 @@
 //! - The centre of projection is the middle of the users' box. Where eyes stand is known with view cells: rays from there find what shows past the
 //!   cells that stay, and the image holds that alone (`sight`); construction cameras stand where they see most that the central image does not.
 //!   With the paper's grid they stand in the corners of the users' box.
-//! - Construction cameras have a quarter of the pixels: what they find is cast again at full resolution.
+//! - Construction cameras have a quarter of the pixels: what they find is cast again at full resolution, and so is what lies between their hits.
 //! - A construction camera traces only what the central image cannot explain (`explain`): rays that meet known
 //!   surfaces through known emptiness bring nothing new. That is nine tenths of them.
 //! - Merging compares planes, not depths (`sample`), and each merged sample is cast again through its pixel's centre (`merge`):
@@ -295,6 +295,8 @@ fn tile<C: SubsetCaster>(
         recast_seconds += before_recast.elapsed().as_secs_f64();
     }
     let before_ring = Instant::now();
+    let predictions = merge::between(&rig, &known, &tolerance);
+    stats.rays.ring += merge::recast(caster, &rig, &mut known, predictions, &tolerance).rays;
     for sides in merge::RING_SIDES {
         let predictions = merge::ring(&rig, &known, &tolerance, sides);
         stats.rays.ring += merge::recast(caster, &rig, &mut known, predictions, &tolerance).rays;

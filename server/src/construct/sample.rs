@@ -21,6 +21,11 @@ pub(super) struct Sample {
     pub triangle: u32,
     /// sRGB.
     pub rgb: [u8; 3],
+    /// Pixels along each axis from one hit of the construction camera that found it to the next; 0: the centre of projection did.
+    ///
+    /// Where the centre faces a surface that eyes see at a grazing angle, a camera's pixel is many of the image's long: a wall behind a door
+    /// would have a slit after every hit.
+    pub apart: [u8; 2],
 }
 
 /// A sample to be: its pixel, and the disparity at the pixel's centre that its plane predicts.

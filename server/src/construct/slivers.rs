@@ -51,11 +51,7 @@ pub(super) struct Candidate {
 
 /// Along which axis (0: to the next column, 1: row) a surface is steep for a camera; None: along neither.
 pub(super) fn steep_axis(camera: &ConstructionCamera, s: &Sample) -> Option<usize> {
-    let (k, d) = (camera.shift.k, f64::from(s.disparity));
-    let [gu, gv] = s.gradient.map(f64::from);
-    let w = 1.0 / (1.0 - camera.shift.forward * d);
-    let across = (1.0 - k.x * gu).hypot(k.y * gu) * w;
-    let down = (k.x * gv).hypot(1.0 - k.y * gv) * w;
+    let [across, down] = camera.steps(f64::from(s.disparity), s.gradient);
     (across.max(down) > STEEP).then_some(usize::from(down > across))
 }
 

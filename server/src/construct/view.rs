@@ -25,6 +25,21 @@ impl ConstructionCamera {
         (u / self.scale, v / self.scale)
     }
 
+    /// How long a step to the image's next column, and to its next row, is in the picture of this camera at full scale, on a surface with this disparity and
+    /// gradient, pixels.
+    pub fn steps(&self, disparity: f64, gradient: [f32; 2]) -> [f64; 2] {
+        let [gu, gv] = gradient.map(f64::from);
+        let k = self.shift.k;
+        let w = 1.0 / (1.0 - self.shift.forward * disparity);
+        [(1.0 - k.x * gu).hypot(k.y * gu) * w, (k.x * gv).hypot(1.0 - k.y * gv) * w]
+    }
+
+    /// How many pixels of the image lie from one of its rays to the next on such a surface, along each axis, rounded up. At most 32, by
+    /// judgement: what it sees still more steeply shows as a line.
+    pub fn apart(&self, disparity: f64, gradient: [f32; 2]) -> [u8; 2] {
+        self.steps(disparity, gradient).map(|step| (1.0 / (self.scale * step)).ceil().min(32.0) as u8)
+    }
+
     /// The pixels of another window, at full scale, that have the directions of a pixel.
     pub fn same_directions<'a>(&self, pixel: u32, window: &'a Window) -> impl Iterator<Item = u32> + use<'a> {
         let (u, v) = self.centre(pixel as usize);

@@ -240,6 +240,33 @@ fn surfaces_end_between_pixels_where_they_do() {
 }
 
 #[test]
+fn a_wall_that_eyes_see_at_a_grazing_angle_has_no_slits() {
+    // A screen hides it from the centre; the eyes in the left front corners see it past the screen, eight columns of the image in a pixel of theirs.
+    let scene = Analytic::default().rect([-0.88, -3.0, -9.5], [1.4, 0.0, 0.0], [0.0, 6.0, 0.0], None, RED).rect(
+        [-1.0, -3.0, -11.0],
+        [1.2, 0.0, -6.0],
+        [0.0, 6.0, 0.0],
+        None,
+        GREY,
+    );
+    let mut plan = plan(9.0, [2.0, 1.0, 2.0]);
+    plan.pixels_per_unit *= 4.0;
+    let ldi = made(&scene, &plan).ldi;
+    let mut columns = std::collections::BTreeMap::<i64, Vec<i64>>::new();
+    let middle = i64::from(ldi.camera.height) / 2;
+    let of_wall = |s: &(usize, i64, i64, f64, [u8; 3], u8)| s.0 > 0 && s.3 < 1.0 / 11.5 && (s.2 - middle).abs() < 50;
+    for (_, column, row, ..) in samples(&ldi).into_iter().filter(of_wall) {
+        columns.entry(row).or_default().push(column);
+    }
+    assert_eq!(columns.len(), 99);
+    for (row, columns) in columns {
+        assert!(columns.len() > 30, "row {row} holds {} columns of the wall", columns.len());
+        let slit = columns.windows(2).find(|c| c[1] > c[0] + 1);
+        assert_eq!(slit, None, "row {row}");
+    }
+}
+
+#[test]
 fn an_image_of_one_column_is_sound() {
     let pixel = 1.0 / OUTPUT.focal_px();
     let narrow = ImagePlan { window: [0.2 * pixel, 0.8 * pixel, -0.5, 0.5], ..plan(9.0, [1.0, 0.6, 1.0]) };
