@@ -159,7 +159,11 @@ pub fn draw_list_of(
     show: ShowPortals,
 ) -> DrawList {
     let Some(rooms) = &index.rooms else {
-        return grid_list(index, groups, select(index, pose), pose, picture_half_tan);
+        let list = grid_list(index, groups, select(index, pose), pose, picture_half_tan);
+        return match index.walks_by_tree() {
+            true => DrawList { tree: tree_chunks(index, pose, picture_half_tan), ..list },
+            false => list,
+        };
     };
     let list = portals::draw_list(index, rooms, pose, picture_half_tan, show);
     if list.dropped == 0 || index.points.is_empty() {
@@ -215,9 +219,13 @@ fn grid_list(
     }
     let (cells, triangles, dropped) = within_budget(index, seen, triangles);
     let images = selection.placement.map_or_else(Vec::new, |p| frusta.images_in_view(index, p, pose));
-    let tree = if index.walks_by_tree() { tree_chunks(index, pose, picture_half_tan) } else { Vec::new() };
-    let (rooms, portals) = (Vec::new(), Vec::new());
+    let (tree, rooms, portals) = (Vec::new(), Vec::new(), Vec::new());
     DrawList { selection, cells, images, triangles, dropped, tree, rooms, portals }
+}
+
+/// Cells that a pose draws where all else comes from the LDI tree, near to far.
+pub fn cells_before_tree(index: &Index, groups: &CellGroups, pose: &Pose, picture_half_tan: (f64, f64)) -> Vec<u32> {
+    grid_list(index, groups, Selection { grid_point: None, placement: None }, pose, picture_half_tan).cells
 }
 
 /// Of some cells and images, those that a pose draws, in no order. As [`draw_list_of`] finds them in a dataset with grid points, but for cells that would be left out because the

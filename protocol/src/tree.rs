@@ -16,7 +16,7 @@
 
 mod cut;
 
-pub use cut::{Cut, CutNode, CutOptions, Lens, cut};
+pub use cut::{Cut, CutNode, CutOptions, Lens, cut, lacking, lacking_below};
 
 use crate::{
     Aabb,

@@ -96,6 +96,40 @@ impl Ord for Candidate {
     }
 }
 
+/// How a view sees the nodes of a tree.
+struct Eye<'a> {
+    tree: &'a Tree,
+    pose: &'a Pose,
+    frustum: Frustum,
+    /// Pixels per radian, where that is most.
+    scale: f64,
+}
+
+impl<'a> Eye<'a> {
+    fn new(tree: &'a Tree, pose: &'a Pose, lens: &Lens) -> Self {
+        let frustum = Frustum::new(pose.position, &pose.basis(), lens.half_tan_x, lens.half_tan_y);
+        // The largest angle between the line of sight and a ray: a pixel's stamp is P f / depth, and depth is at least the
+        // distance times its cosine.
+        let slant = (1.0 + lens.half_tan_x.powi(2) + lens.half_tan_y.powi(2)).sqrt();
+        Self { tree, pose, frustum, scale: lens.focal_px * slant }
+    }
+
+    fn distance(&self, node: &TreeNode) -> f64 {
+        self.tree.bounds_of(node).distance(self.pose.position)
+    }
+
+    /// Bound on the size of its samples, output pixels.
+    fn stamp_px(&self, node: &TreeNode) -> f64 {
+        let distance = self.distance(node);
+        if distance <= 0.0 { f64::INFINITY } else { self.tree.pitch_of(node.level) * self.scale / distance }
+    }
+
+    /// Samples on a cell's border reach half a pitch beyond it.
+    fn sees(&self, node: &TreeNode) -> bool {
+        self.frustum.may_intersect(&self.tree.bounds_of(node).inflated(self.tree.pitch_of(node.level)))
+    }
+}
+
 /// The nodes that a view draws. `held` tells whether a chunk is at hand.
 pub fn cut(tree: &Tree, pose: &Pose, lens: &Lens, options: &CutOptions, held: impl Fn(u32) -> bool) -> Cut {
     let mut out = Cut::default();
@@ -103,25 +137,14 @@ pub fn cut(tree: &Tree, pose: &Pose, lens: &Lens, options: &CutOptions, held: im
         out.missing.push(tree.root_chunk);
         return out;
     }
-    let basis = pose.basis();
-    let frustum = Frustum::new(pose.position, &basis, lens.half_tan_x, lens.half_tan_y);
-    // The largest angle between the line of sight and a ray: a pixel's stamp is P f / depth, and depth is at least the
-    // distance times its cosine.
-    let slant = (1.0 + lens.half_tan_x.powi(2) + lens.half_tan_y.powi(2)).sqrt();
-    let stamp = |node: &TreeNode| {
-        let distance = tree.bounds_of(node).distance(pose.position);
-        let pitch = tree.pitch_of(node.level);
-        if distance <= 0.0 { f64::INFINITY } else { pitch * lens.focal_px * slant / distance }
-    };
-    // Samples on a cell's border reach half a pitch beyond it.
-    let in_view = |node: &TreeNode| frustum.may_intersect(&tree.bounds_of(node).inflated(tree.pitch_of(node.level)));
+    let eye = Eye::new(tree, pose, lens);
     let mut heap = BinaryHeap::new();
     let visit = |number: u32, home: (u32, u8), heap: &mut BinaryHeap<Candidate>| -> u64 {
         let node = &tree.nodes[number as usize];
-        if !in_view(node) {
+        if !eye.sees(node) {
             return 0;
         }
-        heap.push(Candidate { stamp_px: stamp(node), node: number, home });
+        heap.push(Candidate { stamp_px: eye.stamp_px(node), node: number, home });
         node.samples.into()
     };
     let mut samples = visit(0, (tree.root_chunk, 0), &mut heap);
@@ -133,7 +156,7 @@ pub fn cut(tree: &Tree, pose: &Pose, lens: &Lens, options: &CutOptions, held: im
             let more: u64 = children
                 .clone()
                 .map(|c| &tree.nodes[c as usize])
-                .filter(|c| in_view(c))
+                .filter(|c| eye.sees(c))
                 .map(|c| u64::from(c.samples))
                 .sum();
             let after = samples - u64::from(node.samples - node.unfiltered) + more;
@@ -154,7 +177,34 @@ pub fn cut(tree: &Tree, pose: &Pose, lens: &Lens, options: &CutOptions, held: im
         }
     }
     out.samples = samples;
-    let distance = |c: &CutNode| tree.bounds_of(&tree.nodes[c.node as usize]).distance(pose.position);
+    let distance = |c: &CutNode| eye.distance(&tree.nodes[c.node as usize]);
     out.nodes.sort_by(|a, b| distance(a).total_cmp(&distance(b)).then(a.node.cmp(&b.node)));
     out
+}
+
+/// Per node, whether the chunk of its children or one below is absent: where [`lacking`] descends. Once for many views.
+pub fn lacking_below(tree: &Tree, absent: impl Fn(u32) -> bool) -> Vec<bool> {
+    let mut below = vec![false; tree.nodes.len()];
+    // Children come after their parent.
+    for (number, node) in tree.nodes.iter().enumerate().rev() {
+        below[number] = node.children > 0 && (absent(node.chunk) || node.child_range().any(|c| below[c as usize]));
+    }
+    below
+}
+
+/// The absent chunks among those that a view descends to, with samples of one output pixel and no bound on their number: as of [`cut`] with all at hand, but in the
+/// order of the tree, and looking only at what [`lacking_below`] says, `below`.
+pub fn lacking(tree: &Tree, pose: &Pose, lens: &Lens, below: &[bool], absent: impl Fn(u32) -> bool) -> Vec<u32> {
+    let eye = Eye::new(tree, pose, lens);
+    let mut found: Vec<u32> = absent(tree.root_chunk).then_some(tree.root_chunk).into_iter().collect();
+    let mut open = vec![0];
+    while let Some(number) = open.pop() {
+        let node = &tree.nodes[number as usize];
+        if !below[number as usize] || !eye.sees(node) || eye.stamp_px(node) <= CutOptions::default().stamp_px {
+            continue;
+        }
+        found.extend(absent(node.chunk).then_some(node.chunk));
+        open.extend(node.child_range());
+    }
+    found
 }

@@ -243,3 +243,30 @@ fn forged_chunks_are_refused() {
     bad.nodes[1].samples.swap(0, 1);
     assert!(codec::tree::encode(&bad, 1).is_err());
 }
+
+#[test]
+fn what_a_view_lacks_of_a_tree_is_what_a_cut_descends_to_and_nobody_holds() {
+    let t = tree(6);
+    let lens = Lens::from(&CAMERA);
+    let chunks = t.broods().count() as u32;
+    let mut looked = 0;
+    for seed in 0..200u32 {
+        let random =
+            |k: u32| (seed.wrapping_mul(2_654_435_761) ^ k.wrapping_mul(40_503)).wrapping_mul(2_246_822_519) >> 16;
+        let along = |k: u32| f64::from(random(k) % 1_000) / 100.0 - 5.0;
+        let pose = Pose {
+            position: DVec3::new(along(1), along(2), along(3)),
+            yaw_deg: 36.0 * along(4),
+            pitch_deg: 5.0 * along(5),
+        };
+        let absent = |chunk: u32| random(chunk + 10) % (1 + seed % 5) == 0;
+        let mut found = lacking(&t, &pose, &lens, &lacking_below(&t, absent), absent);
+        found.sort_unstable();
+        // What is held of a chunk shows in `missing` if nothing but this one is not.
+        let wanted = (0..chunks)
+            .filter(|c| absent(*c) && cut(&t, &pose, &lens, &CutOptions::default(), |x| x != *c).missing == [*c]);
+        assert_eq!(found, wanted.collect::<Vec<_>>(), "seed {seed}");
+        looked += found.len();
+    }
+    assert!(looked > 1_000, "{looked}");
+}

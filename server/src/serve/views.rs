@@ -6,7 +6,8 @@ use ldi_protocol::{
     index::{CellEntry, Index},
     need::{Needed, needed},
     room_index::ShowPortals,
-    select::{CellGroups, draw_list_of, draws_among},
+    select::{CellGroups, cells_before_tree, draw_list_of, draws_among},
+    tree::{Lens, lacking, lacking_below},
 };
 use std::sync::{
     Arc,
@@ -70,11 +71,24 @@ impl Views for SelectViews {
         needed(&self.index, &list.images, &list.cells, &list.tree)
     }
 
-    /// Looks only at cells and images that lack something: where most is there, a small part of the work. Where rooms or the LDI tree decide what is drawn it looks at all.
+    /// Looks only at cells, images and nodes of the LDI tree that lack something: where most is there, a small part of the work. Where rooms decide what is drawn it looks at all.
     fn lacking(&self, poses: &[Pose], absent: &dyn Fn(u32) -> bool) -> Vec<Vec<u32>> {
         let index = &*self.index;
         let of = |n: Needed| -> Vec<u32> { n.now.into_iter().chain(n.fine).filter(|c| absent(*c)).collect() };
-        if self.known.load(Relaxed) != Known::Whole as u8 || index.points.is_empty() || index.rooms.is_some() {
+        let whole = self.known.load(Relaxed) == Known::Whole as u8;
+        if let Some(tree) = index.tree.as_ref().filter(|_| whole && index.walks_by_tree()) {
+            let (half_tan_x, half_tan_y) = self.picture_half_tan;
+            let lens = Lens { half_tan_x, half_tan_y, focal_px: index.settings.camera.focal_px() };
+            let below = lacking_below(tree, absent);
+            let of_pose = |pose: &Pose| {
+                let cells = cells_before_tree(index, &self.groups, pose, self.picture_half_tan);
+                let mut chunks = of(needed(index, &[], &cells, &[]));
+                chunks.extend(lacking(tree, pose, &lens, &below, absent));
+                chunks
+            };
+            return poses.iter().map(of_pose).collect();
+        }
+        if !whole || index.points.is_empty() || index.rooms.is_some() {
             return poses.iter().map(|pose| of(self.needed(pose))).collect();
         }
         let textures: Vec<bool> = index.textures.iter().map(|t| t.chunks.iter().any(|c| absent(c.chunk))).collect();
