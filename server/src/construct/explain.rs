@@ -17,7 +17,7 @@
 //! In later rounds a pixel counts as explained where the surface behind the sheet is one that an earlier construction camera found.
 
 use super::{
-    sample::{Sample, Tolerance},
+    sample::{Sample, Tolerance, bounded},
     sight::Open,
     view::{COARSENESS, ConstructionCamera, Rig, View, Window},
 };
@@ -517,10 +517,4 @@ fn torn(a: &Sample, b: &Sample, axis: usize, tolerance: &Tolerance) -> bool {
         return a.disparity.max(b.disparity) > 0.0 && a.disparity.min(b.disparity) == 0.0;
     }
     a.triangle != b.triangle && !tolerance.continuous(a, b, axis)
-}
-
-/// The disparity of a sample's plane elsewhere in its pixel, within reason.
-#[inline]
-fn bounded(s: &Sample, change: f32) -> f32 {
-    (s.disparity + change).clamp(0.25 * s.disparity, 4.0 * s.disparity)
 }

@@ -8,7 +8,7 @@
 use super::{
     caster::SubsetCaster,
     central::{Surveyor, short_ray, traced},
-    sample::{self, Prediction, Sample, Tolerance},
+    sample::{self, Prediction, Sample, Tolerance, bounded},
     view::{ConstructionCamera, Rig},
 };
 use crate::render::{Hit, Ray};
@@ -189,8 +189,7 @@ pub(super) fn between(rig: &Rig, known: &Known, tolerance: &Tolerance) -> Vec<Pr
         };
         let at = |k: u32| {
             let there = if sign > 0.0 { pixel + k * stride } else { pixel - k * stride };
-            let disparity = s.disparity + sign * k as f32 * s.gradient[axis];
-            (there, Sample { disparity: disparity.clamp(0.25 * s.disparity, 4.0 * s.disparity), ..*s })
+            (there, Sample { disparity: bounded(s, sign * k as f32 * s.gradient[axis]), ..*s })
         };
         // A ray between two hits may have brought nothing.
         let reach = 2 * u32::from(s.apart[axis]);
@@ -219,8 +218,7 @@ pub(super) fn ring(rig: &Rig, known: &Known, tolerance: &Tolerance, sides: usize
                 return None;
             }
             let change = dx as f32 * s.gradient[0] + dy as f32 * s.gradient[1];
-            let disparity = (s.disparity + change).clamp(0.25 * s.disparity, 4.0 * s.disparity);
-            let prediction = ((r * width + c) as u32, Sample { disparity, ..*s });
+            let prediction = ((r * width + c) as u32, Sample { disparity: bounded(s, change), ..*s });
             (!known.has(&prediction, tolerance)).then_some(prediction)
         })
     };

@@ -38,6 +38,12 @@ pub(super) const UNSEEN: f32 = -1.0;
 /// so nearly edge-on that its next pixel says nothing; a larger value lets such planes explain whatever lies behind them.
 const STEEPEST: f64 = 1.0;
 
+/// The disparity of a sample's plane where it has changed by so much, within reason: beyond four times the depth a plane is worthless.
+#[inline]
+pub(super) fn bounded(s: &Sample, change: f32) -> f32 {
+    (s.disparity + change).clamp(0.25 * s.disparity, 4.0 * s.disparity)
+}
+
 /// The gradient of disparity of the plane with normal `n` at image coordinates with ray `r` and disparity `d`.
 pub(super) fn gradient(lens: &Lens, n: DVec3, r: DVec3, d: f64) -> [f32; 2] {
     let facing = n.dot(r);
