@@ -135,6 +135,7 @@ fn scene() -> MemoryFeed {
             .map(|i| if i % 48 < 47 { LINK_RIGHT } else { 0 } | if i / 48 < 47 { LINK_DOWN } else { 0 })
             .collect(),
         ends: vec![],
+        slopes: vec![],
     }
     .with_half_ends();
     let ldi = Ldi {

@@ -4,7 +4,8 @@
 //! sample of mean disparity, which is exact amid a plane, and mean colour; what is not linked to it goes to a layer of its own. Sky is not halved: nobody asks a layout for it.
 
 use ldi_protocol::ldi::{
-    END_BITS, END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, LdiCamera, LdiLayer, SIDES, Segment, Sliver, end_of,
+    END_BITS, END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, LdiCamera, LdiLayer, SIDES, SLOPE_CODES, Segment, Sliver, end_of,
+    is_loose,
 };
 
 /// Columns of a segment's block.
@@ -113,7 +114,11 @@ fn halved_layer(fine: &LdiLayer, camera: &LdiCamera, half: &LdiCamera) -> Vec<Ld
             layer.rgb.push(std::array::from_fn(|c| (mean(c) + 0.5) as u8));
         }
         let sides = layer.linked_sides();
-        layer.ends = members.iter().zip(sides).map(|(m, sides)| ends(m, sides, fine, &linked)).collect();
+        layer.ends = members.iter().zip(&sides).map(|(m, sides)| ends(m, *sides, fine, &linked)).collect();
+        let slope = |((m, sides), ends): ((&Members, &u8), &u16)| {
+            [0, 1].map(|axis| if is_loose(*ends, *sides, axis) { slope(m, axis, fine) } else { 0 })
+        };
+        layer.slopes = members.iter().zip(&sides).zip(&layer.ends).map(slope).collect();
     }
     out.into_iter().map(|c| c.layer).filter(|l| !l.is_empty()).collect()
 }
@@ -144,6 +149,23 @@ fn groups(four: &Members, linked: &[u8]) -> [Members; 4] {
         std::array::from_fn(|g| std::array::from_fn(|p| if group[p] == g { four[p] } else { NONE }));
     out.sort_by_key(|m| m.iter().filter(|i| **i == NONE).count());
     out
+}
+
+/// Change of disparity of a group from its block to the next along an axis, as [`LdiLayer::slopes`].
+fn slope(members: &Members, axis: usize, fine: &LdiLayer) -> i8 {
+    let mean = |places: [usize; 2], of: &dyn Fn(usize) -> f64| {
+        let there = || places.into_iter().map(|p| members[p]).filter(|i| *i != NONE).map(|i| of(i as usize));
+        let n = there().count();
+        (n > 0).then(|| there().sum::<f64>() / n as f64)
+    };
+    let code = |i: usize| f64::from(fine.disparity[i]) / f64::from(SLOPE_CODES);
+    let told = |i: usize| f64::from(fine.slopes.get(i).map_or(0, |s| s[axis]));
+    let halves = if axis == 0 { [[0, 2], [1, 3]] } else { [[0, 1], [2, 3]] };
+    let per_pixel = match halves.map(|half| mean(half, &code)) {
+        [Some(a), Some(b)] => b - a,
+        _ => halves.into_iter().find_map(|half| mean(half, &told)).unwrap_or(0.0),
+    };
+    (2.0 * per_pixel).round() as i8
 }
 
 /// How far the surface of a group goes on beyond the middle of its block.

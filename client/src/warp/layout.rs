@@ -14,13 +14,13 @@
 //! Otherwise only the quarters of existing samples are covered: pairs that are linked make a half square
 //! (interpolated along the pair), single samples a quarter. A side that a linked pair spans is the straight line
 //! between the two centres in the squares on both its sides, so it cannot open. Where a sample has no linked
-//! neighbour, its cell continues on the plane given by the opposite link (planes are linear in disparity), or frontal
+//! neighbour, its cell continues on the plane given by the opposite link (planes are linear in disparity), or by the sample's slope
 //! without one, as far as the image says that the surface goes on. [`OVERLAP`] is added outward so that rounding and curvature do not open seams
 //! between surfaces that meet.
 
 use super::prepared::{OVERLAP, PADDING, Part, Pieces, Run, TILE_COLUMNS, TILE_ROWS, Tile};
 use crate::frame::{pack_rgb, unpack_rgb};
-use ldi_protocol::ldi::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, Sliver, SliverCorner, end_of};
+use ldi_protocol::ldi::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, SLOPE_CODES, Sliver, SliverCorner, end_of};
 use std::ops::Range;
 
 /// A corner of a piece, relative to the row of tiles' upper left.
@@ -129,6 +129,8 @@ pub struct Builder {
     colour: Vec<u32>,
     /// Where surfaces end, same layout.
     ends: Vec<u16>,
+    /// Change of disparity to the next column and row where no links tell it, 1/m, same layout.
+    slopes: Vec<[f32; 2]>,
     stride: usize,
     /// Samples in the window.
     samples: usize,
@@ -153,6 +155,7 @@ impl Builder {
             disparity: vec![0.0; stride * ROWS],
             colour: vec![0; stride * ROWS],
             ends: vec![0; stride * ROWS],
+            slopes: vec![[0.0; 2]; stride * ROWS],
             stride,
             samples: 0,
             occupied: vec![false; width.div_ceil(TILE_COLUMNS)],
@@ -176,6 +179,7 @@ impl Builder {
                 builder.occupied[column / TILE_COLUMNS] = true;
             }
         }
+        let slope_unit = (ldi.codes.step * f64::from(SLOPE_CODES)) as f32;
         for (i, row, column) in existing() {
             let at = row * stride + column + 1;
             let exists = |at: usize| builder.sample.get(at).is_some_and(|n| *n != NONE);
@@ -190,6 +194,7 @@ impl Builder {
             builder.disparity[at] = ldi.codes.disparity(layer.disparity[i]) as f32;
             builder.colour[at] = pack_rgb(layer.rgb[i]);
             builder.ends[at] = layer.ends[i];
+            builder.slopes[at] = layer.slopes[i].map(|s| f32::from(s) * slope_unit);
         }
         builder
     }
@@ -218,9 +223,11 @@ impl Builder {
         if let Some(n) = self.neighbour(at, step, bit, side) {
             return (0.5 * side as f32, (self.disparity[n] - here) * 0.5, mean_colour(own, self.colour[n]));
         }
-        let number = 2 * usize::from(bit == LINK_DOWN) + usize::from(side > 0);
-        let extent = f32::from(end_of(self.ends[at], number)) / f32::from(END_PARTS) + OVERLAP;
-        let slope = self.neighbour(at, step, bit, -side).map_or(0.0, |n| here - self.disparity[n]);
+        let axis = usize::from(bit == LINK_DOWN);
+        let extent =
+            f32::from(end_of(self.ends[at], 2 * axis + usize::from(side > 0))) / f32::from(END_PARTS) + OVERLAP;
+        let told = self.slopes[at][axis] * side as f32;
+        let slope = self.neighbour(at, step, bit, -side).map_or(told, |n| here - self.disparity[n]);
         (extent * side as f32, slope * extent, own)
     }
 

@@ -12,7 +12,7 @@ use super::{
 use crate::frame::{pack_rgb, unpack_rgb};
 use ldi_protocol::{
     OutputCamera, Pose,
-    ldi::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, SIDES, Sliver, SliverCorner, end_of},
+    ldi::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, SIDES, SLOPE_CODES, Sliver, SliverCorner, end_of},
 };
 use std::collections::BTreeMap;
 
@@ -58,6 +58,8 @@ struct Sample {
     colour: u32,
     links: u8,
     ends: u16,
+    /// Change of disparity to the next column and row, where no link tells it.
+    slopes: [f64; 2],
 }
 
 /// A layer as a map from (row, column) to samples.
@@ -177,6 +179,7 @@ impl Grid {
                     colour: pack_rgb(layer.rgb[i]),
                     links: layer.links[i],
                     ends: layer.ends[i],
+                    slopes: layer.slopes[i].map(|s| f64::from(i32::from(s) * SLOPE_CODES) * ldi.codes.step),
                 };
                 samples.insert((i64::from(segment.row), column), sample);
             }
@@ -210,7 +213,8 @@ impl Grid {
             SIDES.iter().position(|s| [i64::from(s[1]), i64::from(s[0])] == [step.0, step.1]).unwrap_or_default();
         let extent = f64::from(end_of(here.ends, side)) / f64::from(END_PARTS) + f64::from(OVERLAP);
         let back = (-step.0, -step.1);
-        let slope = if self.linked(at, back) { here.disparity - beside(back).disparity } else { 0.0 };
+        let slope =
+            if self.linked(at, back) { here.disparity - beside(back).disparity } else { here.slopes[side / 2] * sign };
         (extent * sign, slope * extent, [0.0; 3])
     }
 

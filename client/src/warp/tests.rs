@@ -11,7 +11,10 @@ use crate::lanes::Portable;
 use glam::DVec3;
 use ldi_protocol::{
     OutputCamera, Pose,
-    ldi::{DisparityCodes, END_BITS, END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, Segment, Sliver, SliverCorner},
+    ldi::{
+        DisparityCodes, END_BITS, END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, SLOPE_CODES, Segment, Sliver,
+        SliverCorner, is_loose,
+    },
 };
 
 const SCENES: [&str; 5] = ["frontal", "slanted", "sphere", "fence", "floor"];
@@ -147,7 +150,7 @@ fn fast_equals_reference() {
     }
 }
 
-/// The image with surfaces that end anywhere between pixels, and slivers before it.
+/// The image with surfaces that end anywhere between pixels, at any slope, and slivers before it.
 fn with_ends_and_slivers(mut ldi: Ldi) -> Ldi {
     let mut state = 5u64;
     let mut below = |n: u64| {
@@ -156,9 +159,12 @@ fn with_ends_and_slivers(mut ldi: Ldi) -> Ldi {
     };
     for layer in &mut ldi.layers {
         let sides = layer.linked_sides();
-        for (ends, linked) in layer.ends.iter_mut().zip(sides) {
+        for ((ends, slopes), linked) in layer.ends.iter_mut().zip(&mut layer.slopes).zip(sides) {
             let open = (0..4).filter(|side| linked >> side & 1 == 0);
             *ends = open.map(|side| (below(u64::from(END_PARTS) + 1) as u16) << (side * END_BITS)).sum();
+            for axis in (0..2).filter(|axis| is_loose(*ends, linked, *axis)) {
+                slopes[axis] = below(41) as i8 - 20;
+            }
         }
     }
     let (width, height) = (ldi.camera.width as i32 * Sliver::PARTS, ldi.camera.height as i32 * Sliver::PARTS);
@@ -299,6 +305,41 @@ fn a_layer_covers_the_union_of_its_cells() {
             }
         }
     }
+}
+
+#[test]
+fn a_strip_as_wide_as_its_pixels_lies_on_its_slope() {
+    // Along a row, and along a column. The picture is ten times finer and sees the strip from its centre: disparity is affine across it.
+    for (shape, axis) in [([(5, 7, LINK_RIGHT), (5, 8, 0)], 1), ([(5, 7, LINK_DOWN), (6, 7, 0)], 0)] {
+        let mut ldi = small(&shape, 0.1);
+        for slopes in &mut ldi.layers[0].slopes {
+            slopes[axis] = 3;
+        }
+        let per_pixel = 3.0 * f64::from(SLOPE_CODES) * ldi.codes.step;
+        let (frame, _) = render(&ldi, &poses()[0], &WarpOptions::default());
+        let mut found = 0;
+        for at in 0..frame.packed.len() {
+            let Some((_, disparity)) = frame.get(at) else { continue };
+            let place = [at % 160, at / 160][axis] as f64;
+            let want = 0.1 + per_pixel * ((place + 0.5) / 10.0 - [7.5, 5.5][axis]);
+            assert!((f64::from(disparity) - want).abs() < 1e-5, "{disparity} at {place}, not {want}");
+            found += 1;
+        }
+        assert!(found >= 200);
+    }
+}
+
+#[test]
+fn strips_keep_their_slope_at_half_the_resolution() {
+    // One row that tells its slope; two rows whose disparities tell it.
+    let mut one = small(&[(4, 6, LINK_RIGHT), (4, 7, 0)], 0.1);
+    one.layers[0].slopes = vec![[0, 5]; 2];
+    assert_eq!(halved(&one).layers[0].slopes, [[0, 10]]);
+    let (r, d) = (LINK_RIGHT, LINK_DOWN);
+    let mut two = small(&[(4, 6, r | d), (4, 7, d), (5, 6, r), (5, 7, 0)], 0.1);
+    two.codes.largest_code = 100;
+    two.layers[0].disparity = vec![10, 12, 34, 36];
+    assert_eq!(halved(&two).layers[0].slopes, [[1, 12]]);
 }
 
 #[test]

@@ -1,9 +1,9 @@
 //! LDI chunks: an [`Ldi`] to two chunks and back.
 //!
 //! The first chunk holds the camera, the disparity codes, the sky bits and layer 0, so that it alone is a useful picture;
-//! the second holds the deeper layers and the [slivers](super::slivers). Per chunk: occupancy ([`runs`](super::runs)), links, ends and disparities
+//! the second holds the deeper layers and the [slivers](super::slivers). Per chunk: occupancy ([`runs`](super::runs)), links, ends, slopes and disparities
 //! ([`surface`](super::surface)), colours ([`colour`](super::colour)); each stream is a zstd section shared by the chunk's
-//! layers, since deep layers are small. Disparities, links and ends are exact; colours as the [`ColourMode`] says.
+//! layers, since deep layers are small. Disparities, links, ends and slopes are exact; colours as the [`ColourMode`] says.
 
 use super::{
     CodecError, ColourMode, ColourProfile,
@@ -20,7 +20,7 @@ use crate::{
 use glam::DVec3;
 
 /// Version of both LDI chunks.
-pub const VERSION: u8 = 4;
+pub const VERSION: u8 = 5;
 /// Most samples in one chunk: bounds what a forged chunk can make a reader allocate, about 150 MB. An LDI of the largest
 /// planned kind (2560 x 1440 at density 2) has 15 million.
 pub const MAX_SAMPLES: usize = 1 << 24;
@@ -159,7 +159,7 @@ pub fn decode_deeper(bytes: &[u8], ldi: &mut Ldi) -> Result<(), CodecError> {
 
 /// Bytes that an LDI takes in memory, for [`crate::index::ChunkEntry::decoded_bytes`]: of the first chunk's part, and of the rest.
 pub fn decoded_bytes(ldi: &Ldi) -> [usize; 2] {
-    let layer = |l: &LdiLayer| l.len() * (1 + 2 + 3 + 1 + 2) + size_of_val(&l.segments[..]);
+    let layer = |l: &LdiLayer| l.len() * (1 + 2 + 3 + 1 + 2 + 2) + size_of_val(&l.segments[..]);
     let first = ldi.sky.len() * 8 + size_of::<Ldi>() + ldi.layers.first().map_or(0, layer);
     [first, ldi.layers.iter().skip(1).map(layer).sum::<usize>() + size_of_val(&ldi.slivers[..])]
 }
@@ -196,6 +196,7 @@ fn encode_layers(w: &mut Writer, ldi: &Ldi, layers: &[LdiLayer], mode: ColourMod
     let mut occupancy = OccupancyWriter::default();
     let mut links = surface::LinkEncoder::default();
     let mut ends = Encoder::new(surface::END_STREAMS);
+    let mut slopes = Encoder::new(surface::SLOPE_STREAMS);
     let mut disparities = Encoder::new(surface::STREAMS);
     let mut colours = Encoder::new(colour::STREAMS);
     for layer in layers {
@@ -203,12 +204,15 @@ fn encode_layers(w: &mut Writer, ldi: &Ldi, layers: &[LdiLayer], mode: ColourMod
         occupancy.layer(&runs, height);
         let joined = surface::walk_links(&runs, width, &mut layer.links.clone(), &mut links);
         surface::walk_ends(&runs, width, &joined, &layer.links, &mut layer.ends.clone(), &mut ends);
+        let open = (&layer.links[..], &layer.ends[..]);
+        surface::walk_slopes(&runs, width, &joined, open, &mut layer.slopes.clone(), &mut slopes);
         surface::walk_disparity(&runs, width, &joined, &mut layer.disparity.clone(), &mut disparities);
         walker.walk(&runs, width, &mut layer.rgb.clone(), &mut colours);
     }
     occupancy.finish(w)?;
     links.finish(w)?;
     ends.finish(w, "ends")?;
+    slopes.finish(w, "slopes")?;
     disparities.finish(w, "disparities")?;
     colours.finish(w, "colours")
 }
@@ -228,6 +232,7 @@ fn decode_layers(r: &mut Reader<'_>, (width, height): (u32, u32), most: usize) -
     let occupancy = read_occupancy(r, (width, height), &counts)?;
     let mut links = surface::LinkDecoder::new(r, total)?;
     let mut ends = Decoder::of_at_most(r, "ends", surface::END_STREAMS, total * SIDES.len())?;
+    let mut slopes = Decoder::of_at_most(r, "slopes", surface::SLOPE_STREAMS, total * 2)?;
     let mut disparities = Decoder::new(r, "disparities", surface::STREAMS, total)?;
     let mut colours = Decoder::new(r, "colours", colour::STREAMS, total * 3)?;
     let walker = colour::Walker::new(mode);
@@ -241,15 +246,19 @@ fn decode_layers(r: &mut Reader<'_>, (width, height): (u32, u32), most: usize) -
             rgb: vec![[0; 3]; n],
             links: vec![0; n],
             ends: vec![0; n],
+            slopes: vec![[0; 2]; n],
         };
         let joined = surface::walk_links(runs, width, &mut layer.links, &mut links);
         surface::walk_ends(runs, width, &joined, &layer.links, &mut layer.ends, &mut ends);
+        let open = (&layer.links[..], &layer.ends[..]);
+        surface::walk_slopes(runs, width, &joined, open, &mut layer.slopes, &mut slopes);
         surface::walk_disparity(runs, width, &joined, &mut layer.disparity, &mut disparities);
         walker.walk(runs, width, &mut layer.rgb, &mut colours);
         out.push(layer);
     }
     links.finish()?;
     ends.finish("ends")?;
+    slopes.finish("slopes")?;
     disparities.finish("disparities")?;
     colours.finish("colours")?;
     Ok(out)

@@ -1,7 +1,7 @@
 //! LDI chunks on a synthetic image: two slanted walls, a sparse deep layer, holes, textured and noisy colours.
 
 use super::*;
-use crate::ldi::{END_BITS, LINK_DOWN, LINK_RIGHT, Sliver, SliverCorner, end_of};
+use crate::ldi::{END_BITS, LINK_DOWN, LINK_RIGHT, Sliver, SliverCorner, end_of, is_loose};
 use proptest::prelude::*;
 
 /// xorshift64*: small, seeded, the same everywhere.
@@ -42,6 +42,11 @@ fn layer(width: u32, height: u32, random: &mut Random, code: impl Fn(u32, u32) -
     for ends in &mut out.ends {
         let open = (0..4).filter(|side| end_of(*ends, *side) > 0).collect::<Vec<_>>();
         *ends = open.into_iter().map(|side| (random.below(5) as u16) << (side * END_BITS)).sum();
+    }
+    for (i, linked) in out.linked_sides().into_iter().enumerate() {
+        for axis in (0..2).filter(|axis| is_loose(out.ends[i], linked, *axis)) {
+            out.slopes[i][axis] = random.next() as i8;
+        }
     }
     out
 }
@@ -115,6 +120,7 @@ fn an_image_is_exact_as_long_as_its_profile_grants_the_bytes() {
         l.disparity.fill(500);
         l.links.fill(0);
         l.ends.fill(0);
+        l.slopes.fill([0; 2]);
     }
     let mut noisy = flat.clone();
     flat.layers.iter_mut().for_each(|l| l.rgb.fill([90, 80, 70]));

@@ -1,4 +1,4 @@
-//! Links and disparities of LDI layers.
+//! Links, ends, slopes and disparities of LDI layers.
 //!
 //! Links come first: they tell which neighbours continue the sample's surface, and disparity is affine in the image
 //! on a planar surface (that is why disparity is stored and not depth), so the linked neighbours predict it:
@@ -20,7 +20,7 @@ use super::{
     residual::{Coder, median_edge},
     runs::Run,
 };
-use crate::ldi::{END_BITS, END_PARTS, LINK_DOWN, LINK_RIGHT, SIDES, end_of};
+use crate::ldi::{END_BITS, END_PARTS, LINK_DOWN, LINK_RIGHT, SIDES, end_of, is_loose};
 
 /// The left neighbour exists and is linked to this sample.
 const LEFT: u8 = 1;
@@ -193,6 +193,47 @@ pub(super) fn walk_ends(
                 *known = (place, end as u16 & ((1 << END_BITS) - 1));
                 ends[i] |= known.1 << (side * END_BITS);
             }
+            i += 1;
+        }
+    }
+}
+
+/// Streams of slopes: for each axis those with a linked neighbour to predict from, and those without.
+pub(super) const SLOPE_STREAMS: usize = 4;
+
+/// Codes the slopes of all samples; a decoder passes zeros. A slope along an axis is predicted from the neighbour that the sample is linked to along the other: strips are
+/// one pixel wide and many long.
+pub(super) fn walk_slopes(
+    runs: &[Run],
+    width: u32,
+    joined: &[u8],
+    (links, ends): (&[u8], &[u16]),
+    slopes: &mut [[i8; 2]],
+    coder: &mut impl Coder,
+) {
+    // Number of the last sample seen in each column.
+    let mut last = vec![0; width as usize];
+    let mut i = 0;
+    for run in runs {
+        for column in run.column..run.column + run.count {
+            let bit = |set: bool, side: u8| u8::from(set) << side;
+            let linked = bit(joined[i] & LEFT != 0, 0)
+                | bit(links[i] & LINK_RIGHT != 0, 1)
+                | bit(joined[i] & UP != 0, 2)
+                | bit(links[i] & LINK_DOWN != 0, 3);
+            let actual = slopes[i];
+            slopes[i] = [0; 2];
+            for axis in (0..2).filter(|axis| is_loose(ends[i], linked, *axis)) {
+                let neighbour = match axis {
+                    0 => (joined[i] & UP != 0).then_some(last[column as usize]),
+                    _ => (joined[i] & LEFT != 0).then(|| i - 1),
+                };
+                let predicted = neighbour.map_or(0, |n| slopes[n][axis]);
+                let stream = 2 * axis + usize::from(neighbour.is_some());
+                let [predicted, actual] = [predicted, actual[axis]].map(|x| i32::from(x as u8));
+                slopes[i][axis] = coder.byte::<true>(stream, 1, predicted, actual).1 as u8 as i8;
+            }
+            last[column as usize] = i;
             i += 1;
         }
     }

@@ -3,7 +3,7 @@
 //! A decoder calls [`Ldi::check`] before it hands an image on, tests call it after every construction; the
 //! warp may then index without looking. Cost: two visits per sample; memory: a few bytes per column, a byte per sample.
 
-use super::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, SIDES, Segment, Sliver, end_of};
+use super::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, SIDES, Segment, Sliver, end_of, is_loose};
 use glam::DVec3;
 
 /// The first promise that an LDI breaks.
@@ -83,6 +83,14 @@ pub enum LdiFault {
         /// Sample.
         sample: usize,
     },
+    /// A slope is told where links tell it, or where the surface does not go on.
+    #[error("LDI layer {layer}, sample {sample}: a slope where its links tell it, or where it ends")]
+    Slope {
+        /// Layer.
+        layer: usize,
+        /// Sample.
+        sample: usize,
+    },
     /// A sliver lies outside of the image or its codes, or there are too many.
     #[error("LDI sliver {sliver}: {what}")]
     Sliver {
@@ -103,7 +111,7 @@ const BASIS_TOLERANCE: f64 = 1e-9;
 impl Ldi {
     /// Checks every promise of the format: bounded sizes, finite camera and codes, segments in row-major order that
     /// tile the arrays, columns ascending, codes in range, in each pixel no deeper layer nearer than one before it, links
-    /// that lead to samples, ends within a pixel and only where nothing is linked, slivers on the image, sky words that fit.
+    /// that lead to samples, ends within a pixel and only where nothing is linked, slopes only beside ends, slivers on the image, sky words that fit.
     ///
     /// # Errors
     /// The first broken promise, with its place.
@@ -135,6 +143,9 @@ impl Ldi {
                 };
                 if !(0..SIDES.len()).all(sound) {
                     return Err(LdiFault::End { layer, sample });
+                }
+                if (0..2).any(|axis| l.slopes[sample][axis] != 0 && !is_loose(*ends, linked, axis)) {
+                    return Err(LdiFault::Slope { layer, sample });
                 }
             }
         }
@@ -207,6 +218,7 @@ impl Ldi {
             ("rgb", layer.rgb.len()),
             ("links", layer.links.len()),
             ("ends", layer.ends.len()),
+            ("slopes", layer.slopes.len()),
         ] {
             if found != expected {
                 return Err(LdiFault::Length { layer: k, what, found, expected });
@@ -356,7 +368,7 @@ mod tests {
     fn sound() -> Ldi {
         let layer = |segments: Vec<Segment>, column: Vec<u8>, disparity: Vec<u16>, links: Vec<u8>| {
             let (rgb, ends) = (vec![[1, 2, 3]; column.len()], Vec::new());
-            LdiLayer { segments, rgb, column, disparity, links, ends }.with_half_ends()
+            LdiLayer { segments, rgb, column, disparity, links, ends, slopes: Vec::new() }.with_half_ends()
         };
         let segment = |row, first, count| Segment { row, column_base: 0, first, count };
         Ldi {
@@ -423,6 +435,12 @@ mod tests {
             ("short ends", |l| _ = l.layers[0].ends.pop()),
             ("end too far", |l| l.layers[0].ends[5] = 5 << (3 * 4)),
             ("end where it goes on", |l| l.layers[0].ends[4] |= 1),
+            ("short slopes", |l| _ = l.layers[0].slopes.pop()),
+            ("slope where it is linked", |l| l.layers[0].slopes[4] = [1, 0]),
+            ("slope where it ends", |l| {
+                l.layers[1].ends[0] &= !0xff;
+                l.layers[1].slopes[0] = [-1, 0];
+            }),
             ("sliver outside", |l| l.slivers[1].corners[2].u = (3 + Sliver::MARGIN) * Sliver::PARTS + 1),
             ("sliver above", |l| l.slivers[0].corners[3].v = -Sliver::MARGIN * Sliver::PARTS - 1),
             ("sliver without a code", |l| l.slivers[1].corners[0].disparity = 0),

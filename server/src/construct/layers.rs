@@ -11,7 +11,7 @@ use super::{
     sample::{Prediction, Tolerance},
     view::Rig,
 };
-use ldi_protocol::ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, Segment};
+use ldi_protocol::ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, SLOPE_CODES, Segment, is_loose};
 use rayon::prelude::*;
 
 /// A layer before coding: samples by pixel, each with its links.
@@ -167,6 +167,7 @@ pub(super) fn encode(layer: &RawLayer, width: u32, codes: &DisparityCodes) -> Ld
         rgb: Vec::with_capacity(n),
         links: layer.links.clone(),
         ends: layer.ends.clone(),
+        slopes: vec![[0; 2]; n],
     };
     for (pixel, s) in &layer.samples {
         let (row, column) = (pixel / width, pixel % width);
@@ -181,6 +182,13 @@ pub(super) fn encode(layer: &RawLayer, width: u32, codes: &DisparityCodes) -> Ld
         out.column.push((column & 255) as u8);
         out.disparity.push(codes.code(f64::from(s.disparity)));
         out.rgb.push(s.rgb);
+    }
+    // Ends are where the plane of the sample was met, so that its slope holds as far as they reach.
+    for (i, linked) in out.linked_sides().into_iter().enumerate() {
+        for axis in (0..2).filter(|axis| is_loose(out.ends[i], linked, *axis)) {
+            let unit = codes.step * f64::from(SLOPE_CODES);
+            out.slopes[i][axis] = (f64::from(layer.samples[i].1.gradient[axis]) / unit).round() as i8;
+        }
     }
     out
 }

@@ -56,6 +56,7 @@ fn image() -> Ldi {
             rgb: (0..u32::from(count) * height).map(|i| [(i * 7) as u8, (i * 3) as u8, 9]).collect(),
             links: vec![0; (u32::from(count) * height) as usize],
             ends: vec![],
+            slopes: vec![],
         }
         .with_half_ends()
     };

@@ -19,7 +19,7 @@ use glam::DVec3;
 use ldi_protocol::shade::srgb8_from_linear;
 use ldi_protocol::{
     Aabb, ViewBasis,
-    ldi::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, SIDES, Sliver, SliverCorner, end_of},
+    ldi::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, SIDES, SLOPE_CODES, Sliver, SliverCorner, end_of, is_loose},
 };
 use scenes::{Analytic, GREY, OUTPUT, RED, Random, plan, room};
 
@@ -237,6 +237,47 @@ fn surfaces_end_between_pixels_where_they_do() {
     }
     assert!(found[1].iter().all(|n| *n > 5), "the board ends anywhere: {found:?}");
     assert!(found[0][4] > 50, "the wall goes on behind it: {found:?}");
+}
+
+#[test]
+fn what_is_a_pixel_wide_tells_the_slope_of_its_plane() {
+    // Shelves that the centre sees nearly edge-on, each less than a row high in its picture.
+    let slope = 0.05;
+    let shelf = |scene: Analytic, k: i32| {
+        let y = f64::from(k) * 0.31;
+        // Its plane passes a little below the centre's, so that it is seen from above or below, but hardly.
+        scene.rect([-2.0, y, -12.0], [4.0, 0.0, 0.0], [0.0, y * 0.22 + slope, -3.0], None, RED)
+    };
+    let scene = (-9..=9).fold(Analytic::default(), shelf);
+    let ldi = made(&scene, &plan(9.0, [1.0, 0.6, 1.0])).ldi;
+    let (mut told, mut steepest) = (0, 0);
+    for layer in &ldi.layers {
+        let linked = layer.linked_sides();
+        for s in &layer.segments {
+            for i in s.first as usize..s.first as usize + usize::from(s.count) {
+                let (u, v) = (f64::from(s.column_base) + f64::from(layer.column[i]) + 0.5, f64::from(s.row) + 0.5);
+                let ray = ldi.camera.ray(u, v);
+                let d = ldi.codes.disparity(layer.disparity[i]);
+                let hits = scene.all_hits(ldi.camera.cop, ray);
+                // d = n . r / (n . P), and r moves by a pixel down. Shelves may meet in a pixel.
+                let unit = ldi.codes.step * f64::from(SLOPE_CODES);
+                let of = |(t, _, n): &(f64, usize, DVec3)| {
+                    let slope = -n.dot(ldi.camera.basis.up) / (ldi.camera.pixels_per_unit * n.dot(ray) * t);
+                    // Steeper ones are not believed.
+                    slope.clamp(-d, d) / unit
+                };
+                let wanted: Vec<f64> =
+                    hits.iter().filter(|h| (1.0 / h.0 - d).abs() <= ldi.codes.step).map(of).collect();
+                let got = f64::from(layer.slopes[i][1]);
+                if is_loose(layer.ends[i], linked[i], 1) && wanted.iter().all(|w| w.abs() < 127.0) {
+                    assert!(wanted.iter().any(|w| (got - w).abs() <= 0.51), "{got} at {u}, {v}, not {wanted:?}");
+                    told += 1;
+                    steepest = steepest.max(layer.slopes[i][1].unsigned_abs());
+                }
+            }
+        }
+    }
+    assert!(told > 100 && steepest > 10, "{told} slopes, up to {steepest}");
 }
 
 #[test]
