@@ -107,8 +107,8 @@ pub struct LdiLayer {
     /// How far the surface goes on beyond the sample's centre where no link leads on: [`END_BITS`] for each of [`SIDES`], in units of 1 / [`END_PARTS`] pixel,
     /// at most [`END_PARTS`]; 0 where it is linked.
     pub ends: Vec<u16>,
-    /// Change of disparity per column and per row, in units of [`SLOPE_CODES`] codes, along an axis on which the surface goes on beyond the sample's centre without a link
-    /// that would tell; else 0.
+    /// By how much disparity changes more, per column and per row, than along the sample's link on that axis (than not at all without one), in units of [`SLOPE_CODES`] codes,
+    /// where the surface goes on beyond its centre on a side without a link; else 0.
     pub slopes: Vec<[i8; 2]>,
 }
 
@@ -119,13 +119,13 @@ pub const END_BITS: usize = 4;
 /// Ends are told in this part of a pixel, so that they are off by an eighth of one at most. By judgement.
 pub const END_PARTS: u16 = 4;
 
-/// Slopes are told in this many codes per pixel: over half a pixel they are off by one code at most. By judgement.
+/// Slopes are told in this many codes per pixel. By judgement.
 pub const SLOPE_CODES: i32 = 4;
 
-/// Whether a sample's surface goes on along an axis (0: columns, 1: rows) without a link: where a slope is told. `linked` has a bit for each of [`SIDES`].
+/// Whether a sample's surface goes on along an axis (0: columns, 1: rows) where no link leads: where a slope is told.
 #[inline]
-pub fn is_loose(ends: u16, linked: u8, axis: usize) -> bool {
-    linked >> (2 * axis) & 3 == 0 && (end_of(ends, 2 * axis) | end_of(ends, 2 * axis + 1)) != 0
+pub fn is_loose(ends: u16, axis: usize) -> bool {
+    end_of(ends, 2 * axis) | end_of(ends, 2 * axis + 1) != 0
 }
 
 /// The end of a sample on a side.
@@ -170,7 +170,7 @@ impl LdiLayer {
         out
     }
 
-    /// The layer with surfaces that end at the borders of their last pixels and face the centre of projection: where nobody knows better.
+    /// The layer with surfaces that end at the borders of their last pixels and go on as links tell: where nobody knows better.
     pub fn with_half_ends(mut self) -> Self {
         let half =
             |linked: u8| (0..4).filter(|side| linked >> side & 1 == 0).map(|s| (END_PARTS / 2) << (s * END_BITS)).sum();

@@ -71,24 +71,24 @@ impl SkyMap {
         let face = 2 * axis as u32 + u32::from(direction[axis] > 0.0);
         (face * Self::SIDE + place(direction[b])) * Self::SIDE + place(direction[a])
     }
+
+    /// The direction through the middle of a square (world axes), with component 1 along its face's axis.
+    pub fn middle(square: u32) -> DVec3 {
+        let (face, row, column) =
+            (square / Self::SIDE / Self::SIDE, square / Self::SIDE % Self::SIDE, square % Self::SIDE);
+        let place = |k: u32| (f64::from(k) + 0.5) * 2.0 / f64::from(Self::SIDE) - 1.0;
+        let axis = (face / 2) as usize;
+        let [a, b] = [[1, 2], [0, 2], [0, 1]][axis];
+        let mut d = DVec3::ZERO;
+        d[axis] = if face % 2 == 1 { 1.0 } else { -1.0 };
+        (d[a], d[b]) = (place(column), place(row));
+        d
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// The middle of a square.
-    fn middle(square: u32) -> DVec3 {
-        let (face, row, column) =
-            (square / SkyMap::SIDE / SkyMap::SIDE, square / SkyMap::SIDE % SkyMap::SIDE, square % SkyMap::SIDE);
-        let place = |k: u32| (f64::from(k) + 0.5) * 2.0 / f64::from(SkyMap::SIDE) - 1.0;
-        let axis = (face / 2) as usize;
-        let mut d = DVec3::ZERO;
-        d[axis] = if face % 2 == 1 { 1.0 } else { -1.0 };
-        let others: Vec<usize> = (0..3).filter(|k| *k != axis).collect();
-        (d[others[0]], d[others[1]]) = (place(column), place(row));
-        d
-    }
 
     #[test]
     fn a_map_holds_the_directions_of_its_squares_and_no_others() {
@@ -96,7 +96,7 @@ mod tests {
         let squares: Vec<bool> = (0..SkyMap::SQUARES).map(sky).collect();
         let map = SkyMap::of(&squares);
         for square in 0..SkyMap::SQUARES {
-            let d = middle(square) * f64::from(square % 7 + 1);
+            let d = SkyMap::middle(square) * f64::from(square % 7 + 1);
             assert_eq!(SkyMap::square(d), square);
             assert_eq!(map.holds(d), sky(square), "{square}");
         }

@@ -116,7 +116,7 @@ fn halved_layer(fine: &LdiLayer, camera: &LdiCamera, half: &LdiCamera) -> Vec<Ld
         let sides = layer.linked_sides();
         layer.ends = members.iter().zip(&sides).map(|(m, sides)| ends(m, *sides, fine, &linked)).collect();
         let slope = |((m, sides), ends): ((&Members, &u8), &u16)| {
-            [0, 1].map(|axis| if is_loose(*ends, *sides, axis) { slope(m, axis, fine) } else { 0 })
+            [0, 1].map(|axis| if is_loose(*ends, axis) { slope(m, axis, sides >> (2 * axis) & 3, fine) } else { 0 })
         };
         layer.slopes = members.iter().zip(&sides).zip(&layer.ends).map(slope).collect();
     }
@@ -151,8 +151,8 @@ fn groups(four: &Members, linked: &[u8]) -> [Members; 4] {
     out
 }
 
-/// Change of disparity of a group from its block to the next along an axis, as [`LdiLayer::slopes`].
-fn slope(members: &Members, axis: usize, fine: &LdiLayer) -> i8 {
+/// [`LdiLayer::slopes`] of a group along an axis: by its two halves, or as its members tell. `linked`: on which sides of that axis it is linked.
+fn slope(members: &Members, axis: usize, linked: u8, fine: &LdiLayer) -> i8 {
     let mean = |places: [usize; 2], of: &dyn Fn(usize) -> f64| {
         let there = || places.into_iter().map(|p| members[p]).filter(|i| *i != NONE).map(|i| of(i as usize));
         let n = there().count();
@@ -160,10 +160,12 @@ fn slope(members: &Members, axis: usize, fine: &LdiLayer) -> i8 {
     };
     let code = |i: usize| f64::from(fine.disparity[i]) / f64::from(SLOPE_CODES);
     let told = |i: usize| f64::from(fine.slopes.get(i).map_or(0, |s| s[axis]));
-    let halves = if axis == 0 { [[0, 2], [1, 3]] } else { [[0, 1], [2, 3]] };
-    let per_pixel = match halves.map(|half| mean(half, &code)) {
-        [Some(a), Some(b)] => b - a,
-        _ => halves.into_iter().find_map(|half| mean(half, &told)).unwrap_or(0.0),
+    let [low, high] = if axis == 0 { [[0, 2], [1, 3]] } else { [[0, 1], [2, 3]] };
+    let per_pixel = match (linked, mean(low, &code), mean(high, &code)) {
+        (0, Some(a), Some(b)) => b - a,
+        // What is told toward the open side; the link is the group's own.
+        (2, ..) => mean(low, &told).or(mean(high, &told)).unwrap_or(0.0),
+        _ => mean(high, &told).or(mean(low, &told)).unwrap_or(0.0),
     };
     (2.0 * per_pixel).round() as i8
 }

@@ -14,8 +14,8 @@
 //! Otherwise only the quarters of existing samples are covered: pairs that are linked make a half square
 //! (interpolated along the pair), single samples a quarter. A side that a linked pair spans is the straight line
 //! between the two centres in the squares on both its sides, so it cannot open. Where a sample has no linked
-//! neighbour, its cell continues on the plane given by the opposite link (planes are linear in disparity), or by the sample's slope
-//! without one, as far as the image says that the surface goes on. [`OVERLAP`] is added outward so that rounding and curvature do not open seams
+//! neighbour, its cell continues on the plane given by the opposite link (planes are linear in disparity), or frontal without one, and by as much
+//! steeper as the image says, as far as it says that the surface goes on. [`OVERLAP`] is added outward so that rounding and curvature do not open seams
 //! between surfaces that meet.
 
 use super::prepared::{OVERLAP, PADDING, Part, Pieces, Run, TILE_COLUMNS, TILE_ROWS, Tile};
@@ -129,7 +129,7 @@ pub struct Builder {
     colour: Vec<u32>,
     /// Where surfaces end, same layout.
     ends: Vec<u16>,
-    /// Change of disparity to the next column and row where no links tell it, 1/m, same layout.
+    /// Change of disparity to the next column and row beyond what links tell, 1/m, same layout.
     slopes: Vec<[f32; 2]>,
     stride: usize,
     /// Samples in the window.
@@ -226,8 +226,8 @@ impl Builder {
         let axis = usize::from(bit == LINK_DOWN);
         let extent =
             f32::from(end_of(self.ends[at], 2 * axis + usize::from(side > 0))) / f32::from(END_PARTS) + OVERLAP;
-        let told = self.slopes[at][axis] * side as f32;
-        let slope = self.neighbour(at, step, bit, -side).map_or(told, |n| here - self.disparity[n]);
+        let linked = self.neighbour(at, step, bit, -side).map_or(0.0, |n| here - self.disparity[n]);
+        let slope = linked + self.slopes[at][axis] * side as f32;
         (extent * side as f32, slope * extent, own)
     }
 

@@ -58,7 +58,7 @@ struct Sample {
     colour: u32,
     links: u8,
     ends: u16,
-    /// Change of disparity to the next column and row, where no link tells it.
+    /// Change of disparity to the next column and row beyond what links tell.
     slopes: [f64; 2],
 }
 
@@ -213,8 +213,8 @@ impl Grid {
             SIDES.iter().position(|s| [i64::from(s[1]), i64::from(s[0])] == [step.0, step.1]).unwrap_or_default();
         let extent = f64::from(end_of(here.ends, side)) / f64::from(END_PARTS) + f64::from(OVERLAP);
         let back = (-step.0, -step.1);
-        let slope =
-            if self.linked(at, back) { here.disparity - beside(back).disparity } else { here.slopes[side / 2] * sign };
+        let linked = if self.linked(at, back) { here.disparity - beside(back).disparity } else { 0.0 };
+        let slope = linked + here.slopes[side / 2] * sign;
         (extent * sign, slope * extent, [0.0; 3])
     }
 

@@ -162,7 +162,7 @@ fn with_ends_and_slivers(mut ldi: Ldi) -> Ldi {
         for ((ends, slopes), linked) in layer.ends.iter_mut().zip(&mut layer.slopes).zip(sides) {
             let open = (0..4).filter(|side| linked >> side & 1 == 0);
             *ends = open.map(|side| (below(u64::from(END_PARTS) + 1) as u16) << (side * END_BITS)).sum();
-            for axis in (0..2).filter(|axis| is_loose(*ends, linked, *axis)) {
+            for axis in (0..2).filter(|axis| is_loose(*ends, *axis)) {
                 slopes[axis] = below(41) as i8 - 20;
             }
         }

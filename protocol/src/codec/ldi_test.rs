@@ -43,9 +43,9 @@ fn layer(width: u32, height: u32, random: &mut Random, code: impl Fn(u32, u32) -
         let open = (0..4).filter(|side| end_of(*ends, *side) > 0).collect::<Vec<_>>();
         *ends = open.into_iter().map(|side| (random.below(5) as u16) << (side * END_BITS)).sum();
     }
-    for (i, linked) in out.linked_sides().into_iter().enumerate() {
-        for axis in (0..2).filter(|axis| is_loose(out.ends[i], linked, *axis)) {
-            out.slopes[i][axis] = random.next() as i8;
+    for (slopes, ends) in out.slopes.iter_mut().zip(&out.ends) {
+        for axis in (0..2).filter(|axis| is_loose(*ends, *axis)) {
+            slopes[axis] = random.next() as i8;
         }
     }
     out

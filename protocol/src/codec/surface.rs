@@ -198,11 +198,11 @@ pub(super) fn walk_ends(
     }
 }
 
-/// Streams of slopes: for each axis those with a linked neighbour to predict from, and those without.
-pub(super) const SLOPE_STREAMS: usize = 4;
+/// Streams of slopes: for each axis those with a link along it, those with a linked neighbour to predict from, and those with neither.
+pub(super) const SLOPE_STREAMS: usize = 6;
 
-/// Codes the slopes of all samples; a decoder passes zeros. A slope along an axis is predicted from the neighbour that the sample is linked to along the other: strips are
-/// one pixel wide and many long.
+/// Codes the slopes of all samples; a decoder passes zeros. A sample without a link along an axis is predicted from the neighbour that it is linked to along the other: strips
+/// are one pixel wide and many long.
 pub(super) fn walk_slopes(
     runs: &[Run],
     width: u32,
@@ -216,20 +216,18 @@ pub(super) fn walk_slopes(
     let mut i = 0;
     for run in runs {
         for column in run.column..run.column + run.count {
-            let bit = |set: bool, side: u8| u8::from(set) << side;
-            let linked = bit(joined[i] & LEFT != 0, 0)
-                | bit(links[i] & LINK_RIGHT != 0, 1)
-                | bit(joined[i] & UP != 0, 2)
-                | bit(links[i] & LINK_DOWN != 0, 3);
             let actual = slopes[i];
             slopes[i] = [0; 2];
-            for axis in (0..2).filter(|axis| is_loose(ends[i], linked, *axis)) {
+            let [left, up] = [LEFT, UP].map(|bit| joined[i] & bit != 0);
+            let linked = [left || links[i] & LINK_RIGHT != 0, up || links[i] & LINK_DOWN != 0];
+            for axis in (0..2).filter(|axis| is_loose(ends[i], *axis)) {
                 let neighbour = match axis {
-                    0 => (joined[i] & UP != 0).then_some(last[column as usize]),
-                    _ => (joined[i] & LEFT != 0).then(|| i - 1),
+                    _ if linked[axis] => None,
+                    0 => up.then_some(last[column as usize]),
+                    _ => left.then(|| i - 1),
                 };
                 let predicted = neighbour.map_or(0, |n| slopes[n][axis]);
-                let stream = 2 * axis + usize::from(neighbour.is_some());
+                let stream = 3 * axis + if linked[axis] { 0 } else { 1 + usize::from(neighbour.is_none()) };
                 let [predicted, actual] = [predicted, actual[axis]].map(|x| i32::from(x as u8));
                 slopes[i][axis] = coder.byte::<true>(stream, 1, predicted, actual).1 as u8 as i8;
             }

@@ -83,8 +83,8 @@ pub enum LdiFault {
         /// Sample.
         sample: usize,
     },
-    /// A slope is told where links tell it, or where the surface does not go on.
-    #[error("LDI layer {layer}, sample {sample}: a slope where its links tell it, or where it ends")]
+    /// A slope is told where the surface does not go on.
+    #[error("LDI layer {layer}, sample {sample}: a slope where it ends")]
     Slope {
         /// Layer.
         layer: usize,
@@ -144,7 +144,7 @@ impl Ldi {
                 if !(0..SIDES.len()).all(sound) {
                     return Err(LdiFault::End { layer, sample });
                 }
-                if (0..2).any(|axis| l.slopes[sample][axis] != 0 && !is_loose(*ends, linked, axis)) {
+                if (0..2).any(|axis| l.slopes[sample][axis] != 0 && !is_loose(*ends, axis)) {
                     return Err(LdiFault::Slope { layer, sample });
                 }
             }
@@ -436,7 +436,6 @@ mod tests {
             ("end too far", |l| l.layers[0].ends[5] = 5 << (3 * 4)),
             ("end where it goes on", |l| l.layers[0].ends[4] |= 1),
             ("short slopes", |l| _ = l.layers[0].slopes.pop()),
-            ("slope where it is linked", |l| l.layers[0].slopes[4] = [1, 0]),
             ("slope where it ends", |l| {
                 l.layers[1].ends[0] &= !0xff;
                 l.layers[1].slopes[0] = [-1, 0];

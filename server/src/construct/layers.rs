@@ -21,6 +21,8 @@ pub(super) struct RawLayer {
     pub links: Vec<u8>,
     /// As in [`LdiLayer::ends`].
     pub ends: Vec<u16>,
+    /// Change of disparity per column and per row up to where the surface ends, 1/m; 0 where it does not go on without a link.
+    pub slopes: Vec<[f64; 2]>,
 }
 
 /// Samples that no layer took.
@@ -183,11 +185,16 @@ pub(super) fn encode(layer: &RawLayer, width: u32, codes: &DisparityCodes) -> Ld
         out.disparity.push(codes.code(f64::from(s.disparity)));
         out.rgb.push(s.rgb);
     }
-    // Ends are where the plane of the sample was met, so that its slope holds as far as they reach.
-    for (i, linked) in out.linked_sides().into_iter().enumerate() {
-        for axis in (0..2).filter(|axis| is_loose(out.ends[i], linked, *axis)) {
-            let unit = codes.step * f64::from(SLOPE_CODES);
-            out.slopes[i][axis] = (f64::from(layer.samples[i].1.gradient[axis]) / unit).round() as i8;
+    // Rounded toward zero: four codes over half a pixel are a quarter of an output pixel for the worst eye, and cost more bytes than they show.
+    let mut told = vec![[0i32; 2]; n];
+    for_each_link(layer, width, |i, j, axis| {
+        let change = i32::from(out.disparity[j]) - i32::from(out.disparity[i]);
+        (told[i][axis], told[j][axis]) = (change, change);
+    });
+    for (i, told) in told.iter().enumerate() {
+        for axis in (0..2).filter(|axis| is_loose(out.ends[i], *axis)) {
+            let slope = layer.slopes[i][axis] / codes.step;
+            out.slopes[i][axis] = ((slope - f64::from(told[axis])) / f64::from(SLOPE_CODES)) as i8;
         }
     }
     out

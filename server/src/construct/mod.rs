@@ -193,9 +193,10 @@ pub fn construct(
     let subset = Subset { caster, cells: caster.cell_set(&plan.culled), culled: &plan.culled };
     let start = Instant::now();
     let survey = Survey::of(&subset, &plan.eyes, &plan.gaze, &plan.through);
+    let (sky, sky_rays) = survey.as_ref().map_or_else(Default::default, |s| s.sky(&subset));
     let mut out = Panorama {
-        sky: survey.as_ref().map_or_else(SkyMap::default, Survey::sky),
-        sight_rays: survey.as_ref().map_or(0, |s| s.rays),
+        sky,
+        sight_rays: survey.as_ref().map_or(0, |s| s.rays) + sky_rays,
         sight_seconds: start.elapsed().as_secs_f64(),
         images: Vec::new(),
     };

@@ -145,16 +145,71 @@ impl Survey {
 
     /// Where eyes see sky. Images hold it as well, pixel by pixel, but only what is theirs: the one that owns a direction may be cut before it, as a box's faces stand
     /// at different distances.
-    pub fn sky(&self) -> SkyMap {
+    ///
+    /// A window is a few squares, and few of the survey's rays go through it: from what they met on, sky grows as long as rays find more of it. Also returns their number.
+    pub fn sky<C: SubsetCaster>(&self, caster: &C) -> (SkyMap, u64) {
         let mut squares = vec![false; SkyMap::SQUARES as usize];
-        for hit in self.eyes.iter().flat_map(|(_, hits)| hits).filter(|hit| !hit.distance.is_finite()) {
-            squares[SkyMap::square(hit.direction.as_dvec3()) as usize] = true;
+        // Who saw it.
+        let mut seer = vec![0; squares.len()];
+        for (number, (_, hits)) in self.eyes.iter().enumerate() {
+            for hit in hits.iter().filter(|hit| !hit.distance.is_finite()) {
+                let square = SkyMap::square(hit.direction.as_dvec3()) as usize;
+                (squares[square], seer[square]) = (true, number);
+            }
         }
-        if squares.contains(&true) {
-            squares.chunks_mut((SkyMap::SIDE * SkyMap::SIDE) as usize).for_each(close_gaps);
+        if !squares.contains(&true) {
+            return (SkyMap::default(), 0);
         }
-        SkyMap::of(&squares)
+        squares.chunks_mut((SkyMap::SIDE * SkyMap::SIDE) as usize).for_each(close_gaps);
+        let others: Vec<usize> = (0..self.eyes.len()).step_by(self.eyes.len().div_ceil(SKY_EYES)).collect();
+        let mut asked = squares.clone();
+        let mut fresh: Vec<usize> = (0..squares.len()).filter(|s| squares[*s]).collect();
+        let mut rays = 0;
+        while !fresh.is_empty() {
+            let mut next: Vec<(usize, usize)> = Vec::new();
+            for square in &fresh {
+                for beside in beside(*square).filter(|s| !std::mem::replace(&mut asked[*s], true)) {
+                    next.push((beside, seer[*square]));
+                }
+            }
+            // Only where the eye that saw its neighbour does not see it others are asked.
+            let ask = |(square, first): &(usize, usize)| match self.sees_sky(caster, *square, &[*first]) {
+                None => (self.sees_sky(caster, *square, &others), 1 + others.len() as u64),
+                seen => (seen, 1),
+            };
+            let found: Vec<(Option<usize>, u64)> = next.par_iter().map(ask).collect();
+            fresh.clear();
+            for ((square, _), (eye, count)) in next.into_iter().zip(found) {
+                rays += count;
+                if let Some(eye) = eye {
+                    (squares[square], seer[square]) = (true, eye);
+                    fresh.push(square);
+                }
+            }
+        }
+        (SkyMap::of(&squares), rays)
     }
+
+    /// The first of some eyes that sees sky through the middle of a square.
+    fn sees_sky<C: SubsetCaster>(&self, caster: &C, square: usize, eyes: &[usize]) -> Option<usize> {
+        let direction = SkyMap::middle(square as u32).normalize();
+        let rays: Vec<Ray> = eyes.iter().map(|eye| Gaze::ray(self.eyes[*eye].0, direction)).collect();
+        let mut met = vec![Met::Stays; rays.len()];
+        caster.meet(&rays, &mut met);
+        met.iter().position(|m| *m == Met::Nothing).map(|k| eyes[k])
+    }
+}
+
+/// Eyes that are asked whether they see sky beside what is known to be sky. By judgement.
+const SKY_EYES: usize = 64;
+
+/// The squares of a [`SkyMap`] around one, on its face.
+fn beside(square: usize) -> impl Iterator<Item = usize> {
+    let side = SkyMap::SIDE as usize;
+    let (column, row) = (square % side, square / side % side);
+    let all = (0..9).map(|k| (k % 3, k / 3)).filter(|k| *k != (1, 1));
+    let inside = move |at: usize, step: usize| (1..=side).contains(&(at + step));
+    all.filter(move |(c, r)| inside(column, *c) && inside(row, *r)).map(move |(c, r)| square + c + r * side - 1 - side)
 }
 
 /// Rays lie a few squares of a [`SkyMap`] apart; gaps up to twice this many between them are sky as well.

@@ -84,6 +84,11 @@ impl Gaze {
         self.on_cube(square, at).normalize()
     }
 
+    /// What an eye sees in a direction of unit length.
+    pub fn ray(eye: DVec3, direction: DVec3) -> Ray {
+        Ray { origin: eye, direction, t_min: NEAR_M, t_max: f64::INFINITY }
+    }
+
     /// Rays of unit length through the squares that are looked at, each through another place in its square for another `number`, as regular rasters
     /// overlook regular gaps; in batches of neighbours, which share most of their way.
     pub fn rays(&self, eye: DVec3, number: usize) -> impl Iterator<Item = Vec<Ray>> + '_ {
@@ -93,12 +98,8 @@ impl Gaze {
         tiles.map(move |(row, column)| {
             let squares = (row..(row + TILE).min(rows))
                 .flat_map(|r| (column..(column + TILE).min(columns)).map(move |c| r * columns + c));
-            let ray = |square: usize| Ray {
-                origin: eye,
-                direction: self.direction(square, scattered(number * rows * columns + square)),
-                t_min: NEAR_M,
-                t_max: f64::INFINITY,
-            };
+            let ray =
+                |square: usize| Self::ray(eye, self.direction(square, scattered(number * rows * columns + square)));
             squares.filter(|s| self.looked(*s)).map(ray).collect()
         })
     }
@@ -122,7 +123,7 @@ impl Gaze {
             ];
             let p = frame.origin + frame.across[0] * place[0] + frame.across[1] * place[1];
             if let Some(direction) = (p - eye).try_normalize().filter(|_| frame.holds(p)) {
-                out.push(Ray { origin: eye, direction, t_min: NEAR_M, t_max: f64::INFINITY });
+                out.push(Self::ray(eye, direction));
             }
         }
         out
