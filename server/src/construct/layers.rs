@@ -185,7 +185,6 @@ pub(super) fn encode(layer: &RawLayer, width: u32, codes: &DisparityCodes) -> Ld
         out.disparity.push(codes.code(f64::from(s.disparity)));
         out.rgb.push(s.rgb);
     }
-    // Rounded toward zero: four codes over half a pixel are a quarter of an output pixel for the worst eye, and cost more bytes than they show.
     let mut told = vec![[0i32; 2]; n];
     for_each_link(layer, width, |i, j, axis| {
         let change = i32::from(out.disparity[j]) - i32::from(out.disparity[i]);
@@ -194,7 +193,7 @@ pub(super) fn encode(layer: &RawLayer, width: u32, codes: &DisparityCodes) -> Ld
     for (i, told) in told.iter().enumerate() {
         for axis in (0..2).filter(|axis| is_loose(out.ends[i], *axis)) {
             let slope = layer.slopes[i][axis] / codes.step;
-            out.slopes[i][axis] = ((slope - f64::from(told[axis])) / f64::from(SLOPE_CODES)) as i8;
+            out.slopes[i][axis] = ((slope - f64::from(told[axis])) / f64::from(SLOPE_CODES)).round() as i8;
         }
     }
     out
