@@ -27,6 +27,7 @@ pub mod said;
 pub mod select;
 pub mod shade;
 pub mod sky;
+pub mod stroll;
 pub mod texture;
 pub mod tree;
 pub mod volume;

@@ -1,6 +1,6 @@
-//! Which representation a build takes where several would do: at the same bound on the error the one with fewer bytes.
+//! Which representation a build takes where several would do: at the same bound on the error the one with fewer bytes to send, or to keep.
 //!
-//! Rooms or the grid alone: [`RoomWeighing`]. Images or the LDI tree alone (row S7): in, a plan, not yet made into images; out, a [`Weighing`], and the tree if it was built for it.
+//! Rooms or the grid alone: by what walks need, [`RoomWeighing`]. Images or the LDI tree alone (row S7): in, a plan, not yet made into images; out, a [`Weighing`], and the tree if it was built for it.
 //!
 //! 1. Random eyes tell how fine samples have to be beyond the geometry ([`Probes`]).
 //! 2. The images of a few placements are made; all are expected to take as much each.
@@ -9,18 +9,24 @@
 
 use super::{BuildError, BuildOptions, images};
 use crate::pack::PackError;
-use crate::placement::{AuditReport, PlacementPlan};
+use crate::placement::{AuditReport, ImagePlan, PlacementPlan};
 use crate::render::Caster;
 use crate::scene::Note;
 use crate::store::DatasetWriter;
 use crate::tree::{self, BuiltTree, Depth, Places, Probes};
 use ldi_protocol::{
-    Aabb,
+    Aabb, Pose,
     codec::ColourProfile,
-    index::{BuildSettings, CellEntry},
+    index::{BuildSettings, CellEntry, Index},
+    need::needed,
+    room_index::ShowPortals,
+    select::{CellGroups, draw_list_of},
+    stroll::{FPS, Random, stroll},
     volume::WalkVolume,
 };
+use rayon::prelude::*;
 use serde::Serialize;
+use std::collections::BTreeSet;
 
 /// Share of far points where samples may be larger than the bound, or missing: as many pixels as images may leave open.
 pub const BEYOND: f64 = 0.001;
@@ -74,46 +80,132 @@ impl Weighing {
     }
 }
 
-/// Bytes that the images of some plans are expected to take, by those of a few of them; and of how many.
-pub fn bytes_of(
-    caster: &Caster,
-    plans: &[PlacementPlan],
-    settings: &BuildSettings,
-    colour: ColourProfile,
-    scene_key: &[u8; 32],
-    writer: &DatasetWriter,
-) -> Result<(u64, usize), BuildError> {
-    let step = (plans.len() / SAMPLED).max(1);
-    let sampled: Vec<PlacementPlan> = plans.iter().step_by(step).cloned().collect();
-    if sampled.is_empty() {
-        return Ok((0, 0));
+/// What the images of some plans are expected to take, by those of a few of them.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ImageBytes {
+    /// Of all.
+    pub all: u64,
+    /// Per pixel of an image as planned.
+    pub per_pixel: f64,
+    /// Placements whose images were made to tell.
+    pub sampled: usize,
+}
+
+impl ImageBytes {
+    /// Makes the images of [`SAMPLED`] placements, spread over all. Images differ in size by factors of hundreds, in bytes per pixel by few.
+    pub fn expected(
+        caster: &Caster,
+        plans: &[PlacementPlan],
+        settings: &BuildSettings,
+        colour: ColourProfile,
+        scene_key: &[u8; 32],
+        writer: &DatasetWriter,
+    ) -> Result<Self, BuildError> {
+        let step = (plans.len() / SAMPLED).max(1);
+        let sampled: Vec<PlacementPlan> = plans.iter().step_by(step).cloned().collect();
+        if sampled.is_empty() {
+            return Ok(Self::default());
+        }
+        let made = images::construct_all(caster, &sampled, settings, colour, scene_key, writer, &())?;
+        let bytes: u64 = made.entries().map(|e| u64::from(e.stored_bytes)).sum();
+        let pixels = |plans: &[PlacementPlan]| plans.iter().flat_map(|p| &p.images).map(pixels_of).sum::<u64>();
+        let per_pixel = bytes as f64 / pixels(&sampled).max(1) as f64;
+        Ok(Self { all: (per_pixel * pixels(plans) as f64) as u64, per_pixel, sampled: sampled.len() })
     }
-    let made = images::construct_all(caster, &sampled, settings, colour, scene_key, writer, &())?;
-    let bytes: u64 = made.entries().map(|e| u64::from(e.stored_bytes)).sum();
-    Ok((bytes * plans.len() as u64 / sampled.len() as u64, sampled.len()))
+}
+
+/// As planned.
+fn pixels_of(image: &ImagePlan) -> u64 {
+    let camera = super::planned_camera(image);
+    u64::from(camera.width) * u64::from(camera.height)
+}
+
+/// Walks that tell what is sent.
+const WALKS: u64 = 64;
+/// How long each is, seconds.
+const WALK_S: f64 = 60.0;
+/// Poses that are looked at are so many apart: a quarter of a second.
+const POSES_APART: usize = 15;
+
+/// A minute each, from places all over the volume, not through walls.
+pub struct Walks(Vec<Vec<Pose>>);
+
+impl Walks {
+    /// Always the same ones for the same scene.
+    pub fn take(caster: &Caster, volume: &WalkVolume) -> Self {
+        let free = |from, to| super::sees(caster, from, to);
+        let walk = |stream| {
+            let poses = stroll(volume, &mut Random::new(1, stream), (WALK_S * FPS) as usize, free);
+            poses.into_iter().step_by(POSES_APART).collect()
+        };
+        Self((0..WALKS).into_par_iter().map(walk).collect())
+    }
+
+    /// Stored bytes that a walk needs, mean of all. `index`: with the chunks of its geometry, its images in the order of `plans`.
+    fn bytes(&self, index: &Index, plans: &[PlacementPlan], bytes_per_pixel: f64) -> u64 {
+        let pixels: Vec<u64> = plans.iter().flat_map(|p| &p.images).map(pixels_of).collect();
+        let groups = CellGroups::of(&index.cells);
+        let camera = &index.settings.camera;
+        let half_tan = (camera.half_tan_x(), camera.half_tan_y());
+        let of_walk = |walk: &Vec<Pose>| {
+            let (mut images, mut chunks) = (BTreeSet::new(), BTreeSet::new());
+            for pose in walk {
+                let list = draw_list_of(index, &groups, pose, half_tan, ShowPortals::default());
+                chunks.extend(needed(index, &[], &list.cells, &[]).all());
+                images.extend(list.images);
+            }
+            let geometry: u64 = chunks.iter().map(|c| u64::from(index.chunks[*c as usize].stored_bytes)).sum();
+            let pixels: u64 = images.iter().filter_map(|i| pixels.get(*i as usize)).sum();
+            geometry + (bytes_per_pixel * pixels as f64) as u64
+        };
+        self.0.par_iter().map(of_walk).sum::<u64>() / self.0.len().max(1) as u64
+    }
 }
 
 fn megabytes(bytes: u64) -> String {
     format!("{:.1} MB", bytes as f64 / 1e6)
 }
 
-/// Images by rooms, and by the grid where those are too much, against the grid alone: at the same bound on footprints, the fewer bytes.
+/// Rooms, with the grid where those are too much, against the grid alone: at the same bound on footprints, what brings a walker fewer bytes. What all of it takes
+/// on the server's disk is told, too, and decides nothing.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RoomWeighing {
     /// `portals` or `grid`.
     pub chosen: &'static str,
     /// In words.
     pub why: String,
-    /// Bytes that the images of portals, and of the grid where it takes over, are expected to take.
-    pub portals_bytes_expected: u64,
-    /// Bytes that the images of the grid alone are expected to take.
-    pub grid_bytes_expected: u64,
-    /// Placements whose images were made to tell, of each.
-    pub placements_sampled: [usize; 2],
+    /// By rooms.
+    pub portals: Weight,
+    /// By the grid alone.
+    pub grid: Weight,
+    /// Random walks of a minute that tell what a walk needs.
+    pub walks: usize,
     /// Poses of an audit of the plan by rooms, and in how many of them it breaks a promise; that of the grid alone is certified.
     pub poses: u64,
     /// See there.
     pub violations: u64,
+}
+
+/// Of one of them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Weight {
+    /// Bytes that a walk of a minute is expected to need, in the mean.
+    pub walk_bytes_expected: u64,
+    /// Bytes that its images are expected to take.
+    pub images_bytes_expected: u64,
+    /// Placements whose images were made to tell.
+    pub placements_sampled: usize,
+}
+
+impl Weight {
+    /// Weighs a plan; `index` as of [`Walks::bytes`].
+    pub(super) fn of(walks: &Walks, index: &Index, plans: &[PlacementPlan], images: ImageBytes) -> Self {
+        Self {
+            walk_bytes_expected: walks.bytes(index, plans, images.per_pixel),
+            images_bytes_expected: images.all,
+            placements_sampled: images.sampled,
+        }
+    }
 }
 
 impl RoomWeighing {
@@ -122,28 +214,24 @@ impl RoomWeighing {
     /// A choice.
     pub const GRID: &'static str = "grid";
 
-    /// Weighs; `(bytes, sampled)` of each as of [`bytes_of`].
-    pub(super) fn of(audit: &AuditReport, by_rooms: (u64, usize), grid: (u64, usize)) -> Self {
+    /// Weighs.
+    pub(super) fn of(audit: &AuditReport, walks: &Walks, portals: Weight, grid: Weight) -> Self {
         let (poses, violations) = (audit.all_poses(), audit.violations);
+        let takes = |w: &Weight| {
+            let [walk, images] = [w.walk_bytes_expected, w.images_bytes_expected].map(megabytes);
+            format!("{walk} ({images} of images in all)")
+        };
         let bytes = format!(
-            "images by rooms are expected to take {}, those of the grid alone {}",
-            megabytes(by_rooms.0),
-            megabytes(grid.0)
+            "a walk of a minute is expected to need {} by rooms, {} by the grid alone",
+            takes(&portals),
+            takes(&grid)
         );
-        let (chosen, why) = match (violations, by_rooms.0 <= grid.0) {
+        let (chosen, why) = match (violations, portals.walk_bytes_expected <= grid.walk_bytes_expected) {
             (0, true) => (Self::PORTALS, bytes),
             (0, false) => (Self::GRID, bytes),
             _ => (Self::GRID, format!("by rooms {violations} of {poses} poses would break a promise; {bytes}")),
         };
-        Self {
-            chosen,
-            why,
-            portals_bytes_expected: by_rooms.0,
-            grid_bytes_expected: grid.0,
-            placements_sampled: [by_rooms.1, grid.1],
-            poses,
-            violations,
-        }
+        Self { chosen, why, portals, grid, walks: walks.0.len(), poses, violations }
     }
 
     /// What was left out, and why.
@@ -179,15 +267,15 @@ pub fn weigh(
     let probes = Probes::take(c.caster, c.volume, c.cells, c.settings);
     let needed = probes.needed_pitch_m(bound, focal_px, BEYOND);
     heard(&format!("images of some of {} placements, to tell what all take", c.plans.len()));
-    let (images_bytes, placements_sampled) =
-        bytes_of(c.caster, c.plans, c.settings, options.colour, c.scene_key, writer)?;
+    let images = ImageBytes::expected(c.caster, c.plans, c.settings, options.colour, c.scene_key, writer)?;
+    let images_bytes = images.all;
     let mut found = Weighing {
         chosen: "grid",
         why: String::new(),
         far_points: probes.far.len(),
         needed_pitch_m: needed.unwrap_or(0.0),
         images_bytes_expected: images_bytes,
-        placements_sampled,
+        placements_sampled: images.sampled,
         tree_bytes_expected: 0,
         tree_bytes: None,
         tree_beyond_bound: None,
@@ -247,17 +335,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rooms_are_taken_where_they_keep_the_promises_with_fewer_bytes() {
+    fn rooms_are_taken_where_they_keep_the_promises_and_walks_need_fewer_bytes() {
         let audit = |violations| AuditReport { poses: 1_000, violations, ..Default::default() };
+        // Whatever they take in all.
+        let weight = |walk_bytes_expected, images_bytes_expected| Weight {
+            walk_bytes_expected,
+            images_bytes_expected,
+            placements_sampled: 3,
+        };
         let chosen = |violations, rooms, grid| {
-            let found = RoomWeighing::of(&audit(violations), (rooms, 3), (grid, 4));
-            assert_eq!((found.poses, found.violations, found.placements_sampled), (1_000, violations, [3, 4]));
+            let walks = Walks(vec![Vec::new(); 2]);
+            let found = RoomWeighing::of(&audit(violations), &walks, weight(rooms, 9_000_000), weight(grid, 1_000_000));
+            assert_eq!((found.poses, found.violations, found.walks), (1_000, violations, 2));
             (found.chosen, found.why)
         };
         assert_eq!(chosen(0, 2_000_000, 3_000_000).0, "portals");
         let (grid, why) = chosen(0, 4_000_000, 3_000_000);
         assert_eq!(grid, "grid");
-        assert!(why.contains("4.0 MB") && why.contains("3.0 MB"), "{why}");
+        assert!(why.contains("4.0 MB") && why.contains("3.0 MB") && why.contains("9.0 MB of images"), "{why}");
         let (grid, why) = chosen(7, 2_000_000, 3_000_000);
         assert_eq!(grid, "grid");
         assert!(why.contains("7 of 1000 poses"), "{why}");

@@ -19,7 +19,8 @@ mod rooms;
 use images::Indexed;
 use rooms::RoomPlan;
 
-pub use choose::{RoomWeighing, Weighing};
+use choose::{ImageBytes, Walks};
+pub use choose::{RoomWeighing, Weighing, Weight};
 pub use dry_run::{Draft, DryRun, draft, dry_run};
 pub use images::{IMAGE_LEVEL, ImageFigures};
 pub use references::ReferenceFigures;
@@ -364,6 +365,15 @@ fn index_of(
     }
 }
 
+fn chunk_entry(chunk: &pack::Chunk) -> ChunkEntry {
+    ChunkEntry {
+        hash: ChunkHash(*blake3::hash(&chunk.bytes).as_bytes()),
+        stored_bytes: chunk.bytes.len() as u32,
+        decoded_bytes: u32::try_from(chunk.decoded_bytes).unwrap_or(u32::MAX),
+        kind: chunk.kind,
+    }
+}
+
 /// The index of a plan before any image is made: without chunks.
 fn draft_index(
     options: &BuildOptions,
@@ -429,13 +439,23 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     let mut room_weighing = None;
     if let (Some(grid_alone), Some(by_rooms)) = (grid_alone, &rooms) {
         progress.stage("rooms or the grid alone", 0);
-        let index = draft_index(options, &scene, &settings, &plan, geometry.cells.clone(), Some(&by_rooms.index));
+        let draft = |plan: &PlacementResult, rooms| Index {
+            chunks: chunks.iter().map(chunk_entry).collect(),
+            textures: textures.textures.clone(),
+            ..draft_index(options, &scene, &settings, plan, geometry.cells.clone(), rooms)
+        };
+        let index = draft(&plan, Some(&by_rooms.index));
         let counts: Vec<u64> = geometry.cells.iter().map(|c| u64::from(c.triangles)).collect();
         let cameras: Vec<LdiCamera> = plan.plans.iter().flat_map(|p| &p.images).map(planned_camera).collect();
         let audit = placement::audit(&index, &counts, &|i| cameras.get(i as usize).copied(), AUDITED_POSES, 1);
-        let bytes =
-            |plans: &[PlacementPlan]| choose::bytes_of(&caster, plans, &settings, options.colour, &scene_key, &writer);
-        let found = RoomWeighing::of(&audit, bytes(&plan.plans)?, bytes(&grid_alone.plans)?);
+        let walks = Walks::take(&caster, &plan.volume);
+        let weight = |index: &Index, plans: &[PlacementPlan]| -> Result<Weight, BuildError> {
+            let images = ImageBytes::expected(&caster, plans, &settings, options.colour, &scene_key, &writer)?;
+            Ok(Weight::of(&walks, index, plans, images))
+        };
+        let by_rooms = weight(&index, &plan.plans)?;
+        let by_grid = weight(&draft(&grid_alone, None), &grid_alone.plans)?;
+        let found = RoomWeighing::of(&audit, &walks, by_rooms, by_grid);
         heard(&format!("{}: {}", found.chosen, found.why));
         if found.chosen == RoomWeighing::GRID {
             (plan, rooms) = (grid_alone, None);
@@ -531,16 +551,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     notes.extend(room_weighing.iter().map(RoomWeighing::note));
     notes.extend(no_rooms.map(rooms::without));
     notes.extend(rooms.iter().map(|r| r.figures.grid.note()));
-    let entries = chunks
-        .iter()
-        .map(|c| ChunkEntry {
-            hash: ChunkHash(*blake3::hash(&c.bytes).as_bytes()),
-            stored_bytes: c.bytes.len() as u32,
-            decoded_bytes: u32::try_from(c.decoded_bytes).unwrap_or(u32::MAX),
-            kind: c.kind,
-        })
-        .chain(images.entries())
-        .collect();
+    let entries = chunks.iter().map(chunk_entry).chain(images.entries()).collect();
     let placement = plan.statistics.clone();
     let parts = (geometry.cells, textures.textures);
     let mut index = index_of(options, &scene, settings, plan, parts, entries, (placements, image_entries, tree));

@@ -10,22 +10,17 @@ use ldi_protocol::{
     need::{Needed, needed},
     path::{TimedPose, Walk},
     select::draw_list,
+    stroll::{self, Random, TURN_DEG_S, stroll},
     volume::WalkVolume,
 };
 use std::sync::{Arc, OnceLock};
 
 /// Frames per second of every walker.
-pub const FPS: f64 = 60.0;
-/// Walking speed of random walks, m/s: that of path files.
-const SPEED_M_S: f64 = 1.4;
-/// Turning speed, as along waypoints.
-const TURN_DEG_S: f64 = 120.0;
+pub const FPS: f64 = stroll::FPS;
 /// Turning speed of the scenario `spin`: a quick look over the shoulder.
 const SPIN_DEG_S: f64 = 240.0;
 /// Time between two jumps of the scenario `teleport`.
 const STAY_S: f64 = 2.0;
-/// Random walkers change their mind once in this time on average, besides at walls.
-const WHIM_S: f64 = 4.0;
 /// Ends of a path nearer than this make it a round.
 const CLOSED_M: f64 = 0.2;
 
@@ -113,7 +108,9 @@ pub fn tracks(
         }
         Route::Random(seed) => {
             let volume = volume.filter(|v| !v.is_empty()).ok_or(LoadError::NoVolume)?;
-            (0..walkers as u64).map(|i| Track::once(random_walk(volume, *seed, i, frames))).collect()
+            (0..walkers as u64)
+                .map(|i| Track::once(stroll(volume, &mut Random::new(*seed, i), frames, |_, _| true)))
+                .collect()
         }
     };
     Ok(match scenario {
@@ -126,7 +123,7 @@ pub fn tracks(
                 let mut random = Random::new(i, 1);
                 let mut place = || match (route, volume) {
                     (Route::Random(_), Some(v)) => random.place(v),
-                    _ => w.pose((random.next() * w.poses.len() as f64) as usize),
+                    _ => w.pose((random.uniform() * w.poses.len() as f64) as usize),
                 };
                 let stay = (STAY_S * FPS) as usize;
                 Track::once((0..frames.div_ceil(stay)).flat_map(|_| vec![place(); stay]).collect())
@@ -168,62 +165,6 @@ fn turning(from: Pose, to_deg: f64) -> impl Iterator<Item = Pose> {
 fn spin(at: Pose) -> Vec<Pose> {
     let steps = (360.0 * FPS / SPIN_DEG_S) as u32;
     (0..steps).map(|i| Pose { yaw_deg: at.yaw_deg + 360.0 * f64::from(i) / f64::from(steps), ..at }).collect()
-}
-
-/// Straight on until a wall or a whim, then a turn.
-fn random_walk(volume: &WalkVolume, seed: u64, walker: u64, frames: usize) -> Vec<Pose> {
-    /// Thresholds are climbed up to this height within one frame.
-    const STEP_M: f64 = 0.05;
-    let mut random = Random::new(seed, walker);
-    let mut pose = random.place(volume);
-    let mut heading = pose.yaw_deg;
-    let mut out = Vec::with_capacity(frames);
-    while out.len() < frames {
-        out.push(pose);
-        let left = (heading - pose.yaw_deg + 180.0).rem_euclid(360.0) - 180.0;
-        if left.abs() > 1.0 {
-            pose.yaw_deg += left.clamp(-TURN_DEG_S / FPS, TURN_DEG_S / FPS);
-            continue;
-        }
-        let ahead = pose.position + pose.basis().forward * (SPEED_M_S / FPS);
-        let step = [0.0, STEP_M, -STEP_M].map(|y| ahead + glam::DVec3::Y * y).into_iter().find(|p| volume.contains(*p));
-        match step {
-            Some(p) if random.next() > 1.0 / (WHIM_S * FPS) => pose.position = p,
-            _ => heading = 360.0 * random.next(),
-        }
-    }
-    out
-}
-
-/// Numbers from a seed: SplitMix64 (Steele, Lea and Flood 2014).
-#[derive(Debug)]
-struct Random(u64);
-
-impl Random {
-    fn new(seed: u64, stream: u64) -> Self {
-        let mut r = Self(seed.wrapping_mul(0xd134_2543_de82_ef95).wrapping_add(stream));
-        // Neighbouring states begin alike.
-        (0..2).for_each(|_| r = Self(r.bits()));
-        r
-    }
-
-    fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ self.0 >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ z >> 31
-    }
-
-    /// In [0, 1).
-    fn next(&mut self) -> f64 {
-        (self.bits() >> 11) as f64 * (-53f64).exp2()
-    }
-
-    /// Somewhere in the volume, looking anywhere, level.
-    fn place(&mut self, volume: &WalkVolume) -> Pose {
-        let position = volume.sampler().point([self.next(), self.next(), self.next(), self.next()]);
-        Pose { position: position.unwrap_or_default(), yaw_deg: 360.0 * self.next(), pitch_deg: 0.0 }
-    }
 }
 
 #[cfg(test)]
