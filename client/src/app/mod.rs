@@ -18,6 +18,7 @@
 //! - `walk_link`: the same line for a walk without a window.
 
 mod bookmarks;
+mod by_hand;
 mod desk;
 mod drawing;
 mod events;
@@ -29,6 +30,7 @@ mod link;
 mod map;
 mod motion;
 mod numbered;
+mod overlay;
 mod pace;
 mod plan;
 mod record;
@@ -38,6 +40,7 @@ mod settings;
 mod shot;
 mod solids;
 mod start;
+mod stretch;
 mod visit;
 mod walk_link;
 mod window;

@@ -1,8 +1,9 @@
 //! What shows pictures: a surface, a device, one pass with the picture stretched over the window and the interface above it.
 //!
 //! In: finished pictures and egui's shapes. Out: a frame on the display. Any adapter will do, a software one too: the work is one
-//! texture. The picture is filtered in linear light (`picture.wgsl`).
+//! texture. The picture is filtered in linear light (`picture.wgsl`). With a software one the processor shows pictures itself ([`ByHand`]).
 
+use super::by_hand::ByHand;
 use crate::frame::Frame;
 use std::sync::Arc;
 use winit::{event_loop::OwnedDisplayHandle, window::Window};
@@ -29,7 +30,7 @@ pub enum ScreenError {
 }
 
 /// Where there is no picture yet: dark, but not a switched-off display.
-const EMPTY: wgpu::Color = wgpu::Color { r: 0.17, g: 0.19, b: 0.22, a: 1.0 };
+pub(super) const EMPTY: wgpu::Color = wgpu::Color { r: 0.17, g: 0.19, b: 0.22, a: 1.0 };
 
 /// A picture on the device.
 struct Shown {
@@ -38,13 +39,26 @@ struct Shown {
     size: [u32; 2],
 }
 
-/// The window's surface and what draws into it.
+/// The window's surface and what fills it.
 pub struct Screen {
     surface: wgpu::Surface<'static>,
     config: wgpu::SurfaceConfiguration,
     device: wgpu::Device,
     queue: wgpu::Queue,
     adapter: String,
+    way: Way,
+}
+
+/// How pictures get there.
+enum Way {
+    /// A card stretches them and draws the interface over them.
+    Card(Box<Card>),
+    /// The processor does all of it.
+    Hand(Box<ByHand>),
+}
+
+/// What a card needs.
+struct Card {
     stretch: Stretch,
     shown: Option<Shown>,
     interface: egui_wgpu::Renderer,
@@ -58,6 +72,12 @@ pub struct Interface {
     pub textures: egui::TexturesDelta,
     /// Pixels per point.
     pub scale: f32,
+}
+
+/// Shapes, and for which screen.
+pub(super) struct Drawn {
+    pub primitives: Vec<egui::ClippedPrimitive>,
+    pub descriptor: egui_wgpu::ScreenDescriptor,
 }
 
 impl Screen {
@@ -90,15 +110,30 @@ impl Screen {
         let mut config = surface
             .get_default_config(&adapter, size.width.max(1), size.height.max(1))
             .ok_or_else(|| failed("it supports no surface of this window".into()))?;
-        let formats = surface.get_capabilities(&adapter).formats;
-        config.format = egui_wgpu::preferred_framebuffer_format(&formats).map_err(|e| failed(e.to_string()))?;
+        let able = surface.get_capabilities(&adapter);
+        let software = info.device_type == wgpu::DeviceType::Cpu && cfg!(target_endian = "little");
+        let fillable = able.usages.contains(wgpu::TextureUsages::COPY_DST) && able.formats.contains(&ByHand::FORMAT);
+        let by_hand = software && fillable;
+        if by_hand {
+            config.format = ByHand::FORMAT;
+            config.usage |= wgpu::TextureUsages::COPY_DST;
+        } else {
+            let preferred = egui_wgpu::preferred_framebuffer_format(&able.formats);
+            config.format = preferred.map_err(|e| failed(e.to_string()))?;
+        }
         config.present_mode = wgpu::PresentMode::AutoVsync;
         // The shortest queue: what is seen follows the mouse closely.
         config.desired_maximum_frame_latency = 1;
         surface.configure(&device, &config);
-        let stretch = Stretch::new(&device, config.format);
-        let interface = egui_wgpu::Renderer::new(&device, config.format, egui_wgpu::RendererOptions::default());
-        Ok(Self { surface, config, device, queue, adapter: name, stretch, shown: None, interface })
+        let way = match by_hand {
+            true => Way::Hand(Box::new(ByHand::new(&device, [config.width, config.height]))),
+            false => {
+                let stretch = Stretch::new(&device, config.format);
+                let interface = egui_wgpu::Renderer::new(&device, config.format, egui_wgpu::RendererOptions::default());
+                Way::Card(Box::new(Card { stretch, shown: None, interface }))
+            }
+        };
+        Ok(Self { surface, config, device, queue, adapter: name, way })
     }
 
     /// Name of the adapter and how it is driven.
@@ -121,52 +156,60 @@ impl Screen {
         }
     }
 
-    /// Takes a new picture.
+    /// Takes a new picture, which is presented from now on.
     pub fn upload(&mut self, frame: &Frame) {
-        let size = [frame.width, frame.height];
         let most = self.max_side_px();
-        if size.iter().any(|n| !(1..=most).contains(n)) {
-            return;
-        }
-        if self.shown.as_ref().is_none_or(|s| s.size != size) {
-            self.shown = Some(self.stretch.picture(&self.device, size));
-        }
-        if let Some(shown) = &self.shown {
-            write(&self.queue, &shown.texture, frame);
+        if let Way::Card(card) = &mut self.way
+            && [frame.width, frame.height].iter().all(|n| (1..=most).contains(n))
+        {
+            card.upload(&self.device, &self.queue, frame);
         }
     }
 
-    /// Draws the picture and the interface, and shows them. False when the surface has to be asked again later.
-    pub fn present(&mut self, interface: Interface) -> bool {
-        let Interface { primitives, mut textures, scale } = interface;
-        for (id, deltas) in textures.set.drain() {
-            for delta in deltas {
-                self.interface.update_texture(&self.device, &self.queue, id, &delta);
-            }
-        }
-        let descriptor = egui_wgpu::ScreenDescriptor {
-            size_in_pixels: [self.config.width, self.config.height],
-            pixels_per_point: scale,
-        };
+    /// Whether the interface stays as it was drawn last until it is drawn anew.
+    pub fn keeps_interface(&self) -> bool {
+        matches!(self.way, Way::Hand(_))
+    }
+
+    /// Draws the picture, which was the last to be uploaded, and the interface, and shows them; without an interface the last one, where it is kept. False when the surface has to be asked
+    /// again later.
+    pub fn present(&mut self, picture: Option<&Frame>, interface: Option<Interface>) -> bool {
+        let size = [self.config.width, self.config.height];
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let more = self.interface.update_buffers(&self.device, &self.queue, &mut encoder, &primitives, &descriptor);
-        let target = self.acquire();
-        if let Some(target) = &target {
-            let view = target.texture.create_view(&wgpu::TextureViewDescriptor::default());
-            let mut pass = begin(&mut encoder, &view).forget_lifetime();
-            if let Some(shown) = &self.shown {
-                self.stretch.draw(&mut pass, shown);
+        let (mut before, mut unused, mut drawn) = (Vec::new(), Vec::new(), None);
+        if let Some(Interface { primitives, mut textures, scale }) = interface {
+            let renderer = self.way.renderer();
+            for (id, deltas) in textures.set.drain() {
+                for delta in deltas {
+                    renderer.update_texture(&self.device, &self.queue, id, &delta);
+                }
             }
-            self.interface.render(&mut pass, &primitives, &descriptor);
+            let descriptor = egui_wgpu::ScreenDescriptor { size_in_pixels: size, pixels_per_point: scale };
+            before = renderer.update_buffers(&self.device, &self.queue, &mut encoder, &primitives, &descriptor);
+            unused.extend(textures.free.drain());
+            drawn = Some(Drawn { primitives, descriptor });
         }
-        self.queue.submit(more.into_iter().chain([encoder.finish()]));
-        for id in &textures.free {
-            self.interface.free_texture(id);
+        let target = self.acquire();
+        match &mut self.way {
+            Way::Card(card) => {
+                if let Some(target) = &target {
+                    card.draw(&mut encoder, &target.texture, drawn.as_ref());
+                }
+                self.queue.submit(before.into_iter().chain([encoder.finish()]));
+            }
+            Way::Hand(by_hand) => {
+                if let Some(drawn) = &drawn {
+                    by_hand.draw_interface(&self.device, &self.queue, encoder, before, drawn);
+                }
+                if let Some(target) = &target {
+                    write(&self.queue, &target.texture, by_hand.compose(picture, size));
+                    self.queue.submit([]);
+                }
+            }
         }
+        unused.iter().for_each(|id| self.way.renderer().free_texture(id));
         let shown = target.is_some();
-        if let Some(target) = target {
-            self.queue.present(target);
-        }
+        target.into_iter().for_each(|t| self.queue.present(t));
         shown
     }
 
@@ -184,13 +227,50 @@ impl Screen {
     }
 }
 
-fn begin<'e>(encoder: &'e mut wgpu::CommandEncoder, view: &wgpu::TextureView) -> wgpu::RenderPass<'e> {
+impl Way {
+    /// What draws the interface.
+    fn renderer(&mut self) -> &mut egui_wgpu::Renderer {
+        match self {
+            Self::Card(card) => &mut card.interface,
+            Self::Hand(by_hand) => by_hand.renderer(),
+        }
+    }
+}
+
+impl Card {
+    fn upload(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, frame: &Frame) {
+        let size = [frame.width, frame.height];
+        if self.shown.as_ref().is_none_or(|s| s.size != size) {
+            self.shown = Some(self.stretch.picture(device, size));
+        }
+        if let Some(shown) = &self.shown {
+            write(queue, &shown.texture, &frame.colour);
+        }
+    }
+
+    fn draw(&mut self, encoder: &mut wgpu::CommandEncoder, target: &wgpu::Texture, drawn: Option<&Drawn>) {
+        let view = target.create_view(&wgpu::TextureViewDescriptor::default());
+        let mut pass = begin(encoder, &view, EMPTY).forget_lifetime();
+        if let Some(shown) = &self.shown {
+            self.stretch.draw(&mut pass, shown);
+        }
+        if let Some(Drawn { primitives, descriptor }) = drawn {
+            self.interface.render(&mut pass, primitives, descriptor);
+        }
+    }
+}
+
+pub(super) fn begin<'e>(
+    encoder: &'e mut wgpu::CommandEncoder,
+    view: &wgpu::TextureView,
+    empty: wgpu::Color,
+) -> wgpu::RenderPass<'e> {
     encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
         label: Some("window"),
         color_attachments: &[Some(wgpu::RenderPassColorAttachment {
             view,
             resolve_target: None,
-            ops: wgpu::Operations { load: wgpu::LoadOp::Clear(EMPTY), store: wgpu::StoreOp::Store },
+            ops: wgpu::Operations { load: wgpu::LoadOp::Clear(empty), store: wgpu::StoreOp::Store },
             depth_slice: None,
         })],
         depth_stencil_attachment: None,
@@ -200,10 +280,19 @@ fn begin<'e>(encoder: &'e mut wgpu::CommandEncoder, view: &wgpu::TextureView) ->
     })
 }
 
-fn write(queue: &wgpu::Queue, texture: &wgpu::Texture, frame: &Frame) {
-    let bytes: Vec<u8> = frame.colour.iter().flat_map(|c| c.to_le_bytes()).collect();
-    let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * frame.width), rows_per_image: None };
-    queue.write_texture(texture.as_image_copy(), &bytes, layout, texture.size());
+/// Rows of pixels, whose lowest byte comes first in the texture.
+fn write(queue: &wgpu::Queue, texture: &wgpu::Texture, codes: &[u32]) {
+    let little: Vec<u32>;
+    let bytes = match cfg!(target_endian = "little") {
+        true => bytemuck::cast_slice(codes),
+        false => {
+            little = codes.iter().map(|c| c.to_le()).collect();
+            bytemuck::cast_slice(&little)
+        }
+    };
+    let layout =
+        wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * texture.width()), rows_per_image: None };
+    queue.write_texture(texture.as_image_copy(), bytes, layout, texture.size());
 }
 
 /// Stretches a picture over the target.

@@ -29,7 +29,7 @@ fn stretched(device: &wgpu::Device, queue: &wgpu::Queue, frame: &Frame, format: 
     let (width, height) = (64, 4);
     let stretch = Stretch::new(device, format);
     let shown = stretch.picture(device, [frame.width, frame.height]);
-    write(queue, &shown.texture, frame);
+    write(queue, &shown.texture, &frame.colour);
     let target = device.create_texture(&wgpu::TextureDescriptor {
         label: None,
         size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
@@ -49,7 +49,7 @@ fn stretched(device: &wgpu::Device, queue: &wgpu::Queue, frame: &Frame, format: 
     let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     {
         let view = target.create_view(&wgpu::TextureViewDescriptor::default());
-        let mut pass = begin(&mut encoder, &view);
+        let mut pass = begin(&mut encoder, &view, EMPTY);
         stretch.draw(&mut pass, &shown);
     }
     let layout =

@@ -33,6 +33,8 @@ use winit::{
 
 /// How often figures and messages are written anew while no picture comes.
 pub(super) const REFRESH: Duration = Duration::from_millis(200);
+/// Where the interface is kept between pictures, figures are written anew that often: more cannot be read. What can be clicked is drawn with every picture.
+const WRITE_EVERY: Duration = Duration::from_millis(150);
 /// Shortest time between two poses in the events.
 const POSE_EVERY: Duration = Duration::from_millis(100);
 /// The help line goes after so many pictures that showed a new pose: by then people know the keys.
@@ -82,6 +84,8 @@ pub(super) struct Visit {
     /// A walk is walked by itself.
     replaying: bool,
     pub repaint_at: Instant,
+    /// When the interface was drawn last; None: what it shows has changed.
+    written: Option<Instant>,
 }
 
 /// What the events have said already.
@@ -169,6 +173,7 @@ impl Visit {
             walk_at_once: config.replay.is_some(),
             replaying: false,
             repaint_at: Instant::now(),
+            written: None,
         })
     }
 
@@ -216,6 +221,7 @@ impl Visit {
 
     /// A screenshot was saved, or could not be.
     pub fn shot(&mut self, outcome: Outcome, events: &mut Events) {
+        self.written = None;
         match outcome {
             Ok(path) => {
                 let path = std::path::absolute(&path).unwrap_or(path);
@@ -264,6 +270,7 @@ impl Visit {
 
     /// The mouse was pressed: on the map that is the map's, elsewhere it captures the pointer.
     pub fn click(&mut self, events: &mut Events) {
+        self.written = None;
         let on_panel = self.egui.egui_ctx().is_pointer_over_egui();
         if !self.map.open && !on_panel {
             self.started = true;
@@ -273,6 +280,7 @@ impl Visit {
 
     /// A key. Whether it asks to leave.
     pub fn key(&mut self, event: &KeyEvent, link: &Link, events: &mut Events) -> bool {
+        self.written = None;
         let pressed = event.state == ElementState::Pressed;
         if pressed && !event.repeat && self.command(event, link, events) {
             return true;
@@ -308,6 +316,7 @@ impl Visit {
     /// The gamepad moved.
     pub fn pad(&mut self, link: &Link, events: &mut Events) {
         let presses = self.pad.pad().presses();
+        self.written = self.written.filter(|_| presses.is_empty());
         if !self.focused {
             return;
         }
@@ -431,6 +440,13 @@ impl Visit {
     /// Draws the window.
     pub fn redraw(&mut self, server: &str, link: &Link, events: &mut Events) {
         self.tell_replay(events);
+        let to_read_alone = self.started && !self.map.open && !self.settings.open;
+        let written = self.written.is_some_and(|at| at.elapsed() < WRITE_EVERY);
+        if written && to_read_alone && self.screen.keeps_interface() {
+            self.screen.present(self.picture.as_ref().map(|p| &p.frame), None);
+            return;
+        }
+        self.written = Some(Instant::now());
         let input = self.egui.take_egui_input(&self.window);
         let ctx = self.egui.egui_ctx().clone();
         let (scene, state, figures) = (link.scene(), link.state(), link.figures());
@@ -467,7 +483,8 @@ impl Visit {
         self.repaint_at = self.repaint_at.min(Instant::now() + delay.min(REFRESH));
         let primitives = ctx.tessellate(output.shapes, output.pixels_per_point);
         let scale = output.pixels_per_point;
-        self.screen.present(Interface { primitives, textures: output.textures_delta, scale });
+        let interface = Interface { primitives, textures: output.textures_delta, scale };
+        self.screen.present(self.picture.as_ref().map(|p| &p.frame), Some(interface));
         if let (Some(sheet), false) = (self.map.sheet, self.told.map) {
             self.told.map = true;
             let a = sheet.area;
