@@ -141,8 +141,11 @@ impl Walks {
         Self((0..WALKS).into_par_iter().map(walk).collect())
     }
 
-    /// Stored bytes that a walk needs, mean of all. `index`: with the chunks of its geometry, its images in the order of `plans`.
-    fn bytes(&self, index: &Index, plans: &[PlacementPlan], bytes_per_pixel: f64) -> u64 {
+    /// Stored bytes that a walk needs, mean of all. `index`: with the chunks of its geometry, its images as those of `plans`, not yet made.
+    fn bytes(&self, mut index: Index, plans: &[PlacementPlan], bytes_per_pixel: f64) -> u64 {
+        // An image without chunks shows nothing, so nobody would need it: these have one, which is none of the index's.
+        index.images.iter_mut().for_each(|i| i.chunks = vec![u32::MAX]);
+        let index = &index;
         let pixels: Vec<u64> = plans.iter().flat_map(|p| &p.images).map(pixels_of).collect();
         let groups = CellGroups::of(&index.cells);
         let camera = &index.settings.camera;
@@ -199,7 +202,7 @@ pub struct Weight {
 
 impl Weight {
     /// Weighs a plan; `index` as of [`Walks::bytes`].
-    pub(super) fn of(walks: &Walks, index: &Index, plans: &[PlacementPlan], images: ImageBytes) -> Self {
+    pub(super) fn of(walks: &Walks, index: Index, plans: &[PlacementPlan], images: ImageBytes) -> Self {
         Self {
             walk_bytes_expected: walks.bytes(index, plans, images.per_pixel),
             images_bytes_expected: images.all,
@@ -333,6 +336,32 @@ pub fn weigh(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn walks_need_geometry_and_images() {
+        let options = BuildOptions {
+            represent: crate::build::Represent::Grid,
+            along: None,
+            scene: "builtin:house?triangles=20000".into(),
+            output: "".into(),
+            settings: crate::placement::test_scenes::settings(6_000),
+            colour: ColourProfile::Lossless,
+        };
+        let p = super::super::plan(&options, &mut Default::default(), &()).unwrap();
+        let plan = &p.plan;
+        let geometry = crate::pack::pack_geometry(&p.scene, &p.clusters, &p.octree, 0).unwrap();
+        let index = Index {
+            chunks: geometry.chunks.iter().map(super::super::chunk_entry).collect(),
+            ..super::super::draft_index(&options, &p.scene, &p.settings, plan, geometry.cells.clone(), None)
+        };
+        let walks = Walks::take(p.caster.as_ref().unwrap(), &plan.volume);
+        let bytes = |per_pixel| walks.bytes(index.clone(), &plan.plans, per_pixel);
+        let (without, with) = (bytes(0.0), bytes(1.0));
+        let all: u64 = index.chunks.iter().map(|c| u64::from(c.stored_bytes)).sum();
+        let pixels: u64 = plan.plans.iter().flat_map(|p| &p.images).map(pixels_of).sum();
+        assert!(0 < without && without <= all, "{without} of {all} bytes of geometry");
+        assert!(0 < with - without && with - without <= pixels, "{} of {pixels} pixels", with - without);
+    }
 
     #[test]
     fn rooms_are_taken_where_they_keep_the_promises_and_walks_need_fewer_bytes() {

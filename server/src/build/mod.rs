@@ -449,12 +449,12 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         let cameras: Vec<LdiCamera> = plan.plans.iter().flat_map(|p| &p.images).map(planned_camera).collect();
         let audit = placement::audit(&index, &counts, &|i| cameras.get(i as usize).copied(), AUDITED_POSES, 1);
         let walks = Walks::take(&caster, &plan.volume);
-        let weight = |index: &Index, plans: &[PlacementPlan]| -> Result<Weight, BuildError> {
+        let weight = |index: Index, plans: &[PlacementPlan]| -> Result<Weight, BuildError> {
             let images = ImageBytes::expected(&caster, plans, &settings, options.colour, &scene_key, &writer)?;
             Ok(Weight::of(&walks, index, plans, images))
         };
-        let by_rooms = weight(&index, &plan.plans)?;
-        let by_grid = weight(&draft(&grid_alone, None), &grid_alone.plans)?;
+        let by_rooms = weight(index, &plan.plans)?;
+        let by_grid = weight(draft(&grid_alone, None), &grid_alone.plans)?;
         let found = RoomWeighing::of(&audit, &walks, by_rooms, by_grid);
         heard(&format!("{}: {}", found.chosen, found.why));
         if found.chosen == RoomWeighing::GRID {

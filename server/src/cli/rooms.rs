@@ -110,7 +110,11 @@ fn summary(scene: &str, rooms: &Rooms, statistics: Option<&Statistics>) -> Strin
     match statistics {
         None => text += ", from the scene's annotations",
         Some(s) => {
-            let kinds: Vec<String> = s.portals.iter().map(|(k, n)| format!("{n} {k}s")).collect();
+            let kinds: Vec<String> = s
+                .portals
+                .iter()
+                .map(|(k, n)| format!("{n} {k}{}", if k.ends_with("ch") { "es" } else { "s" }))
+                .collect();
             let seconds: f64 = s.seconds.iter().map(|s| s.1).sum();
             text += &format!(" ({}), found in {seconds:.1} s", kinds.join(", "));
             if s.rays > 0 {
