@@ -280,8 +280,9 @@ impl Visit {
 
     /// A key. Whether it asks to leave.
     pub fn key(&mut self, event: &KeyEvent, link: &Link, events: &mut Events) -> bool {
-        self.written = None;
         let pressed = event.state == ElementState::Pressed;
+        // Held keys repeat thirty times per second, and change nothing that is written.
+        self.written = self.written.filter(|_| event.repeat || !pressed);
         if pressed && !event.repeat && self.command(event, link, events) {
             return true;
         }
