@@ -9,6 +9,8 @@ use std::{
 
 /// Geometry budget of the dataset: about a third of the house.
 pub const BUDGET: &str = "8500";
+/// Its images are the grid's: by default the house would be walked by its rooms, which fit the budget nearly everywhere.
+pub const REPRESENT: [&str; 2] = ["--represent", "grid"];
 /// Picture that it is made for.
 pub const SIZE: &str = "320x180";
 
@@ -76,7 +78,8 @@ impl Fixture {
         c.args(["scene", "house", "--triangles", "25000", "--seed", "1", "-o"]).arg(&self.scene);
         run::run(c).expect("writes a scene");
         let mut c = run::command("ldi-server").expect("built");
-        c.arg("build").arg(&self.scene).arg("-o").arg(&self.dataset).args(["--budget", BUDGET, "--size", SIZE]);
+        c.arg("build").arg(&self.scene).arg("-o").arg(&self.dataset);
+        c.args(["--budget", BUDGET, "--size", SIZE]).args(REPRESENT);
         run::run(c).expect("builds");
         // Middle of a room, a doorway, and a look up and down.
         let pose = |p: [f64; 3], yaw: f64, pitch: f64| serde_json::json!({ "t": 0.0, "position": p, "yaw": yaw, "pitch": pitch });

@@ -2,7 +2,7 @@
 
 use ldi_protocol::select::draw_list;
 use ldi_server::store::Dataset;
-use ldi_tests::fixture::{BUDGET, Fixture, SIZE};
+use ldi_tests::fixture::{BUDGET, Fixture, REPRESENT, SIZE};
 use ldi_tests::run::{self, Server};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -39,7 +39,7 @@ fn fixture() -> &'static Fixture {
 
 fn build_command(scene: &Path, dataset: &Path, more: &[&str]) -> Command {
     let mut c = server(&["build"]);
-    c.arg(scene).arg("-o").arg(dataset).args(["--budget", BUDGET, "--size", SIZE]).args(more);
+    c.arg(scene).arg("-o").arg(dataset).args(["--budget", BUDGET, "--size", SIZE]).args(REPRESENT).args(more);
     c
 }
 
@@ -192,7 +192,7 @@ fn one_thread_and_two_give_the_same_bytes() {
     assert_same_dataset(&out.join("one"), &f.dataset);
     // The comparison can fail: another budget gives other bytes.
     let mut c = server(&["build"]);
-    c.arg(&f.scene).arg("-o").arg(out.join("other")).args(["--budget", "9000", "--size", SIZE]);
+    c.arg(&f.scene).arg("-o").arg(out.join("other")).args(["--budget", "9000", "--size", SIZE]).args(REPRESENT);
     run::run(c).expect("builds");
     assert!(dataset_bytes(&out.join("other")) != dataset_bytes(&f.dataset));
 }

@@ -96,6 +96,7 @@ fn what_is_lacking_is_what_is_needed_and_absent() {
         colour: ColourProfile::High,
         represent: Represent::Grid,
         along: None,
+        budget_share: None,
     };
     build::build(&options, &()).unwrap();
     let index = Dataset::open(&options.output).unwrap().index().clone();

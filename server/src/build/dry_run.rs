@@ -121,6 +121,7 @@ mod tests {
         let options = BuildOptions {
             represent: crate::build::Represent::Grid,
             along: None,
+            budget_share: None,
             scene: "builtin:house?triangles=20000".into(),
             output: "".into(),
             settings: test_scenes::settings(6_000),

@@ -63,6 +63,8 @@ pub struct BuildOptions {
     pub output: PathBuf,
     /// Settings; an `optimize_budget` of 0 stands for the default: P with view cells, P - max(10% of P, 2 x the largest cell) with the paper's grid.
     pub settings: BuildSettings,
+    /// Share of the scene's triangles that the budget is, whatever `settings` say; None: it is theirs.
+    pub budget_share: Option<f64>,
     /// Colour coding; `settings.colour` is its name.
     pub colour: ColourProfile,
     /// Images and a base layer, or the LDI tree alone.
@@ -319,6 +321,10 @@ fn read(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
 
     progress.stage("clusters and octree", 0);
     let mut settings = options.settings.clone();
+    if let Some(share) = options.budget_share {
+        settings.budget = ((scene.triangles() as f64 * share) as u64).max(1);
+        progress.note(&format!("budget: {} of {} triangles", settings.budget, scene.triangles()));
+    }
     let clusters = Clusters::build(&scene);
     let octree = Octree::build(&scene, &clusters, settings.budget);
     if settings.optimize_budget == 0 && settings.grid == CELLS {

@@ -34,7 +34,7 @@ pub enum Command {
     /// Build a dataset from a scene.
     #[command(after_help = "\
 Examples:
-  ldi-server build clinic.glb -o clinic.ldi --budget 135000
+  ldi-server build clinic.glb -o clinic.ldi --budget 10%
   ldi-server build 'builtin:house?triangles=300000&seed=1' -o house.ldi --budget 30000 --report build.json
   ldi-server build plant.glb -o tour.ldi --budget 100000 --along tour.path.json --within 2
   ldi-server build builtin:house -o rooms.ldi --represent portals --portal-images both --portal-references 13
@@ -102,9 +102,9 @@ pub struct BuildArgs {
     /// Its adversarial poses, on borders of every kind [default: a tenth of the random ones].
     #[arg(long, requires = "dry_run")]
     pub adversarial: Option<u64>,
-    /// Geometry budget P, triangles per frame.
-    #[arg(long, default_value_t = 200_000, value_parser = clap::value_parser!(u64).range(1..))]
-    pub budget: u64,
+    /// Geometry budget P: triangles per frame, or a share of the scene's, as 10%.
+    #[arg(long, value_name = "N|PERCENT%", default_value = "200000", value_parser = budget)]
+    pub budget: Budget,
     /// Optimization budget Popt, what images aim at [default: P; with --grid paper P - max(10% of P, 2 x the largest pseudo-leaf)].
     #[arg(long)]
     pub optimize_budget: Option<u64>,
@@ -336,11 +336,44 @@ fn positive(s: &str) -> Result<f64, String> {
     s.parse().ok().filter(|v: &f64| *v > 0.0 && v.is_finite()).ok_or_else(|| "a number above 0 is needed".to_string())
 }
 
+/// A geometry budget as it is asked for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Budget {
+    /// Triangles per frame.
+    Triangles(u64),
+    /// Of the scene's triangles, above 0 and at most 1.
+    Share(f64),
+}
+
+fn budget(s: &str) -> Result<Budget, String> {
+    let found = match s.strip_suffix('%') {
+        Some(percent) => {
+            percent.parse().ok().filter(|p: &f64| *p > 0.0 && *p <= 100.0).map(|p| Budget::Share(p / 100.0))
+        }
+        None => s.parse().ok().filter(|n| *n > 0).map(Budget::Triangles),
+    };
+    found.ok_or_else(|| "a number of triangles above 0 is needed, or a share up to 100% as 10%".into())
+}
+
 fn density(s: &str) -> Result<f64, String> {
     match s {
         "1" | "1.0" => Ok(1.0),
         "1.5" => Ok(1.5),
         "2" | "2.0" => Ok(2.0),
         _ => Err("is 1, 1.5 or 2".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn budgets_are_triangles_or_shares() {
+        assert_eq!(budget("135000"), Ok(Budget::Triangles(135_000)));
+        assert_eq!((budget("10%"), budget("2.5%")), (Ok(Budget::Share(0.1)), Ok(Budget::Share(0.025))));
+        for wrong in ["0", "-1", "1.5", "0%", "-3%", "101%", "nan%", "inf%", "%", "", "ten"] {
+            assert!(budget(wrong).is_err_and(|e| e.contains("10%")), "{wrong}");
+        }
     }
 }

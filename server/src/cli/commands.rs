@@ -1,7 +1,7 @@
 //! What each command does.
 
 use super::Failure;
-use super::args::{BuildArgs, Command, InspectArgs, PlanArgs, RenderArgs, SceneArgs, ServeArgs, VerifyArgs};
+use super::args::{Budget, BuildArgs, Command, InspectArgs, PlanArgs, RenderArgs, SceneArgs, ServeArgs, VerifyArgs};
 use super::progress::Stderr;
 use crate::build::{self, BuildError, BuildOptions, PortalOptions, Progress as _, Represent, RoomSource};
 use crate::octree;
@@ -74,11 +74,16 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
     threads(a.threads)?;
     let colour = ColourProfile::from_name(&a.colour)
         .ok_or_else(|| Failure::usage(anyhow!("--colour: there is no '{}'", a.colour)))?;
-    if let Some(popt) = a.optimize_budget.filter(|p| *p == 0 || *p > a.budget) {
-        return Err(Failure::usage(anyhow!(
-            "--optimize-budget {popt} must lie between 1 and the budget, {}",
-            a.budget
-        )));
+    let (budget, budget_share) = match a.budget {
+        Budget::Triangles(n) => (n, None),
+        Budget::Share(_) if a.optimize_budget.is_some() => {
+            return Err(Failure::usage(anyhow!("--optimize-budget needs --budget as a number of triangles")));
+        }
+        // Until the scene is read.
+        Budget::Share(share) => (0, Some(share)),
+    };
+    if let Some(popt) = a.optimize_budget.filter(|p| *p == 0 || *p > budget) {
+        return Err(Failure::usage(anyhow!("--optimize-budget {popt} must lie between 1 and the budget, {budget}")));
     }
     let asked = |what: &str| a.represent.iter().any(|r| r == what);
     let only = |name: &str| a.represent.iter().all(|r| r == name);
@@ -114,8 +119,9 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         colour,
         represent,
         along: walk.map(|walk| Corridor::around(&walk, a.within)),
+        budget_share,
         settings: BuildSettings {
-            budget: a.budget,
+            budget,
             optimize_budget: a.optimize_budget.unwrap_or(0),
             camera: OutputCamera { width: a.size.0, height: a.size.1, fov_deg: a.fov },
             max_footprint_px: a.max_footprint,

@@ -122,6 +122,7 @@ fn options(
     BuildOptions {
         represent: Represent::Grid,
         along: None,
+        budget_share: None,
         scene: scene.into(),
         output: PathBuf::new(),
         colour: ColourProfile::Lossless,
