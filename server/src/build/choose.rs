@@ -342,14 +342,16 @@ mod tests {
         let options = BuildOptions {
             represent: crate::build::Represent::Grid,
             along: None,
-            budget_share: None,
+            // Of a budget that is told as a share the settings know nothing.
+            budget_share: Some(0.3),
             scene: "builtin:house?triangles=20000".into(),
             output: "".into(),
-            settings: crate::placement::test_scenes::settings(6_000),
+            settings: crate::placement::test_scenes::settings(0),
             colour: ColourProfile::Lossless,
         };
         let p = super::super::plan(&options, &mut Default::default(), &()).unwrap();
         let plan = &p.plan;
+        assert_eq!(p.settings.budget, p.scene.triangles() * 3 / 10);
         let geometry = crate::pack::pack_geometry(&p.scene, &p.clusters, &p.octree, 0).unwrap();
         let index = Index {
             chunks: geometry.chunks.iter().map(super::super::chunk_entry).collect(),
