@@ -120,11 +120,11 @@ fn pixels_of(image: &ImagePlan) -> u64 {
     u64::from(camera.width) * u64::from(camera.height)
 }
 
-/// Walks that tell what is sent.
+/// Walks that tell what is sent: an hour in all, whose poses take seconds to look at. Fewer: where they happen to begin decides.
 const WALKS: u64 = 64;
-/// How long each is, seconds.
+/// How long each is, seconds: the first minute is what people judge, and longer ones of random turns hardly get farther.
 const WALK_S: f64 = 60.0;
-/// Poses that are looked at are so many apart: a quarter of a second.
+/// Poses that are looked at are so many apart: a quarter of a second, in which one walks a third of a metre or turns by half of the picture.
 const POSES_APART: usize = 15;
 
 /// A minute each, from places all over the volume, not through walls.
