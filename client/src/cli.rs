@@ -289,7 +289,7 @@ fn method_of(args: &WalkArgs) -> Method {
 fn check_offer(method: Method, index: &Index) -> Result<(), Failure> {
     let name = method.to_possible_value().map_or_else(String::new, |v| v.get_name().to_owned());
     let refused = |why: &str| Err(Failure::permanent(anyhow::anyhow!("--method {name}: {why}")));
-    let wanted = method.portals().images;
+    let wanted = method.show().portals.images;
     match &index.rooms {
         None if matches!(method, Method::Texture | Method::Warp1 | Method::Warp2) => refused(
             "the dataset has no rooms; build it with `ldi-server build SCENE --represent portals --portal-images paper`, or use --method auto",
@@ -352,7 +352,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     config.fingerprint = args.fingerprint.as_deref().map(str::parse::<Fingerprint>).transpose()?;
     config.token = token;
     config.prefetch_m = prefetch_m(args);
-    config.portals = method_of(args).portals();
+    config.show = method_of(args).show();
     // Otherwise what is asked for has to be known to be there.
     config.early = args.pace == Pace::Realtime && matches!(method_of(args), Method::Auto | Method::Tree);
     config.link = args.link;

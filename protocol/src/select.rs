@@ -21,6 +21,7 @@ use crate::{
     tree::{CutOptions, Lens, cut},
 };
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 
 /// Samples may lie before their image's plane by this share of its distance: depths are rounded.
 const PLANE_SLACK: f64 = 1e-3;
@@ -31,6 +32,39 @@ const USERS_SLACK_M: f64 = 1e-6;
 /// Value of `BuildSettings::grid` for view cells: the closest grid point counts, wherever it lies. Any other value: the paper's
 /// scheme, the closest one in the reverse frustum.
 pub const CELLS: &str = "cells";
+
+/// Where a client takes what is far from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FarBy {
+    /// What the dataset offers: images, or the LDI tree, within the budget.
+    #[default]
+    Offered,
+    /// Geometry: every cell in view, whatever its triangles.
+    Geometry,
+    /// The LDI tree, behind the nearest cells that the budget allows.
+    Tree,
+}
+
+impl FarBy {
+    /// Whether it comes from the LDI tree, in this dataset.
+    pub fn is_tree(self, index: &Index) -> bool {
+        match self {
+            Self::Offered => index.walks_by_tree(),
+            Self::Geometry => false,
+            Self::Tree => true,
+        }
+    }
+}
+
+/// What a client shows: decides what a pose needs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub struct Show {
+    /// What is far.
+    pub far: FarBy,
+    /// Portals, in a dataset with rooms.
+    pub portals: ShowPortals,
+}
 
 /// What a pose sees.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -141,12 +175,11 @@ pub struct DrawList {
 /// The cells that a pose draws: those in view that its placement does not replace. `picture_half_tan`: tangents of half the picture's
 /// horizontal and vertical field of view.
 pub fn draw_list(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> DrawList {
-    draw_list_showing(index, pose, picture_half_tan, ShowPortals::default())
+    draw_list_showing(index, pose, picture_half_tan, Show::default())
 }
 
-/// The same with a wish for how portals are shown, which matters in a dataset with rooms alone. Images that the dataset was not built with count as absent: geometry is
-/// drawn, as far as the budget goes.
-pub fn draw_list_showing(index: &Index, pose: &Pose, picture_half_tan: (f64, f64), show: ShowPortals) -> DrawList {
+/// The same with a wish for what is shown. Images of portals that the dataset was not built with count as absent: geometry is drawn, as far as the budget goes.
+pub fn draw_list_showing(index: &Index, pose: &Pose, picture_half_tan: (f64, f64), show: Show) -> DrawList {
     draw_list_of(index, &CellGroups::default(), pose, picture_half_tan, show)
 }
 
@@ -156,16 +189,20 @@ pub fn draw_list_of(
     groups: &CellGroups,
     pose: &Pose,
     picture_half_tan: (f64, f64),
-    show: ShowPortals,
+    show: Show,
 ) -> DrawList {
+    let nothing = Selection { grid_point: None, placement: None };
+    if show.far == FarBy::Geometry {
+        return cells_in_view(index, groups, nothing, pose, picture_half_tan);
+    }
+    if show.far.is_tree(index) {
+        let list = grid_list(index, groups, nothing, pose, picture_half_tan);
+        return DrawList { tree: tree_chunks(index, pose, picture_half_tan), ..list };
+    }
     let Some(rooms) = &index.rooms else {
-        let list = grid_list(index, groups, select(index, pose), pose, picture_half_tan);
-        return match index.walks_by_tree() {
-            true => DrawList { tree: tree_chunks(index, pose, picture_half_tan), ..list },
-            false => list,
-        };
+        return grid_list(index, groups, select(index, pose), pose, picture_half_tan);
     };
-    let list = portals::draw_list(index, rooms, pose, picture_half_tan, show);
+    let list = portals::draw_list(index, rooms, pose, picture_half_tan, show.portals);
     if list.dropped == 0 || index.points.is_empty() {
         return list;
     }
@@ -200,6 +237,17 @@ fn grid_list(
     pose: &Pose,
     picture_half_tan: (f64, f64),
 ) -> DrawList {
+    within_budget(index, cells_in_view(index, groups, selection, pose, picture_half_tan))
+}
+
+/// The same without the budget: all cells in view that the placement does not replace.
+fn cells_in_view(
+    index: &Index,
+    groups: &CellGroups,
+    selection: Selection,
+    pose: &Pose,
+    picture_half_tan: (f64, f64),
+) -> DrawList {
     let culled =
         selection.placement.and_then(|p| index.placements.get(p as usize)).map_or(&[][..], |p| p.culled.as_slice());
     let frusta = DrawFrusta::new(&index.settings, pose, picture_half_tan);
@@ -217,10 +265,10 @@ fn grid_list(
         seen.push((apart.length_squared(), cell));
         triangles += u64::from(entry.triangles);
     }
-    let (cells, triangles, dropped) = within_budget(index, seen, triangles);
+    let cells = near_to_far(seen);
     let images = selection.placement.map_or_else(Vec::new, |p| frusta.images_in_view(index, p, pose));
     let (tree, rooms, portals) = (Vec::new(), Vec::new(), Vec::new());
-    DrawList { selection, cells, images, triangles, dropped, tree, rooms, portals }
+    DrawList { selection, cells, images, triangles, dropped: 0, tree, rooms, portals }
 }
 
 /// Cells that a pose draws where all else comes from the LDI tree, near to far.
@@ -228,16 +276,17 @@ pub fn cells_before_tree(index: &Index, groups: &CellGroups, pose: &Pose, pictur
     grid_list(index, groups, Selection { grid_point: None, placement: None }, pose, picture_half_tan).cells
 }
 
-/// Of some cells and images, those that a pose draws, in no order. As [`draw_list_of`] finds them in a dataset with grid points, but for cells that would be left out because the
-/// budget is used up. For whoever has all others already and asks for many poses. `images`: per image of the index, whether it is one of them.
+/// Of some cells and images, those that a pose draws, in no order. As [`draw_list_of`] finds them in a dataset with grid points, or where all that is far is geometry, but for
+/// cells that would be left out because the budget is used up. For whoever has all others already and asks for many poses. `images`: per image of the index, whether it is one of them.
 pub fn draws_among(
     index: &Index,
     groups: &CellGroups,
     (cells, images): (&SomeCells, &[bool]),
     pose: &Pose,
     picture_half_tan: (f64, f64),
+    far: FarBy,
 ) -> (Vec<u32>, Vec<u32>) {
-    let placement = select(index, pose).placement;
+    let placement = if far == FarBy::Offered { select(index, pose).placement } else { None };
     let entry = placement.and_then(|p| index.placements.get(p as usize));
     let frusta = DrawFrusta::new(&index.settings, pose, picture_half_tan);
     let mut drawn = Vec::new();
@@ -262,16 +311,20 @@ pub fn draws_among(
     (drawn, shown)
 }
 
-/// Cells (distance, number) near to far, without the farthest ones that exceed the budget; the triangles that stay; how many cells went.
-fn within_budget(index: &Index, mut seen: Vec<(f64, u32)>, mut triangles: u64) -> (Vec<u32>, u64, u32) {
-    seen.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    let mut dropped = 0;
-    while triangles > index.settings.budget {
-        let Some((_, cell)) = seen.pop() else { break };
-        triangles -= u64::from(index.cells[cell as usize].triangles);
-        dropped += 1;
+/// Numbers of cells (distance, number), near to far.
+fn near_to_far(mut cells: Vec<(f64, u32)>) -> Vec<u32> {
+    cells.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    cells.into_iter().map(|c| c.1).collect()
+}
+
+/// The list without the farthest cells that exceed the budget.
+fn within_budget(index: &Index, mut list: DrawList) -> DrawList {
+    while list.triangles > index.settings.budget {
+        let Some(cell) = list.cells.pop() else { break };
+        list.triangles -= u64::from(index.cells[cell as usize].triangles);
+        list.dropped += 1;
     }
-    (seen.into_iter().map(|s| s.1).collect(), triangles, dropped)
+    list
 }
 
 /// The nearest cells in view that the budget allows: what is drawn as geometry where all else comes from the LDI tree.
@@ -497,7 +550,7 @@ mod tests {
             let position = DVec3::new(unit() - 0.5, unit() * 0.2, unit() - 0.5) * 40.0;
             let pose = Pose { position, yaw_deg: unit() * 360.0, pitch_deg: (unit() - 0.5) * 60.0 };
             let plain = draw_list(&index, &pose, (0.5, 0.3));
-            assert_eq!(plain, draw_list_of(&index, &groups, &pose, (0.5, 0.3), ShowPortals::default()), "{pose:?}");
+            assert_eq!(plain, draw_list_of(&index, &groups, &pose, (0.5, 0.3), Show::default()), "{pose:?}");
             seen += plain.cells.len();
             dropped += plain.dropped;
         }

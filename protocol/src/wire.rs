@@ -23,6 +23,7 @@ use crate::{
     OutputCamera,
     index::{BuildSettings, ChunkHash},
     room_index::ShowPortals,
+    select::FarBy,
 };
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -125,6 +126,9 @@ pub struct Hello {
     /// How the client shows portals, which decides what a pose needs in a dataset with rooms. A server that does not know of it sends what it would show, and the client asks for the rest.
     #[serde(default)]
     pub portals: ShowPortals,
+    /// Where the client takes what is far from, which decides what a pose needs too. A server that does not know of it sends what the dataset offers, and the client asks for the rest.
+    #[serde(default)]
+    pub far: FarBy,
     /// The walk begins before the whole manifest is there: until [`ClientMessage::Whole`] only the LDI tree's coarse levels are sent beside it. A server that does not know of it
     /// sends the pages first.
     #[serde(default)]

@@ -212,7 +212,7 @@ fn server_and_client_agree_on_what_a_method_needs() {
     let camera = index.settings.camera;
     let (mut needs, methods) = (Vec::new(), [Method::Texture, Method::Warp1, Method::Warp2, Method::Ldi]);
     for method in methods {
-        let views = SelectViews::showing(Arc::clone(index), Arc::default(), &camera, method.portals());
+        let views = SelectViews::showing(Arc::clone(index), Arc::default(), &camera, method.show());
         let of_method: Vec<_> = walk
             .poses
             .iter()

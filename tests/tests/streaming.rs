@@ -11,6 +11,8 @@ use fixture::{FIRST_CELL, LDI, STEP_M, Street, street};
 use host::{Host, Memory, PATIENCE, PICTURE, folder};
 use ldi_client::{
     cache::Incomplete,
+    engine::{Method, view_of},
+    report::StageMs,
     resident::Resident,
     stream::{ConnectConfig, ConnectError, Connection, Fingerprint, MAX_RETRIES, Others},
 };
@@ -19,7 +21,7 @@ use ldi_protocol::{
     codec::ColourProfile,
     index::{BuildSettings, ChunkHash, ChunkKind},
     need::Needed,
-    select::{CELLS, select},
+    select::{CELLS, CellGroups, FarBy, Show, select},
     wire::{RefusalCode, Request},
 };
 use ldi_server::{
@@ -27,7 +29,7 @@ use ldi_server::{
     serve::{SelectViews, ServeConfig, planner::Views},
     store::Dataset,
 };
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
 /// A walker on the street's axis.
 fn pose(z: f64, yaw_deg: f64) -> Pose {
@@ -78,7 +80,27 @@ fn a_walk_gets_everything_it_needs_and_nothing_twice() {
     assert_eq!(stats.wasted_bytes, stats.chunk_bytes - used, "only the LDI was drawn");
 }
 
-/// Forecasts look only at what lacks something: they find what a look at everything finds.
+#[test]
+fn who_shows_no_images_is_sent_none() {
+    let host = Host::start("no-images", Memory::new(street(8, 64).with_tree()));
+    for far in [FarBy::Geometry, FarBy::Tree] {
+        let show = Show { far, ..Show::default() };
+        let connection = Connection::connect(ConnectConfig { show, prefetch_m: 10.0, ..host.config() }).unwrap();
+        let index = connection.index().clone();
+        let views = SelectViews::showing(index.clone(), Arc::default(), &PICTURE.camera(&index.settings), show);
+        for pose in [pose(0.0, 0.0), pose(-1.5 * STEP_M, 90.0), pose(-2.5 * STEP_M, 180.0), pose(0.0, 0.0)] {
+            let needed = views.needed(&pose);
+            connection.look(&pose, &needed);
+            let all: Vec<u32> = needed.all().collect();
+            // Unasked: the server has to know what is shown.
+            connection.cache().wait(&all, PATIENCE).unwrap();
+        }
+        let held = connection.cache().held();
+        assert!(!held.iter().any(|c| LDI.contains(c)), "{far:?}: {held:?}");
+    }
+}
+
+/// Forecasts look only at what lacks something: they find what a look at everything finds, and that is what the client draws, wherever it takes from what is far.
 #[test]
 fn what_is_lacking_is_what_is_needed_and_absent() {
     let folder = folder("lacking");
@@ -100,13 +122,17 @@ fn what_is_lacking_is_what_is_needed_and_absent() {
     };
     build::build(&options, &()).unwrap();
     let index = Dataset::open(&options.output).unwrap().index().clone();
-    let views = SelectViews::new(index.clone(), &PICTURE.camera(&index.settings));
+    let camera = PICTURE.camera(&index.settings);
+    let methods = [Method::Auto, Method::Geometry, Method::Tree];
+    let views =
+        methods.map(|m| SelectViews::showing(index.clone(), CellGroups::of(&index.cells).into(), &camera, m.show()));
     let volume = index.volume.as_ref().unwrap().sampler();
     let mut random =
         (1u64..).map(|i| f64::from((i.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40) as u32) / f64::from(1u32 << 24));
     let mut next = || random.next().unwrap();
-    let mut found = [0, 0];
-    for round in 0..40 {
+    let mut found = [[0, 0]; 3];
+    for round in 0..60 {
+        let (method, views, found) = (methods[round % 3], &views[round % 3], &mut found[round % 3]);
         let poses: Vec<Pose> = (0..25)
             .map(|_| Pose {
                 position: volume.point([next(), next(), next(), next()]).unwrap(),
@@ -115,22 +141,31 @@ fn what_is_lacking_is_what_is_needed_and_absent() {
             })
             .collect();
         // From hardly anything to nearly everything.
-        let absent: Vec<bool> = index.chunks.iter().map(|_| next() * 40.0 > f64::from(round)).collect();
+        let absent: Vec<bool> = index.chunks.iter().map(|_| next() * 60.0 > round as f64).collect();
         let absent = |chunk: u32| absent[chunk as usize];
         for (pose, lacking) in poses.iter().zip(views.lacking(&poses, &absent)) {
-            let Needed { now, fine, .. } = views.needed(pose);
+            let needed = views.needed(pose);
+            let view = view_of(&index, pose, &camera, method, &mut StageMs::default());
+            assert_eq!(needed, view.needed(&index), "{method:?} at {pose:?}");
+            let Needed { base, now, fine } = needed;
             let sorted = |mut list: Vec<u32>| {
                 list.sort_unstable();
                 list
             };
             let expected = sorted(now.into_iter().chain(fine).filter(|c| absent(*c)).collect());
-            assert_eq!(sorted(lacking), expected, "round {round}, {pose:?}");
+            // The base layer is on its way before anything else, named or not; and of the tree it may name a chunk without samples in view.
+            let surplus = |c: &u32| index.chunks[*c as usize].kind == ChunkKind::Tree && !expected.contains(c);
+            let lacking = lacking.into_iter().filter(|c| !base.contains(c) && !surplus(c)).collect();
+            assert_eq!(sorted(lacking), expected, "{method:?}, round {round}, {pose:?}");
             for chunk in expected {
                 found[usize::from(index.chunks[chunk as usize].kind == ChunkKind::Ldi)] += 1;
             }
         }
     }
-    assert!(found.iter().all(|n| *n > 100), "geometry, images: {found:?}");
+    let [offered, geometry, tree] = found;
+    assert!(offered.iter().all(|n| *n > 100), "geometry, images: {offered:?}");
+    assert!(geometry[0] > 100 && tree[0] > 100 && geometry[1] + tree[1] == 0, "{geometry:?}, {tree:?}");
+    assert!(geometry[0] > tree[0], "the tree is behind the nearest cells, {geometry:?}, {tree:?}");
 }
 
 #[test]

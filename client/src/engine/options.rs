@@ -5,7 +5,10 @@ use crate::{
     composite::Fill,
     warp::{Order, Stamp},
 };
-use ldi_protocol::room_index::{PortalImages, ShowPortals};
+use ldi_protocol::{
+    room_index::{PortalImages, ShowPortals},
+    select::{FarBy, Show},
+};
 use serde::Serialize;
 
 /// How far geometry is represented.
@@ -41,8 +44,8 @@ pub enum Method {
 }
 
 impl Method {
-    /// How portals are shown in a dataset with rooms. Images as of 1998 show wherever there are some, as they did then.
-    pub fn portals(self) -> ShowPortals {
+    /// What it shows. Images of portals as of 1998 show wherever there are some, as they did then.
+    pub fn show(self) -> Show {
         let (images, everywhere) = match self {
             Self::Texture => (PortalImages::Texture, true),
             Self::Textures => (PortalImages::Textures, true),
@@ -53,7 +56,12 @@ impl Method {
             Self::PortalsEverywhere => (PortalImages::Zones, true),
             Self::Auto | Self::Geometry | Self::Grid | Self::Tree | Self::Cache => (PortalImages::Offered, false),
         };
-        ShowPortals { images, everywhere }
+        let far = match self {
+            Self::Geometry => FarBy::Geometry,
+            Self::Tree => FarBy::Tree,
+            _ => FarBy::Offered,
+        };
+        Show { far, portals: ShowPortals { images, everywhere } }
     }
 }
 

@@ -29,9 +29,7 @@ use ldi_protocol::{
     portal_view::Cone,
     room_index::PortalImages,
     rooms::{CellId, Portal},
-    select::{
-        DrawFrusta, DrawList, Nearest, Selection, ShownPortal, draw_list, draw_list_showing, nearest_cells, select,
-    },
+    select::{DrawFrusta, DrawList, FarBy, Selection, ShownPortal, draw_list_showing, select},
     shade::SKY_SRGB,
 };
 use std::{sync::Arc, time::Instant};
@@ -119,36 +117,19 @@ pub fn view_of(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method
     let half_tan = (camera.half_tan_x(), camera.half_tan_y());
     let in_frustum = cells_in_frustum(index, pose, half_tan);
     let triangles_in_frustum = in_frustum.iter().map(|c| u64::from(index.cells[*c as usize].triangles)).sum();
-    if method == Method::Geometry {
+    let show = method.show();
+    if show.far == FarBy::Offered {
+        // `draw_list_showing` selects as well: its share is measured apart.
         let start = Instant::now();
-        let cells = near_to_far(index, pose, cells_in_frustum(index, pose, half_tan));
-        ms.cull = ms_since(start);
-        return View {
-            selection: Selection { grid_point: None, placement: None },
-            cells,
-            images: Vec::new(),
-            dropped: 0,
-            triangles_in_frustum,
-            by_tree: false,
-            tree: Vec::new(),
-            rooms: Vec::new(),
-            portals: Vec::new(),
-            portal_images: PortalImages::Offered,
-        };
+        std::hint::black_box(select(index, pose));
+        ms.select = ms_since(start);
     }
-    // `draw_list` selects as well: its share is measured apart.
     let start = Instant::now();
-    std::hint::black_box(select(index, pose));
-    ms.select = ms_since(start);
-    let start = Instant::now();
-    let list = match method {
-        Method::Tree => tree_list(index, pose, half_tan),
-        _ => draw_list_showing(index, pose, half_tan, method.portals()),
-    };
+    let list = draw_list_showing(index, pose, half_tan, show);
     ms.cull = (ms_since(start) - ms.select).max(0.0);
-    let by_tree = method == Method::Tree || index.walks_by_tree();
+    let by_tree = show.far.is_tree(index);
     let DrawList { selection, cells, images, dropped, tree, rooms, portals, .. } = list;
-    let wanted = method.portals().images;
+    let wanted = show.portals.images;
     let portal_images = index.rooms.as_ref().map_or(wanted, |r| r.resolve(wanted));
     View { selection, cells, images, dropped, triangles_in_frustum, by_tree, tree, rooms, portals, portal_images }
 }
@@ -189,13 +170,6 @@ fn absent_layers<'a>(entry: &'a ImageEntry, ldi: Option<&Ldi>) -> &'a [u32] {
     }
 }
 
-/// The nearest cells that the budget allows, and no images.
-fn tree_list(index: &Index, pose: &Pose, half_tan: (f64, f64)) -> DrawList {
-    let list = draw_list(index, pose, half_tan);
-    let Nearest { cells, triangles, dropped } = nearest_cells(&index.cells, &index.settings, pose, half_tan);
-    DrawList { triangles, cells, images: Vec::new(), dropped, portals: Vec::new(), ..list }
-}
-
 /// The part of the picture that cones reach, with some pixels around it: columns and rows from, to.
 fn rectangle(cones: &[Cone], pose: &Pose, camera: &OutputCamera) -> [u32; 4] {
     /// Samples reach beyond their pixels, and a portal may be a little smaller than its opening.
@@ -222,13 +196,6 @@ fn rectangle(cones: &[Cone], pose: &Pose, camera: &OutputCamera) -> [u32; 4] {
 fn cells_in_frustum(index: &Index, pose: &Pose, half_tan: (f64, f64)) -> Vec<u32> {
     let frusta = DrawFrusta::new(&index.settings, pose, half_tan);
     (0u32..).zip(&index.cells).filter(|(_, c)| frusta.admit(&c.bounds)).map(|(i, _)| i).collect()
-}
-
-fn near_to_far(index: &Index, pose: &Pose, cells: Vec<u32>) -> Vec<u32> {
-    let mut by_distance: Vec<(f64, u32)> =
-        cells.into_iter().map(|c| (index.cells[c as usize].bounds.distance(pose.position), c)).collect();
-    by_distance.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    by_distance.into_iter().map(|d| d.1).collect()
 }
 
 impl View {

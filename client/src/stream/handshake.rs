@@ -93,7 +93,8 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
         prefetch_m: config.prefetch_m,
         name: config.name.clone(),
         manifests: names,
-        portals: config.portals,
+        portals: config.show.portals,
+        far: config.show.far,
         early: config.early,
     });
     let hello = wire::encode(&hello).map_err(|e| ConnectError::Local(e.to_string()))?;

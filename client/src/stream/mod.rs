@@ -49,7 +49,7 @@ use ldi_protocol::{
     Pose,
     index::{ChunkHash, Index},
     need::Needed,
-    room_index::ShowPortals,
+    select::Show,
     wire::{Picture, Request},
 };
 use poses::Poses;
@@ -77,8 +77,8 @@ pub struct ConnectConfig {
     pub token: Option<String>,
     /// The picture that will be drawn.
     pub picture: Picture,
-    /// How portals will be shown: decides what the server sends.
-    pub portals: ShowPortals,
+    /// What will be shown: decides what the server sends.
+    pub show: Show,
     /// Cap of the cache, decoded bytes.
     pub cache_bytes: u64,
     /// How far around the eye the server may push what no view has needed yet, metres; 0 for nothing. Larger: fewer gaps when
@@ -121,7 +121,7 @@ impl ConnectConfig {
             fingerprint: None,
             token: None,
             picture,
-            portals: ShowPortals::default(),
+            show: Show::default(),
             cache_bytes: 1 << 30,
             prefetch_m: 10.0,
             name: format!("ldi-client {}", env!("CARGO_PKG_VERSION")),

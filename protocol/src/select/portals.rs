@@ -15,7 +15,7 @@
 //!
 //! Where even 1 and 2 exceed the budget, the farthest cells are left out and counted ([`DrawList::dropped`](super::DrawList::dropped)): the LDI tree shows through there.
 
-use super::{DrawFrusta, DrawList, Selection, images_within, tree_chunks, within_budget};
+use super::{DrawFrusta, DrawList, Selection, images_within, near_to_far, tree_chunks, within_budget};
 use crate::{
     Pose,
     camera::Frustum,
@@ -79,17 +79,21 @@ pub(super) fn draw_list(
     let state = search.run();
     let portals = search.portals(&state.view);
     let State { view, cells, triangles, .. } = state;
-    let (cells, triangles, dropped) = within_budget(index, cells, triangles);
     let mut images: Vec<u32> = Vec::new();
     for image in portals.iter().flat_map(|p| &p.images) {
         if !images.contains(image) {
             images.push(*image);
         }
     }
-    let tree = if dropped > 0 { tree_chunks(index, pose, half_tan) } else { Vec::new() };
     let seen = view.cells.iter().map(|c| c.cell).collect();
     let selection = Selection { grid_point: None, placement: None };
-    DrawList { selection, cells, images, triangles, dropped, tree, rooms: seen, portals }
+    let (cells, tree) = (near_to_far(cells), Vec::new());
+    let list = DrawList { selection, cells, images, triangles, dropped: 0, tree, rooms: seen, portals };
+    let mut list = within_budget(index, list);
+    if list.dropped > 0 {
+        list.tree = tree_chunks(index, pose, half_tan);
+    }
+    list
 }
 
 /// Triangles of what has to be geometry (1 and 2).

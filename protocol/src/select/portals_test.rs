@@ -6,7 +6,7 @@ use crate::{
     index::{AngularRange, BuildSettings, CellEntry, GridPoint, ImageEntry, Placement, SceneInfo},
     room_index::{BuiltImages, SideImages},
     rooms::{Cell, Portal, PortalKind, Rooms},
-    select::{draw_list, draw_list_showing, least_by_rooms},
+    select::{Show, draw_list, draw_list_showing, least_by_rooms},
 };
 use glam::DVec3;
 use proptest::prelude::*;
@@ -232,7 +232,12 @@ fn each_kind_of_image_is_the_one_that_was_asked_for() {
     let index = with_references(1000);
     let shown = |images, x: f64, everywhere| {
         let pose = Pose { position: DVec3::new(x, 1.5, -5.0), yaw_deg: 0.0, pitch_deg: 0.0 };
-        let list = draw_list_showing(&index, &pose, SQUARE, ShowPortals { images, everywhere });
+        let list = draw_list_showing(
+            &index,
+            &pose,
+            SQUARE,
+            Show { portals: ShowPortals { images, everywhere }, ..Show::default() },
+        );
         let portals: Vec<_> = list.portals.iter().map(|p| (p.portal, p.placement, p.second)).collect();
         (portals, list.images, list.cells)
     };

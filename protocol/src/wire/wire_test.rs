@@ -15,6 +15,7 @@ fn hello() -> Hello {
         name: "test".into(),
         manifests: vec![ChunkHash([3; 32]); MAX_MANIFESTS],
         portals: ShowPortals { images: PortalImages::TwoReferences, everywhere: true },
+        far: FarBy::Tree,
         early: true,
     }
 }
@@ -57,20 +58,28 @@ fn messages_survive_the_trip() {
     trip(Answer::Chunk { number: 3, bytes: 10 });
 }
 
-/// A client of before knows nothing of portals, and one of later may know more than this server.
+/// A client of before knows nothing of portals or of what is far, and one of later may know more than this server.
 #[test]
-fn a_wish_for_portals_may_be_absent_and_an_unknown_one_is_refused() {
+fn a_wish_may_be_absent_and_an_unknown_one_is_refused() {
     let bytes = encode(&ClientMessage::Hello(hello())).unwrap();
     let body = &bytes[4..];
     let at = |what: &[u8]| body.windows(what.len()).position(|w| w == what).expect("it is in the message");
-    let mut unknown = body.to_vec();
-    unknown[at(b"two_references")] = b'x';
-    assert!(decode::<ClientMessage>(&unknown).is_err());
+    for wish in [&b"two_references"[..], b"tree"] {
+        let mut unknown = body.to_vec();
+        unknown[at(wish)] = b'x';
+        assert!(decode::<ClientMessage>(&unknown).is_err());
+    }
     // The name of the field damaged: one that nobody knows, and none of this name.
-    let mut absent = body.to_vec();
-    absent[at(b"portals")] = b'x';
-    let ClientMessage::Hello(heard) = decode(&absent).unwrap() else { panic!("a hello") };
-    assert_eq!(heard, Hello { portals: ShowPortals::default(), ..hello() });
+    let without = |field: &[u8]| {
+        let mut absent = body.to_vec();
+        absent[at(field)] = b'x';
+        match decode(&absent).unwrap() {
+            ClientMessage::Hello(heard) => heard,
+            other => panic!("{other:?}"),
+        }
+    };
+    assert_eq!(without(b"portals"), Hello { portals: ShowPortals::default(), ..hello() });
+    assert_eq!(without(b"far"), Hello { far: FarBy::default(), ..hello() });
 }
 
 #[test]

@@ -19,8 +19,7 @@ use ldi_protocol::{
     codec::ColourProfile,
     index::{BuildSettings, CellEntry, Index},
     need::needed,
-    room_index::ShowPortals,
-    select::{CellGroups, draw_list_of},
+    select::{CellGroups, Show, draw_list_of},
     stroll::{FPS, Random, stroll},
     volume::WalkVolume,
 };
@@ -153,7 +152,7 @@ impl Walks {
         let of_walk = |walk: &Vec<Pose>| {
             let (mut images, mut chunks) = (BTreeSet::new(), BTreeSet::new());
             for pose in walk {
-                let list = draw_list_of(index, &groups, pose, half_tan, ShowPortals::default());
+                let list = draw_list_of(index, &groups, pose, half_tan, Show::default());
                 chunks.extend(needed(index, &[], &list.cells, &[]).all());
                 images.extend(list.images);
             }

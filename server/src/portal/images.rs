@@ -10,7 +10,7 @@ use glam::DVec3;
 use ldi_protocol::index::{BuildSettings, Index, Placement};
 use ldi_protocol::room_index::{PortalImages, ShowPortals, is_faced};
 use ldi_protocol::rooms::Rooms;
-use ldi_protocol::select::draw_list_showing;
+use ldi_protocol::select::{Show, draw_list_showing};
 use ldi_protocol::volume::WalkVolume;
 use ldi_protocol::{Aabb, Pose};
 use rayon::prelude::*;
@@ -145,7 +145,12 @@ impl PortalPlans {
                     .map(look)
                     .flat_map(|pose| ways.iter().map(move |everywhere| (pose, *everywhere)))
                     .map(|(pose, everywhere)| {
-                        draw_list_showing(known, &pose, half_tan, ShowPortals { images, everywhere })
+                        draw_list_showing(
+                            known,
+                            &pose,
+                            half_tan,
+                            Show { portals: ShowPortals { images, everywhere }, ..Show::default() },
+                        )
                     })
                     .collect();
                 // Where even that exceeds the budget the grid serves.

@@ -16,6 +16,7 @@ use super::{
 };
 use ldi_protocol::{
     index::ChunkHash,
+    select::Show,
     wire::{
         self, ClientMessage, Hello, Other, PoseDatagram, RefusalCode, ServerMessage, StreamHeader, StreamKind, Urgency,
         Welcome, code,
@@ -173,7 +174,8 @@ impl Session {
             ..PlannerConfig::default()
         };
         let (groups, camera) = (shared.served.groups().clone(), hello.picture.camera(&index.settings));
-        let views = SelectViews::showing(index.clone(), groups, &camera, hello.portals);
+        let show = Show { far: hello.far, portals: hello.portals };
+        let views = SelectViews::showing(index.clone(), groups, &camera, show);
         let views = Arc::new(views);
         Self {
             planner: Planner::new(index, views.clone(), config),

@@ -5,8 +5,7 @@ use ldi_protocol::{
     OutputCamera, Pose,
     index::{CellEntry, Index},
     need::{Needed, needed},
-    room_index::ShowPortals,
-    select::{CellGroups, cells_before_tree, draw_list_of, draws_among},
+    select::{CellGroups, FarBy, Show, cells_before_tree, draw_list_of, draws_among},
     tree::{Lens, lacking, lacking_below},
 };
 use std::sync::{
@@ -31,20 +30,20 @@ pub struct SelectViews {
     index: Arc<Index>,
     groups: Arc<CellGroups>,
     picture_half_tan: (f64, f64),
-    show: ShowPortals,
+    show: Show,
     /// A [`Known`]: the planner and its forecast share the views.
     known: AtomicU8,
 }
 
 impl SelectViews {
-    /// Views of this index through this picture, portals shown as they are by default.
+    /// Views of this index through this picture, shown as it is by default.
     pub fn new(index: Arc<Index>, picture: &OutputCamera) -> Self {
         let groups = Arc::new(CellGroups::of(&index.cells));
-        Self::showing(index, groups, picture, ShowPortals::default())
+        Self::showing(index, groups, picture, Show::default())
     }
 
-    /// The same with portals shown otherwise, and with `groups` of the index's cells, which all who see it may share.
-    pub fn showing(index: Arc<Index>, groups: Arc<CellGroups>, picture: &OutputCamera, show: ShowPortals) -> Self {
+    /// The same shown otherwise, and with `groups` of the index's cells, which all who see it may share.
+    pub fn showing(index: Arc<Index>, groups: Arc<CellGroups>, picture: &OutputCamera, show: Show) -> Self {
         Self {
             index,
             groups,
@@ -76,7 +75,7 @@ impl Views for SelectViews {
         let index = &*self.index;
         let of = |n: Needed| -> Vec<u32> { n.now.into_iter().chain(n.fine).filter(|c| absent(*c)).collect() };
         let whole = self.known.load(Relaxed) == Known::Whole as u8;
-        if let Some(tree) = index.tree.as_ref().filter(|_| whole && index.walks_by_tree()) {
+        if let Some(tree) = index.tree.as_ref().filter(|_| whole && self.show.far.is_tree(index)) {
             let (half_tan_x, half_tan_y) = self.picture_half_tan;
             let lens = Lens { half_tan_x, half_tan_y, focal_px: index.settings.camera.focal_px() };
             let below = lacking_below(tree, absent);
@@ -88,7 +87,9 @@ impl Views for SelectViews {
             };
             return poses.iter().map(of_pose).collect();
         }
-        if !whole || index.points.is_empty() || index.rooms.is_some() {
+        let far = self.show.far;
+        let by_grid = !index.points.is_empty() && index.rooms.is_none();
+        if !whole || far == FarBy::Tree || far == FarBy::Offered && !by_grid {
             return poses.iter().map(|pose| of(self.needed(pose))).collect();
         }
         let textures: Vec<bool> = index.textures.iter().map(|t| t.chunks.iter().any(|c| absent(c.chunk))).collect();
@@ -102,7 +103,7 @@ impl Views for SelectViews {
         let cells = self.groups.some(index.cells.len(), |c| lacks(&index.cells[c]));
         let images: Vec<bool> = index.images.iter().map(|i| i.chunks.iter().any(|c| absent(*c))).collect();
         let of_pose = |pose: &Pose| {
-            let (cells, images) = draws_among(index, &self.groups, (&cells, &images), pose, self.picture_half_tan);
+            let (cells, images) = draws_among(index, &self.groups, (&cells, &images), pose, self.picture_half_tan, far);
             match cells.is_empty() && images.is_empty() {
                 true => Vec::new(),
                 false => of(needed(index, &images, &cells, &[])),

@@ -2,6 +2,7 @@
 
 use ldi_protocol::{
     room_index::ShowPortals,
+    select::FarBy,
     wire::{self, ALPN, ClientMessage, Hello, Picture},
 };
 use quinn::{ClientConfig, Connection, Endpoint, RecvStream, SendStream, TransportConfig, VarInt};
@@ -67,6 +68,7 @@ pub fn hello(version: u16, token: Option<String>, picture: Picture) -> ClientMes
         name: "stranger".into(),
         manifests: vec![],
         portals: ShowPortals::default(),
+        far: FarBy::default(),
         early: false,
     })
 }
