@@ -9,7 +9,7 @@
 use super::{
     caster::SubsetCaster,
     central::{ray_beside, traced},
-    layers::{RawLayer, for_each_link},
+    layers::{RawLayer, open_sides},
     sample::{Prediction, Tolerance},
     view::Rig,
 };
@@ -17,13 +17,9 @@ use ldi_protocol::ldi::{END_BITS, END_PARTS, SIDES};
 
 /// Sets the ends and slopes of a layer; returns the number of rays.
 pub(super) fn measure<C: SubsetCaster>(caster: &C, rig: &Rig, layer: &mut RawLayer, tolerance: &Tolerance) -> u64 {
-    let mut linked = vec![[false; SIDES.len()]; layer.samples.len()];
-    for_each_link(layer, rig.window.width, |i, j, axis| {
-        (linked[i][2 * axis + 1], linked[j][2 * axis]) = (true, true);
-    });
-    let open = || {
-        linked.iter().enumerate().flat_map(|(i, linked)| (0..SIDES.len()).filter(|s| !linked[*s]).map(move |s| (i, s)))
-    };
+    let sides = open_sides(layer, rig.window.width);
+    let open =
+        || sides.iter().enumerate().flat_map(|(i, open)| (0..SIDES.len()).filter(|s| open[*s]).map(move |s| (i, s)));
     let samples = &layer.samples;
     let probes: Vec<(&Prediction, usize, u16)> =
         open().flat_map(|(i, side)| (0..END_PARTS).map(move |k| (&samples[i], side, k))).collect();

@@ -11,7 +11,7 @@ use super::{
     sample::{Prediction, Tolerance},
     view::Rig,
 };
-use ldi_protocol::ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, SLOPE_CODES, Segment, is_loose};
+use ldi_protocol::ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, SIDES, SLOPE_CODES, Segment, is_loose};
 use rayon::prelude::*;
 
 /// A layer before coding: samples by pixel, each with its links.
@@ -137,6 +137,15 @@ pub(super) fn for_each_link(layer: &RawLayer, width: u32, mut f: impl FnMut(usiz
             f(i, below, 1);
         }
     }
+}
+
+/// Per sample the [`SIDES`] on which no link leads on.
+pub(super) fn open_sides(layer: &RawLayer, width: u32) -> Vec<[bool; SIDES.len()]> {
+    let mut open = vec![[true; SIDES.len()]; layer.samples.len()];
+    for_each_link(layer, width, |i, j, axis| {
+        (open[i][2 * axis + 1], open[j][2 * axis]) = (false, false);
+    });
+    open
 }
 
 /// Of no samples: any sound codes do.

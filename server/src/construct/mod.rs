@@ -14,7 +14,8 @@
 //!   surfaces through known emptiness bring nothing new. That is nine tenths of them.
 //! - Merging compares planes, not depths (`sample`), and each merged sample is cast again through its pixel's centre (`merge`):
 //!   all samples lie exactly on their pixel's ray, and silhouettes do not grow.
-//! - Where surfaces end between pixels' centres is measured (`ends`), and what the centre of projection sees edge-on is held as slivers (`slivers`).
+//! - Where surfaces end between pixels' centres is measured (`ends`), and what the centre of projection sees edge-on is held as slivers (`slivers`),
+//!   as is the step where a surface turns back on itself (`folds`).
 //! - Sky is a bit per direction: set where some construction ray of that direction meets nothing.
 //!
 //! # Practice
@@ -26,6 +27,7 @@ mod central;
 mod colour;
 mod ends;
 mod explain;
+mod folds;
 mod layers;
 mod merge;
 mod portal_merge;
@@ -52,7 +54,11 @@ use crate::{
     render::Caster,
 };
 use caster::Subset;
-use ldi_protocol::{OutputCamera, ldi::Ldi, sky::SkyMap};
+use ldi_protocol::{
+    OutputCamera,
+    ldi::{Ldi, Sliver},
+    sky::SkyMap,
+};
 use merge::{Known, Seen};
 use rayon::prelude::*;
 use sample::Tolerance;
@@ -308,11 +314,20 @@ fn tile<C: SubsetCaster>(
     let (mut raw, dropped) = layers::rank(&known, &rig, &tolerance, options.bridges);
     stats.too_deep = dropped.too_deep;
     stats.pruned += dropped.out_of_reach;
-    let (slivers, rays) = slivers::find(caster, &rig, &raw, &cameras, candidates, &tolerance);
+    let (mut slivers, rays) = slivers::find(caster, &rig, &raw, &cameras, candidates, &tolerance);
     stats.rays.slivers = rays;
-    stats.slivers = slivers.len() as u32;
     stats.rays.ends = raw.iter_mut().map(|l| ends::measure(caster, &rig, l, &tolerance)).sum();
     stats.rays.colour = colour::average(caster, &rig, &mut raw, &tolerance);
+    slivers.extend(folds::find(&rig, &raw, &tolerance));
+    if slivers.len() > Sliver::MOST {
+        tracing::warn!(
+            found = slivers.len(),
+            kept = Sliver::MOST,
+            "more slivers than an image may have: the rest is left out"
+        );
+        slivers.truncate(Sliver::MOST);
+    }
+    stats.slivers = slivers.len() as u32;
     let codes = layers::codes(&rig, &raw, slivers.iter().flat_map(|s| s.disparities()));
     let sizes = quality::measure(&rig, plan, &options.output, &raw);
     stats.stretch_p99_px = sizes.stretch_p99;

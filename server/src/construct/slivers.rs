@@ -142,15 +142,7 @@ pub(super) fn find<C: SubsetCaster>(
     let rays = squares.len() as u64;
     let squares = going_on(squares.into_iter().flatten().collect(), rig, cameras);
     let joined = rectangles(&squares, rig, cameras);
-    if joined.len() > Sliver::MOST {
-        tracing::warn!(
-            found = joined.len(),
-            kept = Sliver::MOST,
-            "more slivers than an image may have: the rest is left out"
-        );
-    }
-    let found = joined.iter().filter_map(|r| r.found(rig, cameras)).take(Sliver::MOST);
-    (found.collect(), rays)
+    (joined.iter().filter_map(|r| r.found(rig, cameras)).collect(), rays)
 }
 
 /// A square to try.
@@ -267,8 +259,8 @@ fn rectangles(squares: &[Square], rig: &Rig, cameras: &[ConstructionCamera]) -> 
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Found {
     /// Places on the image, in parts of a pixel, and disparities.
-    corners: [([i32; 2], f64); 4],
-    rgb: [u8; 3],
+    pub corners: [([i32; 2], f64); 4],
+    pub rgb: [u8; 3],
 }
 
 impl Found {

@@ -316,6 +316,58 @@ fn an_image_of_one_column_is_sound() {
     assert!(ldi.camera.width == 1 && ldi.layers[0].links.contains(&LINK_DOWN));
 }
 
+/// Where a sliver's corner lies.
+fn world(ldi: &Ldi, c: &SliverCorner) -> DVec3 {
+    let place = |x: i32| f64::from(x) / f64::from(Sliver::PARTS);
+    ldi.camera.cop + ldi.camera.ray(place(c.u), place(c.v)) / ldi.codes.disparity(c.disparity)
+}
+
+#[test]
+fn where_a_surface_turns_back_on_itself_its_sides_are_joined() {
+    // The eyes in the corners see three pixels beyond the silhouette of the centre.
+    let (centre, radius) = (DVec3::new(0.3, 0.1, -12.0), 2.0);
+    let scene = Analytic::default().rect([-30.0, -20.0, -20.0], [60.0, 0.0, 0.0], [0.0, 40.0, 0.0], None, GREY).sphere(
+        centre.into(),
+        radius,
+        RED,
+    );
+    let mut plan = plan(9.0, [6.0, 6.0, 1.0]);
+    plan.pixels_per_unit *= 4.0;
+    let ldi = made(&scene, &plan).ldi;
+    // Squares of a camera's picture are slivers too, but wider.
+    let part = Sliver::PARTS / i32::from(END_PARTS);
+    let folds = ldi.slivers.iter().filter(|s| {
+        let [a, b, e, f] = &s.corners;
+        [(a, b), (e, f)].iter().all(|(a, b)| a.u.abs_diff(b.u) + a.v.abs_diff(b.v) <= part as u32)
+    });
+    let folds: Vec<[DVec3; 4]> = folds.map(|s| s.corners.each_ref().map(|c| world(&ldi, c))).collect();
+    // Within a pixel of the silhouette a sphere is as deep as this.
+    let pixel = (centre - ldi.camera.cop).length() / ldi.camera.pixels_per_unit;
+    let deep = (2.0 * radius * pixel).sqrt();
+    for p in folds.iter().flatten() {
+        let ray = (*p - ldi.camera.cop).normalize();
+        let aside = (centre - ldi.camera.cop).cross(ray).length() - radius;
+        let off = p.distance(centre) - radius;
+        assert!(aside.abs() < 1.5 * pixel && off.abs() < deep, "{p} is {aside} m beside the silhouette, {off} m off");
+    }
+    // The circle in which rays from the centre of projection touch it.
+    let to = centre - ldi.camera.cop;
+    let middle = centre - to * (radius / to.length()).powi(2);
+    let [a, b] = [to.any_orthonormal_vector(), to.cross(to.any_orthonormal_vector()).normalize()];
+    let around = (radius.powi(2) - middle.distance_squared(centre)).sqrt();
+    let closed = (0..1000)
+        .filter(|k| {
+            let (sin, cos) = (f64::from(*k) * 2e-3 * std::f64::consts::PI).sin_cos();
+            let p = middle + (a * cos + b * sin) * around;
+            folds.iter().any(|fold| {
+                let bounds = fold.iter().fold(Aabb::EMPTY, |b, c| b.grown_to(*c));
+                bounds.inflated(pixel).contains(p) && bounds.size().z < 2.0 * deep
+            })
+        })
+        .count();
+    assert!(closed > 700, "{closed} of 1000 places on the silhouette, {} folds", folds.len());
+}
+
 #[test]
 fn what_the_centre_sees_edge_on_is_held_by_slivers() {
     // A post whose side is a third of a pixel wide for the centre of projection, with no pixel's centre on it; eyes beside it see it at 8 degrees and less.
@@ -325,12 +377,8 @@ fn what_the_centre_sees_edge_on_is_held_by_slivers() {
         .rect([-x, -1.0, z[1]], [2.0 * x, 0.0, 0.0], [0.0, 2.0, 0.0], None, GREY)
         .rect([x, -1.0, z[1]], [0.0, 0.0, z[0] - z[1]], [0.0, 2.0, 0.0], None, RED);
     let ldi = made(&scene, &plan(9.0, [1.5, 0.6, 1.0])).ldi;
-    let world = |c: &SliverCorner| {
-        let place = |x: i32| f64::from(x) / f64::from(Sliver::PARTS);
-        ldi.camera.cop + ldi.camera.ray(place(c.u), place(c.v)) / ldi.codes.disparity(c.disparity)
-    };
-    let of_wall: Vec<[DVec3; 4]> =
-        ldi.slivers.iter().filter(|s| s.rgb[0] > s.rgb[1] + 50).map(|s| s.corners.each_ref().map(world)).collect();
+    let red = ldi.slivers.iter().filter(|s| s.rgb[0] > s.rgb[1] + 50);
+    let of_wall: Vec<[DVec3; 4]> = red.map(|s| s.corners.each_ref().map(|c| world(&ldi, c))).collect();
     assert!(!of_wall.is_empty());
     // A part of a pixel at 14 m; along the wall as much more as it is askew to a camera, and a camera's pixel.
     let part = 14.0 / (ldi.camera.pixels_per_unit * f64::from(Sliver::PARTS));
