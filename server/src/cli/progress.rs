@@ -24,12 +24,14 @@ struct State {
     done: u64,
     started: Instant,
     said: Instant,
+    /// The last note, until it is said.
+    unsaid: Option<String>,
 }
 
 impl Default for Stderr {
     fn default() -> Self {
         let now = Instant::now();
-        let state = State { bar: None, name: String::new(), steps: 0, done: 0, started: now, said: now };
+        let state = State { bar: None, name: String::new(), steps: 0, done: 0, started: now, said: now, unsaid: None };
         Self { terminal: std::io::stderr().is_terminal(), state: Mutex::new(state) }
     }
 }
@@ -52,10 +54,16 @@ impl State {
             bar.finish_and_clear();
         }
         if !self.name.is_empty() {
-            let count = if self.steps > 0 { format!(" ({})", self.steps) } else { String::new() };
-            eprintln!("{}{count}: {:.1} s", self.name, self.started.elapsed().as_secs_f64());
+            eprintln!("{}", self.summary(self.started.elapsed()));
         }
         self.name.clear();
+    }
+
+    /// What remains of a stage: a short one has had no other moment to say what it found.
+    fn summary(&self, took: Duration) -> String {
+        let count = if self.steps > 0 { format!(" ({})", self.steps) } else { String::new() };
+        let note = self.unsaid.as_ref().map_or_else(String::new, |n| format!("; {n}"));
+        format!("{}{count}: {:.1} s{note}", self.name, took.as_secs_f64())
     }
 }
 
@@ -64,7 +72,7 @@ impl Progress for Stderr {
         self.with(|s| {
             s.end();
             let now = Instant::now();
-            (s.name, s.steps, s.done, s.started, s.said) = (name.into(), steps, 0, now, now);
+            (s.name, s.steps, s.done, s.started, s.said, s.unsaid) = (name.into(), steps, 0, now, now, None);
             if self.terminal {
                 let bar = ProgressBar::with_draw_target((steps > 0).then_some(steps), ProgressDrawTarget::stderr());
                 let template = if steps > 0 {
@@ -84,11 +92,13 @@ impl Progress for Stderr {
 
     fn note(&self, what: &str) {
         self.with(|s| {
+            s.unsaid = Some(what.into());
             if let Some(bar) = &s.bar {
                 bar.set_message(format!("{}: {what}", s.name));
             } else if s.said.elapsed() >= PLAIN_INTERVAL {
                 s.said = Instant::now();
                 eprintln!("{}: {what}", s.name);
+                s.unsaid = None;
             }
         });
     }
@@ -105,5 +115,29 @@ impl Progress for Stderr {
                 eprintln!("{}: {} of {}, {rate:.2} per second, {left:.0} s left", s.name, s.done, s.steps);
             }
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stage_that_was_too_short_to_say_what_it_found_says_so_at_its_end() {
+        let progress = Stderr { terminal: false, ..Stderr::default() };
+        let summary = || {
+            let mut found = String::new();
+            progress.with(|s| found = s.summary(Duration::from_millis(1_230)));
+            found
+        };
+        progress.stage("clusters", 20);
+        assert_eq!(summary(), "clusters (20): 1.2 s");
+        progress.note("budget: 8000 of 20000 triangles");
+        assert_eq!(summary(), "clusters (20): 1.2 s; budget: 8000 of 20000 triangles");
+        progress.stage("grid", 0);
+        assert_eq!(summary(), "grid: 1.2 s", "another stage's note is not its own");
+        progress.with(|s| s.said -= PLAIN_INTERVAL);
+        progress.note("round 1");
+        assert_eq!(summary(), "grid: 1.2 s", "it was said already");
     }
 }
