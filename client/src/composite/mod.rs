@@ -8,6 +8,7 @@
 //!    know where the far surface is, and not beyond: a rug of the images must stay above the floor of the geometry.
 //! 2. **Sky**: a pixel that nothing reached is sky where no image knows of anything else in its direction. Sky lies at infinity, so
 //!    the lookup is a rotation. Without an LDI nothing was culled, and what is left is sky.
+//!    Where all images are there, sky grows into openings that it borders on (`grow`).
 //! 3. **Under it** (`under`): where pixels are left, or data is missing, the LDI tree shows through.
 //! 4. **Fill** (`fill`, optional): remaining holes take the colour of the nearest farther surface, of sky around them, or of the last frame, and are marked
 //!    [`Source::Filled`].
@@ -18,11 +19,13 @@
 
 mod downsample;
 mod fill;
+mod grow;
 mod smooth;
 mod under;
 
 pub use downsample::downsample;
 pub use fill::Fill;
+pub use grow::grow_sky;
 pub use under::{Doubt, lay_under, wanted_under};
 
 use crate::{

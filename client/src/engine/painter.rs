@@ -12,7 +12,8 @@ use super::{
 };
 use crate::{
     composite::{
-        CompositeOptions, Doubt, Far, FarImage, FarPortal, Fill, downsample, finish, lay_under, merge, wanted_under,
+        CompositeOptions, Doubt, Far, FarImage, FarPortal, Fill, downsample, finish, grow_sky, lay_under, merge,
+        wanted_under,
     },
     frame::{Frame, Source, supersampled},
     gpu::{Gpu, GpuImage},
@@ -430,8 +431,12 @@ impl Painter {
         };
         let mut stats = merge(&mut self.full, far, pose, &full_camera);
         let mut known = images.iter().any(|(.., l)| l.is_some());
+        let doubtful = gaps || ((view.by_tree || index.rooms.is_some()) && view.dropped > 0);
+        if known && !doubtful {
+            grow_sky(&mut self.full, &mut stats);
+        }
         if let Some(tree) = &index.tree {
-            let doubt = match gaps || ((view.by_tree || index.rooms.is_some()) && view.dropped > 0) {
+            let doubt = match doubtful {
                 true => Doubt::Missing { margin_m: 2.0 * tree.pitch_of(tree.pinned_levels.saturating_sub(1)) as f32 },
                 false => Doubt::None,
             };
