@@ -184,6 +184,7 @@ impl From<ConnectError> for Failure {
 impl From<WalkError> for Failure {
     fn from(e: WalkError) -> Self {
         let code = match &e {
+            WalkError::Folder { source, .. } if !retry_may_help(source) => 42,
             WalkError::Disconnected { .. } | WalkError::Save(_) | WalkError::Folder { .. } => 1,
             WalkError::Paint(PaintError::Warp(_)) => 2,
             WalkError::Paint(PaintError::Gpu(e)) => gpu_exit_code(e),
@@ -213,7 +214,11 @@ pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| "warn,winit=error,ldi_client=info".into());
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .init();
     let done = match cli.command {
         Command::Walk(args) => walk(&args),
         Command::Connect(args) => connect::connect(&args),
@@ -225,6 +230,15 @@ pub fn main() -> ExitCode {
             ExitCode::from(failure.code)
         }
     }
+}
+
+/// Whether what kept a file from being written may pass, like a full disk, unlike a folder that is not there.
+fn retry_may_help(e: &std::io::Error) -> bool {
+    use std::io::ErrorKind as Kind;
+    !matches!(
+        e.kind(),
+        Kind::NotFound | Kind::PermissionDenied | Kind::NotADirectory | Kind::IsADirectory | Kind::AlreadyExists
+    )
 }
 
 /// The folder that is kept between visits.

@@ -374,6 +374,15 @@ fn exit_codes_tell_usage_from_bad_input() {
     assert_eq!(status, Some(42), "{stderr}");
     let (status, stderr) = code(server(&["build", "builtin:pipes?triangles=5000", "-o"]).arg(&out));
     assert_eq!(status, Some(42), "the folder holds other files: {stderr}");
+    // What would be missed after the work is missed before it.
+    let small = ["build", "builtin:pipes?triangles=5000", "-o"];
+    let nowhere = out.join("nowhere").join("report.json");
+    let (status, stderr) = code(server(&small).arg(out.join("g")).arg("--report").arg(&nowhere));
+    assert_eq!(status, Some(42), "{stderr}");
+    assert!(stderr.contains("cannot write") && !out.join("g").exists(), "{stderr}");
+    let (status, stderr) = code(server(&small).arg(out.join("g")).arg("--rooms").arg(&nowhere));
+    assert_eq!(status, Some(42), "{stderr}");
+    assert!(stderr.contains("--rooms") && !out.join("g").exists(), "{stderr}");
     assert_eq!(code(&mut server(&["scene", "castle", "-o", "/dev/null"])).0, Some(2));
     assert_eq!(code(server(&["inspect"]).arg(&out)).0, Some(42));
     assert_eq!(

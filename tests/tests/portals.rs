@@ -202,6 +202,16 @@ fn flip_of_the_central_image(h: &House, out: &Path) -> f64 {
     far.iter().sum::<f64>() / far.len() as f64
 }
 
+#[test]
+fn the_plan_of_a_dataset_needs_no_file_of_rooms() {
+    let plan = folder("portal-plan").join("plan.svg");
+    let mut c = server(&["inspect", "--plan"]);
+    c.arg(&plan).arg(&house().dataset);
+    run::run(c).expect("draws");
+    let svg = std::fs::read_to_string(&plan).expect("readable");
+    assert!(svg.starts_with("<svg") && svg.contains("polygon"), "{}", &svg[..svg.len().min(300)]);
+}
+
 /// The server's planner wants for each method what the client's frames want.
 #[test]
 fn server_and_client_agree_on_what_a_method_needs() {

@@ -239,6 +239,9 @@ impl Keeper {
                 None => return,
                 Some(e) if e.exit_code() != 1 => return self.enter(LinkState::Refused(e)),
                 Some(e) => {
+                    if attempt == 1 {
+                        tracing::warn!("{e}; trying again");
+                    }
                     attempt += 1;
                     let pause = (FIRST_PAUSE * (1 << (attempt - 2).min(8))).min(LONGEST_PAUSE);
                     self.enter(LinkState::Waiting { reason: e.to_string(), until: Instant::now() + pause });

@@ -16,7 +16,7 @@ use crate::{
 };
 use glam::DVec3;
 use ldi_protocol::{OutputCamera, Pose};
-use std::collections::BTreeSet;
+use std::{collections::BTreeSet, time::Duration};
 
 /// All-geometry frames of some of the walk's poses.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -27,6 +27,21 @@ pub(super) struct Baseline {
     pub ours_ms: Vec<f64>,
     /// Stored bytes of all chunks that the frames needed.
     pub bytes: u64,
+}
+
+/// A line that is down for so long is not waited for: the report is.
+const LOST_FOR: Duration = Duration::from_secs(10);
+
+/// Waits for chunks, or until the line is lost: then why.
+fn lost_while_waiting(feed: &dyn Feed, needed: &[u32]) -> Option<String> {
+    for _ in 0..PATIENCE.as_secs() / LOST_FOR.as_secs() {
+        match feed.wait_for(needed, LOST_FOR) {
+            Err(Incomplete::Disconnected(reason)) => return Some(reason),
+            Err(Incomplete::Timeout(_)) => {}
+            _ => return None,
+        }
+    }
+    None
 }
 
 /// Draws up to `options.baseline_frames` of the kept frames again with all geometry. Frames that stay incomplete (a cache too
@@ -55,7 +70,7 @@ pub(super) fn measure(
         let absent: Vec<u32> = needed.iter().copied().filter(|c| !feed.holds(*c)).collect();
         feed.ask(&absent);
         // The walk itself is done, and its report is worth more than this comparison.
-        if let Err(Incomplete::Disconnected(reason)) = feed.wait_for(&needed, PATIENCE) {
+        if let Some(reason) = lost_while_waiting(feed, &needed) {
             tracing::warn!("the comparison with all geometry ends early: {reason}");
             break;
         }

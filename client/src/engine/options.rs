@@ -39,7 +39,7 @@ pub enum Method {
     PortalsEverywhere,
     /// The tree of layered depth images.
     Tree,
-    /// Cached images of a hierarchy.
+    /// Cached images of a hierarchy (not there yet).
     Cache,
 }
 

@@ -66,7 +66,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
             "cache" => return Err(Failure::absent(&format!("--represent {r}"))),
             _ => {
                 return Err(Failure::usage(anyhow!(
-                    "--represent: there is no '{r}'; choose auto, grid, portals, tree or cache"
+                    "--represent: there is no '{r}'; choose auto, grid, portals or tree"
                 )));
             }
         }
@@ -101,6 +101,10 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
     let walk = a.along.as_deref().map(read_walk).transpose()?;
     let portal_options = portal_options(&a, portals)?;
     let rooms = match (a.rooms, a.find_rooms) {
+        // A scene within the budget never asks for it.
+        (Some(file), _) if !file.is_file() => {
+            return Err(Failure::permanent(anyhow!("--rooms: {} is not there", file.display())));
+        }
         (Some(file), _) => RoomSource::File(file),
         (None, true) => RoomSource::Found,
         (None, false) => RoomSource::Scene,
@@ -132,6 +136,9 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
             eye_height_m: (!a.fly).then_some(a.eye_height),
         },
     };
+    if let Some(file) = &a.report {
+        check_writable(file)?;
+    }
     let progress = Stderr::default();
     let failed = |e| match e {
         BuildError::Scene(e) => Failure::of(e.is_permanent(), e),
@@ -142,6 +149,9 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         e => Failure::permanent(e),
     };
     if a.dry_run {
+        if only("auto") && !along {
+            tracing::warn!("a dry run plans the grid; `build` may take rooms instead, if the scene has any");
+        }
         let found = build::dry_run(&options, audit_size(a.poses, a.adversarial), &progress).map_err(failed)?;
         progress.finish();
         let json = serde_json::to_value(&found).map_err(Failure::permanent)?;
@@ -342,7 +352,7 @@ fn serve(a: ServeArgs) -> Result<(), Failure> {
     })
 }
 
-fn open(path: &Path) -> Result<Dataset, Failure> {
+pub(super) fn open(path: &Path) -> Result<Dataset, Failure> {
     Dataset::open(path).map_err(|e| Failure::of(e.permanent(), e))
 }
 
@@ -362,9 +372,27 @@ pub(super) fn threads(n: Option<usize>) -> Result<(), Failure> {
 }
 
 pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    std::fs::write(path, bytes)
-        .with_context(|| format!("cannot write {}", path.display()))
-        .map_err(|e| Failure::of(false, e))
+    std::fs::write(path, bytes).map_err(|e| cannot_write(path, e))
+}
+
+fn cannot_write(path: &Path, e: std::io::Error) -> Failure {
+    use std::io::ErrorKind as Kind;
+    // A full disk may be emptied; a folder that is not there does not come by itself.
+    let stays = matches!(
+        e.kind(),
+        Kind::NotFound | Kind::PermissionDenied | Kind::NotADirectory | Kind::IsADirectory | Kind::AlreadyExists
+    );
+    Failure::of(stays, anyhow::Error::new(e).context(format!("cannot write {}", path.display())))
+}
+
+/// Whether a file can be written, found out before the work whose result it is to hold.
+fn check_writable(path: &Path) -> Result<(), Failure> {
+    let is_new = !path.exists();
+    std::fs::OpenOptions::new().create(true).append(true).open(path).map_err(|e| cannot_write(path, e))?;
+    if is_new {
+        let _ = std::fs::remove_file(path);
+    }
+    Ok(())
 }
 
 pub(super) fn write_json(path: &Path, value: &serde_json::Value) -> Result<(), Failure> {

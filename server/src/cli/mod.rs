@@ -9,6 +9,7 @@ pub use args::size;
 
 use clap::Parser as _;
 use ldi_protocol::said::said;
+use std::io::IsTerminal as _;
 use std::process::ExitCode;
 
 /// A command that failed.
@@ -47,7 +48,11 @@ impl Failure {
 /// Runs the command line; returns the exit code.
 pub fn main() -> ExitCode {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn".into());
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .init();
     let cli = args::Cli::parse();
     match commands::run(cli.command) {
         Ok(()) => ExitCode::SUCCESS,

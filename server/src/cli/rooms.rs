@@ -2,7 +2,7 @@
 
 use super::Failure;
 use super::args::RoomsArgs;
-use super::commands::{print, threads, write_file, write_json};
+use super::commands::{open, print, threads, write_file, write_json};
 use super::progress::Stderr;
 use crate::build::Progress as _;
 use crate::octree::{Clusters, Octree};
@@ -131,9 +131,15 @@ fn summary(scene: &str, rooms: &Rooms, statistics: Option<&Statistics>) -> Strin
     text
 }
 
-/// Writes the plan of a dataset's rooms.
+/// Writes the plan of a dataset's rooms: those of its file, where a person may have corrected them, or those that it is walked by.
 pub(super) fn plan_of_dataset(dataset: &Path, plan: &Path) -> Result<(), Failure> {
     let file = dataset.join(FILE);
+    if !file.exists()
+        && let Some(walked_by) = &open(dataset)?.index().rooms
+    {
+        let svg = portal::plan_svg(&walked_by.rooms, &dataset.display().to_string());
+        return write_file(plan, svg.as_bytes());
+    }
     let read = || -> anyhow::Result<Rooms> {
         let length = std::fs::metadata(&file).with_context(|| {
             format!("{} is missing; write it with `ldi-server rooms SCENE --json {}`", file.display(), file.display())

@@ -16,6 +16,7 @@ use ldi_tests::load::{
     track::{Route, Scenario},
 };
 use std::{
+    io::IsTerminal as _,
     path::{Path, PathBuf},
     process::ExitCode,
 };
@@ -127,7 +128,11 @@ fn main() -> ExitCode {
     }
     let cli = Cli::parse();
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn".into());
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .init();
     match run(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(Failure(code, e)) => {

@@ -31,7 +31,12 @@ pub(super) struct Parts<'a> {
 /// Splits a file into JSON text and the BIN chunk.
 pub(super) fn split(bytes: &[u8]) -> Result<Parts<'_>, Fault> {
     if !is_glb(bytes) {
-        return Ok(Parts { json: Cow::Borrowed(bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes)), bin: None });
+        let text = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes);
+        return match text.iter().find(|b| !b.is_ascii_whitespace()) {
+            Some(b'{') => Ok(Parts { json: Cow::Borrowed(text), bin: None }),
+            Some(_) => Err(Fault::broken("file", "it is neither a GLB container nor the JSON text of a glTF file")),
+            None => Err(Fault::broken("file", "it is empty")),
+        };
     }
     let fault = |problem: String| Fault::invalid("GLB header", problem, "copy or export the file again, whole");
     // The parser subtracts the header's size from this length without looking.

@@ -40,7 +40,9 @@ pub(super) fn overwrite(mut bytes: Vec<u8>, at: usize, with: &[u8]) -> Vec<u8> {
 
 fn containers() -> Vec<Case> {
     vec![
-        bytes("empty", "JSON", |_| Vec::new()),
+        bytes("empty", "it is empty", |_| Vec::new()),
+        bytes("white space", "it is empty", |_| b" \n".to_vec()),
+        bytes("a letter", "neither a GLB container nor the JSON text", |_| b"Dear sir".to_vec()),
         bytes("magic alone", "GLB header", |b| b[..4].to_vec()),
         bytes("eleven bytes", "GLB header", |b| b[..11].to_vec()),
         bytes("header alone", "GLB chunks", |b| overwrite(b, 8, &12u32.to_le_bytes())[..12].to_vec()),
@@ -73,7 +75,7 @@ fn containers() -> Vec<Case> {
 fn documents() -> Vec<Case> {
     let square = || GltfFile::square().json.to_string();
     vec![
-        text("empty text", "JSON", Vec::new),
+        text("empty text", "it is empty", Vec::new),
         text("garbage text", "JSON", || vec![0x80; 1000]),
         text("text cut short", "JSON", move || square().into_bytes()[..500].to_vec()),
         text("text goes on", "JSON", move || (square() + "x").into_bytes()),
