@@ -432,7 +432,8 @@ impl Painter {
         let mut stats = merge(&mut self.full, far, pose, &full_camera);
         let mut known = images.iter().any(|(.., l)| l.is_some());
         let doubtful = gaps || ((view.by_tree || index.rooms.is_some()) && view.dropped > 0);
-        if known && !doubtful {
+        // Reference images of portals are not made from what eyes see: what they miss is no sky.
+        if known && !doubtful && !view.portal_images.is_paper() {
             grow_sky(&mut self.full, &mut stats);
         }
         if let Some(tree) = &index.tree {
