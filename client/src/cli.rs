@@ -20,7 +20,12 @@ use ldi_client::{
     stream::{ConnectConfig, ConnectError, Connection, DEFAULT_DISK_BYTES, DiskCache, Fingerprint, LinkSpec},
     warp::{Order, Stamp, WarpOptions},
 };
-use ldi_protocol::{index::Index, path, said::said, wire::Picture};
+use ldi_protocol::{
+    index::Index,
+    path,
+    said::{is_lasting, said},
+    wire::Picture,
+};
 use std::{
     io::{IsTerminal, Read as _},
     path::{Path, PathBuf},
@@ -184,7 +189,7 @@ impl From<ConnectError> for Failure {
 impl From<WalkError> for Failure {
     fn from(e: WalkError) -> Self {
         let code = match &e {
-            WalkError::Folder { source, .. } if !retry_may_help(source) => 42,
+            WalkError::Folder { source, .. } if is_lasting(source) => 42,
             WalkError::Disconnected { .. } | WalkError::Save(_) | WalkError::Folder { .. } => 1,
             WalkError::Paint(PaintError::Warp(_)) => 2,
             WalkError::Paint(PaintError::Gpu(e)) => gpu_exit_code(e),
@@ -230,15 +235,6 @@ pub fn main() -> ExitCode {
             ExitCode::from(failure.code)
         }
     }
-}
-
-/// Whether what kept a file from being written may pass, like a full disk, unlike a folder that is not there.
-fn retry_may_help(e: &std::io::Error) -> bool {
-    use std::io::ErrorKind as Kind;
-    !matches!(
-        e.kind(),
-        Kind::NotFound | Kind::PermissionDenied | Kind::NotADirectory | Kind::IsADirectory | Kind::AlreadyExists
-    )
 }
 
 /// The folder that is kept between visits.

@@ -1,6 +1,15 @@
 //! How an error is told to people.
 
-use std::error::Error;
+use std::{error::Error, io};
+
+/// Whether what keeps a file from being read or written stays so: a full disk may be emptied, a folder that is not there does not come by itself.
+pub fn is_lasting(e: &io::Error) -> bool {
+    use io::ErrorKind as Kind;
+    matches!(
+        e.kind(),
+        Kind::NotFound | Kind::PermissionDenied | Kind::NotADirectory | Kind::IsADirectory | Kind::AlreadyExists
+    )
+}
 
 /// An error with its causes, each thing once: many an error says its cause in its own words.
 pub fn said(error: &(dyn Error + 'static)) -> String {

@@ -432,8 +432,9 @@ impl Painter {
         let mut stats = merge(&mut self.full, far, pose, &full_camera);
         let mut known = images.iter().any(|(.., l)| l.is_some());
         let doubtful = gaps || ((view.by_tree || index.rooms.is_some()) && view.dropped > 0);
+        let all_layers = images.iter().all(|(_, entry, ldi)| absent_layers(entry, ldi.as_deref()).is_empty());
         // Reference images of portals are not made from what eyes see: what they miss is no sky.
-        if known && !doubtful && !view.portal_images.is_paper() {
+        if known && all_layers && !doubtful && !view.portal_images.is_paper() {
             grow_sky(&mut self.full, &mut stats);
         }
         if let Some(tree) = &index.tree {

@@ -252,6 +252,34 @@ fn near_and_far_come_together() {
     assert_eq!((colour_at(&frame, 18, 24), painted.warp.is_none()), ([0, 255, 0], true));
 }
 
+/// What the upper half of the image does not show is sky, as it borders on sky; but not while a deeper layer may hold it.
+#[test]
+fn sky_grows_where_all_layers_are_there() {
+    let mut feed = scene();
+    let mut ldi = (*feed.memory.ldis[&0]).clone();
+    let LdiLayer { mut segments, mut column, mut disparity, mut rgb, mut links, .. } = ldi.layers.remove(0);
+    let left = 24 * 48;
+    segments.truncate(24);
+    column.truncate(left);
+    disparity.truncate(left);
+    rgb.truncate(left);
+    links.truncate(left);
+    links[left - 48..].iter_mut().for_each(|l| *l &= !LINK_DOWN);
+    let half = LdiLayer { segments, column, disparity, rgb, links, ends: vec![], slopes: vec![] };
+    ldi.layers.push(half.with_half_ends());
+    assert_eq!(ldi.check(), Ok(()));
+    feed.memory.ldis.insert(0, Arc::new(ldi));
+    let ahead = Pose { position: DVec3::new(0.05, 0.0, 0.0), yaw_deg: 0.0, pitch_deg: 0.0 };
+    let options = WalkOptions { fill: Fill::Off, ..options(Pace::Wait) };
+    let (frame, painted, _) = paint(&feed, &ahead, &options);
+    assert_eq!((frame.count(Source::Unpainted), painted.missing_chunks.len()), (0, 0));
+    assert_eq!((colour_at(&frame, 18, 20), colour_at(&frame, 18, 28)), ([0, 0, 255], [198, 214, 235]));
+    feed.index.images[0].chunks.push(0);
+    feed.index.images[0].samples_by_layer.push(1);
+    let (frame, painted, _) = paint(&feed, &ahead, &options);
+    assert!(frame.count(Source::Unpainted) > 50 && !painted.missing_chunks.is_empty());
+}
+
 /// A painter that lays images out beside, and a frame of its own.
 #[derive(Default)]
 struct Beside(Painter, Frame);

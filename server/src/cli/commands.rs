@@ -16,6 +16,7 @@ use ldi_protocol::codec::ColourProfile;
 use ldi_protocol::index::BuildSettings;
 use ldi_protocol::path::Walk;
 use ldi_protocol::room_index::BuiltImages;
+use ldi_protocol::said::is_lasting;
 use std::io::{BufWriter, Write as _};
 use std::path::Path;
 use std::sync::Arc;
@@ -376,13 +377,7 @@ pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
 }
 
 fn cannot_write(path: &Path, e: std::io::Error) -> Failure {
-    use std::io::ErrorKind as Kind;
-    // A full disk may be emptied; a folder that is not there does not come by itself.
-    let stays = matches!(
-        e.kind(),
-        Kind::NotFound | Kind::PermissionDenied | Kind::NotADirectory | Kind::IsADirectory | Kind::AlreadyExists
-    );
-    Failure::of(stays, anyhow::Error::new(e).context(format!("cannot write {}", path.display())))
+    Failure::of(is_lasting(&e), anyhow::Error::new(e).context(format!("cannot write {}", path.display())))
 }
 
 /// Whether a file can be written, found out before the work whose result it is to hold.

@@ -18,7 +18,7 @@ use ldi_protocol::ldi::{END_PARTS, SIDES, Sliver, end_of};
 const MEETS: f64 = 1.0;
 /// Narrower steps do not show: in steps of disparity, each an eighth of an output pixel for the worst eye.
 const LEAST_STEPS: f64 = 2.0;
-/// Ends of both sides lie at most so far apart, in parts of a pixel ([`END_PARTS`]).
+/// Ends of both sides lie at most so far apart, in parts of a pixel ([`END_PARTS`]): it is one place, and each is told to the nearest part.
 const APART: u16 = 1;
 
 /// Slivers across the folds of all layers, in their order.

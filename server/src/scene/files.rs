@@ -12,6 +12,8 @@ use base64::Engine;
 use base64::alphabet::STANDARD;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
 
+use ldi_protocol::said::is_lasting;
+
 use super::error::{Fault, SceneError};
 
 /// Padding is optional: exporters disagree about it, and it carries nothing.
@@ -37,7 +39,7 @@ impl Files {
             file: path.display().to_string(),
             problem: e.to_string(),
             remedy: "check the path and its permissions".into(),
-            permanent: matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied),
+            permanent: is_lasting(e),
         };
         let real = fs::canonicalize(path).map_err(|e| unreadable(&e))?;
         let folder = real.parent().map(Path::to_path_buf).unwrap_or_default();
