@@ -3,6 +3,7 @@
 //! Exit codes: 0 done, 2 wrong usage, 1 a failure that a retry may cure, 42 a permanent one.
 
 mod connect;
+mod signals;
 
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand, ValueEnum as _};
@@ -30,7 +31,7 @@ use std::{
     io::{IsTerminal, Read as _},
     path::{Path, PathBuf},
     process::ExitCode,
-    sync::Arc,
+    sync::{Arc, atomic::Ordering},
     time::{Duration, Instant},
 };
 
@@ -331,7 +332,11 @@ fn read_path(file: &Path) -> Result<path::Walk, Failure> {
         let mut text = String::new();
         let most = path::MAX_TEXT_BYTES as u64 + 1;
         std::fs::File::open(file)?.take(most).read_to_string(&mut text)?;
-        Ok(path::parse(&text)?)
+        let walk = path::parse(&text)?;
+        if let Some(unknown) = path::unknown_fields(&text) {
+            tracing::warn!("{}: {unknown}", file.display());
+        }
+        Ok(walk)
     };
     read().with_context(|| format!("{}: cannot be walked", file.display())).map_err(Failure::permanent)
 }
@@ -396,12 +401,14 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         beside: false,
         baseline_frames: args.baseline_frames as usize,
     };
+    let stop = signals::stop_at_signal().map_err(|e| Failure { code: 1, error: e.into() })?;
     let job = WalkJob {
         path: &path,
         options: &options,
         folder: &args.out,
         truth: args.truth.as_deref(),
         baseline: args.baseline.as_deref(),
+        stop: Some(&stop),
     };
     let mut show = Show::new();
     let (summary, frames) = run(&link, &job, painter, &mut |p| show.frame(p))?;
@@ -437,6 +444,10 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         frames,
     };
     report_file.publish(&report).map_err(|error| Failure { code: 1, error })?;
+    if stop.load(Ordering::Relaxed) && report.frames.is_empty() {
+        println!("no frame yet; report in {}", args.report.display());
+        return Ok(());
+    }
     let s = &report.summary;
     println!(
         "{} frames, {} triangles at most (budget {}), {:.1} ms median{}, {} bytes, {} incomplete; report in {}",

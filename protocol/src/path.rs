@@ -19,6 +19,7 @@
 use crate::Pose;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Longest text that is parsed.
 pub const MAX_TEXT_BYTES: usize = 256 << 20;
@@ -105,6 +106,16 @@ struct FilePose {
     yaw: f64,
     #[serde(default)]
     pitch: f64,
+}
+
+/// What says that fields of a path file mean nothing here, if some do: a slip of the pen in an optional one would else walk at the usual speed unnoticed. No
+/// error, as other programs may keep something of theirs in it.
+pub fn unknown_fields(json: &str) -> Option<String> {
+    const KNOWN: [&str; 6] = ["fps", "speed", "eye_height", "closed", "waypoints", "poses"];
+    let fields: BTreeMap<String, serde::de::IgnoredAny> = serde_json::from_str(json).ok()?;
+    let unknown: Vec<_> = fields.into_keys().filter(|k| !KNOWN.contains(&&**k)).map(|k| format!("`{k}`")).collect();
+    let known = KNOWN.map(|k| format!("`{k}`")).join(", ");
+    (!unknown.is_empty()).then(|| format!("{} ignored: a path file has {known}", unknown.join(", ")))
 }
 
 /// Parses a path file and walks it.

@@ -107,6 +107,17 @@ fn evenly_spaced_numbers() {
 }
 
 #[test]
+fn fields_that_mean_nothing_are_told() {
+    let told = |json: &str| unknown_fields(json);
+    assert_eq!(told(r#"{"waypoints": [[0,0,0]], "fps": 30, "speed": 1, "eye_height": 1, "closed": true}"#), None);
+    assert_eq!(told(r#"{"poses": [{"position": [0,0,0], "yaw": 0, "mine": 1}]}"#), None);
+    let slip = told(r#"{"waypoints": [[0,0,0]], "speeed": 2, "by": {"x": 1}}"#).expect("a slip");
+    assert!(slip.starts_with("`by`, `speeed` ignored: a path file has `fps`, `speed`"), "{slip}");
+    // What is no path file at all is told by `parse`.
+    assert_eq!(told("[1,2"), None);
+}
+
+#[test]
 fn errors_name_the_field() {
     for (json, names) in [
         (r#"{}"#, "none of"),

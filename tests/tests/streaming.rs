@@ -456,6 +456,8 @@ fn a_server_that_stops_says_so() {
 #[test]
 fn the_page_shows_plan_and_walkers() {
     let host = Host::start("page", Memory::new(street(4, 16)));
+    // Nothing has happened, and that is said.
+    assert!(host.get("/metrics").1.contains("\nldi_connections_total 0\n"));
     let connection = Connection::connect(ConnectConfig { name: "the visitor".into(), ..host.config() }).unwrap();
     stand(&connection, &pose(-3.0, 0.0)).unwrap();
     for path in ["/healthz", "/readyz"] {

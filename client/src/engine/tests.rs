@@ -25,7 +25,10 @@ use ldi_protocol::{
 use std::{
     collections::BTreeSet,
     path::PathBuf,
-    sync::{Arc, Mutex},
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, Ordering},
+    },
     time::Duration,
 };
 
@@ -454,7 +457,7 @@ fn a_walk_writes_numbered_frames_and_counts() {
         let folder = folder(if pace == Pace::Wait { "wait" } else { "realtime" });
         let options = options(pace);
         // First walk: no truth. Its frames are the truth of the second.
-        let job = WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None };
+        let job = WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None, stop: None };
         let mut lines = Vec::new();
         let (summary, frames) = run(&feed, &job, Painter::default(), &mut |p| lines.push(p.done)).expect("a walk");
         assert_eq!(frames.iter().map(|f| f.index).collect::<Vec<_>>(), vec![0, 2, 4]);
@@ -477,8 +480,7 @@ fn a_walk_writes_numbered_frames_and_counts() {
         );
         assert!((summary.bytes_per_metre.expect("it moved") - summary.bytes_total as f64 / 0.4).abs() < 1e-6);
         let truth = folder.with_extension("truth");
-        let job =
-            WalkJob { path: &path, options: &options, folder: &truth, truth: Some(&folder), baseline: Some(&folder) };
+        let job = WalkJob { folder: &truth, truth: Some(&folder), baseline: Some(&folder), ..job };
         let (summary, frames) = run(&feed, &job, Painter::default(), &mut |_| {}).expect("a walk");
         assert_eq!(summary.min_psnr_db, Some(crate::metrics::LARGEST_DB));
         assert!(frames.iter().all(|f| f.flip.is_some_and(|e| e < 1e-6) && f.method == "grid"));
@@ -486,6 +488,24 @@ fn a_walk_writes_numbered_frames_and_counts() {
         assert!(frames.iter().all(|f| f.flip_baseline.is_some_and(|e| e < 1e-6) && f.flip_baseline_far.is_some()));
         std::fs::remove_dir_all(&folder).expect("removed");
         std::fs::remove_dir_all(&truth).expect("removed");
+    }
+}
+
+#[test]
+fn a_walk_that_is_stopped_reports_the_frames_so_far() {
+    let (feed, path) = (scene(), five_poses());
+    for after in [0, 2] {
+        let stop = AtomicBool::new(after == 0);
+        let folder = folder(&format!("stopped{after}"));
+        let options = options(Pace::Realtime);
+        let job =
+            WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None, stop: Some(&stop) };
+        let progress = &mut |p: Progress| stop.store(p.done == after, Ordering::Relaxed);
+        let (summary, frames) = run(&feed, &job, Painter::default(), progress).expect("a walk");
+        // Every second pose is kept; and nothing is measured beside the walk.
+        assert_eq!(frames.iter().map(|f| f.index).collect::<Vec<_>>(), if after == 0 { vec![] } else { vec![0] });
+        assert_eq!((summary.frames, summary.all_geometry_bytes), (frames.len(), None));
+        std::fs::remove_dir_all(&folder).expect("removed");
     }
 }
 
@@ -498,7 +518,7 @@ fn chunks_that_come_again_are_counted() {
     let options = WalkOptions { baseline_frames: 0, debug_views: false, ..options(Pace::Wait) };
     let (summary, _) = run(
         &feed,
-        &WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None },
+        &WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None, stop: None },
         Painter::default(),
         &mut |_| {},
     )

@@ -22,13 +22,18 @@ use crate::{
 use ldi_protocol::{OutputCamera, index::Index, path::Walk, room_index::PortalImages};
 use std::{
     path::{Path, PathBuf},
-    sync::mpsc,
+    sync::{
+        atomic::{AtomicBool, Ordering},
+        mpsc,
+    },
     time::{Duration, Instant},
 };
 
 /// How long a frame of `--pace wait` waits before it is drawn without the rest: a view of some 20 MB over a slow line of
 /// 2 Mbit/s takes a minute and a half; after twice that something is wrong.
 pub(super) const PATIENCE: Duration = Duration::from_secs(180);
+/// How long a walk that was asked to end may go on waiting.
+const HEED: Duration = Duration::from_millis(200);
 
 /// A hole share below this and a FLIP of at most [`USEFUL_FLIP`] make a frame useful.
 const USEFUL_HOLES: f64 = 0.01;
@@ -78,9 +83,15 @@ pub struct WalkJob<'a> {
     pub truth: Option<&'a Path>,
     /// Folder of another renderer's frames, to be judged beside ours.
     pub baseline: Option<&'a Path>,
+    /// Becomes true when the walk is to end: the frames so far are judged and reported.
+    pub stop: Option<&'a AtomicBool>,
 }
 
 impl WalkJob<'_> {
+    fn stopped(&self) -> bool {
+        self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
+    }
+
     /// Judges the frame of a pose; `full` as in [`Truth::judge`].
     fn judge(&self, pose: usize, frame: &Frame, full: &Frame) -> Result<Verdict, JudgeError> {
         let load = |folder: Option<&Path>| folder.map_or(Ok(None), |f| Truth::load(f, pose));
@@ -188,9 +199,14 @@ pub fn run(
     walker.judge_rest();
     walker.first_useful();
     let frames: Vec<FrameReport> = walker.kept.into_iter().map(|k| k.report).collect();
-    let baseline = baseline::measure(feed, &mut walker.painter, &frames, &walker.camera, job.options)?;
+    // Who ends a walk waits for no measurement.
+    let options = WalkOptions {
+        baseline_frames: if job.stopped() { 0 } else { job.options.baseline_frames },
+        ..job.options.clone()
+    };
+    let baseline = baseline::measure(feed, &mut walker.painter, &frames, &walker.camera, &options)?;
     let mut totals = walker.totals;
-    totals.all_geometry_bytes = (job.options.baseline_frames > 0).then_some(baseline.bytes);
+    totals.all_geometry_bytes = (options.baseline_frames > 0).then_some(baseline.bytes);
     (totals.all_geometry_ms, totals.ours_at_same_poses_ms) = (baseline.all_geometry_ms, baseline.ours_ms);
     Ok((Summary::new(&frames, &totals), frames))
 }
@@ -210,6 +226,10 @@ impl Walker<'_> {
         let start = Instant::now();
         let mut frame = Frame::default();
         for (done, at) in (0..poses.len()).step_by(step).enumerate() {
+            if self.job.stopped() {
+                tracing::warn!("stopped before pose {at} of {}: the report covers the frames until then", poses.len());
+                break;
+            }
             let (t_s, pose) = (poses[at].t_s, poses[at].pose);
             if options.pace == Pace::Realtime {
                 let due = Duration::from_secs_f64((t_s - poses[0].t_s).max(0.0));
@@ -253,8 +273,20 @@ impl Walker<'_> {
         if let (Some(tree), Some(first)) = (&index.tree, self.job.path.poses.first()) {
             let view = view_of(index, &first.pose, &self.camera, self.job.options.method, &mut StageMs::default());
             self.feed.look(&first.pose, &view.needed(index));
-            if let Err(e) = self.feed.wait_for(&[tree.root_chunk], PATIENCE) {
+            if let Err(e) = self.wait_for(&[tree.root_chunk]) {
                 tracing::warn!("the first picture: {e}");
+            }
+        }
+    }
+
+    /// Waits for chunks, until the patience or the walk is at its end.
+    fn wait_for(&self, chunks: &[u32]) -> Result<(), Incomplete> {
+        let until = Instant::now() + PATIENCE;
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            match self.feed.wait_for(chunks, left.min(HEED)) {
+                Err(Incomplete::Timeout(_)) if left > HEED && !self.job.stopped() => {}
+                done => return done,
             }
         }
     }
@@ -275,7 +307,7 @@ impl Walker<'_> {
         }
         self.feed.look(&self.job.path.poses[at].pose, &view_needs);
         if self.job.options.pace == Pace::Wait {
-            match self.feed.wait_for(&needed, PATIENCE) {
+            match self.wait_for(&needed) {
                 Ok(()) => {}
                 Err(Incomplete::Disconnected(reason)) => return Err(WalkError::Disconnected { pose: at, reason }),
                 // The frame is drawn without it and the report says so.

@@ -361,7 +361,12 @@ fn read_walk(path: &Path) -> Result<Walk, Failure> {
     let text = std::fs::read_to_string(path)
         .with_context(|| format!("cannot read {}", path.display()))
         .map_err(Failure::permanent)?;
-    ldi_protocol::path::parse(&text).with_context(|| path.display().to_string()).map_err(Failure::permanent)
+    let walk =
+        ldi_protocol::path::parse(&text).with_context(|| path.display().to_string()).map_err(Failure::permanent)?;
+    if let Some(unknown) = ldi_protocol::path::unknown_fields(&text) {
+        tracing::warn!("{}: {unknown}", path.display());
+    }
+    Ok(walk)
 }
 
 pub(super) fn threads(n: Option<usize>) -> Result<(), Failure> {

@@ -44,17 +44,24 @@ fn recorder() -> Option<PrometheusHandle> {
         .clone()
 }
 
+/// Says what is counted, and that it is 0 so far: who watches a server wants to see it before the first walker comes.
 fn describe() {
-    use metrics::{describe_counter, describe_gauge, describe_histogram};
+    use metrics::{counter, describe_counter, describe_gauge, describe_histogram, gauge};
     describe_gauge!("ldi_walkers", "Connected walkers");
-    describe_counter!("ldi_connections_total", "Connections accepted");
-    describe_counter!("ldi_refused_total", "Connections refused, for any reason");
-    describe_counter!("ldi_chunks_total", "Chunks sent");
-    describe_counter!("ldi_chunk_bytes_total", "Bytes of chunks and pages sent, without QUIC's own");
-    describe_counter!("ldi_stale_streams_total", "Streams given up because the walker moved on");
-    describe_counter!("ldi_requests_total", "Requests by number or name answered");
-    describe_counter!("ldi_bad_requests_total", "Requests for nothing that exists");
-    describe_counter!("ldi_bad_datagrams_total", "Datagrams that were no pose");
+    gauge!("ldi_walkers").increment(0.0);
+    for (name, what) in [
+        ("ldi_connections_total", "Connections accepted"),
+        ("ldi_refused_total", "Connections refused, for any reason"),
+        ("ldi_chunks_total", "Chunks sent"),
+        ("ldi_chunk_bytes_total", "Bytes of chunks and pages sent, without QUIC's own"),
+        ("ldi_stale_streams_total", "Streams given up because the walker moved on"),
+        ("ldi_requests_total", "Requests by number or name answered"),
+        ("ldi_bad_requests_total", "Requests for nothing that exists"),
+        ("ldi_bad_datagrams_total", "Datagrams that were no pose"),
+    ] {
+        describe_counter!(name, what);
+        counter!(name).increment(0);
+    }
     describe_histogram!("ldi_plan_seconds", "Time to decide what to send next");
 }
 

@@ -147,7 +147,12 @@ fn run(cli: &Cli) -> Result<(), Failure> {
     let route = match (&cli.path, cli.random) {
         (Some(file), _) => {
             let text = std::fs::read_to_string(file).with_context(|| format!("{}: cannot be read", file.display()));
-            let walk = text.and_then(|t| path::parse(&t).with_context(|| file.display().to_string()));
+            let walk = text.and_then(|t| {
+                if let Some(unknown) = path::unknown_fields(&t) {
+                    eprintln!("ldi-load: {}: {unknown}", file.display());
+                }
+                path::parse(&t).with_context(|| file.display().to_string())
+            });
             Route::Path(walk.map_err(permanent)?)
         }
         (None, seed) => Route::Random(seed.unwrap_or(1)),
@@ -233,6 +238,16 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         cli.report.display(),
         page_file.display()
     );
+    for (manner, toll) in seen.hostile.iter().filter(|_| cli.hostile > 0) {
+        println!(
+            "hostile, {}: {} came in, of these {} thrown out; {} turned away; {:.1} MB to them",
+            format!("{manner:?}").to_lowercase(),
+            toll.came_in,
+            toll.thrown_out,
+            toll.turned_away,
+            toll.bytes as f64 * 1e-6
+        );
+    }
     Ok(())
 }
 

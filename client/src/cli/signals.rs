@@ -1,0 +1,66 @@
+//! SIGINT and SIGTERM, as a walk without a window takes them.
+
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering},
+};
+
+/// What a shell takes for a process that SIGINT ended.
+const INTERRUPTED: i32 = 130;
+
+/// Becomes true at the first signal; the second ends the process at once.
+///
+/// # Errors
+/// If the system grants no signal handler or no thread.
+pub fn stop_at_signal() -> std::io::Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
+    let entered = runtime.enter();
+    let mut signals = Signals::listen()?;
+    drop(entered);
+    let flag = Arc::clone(&stop);
+    std::thread::Builder::new().name("signals".into()).spawn(move || {
+        runtime.block_on(async {
+            signals.next().await;
+            flag.store(true, Ordering::Relaxed);
+            eprintln!("ldi-client: ending the walk; once more ends it without a report");
+            signals.next().await;
+            std::process::exit(INTERRUPTED);
+        });
+    })?;
+    Ok(stop)
+}
+
+#[cfg(unix)]
+struct Signals {
+    terminate: tokio::signal::unix::Signal,
+    interrupt: tokio::signal::unix::Signal,
+}
+
+#[cfg(unix)]
+impl Signals {
+    fn listen() -> std::io::Result<Self> {
+        use tokio::signal::unix::{SignalKind, signal};
+        Ok(Self { terminate: signal(SignalKind::terminate())?, interrupt: signal(SignalKind::interrupt())? })
+    }
+    async fn next(&mut self) {
+        tokio::select! {
+            _ = self.terminate.recv() => {}
+            _ = self.interrupt.recv() => {}
+        }
+    }
+}
+
+#[cfg(not(unix))]
+struct Signals;
+
+#[cfg(not(unix))]
+impl Signals {
+    fn listen() -> std::io::Result<Self> {
+        Ok(Self)
+    }
+    async fn next(&mut self) {
+        // Without a handler Ctrl-C ends the process, as it would without this.
+        let _ = tokio::signal::ctrl_c().await;
+    }
+}
