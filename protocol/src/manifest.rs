@@ -33,7 +33,8 @@ use crate::{
 };
 
 /// Version of root and pages. Raised with every change that an older reader would misunderstand.
-pub const VERSION: u8 = 9;
+/// 10: sections of all chunks and pages may be coded by rANS.
+pub const VERSION: u8 = 10;
 /// Largest root that a build writes.
 pub const MAX_ROOT_BYTES: usize = 256_000;
 

@@ -28,8 +28,9 @@ use crate::{
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 /// Raised when a peer of the previous version could not understand the next one.
+/// 4: sections of chunks and manifests may be coded by rANS, and tree chunks are of version 2.
 /// 2: clients say how far behind their decoding is ([`ClientMessage::Decoding`]) and which manifests they have ([`Hello::manifests`]).
-pub const VERSION: u16 = 3;
+pub const VERSION: u16 = 4;
 /// The application protocol that TLS agrees on.
 pub const ALPN: &[u8] = b"ldi/1";
 /// The port that a client tries when none is given.

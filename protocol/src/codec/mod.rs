@@ -12,6 +12,7 @@ mod instances;
 pub mod ldi;
 mod normal;
 mod planes;
+mod rans;
 mod residual;
 mod runs;
 mod slivers;
