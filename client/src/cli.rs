@@ -381,7 +381,9 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     let report_file = PendingReport::create(&args.report).map_err(Failure::permanent)?;
     let connection = Connection::connect(config.clone())?;
     check_offer(args.method, connection.index())?;
-    let link = WalkLink::new(connection, config).map_err(|e| Failure { code: 1, error: e.into() })?;
+    let stop = signals::stop_at_signal().map_err(|e| Failure { code: 1, error: e.into() })?;
+    let link =
+        WalkLink::new(connection, config, Arc::clone(&stop)).map_err(|e| Failure { code: 1, error: e.into() })?;
     let options = WalkOptions {
         width: args.size.0,
         height: args.size.1,
@@ -401,7 +403,6 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         beside: false,
         baseline_frames: args.baseline_frames as usize,
     };
-    let stop = signals::stop_at_signal().map_err(|e| Failure { code: 1, error: e.into() })?;
     let job = WalkJob {
         path: &path,
         options: &options,

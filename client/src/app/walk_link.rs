@@ -9,7 +9,10 @@ use crate::{
 };
 use ldi_protocol::{Pose, index::Index, ldi::Ldi, mesh::CellGeometry, need::Needed, texture::Texture, tree::Brood};
 use std::{
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
     time::{Duration, Instant},
 };
 
@@ -23,17 +26,18 @@ pub struct WalkLink {
     link: Link,
     scene: Scene,
     dataset: String,
+    stop: Arc<AtomicBool>,
 }
 
 impl WalkLink {
-    /// Goes on from a connection that was made with `config`.
+    /// Goes on from a connection that was made with `config`. When `stop` becomes true nobody is kept waiting any more.
     ///
     /// # Errors
     /// If the system gives no thread.
-    pub fn new(connection: Connection, config: ConnectConfig) -> std::io::Result<Self> {
+    pub fn new(connection: Connection, config: ConnectConfig, stop: Arc<AtomicBool>) -> std::io::Result<Self> {
         let (scene, dataset) = (Scene::of(&connection), connection.dataset().to_string());
         let link = Link::keep_up(connection, config, || {})?;
-        Ok(Self { link, scene, dataset })
+        Ok(Self { link, scene, dataset, stop })
     }
 
     /// The statistics of all connections.
@@ -88,7 +92,8 @@ impl Feed for WalkLink {
         let deadline = Instant::now() + patience;
         let mut received = self.link.stats().bytes_total;
         loop {
-            let left = deadline.saturating_duration_since(Instant::now());
+            let stopped = self.stop.load(Ordering::Relaxed);
+            let left = if stopped { Duration::ZERO } else { deadline.saturating_duration_since(Instant::now()) };
             match self.scene.cache.wait(chunks, left.min(ASK_AFTER)) {
                 Err(Incomplete::Timeout(missing)) if left > ASK_AFTER => {
                     let before = std::mem::replace(&mut received, self.link.stats().bytes_total);

@@ -32,8 +32,6 @@ use std::{
 /// How long a frame of `--pace wait` waits before it is drawn without the rest: a view of some 20 MB over a slow line of
 /// 2 Mbit/s takes a minute and a half; after twice that something is wrong.
 pub(super) const PATIENCE: Duration = Duration::from_secs(180);
-/// How long a walk that was asked to end may go on waiting.
-const HEED: Duration = Duration::from_millis(200);
 
 /// A hole share below this and a FLIP of at most [`USEFUL_FLIP`] make a frame useful.
 const USEFUL_HOLES: f64 = 0.01;
@@ -83,7 +81,7 @@ pub struct WalkJob<'a> {
     pub truth: Option<&'a Path>,
     /// Folder of another renderer's frames, to be judged beside ours.
     pub baseline: Option<&'a Path>,
-    /// Becomes true when the walk is to end: the frames so far are judged and reported.
+    /// Becomes true when the walk is to end: the frames so far are judged and reported. Who feeds it waits no longer then, either.
     pub stop: Option<&'a AtomicBool>,
 }
 
@@ -226,10 +224,6 @@ impl Walker<'_> {
         let start = Instant::now();
         let mut frame = Frame::default();
         for (done, at) in (0..poses.len()).step_by(step).enumerate() {
-            if self.job.stopped() {
-                tracing::warn!("stopped before pose {at} of {}: the report covers the frames until then", poses.len());
-                break;
-            }
             let (t_s, pose) = (poses[at].t_s, poses[at].pose);
             if options.pace == Pace::Realtime {
                 let due = Duration::from_secs_f64((t_s - poses[0].t_s).max(0.0));
@@ -239,6 +233,10 @@ impl Walker<'_> {
             let index = self.feed.index();
             let view = view_of(index, &pose, &self.camera, options.method, &mut ms);
             self.ask(index, &view, at)?;
+            if self.job.stopped() {
+                tracing::warn!("stopped before pose {at} of {}: the report covers the frames until then", poses.len());
+                break;
+            }
             let mut painted =
                 self.painter.paint(index, self.feed, &view, &pose, &self.camera, options, ms, &mut frame)?;
             if options.pace == Pace::Realtime {
@@ -273,20 +271,8 @@ impl Walker<'_> {
         if let (Some(tree), Some(first)) = (&index.tree, self.job.path.poses.first()) {
             let view = view_of(index, &first.pose, &self.camera, self.job.options.method, &mut StageMs::default());
             self.feed.look(&first.pose, &view.needed(index));
-            if let Err(e) = self.wait_for(&[tree.root_chunk]) {
+            if let Err(e) = self.feed.wait_for(&[tree.root_chunk], PATIENCE) {
                 tracing::warn!("the first picture: {e}");
-            }
-        }
-    }
-
-    /// Waits for chunks, until the patience or the walk is at its end.
-    fn wait_for(&self, chunks: &[u32]) -> Result<(), Incomplete> {
-        let until = Instant::now() + PATIENCE;
-        loop {
-            let left = until.saturating_duration_since(Instant::now());
-            match self.feed.wait_for(chunks, left.min(HEED)) {
-                Err(Incomplete::Timeout(_)) if left > HEED && !self.job.stopped() => {}
-                done => return done,
             }
         }
     }
@@ -307,8 +293,10 @@ impl Walker<'_> {
         }
         self.feed.look(&self.job.path.poses[at].pose, &view_needs);
         if self.job.options.pace == Pace::Wait {
-            match self.wait_for(&needed) {
+            match self.feed.wait_for(&needed, PATIENCE) {
                 Ok(()) => {}
+                // What comes no more is no matter, nor is what did not come yet.
+                Err(_) if self.job.stopped() => {}
                 Err(Incomplete::Disconnected(reason)) => return Err(WalkError::Disconnected { pose: at, reason }),
                 // The frame is drawn without it and the report says so.
                 Err(incomplete) => tracing::warn!("pose {at}: {incomplete}"),

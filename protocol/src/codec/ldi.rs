@@ -2,7 +2,7 @@
 //!
 //! The first chunk holds the camera, the disparity codes, the sky bits and layer 0, so that it alone is a useful picture;
 //! the second holds the deeper layers and the [slivers](super::slivers). Per chunk: occupancy ([`runs`](super::runs)), links, ends, slopes and disparities
-//! ([`surface`](super::surface)), colours ([`colour`](super::colour)); each stream is a zstd section shared by the chunk's
+//! ([`surface`](super::surface)), colours ([`colour`](super::colour)); each stream is a section shared by the chunk's
 //! layers, since deep layers are small. Disparities, links, ends and slopes are exact; colours as the [`ColourMode`] says.
 
 use super::{

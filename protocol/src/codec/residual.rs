@@ -2,9 +2,9 @@
 //!
 //! A plane coder predicts each value from decoded neighbours and hands the difference to a [`Coder`], together with a
 //! context: a small number that says how well the prediction is expected to do, again from decoded neighbours only.
-//! Residuals of one context go to one stream, and every stream is a zstd section of its own. So zstd's Huffman tables do
-//! what the conditional coder of JPEG-LS (Weinberger, Seroussi, Sapiro 2000, section III-C) does, at the speed of zstd:
-//! nothing but a table lookup is done per symbol here.
+//! Residuals of one context go to one stream, and every stream is a section of its own. So the sections' tables
+//! ([`super::rans`], zstd) do what the conditional coder of JPEG-LS (Weinberger, Seroussi, Sapiro 2000, section III-C) does: nothing but a
+//! table lookup is done per symbol here.
 //!
 //! Encoder and decoder run the same walk; only the coder differs. So they cannot disagree about a prediction.
 //!
