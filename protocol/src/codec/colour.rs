@@ -76,13 +76,17 @@ impl ColourProfile {
     /// All profiles, the exact one first.
     pub const ALL: [Self; 3] = [Self::Lossless, Self::High, Self::Compact];
     /// Ever fewer bytes and larger errors; by judgement (docs/decisions.md).
-    const LADDER: [ColourMode; 7] = [
+    const LADDER: [ColourMode; 11] = [
         ColourMode::LOSSLESS,
         ColourMode::new(2, 2, 2),
         ColourMode::new(2, 3, 1),
+        ColourMode::new(3, 4, 1),
         ColourMode::new(3, 5, 1),
+        ColourMode::new(4, 6, 1),
         ColourMode::new(4, 8, 1),
+        ColourMode::new(6, 10, 1),
         ColourMode::new(8, 12, 1),
+        ColourMode::new(12, 18, 1),
         ColourMode::new(16, 24, 1),
     ];
 
@@ -104,7 +108,7 @@ impl ColourProfile {
     pub fn modes(self) -> &'static [ColourMode] {
         match self {
             Self::Lossless => &Self::LADDER[..1],
-            Self::High => &Self::LADDER[..5],
+            Self::High => &Self::LADDER[..7],
             Self::Compact => &Self::LADDER,
         }
     }

@@ -34,15 +34,24 @@ const DEEPER: [u8; 3] = *b"LDD";
 /// As [`encode_first`].
 pub fn encode(ldi: &Ldi, profile: ColourProfile, level: i32) -> Result<Vec<Vec<u8>>, CodecError> {
     let granted = profile.bytes_per_sample() * ldi.samples() as f64;
-    let mut chunks = Vec::new();
-    for mode in profile.modes() {
-        chunks = vec![encode_first(ldi, *mode, level)?];
-        chunks.extend(encode_deeper(ldi, *mode, level)?);
-        if chunks.iter().map(Vec::len).sum::<usize>() as f64 <= granted {
-            break;
+    let coded = |mode: ColourMode| -> Result<_, CodecError> {
+        let mut chunks = vec![encode_first(ldi, mode, level)?];
+        chunks.extend(encode_deeper(ldi, mode, level)?);
+        let fits = chunks.iter().map(Vec::len).sum::<usize>() as f64 <= granted;
+        Ok((chunks, fits))
+    };
+    // Exact colours suit most images. Of the others each takes fewer bytes than the one before: the first that fits is found by halving.
+    let (mut best, mut fits) = coded(profile.modes()[0])?;
+    let mut rest = if fits { &[] } else { &profile.modes()[1..] };
+    while !rest.is_empty() {
+        let middle = rest.len() / 2;
+        let (chunks, these_fit) = coded(rest[middle])?;
+        if these_fit || !fits {
+            (best, fits) = (chunks, these_fit);
         }
+        rest = if these_fit { &rest[..middle] } else { &rest[middle + 1..] };
     }
-    Ok(chunks)
+    Ok(best)
 }
 
 /// Encodes camera, codes, sky bits and layer 0. `level` is zstd's, 1 to 19.
