@@ -104,12 +104,13 @@ fn parts_of(raw: &[u8]) -> [u32; 256] {
     let bits = |n: u64, from: u32, to: u32| n as f64 * (f64::from(from) / f64::from(to)).log2();
     let mut sum: u32 = parts.iter().sum();
     while sum != PARTS {
-        let (from_sum, step): (u32, i32) = if sum > PARTS { (sum, -1) } else { (sum, 1) };
+        let step = if sum > PARTS { -1 } else { 1 };
         let cost = |v: &usize| bits(counts[*v], parts[*v], parts[*v].wrapping_add_signed(step));
-        let may = |v: &usize| parts[*v] > 1 || (step > 0 && parts[*v] == 1);
+        // What occurs keeps a part.
+        let may = |v: &usize| parts[*v] > u32::from(step < 0);
         let Some(v) = (0..256).filter(may).min_by(|a, b| cost(a).total_cmp(&cost(b))) else { break };
         parts[v] = parts[v].wrapping_add_signed(step);
-        sum = from_sum.wrapping_add_signed(step);
+        sum = sum.wrapping_add_signed(step);
     }
     parts
 }
