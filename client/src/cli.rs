@@ -28,7 +28,7 @@ use ldi_protocol::{
     wire::Picture,
 };
 use std::{
-    io::{IsTerminal, Read as _},
+    io::IsTerminal,
     path::{Path, PathBuf},
     process::ExitCode,
     sync::{Arc, atomic::Ordering},
@@ -326,19 +326,12 @@ fn prefetch_m(args: &WalkArgs) -> f64 {
     args.prefetch_m.unwrap_or(if matches!(args.pace, Pace::Wait) { 0.0 } else { 10.0 })
 }
 
-/// A path file, of bounded size.
 fn read_path(file: &Path) -> Result<path::Walk, Failure> {
-    let read = || -> anyhow::Result<path::Walk> {
-        let mut text = String::new();
-        let most = path::MAX_TEXT_BYTES as u64 + 1;
-        std::fs::File::open(file)?.take(most).read_to_string(&mut text)?;
-        let walk = path::parse(&text)?;
-        if let Some(unknown) = path::unknown_fields(&text) {
-            tracing::warn!("{}: {unknown}", file.display());
-        }
-        Ok(walk)
-    };
-    read().with_context(|| format!("{}: cannot be walked", file.display())).map_err(Failure::permanent)
+    std::fs::File::open(file)
+        .map_err(path::PathError::from)
+        .and_then(|open| path::read(open, |told| tracing::warn!("{}: {told}", file.display())))
+        .with_context(|| format!("{}: cannot be walked", file.display()))
+        .map_err(Failure::permanent)
 }
 
 fn walk(args: &WalkArgs) -> Result<(), Failure> {

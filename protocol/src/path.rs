@@ -19,7 +19,7 @@
 use crate::Pose;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, io::Read};
 
 /// Longest text that is parsed.
 pub const MAX_TEXT_BYTES: usize = 256 << 20;
@@ -62,6 +62,9 @@ pub enum PathError {
         "path file: {0}; expected {{\"waypoints\": [[x,y,z], ...]}} or {{\"poses\": [{{\"t\",\"position\",\"yaw\",\"pitch\"}}, ...]}}"
     )]
     Json(#[from] serde_json::Error),
+    /// No file that can be read.
+    #[error("it cannot be read: {0}")]
+    Read(#[from] std::io::Error),
     /// A value outside its range.
     #[error("path file: `{field}` is {value}; {expected}")]
     Value {
@@ -108,13 +111,29 @@ struct FilePose {
     pitch: f64,
 }
 
+/// Reads a path file, of bounded size, and walks it. `tell` gets what is no error but should be told.
+///
+/// # Errors
+/// If the file cannot be read, or as [`parse`].
+pub fn read(file: impl Read, tell: impl FnOnce(&str)) -> Result<Walk, PathError> {
+    let mut text = String::new();
+    file.take(MAX_TEXT_BYTES as u64 + 1).read_to_string(&mut text)?;
+    let walk = parse(&text)?;
+    if let Some(unknown) = unknown_fields(&text) {
+        tell(&unknown);
+    }
+    Ok(walk)
+}
+
+/// Fields of a [`PathFile`].
+const FIELDS: [&str; 6] = ["fps", "speed", "eye_height", "closed", "waypoints", "poses"];
+
 /// What says that fields of a path file mean nothing here, if some do: a slip of the pen in an optional one would else walk at the usual speed unnoticed. No
 /// error, as other programs may keep something of theirs in it.
-pub fn unknown_fields(json: &str) -> Option<String> {
-    const KNOWN: [&str; 6] = ["fps", "speed", "eye_height", "closed", "waypoints", "poses"];
+fn unknown_fields(json: &str) -> Option<String> {
     let fields: BTreeMap<String, serde::de::IgnoredAny> = serde_json::from_str(json).ok()?;
-    let unknown: Vec<_> = fields.into_keys().filter(|k| !KNOWN.contains(&&**k)).map(|k| format!("`{k}`")).collect();
-    let known = KNOWN.map(|k| format!("`{k}`")).join(", ");
+    let unknown: Vec<_> = fields.into_keys().filter(|k| !FIELDS.contains(&&**k)).map(|k| format!("`{k}`")).collect();
+    let known = FIELDS.map(|k| format!("`{k}`")).join(", ");
     (!unknown.is_empty()).then(|| format!("{} ignored: a path file has {known}", unknown.join(", ")))
 }
 

@@ -115,6 +115,25 @@ fn fields_that_mean_nothing_are_told() {
     assert!(slip.starts_with("`by`, `speeed` ignored: a path file has `fps`, `speed`"), "{slip}");
     // What is no path file at all is told by `parse`.
     assert_eq!(told("[1,2"), None);
+    let mut heard = String::new();
+    let slip = r#"{"waypoints": [[0,0,0],[1,0,0]], "by": 1}"#;
+    assert!(read(slip.as_bytes(), |told| heard = told.to_owned()).is_ok() && heard.starts_with("`by` ignored"));
+    assert!(matches!(read(&[0xff, 0xfe][..], |_| ()), Err(PathError::Read(_))));
+    // The list is that of the file's fields.
+    let whole = PathFile {
+        fps: Some(60.0),
+        speed: Some(1.0),
+        eye_height: Some(1.6),
+        closed: false,
+        waypoints: Some(vec![]),
+        poses: Some(vec![]),
+    };
+    let written = serde_json::to_value(&whole).unwrap();
+    let mut fields: Vec<_> = written.as_object().unwrap().keys().map(|k| &**k).collect();
+    let mut known = FIELDS.to_vec();
+    fields.sort_unstable();
+    known.sort_unstable();
+    assert_eq!(fields, known);
 }
 
 #[test]

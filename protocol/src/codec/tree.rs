@@ -249,8 +249,10 @@ pub fn decode(bytes: &[u8], nodes: &[(u32, u32)]) -> Result<Brood, CodecError> {
     let occupied = r.section_of("tree occupancy", faces * PIXELS / 8)?;
     let pixels: usize = occupied.iter().map(|b| b.count_ones() as usize).sum();
     let layers = r.section_of("tree layers", pixels)?;
-    if layers.iter().map(|l| usize::from(*l)).sum::<usize>() != total || layers.contains(&0) {
-        return Err(CodecError::mismatch("tree layers", "they do not add up to the samples"));
+    if layers.iter().map(|l| usize::from(*l)).sum::<usize>() != total
+        || !layers.iter().all(|l| (1..=MAX_LAYERS).contains(&usize::from(*l)))
+    {
+        return Err(CodecError::mismatch("tree layers", "they do not add up to the samples, or a pixel has too many"));
     }
     let mut residuals = Decoder::new(&mut r, "tree samples", STREAMS, total * VALUES)?;
     let flags = r.section_of("tree filtered", total.div_ceil(8))?;

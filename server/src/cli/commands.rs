@@ -14,7 +14,7 @@ use anyhow::{Context as _, anyhow};
 use ldi_protocol::OutputCamera;
 use ldi_protocol::codec::ColourProfile;
 use ldi_protocol::index::BuildSettings;
-use ldi_protocol::path::Walk;
+use ldi_protocol::path::{PathError, Walk};
 use ldi_protocol::room_index::BuiltImages;
 use ldi_protocol::said::is_lasting;
 use std::io::{BufWriter, Write as _};
@@ -358,15 +358,11 @@ pub(super) fn open(path: &Path) -> Result<Dataset, Failure> {
 }
 
 fn read_walk(path: &Path) -> Result<Walk, Failure> {
-    let text = std::fs::read_to_string(path)
-        .with_context(|| format!("cannot read {}", path.display()))
-        .map_err(Failure::permanent)?;
-    let walk =
-        ldi_protocol::path::parse(&text).with_context(|| path.display().to_string()).map_err(Failure::permanent)?;
-    if let Some(unknown) = ldi_protocol::path::unknown_fields(&text) {
-        tracing::warn!("{}: {unknown}", path.display());
-    }
-    Ok(walk)
+    std::fs::File::open(path)
+        .map_err(PathError::from)
+        .and_then(|open| ldi_protocol::path::read(open, |told| tracing::warn!("{}: {told}", path.display())))
+        .with_context(|| path.display().to_string())
+        .map_err(Failure::permanent)
 }
 
 pub(super) fn threads(n: Option<usize>) -> Result<(), Failure> {

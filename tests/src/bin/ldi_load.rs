@@ -146,13 +146,10 @@ fn run(cli: &Cli) -> Result<(), Failure> {
     let permanent = |e: anyhow::Error| Failure(42, e);
     let route = match (&cli.path, cli.random) {
         (Some(file), _) => {
-            let text = std::fs::read_to_string(file).with_context(|| format!("{}: cannot be read", file.display()));
-            let walk = text.and_then(|t| {
-                if let Some(unknown) = path::unknown_fields(&t) {
-                    eprintln!("ldi-load: {}: {unknown}", file.display());
-                }
-                path::parse(&t).with_context(|| file.display().to_string())
-            });
+            let walk = std::fs::File::open(file)
+                .map_err(path::PathError::from)
+                .and_then(|open| path::read(open, |told| eprintln!("ldi-load: {}: {told}", file.display())))
+                .with_context(|| file.display().to_string());
             Route::Path(walk.map_err(permanent)?)
         }
         (None, seed) => Route::Random(seed.unwrap_or(1)),
