@@ -374,7 +374,8 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     let report_file = PendingReport::create(&args.report).map_err(Failure::permanent)?;
     let connection = Connection::connect(config.clone())?;
     check_offer(args.method, connection.index())?;
-    let stop = signals::stop_at_signal().map_err(|e| Failure { code: 1, error: e.into() })?;
+    let stop = signals::stop_at_signal("ending the walk; once more ends it without a report")
+        .map_err(|e| Failure { code: 1, error: e.into() })?;
     let link =
         WalkLink::new(connection, config, Arc::clone(&stop)).map_err(|e| Failure { code: 1, error: e.into() })?;
     let options = WalkOptions {

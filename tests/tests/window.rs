@@ -220,6 +220,39 @@ fn a_visit_with_keyboard_and_mouse() {
     assert_eq!(known.trim(), format!("{} {}", served.quic, served.fingerprint));
 }
 
+/// Filling the window costs as much as drawing a small picture: it is filled for pictures, and otherwise only as often as figures are written.
+#[test]
+fn a_window_at_rest_rests_and_ends_when_it_is_asked_to() {
+    let Some(display) = display() else { return };
+    let f = fixture();
+    let dir = folder("rest");
+    let served = Server::start(&f.dataset).expect("serves");
+    let mut walk = Walk::open(&display, &served.quic, &dir, &["--fingerprint", &served.fingerprint, BEGIN]);
+    walk.wait_for("first_complete_picture");
+    let window = display.hand(&["search", "--name", "house"]);
+    display.hand(&["windowfocus", window.lines().last().expect("a window")]);
+    display.hand(&["key", "r"]);
+    walk.wait_for("recording");
+    let begin = walk.position();
+    display.hand(&["keydown", "w"]);
+    walk.wait("walking", |w| (w.position().distance(begin) > 0.5).then_some(()));
+    display.hand(&["keyup", "w"]);
+    std::thread::sleep(Duration::from_secs(4));
+    let asked = Command::new("kill").arg(walk.client.id().to_string()).status().expect("kill is there");
+    assert!(asked.success());
+    let status = walk.client.wait().expect("ends");
+    assert!(status.success(), "{status}: {}", std::fs::read_to_string(&walk.log).unwrap_or_default());
+    // What was being recorded is saved.
+    let path = walk.last("recorded").expect("recorded")["path"].as_str().expect("a path").to_owned();
+    let recorded = ldi_protocol::path::parse(&std::fs::read_to_string(path).expect("is there")).expect("a path file");
+    assert!(recorded.poses.last().expect("poses").pose.position.distance(begin) > 0.4, "{recorded:?}");
+    let closed = walk.last("closed").expect("closed");
+    let number = |v: &Value| v.as_f64().expect("a number");
+    let (pictures, shown) = (number(&closed["counts"]["pictures"]), number(&closed["counts"]["shown"]));
+    let written = 20.0 + 10.0 * number(&closed["t_ms"]) / 1e3;
+    assert!(pictures > 0.0 && (pictures / 2.0..pictures + written).contains(&shown), "{closed}");
+}
+
 #[test]
 fn a_card_draws_for_the_window() {
     let Some(display) = display() else { return };

@@ -57,6 +57,11 @@ impl Kept {
         }
     }
 
+    /// Whether a walk is being recorded.
+    pub fn is_recording(&self) -> bool {
+        self.recording.is_some()
+    }
+
     /// Begins to record a walk, or ends it and saves what was recorded.
     pub fn record(&mut self, speed_m_per_s: f64) -> Said {
         let Some(recording) = self.recording.take() else {

@@ -52,7 +52,10 @@ pub use window::run;
 
 use crate::stream::{ConnectConfig, ConnectError};
 use ldi_protocol::{Pose, path::Walk};
-use std::path::PathBuf;
+use std::{
+    path::PathBuf,
+    sync::{Arc, atomic::AtomicBool},
+};
 
 /// What to open.
 #[derive(Debug, Clone)]
@@ -75,6 +78,8 @@ pub struct AppConfig {
     pub bookmarks: Option<PathBuf>,
     /// Where to write what happens, a JSON object per line.
     pub events: Option<PathBuf>,
+    /// Becomes true when the window is to be closed: the process was asked to end.
+    pub stop: Arc<AtomicBool>,
 }
 
 /// Why there is no window, or no longer one.

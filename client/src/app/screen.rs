@@ -5,7 +5,7 @@
 
 use super::by_hand::ByHand;
 use crate::frame::Frame;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use winit::{event_loop::OwnedDisplayHandle, window::Window};
 
 /// Nothing can be shown.
@@ -46,6 +46,8 @@ pub struct Screen {
     device: wgpu::Device,
     queue: wgpu::Queue,
     adapter: String,
+    /// What the driver complained of and nobody asked about.
+    said: Arc<Mutex<Option<String>>>,
     way: Way,
 }
 
@@ -107,6 +109,17 @@ impl Screen {
             ..Default::default()
         }))
         .map_err(|e| failed(e.to_string()))?;
+        // Without these two a failing driver ends the process.
+        let said = Arc::new(Mutex::new(None));
+        let hear = |said: &Arc<Mutex<Option<String>>>| {
+            let said = said.clone();
+            move |what: String| {
+                said.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(what);
+            }
+        };
+        let (wrong, lost) = (hear(&said), hear(&said));
+        device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| wrong(one_line(&e.to_string()))));
+        device.set_device_lost_callback(move |_, reason| lost(format!("the device is lost: {}", one_line(&reason))));
         let mut config = surface
             .get_default_config(&adapter, size.width.max(1), size.height.max(1))
             .ok_or_else(|| failed("it supports no surface of this window".into()))?;
@@ -133,7 +146,17 @@ impl Screen {
                 Way::Card(Box::new(Card { stretch, shown: None, interface }))
             }
         };
-        Ok(Self { surface, config, device, queue, adapter: name, way })
+        let screen = Self { surface, config, device, queue, adapter: name, said, way };
+        screen.check()?;
+        Ok(screen)
+    }
+
+    /// What the driver complained of since the last time, if anything.
+    fn check(&self) -> Result<(), ScreenError> {
+        match self.said.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            Some(reason) => Err(ScreenError::Driver { adapter: self.adapter.clone(), reason }),
+            None => Ok(()),
+        }
     }
 
     /// Name of the adapter and how it is driven.
@@ -171,9 +194,11 @@ impl Screen {
         matches!(self.way, Way::Hand(_))
     }
 
-    /// Draws the picture, which was the last to be uploaded, and the interface, and shows them; without an interface the last one, where it is kept. False when the surface has to be asked
-    /// again later.
-    pub fn present(&mut self, picture: Option<&Frame>, interface: Option<Interface>) -> bool {
+    /// Draws the picture, which was the last to be uploaded, and the interface, and shows them; without an interface the last one, where it is kept.
+    ///
+    /// # Errors
+    /// If the driver fails, also in what was asked of it before: the screen has to be opened anew.
+    pub fn present(&mut self, picture: Option<&Frame>, interface: Option<Interface>) -> Result<(), ScreenError> {
         let size = [self.config.width, self.config.height];
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let (mut before, mut unused, mut drawn) = (Vec::new(), Vec::new(), None);
@@ -208,9 +233,8 @@ impl Screen {
             }
         }
         unused.iter().for_each(|id| self.way.renderer().free_texture(id));
-        let shown = target.is_some();
         target.into_iter().for_each(|t| self.queue.present(t));
-        shown
+        self.check()
     }
 
     /// The surface's next texture; configures the surface anew where it has changed.
@@ -278,6 +302,11 @@ pub(super) fn begin<'e>(
         occlusion_query_set: None,
         multiview_mask: None,
     })
+}
+
+/// What a driver said, in one line.
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// Rows of pixels, whose lowest byte comes first in the texture.

@@ -12,7 +12,7 @@ use super::{
     map::Map,
     motion::Intent,
     pace::Pace,
-    screen::{Interface, Screen},
+    screen::{Interface, Screen, ScreenError},
     settings::Settings,
     shot::{Outcome, Shots},
     start,
@@ -26,7 +26,7 @@ use std::{
 use winit::{
     dpi::PhysicalSize,
     event::{ElementState, KeyEvent},
-    event_loop::{ActiveEventLoop, EventLoopProxy},
+    event_loop::{ActiveEventLoop, EventLoopProxy, OwnedDisplayHandle},
     keyboard::{Key, KeyCode, ModifiersState, NamedKey, PhysicalKey},
     window::{CursorGrabMode, Window},
 };
@@ -35,6 +35,8 @@ use winit::{
 pub(super) const REFRESH: Duration = Duration::from_millis(200);
 /// Where the interface is kept between pictures, figures are written anew that often: more cannot be read. What can be clicked is drawn with every picture.
 const WRITE_EVERY: Duration = Duration::from_millis(150);
+/// A driver that fails twice within this time has failed for good.
+const STEADY: Duration = Duration::from_secs(5);
 /// Shortest time between two poses in the events.
 const POSE_EVERY: Duration = Duration::from_millis(100);
 /// The help line goes after so many pictures that showed a new pose: by then people know the keys.
@@ -56,7 +58,11 @@ pub(super) enum News {
 /// What exists while there is a window.
 pub(super) struct Visit {
     pub drawing: Drawing,
-    pub screen: Screen,
+    /// None only while it is opened anew.
+    screen: Option<Screen>,
+    /// When it was opened anew, after its driver had failed.
+    reopened: Option<Instant>,
+    display: OwnedDisplayHandle,
     pub egui: egui_winit::State,
     pub window: Arc<Window>,
     pub shots: mpsc::Receiver<Outcome>,
@@ -75,6 +81,8 @@ pub(super) struct Visit {
     pub started: bool,
     pub moved_pictures: u32,
     pub pace: Pace,
+    /// Pictures that came, and how often the window was filled.
+    pub counts: Counts,
     pub told: Told,
     pub settings: Settings,
     shows: Shows,
@@ -86,6 +94,13 @@ pub(super) struct Visit {
     pub repaint_at: Instant,
     /// When the interface was drawn last; None: what it shows has changed.
     written: Option<Instant>,
+}
+
+/// Of a visit; a window is filled anew for a picture, and a few times per second for what is written over it.
+#[derive(Debug, Default, serde::Serialize)]
+pub(super) struct Counts {
+    pictures: u64,
+    shown: u64,
 }
 
 /// What the events have said already.
@@ -117,7 +132,8 @@ impl Visit {
             .with_inner_size(PhysicalSize::new(width, height));
         let window = event_loop.create_window(attributes).map_err(|e| AppError::no_display(&e))?;
         let window = Arc::new(window);
-        let screen = Screen::open(window.clone(), event_loop.owned_display_handle())?;
+        let display = event_loop.owned_display_handle();
+        let screen = Screen::open(window.clone(), display.clone())?;
         let hz = window
             .current_monitor()
             .and_then(|m| m.refresh_rate_millihertz())
@@ -139,18 +155,12 @@ impl Visit {
             interval: Duration::from_secs_f64(1.0 / hz),
         };
         let drawing = Drawing::start(drawing, painter, link, shots, tell(News::Picture)).map_err(AppError::Thread)?;
-        let ctx = egui::Context::default();
-        let egui = egui_winit::State::new(
-            ctx,
-            egui::ViewportId::ROOT,
-            &event_loop,
-            Some(window.scale_factor() as f32),
-            None,
-            Some(screen.max_side_px() as usize),
-        );
+        let egui = interface_of(&window, &display, &screen);
         Ok(Self {
             drawing,
-            screen,
+            screen: Some(screen),
+            reopened: None,
+            display,
             egui,
             window,
             shots: outcomes,
@@ -166,6 +176,7 @@ impl Visit {
             started: false,
             moved_pictures: 0,
             pace: Pace::default(),
+            counts: Counts::default(),
             told: Told::default(),
             settings: Settings::new(config.frame_ms),
             shows: Shows::default(),
@@ -183,7 +194,10 @@ impl Visit {
             return;
         }
         let Some(picture) = &self.picture else { return };
-        self.screen.upload(&picture.frame);
+        if let Some(screen) = &mut self.screen {
+            screen.upload(&picture.frame);
+        }
+        self.counts.pictures += 1;
         self.hud.picture(picture);
         let ms = &picture.figures.painted.ms;
         self.pace.picture(&picture.pose, ms.total + ms.prepare, picture.at);
@@ -239,7 +253,9 @@ impl Visit {
 
     /// The window has another size.
     pub fn resize(&mut self, size: PhysicalSize<u32>) {
-        self.screen.resize([size.width, size.height]);
+        if let Some(screen) = &mut self.screen {
+            screen.resize([size.width, size.height]);
+        }
         // Nothing can be seen of a window without area; the last size stays.
         if size.width > 0 && size.height > 0 {
             self.drawing.resize([size.width, size.height]);
@@ -438,14 +454,47 @@ impl Visit {
         }
     }
 
+    /// Name of what shows.
+    pub fn adapter(&self) -> &str {
+        self.screen.as_ref().map_or("", Screen::adapter)
+    }
+
+    /// Shows the newest picture with the interface over it. A driver that fails is given another chance: cards get lost when they are switched, or a computer sleeps.
+    ///
+    /// # Errors
+    /// If it fails again within [`STEADY`].
+    fn present(&mut self, interface: Option<Interface>) -> Result<(), ScreenError> {
+        self.counts.shown += 1;
+        let Some(screen) = &mut self.screen else { return Ok(()) };
+        let Err(e) = screen.present(self.picture.as_ref().map(|p| &p.frame), interface) else { return Ok(()) };
+        if self.reopened.is_some_and(|at| at.elapsed() < STEADY) {
+            return Err(e);
+        }
+        tracing::warn!("{e}; opening it anew");
+        // A window has one surface at a time.
+        self.screen = None;
+        let mut screen = Screen::open(self.window.clone(), self.display.clone())?;
+        if let Some(picture) = &self.picture {
+            screen.upload(&picture.frame);
+        }
+        // Its letters went with the old screen.
+        self.egui = interface_of(&self.window, &self.display, &screen);
+        (self.screen, self.reopened, self.written) = (Some(screen), Some(Instant::now()), None);
+        self.hud.say("the graphics driver failed and was started again".into(), false);
+        self.window.request_redraw();
+        Ok(())
+    }
+
     /// Draws the window.
-    pub fn redraw(&mut self, server: &str, link: &Link, events: &mut Events) {
+    ///
+    /// # Errors
+    /// If the driver fails for good.
+    pub fn redraw(&mut self, server: &str, link: &Link, events: &mut Events) -> Result<(), ScreenError> {
         self.tell_replay(events);
         let to_read_alone = self.started && !self.map.open && !self.settings.open;
         let written = self.written.is_some_and(|at| at.elapsed() < WRITE_EVERY);
-        if written && to_read_alone && self.screen.keeps_interface() {
-            self.screen.present(self.picture.as_ref().map(|p| &p.frame), None);
-            return;
+        if written && to_read_alone && self.screen.as_ref().is_some_and(Screen::keeps_interface) {
+            return self.present(None);
         }
         self.written = Some(Instant::now());
         let input = self.egui.take_egui_input(&self.window);
@@ -485,7 +534,7 @@ impl Visit {
         let primitives = ctx.tessellate(output.shapes, output.pixels_per_point);
         let scale = output.pixels_per_point;
         let interface = Interface { primitives, textures: output.textures_delta, scale };
-        self.screen.present(self.picture.as_ref().map(|p| &p.frame), Some(interface));
+        self.present(Some(interface))?;
         if let (Some(sheet), false) = (self.map.sheet, self.told.map) {
             self.told.map = true;
             let a = sheet.area;
@@ -502,7 +551,28 @@ impl Visit {
             events.tell("teleport", fields! { "position": p.to_array() });
             self.toggle_map(link, events);
         }
+        Ok(())
     }
+
+    /// The window is closed: a walk that is being recorded is saved.
+    pub fn close(&mut self, events: &mut Events) {
+        if self.kept.is_recording() {
+            let said = self.kept.record(self.drawing.speed_m_per_s());
+            self.said(said, events);
+        }
+    }
+}
+
+/// What draws the interface, for a window and its screen.
+fn interface_of(window: &Window, display: &OwnedDisplayHandle, screen: &Screen) -> egui_winit::State {
+    egui_winit::State::new(
+        egui::Context::default(),
+        egui::ViewportId::ROOT,
+        display,
+        Some(window.scale_factor() as f32),
+        None,
+        Some(screen.max_side_px() as usize),
+    )
 }
 
 /// The digit of a key, by its place on the keyboard: with Shift and on other layouts it is another sign.

@@ -7,7 +7,10 @@ use super::{
     visit::{News, REFRESH, Visit},
 };
 use crate::engine::Painter;
-use std::{sync::Arc, time::Instant};
+use std::{
+    sync::{Arc, atomic::Ordering},
+    time::Instant,
+};
 use winit::{
     application::ApplicationHandler,
     event::{DeviceEvent, DeviceId, ElementState, MouseButton, MouseScrollDelta, WindowEvent},
@@ -49,8 +52,12 @@ pub fn run(config: AppConfig, painter: Painter) -> Result<(), AppError> {
     };
     event_loop.run_app(&mut app).map_err(|e| AppError::no_display(&e))?;
     // Drawing ends before what it draws with.
-    let pace = app.open.take().map(|visit| visit.pace.summary()).unwrap_or_default();
-    app.events.tell("closed", fields! { "walking": pace });
+    let walked = app.open.take().map(|mut visit| {
+        visit.close(&mut app.events);
+        (visit.pace.summary(), visit.counts)
+    });
+    let (walking, counts) = walked.unwrap_or_default();
+    app.events.tell("closed", fields! { "walking": walking, "counts": counts });
     match (app.failed.take(), app.link.state()) {
         (Some(e), _) => Err(e),
         (None, LinkState::Refused(e)) => Err(e.into()),
@@ -81,7 +88,7 @@ impl ApplicationHandler<News> for App {
         match Visit::open(&self.config, painter, event_loop, self.link.clone(), &self.news) {
             Ok(open) => {
                 let size = open.window.inner_size();
-                let adapter = open.screen.adapter().to_owned();
+                let adapter = open.adapter().to_owned();
                 tracing::info!("drawing on {drawn_by}, showing by {adapter}");
                 let seen =
                     fields! { "width": size.width, "height": size.height, "adapter": adapter, "drawn_by": drawn_by };
@@ -117,11 +124,12 @@ impl ApplicationHandler<News> for App {
     fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
         let Some(open) = &mut self.open else { return };
         let seen = open.egui.on_window_event(&open.window, &event);
-        if seen.repaint {
+        // egui wants to be drawn again after being drawn, which would never end.
+        if seen.repaint && !matches!(event, WindowEvent::RedrawRequested) {
             open.repaint_at = Instant::now();
         }
         match event {
-            WindowEvent::CloseRequested => event_loop.exit(),
+            WindowEvent::CloseRequested | WindowEvent::Destroyed => event_loop.exit(),
             WindowEvent::Resized(size) => open.resize(size),
             WindowEvent::Focused(focused) => open.focus(focused, &mut self.events),
             WindowEvent::ModifiersChanged(m) => open.modifiers = m.state(),
@@ -140,7 +148,12 @@ impl ApplicationHandler<News> for App {
                 MouseScrollDelta::LineDelta(_, lines) => f64::from(lines),
                 MouseScrollDelta::PixelDelta(px) => px.y / PX_PER_NOTCH,
             }),
-            WindowEvent::RedrawRequested => open.redraw(&self.config.connect.server, &self.link, &mut self.events),
+            WindowEvent::RedrawRequested => {
+                if let Err(e) = open.redraw(&self.config.connect.server, &self.link, &mut self.events) {
+                    self.failed = Some(e.into());
+                    event_loop.exit();
+                }
+            }
             _ => {}
         }
     }
@@ -154,6 +167,9 @@ impl ApplicationHandler<News> for App {
     }
 
     fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        if self.config.stop.load(Ordering::Relaxed) {
+            event_loop.exit();
+        }
         let Some(open) = &mut self.open else { return };
         let now = Instant::now();
         if open.repaint_at <= now {

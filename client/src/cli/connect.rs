@@ -1,6 +1,6 @@
 //! `connect`: arguments to a window, and whom to trust.
 
-use super::{Failure, disk, parse_size, read_path, token};
+use super::{Failure, disk, parse_size, read_path, signals::stop_at_signal, token};
 use clap::Args;
 use glam::DVec3;
 use ldi_client::{
@@ -148,6 +148,7 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
         },
         bookmarks: args.bookmarks.clone(),
         events: args.events.clone(),
+        stop: stop_at_signal("closing the window").map_err(|e| Failure { code: 1, error: e.into() })?,
     };
     app::run(app, painter)?;
     Ok(())

@@ -1,4 +1,4 @@
-//! SIGINT and SIGTERM, as a walk without a window takes them.
+//! SIGINT and SIGTERM, as walks with and without a window take them.
 
 use std::sync::{
     Arc,
@@ -8,11 +8,11 @@ use std::sync::{
 /// What a shell takes for a process that SIGINT ended.
 const INTERRUPTED: i32 = 130;
 
-/// Becomes true at the first signal; the second ends the process at once.
+/// Becomes true at the first signal, which `said` answers on the terminal; the second ends the process at once.
 ///
 /// # Errors
 /// If the system grants no signal handler or no thread.
-pub fn stop_at_signal() -> std::io::Result<Arc<AtomicBool>> {
+pub fn stop_at_signal(said: &'static str) -> std::io::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
     let entered = runtime.enter();
@@ -23,7 +23,7 @@ pub fn stop_at_signal() -> std::io::Result<Arc<AtomicBool>> {
         runtime.block_on(async {
             signals.next().await;
             flag.store(true, Ordering::Relaxed);
-            eprintln!("ldi-client: ending the walk; once more ends it without a report");
+            eprintln!("ldi-client: {said}");
             signals.next().await;
             std::process::exit(INTERRUPTED);
         });
