@@ -445,7 +445,9 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     }
     let s = &report.summary;
     println!(
-        "{} frames, {} triangles at most (budget {}), {:.1} ms median{}, {} bytes, {} incomplete; report in {}",
+        "{} frames drawn, {} of them incomplete, {} kept; {} triangles at most (budget {}), {:.1} ms median{}, {} bytes; report in {}",
+        s.frames_drawn,
+        s.frames_incomplete,
         s.frames,
         s.max_triangles,
         s.budget_triangles,
@@ -456,9 +458,13 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
                 r.mean, r.frames, r.worst, r.far_by_pixel
             )),
         s.bytes_total,
-        s.frames_incomplete,
         args.report.display()
     );
+    if let Some(outside) = s.frames_outside_volume.filter(|n| *n > 0) {
+        tracing::warn!(
+            "{outside} of the frames lie outside of the walk volume, where nothing is promised; are path and scene in the same unit and axes?"
+        );
+    }
     Ok(())
 }
 

@@ -131,10 +131,15 @@ const FIELDS: [&str; 6] = ["fps", "speed", "eye_height", "closed", "waypoints", 
 /// What says that fields of a path file mean nothing here, if some do: a slip of the pen in an optional one would else walk at the usual speed unnoticed. No
 /// error, as other programs may keep something of theirs in it.
 fn unknown_fields(json: &str) -> Option<String> {
-    let fields: BTreeMap<String, serde::de::IgnoredAny> = serde_json::from_str(json).ok()?;
+    let fields: BTreeMap<String, serde::de::IgnoredAny> = serde_json::from_str(without_mark(json)).ok()?;
     let unknown: Vec<_> = fields.into_keys().filter(|k| !FIELDS.contains(&&**k)).map(|k| format!("`{k}`")).collect();
     let known = FIELDS.map(|k| format!("`{k}`")).join(", ");
     (!unknown.is_empty()).then(|| format!("{} ignored: a path file has {known}", unknown.join(", ")))
+}
+
+/// Some editors mark text as UTF-8 by a first character.
+fn without_mark(text: &str) -> &str {
+    text.strip_prefix('\u{feff}').unwrap_or(text)
 }
 
 /// Parses a path file and walks it.
@@ -142,7 +147,7 @@ pub fn parse(json: &str) -> Result<Walk, PathError> {
     if json.len() > MAX_TEXT_BYTES {
         return Err(PathError::TooLong { what: "the text's length in bytes", limit: MAX_TEXT_BYTES });
     }
-    let file: PathFile = serde_json::from_str(json)?;
+    let file: PathFile = serde_json::from_str(without_mark(json))?;
     let fps = file.fps.unwrap_or(60.0);
     let speed = file.speed.unwrap_or(1.4);
     in_range("fps", fps, 0.01, 1000.0, "frames per second lie in [0.01, 1000]")?;

@@ -183,7 +183,7 @@ pub enum ClientMessage {
         /// Numbers of chunks, at most [`MAX_LIST`].
         chunks: Vec<u32>,
     },
-    /// These chunks are held from an earlier connection.
+    /// These chunks are held from an earlier connection, or given up: they need not come.
     Have {
         /// Numbers of chunks, at most [`MAX_LIST`].
         chunks: Vec<u32>,

@@ -99,6 +99,9 @@ pub struct DrawingConfig {
     pub window_px: [u32; 2],
     /// Shortest time between the beginnings of two frames.
     pub interval: Duration,
+    /// No display holds pictures back until it shows the next one: the time between two is as even as drawing allows if each is finished
+    /// when the next begins.
+    pub even: bool,
 }
 
 pub(super) fn lock(desk: &Mutex<Desk>) -> MutexGuard<'_, Desk> {

@@ -93,6 +93,7 @@ pub(super) struct Draughtsman {
     shots: Shots,
     done: Box<dyn Fn() + Send>,
     interval: Duration,
+    even: bool,
     scale: Scale,
     painter: Painter,
     scene: Option<Scene>,
@@ -130,6 +131,7 @@ impl Draughtsman {
             shots,
             done,
             interval: config.interval,
+            even: config.even,
             scale: Scale::new(config.frame_ms),
             painter,
             scene: None,
@@ -266,6 +268,9 @@ impl Draughtsman {
         }
         self.gather(scene, pose.position, job.cache_bytes);
         let (missing, waiting) = (figures.painted.missing_chunks.clone(), figures.painted.waiting > 0);
+        if let (true, Some(began)) = (self.even && job.moving, self.began) {
+            std::thread::sleep(self.interval.saturating_sub(began.elapsed()));
+        }
         let picture = Picture { frame, pose, fov_deg: camera.fov_deg, figures, at: Instant::now() };
         if job.shot {
             let mut shot = Frame::default();

@@ -365,30 +365,49 @@ pub fn storeys(v: &WalkVolume, x: f64, z: f64) -> Vec<f64> {
     v.heights(x, z).map(nominal).collect()
 }
 
-/// Where a visit begins when nobody says: on the level with most room, at the place nearest to its middle, looking where the way is
-/// longest.
+/// Directions that are tried around a place where a visit may begin.
+const LOOKS: u16 = 16;
+/// Places that are tried.
+const PLACES: usize = 64;
+/// Farther, an open way says no more of a view, metres.
+const OPEN_M: f64 = 15.0;
+
+/// Where a visit begins when nobody says: on the level with most room, where most of the surroundings are open (of the larger boxes'
+/// middles and the place nearest to the level's), looking where the way is longest.
 pub fn start(v: &WalkVolume, flying: bool) -> Pose {
     let mut pose = Pose { position: v.bounds().centre(), yaw_deg: 0.0, pitch_deg: 0.0 };
     if flying || v.is_empty() {
         return pose;
     }
     // Levels of half a metre, by floor area.
-    let mut levels = std::collections::BTreeMap::<i64, (f64, DVec3)>::new();
+    let mut levels = std::collections::BTreeMap::<i64, (f64, DVec3, Vec<(f64, DVec3)>)>::new();
     for b in v.boxes() {
         let (size, eye) = (b.size(), nominal([b.min.y, b.max.y]));
-        let level = levels.entry((eye * 2.0).round() as i64).or_default();
-        level.0 += size.x * size.z;
-        level.1 += DVec3::new(b.centre().x, eye, b.centre().z) * (size.x * size.z);
+        let place = DVec3::new(b.centre().x, eye, b.centre().z);
+        let (area, level) = (size.x * size.z, levels.entry((eye * 2.0).round() as i64).or_default());
+        level.0 += area;
+        level.1 += place * area;
+        level.2.push((area, place));
     }
-    let Some((area, sum)) = levels.into_values().max_by(|a, b| a.0.total_cmp(&b.0)) else { return pose };
+    let Some((area, sum, mut boxes)) = levels.into_values().max_by(|a, b| a.0.total_cmp(&b.0)) else { return pose };
+    boxes.sort_by(|a, b| b.0.total_cmp(&a.0));
     let middle = sum / area.max(1e-9);
-    pose.position = nearest(v, middle).unwrap_or(middle);
-    let way = |yaw_deg: f64| {
-        let ahead = ViewBasis::from_yaw_pitch(yaw_deg, 0.0).forward * v.pitch_m().min(0.5);
-        (1..400).take_while(|n| stand(v, pose.position + ahead * f64::from(*n), STEP_OVER_M).is_some()).count()
+    let step = v.pitch_m().min(0.5);
+    let most = (OPEN_M / step).ceil() as u32;
+    // Steps that can be gone straight on, and where to.
+    let ways = |place: DVec3| {
+        (0..LOOKS).map(move |look| {
+            let yaw_deg = f64::from(look) * 360.0 / f64::from(LOOKS);
+            let ahead = ViewBasis::from_yaw_pitch(yaw_deg, 0.0).forward * step;
+            let free = |n: &u32| stand(v, place + ahead * f64::from(*n), STEP_OVER_M).is_some();
+            ((1..=most).take_while(free).count(), yaw_deg)
+        })
     };
-    let longest = (0..16).map(|i| f64::from(i) * 22.5).max_by_key(|yaw| (way(*yaw), -*yaw as i64));
-    pose.yaw_deg = longest.unwrap_or(0.0);
+    let places = nearest(v, middle).into_iter().chain(boxes.into_iter().take(PLACES).map(|b| b.1));
+    let open = |place: &DVec3| ways(*place).map(|w| w.0).sum::<usize>();
+    pose.position = places.rev().max_by_key(open).unwrap_or(middle);
+    let longest = ways(pose.position).max_by_key(|(steps, yaw_deg)| (*steps, -*yaw_deg as i64));
+    pose.yaw_deg = longest.map_or(0.0, |(_, yaw_deg)| yaw_deg);
     pose
 }
 

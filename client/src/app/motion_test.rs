@@ -178,6 +178,19 @@ fn outsiders_are_brought_in() {
     assert!(v.contains(begin.position), "{begin:?}");
 }
 
+#[test]
+fn a_visit_begins_where_the_view_is_open() {
+    // A closet amid a hall.
+    let v = volume([24, 24], |x, z| {
+        let off = (x - 6.0f64).abs().max((z - 6.0f64).abs());
+        (off < 0.75 || (2.0..6.0).contains(&off)).then_some(0.0)
+    });
+    let begin = start(&v, false);
+    let ahead = ViewBasis::from_yaw_pitch(begin.yaw_deg, 0.0).forward;
+    assert!(v.contains(begin.position + 4.0 * ahead), "{begin:?}");
+    assert!((begin.position.x - 6.0).abs().max((begin.position.z - 6.0).abs()) > 1.9, "{begin:?}");
+}
+
 /// A volume without walls around a room: floor, a diagonal wall from border to border, a pillar, a step of 0.18 m.
 fn furnished() -> (WalkVolume, Solids) {
     let quads = [

@@ -153,6 +153,7 @@ impl Visit {
             begin: config.begin,
             window_px: [size.width, size.height],
             interval: Duration::from_secs_f64(1.0 / hz),
+            even: screen.keeps_interface(),
         };
         let drawing = Drawing::start(drawing, painter, link, shots, tell(News::Picture)).map_err(AppError::Thread)?;
         let egui = interface_of(&window, &display, &screen);

@@ -75,7 +75,7 @@ pub enum Incomplete {
     #[error("{} chunks did not arrive in time, the first is {:?}", .0.len(), .0.first())]
     Timeout(Vec<u32>),
     /// These chunks are damaged on the server; everything else is there.
-    #[error("{} chunks are damaged, the first is {:?}; check the dataset with `ldi-server verify`", .0.len(), .0.first())]
+    #[error("{} chunks are damaged, the first is {}; check the dataset with `ldi-server verify`", .0.len(), .0.first().copied().unwrap_or_default())]
     Damaged(Vec<u32>),
     /// One view needs more than the cap.
     #[error("the view needs more decoded bytes than the cache may hold ({cap_bytes}); raise --cache-bytes")]

@@ -315,12 +315,16 @@ impl Session {
         let tries = self.tries.entry(chunk).or_default();
         *tries += 1;
         if *tries > MAX_RETRIES {
+            if self.cache.is_damaged(chunk) {
+                return Ok(());
+            }
             tracing::warn!(
                 chunk,
                 "arrived damaged {tries} times and is given up; check the dataset with `ldi-server verify`"
             );
             self.cache.mark_damaged(chunk);
-            return Ok(());
+            // Or it would come with every pose that needs it.
+            return self.tell(vec![chunk], |chunks| ClientMessage::Have { chunks }).await;
         }
         tracing::info!(chunk, "arrived damaged, asked for again");
         self.tell(vec![chunk], |chunks| ClientMessage::Want { chunks }).await

@@ -317,6 +317,9 @@ type Read = (Arc<Scene>, Clusters, Octree, BuildSettings);
 fn read(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> Result<Read, BuildError> {
     progress.stage("reading the scene", 0);
     let scene = Arc::new(scene::load(&options.scene)?);
+    // A wrong unit or axis shows here.
+    let [x, y, z] = scene.bounds().size().to_array().map(|m| format!("{m:.1}"));
+    progress.note(&format!("{} triangles, {x} x {y} x {z} m, Y up", scene.triangles()));
     clock.lap("scene");
 
     progress.stage("clusters and octree", 0);
@@ -613,7 +616,8 @@ fn display_name(spec: &str) -> String {
     if spec.starts_with("builtin:") {
         return spec.to_string();
     }
-    std::path::Path::new(spec).file_name().map_or_else(|| spec.to_string(), |n| n.to_string_lossy().into_owned())
+    let path = scene::FileSpec::parse(spec).map_or_else(|_| spec.to_owned(), |s| s.path);
+    std::path::Path::new(&path).file_name().map_or_else(|| path.clone(), |n| n.to_string_lossy().into_owned())
 }
 
 #[derive(Debug)]

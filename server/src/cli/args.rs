@@ -88,7 +88,7 @@ pub struct SceneArgs {
 /// `ldi-server build`.
 #[derive(Debug, Args)]
 pub struct BuildArgs {
-    /// .gltf, .glb, .obj, .ply, or builtin:NAME[?triangles=N&seed=S].
+    /// .gltf, .glb, .obj, .ply (FILE?up=z&unit=mm&missing=plain where it is not in metres with Y up, units m, cm, mm, in, ft, or pictures are missing), or builtin:NAME[?triangles=N&seed=S].
     pub scene: String,
     /// Directory to make.
     #[arg(short, long, value_name = "DATASET", required_unless_present = "dry_run")]

@@ -168,6 +168,10 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         write_json(file, &built.report)?;
     }
     let r = &built.report;
+    for note in r["skipped"].as_array().into_iter().flatten() {
+        let [what, why] = ["what", "why"].map(|k| note[k].as_str().unwrap_or_default());
+        eprintln!("not as in the scene: {what} ({why})");
+    }
     println!(
         "{}: {} images for {}, {:.1} MB, hash {}",
         options.output.display(),

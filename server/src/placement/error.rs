@@ -45,7 +45,7 @@ pub enum PlacementError {
     },
     /// No image can bring some view within the budget, however fine the grid.
     #[error(
-        "budget {budget}: near ({x:.2}, {y:.2}, {z:.2}), yaw {yaw_deg:.0}, pitch {pitch_deg:.0}, {needed} triangles lie too near to be replaced by an image, however fine the grid; use --budget {needed} or more, a larger --max-footprint, or a larger --density",
+        "budget {budget}: near ({x:.2}, {y:.2}, {z:.2}), yaw {yaw_deg:.0}, pitch {pitch_deg:.0}, {needed} triangles lie too near to be replaced by an image, however fine the grid; use a larger --budget (at least {needed}; places that were not reached may need several times that), a larger --max-footprint, or a larger --density",
         x = position.x, y = position.y, z = position.z
     )]
     Infeasible {

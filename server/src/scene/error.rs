@@ -123,6 +123,17 @@ impl Fault {
         self
     }
 
+    /// The same fault with another remedy besides.
+    pub(super) fn or(mut self, remedy: &str) -> Self {
+        self.remedy = format!("{}, or {remedy}", self.remedy);
+        self
+    }
+
+    /// Place and problem, for a note.
+    pub(super) fn in_short(&self) -> String {
+        format!("{}: {}", self.place, self.problem)
+    }
+
     /// The public error.
     pub(super) fn in_file(self, file: &str) -> SceneError {
         let Self { kind, place, problem, remedy } = self;

@@ -15,6 +15,7 @@ use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
 use ldi_protocol::said::is_lasting;
 
 use super::error::{Fault, SceneError};
+use super::model::Note;
 
 /// Padding is optional: exporters disagree about it, and it carries nothing.
 const BASE64: GeneralPurpose = GeneralPurpose::new(
@@ -30,6 +31,9 @@ pub(super) struct Files {
     folder: PathBuf,
     bytes_left: u64,
     limit: u64,
+    /// See [`super::FileSpec::lenient`].
+    pub(super) lenient: bool,
+    missed: Vec<String>,
 }
 
 impl Files {
@@ -43,7 +47,7 @@ impl Files {
         };
         let real = fs::canonicalize(path).map_err(|e| unreadable(&e))?;
         let folder = real.parent().map(Path::to_path_buf).unwrap_or_default();
-        let mut files = Self { folder, bytes_left: limit, limit };
+        let mut files = Self { folder, bytes_left: limit, limit, lenient: false, missed: Vec::new() };
         match files.read_regular(&real, "file") {
             Ok(Ok(bytes)) => Ok((files, bytes)),
             Ok(Err(fault)) => Err(fault.in_file(&path.display().to_string())),
@@ -84,6 +88,24 @@ impl Files {
             return Err(refused("is a link that leaves the scene file's folder"));
         }
         self.read_regular(&real, place).map_err(|e| refused(&format!("cannot be read: {e}")))?
+    }
+
+    /// What the scene can be shown without: None where it failed and the scene is to be shown all the same.
+    pub(super) fn dispensable<T>(&mut self, found: Result<T, Fault>) -> Result<Option<T>, Fault> {
+        match found {
+            Ok(found) => Ok(Some(found)),
+            Err(fault) if self.lenient => {
+                self.missed.push(fault.in_short());
+                Ok(None)
+            }
+            Err(fault) => Err(fault.or("name the scene as FILE?missing=plain to see it without")),
+        }
+    }
+
+    /// What [`Self::dispensable`] went without.
+    pub(super) fn missed(&self) -> Option<Note> {
+        let what = format!("{} pictures or material libraries: {}", self.missed.len(), listed(&self.missed));
+        (!self.missed.is_empty()).then(|| Note { what, why: "cannot be read; drawn in plain colours".into() })
     }
 
     /// Reads a regular file whole. The outer error is the system's, the inner one ours.

@@ -12,6 +12,7 @@ use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 use rayon::prelude::*;
 
 use super::error::Fault;
+use super::files::Files;
 use super::limits::Limits;
 use super::model::SceneTexture;
 
@@ -31,40 +32,62 @@ pub(super) struct EncodedImage<'a> {
     pub(super) bytes: Cow<'a, [u8]>,
 }
 
-/// Decodes all pictures, in order.
-pub(super) fn decode_all(images: &[EncodedImage<'_>], limits: &Limits) -> Result<Vec<SceneTexture>, Fault> {
+/// A picture that cannot be read: what it is multiplied with shows.
+const PLAIN: [u8; 4] = [255; 4];
+
+/// Decodes all pictures, in order; those without bytes, and with [`Files::lenient`] those that cannot be decoded, are plain.
+pub(super) fn decode_all(
+    images: &[EncodedImage<'_>],
+    files: &mut Files,
+    limits: &Limits,
+) -> Result<Vec<SceneTexture>, Fault> {
     let mut pixels_left = limits.image_pixels;
+    let mut sound = Vec::with_capacity(images.len());
     for image in images {
-        let (width, height) = image.decoder(limits)?.dimensions();
-        let pixels = u64::from(width) * u64::from(height);
-        if width == 0 || height == 0 {
-            return Err(Fault::invalid(&image.place, "image has no pixels", REMEDY));
-        }
-        if width.max(height) > limits.image_side {
-            let size = format!("{width} x {height}");
-            return Err(Fault::too_large(&image.place, "pixels in an image, whose sides", size, limits.image_side));
-        }
-        if pixels > image.bytes.len() as u64 * PIXELS_PER_BYTE {
-            let problem =
-                format!("header promises {width} x {height} pixels, more than {} bytes can hold", image.bytes.len());
-            return Err(Fault::invalid(&image.place, problem, REMEDY));
-        }
-        pixels_left = pixels_left.checked_sub(pixels).ok_or_else(|| {
-            Fault::too_large(
-                &image.place,
-                "or more pixels in all images together",
-                limits.image_pixels,
-                limits.image_pixels,
-            )
-        })?;
+        let checked = match image.bytes.is_empty() && files.lenient {
+            true => None,
+            false => files.dispensable(image.check(pixels_left, limits))?,
+        };
+        pixels_left -= checked.unwrap_or(0);
+        sound.push(checked.is_some());
     }
-    let decoded: Vec<Result<SceneTexture, Fault>> = images.par_iter().map(|image| image.decode(limits)).collect();
-    decoded.into_iter().collect()
+    let decoded: Vec<Option<Result<SceneTexture, Fault>>> =
+        images.par_iter().zip(&sound).map(|(image, sound)| sound.then(|| image.decode(limits))).collect();
+    let texture = |(image, decoded): (&EncodedImage<'_>, Option<Result<SceneTexture, Fault>>)| {
+        let plain = || SceneTexture { name: image.name.clone(), width: 1, height: 1, rgba: vec![PLAIN] };
+        Ok(decoded.map(|d| files.dispensable(d)).transpose()?.flatten().unwrap_or_else(plain))
+    };
+    images.iter().zip(decoded).map(texture).collect()
 }
 
 const REMEDY: &str = "open the image in an editor and save it as PNG or JPEG again";
 
 impl EncodedImage<'_> {
+    /// Pixels, of at most `pixels_left`.
+    fn check(&self, pixels_left: u64, limits: &Limits) -> Result<u64, Fault> {
+        let (width, height) = self.decoder(limits)?.dimensions();
+        let pixels = u64::from(width) * u64::from(height);
+        if width == 0 || height == 0 {
+            return Err(Fault::invalid(&self.place, "image has no pixels", REMEDY));
+        }
+        if width.max(height) > limits.image_side {
+            let size = format!("{width} x {height}");
+            return Err(Fault::too_large(&self.place, "pixels in an image, whose sides", size, limits.image_side));
+        }
+        if pixels > self.bytes.len() as u64 * PIXELS_PER_BYTE {
+            let problem =
+                format!("header promises {width} x {height} pixels, more than {} bytes can hold", self.bytes.len());
+            return Err(Fault::invalid(&self.place, problem, REMEDY));
+        }
+        match pixels <= pixels_left {
+            true => Ok(pixels),
+            false => {
+                let (what, most) = ("or more pixels in all images together", limits.image_pixels);
+                Err(Fault::too_large(&self.place, what, most, most))
+            }
+        }
+    }
+
     fn decoder(&self, limits: &Limits) -> Result<impl ImageDecoder + '_, Fault> {
         let format = match image::guess_format(&self.bytes) {
             Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,

@@ -1,6 +1,6 @@
 //! Stage 1: a scene, from a file or built in.
 //!
-//! In: a glTF/GLB, OBJ or PLY file, or `builtin:NAME?triangles=N&seed=S`. Out: a [`Scene`]: meshes once, instances as
+//! In: a glTF/GLB, OBJ or PLY file (with `?up=z&unit=mm` where it is not in metres with Y up), or `builtin:NAME?triangles=N&seed=S`. Out: a [`Scene`]: meshes once, instances as
 //! references, materials and textures, all validated: finite values, indices in range, no cycles. What a later stage
 //! reads here it may trust.
 //!
@@ -21,6 +21,7 @@ mod images;
 mod limits;
 mod model;
 mod normals;
+mod origin;
 mod spec;
 
 use std::path::Path;
@@ -29,12 +30,12 @@ pub use annotations::{CellExtra, OUTSIDE, PortalExtra, SceneExtras};
 pub use error::SceneError;
 pub use limits::{LIMITS, Limits};
 pub use model::{Instance, Mesh, Note, PortalAnnotation, Primitive, RoomAnnotation, Scene, SceneTexture};
-pub use spec::BuiltinSpec;
+pub use spec::{BuiltinSpec, FileSpec};
 
 use error::Fault;
 use files::Files;
 
-/// Loads a scene from a `.gltf`, `.glb`, `.obj` or `.ply` file, or builds `builtin:NAME[?triangles=N&seed=S]`.
+/// Loads a scene from a `.gltf`, `.glb`, `.obj` or `.ply` file ([`FileSpec`]), or builds `builtin:NAME[?triangles=N&seed=S]`.
 ///
 /// # Errors
 /// A [`SceneError`] that names the file, the place in it and the remedy. No input makes this panic.
@@ -50,12 +51,19 @@ pub fn load_within(spec: &str, limits: &Limits) -> Result<Scene, SceneError> {
     if let Some(builtin) = BuiltinSpec::parse(spec) {
         return load_builtin(&builtin?);
     }
-    let path = Path::new(spec);
+    let FileSpec { path, world_from_file, lenient } = FileSpec::parse(spec)?;
+    let path = Path::new(&path);
     let (mut files, bytes) = Files::open(path, limits.file_bytes)?;
-    let name = path.file_name().map_or_else(|| spec.to_owned(), |n| n.to_string_lossy().into_owned());
+    files.lenient = lenient;
+    let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
     import(&name, &bytes, &mut files, limits)
+        .map(|mut scene| {
+            world_from_file.iter().for_each(|world| scene.transform(world));
+            scene.notes.extend(files.missed());
+            scene
+        })
         .and_then(|scene| check::world_within(&scene, limits).map(|()| scene))
-        .map_err(|fault| fault.in_file(spec))
+        .map_err(|fault| fault.in_file(&path.display().to_string()))
 }
 
 /// Reads a file by what its first bytes say, else by what its name ends in.

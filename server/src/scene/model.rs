@@ -112,6 +112,19 @@ impl Scene {
     pub fn unique_triangles(&self) -> u64 {
         self.meshes.iter().map(Mesh::triangles).sum()
     }
+    /// Moves all of it: an affine map that takes boxes to boxes, such as quarter turns and scales.
+    pub(super) fn transform(&mut self, world: &DAffine3) {
+        for i in &mut self.instances {
+            i.world_from_mesh = *world * i.world_from_mesh;
+        }
+        for room in &mut self.rooms {
+            let corners = [room.bounds.min, room.bounds.max];
+            room.bounds = Aabb::from_points(corners.map(|c| world.transform_point3(c)));
+        }
+        for corner in self.portals.iter_mut().flat_map(|p| &mut p.corners) {
+            *corner = world.transform_point3(*corner);
+        }
+    }
     /// World bounds of all instances.
     pub fn bounds(&self) -> Aabb {
         self.instances.iter().fold(Aabb::EMPTY, |b, i| {

@@ -1,6 +1,9 @@
-//! `builtin:NAME[?triangles=N&seed=S]`: how a built-in scene is asked for.
+//! `builtin:NAME[?triangles=N&seed=S]`: how a built-in scene is asked for; `FILE[?up=z&unit=mm&missing=plain]`: a file with other axes or
+//! units than metres, Y up, or whose pictures are not all there.
 
 use super::error::SceneError;
+use glam::{DAffine3, DMat3, DVec3};
+use std::path::Path;
 
 /// Prefix that tells a built-in scene from a file.
 const PREFIX: &str = "builtin:";
@@ -53,9 +56,82 @@ impl BuiltinSpec {
     }
 }
 
+/// A file, and how its coordinates become metres with Y up.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FileSpec {
+    /// Path.
+    pub path: String,
+    /// World from file; None where they are the same.
+    pub world_from_file: Option<DAffine3>,
+    /// What cannot be read of pictures and material libraries is drawn in plain colours and noted, instead of refusing the scene.
+    pub lenient: bool,
+}
+
+/// Metres of the units that a file may be in.
+const UNITS: [(&str, f64); 5] = [("m", 1.0), ("cm", 0.01), ("mm", 0.001), ("in", 0.0254), ("ft", 0.3048)];
+
+impl FileSpec {
+    /// Reads `text`; a file whose name holds a question mark is found as it is.
+    ///
+    /// # Errors
+    /// An unknown or repeated parameter, or value.
+    pub fn parse(text: &str) -> Result<Self, SceneError> {
+        let (path, query) = match text.rsplit_once('?') {
+            Some((path, query)) if !Path::new(text).exists() => (path, query),
+            _ => return Ok(Self { path: text.to_owned(), world_from_file: None, lenient: false }),
+        };
+        let fault = |problem: String| SceneError::Invalid {
+            file: path.to_owned(),
+            place: format!("?{query}"),
+            problem,
+            remedy: "write FILE?up=y|z&unit=m|cm|mm|in|ft&missing=plain|refuse".into(),
+        };
+        let (mut up, mut unit, mut lenient) = (None, None, None);
+        for pair in query.split('&').filter(|p| !p.is_empty()) {
+            let (key, value) = pair.split_once('=').unwrap_or((pair, ""));
+            let twice = match (key, value) {
+                ("up", "y") => up.replace(DMat3::IDENTITY).is_some(),
+                // What was up and what was north: Z becomes Y, Y becomes -Z.
+                ("up", "z") => up.replace(DMat3::from_cols(DVec3::X, -DVec3::Z, DVec3::Y)).is_some(),
+                ("missing", "plain") => lenient.replace(true).is_some(),
+                ("missing", "refuse") => lenient.replace(false).is_some(),
+                ("unit", name) => match UNITS.iter().find(|u| u.0 == name) {
+                    Some((_, metres)) => unit.replace(*metres).is_some(),
+                    None => return Err(fault(format!("there is no unit \"{name}\""))),
+                },
+                _ => return Err(fault(format!("unknown parameter \"{pair}\""))),
+            };
+            if twice {
+                return Err(fault(format!("{key} is given twice")));
+            }
+        }
+        let matrix = up.unwrap_or(DMat3::IDENTITY) * unit.unwrap_or(1.0);
+        let world_from_file = (matrix != DMat3::IDENTITY).then(|| DAffine3::from_mat3(matrix));
+        Ok(Self { path: path.to_owned(), world_from_file, lenient: lenient.unwrap_or(false) })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn files_tell_their_axes_and_units() {
+        let spec = |text| FileSpec::parse(text).unwrap();
+        assert_eq!(spec("a/b.obj"), FileSpec { path: "a/b.obj".into(), world_from_file: None, lenient: false });
+        assert_eq!(spec("b.obj?up=y&unit=m").world_from_file, None);
+        assert!(spec("b.obj?missing=plain").lenient && !spec("b.obj?missing=refuse").lenient);
+        let turned = spec("b.obj?unit=mm&up=z");
+        assert_eq!(turned.path, "b.obj");
+        let world = turned.world_from_file.unwrap().transform_point3(DVec3::new(1000.0, 2000.0, 3000.0));
+        assert!(world.distance(DVec3::new(1.0, 3.0, -2.0)) < 1e-12, "{world}");
+        for text in
+            ["a.obj?up=x", "a.obj?unit=parsec", "a.obj?up=z&up=z", "a.obj?scale=2", "a.obj?missing=", "a.obj?up"]
+        {
+            let said = FileSpec::parse(text).unwrap_err().to_string();
+            assert!(said.starts_with("a.obj: ?") && said.contains("FILE?up"), "{said}");
+        }
+    }
 
     #[test]
     fn parses_names_and_parameters() {

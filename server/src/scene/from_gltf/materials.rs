@@ -189,7 +189,10 @@ impl MaterialPlan {
             let image = &root.images[i];
             let place = format!("image {i}");
             let bytes = match (&image.uri, &image.buffer_view) {
-                (Some(uri), _) => files.read_uri(uri, &place)?.into(),
+                (Some(uri), _) => {
+                    let read = files.read_uri(uri, &place);
+                    files.dispensable(read)?.unwrap_or_default().into()
+                }
                 (None, Some(view)) => data.view(view.value(), &place)?.0.into(),
                 (None, None) => return Err(Fault::broken(place, "has neither uri nor bufferView")),
             };

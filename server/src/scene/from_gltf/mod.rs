@@ -39,7 +39,7 @@ pub(super) fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limit
     let plans = primitives::plan(&root, &data, &materials, limits, &mut changes)?;
     check_expanded(&instances, &plans.triangles, limits)?;
     let encoded = materials.encoded_images(&root, &data, files)?;
-    let (textures, meshes) = rayon::join(|| images::decode_all(&encoded, limits), || plans.decode(&mut changes));
+    let (textures, meshes) = rayon::join(|| images::decode_all(&encoded, files, limits), || plans.decode(&mut changes));
     let (textures, meshes) = (textures?, meshes?);
     let (rooms, portals) = match nodes::shown_scene(&root)?.map(|s| (s, &root.scenes[s].extras)) {
         Some((s, Some(extras))) => annotations::from_extras(extras.get(), &format!("scene {s}"), limits)?,

@@ -1,7 +1,7 @@
 //! Wavefront OBJ, with its material libraries.
 //!
 //! In: the text of an `.obj` file (Wavefront's Advanced Visualizer manual, appendix B). Out: a [`Scene`]: a mesh per
-//! object or group, a primitive per material in it, one instance each at the origin. Coordinates are taken as metres,
+//! object or group, a primitive per material in it, one instance each, at the origin or where the mesh is ([`origin`]). Coordinates are taken as metres,
 //! Y up; v counts upward in OBJ and downward here, so it is turned over. Polygons become fans. Where a face names no
 //! normals, it gets flat ones. Materials draw both sides, since OBJ does not say.
 //!
@@ -15,7 +15,7 @@ mod text;
 
 use std::collections::HashMap;
 
-use glam::{DAffine3, Vec2, Vec3};
+use glam::{DAffine3, DVec3, Vec2, Vec3};
 
 use super::error::Fault;
 use super::files::{Files, listed};
@@ -23,6 +23,7 @@ use super::images;
 use super::limits::Limits;
 use super::model::{Instance, Mesh, Note, Primitive, Scene};
 use super::normals;
+use super::origin;
 use text::{Corner, Face, Obj};
 
 /// Reads an OBJ file.
@@ -38,9 +39,12 @@ pub(super) fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limit
     let mut notes = Vec::new();
     let mut library = mtl::load(&obj.libraries, files, &mut notes)?;
     let mut meshes: Vec<Mesh> = Vec::new();
+    let mut instances = Vec::new();
     let (mut unknown, mut flat, mut vertices) = (Vec::new(), 0usize, 0u64);
     for group in obj.groups.iter().filter(|g| !g.faces.is_empty()) {
         let mut mesh = Mesh { name: group.name.clone(), primitives: Vec::new() };
+        let corners = group.faces.iter().flat_map(|f| &f.corners);
+        let origin = origin::of(corners.map(|c| obj.positions[c.position as usize]));
         for (material_name, faces) in by_material(&group.faces) {
             let material = match material_name.map(|m| &obj.material_names[m]) {
                 None => library.default_material(),
@@ -50,7 +54,7 @@ pub(super) fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limit
                 }),
             };
             let textured = library.materials[material as usize].texture.is_some();
-            let (primitive, made_normals) = build(&obj, &faces, material, textured);
+            let (primitive, made_normals) = build(&obj, &faces, material, textured, origin);
             flat += usize::from(made_normals);
             vertices += primitive.positions.len() as u64;
             if vertices > limits.vertices {
@@ -58,6 +62,9 @@ pub(super) fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limit
             }
             mesh.primitives.push(primitive);
         }
+        let number = meshes.len() as u32;
+        let world_from_mesh = DAffine3::from_translation(origin);
+        instances.push(Instance { node: number, mesh: number, world_from_mesh });
         meshes.push(mesh);
     }
     let mut note = |count: usize, what: String, why: &str| {
@@ -73,9 +80,7 @@ pub(super) fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limit
         "only polygons are drawn",
     );
     note(obj.colours_clamped, format!("{} vertex colours outside [0, 1]", obj.colours_clamped), "clamped");
-    let textures = images::decode_all(&library.images, limits)?;
-    let instances =
-        (0..meshes.len() as u32).map(|i| Instance { node: i, mesh: i, world_from_mesh: DAffine3::IDENTITY }).collect();
+    let textures = images::decode_all(&library.images, files, limits)?;
     Ok(Scene {
         name: name.to_owned(),
         meshes,
@@ -102,9 +107,9 @@ fn by_material(faces: &[Face]) -> Vec<(Option<usize>, Vec<&Face>)> {
     out
 }
 
-/// One primitive: corners that agree in position, texture coordinate and normal become one vertex. The flag says
+/// One primitive about an origin: corners that agree in position, texture coordinate and normal become one vertex. The flag says
 /// whether normals had to be made.
-fn build(obj: &Obj, faces: &[&Face], material: u32, textured: bool) -> (Primitive, bool) {
+fn build(obj: &Obj, faces: &[&Face], material: u32, textured: bool, origin: DVec3) -> (Primitive, bool) {
     let all_normals = faces.iter().flat_map(|f| &f.corners).all(|c| c.normal.is_some());
     let mut numbers: HashMap<Corner, u32> = HashMap::new();
     let mut out = Primitive { material, ..Primitive::default() };
@@ -117,7 +122,7 @@ fn build(obj: &Obj, faces: &[&Face], material: u32, textured: bool) -> (Primitiv
                 normal: c.normal.filter(|_| all_normals),
             };
             *numbers.entry(key).or_insert_with(|| {
-                out.positions.push(obj.positions[key.position as usize]);
+                out.positions.push((obj.positions[key.position as usize] - origin).as_vec3());
                 if textured {
                     out.uvs.push(key.uv.map_or(Vec2::ZERO, |v| obj.uvs[v as usize]));
                 }

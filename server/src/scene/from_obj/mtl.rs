@@ -43,7 +43,8 @@ pub(super) fn load(libraries: &[(usize, String)], files: &mut Files, notes: &mut
         // Some exporters write DOS paths.
         let path = path.replace('\\', "/");
         let place = format!("line {line}, material library {}", shown(&path));
-        let bytes = files.read_relative(&path, &place)?;
+        let read = files.read_relative(&path, &place);
+        let Some(bytes) = files.dispensable(read)? else { continue };
         let text = String::from_utf8_lossy(&bytes);
         for (line, statement) in lines(&text) {
             let words: Vec<&str> = statement.split_whitespace().collect();
@@ -152,7 +153,8 @@ impl Library {
             return Ok(known);
         }
         let place = format!("line {line}, texture {}", shown(path));
-        let bytes = files.read_relative(path, &place)?;
+        let read = files.read_relative(path, &place);
+        let bytes = files.dispensable(read)?.unwrap_or_default();
         self.images.push(EncodedImage { name: path.to_owned(), place, bytes: bytes.into() });
         let at = self.images.len() as u32 - 1;
         self.by_path.insert(path.to_owned(), at);

@@ -5,7 +5,7 @@
 
 use std::collections::HashMap;
 
-use glam::{Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 
 use super::super::error::Fault;
 use super::super::files::shown;
@@ -15,7 +15,7 @@ use super::super::limits::Limits;
 #[derive(Debug, Default)]
 pub(super) struct Obj {
     /// World positions, metres.
-    pub(super) positions: Vec<Vec3>,
+    pub(super) positions: Vec<DVec3>,
     /// Linear colours of all positions, or empty if no position has one.
     pub(super) colours: Vec<[f32; 3]>,
     /// Texture coordinates, v downward.
@@ -70,10 +70,15 @@ pub(super) fn at_line(line: usize, problem: impl Into<String>) -> Fault {
     Fault::invalid(format!("line {line}"), problem, REMEDY)
 }
 
-/// Finite numbers, all words of a statement.
+/// Numbers that are finite in single precision, all words of a statement.
 pub(super) fn numbers(words: &[&str], line: usize) -> Result<Vec<f32>, Fault> {
-    let number = |w: &&str| match w.parse::<f32>() {
-        Ok(x) if x.is_finite() => Ok(x),
+    Ok(precise_numbers(words, line)?.into_iter().map(|x| x as f32).collect())
+}
+
+/// [`numbers`] as the file has them.
+fn precise_numbers(words: &[&str], line: usize) -> Result<Vec<f64>, Fault> {
+    let number = |w: &&str| match w.parse::<f64>() {
+        Ok(x) if (x as f32).is_finite() => Ok(x),
         Ok(_) => Err(at_line(line, format!("{} is not finite", shown(w)))),
         Err(_) => Err(at_line(line, format!("{} is no number", shown(w)))),
     };
@@ -82,7 +87,8 @@ pub(super) fn numbers(words: &[&str], line: usize) -> Result<Vec<f32>, Fault> {
 
 /// Logical lines with their numbers: a backslash at the end joins the next line.
 pub(super) fn lines(text: &str) -> impl Iterator<Item = (usize, String)> {
-    let mut physical = text.lines().enumerate();
+    // Some editors mark text as UTF-8 by a first character.
+    let mut physical = text.strip_prefix('\u{feff}').unwrap_or(text).lines().enumerate();
     std::iter::from_fn(move || {
         let (i, first) = physical.next()?;
         let mut line = first.trim_end().to_owned();
@@ -118,7 +124,7 @@ pub(super) fn parse(bytes: &[u8], limits: &Limits) -> Result<Obj, Fault> {
         let Some((&keyword, arguments)) = words.split_first() else { continue };
         let rest = || statement.trim_start()[keyword.len()..].trim().to_owned();
         match keyword {
-            "v" => out.vertex(&numbers(arguments, line)?, line)?,
+            "v" => out.vertex(&precise_numbers(arguments, line)?, line)?,
             "vt" => match numbers(arguments, line)?[..] {
                 [u] => out.uvs.push(Vec2::new(u, 1.0)),
                 [u, v] | [u, v, _] => out.uvs.push(Vec2::new(u, 1.0 - v)),
@@ -173,14 +179,14 @@ pub(super) fn parse(bytes: &[u8], limits: &Limits) -> Result<Obj, Fault> {
 }
 
 impl Obj {
-    fn vertex(&mut self, n: &[f32], line: usize) -> Result<(), Fault> {
+    fn vertex(&mut self, n: &[f64], line: usize) -> Result<(), Fault> {
         let (position, colour) = match *n {
-            [x, y, z] => (Vec3::new(x, y, z), None),
-            [x, y, z, w] => (Vec3::new(x, y, z) / w, None),
-            [x, y, z, r, g, b] => (Vec3::new(x, y, z), Some([r, g, b])),
+            [x, y, z] => (DVec3::new(x, y, z), None),
+            [x, y, z, w] => (DVec3::new(x, y, z) / w, None),
+            [x, y, z, r, g, b] => (DVec3::new(x, y, z), Some([r, g, b].map(|c| c as f32))),
             _ => return Err(at_line(line, "v takes three numbers, four with w, or six with a colour")),
         };
-        if !position.is_finite() {
+        if !position.as_vec3().is_finite() {
             return Err(at_line(line, "position is not finite once divided by w"));
         }
         if let Some(colour) = colour {

@@ -109,8 +109,8 @@ pub(super) struct Header {
     pub(super) coding: Coding,
     /// In the order of the body.
     pub(super) elements: Vec<Element>,
-    /// `comment TextureFile`, as point cloud tools write it.
-    pub(super) texture: Option<String>,
+    /// `comment TextureFile`, as point cloud tools write it; faces may name them by number.
+    pub(super) textures: Vec<String>,
     /// Bytes of the header.
     pub(super) bytes: usize,
     /// Lines of the header.
@@ -125,7 +125,7 @@ pub(super) fn parse(bytes: &[u8], limits: &Limits) -> Result<Header, Fault> {
         return Err(Fault::invalid("line 1", "the file does not start with the word ply", REMEDY));
     }
     let window = &bytes[..bytes.len().min(limits.ply_header_bytes as usize)];
-    let mut out = Header { coding: Coding::Ascii, elements: Vec::new(), texture: None, bytes: 0, lines: 0 };
+    let mut out = Header { coding: Coding::Ascii, elements: Vec::new(), textures: Vec::new(), bytes: 0, lines: 0 };
     let mut coding = None;
     for raw in window.split_inclusive(|&b| b == b'\n').filter(|line| line.ends_with(b"\n")) {
         out.bytes += raw.len();
@@ -145,7 +145,7 @@ pub(super) fn parse(bytes: &[u8], limits: &Limits) -> Result<Header, Fault> {
                 });
             }
             ["comment", "TextureFile", ..] => {
-                out.texture = text.split_once("TextureFile").map(|(_, path)| path.trim().to_owned());
+                out.textures.extend(text.split_once("TextureFile").map(|(_, path)| path.trim().to_owned()));
             }
             ["comment", ..] | ["obj_info", ..] | [] => {}
             ["element", name, count] => {

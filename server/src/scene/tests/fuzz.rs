@@ -93,4 +93,8 @@ fn ply() {
     binary.push(3);
     binary.extend([0i32, 1, 2].map(i32::to_be_bytes).as_flattened());
     fuzz("b.ply", &binary, 5, 3_000);
+    let looks = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n\
+                 property list uchar int vertex_indices\nproperty list uchar float texcoord\nproperty int texnumber\nproperty uchar red\n\
+                 property uchar green\nproperty uchar blue\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2 6 0 0 1 0 1 1 0 255 0 9\n";
+    fuzz("c.ply", looks.as_bytes(), 6, 3_000);
 }

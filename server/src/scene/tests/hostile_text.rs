@@ -104,6 +104,14 @@ fn ply(name: &'static str, says: &'static str, bytes: impl AsRef<[u8]> + 'static
     Case::new(name, says, move |f| f.write("bad.ply", bytes.as_ref()))
 }
 
+/// Three vertices and a face with more properties than corners.
+fn ply_faces(comments: &str, looks: &str, face: &str) -> String {
+    format!(
+        "ply\nformat ascii 1.0\n{comments}element vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n\
+         property list uchar int vertex_indices\n{looks}end_header\n0 0 0\n1 0 0\n0 1 0\n{face}\n"
+    )
+}
+
 fn ply_headers() -> Vec<Case> {
     let header = |name, says, lines: &str| ply(name, says, format!("ply\nformat ascii 1.0\n{lines}\nend_header\n"));
     vec![
@@ -201,6 +209,24 @@ fn ply_bodies() -> Vec<Case> {
             format!(
                 "ply\nformat ascii 1.0\ncomment TextureFile ../x.png\nelement vertex 3\n{properties}element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0 0 0\n1 0 0 0 0\n0 1 0 0 0\n3 0 1 2\n"
             )
+        }),
+        ply("PLY texture coordinates of two corners", "face 0", {
+            let looks = "property list uchar float texcoord\n";
+            ply_faces("", looks, "3 0 1 2 4 0 0 1 1")
+        }),
+        ply("PLY texture coordinate NaN", "face 0", {
+            ply_faces("", "property list uchar float texcoord\n", "3 0 1 2 6 0 0 1 1 nan 0")
+        }),
+        ply("PLY texture coordinates beyond", "do not fit", {
+            ply_faces("", "property list uint float texcoord\n", "3 0 1 2 4000000000 0 0")
+        }),
+        ply("PLY second of one pictures", "texture 1 of 1", {
+            let looks = "property list uchar float texcoord\nproperty int texnumber\n";
+            ply_faces("comment TextureFile a.png\n", looks, "3 0 1 2 6 0 0 1 1 1 0 1")
+        }),
+        ply("PLY face colour infinite", "face 0", {
+            let looks = "property float red\nproperty float green\nproperty float blue\n";
+            ply_faces("", looks, "3 0 1 2 0 0 inf")
         }),
         ply("PLY skipped element forged", "do not fit", {
             "ply\nformat binary_little_endian 1.0\nelement camera 4000000000\nproperty list uint double view\nend_header\n\u{1}\u{2}\u{3}"

@@ -325,6 +325,124 @@ fn ply_in_all_three_codings() {
         assert_eq!(p.triangles, [[0, 1, 2], [0, 2, 3]]);
         assert_eq!(p.normals, [Vec3::Z; 4]);
         assert_eq!(p.colours, [[1.0, linear_from_srgb(188.0 / 255.0), 0.0]; 4]);
-        assert_eq!(scene.notes.len(), 2, "{:?}", scene.notes);
+        assert_eq!(scene.notes.len(), 3, "{:?}", scene.notes);
+        assert!(
+            scene.notes.iter().any(|n| n.what == "elements or properties: \"edge\", \"flags\""),
+            "{:?}",
+            scene.notes
+        );
     }
+}
+
+#[test]
+fn ply_faces_have_looks_of_their_own() {
+    let folder = Folder::new();
+    folder.write("a.png", png());
+    folder.write("b.png", png());
+    // Two triangles of a square, painted from two pictures, and one that is not painted.
+    let text = "ply\nformat ascii 1.0\ncomment TextureFile a.png\ncomment TextureFile b.png\nelement vertex 4\nproperty float x\nproperty float y\n\
+                property float z\nelement face 3\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\nproperty int texnumber\n\
+                end_header\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2 6 0 0 1 0 1 1 0\n3 0 2 3 6 0 0.5 1 1 0 1 1\n3 0 1 3 0 -1\n";
+    let scene = load(&folder.write("painted.ply", text)).unwrap();
+    scene.check().unwrap();
+    let parts = &scene.meshes[0].primitives;
+    let textures: Vec<_> = parts.iter().map(|p| scene.materials[p.material as usize].texture).collect();
+    assert_eq!(textures, [Some(0), Some(1), None]);
+    assert_eq!(parts[0].uvs, [[0., 1.], [1., 1.], [1., 0.]].map(Vec2::from));
+    assert_eq!(parts[1].uvs, [[0., 0.5], [1., 0.], [0., 0.]].map(Vec2::from));
+    assert_eq!(parts[1].positions, [[0., 0., 0.], [1., 1., 0.], [0., 1., 0.]].map(Vec3::from));
+    assert!(parts.iter().all(|p| p.triangles == [[0, 1, 2]]), "{parts:?}");
+    // Normals are the smooth ones of the whole surface.
+    assert!(parts.iter().all(|p| p.normals == [Vec3::Z; 3]));
+    assert_eq!(scene.notes.len(), 1, "{:?}", scene.notes);
+
+    let text = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 2\n\
+                property list uchar int vertex_indices\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n\
+                3 0 1 2 255 0 0\n3 0 2 3 0 0 255\n";
+    let scene = load(&folder.write("faces.ply", text)).unwrap();
+    scene.check().unwrap();
+    let p = &scene.meshes[0].primitives[0];
+    assert_eq!(p.colours, [[1., 0., 0.], [1., 0., 0.], [1., 0., 0.], [0., 0., 1.], [0., 0., 1.], [0., 0., 1.]]);
+    assert_eq!(p.triangles, [[0, 1, 2], [3, 4, 5]]);
+}
+
+/// Coordinates of national grids, as plans and scans have them.
+#[test]
+fn text_far_from_the_origin_keeps_its_millimetres() {
+    let (east, north) = (500_000.0, 5_000_000.0);
+    let corners = [[0.0, 0.0, 0.0], [1.001, 0.25, 0.0], [0.502, 0.003, 2.0]];
+    let world = corners.map(|[x, y, z]| DVec3::new(east + x, y, north + z));
+    let line = |p: DVec3| format!("{:.6} {:.6} {:.6}\n", p.x, p.y, p.z);
+    let obj = world.map(|p| format!("v {}", line(p))).concat() + "f 1 2 3\n";
+    let ply = "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\nproperty double z\nelement face 1\n\
+               property list uchar int vertex_indices\nend_header\n"
+        .to_owned()
+        + &world.map(line).concat()
+        + "3 0 1 2\n";
+    let folder = Folder::new();
+    for spec in [folder.write("far.obj", obj), folder.write("far.ply", ply)] {
+        let scene = load(&spec).unwrap();
+        scene.check().unwrap();
+        for (got, want) in world_triangles(&scene)[0].iter().zip(world) {
+            assert!(got.distance(want) < 1e-5, "{spec}: {got} instead of {want}");
+        }
+    }
+}
+
+#[test]
+fn axes_and_units_are_told_beside_the_name() {
+    let folder = Folder::new();
+    let spec = folder.write("a.obj", "v 0 0 0\nv 1000 0 0\nv 0 0 2500\nf 1 2 3\n");
+    let scene = load(&format!("{spec}?up=z&unit=mm")).unwrap();
+    scene.check().unwrap();
+    assert_eq!(scene.name, "a.obj");
+    assert!(scene.bounds().max.distance(DVec3::new(1.0, 2.5, 0.0)) < 1e-9, "{:?}", scene.bounds());
+    // The front faces -Y in the file, and so +Z here.
+    let normal = scene.instances[0].world_from_mesh.matrix3 * scene.meshes[0].primitives[0].normals[0].as_dvec3();
+    assert!(normal.normalize().distance(DVec3::Z) < 1e-9, "{normal}");
+    let extras = json!({"ldi_cells": [{"name": "a", "min": [0, 0, 0], "max": [1, 2, 3]}]});
+    let spec = folder.write("a.glb", GltfFile::square().with("/scenes/0/extras", extras).glb());
+    let scene = load(&format!("{spec}?up=z")).unwrap();
+    assert_eq!(
+        (scene.rooms[0].bounds.min, scene.rooms[0].bounds.max),
+        (DVec3::new(0.0, 0.0, -2.0), DVec3::new(1.0, 3.0, 0.0))
+    );
+    assert!(load(&format!("{spec}?up=x")).is_err());
+}
+
+#[test]
+fn what_is_missing_is_plain_where_that_is_wanted() {
+    let folder = Folder::new();
+    folder.write("broken.png", b"\x89PNG\r\n\x1a\nnothing");
+    folder.write("a.mtl", "newmtl a\nKd 1 0 0\nmap_Kd gone.png\nnewmtl b\nmap_Kd broken.png\n");
+    let text = "mtllib a.mtl\nmtllib gone.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl a\nf 1/1 2/1 3/1\nusemtl b\nf 3/1 2/1 1/1\n";
+    let spec = folder.write("a.obj", text);
+    let said = load(&spec).unwrap_err().to_string();
+    assert!(said.contains("gone.png") && said.contains("FILE?missing=plain"), "{said}");
+    let scene = load(&format!("{spec}?missing=plain")).unwrap();
+    scene.check().unwrap();
+    assert!(scene.textures.iter().all(|t| t.rgba == [[255; 4]]), "{:?}", scene.textures);
+    assert_eq!(scene.materials[0].base_colour, [1.0, 0.0, 0.0, 1.0]);
+    let note = scene.notes.iter().find(|n| n.what.starts_with("3 pictures")).expect("is told");
+    assert!(["gone.mtl", "gone.png", "broken.png"].iter().all(|f| note.what.contains(f)), "{note:?}");
+    let uri = json!([{"uri": "gone.png"}]);
+    let spec = folder.write("a.glb", GltfFile::square().with("/images", uri).glb());
+    assert!(load(&spec).is_err());
+    assert_eq!(load(&format!("{spec}?missing=plain")).unwrap().textures[0].rgba, [[255; 4]]);
+}
+
+#[test]
+fn a_mark_of_utf_8_is_no_part_of_the_first_line() {
+    let folder = Folder::new();
+    folder.write("a.mtl", "\u{feff}newmtl red\nKd 1 0 0\n");
+    let scene =
+        load(&folder.write("a.obj", "\u{feff}mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n")).unwrap();
+    assert_eq!(scene.materials[0].base_colour, [1.0, 0.0, 0.0, 1.0]);
+    assert_eq!(scene.notes.len(), 1, "{:?}", scene.notes);
+    let scene = load(&folder.write("b.obj", "\u{feff}v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")).unwrap();
+    assert_eq!(scene.triangles(), 1);
+    let file = GltfFile::square();
+    let text = format!("\u{feff}{}", String::from_utf8(file.gltf("data.bin").into()).unwrap());
+    folder.write("data.bin", &file.bin);
+    assert_eq!(load(&folder.write("c.gltf", text)).unwrap().triangles(), 2);
 }
