@@ -51,7 +51,7 @@ pub struct ConnectArgs {
     #[arg(long, value_enum, default_value = "auto")]
     warp_on: WarpOn,
     /// Time for a picture while moving, milliseconds: pictures get smaller inside until they keep it.
-    #[arg(long, value_name = "MS", default_value_t = 20.0)]
+    #[arg(long, value_name = "MS", default_value_t = 16.7)]
     frame_ms: f64,
     /// Where to begin: position in metres, yaw and pitch in degrees [default: amid the largest storey].
     #[arg(long, value_name = "X,Y,Z[,YAW[,PITCH]]", value_parser = parse_pose, allow_hyphen_values = true)]
