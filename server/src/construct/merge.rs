@@ -9,6 +9,7 @@ use super::{
     caster::SubsetCaster,
     central::{Surveyor, short_ray, traced},
     sample::{self, Prediction, Sample, Tolerance, bounded},
+    slivers,
     view::{ConstructionCamera, Rig},
 };
 use crate::render::{Hit, Ray};
@@ -27,6 +28,8 @@ pub(super) enum Seen {
     Pruned,
     /// New: what is predicted, and the pixel of the construction camera.
     New(Prediction, u32),
+    /// Steep, and passes beside the ray through its pixel's centre, which meets nothing: no sample, but a sliver perhaps.
+    Beside(Prediction, u32),
 }
 
 /// Everything known of the image so far.
@@ -62,6 +65,11 @@ impl Known {
         central.disparity <= 0.0
             || tolerance.same(central, &p.1)
             || self.behind(p.0).iter().any(|d| tolerance.same(&d.1, &p.1))
+    }
+
+    /// Whether the ray through the pixel's centre met nothing: what eyes see there is less than a pixel wide for the centre of projection.
+    fn is_sky(&self, pixel: usize) -> bool {
+        self.central[pixel].disparity == 0.0
     }
 
     /// Adds samples that are new; drops repetitions among them.
@@ -128,7 +136,13 @@ pub(super) fn trace_construction<C: SubsetCaster>(
             apart: camera.apart(d, gradient),
         };
         let prediction = (pixel as u32, sample);
-        if known.has(&prediction, tolerance) { Seen::Known } else { Seen::New(prediction, *from) }
+        match known.has(&prediction, tolerance) {
+            false => Seen::New(prediction, *from),
+            true if known.is_sky(pixel) && slivers::steep_axis(camera, &prediction.1).is_some() => {
+                Seen::Beside(prediction, *from)
+            }
+            true => Seen::Known,
+        }
     })
 }
 

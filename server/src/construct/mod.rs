@@ -288,7 +288,12 @@ fn tile<C: SubsetCaster>(
                     Seen::New(home, pixel) => {
                         predictions.push(home);
                         if let Some(axis) = slivers::steep_axis(camera, &home.1) {
-                            candidates.push(Candidate { camera: number, pixel, home, axis });
+                            candidates.push(Candidate { camera: number, pixel, home, axis, beside: false });
+                        }
+                    }
+                    Seen::Beside(home, pixel) => {
+                        if let Some(axis) = slivers::steep_axis(camera, &home.1) {
+                            candidates.push(Candidate { camera: number, pixel, home, axis, beside: true });
                         }
                     }
                     Seen::Known | Seen::Nothing => {}
@@ -365,7 +370,7 @@ fn look<C: SubsetCaster>(
         let mut new = Vec::new();
         for (pixel, s) in pixels.iter().zip(&seen) {
             match s {
-                Seen::New(..) => new.push(*pixel),
+                Seen::New(..) | Seen::Beside(..) => new.push(*pixel),
                 Seen::Sky(_) => open.push(*pixel),
                 _ => {}
             }

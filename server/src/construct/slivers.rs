@@ -47,6 +47,8 @@ pub(super) struct Candidate {
     pub home: Prediction,
     /// The axis along which it is steep.
     pub axis: usize,
+    /// The ray through the pixel's centre meets nothing: the surface passes beside it.
+    pub beside: bool,
 }
 
 /// Along which axis (0: to the next column, 1: row) a surface is steep for a camera; None: along neither.
@@ -206,11 +208,22 @@ fn place(camera: &ConstructionCamera, column: f64, row: f64) -> (f64, f64) {
     (of(camera.window.left, column), of(camera.window.top, row))
 }
 
-/// Whether the layers hold a candidate's surface in its pixel and in both neighbours along its axis.
-fn held(rig: &Rig, layers: &[RawLayer], Candidate { home, axis, .. }: &Candidate, tolerance: &Tolerance) -> bool {
-    let (pixel, s) = home;
+/// Whether the layers hold a candidate's surface in its pixel and in both neighbours along its axis; where no ray through the pixel's centre
+/// meets it, in one of them, from which it goes on.
+fn held(rig: &Rig, layers: &[RawLayer], candidate: &Candidate, tolerance: &Tolerance) -> bool {
+    let Candidate { home: (pixel, s), axis, beside, .. } = candidate;
     let (step, bit) = if *axis == 0 { (1, LINK_RIGHT) } else { (rig.window.width, LINK_DOWN) };
     let at = |layer: &RawLayer, pixel: u32| layer.samples.binary_search_by_key(&pixel, |x| x.0).ok();
+    if *beside {
+        // As steep: another face of the same surface ends there.
+        let on = |layer: &RawLayer, pixel: u32| {
+            at(layer, pixel).map(|i| &layer.samples[i].1).is_some_and(|n| {
+                n.surface == s.surface && n.gradient[*axis] * s.gradient[*axis] > 0.25 * s.gradient[*axis].powi(2)
+            })
+        };
+        let neighbours = [pixel.checked_sub(step), pixel.checked_add(step)];
+        return layers.iter().any(|layer| neighbours.into_iter().flatten().any(|n| on(layer, n)));
+    }
     layers.iter().any(|layer| {
         let linked = |i: usize| layer.links[i] & bit != 0;
         at(layer, *pixel).is_some_and(|i| {

@@ -372,11 +372,24 @@ fn where_a_surface_turns_back_on_itself_its_sides_are_joined() {
 fn what_the_centre_sees_edge_on_is_held_by_slivers() {
     // A post whose side is a third of a pixel wide for the centre of projection, with no pixel's centre on it; eyes beside it see it at 8 degrees and less.
     let (x, z) = (0.1, [-14.0, -10.0]);
-    let scene = Analytic::default()
-        .rect([-30.0, -20.0, -20.0], [60.0, 0.0, 0.0], [0.0, 40.0, 0.0], None, GREY)
-        .rect([-x, -1.0, z[1]], [2.0 * x, 0.0, 0.0], [0.0, 2.0, 0.0], None, GREY)
-        .rect([x, -1.0, z[1]], [0.0, 0.0, z[0] - z[1]], [0.0, 2.0, 0.0], None, RED);
-    let ldi = made(&scene, &plan(9.0, [1.5, 0.6, 1.0])).ldi;
+    let post = |behind: Analytic| {
+        behind.rect([-x, -1.0, z[1]], [2.0 * x, 0.0, 0.0], [0.0, 2.0, 0.0], None, GREY).rect(
+            [x, -1.0, z[1]],
+            [0.0, 0.0, z[0] - z[1]],
+            [0.0, 2.0, 0.0],
+            None,
+            RED,
+        )
+    };
+    let wall = Analytic::default().rect([-30.0, -20.0, -20.0], [60.0, 0.0, 0.0], [0.0, 40.0, 0.0], None, GREY);
+    slivers_hold(&post(wall), x, z);
+    // Rays beside it meet nothing.
+    slivers_hold(&post(Analytic::default()), x, z);
+}
+
+/// The red side of a post, at this place across and from end to end along the view.
+fn slivers_hold(scene: &Analytic, x: f64, z: [f64; 2]) {
+    let ldi = made(scene, &plan(9.0, [1.5, 0.6, 1.0])).ldi;
     let red = ldi.slivers.iter().filter(|s| s.rgb[0] > s.rgb[1] + 50);
     let of_wall: Vec<[DVec3; 4]> = red.map(|s| s.corners.each_ref().map(|c| world(&ldi, c))).collect();
     assert!(!of_wall.is_empty());

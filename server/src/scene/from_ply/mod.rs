@@ -262,7 +262,8 @@ fn read_faces(
     let mut values = vec![0.0; element.properties.len()];
     let (mut corners, mut uvs) = (Vec::new(), Vec::new());
     for i in 0..element.count {
-        (corners.clear(), uvs.clear());
+        corners.clear();
+        uvs.clear();
         for (at, p) in element.properties.iter().enumerate() {
             let Some(count) = p.count else {
                 values[at] = body.number(p.item)?;

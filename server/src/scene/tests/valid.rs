@@ -442,7 +442,7 @@ fn a_mark_of_utf_8_is_no_part_of_the_first_line() {
     let scene = load(&folder.write("b.obj", "\u{feff}v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")).unwrap();
     assert_eq!(scene.triangles(), 1);
     let file = GltfFile::square();
-    let text = format!("\u{feff}{}", String::from_utf8(file.gltf("data.bin").into()).unwrap());
+    let text = format!("\u{feff}{}", String::from_utf8(file.gltf("data.bin")).unwrap());
     folder.write("data.bin", &file.bin);
     assert_eq!(load(&folder.write("c.gltf", text)).unwrap().triangles(), 2);
 }
