@@ -50,6 +50,8 @@ pub struct Picture {
     pub fov_deg: f64,
     /// What it took.
     pub figures: Figures,
+    /// The eye is not yet where the visit begins.
+    pub scouting: bool,
     /// When it was finished.
     pub at: Instant,
 }

@@ -12,6 +12,7 @@ use super::{
     motion::{self, Ground, Intent, Walker},
     record::pose_at,
     scale::Scale,
+    scout::Scout,
     shot::Shots,
     solids::{STRAY_M, Solids},
 };
@@ -24,7 +25,7 @@ use crate::{
     warp::{Order, Stamp},
 };
 use glam::DVec3;
-use ldi_protocol::{OutputCamera, Pose, camera::apart_deg, path::Walk};
+use ldi_protocol::{OutputCamera, Pose, camera::apart_deg, path::Walk, volume::WalkVolume};
 use std::{
     sync::{Arc, Condvar, Mutex, PoisonError},
     time::{Duration, Instant},
@@ -104,6 +105,10 @@ pub(super) struct Draughtsman {
     large_ms: Option<f64>,
     progress: (u64, Instant),
     solids: Option<Gathered>,
+    /// Where the visit may begin, while that is being found out.
+    scout: Option<Scout>,
+    /// Where that sends the eye.
+    sent: Option<Pose>,
     /// The pose of the last picture, and when it was begun.
     before: Option<(Pose, Instant)>,
 }
@@ -141,6 +146,8 @@ impl Draughtsman {
             large_ms: None,
             progress: (0, Instant::now()),
             solids: None,
+            scout: None,
+            sent: None,
             before: None,
         }
     }
@@ -182,9 +189,13 @@ impl Draughtsman {
         if !self.scene.as_ref().is_some_and(|s| s.is(&scene)) {
             let index = &scene.index;
             let (volume, flying) = (index.volume.as_ref(), index.settings.eye_height_m.is_none());
-            let begin = desk.walker.as_ref().map(Walker::pose).or(desk.begin).unwrap_or_else(|| match volume {
-                Some(v) => motion::start(v, flying),
-                None => Pose { position: index.scene.bounds.centre(), yaw_deg: 0.0, pitch_deg: 0.0 },
+            let begin = desk.walker.as_ref().map(Walker::pose).or(desk.begin).unwrap_or_else(|| {
+                let bounds = volume.map_or(&index.scene.bounds, WalkVolume::bounds);
+                let centre = Pose { position: bounds.centre(), yaw_deg: 0.0, pitch_deg: 0.0 };
+                let Some(volume) = volume.filter(|v| !flying && !v.is_empty()) else { return centre };
+                let (scout, first) = Scout::new(volume);
+                self.scout = Some(scout);
+                first.unwrap_or(centre)
             });
             desk.walker = Some(Walker::new(begin, volume, flying, index.settings.pitch_deg));
             desk.moved = Instant::now();
@@ -216,6 +227,12 @@ impl Draughtsman {
             walker.place(pose, volume);
         }
         let moved = intent != Intent::default() || turned != (0.0, 0.0) || teleport.is_some() || place.is_some();
+        if moved || desk.replay.is_some() {
+            (self.scout, self.sent) = (None, None);
+        }
+        if let Some(pose) = self.sent.take() {
+            walker.place(&pose, volume);
+        }
         let followed = desk.replay.take_if(|_| moved).is_none() && follow(&mut desk.replay, walker, now);
         if !followed {
             walker.turn(turned.0, turned.1);
@@ -267,11 +284,15 @@ impl Draughtsman {
             self.large_ms = Some(ms);
         }
         self.gather(scene, pose.position, job.cache_bytes);
+        if figures.painted.is_complete() && self.scout.is_some() {
+            self.look_around(scene, &pose, &frame);
+        }
+        let scouting = self.scout.is_some() || self.sent.is_some();
         let (missing, waiting) = (figures.painted.missing_chunks.clone(), figures.painted.waiting > 0);
         if let (true, Some(began)) = (self.even && job.moving, self.began) {
             std::thread::sleep(self.interval.saturating_sub(began.elapsed()));
         }
-        let picture = Picture { frame, pose, fov_deg: camera.fov_deg, figures, at: Instant::now() };
+        let picture = Picture { frame, pose, fov_deg: camera.fov_deg, figures, scouting, at: Instant::now() };
         if job.shot {
             let mut shot = Frame::default();
             if let Some((camera, _)) = self.paint(scene, &pose, job.window_px, self::options(2, shows), &mut shot) {
@@ -361,6 +382,22 @@ impl Draughtsman {
             let solids = Solids::around(scene, eye, eye_height_m);
             self.solids = Some(Gathered { solids, eye, cache_bytes, at: Instant::now() });
         }
+    }
+
+    /// Nobody has said where to begin: sends the eye to the next place until one shows something, or to the best.
+    fn look_around(&mut self, scene: &Scene, pose: &Pose, frame: &Frame) {
+        let index = &scene.index;
+        let (Some(scout), Some(volume), Some(eye_height_m)) =
+            (&mut self.scout, &index.volume, index.settings.eye_height_m)
+        else {
+            return;
+        };
+        let outlook_deg = || {
+            let solids = Solids::within(scene, pose.position, eye_height_m, motion::OUTLOOK_M);
+            motion::outlook_deg(volume, &solids, pose.position)
+        };
+        self.sent = scout.seen(pose, frame, outlook_deg);
+        self.scout.take_if(|s| s.is_done());
     }
 
     /// The server pushes what views need. Where nothing comes although something is missing, it is asked for.

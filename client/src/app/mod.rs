@@ -11,7 +11,7 @@
 //!   window   events, one texture to the display, interface      (the main thread: systems want it there)
 //! ```
 //!
-//! - `motion`: keys and time to poses within the walk volume; `solids`: what stands in the way; `scale`: milliseconds to sizes. All pure.
+//! - `motion`: keys and time to poses within the walk volume; `solids`: what stands in the way; `scale`: milliseconds to sizes; `scout`: where a visit begins. All pure.
 //! - `screen`: wgpu; the only file here that knows it. Nothing of it is loaded before a window is asked for. What draws is the engine's painter, on the processor or a
 //!   graphics card (`client/src/gpu`), whose pictures come back to the processor before they are shown.
 //! - `hud`, `map` with its `plan`, `start`: what is drawn over the picture. `kept`: walks (`record`) and places (`bookmarks`) that are kept; `settings`: what can be chosen. `keys`, `gamepad`, `shot`, `numbered`, `events`, `pace`: small parts.
@@ -35,6 +35,7 @@ mod pace;
 mod plan;
 mod record;
 mod scale;
+mod scout;
 mod screen;
 mod settings;
 mod shot;

@@ -372,13 +372,14 @@ const PLACES: usize = 64;
 /// Farther, an open way says no more of a view, metres.
 const OPEN_M: f64 = 15.0;
 
-/// Where a visit begins when nobody says: on the level with most room, where most of the surroundings are open (of the larger boxes'
-/// middles and the place nearest to the level's), looking where the way is longest.
-pub fn start(v: &WalkVolume, flying: bool) -> Pose {
-    let mut pose = Pose { position: v.bounds().centre(), yaw_deg: 0.0, pitch_deg: 0.0 };
-    if flying || v.is_empty() {
-        return pose;
-    }
+/// Places that may be tried.
+const STARTS: usize = 8;
+/// They are this far apart, metres.
+const STARTS_APART_M: f64 = 3.0;
+
+/// Where a visit may begin when nobody says, on foot: on the level with most room (of the larger boxes' middles and the place nearest to the level's),
+/// first where most of the surroundings are open and looking where the way is longest, as far as the volume tells, which knows no walls. At least one.
+pub fn starts(v: &WalkVolume) -> Vec<Pose> {
     // Levels of half a metre, by floor area.
     let mut levels = std::collections::BTreeMap::<i64, (f64, DVec3, Vec<(f64, DVec3)>)>::new();
     for b in v.boxes() {
@@ -389,26 +390,66 @@ pub fn start(v: &WalkVolume, flying: bool) -> Pose {
         level.1 += place * area;
         level.2.push((area, place));
     }
-    let Some((area, sum, mut boxes)) = levels.into_values().max_by(|a, b| a.0.total_cmp(&b.0)) else { return pose };
+    let centre = Pose { position: v.bounds().centre(), yaw_deg: 0.0, pitch_deg: 0.0 };
+    let Some((area, sum, mut boxes)) = levels.into_values().max_by(|a, b| a.0.total_cmp(&b.0)) else {
+        return vec![centre];
+    };
     boxes.sort_by(|a, b| b.0.total_cmp(&a.0));
     let middle = sum / area.max(1e-9);
+    let places = nearest(v, middle).into_iter().chain(boxes.into_iter().take(PLACES).map(|b| b.1));
+    let mut open: Vec<(usize, Pose)> = places
+        .map(|position| {
+            let ways: Vec<(usize, f64)> = ways(v, position).collect();
+            let longest = ways.iter().rev().max_by_key(|w| w.0).map_or(0.0, |w| w.1);
+            (ways.iter().map(|w| w.0).sum(), Pose { position, yaw_deg: longest, pitch_deg: 0.0 })
+        })
+        .collect();
+    open.sort_by_key(|o| std::cmp::Reverse(o.0));
+    let mut out: Vec<Pose> = Vec::new();
+    for (_, pose) in open {
+        if out.len() < STARTS && out.iter().all(|o| o.position.distance(pose.position) > STARTS_APART_M) {
+            out.push(pose);
+        }
+    }
+    out
+}
+
+/// Steps that can be gone straight on from a place in all directions, and where to, degrees.
+fn ways(v: &WalkVolume, place: DVec3) -> impl Iterator<Item = (usize, f64)> + '_ {
     let step = v.pitch_m().min(0.5);
     let most = (OPEN_M / step).ceil() as u32;
-    // Steps that can be gone straight on, and where to.
-    let ways = |place: DVec3| {
-        (0..LOOKS).map(move |look| {
-            let yaw_deg = f64::from(look) * 360.0 / f64::from(LOOKS);
-            let ahead = ViewBasis::from_yaw_pitch(yaw_deg, 0.0).forward * step;
-            let free = |n: &u32| stand(v, place + ahead * f64::from(*n), STEP_OVER_M).is_some();
-            ((1..=most).take_while(free).count(), yaw_deg)
+    (0..LOOKS).map(move |look| {
+        let yaw_deg = yaw_of(look);
+        let ahead = ViewBasis::from_yaw_pitch(yaw_deg, 0.0).forward * step;
+        let free = |n: &u32| stand(v, place + ahead * f64::from(*n), STEP_OVER_M).is_some();
+        ((1..=most).take_while(free).count(), yaw_deg)
+    })
+}
+
+/// As far as walls are asked for around a place where a visit may begin, metres.
+pub const OUTLOOK_M: f64 = 8.0;
+
+/// The direction to look in from a place, degrees: where it and those beside it are open farthest before a wall, at most [`OUTLOOK_M`] and as far as
+/// the volume goes.
+pub fn outlook_deg(v: &WalkVolume, solids: &Solids, place: DVec3) -> f64 {
+    const STEP_M: f64 = 0.25;
+    let ground = Ground { volume: Some(v), solids: Some(solids), walls: true };
+    let open: Vec<usize> = (0..LOOKS)
+        .map(|look| {
+            let ahead = ViewBasis::from_yaw_pitch(yaw_of(look), 0.0).forward * STEP_M;
+            let mut at = place;
+            (0..(OUTLOOK_M / STEP_M) as u32)
+                .take_while(|_| ground.admit(at, at + ahead).map(|there| at = there).is_some())
+                .count()
         })
-    };
-    let places = nearest(v, middle).into_iter().chain(boxes.into_iter().take(PLACES).map(|b| b.1));
-    let open = |place: &DVec3| ways(*place).map(|w| w.0).sum::<usize>();
-    pose.position = places.rev().max_by_key(open).unwrap_or(middle);
-    let longest = ways(pose.position).max_by_key(|(steps, yaw_deg)| (*steps, -*yaw_deg as i64));
-    pose.yaw_deg = longest.map_or(0.0, |(_, yaw_deg)| yaw_deg);
-    pose
+        .collect();
+    let n = open.len();
+    let best = (0..n).rev().max_by_key(|i| open[(i + n - 1) % n] + 2 * open[*i] + open[(i + 1) % n]);
+    yaw_of(best.unwrap_or(0) as u16)
+}
+
+fn yaw_of(look: u16) -> f64 {
+    f64::from(look) * 360.0 / f64::from(LOOKS)
 }
 
 #[cfg(test)]

@@ -174,8 +174,8 @@ fn outsiders_are_brought_in() {
     let w = walker(&v, 6.5, 1.0, 0.0);
     assert!(v.contains(w.pose().position));
     assert!((w.pose().position.x - 6.5).abs() < 0.51, "{:?}", w.pose());
-    let begin = start(&v, false);
-    assert!(v.contains(begin.position), "{begin:?}");
+    let begins = starts(&v);
+    assert!(!begins.is_empty() && begins.iter().all(|b| v.contains(b.position)), "{begins:?}");
 }
 
 #[test]
@@ -185,10 +185,19 @@ fn a_visit_begins_where_the_view_is_open() {
         let off = (x - 6.0f64).abs().max((z - 6.0f64).abs());
         (off < 0.75 || (2.0..6.0).contains(&off)).then_some(0.0)
     });
-    let begin = start(&v, false);
+    let begin = starts(&v)[0];
     let ahead = ViewBasis::from_yaw_pitch(begin.yaw_deg, 0.0).forward;
     assert!(v.contains(begin.position + 4.0 * ahead), "{begin:?}");
     assert!((begin.position.x - 6.0).abs().max((begin.position.z - 6.0).abs()) > 1.9, "{begin:?}");
+}
+
+#[test]
+fn a_visit_looks_away_from_the_walls_that_are_near() {
+    let (v, solids) = furnished();
+    // A metre before the diagonal wall, on its far side from the origin.
+    let yaw_deg = outlook_deg(&v, &solids, DVec3::new(4.3, 1.6, 4.3));
+    let ahead = ViewBasis::from_yaw_pitch(yaw_deg, 0.0).forward;
+    assert!(ahead.x + ahead.z > 1.0, "{yaw_deg}");
 }
 
 /// A volume without walls around a room: floor, a diagonal wall from border to border, a pillar, a step of 0.18 m.

@@ -50,14 +50,19 @@ pub struct Solids {
 impl Solids {
     /// What the cache holds around `eye`, for a body whose eye is `eye_height_m` above its foot.
     pub fn around(scene: &Scene, eye: DVec3, eye_height_m: f64) -> Self {
-        Self::gather(&scene.index, &*scene.cache, eye, eye_height_m)
+        Self::within(scene, eye, eye_height_m, REACH_M)
     }
 
-    fn gather(index: &Index, resident: &dyn Resident, eye: DVec3, eye_height_m: f64) -> Self {
+    /// The same within so many metres.
+    pub fn within(scene: &Scene, eye: DVec3, eye_height_m: f64, reach_m: f64) -> Self {
+        Self::gather(&scene.index, &*scene.cache, eye, eye_height_m, reach_m)
+    }
+
+    fn gather(index: &Index, resident: &dyn Resident, eye: DVec3, eye_height_m: f64, reach_m: f64) -> Self {
         let mut out = Self { eye_height_m, ..Self::default() };
         let foot = eye.y - eye_height_m;
         // Higher and lower by the steps that are climbed before it is gathered anew.
-        let reach = DVec3::new(REACH_M, 0.0, REACH_M);
+        let reach = DVec3::new(reach_m, 0.0, reach_m);
         let room = Aabb {
             min: DVec3::new(eye.x, foot - DROP_M, eye.z) - reach,
             max: DVec3::new(eye.x, eye.y + HEAD_M, eye.z) + reach,
@@ -195,7 +200,7 @@ pub(super) mod tests {
         let clusters = quads.iter().map(|q| quad_cluster(0, *q)).collect();
         let camera = OutputCamera { width: 64, height: 36, fov_deg: 60.0 };
         let (index, memory) = dataset(camera, vec![plain_material()], clusters);
-        Solids::gather(&index, &memory, eye, 1.6)
+        Solids::gather(&index, &memory, eye, 1.6, REACH_M)
     }
 
     /// A horizontal rectangle.
@@ -257,6 +262,6 @@ pub(super) mod tests {
         let camera = OutputCamera { width: 64, height: 36, fov_deg: 60.0 };
         let (index, memory) =
             dataset(camera, vec![glass], vec![quad_cluster(0, wall([3.0, 0.0], [3.0, 4.0], 0.0, 2.5))]);
-        assert_eq!(Solids::gather(&index, &memory, EYE, 1.6).clearance(2.9, 2.0).0, REACH_M);
+        assert_eq!(Solids::gather(&index, &memory, EYE, 1.6, REACH_M).clearance(2.9, 2.0).0, REACH_M);
     }
 }

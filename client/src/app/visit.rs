@@ -202,7 +202,7 @@ impl Visit {
         self.hud.picture(picture);
         let ms = &picture.figures.painted.ms;
         self.pace.picture(&picture.pose, ms.total + ms.prepare, picture.at);
-        let complete = picture.figures.painted.is_complete();
+        let complete = picture.figures.painted.is_complete() && !picture.scouting;
         self.started |= complete;
         let about = || {
             fields! {

@@ -138,7 +138,8 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
         connect: config,
         size: args.size,
         frame_ms: args.frame_ms,
-        begin: args.start,
+        // A walk that is walked at once begins at its own place.
+        begin: args.start.or_else(|| replay.as_ref().and_then(|walk| walk.poses.first()).map(|p| p.pose)),
         shots: args.shots.clone(),
         replay,
         gamepad: match &args.gamepad {

@@ -1,0 +1,119 @@
+//! Where a visit begins when nobody says: amid the floor stands a cupboard often, and the volume knows no walls.
+//!
+//! In: places, and what is drawn and known of walls there. Out: where to go next, until a view shows something. Pure.
+
+use super::motion;
+use crate::frame::Frame;
+use ldi_protocol::{Pose, volume::WalkVolume};
+
+/// Tones of a picture that shows something, more or less: a wall has three, a wall and the sky five. By judgement.
+const ENOUGH: usize = 12;
+/// A tone counts if one in so many pixels has it.
+const SHARE: usize = 500;
+
+/// Places to look around at.
+pub(super) struct Scout {
+    /// The next one last.
+    left: Vec<Pose>,
+    /// The way to look in from here has been chosen.
+    turned: bool,
+    /// The best view so far, and its tones.
+    best: Option<(usize, Pose)>,
+    /// There is nothing more to see.
+    done: bool,
+}
+
+impl Scout {
+    /// Begins; also where.
+    pub fn new(volume: &WalkVolume) -> (Self, Option<Pose>) {
+        let mut left = motion::starts(volume);
+        left.reverse();
+        let first = left.pop();
+        (Self { left, turned: false, best: None, done: false }, first)
+    }
+
+    /// A picture of this pose is complete; `yaw_deg` tells the way to look in from there. Where to go; None: here the visit begins.
+    pub fn seen(&mut self, pose: &Pose, frame: &Frame, yaw_deg: impl FnOnce() -> f64) -> Option<Pose> {
+        if !std::mem::replace(&mut self.turned, true) {
+            let turned = Pose { yaw_deg: yaw_deg(), ..*pose };
+            if turned != *pose {
+                return Some(turned);
+            }
+        }
+        let tones = tones(&frame.colour);
+        if self.best.as_ref().is_none_or(|b| tones > b.0) {
+            self.best = Some((tones, *pose));
+        }
+        let next = match tones < ENOUGH {
+            true => self.left.pop(),
+            false => None,
+        };
+        if next.is_some() {
+            self.turned = false;
+            return next;
+        }
+        self.done = true;
+        self.best.map(|b| b.1).filter(|best| best != pose)
+    }
+
+    /// Whether it is known where the visit begins.
+    pub fn is_done(&self) -> bool {
+        self.done
+    }
+}
+
+/// Colours of 16 levels per channel that enough pixels have.
+fn tones(colour: &[u32]) -> usize {
+    let mut count = vec![0usize; 1 << 12];
+    for c in colour {
+        count[((c >> 4 & 0xf) | (c >> 8 & 0xf0) | (c >> 12 & 0xf00)) as usize] += 1;
+    }
+    count.into_iter().filter(|n| *n > 0 && n * SHARE >= colour.len()).count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    fn picture(tones: u32) -> Frame {
+        Frame {
+            width: 100,
+            height: 1,
+            colour: (0..100).map(|i| 0xff00_0000 | ((i % tones) * 16)).collect(),
+            ..Frame::default()
+        }
+    }
+
+    fn at(x: f64, yaw_deg: f64) -> Pose {
+        Pose { position: DVec3::new(x, 0.0, 0.0), yaw_deg, pitch_deg: 0.0 }
+    }
+
+    #[test]
+    fn places_are_tried_until_one_shows_something() {
+        let scout = || Scout { left: vec![at(3.0, 0.0), at(2.0, 0.0)], turned: false, best: None, done: false };
+        let mut s = scout();
+        assert_eq!(s.seen(&at(1.0, 0.0), &picture(1), || 90.0), Some(at(1.0, 90.0)), "turns first");
+        assert!(!s.is_done());
+        assert_eq!(s.seen(&at(1.0, 90.0), &picture(2), || panic!("once")), Some(at(2.0, 0.0)), "a wall");
+        assert_eq!(s.seen(&at(2.0, 0.0), &picture(15), || 0.0), None, "looks there already, and there is something");
+        assert!(s.is_done());
+        // Nothing but walls: the best of them.
+        let mut s = scout();
+        let walls = [(1.0, 3, Some(at(2.0, 0.0))), (2.0, 4, Some(at(3.0, 0.0))), (3.0, 2, Some(at(2.0, 0.0)))];
+        for (x, tones, next) in walls {
+            assert!(!s.is_done());
+            assert_eq!(s.seen(&at(x, 0.0), &picture(tones), || 0.0), next);
+        }
+        assert!(s.is_done());
+    }
+
+    #[test]
+    fn rare_tones_do_not_count() {
+        let mut wall = vec![0xffd2_c2ac; 5000];
+        wall[7] = 0xff00_0000;
+        assert_eq!(tones(&wall), 1);
+        assert_eq!(tones(&picture(9).colour), 9);
+        assert_eq!(tones(&[]), 0);
+    }
+}
