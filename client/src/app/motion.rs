@@ -367,14 +367,14 @@ pub fn storeys(v: &WalkVolume, x: f64, z: f64) -> Vec<f64> {
 
 /// Directions that are tried around a place where a visit may begin.
 const LOOKS: u16 = 16;
-/// Places that are tried.
+/// Boxes of a level, the largest ones, of which [`starts`] takes the most open. By judgement.
 const PLACES: usize = 64;
-/// Farther, an open way says no more of a view, metres.
+/// Farther, an open way says no more of a view, metres. By judgement.
 const OPEN_M: f64 = 15.0;
 
-/// Places that may be tried.
+/// Most places of [`starts`]: each costs a picture or two, and what it shows has to come. By judgement.
 const STARTS: usize = 8;
-/// They are this far apart, metres.
+/// They are farther apart than this, metres: nearer ones show the same. By judgement.
 const STARTS_APART_M: f64 = 3.0;
 
 /// Where a visit may begin when nobody says, on foot: on the level with most room (of the larger boxes' middles and the place nearest to the level's),

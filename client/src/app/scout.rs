@@ -8,7 +8,7 @@ use ldi_protocol::{Pose, volume::WalkVolume};
 
 /// Tones of a picture that shows something, more or less: a wall has three, a wall and the sky five. By judgement.
 const ENOUGH: usize = 12;
-/// A tone counts if one in so many pixels has it.
+/// A tone counts if one in so many pixels has it: a few along an edge say nothing. By judgement.
 const SHARE: usize = 500;
 
 /// Places to look around at.

@@ -28,8 +28,8 @@ pub(super) enum Seen {
     Pruned,
     /// New: what is predicted, and the pixel of the construction camera.
     New(Prediction, u32),
-    /// Steep, and passes beside the ray through its pixel's centre, which meets nothing: no sample, but a sliver perhaps.
-    Beside(Prediction, u32),
+    /// Steep, and passes beside the ray through its pixel's centre, which meets nothing: no sample, but a sliver perhaps. And the axis along which it is.
+    Beside(Prediction, u32, usize),
 }
 
 /// Everything known of the image so far.
@@ -136,12 +136,12 @@ pub(super) fn trace_construction<C: SubsetCaster>(
             apart: camera.apart(d, gradient),
         };
         let prediction = (pixel as u32, sample);
-        match known.has(&prediction, tolerance) {
-            false => Seen::New(prediction, *from),
-            true if known.is_sky(pixel) && slivers::steep_axis(camera, &prediction.1).is_some() => {
-                Seen::Beside(prediction, *from)
-            }
-            true => Seen::Known,
+        if !known.has(&prediction, tolerance) {
+            return Seen::New(prediction, *from);
+        }
+        match known.is_sky(pixel).then(|| slivers::steep_axis(camera, &prediction.1)).flatten() {
+            Some(axis) => Seen::Beside(prediction, *from, axis),
+            None => Seen::Known,
         }
     })
 }

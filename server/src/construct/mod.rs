@@ -291,10 +291,8 @@ fn tile<C: SubsetCaster>(
                             candidates.push(Candidate { camera: number, pixel, home, axis, beside: false });
                         }
                     }
-                    Seen::Beside(home, pixel) => {
-                        if let Some(axis) = slivers::steep_axis(camera, &home.1) {
-                            candidates.push(Candidate { camera: number, pixel, home, axis, beside: true });
-                        }
+                    Seen::Beside(home, pixel, axis) => {
+                        candidates.push(Candidate { camera: number, pixel, home, axis, beside: true });
                     }
                     Seen::Known | Seen::Nothing => {}
                 }

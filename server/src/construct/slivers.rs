@@ -33,6 +33,9 @@ const SAME_COLOUR: u8 = 3;
 /// Normals of one plane: cosine of the angle between them, 1.5 minutes; f32 positions give no better. That its squares lie in it is tested besides.
 const SAME_NORMAL: f64 = 1.0 - 1e-7;
 
+/// A sample whose disparity changes along an axis by this share of another's, or more, may be of the same face: smaller, a box's front would stand for its side. By judgement.
+const AS_STEEP: f32 = 0.25;
+
 /// Squares at full resolution that are tried on either side of a camera's pixel.
 const BEYOND: u32 = COARSENESS as u32;
 
@@ -218,7 +221,7 @@ fn held(rig: &Rig, layers: &[RawLayer], candidate: &Candidate, tolerance: &Toler
         // As steep: another face of the same surface ends there.
         let on = |layer: &RawLayer, pixel: u32| {
             at(layer, pixel).map(|i| &layer.samples[i].1).is_some_and(|n| {
-                n.surface == s.surface && n.gradient[*axis] * s.gradient[*axis] > 0.25 * s.gradient[*axis].powi(2)
+                n.surface == s.surface && n.gradient[*axis] * s.gradient[*axis] > AS_STEEP * s.gradient[*axis].powi(2)
             })
         };
         let neighbours = [pixel.checked_sub(step), pixel.checked_add(step)];

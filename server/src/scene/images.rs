@@ -28,14 +28,14 @@ pub(super) struct EncodedImage<'a> {
     pub(super) name: String,
     /// Where it comes from, for messages.
     pub(super) place: String,
-    /// PNG or JPEG.
-    pub(super) bytes: Cow<'a, [u8]>,
+    /// PNG or JPEG; None where it could not be read and need not be.
+    pub(super) bytes: Option<Cow<'a, [u8]>>,
 }
 
 /// A picture that cannot be read: what it is multiplied with shows.
 const PLAIN: [u8; 4] = [255; 4];
 
-/// Decodes all pictures, in order; those without bytes, and with [`Files::lenient`] those that cannot be decoded, are plain.
+/// Decodes all pictures, in order; those that were not read, and with [`Files::lenient`] those that cannot be decoded, are plain.
 pub(super) fn decode_all(
     images: &[EncodedImage<'_>],
     files: &mut Files,
@@ -44,9 +44,9 @@ pub(super) fn decode_all(
     let mut pixels_left = limits.image_pixels;
     let mut sound = Vec::with_capacity(images.len());
     for image in images {
-        let checked = match image.bytes.is_empty() && files.lenient {
-            true => None,
-            false => files.dispensable(image.check(pixels_left, limits))?,
+        let checked = match image.bytes {
+            None => None,
+            Some(_) => files.dispensable(image.check(pixels_left, limits))?,
         };
         pixels_left -= checked.unwrap_or(0);
         sound.push(checked.is_some());
@@ -63,6 +63,10 @@ pub(super) fn decode_all(
 const REMEDY: &str = "open the image in an editor and save it as PNG or JPEG again";
 
 impl EncodedImage<'_> {
+    fn encoded(&self) -> &[u8] {
+        self.bytes.as_deref().unwrap_or_default()
+    }
+
     /// Pixels, of at most `pixels_left`.
     fn check(&self, pixels_left: u64, limits: &Limits) -> Result<u64, Fault> {
         let (width, height) = self.decoder(limits)?.dimensions();
@@ -74,9 +78,9 @@ impl EncodedImage<'_> {
             let size = format!("{width} x {height}");
             return Err(Fault::too_large(&self.place, "pixels in an image, whose sides", size, limits.image_side));
         }
-        if pixels > self.bytes.len() as u64 * PIXELS_PER_BYTE {
+        if pixels > self.encoded().len() as u64 * PIXELS_PER_BYTE {
             let problem =
-                format!("header promises {width} x {height} pixels, more than {} bytes can hold", self.bytes.len());
+                format!("header promises {width} x {height} pixels, more than {} bytes can hold", self.encoded().len());
             return Err(Fault::invalid(&self.place, problem, REMEDY));
         }
         match pixels <= pixels_left {
@@ -89,7 +93,7 @@ impl EncodedImage<'_> {
     }
 
     fn decoder(&self, limits: &Limits) -> Result<impl ImageDecoder + '_, Fault> {
-        let format = match image::guess_format(&self.bytes) {
+        let format = match image::guess_format(self.encoded()) {
             Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,
             Ok(other) => {
                 let problem = format!("image format {other:?} is not read");
@@ -100,7 +104,7 @@ impl EncodedImage<'_> {
                 return Err(Fault::unsupported(&self.place, problem, "convert the image to PNG or JPEG"));
             }
         };
-        let mut reader = ImageReader::with_format(Cursor::new(self.bytes.as_ref()), format);
+        let mut reader = ImageReader::with_format(Cursor::new(self.encoded()), format);
         let mut allowed = image::Limits::no_limits();
         // Sides are compared by the caller, whose message is better; this one bounds what the decoder may allocate.
         allowed.max_alloc = Some(u64::from(limits.image_side).pow(2) * BYTES_PER_PIXEL);

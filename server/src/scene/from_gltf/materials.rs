@@ -191,9 +191,9 @@ impl MaterialPlan {
             let bytes = match (&image.uri, &image.buffer_view) {
                 (Some(uri), _) => {
                     let read = files.read_uri(uri, &place);
-                    files.dispensable(read)?.unwrap_or_default().into()
+                    files.dispensable(read)?.map(Into::into)
                 }
-                (None, Some(view)) => data.view(view.value(), &place)?.0.into(),
+                (None, Some(view)) => Some(data.view(view.value(), &place)?.0.into()),
                 (None, None) => return Err(Fault::broken(place, "has neither uri nor bufferView")),
             };
             let name = image.name.clone().unwrap_or_else(|| place.clone());

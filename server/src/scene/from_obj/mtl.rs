@@ -154,8 +154,8 @@ impl Library {
         }
         let place = format!("line {line}, texture {}", shown(path));
         let read = files.read_relative(path, &place);
-        let bytes = files.dispensable(read)?.unwrap_or_default();
-        self.images.push(EncodedImage { name: path.to_owned(), place, bytes: bytes.into() });
+        let bytes = files.dispensable(read)?.map(Into::into);
+        self.images.push(EncodedImage { name: path.to_owned(), place, bytes });
         let at = self.images.len() as u32 - 1;
         self.by_path.insert(path.to_owned(), at);
         Ok(at)

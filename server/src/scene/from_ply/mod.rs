@@ -94,7 +94,7 @@ pub(super) fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limit
             let path = path.replace('\\', "/");
             let place = format!("header, texture {}", shown(&path));
             let read = files.read_relative(&path, &place);
-            let bytes = files.dispensable(read)?.unwrap_or_default().into();
+            let bytes = files.dispensable(read)?.map(Into::into);
             images.push(EncodedImage { name: path, place, bytes });
         }
     }
@@ -297,7 +297,11 @@ fn read_faces(
         // A face without any is not painted.
         let painted = uvs_at.is_some() && !uvs.is_empty();
         if painted && (uvs.len() != 2 * corners.len() || !uvs.iter().all(|x| x.is_finite())) {
-            return Err(body.fault(format!("face {i}: {} corners with the texture coordinates {uvs:?}", corners.len())));
+            return Err(body.fault(format!(
+                "face {i}: {} numbers for the texture coordinates of {} corners, or one is not finite",
+                uvs.len(),
+                corners.len()
+            )));
         }
         let uv = |k: usize| match painted {
             // v counts upward in PLY, downward here.

@@ -425,7 +425,15 @@ fn what_is_missing_is_plain_where_that_is_wanted() {
     assert_eq!(scene.materials[0].base_colour, [1.0, 0.0, 0.0, 1.0]);
     let note = scene.notes.iter().find(|n| n.what.starts_with("3 pictures")).expect("is told");
     assert!(["gone.mtl", "gone.png", "broken.png"].iter().all(|f| note.what.contains(f)), "{note:?}");
-    let uri = json!([{"uri": "gone.png"}]);
+    // An empty picture is told as well.
+    folder.write("gone.png", "");
+    let scene = load(&format!("{spec}?missing=plain")).unwrap();
+    assert!(
+        scene.notes.iter().any(|n| n.what.starts_with("3 pictures") && n.what.contains("gone.png")),
+        "{:?}",
+        scene.notes
+    );
+    let uri = json!([{"uri": "nowhere.png"}]);
     let spec = folder.write("a.glb", GltfFile::square().with("/images", uri).glb());
     assert!(load(&spec).is_err());
     assert_eq!(load(&format!("{spec}?missing=plain")).unwrap().textures[0].rgba, [[255; 4]]);
