@@ -176,6 +176,11 @@ fn stands_in_the_open(caster: &Caster, eye: DVec3) -> bool {
     fits(eye) || beside.filter(|at| is_free(caster, eye, *at)).any(fits)
 }
 
+/// Whether nothing is within 0.1 m of an eye, beside and above.
+pub(super) fn is_clear(caster: &Caster, eye: DVec3) -> bool {
+    [DVec3::X, DVec3::NEG_X, DVec3::Z, DVec3::NEG_Z, DVec3::Y].iter().all(|d| is_free(caster, eye, eye + 0.1 * *d))
+}
+
 /// Poses at eye height in free places of the rooms: 1.1 to 2 m above the floor of a box, something below, 0.1 m clear of all around, and beside them room for a person.
 pub fn random_poses(caster: &Caster, rooms: &Rooms, count: usize, seed: u64) -> Vec<Pose> {
     let boxes: Vec<_> = rooms.cells().iter().flat_map(|c| &c.boxes).collect();
@@ -201,11 +206,8 @@ pub fn random_poses(caster: &Caster, rooms: &Rooms, count: usize, seed: u64) -> 
         if !caster.occluded(&down, &CellSet::all()) {
             continue;
         }
-        let clear = [DVec3::X, DVec3::NEG_X, DVec3::Z, DVec3::NEG_Z, DVec3::Y]
-            .iter()
-            .all(|d| !caster.occluded(&Ray { origin: eye, direction: *d, t_min: 0.0, t_max: 0.1 }, &CellSet::all()));
         let (yaw_deg, pitch_deg) = (360.0 * r.unit(), 120.0 * r.unit() - 60.0);
-        if clear && b.contains(eye) && stands_in_the_open(caster, eye) {
+        if is_clear(caster, eye) && b.contains(eye) && stands_in_the_open(caster, eye) {
             poses.push(Pose { position: eye, yaw_deg, pitch_deg });
         }
     }

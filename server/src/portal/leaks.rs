@@ -63,6 +63,13 @@ impl Random {
         z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
     }
+
+    /// A unit vector, all directions alike.
+    pub(super) fn direction(&mut self) -> DVec3 {
+        let (up, angle) = (2.0 * self.unit() - 1.0, std::f64::consts::TAU * self.unit());
+        let around = (1.0f64 - up * up).sqrt();
+        DVec3::new(angle.cos() * around, up, angle.sin() * around)
+    }
 }
 
 /// Looks for leaks along `rays` rays.
