@@ -33,7 +33,9 @@ use crate::{
     warp::FarFrame,
 };
 use glam::DVec3;
-use ldi_protocol::{OutputCamera, Pose, index::ImageEntry, ldi::Ldi, portal_view::Cone, sky::SkyMap};
+use ldi_protocol::{
+    OutputCamera, Pose, camera::ViewBasis, index::ImageEntry, ldi::Ldi, portal_view::Cone, sky::SkyMap,
+};
 use rayon::prelude::*;
 
 /// What stands for the cells that were not drawn.
@@ -186,12 +188,12 @@ pub fn merge(frame: &mut Frame, far: Far<'_>, pose: &Pose, camera: &OutputCamera
     }
     let merge = match far {
         Far::Images { picture, images, sky } => {
-            let all = Group { images: lookups(images, pose, camera), sky, cones: None };
+            let all = Group { faces: faces(images, pose, camera), sky, cones: None };
             Some(Merge::new(picture, vec![all], true, pose, camera))
         }
         Far::Portals { picture, portals, complete } => {
             let groups = portals.iter().map(|p| Group {
-                images: lookups(p.images, pose, camera),
+                faces: faces(p.images, pose, camera),
                 sky: Some(p.sky),
                 cones: Some(p.cones.iter().map(|c| c.normals.clone()).collect()),
             });
@@ -286,14 +288,10 @@ struct Merge<'a> {
 
 /// Images that together hold what is replaced in some directions.
 struct Group<'a> {
-    images: Vec<Lookup<'a>>,
+    faces: Vec<Face<'a>>,
     sky: Option<&'a SkyMap>,
     /// Inward normals of the cones around those directions; None: all.
     cones: Option<Vec<Vec<DVec3>>>,
-}
-
-fn lookups<'a>(images: &[FarImage<'a>], pose: &Pose, camera: &OutputCamera) -> Vec<Lookup<'a>> {
-    images.iter().map(|i| Lookup::new(*i, pose, camera)).collect()
 }
 
 impl Group<'_> {
@@ -304,16 +302,21 @@ impl Group<'_> {
 
     /// As [`Merge::is_sky`], of this group alone.
     fn is_sky(&self, row: usize, column: usize, direction: DVec3) -> bool {
-        let (mut sky, mut held) = (false, false);
-        for image in &self.images {
-            match image.knows(row, column) {
-                Knows::Missing => return false,
-                Knows::Sky => sky = true,
+        if self.faces.iter().any(|f| f.misses(row, column)) {
+            return false;
+        }
+        if self.sky.is_some_and(|s| s.holds(direction)) {
+            return true;
+        }
+        let mut held = false;
+        for face in &self.faces {
+            match face.knows(row, column) {
+                Knows::Sky => return true,
                 Knows::Nothing => held = true,
                 Knows::Beside => {}
             }
         }
-        sky || !held || self.sky.is_some_and(|s| s.holds(direction))
+        !held
     }
 }
 
@@ -344,13 +347,44 @@ impl Directions {
     }
 }
 
-/// Where directions of output pixels meet an image.
-struct Lookup<'a> {
-    image: FarImage<'a>,
-    /// In the image's frame: right, down, forward.
+/// Parts of one plane as seen from one centre: where directions of output pixels meet them is found once for all.
+struct Face<'a> {
+    basis: ViewBasis,
+    /// Centre of projection, and pixels per unit at distance 1, of images that are there; None: what is absent.
+    camera: Option<(DVec3, f64)>,
+    /// In the images' frame: right, down, forward.
     directions: Directions,
-    /// Eye's depth in the image's frame, m; 0 for absent ones.
+    /// Eye's depth in the images' frame, m; 0 for absent ones.
     eye_depth_m: f64,
+    /// Largest step of the images' disparity codes; 0 for absent ones.
+    step: f64,
+    /// The images that are there, and the windows they were planned for.
+    here: Vec<(&'a Ldi, [f64; 4])>,
+    /// Windows of those that are not.
+    absent: Vec<[f64; 4]>,
+}
+
+fn faces<'a>(images: &[FarImage<'a>], pose: &Pose, camera: &OutputCamera) -> Vec<Face<'a>> {
+    let mut faces: Vec<Face<'a>> = Vec::new();
+    for image in images {
+        let (basis, of) = match image {
+            FarImage::Here(ldi, _) => (ldi.camera.basis, Some((ldi.camera.cop, ldi.camera.pixels_per_unit))),
+            FarImage::Absent(entry) => (entry.basis, None),
+        };
+        let at = faces.iter().position(|f| f.basis == basis && f.camera == of).unwrap_or_else(|| {
+            faces.push(Face::new(basis, of, pose, camera));
+            faces.len() - 1
+        });
+        let face = &mut faces[at];
+        match *image {
+            FarImage::Here(ldi, window) => {
+                face.step = face.step.max(ldi.codes.step);
+                face.here.push((ldi, window));
+            }
+            FarImage::Absent(entry) => face.absent.push(entry.window),
+        }
+    }
+    faces
 }
 
 impl<'a> Merge<'a> {
@@ -424,69 +458,78 @@ impl<'a> Merge<'a> {
     /// Whether a triangle behind the far surface is as near as the far surface's disparity is known.
     fn near_wins(&self, row: usize, column: usize, near: f32, far: f32) -> bool {
         let step =
-            self.groups.iter().flat_map(|g| &g.images).map(|i| i.step(row, column, far)).fold(0.0, f64::max) as f32;
+            self.groups.iter().flat_map(|g| &g.faces).map(|f| f.step(row, column, far)).fold(0.0, f64::max) as f32;
         far - near <= step
     }
 }
 
-impl<'a> Lookup<'a> {
-    fn new(image: FarImage<'a>, pose: &Pose, camera: &OutputCamera) -> Self {
-        let (to, eye_depth_m) = match image {
-            FarImage::Here(ldi, _) => {
-                (&ldi.camera.basis, (pose.position - ldi.camera.cop).dot(ldi.camera.basis.forward))
-            }
-            FarImage::Absent(entry) => (&entry.basis, 0.0),
-        };
-        let local = |w: DVec3| [w.dot(to.right), -w.dot(to.up), w.dot(to.forward)];
-        Self { image, directions: Directions::new(pose, camera, local), eye_depth_m }
+impl Face<'_> {
+    fn new(basis: ViewBasis, of: Option<(DVec3, f64)>, pose: &Pose, camera: &OutputCamera) -> Self {
+        let local = |w: DVec3| [w.dot(basis.right), -w.dot(basis.up), w.dot(basis.forward)];
+        Self {
+            basis,
+            camera: of,
+            directions: Directions::new(pose, camera, local),
+            eye_depth_m: of.map_or(0.0, |(cop, _)| (pose.position - cop).dot(basis.forward)),
+            step: 0.0,
+            here: Vec::new(),
+            absent: Vec::new(),
+        }
     }
 
-    /// How far one step of the image's disparity codes moves the disparity of a far surface in the picture.
+    /// How far one step of the images' disparity codes moves the disparity of a far surface in the picture.
     fn step(&self, row: usize, column: usize, far: f32) -> f64 {
-        let FarImage::Here(ldi, _) = self.image else { return 0.0 };
         let [.., forward] = self.directions.of(row, column);
         // d2 = d1 / W and W = depth2 / depth1, so that a step in d1 becomes step * d2 * depth1 in d2, and
         // d2 * depth1 = d2 (eye depth + forward / d2).
-        (ldi.codes.step * (f64::from(far) * self.eye_depth_m + forward)).max(0.0)
+        (self.step * (f64::from(far) * self.eye_depth_m + forward)).max(0.0)
     }
 
-    /// What the image says of a pixel's direction.
-    fn knows(&self, row: usize, column: usize) -> Knows {
+    /// Where a pixel's direction meets the plane at distance 1: right and down; None behind it.
+    fn meets(&self, row: usize, column: usize) -> Option<(f64, f64)> {
         let [right, down, forward] = self.directions.of(row, column);
-        if forward <= 0.0 {
+        (forward > 0.0).then(|| (right / forward, down / forward))
+    }
+
+    /// Whether an image that is not there would hold a pixel's direction.
+    fn misses(&self, row: usize, column: usize) -> bool {
+        !self.absent.is_empty()
+            && self.meets(row, column).is_some_and(|(x, y)| self.absent.iter().any(|w| within(w, x, y)))
+    }
+
+    /// What the images that are there say of a pixel's direction.
+    fn knows(&self, row: usize, column: usize) -> Knows {
+        let (Some((_, pixels_per_unit)), Some((x, y))) = (self.camera, self.meets(row, column)) else {
             return Knows::Beside;
-        }
-        let (x, y) = (right / forward, down / forward);
-        let within = |[l, r, b, t]: [f64; 4]| x >= l && x <= r && -y >= b && -y <= t;
-        match self.image {
-            FarImage::Here(ldi, window) => {
-                let camera = &ldi.camera;
-                // Saturating conversions: far outside stays outside.
-                let column = (x * camera.pixels_per_unit - f64::from(camera.left)).floor() as i64;
-                let row = (y * camera.pixels_per_unit - f64::from(camera.top)).floor() as i64;
-                match ldi.is_sky(column, row) {
-                    Some(true) => Knows::Sky,
-                    Some(false) => Knows::Nothing,
-                    None if within(window) => Knows::Nothing,
-                    None => Knows::Beside,
-                }
+        };
+        // Saturating conversions: far outside stays outside.
+        let (column, row) = ((x * pixels_per_unit).floor() as i64, (y * pixels_per_unit).floor() as i64);
+        let mut held = false;
+        for (ldi, window) in &self.here {
+            let (left, top) = (i64::from(ldi.camera.left), i64::from(ldi.camera.top));
+            match ldi.is_sky(column.saturating_sub(left), row.saturating_sub(top)) {
+                Some(true) => return Knows::Sky,
+                Some(false) => held = true,
+                None => held = held || within(window, x, y),
             }
-            FarImage::Absent(entry) if within(entry.window) => Knows::Missing,
-            FarImage::Absent(_) => Knows::Beside,
         }
+        if held { Knows::Nothing } else { Knows::Beside }
     }
 }
 
-/// What an image says of a direction in which it shows nothing.
+/// Whether a window, left, right, bottom, top as tangents, holds a place on the plane at distance 1, right and down.
+fn within([l, r, b, t]: &[f64; 4], x: f64, y: f64) -> bool {
+    x >= *l && x <= *r && -y >= *b && -y <= *t
+}
+
+/// What images say of a direction in which they show nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Knows {
     /// Someone sees sky there.
     Sky,
-    /// It holds the direction, and nothing was found there.
+    /// They hold the direction, and nothing was found there.
     Nothing,
-    /// It would hold the direction, but is not there.
-    Missing,
-    /// It does not hold the direction: what is replaced lies inside its window, or in another's.
+    /// They do not hold the direction: what is replaced lies inside their windows, or in another's.
     Beside,
 }
 

@@ -287,7 +287,7 @@ fn downsampling_equals_the_definition() {
 #[test]
 fn what_an_absent_image_would_show_is_unknown_and_the_rest_sky() {
     let entry = ImageEntry {
-        basis: ldi_protocol::ViewBasis::from_yaw_pitch(0.0, 0.0),
+        basis: ViewBasis::from_yaw_pitch(0.0, 0.0),
         plane_distance: 5.0,
         window: [-0.2, 0.3, -0.1, 0.2],
         stretch_p99_px: f64::NAN,
@@ -317,7 +317,7 @@ fn sky_that_one_image_knows_is_sky_unless_one_is_missing() {
     let window = as_planned(&knowing);
     let FarImage::Here(_, tangents) = window else { panic!("it is here") };
     let entry = ImageEntry {
-        basis: ldi_protocol::ViewBasis::from_yaw_pitch(0.0, 0.0),
+        basis: ViewBasis::from_yaw_pitch(0.0, 0.0),
         plane_distance: 5.0,
         window: tangents,
         stretch_p99_px: f64::NAN,

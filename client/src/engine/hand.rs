@@ -3,10 +3,10 @@
 use super::painter::Painter;
 use crate::{
     frame::Frame,
-    gpu::{Gpu, GpuError, GpuImage, WarpOn},
+    gpu::{Gpu, GpuError, WarpOn},
     near::{NearStats, Rasterizer},
     resident::Resident,
-    warp::{FarFrame, PreparedLdi, WarpError, WarpOptions, WarpStats, warp_images},
+    warp::{FarFrame, PreparedLdi, Shown, WarpError, WarpOptions, WarpStats, warp_images},
 };
 use ldi_protocol::{OutputCamera, Pose, index::Index};
 use serde::Serialize;
@@ -130,7 +130,7 @@ impl Hand {
     /// Warps images to one picture: within an image by the given order, between images by depth.
     pub fn warp(
         &mut self,
-        images: &[GpuImage<'_>],
+        images: &[Shown<'_>],
         pose: &Pose,
         camera: &OutputCamera,
         options: &WarpOptions,
@@ -141,12 +141,7 @@ impl Hand {
         if let Some(gpu) = self.warper(camera, options).filter(fit) {
             return Ok(gpu.warp_images(images, pose, camera, options, into)?);
         }
-        let mut stats = WarpStats::default();
-        for image in images {
-            let options = WarpOptions { within: image.within, ..*options };
-            stats.add(&warp_images(&[image.laid_out], pose, camera, &options, into, &mut self.single)?);
-        }
-        Ok(stats)
+        Ok(warp_images(images, pose, camera, options, into, &mut self.single)?)
     }
 }
 
@@ -172,7 +167,7 @@ mod tests {
         small.hold(&laid_out, &camera, &options).expect("left out");
         let drawn = |hand: &mut Hand| {
             let mut far = FarFrame::new(camera.width, camera.height);
-            let images = [GpuImage { laid_out: &laid_out, within: None }];
+            let images = [Shown::from(&laid_out)];
             hand.warp(&images, &pose, &camera, &options, &mut far).expect("warped");
             far.packed
         };

@@ -16,11 +16,11 @@ use crate::{
         wanted_under,
     },
     frame::{Frame, Source, supersampled},
-    gpu::{Gpu, GpuImage},
+    gpu::Gpu,
     report::StageMs,
     resident::Resident,
     tree::{StillPainter, TreeStats},
-    warp::{FarFrame, WarpOptions, WarpStats, painted_onto},
+    warp::{FarFrame, Shown, WarpOptions, WarpStats, painted_onto},
 };
 use ldi_protocol::{
     OutputCamera, Pose,
@@ -384,10 +384,10 @@ impl Painter {
         let here: Vec<&Layout> = here().filter_map(|number| layouts.get(number, half)).collect();
         if !here.is_empty() {
             let start = Instant::now();
-            let mut shown: Vec<GpuImage<'_>> = Vec::with_capacity(here.len());
+            let mut shown: Vec<Shown<'_>> = Vec::with_capacity(here.len());
             let mut show = |wanted: &dyn Fn(u32) -> bool, within| {
                 let wanted = here.iter().filter(|p| wanted(p.of.number));
-                shown.extend(wanted.map(|p| GpuImage { laid_out: &p.laid_out, within }));
+                shown.extend(wanted.map(|p| Shown { laid_out: &p.laid_out, within }));
             };
             if view.portals.is_empty() {
                 show(&|_| true, None);

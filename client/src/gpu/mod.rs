@@ -31,19 +31,10 @@ use crate::{
     frame::Frame,
     near::NearStats,
     resident::Resident,
-    warp::{FarFrame, Order, PreparedLdi, WarpOptions, WarpStats},
+    warp::{FarFrame, Order, PreparedLdi, Shown, WarpOptions, WarpStats},
 };
 use device::{Card, Software};
 use ldi_protocol::{OutputCamera, Pose, index::Index};
-
-/// An image to warp.
-#[derive(Clone, Copy)]
-pub struct GpuImage<'a> {
-    /// Its layout; stays on the card under its serial number.
-    pub laid_out: &'a PreparedLdi,
-    /// See [`WarpOptions::within`].
-    pub within: Option<[u32; 4]>,
-}
 
 /// A graphics card, and what lies on it.
 pub struct Gpu {
@@ -189,7 +180,7 @@ impl Gpu {
     /// If the card fails, or cannot draw the stamp or the order.
     pub fn warp_images(
         &mut self,
-        images: &[GpuImage<'_>],
+        images: &[Shown<'_>],
         pose: &Pose,
         camera: &OutputCamera,
         options: &WarpOptions,

@@ -5,7 +5,7 @@ use crate::{
     frame::{Source, unpack_rgb},
     near::Rasterizer,
     test_support::{Memory, dataset, plain_material, quad_cluster},
-    warp::{Order, Stamp, analytic, warp_images},
+    warp::{Order, Shown, Stamp, analytic, warp_images},
 };
 use glam::{DAffine3, DVec3, Vec3};
 use ldi_protocol::{
@@ -226,7 +226,7 @@ fn image(name: &str, side: u32) -> PreparedLdi {
 }
 
 fn warped(gpu: &mut Gpu, images: &[&PreparedLdi], pose: &Pose, stamp: Stamp) -> (FarFrame, WarpStats) {
-    let images: Vec<GpuImage<'_>> = images.iter().map(|laid_out| GpuImage { laid_out, within: None }).collect();
+    let images: Vec<Shown<'_>> = images.iter().map(|i| Shown::from(*i)).collect();
     let mut far = FarFrame::new(CAMERA.width, CAMERA.height);
     let options = WarpOptions { stamp, ..WarpOptions::default() };
     let stats = gpu.warp_images(&images, pose, &CAMERA, &options, &mut far).expect("warped");
@@ -250,9 +250,15 @@ fn warped_images_are_the_processors() {
                     let (far, stats) = warped(&mut gpu, &[&laid_out], &pose, stamp);
                     let mut expected = FarFrame::new(CAMERA.width, CAMERA.height);
                     let options = WarpOptions { stamp, ..WarpOptions::default() };
-                    let of_processor =
-                        warp_images(&[&laid_out], &pose, &CAMERA, &options, &mut expected, &mut FarFrame::default())
-                            .expect("by depth");
+                    let of_processor = warp_images(
+                        &[Shown::from(&laid_out)],
+                        &pose,
+                        &CAMERA,
+                        &options,
+                        &mut expected,
+                        &mut FarFrame::default(),
+                    )
+                    .expect("by depth");
                     assert!(of_processor.samples_warped > 1000, "{name}: something is seen");
                     let counts = |s: &WarpStats| (s.samples, s.samples_warped, s.samples_culled, s.primitives, s.bytes);
                     assert_eq!(counts(&stats), counts(&of_processor));

@@ -4,12 +4,13 @@
 //! its own warp. Samples are written as maxima, so that the picture depends on no order.
 
 use super::{
-    GpuImage,
     device::{Atomics, Card, GpuError, Growing},
     images::Uploaded,
     read_back::ReadBack,
 };
-use crate::warp::{FarFrame, PreparedLdi, Stamp, StretchHistogram, TileJob, WarpOptions, WarpStats, tile_jobs};
+use crate::warp::{
+    FarFrame, PreparedLdi, Shown, Stamp, StretchHistogram, TileJob, WarpOptions, WarpStats, picture_bytes, tile_jobs,
+};
 use bytemuck::{Pod, Zeroable};
 use ldi_protocol::{OutputCamera, Pose};
 use rayon::prelude::*;
@@ -178,7 +179,7 @@ impl Warp {
     pub fn warp_images(
         &mut self,
         card: &Card,
-        images: &[GpuImage<'_>],
+        images: &[Shown<'_>],
         pose: &Pose,
         camera: &OutputCamera,
         options: &WarpOptions,
@@ -191,8 +192,7 @@ impl Warp {
         let (mut stats, mut jobs, mut batches) = (WarpStats::default(), Vec::<Job>::new(), Vec::new());
         for image in images {
             self.hold(card, image.laid_out);
-            let options = WarpOptions { within: image.within, ..*options };
-            let (tiles, more) = tile_jobs(image.laid_out, pose, camera, &options);
+            let (tiles, more) = tile_jobs(image, pose, camera, options);
             stats.add(&more);
             let Some(uploaded) = self.held.iter_mut().find(|u| u.serial == image.laid_out.serial) else { continue };
             uploaded.used = self.frame;
@@ -204,6 +204,7 @@ impl Warp {
                 Batch { first_job, jobs: count, across: count.clamp(1, ACROSS), unused: 0 },
             ));
         }
+        stats.bytes += picture_bytes(camera);
         self.make_room();
         let picture = Picture { width: camera.width, height: camera.height, stamp, unused: 0 };
         let encoder = self.encode(card, &picture, &jobs, &batches);

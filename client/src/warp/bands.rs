@@ -1,7 +1,7 @@
-//! The driver: cuts the output into bands, runs the kernels.
+//! The driver: cuts the output into bands, runs the kernels. Each band draws its share of all images, so that small ones leave no thread waiting.
 
 use super::{
-    FarFrame, Order, Stamp, WarpError, WarpMatrix, WarpOptions, WarpStats,
+    FarFrame, Order, Shown, Stamp, WarpError, WarpMatrix, WarpOptions, WarpStats,
     cull::Reach,
     ewa::Means,
     order::{Epipole, Streams, paint_tile},
@@ -20,12 +20,17 @@ const BANDS_PER_THREAD: usize = 2;
 
 /// What all bands share.
 struct Job<'a> {
-    matrix: &'a WarpMatrix,
-    tiles: &'a [Reach<'a>],
+    images: &'a [Reaching<'a>],
     options: &'a WarpOptions,
-    in_order: Option<(Epipole, &'a Streams)>,
     /// Whether samples are painted, or transformed only.
     paint: bool,
+}
+
+/// What of an image reaches the picture.
+struct Reaching<'a> {
+    matrix: WarpMatrix,
+    tiles: Vec<Reach<'a>>,
+    in_order: Option<(Epipole, &'a Streams)>,
 }
 
 /// Warps an image into `into`, keeping the nearer of what is already there and the image's samples.
@@ -43,12 +48,8 @@ pub fn warp(
     options: &WarpOptions,
     into: &mut FarFrame,
 ) -> Result<WarpStats, WarpError> {
-    let epipole = match (options.order, options.stamp) {
-        (Order::Z, _) => None,
-        (Order::Epipole, Stamp::OnePixel | Stamp::TwoByTwo) => Some(Epipole::new(&ldi.camera, pose)),
-        (Order::Epipole, stamp) => return Err(WarpError::OrderWithStamp(stamp)),
-    };
-    Ok(run(ldi, pose, camera, options, (epipole, true), into))
+    check(options)?;
+    Ok(run(&[Shown::from(ldi)], pose, camera, options, (pose, true), into))
 }
 
 /// Warps several images to one picture: within an image by the given order, between images by depth. `spare` is memory.
@@ -57,22 +58,25 @@ pub fn warp(
 ///
 /// When the order cannot draw the stamp.
 pub fn warp_images(
-    images: &[&PreparedLdi],
+    images: &[Shown<'_>],
     pose: &Pose,
     camera: &OutputCamera,
     options: &WarpOptions,
     into: &mut FarFrame,
     spare: &mut FarFrame,
 ) -> Result<WarpStats, WarpError> {
-    let mut stats = WarpStats::default();
-    for image in images {
-        if options.order == Order::Epipole && !into.is_untouched() {
-            spare.reset(camera.width, camera.height);
-            stats.add(&warp(image, pose, camera, options, spare)?);
-            into.take_nearer(spare);
-        } else {
-            stats.add(&warp(image, pose, camera, options, into)?);
-        }
+    check(options)?;
+    // In order an image may only be painted onto nothing.
+    let at_once = match options.order {
+        Order::Z => images.len(),
+        Order::Epipole => images.len().min(usize::from(into.is_untouched())),
+    };
+    let (together, singly) = images.split_at(at_once);
+    let mut stats = run(together, pose, camera, options, (pose, true), into);
+    for image in singly {
+        spare.reset(camera.width, camera.height);
+        stats.add(&run(&[*image], pose, camera, options, (pose, true), spare));
+        into.take_nearer(spare);
     }
     Ok(stats)
 }
@@ -85,44 +89,52 @@ pub fn transform_only(
     options: &WarpOptions,
     into: &mut FarFrame,
 ) -> WarpStats {
-    run(ldi, pose, camera, options, (None, false), into)
+    let options = WarpOptions { order: Order::Z, ..*options };
+    run(&[Shown::from(ldi)], pose, camera, &options, (pose, false), into)
 }
 
-/// Warps in a given order.
+/// Warps images to a pose; with order epipole in that of the pose `order`, each over what is there. See [`check`].
 fn run(
-    ldi: &PreparedLdi,
+    images: &[Shown<'_>],
     pose: &Pose,
     camera: &OutputCamera,
     options: &WarpOptions,
-    (epipole, paint): (Option<Epipole>, bool),
+    (order, paint): (&Pose, bool),
     into: &mut FarFrame,
 ) -> WarpStats {
     if (into.width, into.height) != (camera.width, camera.height) {
         into.reset(camera.width, camera.height);
     }
-    let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
-    let within = wanted(options, camera);
-    let mut tiles = match epipole {
-        Some(_) => ldi.streams().reaching(&matrix, within, options.keep_all_tiles),
-        None => ldi.blocks.reaching(&ldi.parts, &matrix, within, options.keep_all_tiles),
-    };
-    if let Some(epipole) = &epipole {
-        epipole.sort_tiles(&mut tiles);
-    }
-    let mut stats = counted(ldi, &tiles, options.stamp, into.packed.len());
+    let mut stats = WarpStats::default();
+    let reaching = images.iter().map(|Shown { laid_out: ldi, within }| {
+        let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
+        let within = wanted(*within, camera);
+        let in_order = (options.order == Order::Epipole).then(|| (Epipole::new(&ldi.camera, order), ldi.streams()));
+        let mut tiles = match &in_order {
+            Some((_, streams)) => streams.reaching(&matrix, within, options.keep_all_tiles),
+            None => ldi.blocks.reaching(&ldi.parts, &matrix, within, options.keep_all_tiles),
+        };
+        if let Some((epipole, _)) = &in_order {
+            epipole.sort_tiles(&mut tiles);
+        }
+        stats.add(&counted(ldi, &tiles, options.stamp));
+        Reaching { matrix, tiles, in_order }
+    });
+    let reaching: Vec<Reaching<'_>> = reaching.collect();
+    stats.bytes += picture_bytes(camera);
     let clear = into.stale;
     into.stale = false;
     let width = into.width;
-    let bands = cut(&tiles, into.height, rayon::current_num_threads());
-    let mut jobs = Vec::with_capacity(bands.len());
+    let bands = cut(reaching.iter().flat_map(|i| &i.tiles), into.height, rayon::current_num_threads());
+    let mut targets = Vec::with_capacity(bands.len());
     let mut rest = into.packed.as_mut_slice();
     for (first_row, rows) in bands {
         let (pixels, later) = rest.split_at_mut(rows as usize * width as usize);
         rest = later;
-        jobs.push(Target { pixels, window: Window { width, first_row, rows } });
+        targets.push(Target { pixels, window: Window { width, first_row, rows } });
     }
-    let job = Job { matrix: &matrix, tiles: &tiles, options, in_order: epipole.map(|e| (e, ldi.streams())), paint };
-    let parts: Vec<WarpStats> = jobs
+    let job = Job { images: &reaching, options, paint };
+    let parts: Vec<WarpStats> = targets
         .into_par_iter()
         .map(|mut target| {
             if clear {
@@ -135,14 +147,22 @@ fn run(
     stats
 }
 
+/// Whether the order can draw the stamp.
+fn check(options: &WarpOptions) -> Result<(), WarpError> {
+    match (options.order, options.stamp) {
+        (Order::Z, _) | (Order::Epipole, Stamp::OnePixel | Stamp::TwoByTwo) => Ok(()),
+        (Order::Epipole, stamp) => Err(WarpError::OrderWithStamp(stamp)),
+    }
+}
+
 /// The part of the picture that is wanted: from column, from row, to column, to row.
-fn wanted(options: &WarpOptions, camera: &OutputCamera) -> [u32; 4] {
+fn wanted(within: Option<[u32; 4]>, camera: &OutputCamera) -> [u32; 4] {
     let whole = [0, 0, camera.width, camera.height];
-    options.within.map_or(whole, |w| std::array::from_fn(|k| w[k].min(whole[2 + k % 2])))
+    within.map_or(whole, |w| std::array::from_fn(|k| w[k].min(whole[2 + k % 2])))
 }
 
 /// What is known of a warp before it is done.
-fn counted(ldi: &PreparedLdi, tiles: &[Reach<'_>], stamp: Stamp, pixels: usize) -> WarpStats {
+fn counted(ldi: &PreparedLdi, tiles: &[Reach<'_>], stamp: Stamp) -> WarpStats {
     let samples_warped = tiles.iter().map(|t| u64::from(t.tile.own)).sum();
     WarpStats {
         samples: ldi.samples as u64,
@@ -152,10 +172,14 @@ fn counted(ldi: &PreparedLdi, tiles: &[Reach<'_>], stamp: Stamp, pixels: usize) 
             _ => samples_warped,
         },
         samples_culled: ldi.samples as u64 - samples_warped,
-        bytes: tiles.iter().map(|t| PreparedLdi::bytes(t.tile, stamp)).sum::<u64>()
-            + (2 * pixels * size_of::<u64>()) as u64,
+        bytes: tiles.iter().map(|t| PreparedLdi::bytes(t.tile, stamp)).sum(),
         ..WarpStats::default()
     }
+}
+
+/// Bytes of a picture, cleared and written.
+pub(crate) fn picture_bytes(camera: &OutputCamera) -> u64 {
+    2 * u64::from(camera.width) * u64::from(camera.height) * size_of::<u64>() as u64
 }
 
 /// A tile that reaches the picture, for those who draw it elsewhere.
@@ -169,14 +193,14 @@ pub struct TileJob {
 
 /// The tiles of an image that reach the picture, and what is known of the warp before it is done.
 pub fn tile_jobs(
-    ldi: &PreparedLdi,
+    Shown { laid_out: ldi, within }: &Shown<'_>,
     pose: &Pose,
     camera: &OutputCamera,
     options: &WarpOptions,
 ) -> (Vec<TileJob>, WarpStats) {
     let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
-    let tiles = ldi.blocks.reaching(&ldi.parts, &matrix, wanted(options, camera), options.keep_all_tiles);
-    let stats = counted(ldi, &tiles, options.stamp, camera.width as usize * camera.height as usize);
+    let tiles = ldi.blocks.reaching(&ldi.parts, &matrix, wanted(*within, camera), options.keep_all_tiles);
+    let stats = counted(ldi, &tiles, options.stamp);
     let job =
         |t: &Reach<'_>| TileJob { number: [t.number.0, t.number.1], rows: TileTransform::new(&matrix, t.tile).rows };
     (tiles.iter().map(job).collect(), stats)
@@ -233,11 +257,11 @@ fn transform_tile_avx2(matrix: &WarpMatrix, part: &Part, tile: &Tile, window: &W
 #[cfg(test)]
 pub fn warp_in_order(ldi: &PreparedLdi, pose: &Pose, order: &Pose, camera: &OutputCamera, into: &mut FarFrame) {
     let options = WarpOptions { stamp: Stamp::OnePixel, order: Order::Epipole, ..WarpOptions::default() };
-    run(ldi, pose, camera, &options, (Some(Epipole::new(&ldi.camera, order)), true), into);
+    run(&[Shown::from(ldi)], pose, camera, &options, (order, true), into);
 }
 
 /// Cuts the rows into bands (first row, rows) with about equal numbers of samples.
-fn cut(tiles: &[Reach<'_>], height: u32, threads: usize) -> Vec<(u32, u32)> {
+fn cut<'a>(tiles: impl Iterator<Item = &'a Reach<'a>>, height: u32, threads: usize) -> Vec<(u32, u32)> {
     let wanted = if threads <= 1 { 1 } else { threads * BANDS_PER_THREAD };
     let mut weight = vec![0.0f64; height as usize + 1];
     for t in tiles {
@@ -287,20 +311,35 @@ fn draw_band_avx2(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
 
 #[inline(always)]
 fn draw_band<L: Lanes>(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
-    let mut stats = WarpStats::default();
+    let (mut stats, mut scratch) = (WarpStats::default(), Scratch::default());
+    for image in job.images {
+        draw_image::<L>(image, job, target, &mut scratch, &mut stats);
+    }
+    stats
+}
+
+/// The share of an image that a band holds.
+#[inline(always)]
+fn draw_image<L: Lanes>(
+    image: &Reaching<'_>,
+    job: &Job<'_>,
+    target: &mut Target<'_>,
+    scratch: &mut Scratch,
+    stats: &mut WarpStats,
+) {
     let mut footprint2 = 0.0f32;
     let window = target.window;
-    let (matrix, stamp) = (job.matrix, job.options.stamp);
-    let reaches = |t: &Reach<'_>| t.to > window.first_row && t.from < window.first_row + window.rows;
-    if let Some((epipole, streams)) = &job.in_order {
-        for t in job.tiles.iter().filter(|t| reaches(t)) {
+    let (matrix, stamp) = (&image.matrix, job.options.stamp);
+    let here = |t: &&Reach<'_>| t.to > window.first_row && t.from < window.first_row + window.rows;
+    let tiles = || image.tiles.iter().filter(here);
+    if let Some((epipole, streams)) = &image.in_order {
+        for t in tiles() {
             footprint2 = footprint2.max(paint_tile::<L>(target, matrix, epipole, streams, t, stamp));
         }
-        stats.footprint_max_px = footprint2.sqrt();
-        return stats;
+        stats.footprint_max_px = stats.footprint_max_px.max(footprint2.sqrt());
+        return;
     }
-    let scratch = &mut Scratch::default();
-    for t in job.tiles.iter().filter(|t| reaches(t)) {
+    for t in tiles() {
         footprint2 = footprint2.max(transform_tile::<L>(matrix, t.part, t.tile, &window, scratch));
         if !job.paint {
             continue;
@@ -317,12 +356,11 @@ fn draw_band<L: Lanes>(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
     }
     if stamp == Stamp::Ewa && job.paint {
         let mut means = Means::new(target);
-        for t in job.tiles.iter().filter(|t| reaches(t)) {
+        for t in tiles() {
             transform_tile::<L>(matrix, t.part, t.tile, &window, scratch);
             means.add_tile(target, &TileTransform::new(matrix, t.tile), t.part, t.tile, scratch);
         }
         means.write(target);
     }
-    stats.footprint_max_px = footprint2.sqrt();
-    stats
+    stats.footprint_max_px = stats.footprint_max_px.max(footprint2.sqrt());
 }

@@ -34,6 +34,7 @@ mod tests;
 mod texture;
 mod transform;
 
+pub(crate) use bands::picture_bytes;
 pub use bands::{TileJob, tile_jobs, transform_only, transformed, warp, warp_images};
 pub use halve::halved;
 pub use matrix::{WarpMatrix, Warped};
@@ -138,6 +139,22 @@ impl FromStr for Order {
     }
 }
 
+/// An image that takes part in a picture.
+#[derive(Debug, Clone, Copy)]
+pub struct Shown<'a> {
+    /// The image.
+    pub laid_out: &'a PreparedLdi,
+    /// Nothing of it is wanted outside of this rectangle of the picture (from column, from row, to column, to row): samples that cannot reach it are left out, as they are outside of
+    /// the picture. None: the whole picture.
+    pub within: Option<[u32; 4]>,
+}
+
+impl<'a> From<&'a PreparedLdi> for Shown<'a> {
+    fn from(laid_out: &'a PreparedLdi) -> Self {
+        Self { laid_out, within: None }
+    }
+}
+
 /// Settings of the warp.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct WarpOptions {
@@ -147,9 +164,6 @@ pub struct WarpOptions {
     pub order: Order,
     /// Draw also the tiles that cannot reach the picture: to measure what culling saves. The picture is the same.
     pub keep_all_tiles: bool,
-    /// Nothing is wanted outside of this rectangle of the picture (from column, from row, to column, to row): samples that cannot reach it are left out, as they are outside of
-    /// the picture.
-    pub within: Option<[u32; 4]>,
     /// Use the portable kernels even where better ones are at hand: to compare them. The picture is the same.
     pub portable: bool,
 }

@@ -18,7 +18,7 @@ use ldi_client::{
     frame::{Frame, Source, supersampled},
     report::StageMs,
     resident::Resident as _,
-    warp::{FarFrame, Order, PreparedLdi, Stamp, WarpOptions, WarpStats, transform_only, warp_images},
+    warp::{FarFrame, Order, PreparedLdi, Shown, Stamp, WarpOptions, WarpStats, transform_only, warp_images},
 };
 use ldi_protocol::{OutputCamera, Pose, codec::ColourProfile, path::Walk};
 use ldi_server::{
@@ -398,12 +398,12 @@ fn measure(
         if setting.stamp.is_some() {
             let images: Vec<PreparedLdi> =
                 view.images.iter().filter_map(|i| cache.ldi(*i)).map(|ldi| PreparedLdi::new(&ldi)).collect();
-            let images: Vec<&PreparedLdi> = images.iter().collect();
+            let images: Vec<Shown<'_>> = images.iter().map(Shown::from).collect();
             let mut timed =
                 |f: &mut dyn FnMut(&mut FarFrame) -> Result<WarpStats>| timed(job.repeat, &full, &mut far, f);
             let transformed = |far: &mut FarFrame| {
                 let mut sum = WarpStats::default();
-                images.iter().for_each(|i| sum.add(&transform_only(i, &v.pose, &full, &warp_options, far)));
+                images.iter().for_each(|i| sum.add(&transform_only(i.laid_out, &v.pose, &full, &warp_options, far)));
                 Ok(sum)
             };
             compute_ms.push(timed(&mut { transformed })?.0);
