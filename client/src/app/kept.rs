@@ -1,11 +1,6 @@
 //! What a visitor keeps: recorded walks and places, and what is said about them.
 
-use super::{
-    AppConfig,
-    bookmarks::Bookmarks,
-    events::fields,
-    record::{self, Recording},
-};
+use super::{AppConfig, bookmarks::Bookmarks, events::fields, record::Recording};
 use ldi_protocol::{Pose, path::Walk};
 use serde_json::{Map, Value};
 use std::{path::PathBuf, sync::Arc, time::Instant};
@@ -65,14 +60,15 @@ impl Kept {
     /// Begins to record a walk, or ends it and saves what was recorded.
     pub fn record(&mut self, speed_m_per_s: f64) -> Said {
         let Some(recording) = self.recording.take() else {
-            self.recording = Some(Recording::new());
+            let recording = self.recording.insert(Recording::new(&self.folder, speed_m_per_s));
+            if let Some(e) = recording.trouble() {
+                return Said::bad(format!("the walk can be walked again, but not saved: {e}"));
+            }
             let event = Some(("recording", fields! {}));
             return Said { text: "recording the walk: R ends it".into(), good: true, event };
         };
-        let Some(walk) = recording.walk(speed_m_per_s) else { return Said::bad("nothing was recorded".into()) };
+        let (Some(walk), saved) = recording.end() else { return Said::bad("nothing was recorded".into()) };
         let poses = walk.poses.len();
-        let saved = record::save(&self.folder, &walk);
-        // Even one that could not be saved can be walked again.
         self.walk = Some(Arc::new(walk));
         match saved.map(|path| std::path::absolute(&path).unwrap_or(path).display().to_string()) {
             Ok(path) => {

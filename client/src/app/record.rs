@@ -1,7 +1,7 @@
 //! Walks that are kept (R) and walked again (P), as path files.
 //!
 //! In: the poses of pictures and when they were drawn; later the time since the replay began. Out: a path file that `walk`, `render` and `plan` take; a pose for any time,
-//! interpolated between the recorded ones. Pure but for the file.
+//! interpolated between the recorded ones. What was recorded so far is saved every few seconds: a display that dies takes ten seconds of a walk with it, no more.
 
 use super::numbered::{first_free, said};
 use ldi_protocol::{
@@ -9,55 +9,93 @@ use ldi_protocol::{
     path::{MAX_POSES, TimedPose, Walk},
 };
 use std::{
-    io::Write as _,
     path::{Path, PathBuf},
-    time::Instant,
+    thread::JoinHandle,
+    time::{Duration, Instant},
 };
 
 /// Frames per second that the file states; its poses have times of their own.
 const FPS: f64 = 60.0;
 
+/// The first save, so that the file is one, and the time from one to the next.
+const SAVED_AFTER: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(10)];
+
 /// A walk being recorded.
 #[derive(Debug)]
 pub struct Recording {
-    start: Option<Instant>,
-    poses: Vec<TimedPose>,
+    walk: Walk,
+    /// Of the first pose, and when the next save is due.
+    times: Option<[Instant; 2]>,
+    /// Its file, or why there is none.
+    file: Result<PathBuf, String>,
+    saving: Option<JoinHandle<()>>,
 }
 
 impl Recording {
-    /// Begins with the first pose that is told.
-    pub fn new() -> Self {
-        Self { start: None, poses: Vec::new() }
+    /// Begins with the first pose that is told. The file has the first number that is free; `speed_m_per_s` is what it states.
+    pub fn new(folder: &Path, speed_m_per_s: f64) -> Self {
+        let walk = Walk { fps: FPS, speed: speed_m_per_s, eye_height: None, poses: Vec::new() };
+        let file = first_free(folder, "walk-", ".path.json").map(|(_, path)| path);
+        Self { walk, times: None, file, saving: None }
+    }
+
+    /// Why it cannot be saved.
+    pub fn trouble(&self) -> Option<&String> {
+        self.file.as_ref().err()
     }
 
     /// The eye was here at that time. A rest takes two poses, however long it is.
     pub fn pose(&mut self, pose: Pose, at: Instant) {
-        let start = *self.start.get_or_insert(at);
+        let [start, due] = *self.times.get_or_insert([at, at + SAVED_AFTER[0]]);
         let t_s = at.saturating_duration_since(start).as_secs_f64();
-        if self.poses.last().is_some_and(|p| p.t_s >= t_s) || self.poses.len() >= MAX_POSES {
+        let poses = &mut self.walk.poses;
+        if poses.last().is_some_and(|p| p.t_s >= t_s) || poses.len() >= MAX_POSES {
             return;
         }
-        if let [.., before, last] = &mut self.poses[..]
+        if let [.., before, last] = &mut poses[..]
             && before.pose == last.pose
             && last.pose == pose
         {
             last.t_s = t_s;
-            return;
+        } else {
+            poses.push(TimedPose { t_s, pose });
         }
-        self.poses.push(TimedPose { t_s, pose });
+        if at >= due && self.saving.as_ref().is_none_or(|s| s.is_finished()) {
+            self.times = Some([start, at + SAVED_AFTER[1]]);
+            self.save_beside();
+        }
     }
 
-    /// The walk; None where nothing was recorded. `speed_m_per_s` is what the file states.
-    pub fn walk(self, speed_m_per_s: f64) -> Option<Walk> {
-        (!self.poses.is_empty()).then_some(Walk { fps: FPS, speed: speed_m_per_s, eye_height: None, poses: self.poses })
+    /// Saves what there is on a thread of its own: no picture waits for a disk.
+    fn save_beside(&mut self) {
+        let Ok(path) = self.file.clone() else { return };
+        let walk = self.walk.clone();
+        self.saving = Some(std::thread::spawn(move || {
+            write(&path, &walk).unwrap_or_else(|e| tracing::warn!("the walk so far is not saved: {e}"));
+        }));
+    }
+
+    /// Ends and saves it. The walk, which can be walked again even if it cannot be saved; None where nothing was recorded.
+    pub fn end(mut self) -> (Option<Walk>, Result<PathBuf, String>) {
+        // One that came later would put an older state in the file.
+        if let Some(Err(_)) = self.saving.take().map(JoinHandle::join) {
+            tracing::warn!("saving the walk so far failed");
+        }
+        if self.walk.poses.is_empty() {
+            // Nothing but the number was taken.
+            let _ = self.file.as_ref().map(std::fs::remove_file);
+            return (None, self.file);
+        }
+        let saved = self.file.and_then(|path| write(&path, &self.walk).map(|()| path));
+        (Some(self.walk), saved)
     }
 }
 
-/// Writes a walk under the first free number.
-pub fn save(folder: &Path, walk: &Walk) -> Result<PathBuf, String> {
-    let (mut file, path) = first_free(folder, "walk-", ".path.json")?;
-    file.write_all((walk.to_json() + "\n").as_bytes()).map_err(|e| said(&path, &e))?;
-    Ok(path)
+/// Writes a walk in place of what is there: the whole of it, or nothing.
+fn write(path: &Path, walk: &Walk) -> Result<(), String> {
+    let part = path.with_extension("part");
+    let done = std::fs::write(&part, walk.to_json() + "\n").and_then(|()| std::fs::rename(&part, path));
+    done.map_err(|e| said(path, &e))
 }
 
 /// The pose at a time after the walk's begin; None once it is over.
@@ -84,9 +122,14 @@ mod tests {
         Pose { position: DVec3::new(x, 1.6, 0.0), yaw_deg, pitch_deg: 2.0 * x }
     }
 
+    fn folder(name: &str) -> PathBuf {
+        std::env::temp_dir().join(format!("ldi-record-{}", std::process::id())).join(name)
+    }
+
     #[test]
     fn what_was_walked_is_walked_again() {
-        let (mut recording, start) = (Recording::new(), Instant::now());
+        let folder = folder("again");
+        let (mut recording, start) = (Recording::new(&folder, 1.4), Instant::now());
         let at = |ms: u64| start + Duration::from_millis(ms);
         recording.pose(pose(0.0, 170.0), at(500));
         recording.pose(pose(1.0, -170.0), at(1500));
@@ -95,9 +138,9 @@ mod tests {
             recording.pose(pose(1.0, -170.0), at(ms));
         }
         recording.pose(pose(2.0, -170.0), at(10_500));
-        let walk = recording.walk(1.4).expect("poses");
+        let (Some(walk), Ok(path)) = recording.end() else { panic!("poses, and a file") };
         assert_eq!(walk.poses.len(), 4, "{:?}", walk.poses);
-        let file = ldi_protocol::path::parse(&walk.to_json()).expect("a path file");
+        let file = ldi_protocol::path::parse(&std::fs::read_to_string(path).expect("saved")).expect("a path file");
         for walk in [&walk, &file] {
             let half = pose_at(walk, 0.5).expect("on the way");
             assert!((half.position.x - 0.5).abs() < 1e-9 && (half.pitch_deg - 1.0).abs() < 1e-9);
@@ -107,18 +150,50 @@ mod tests {
             assert_eq!(pose_at(walk, 5.0).map(|p| p.position.x), Some(1.0));
             assert!(pose_at(walk, 9.5).is_some_and(|p| p.position.x > 1.4) && pose_at(walk, 10.1).is_none());
         }
-        assert!(Recording::new().walk(1.4).is_none());
+        std::fs::remove_dir_all(folder).expect("removed");
+    }
+
+    #[test]
+    fn a_walk_that_nobody_ends_is_saved_all_the_same() {
+        let folder = folder("torn");
+        let (mut recording, start) = (Recording::new(&folder, 1.4), Instant::now());
+        let at = |ms: u64| start + Duration::from_millis(ms);
+        let saved = || {
+            let text = std::fs::read_to_string(folder.join("walk-0001.path.json")).expect("its number is taken");
+            ldi_protocol::path::parse(&text).map_or(0, |walk| walk.poses.len())
+        };
+        let mut found = Vec::new();
+        for k in 0..240u32 {
+            recording.pose(pose(f64::from(k) * 0.1, 0.0), at(u64::from(k) * 50));
+            if let Some(saving) = recording.saving.take_if(|_| k % 10 == 0) {
+                saving.join().expect("written");
+            }
+            if k % 60 == 0 {
+                found.push(saved());
+            }
+        }
+        // After one second and eleven: poses 0 to 20, and 0 to 220.
+        assert_eq!(found, [0, 21, 21, 21]);
+        drop(recording.saving.take().map(JoinHandle::join));
+        assert_eq!(saved(), 221);
+        drop(recording);
+        std::fs::remove_dir_all(folder).expect("removed");
     }
 
     #[test]
     fn walks_have_numbers_of_their_own() {
-        let folder = std::env::temp_dir().join(format!("ldi-record-{}", std::process::id())).join("deeper");
-        let walk =
-            Walk { fps: 60.0, speed: 1.4, eye_height: None, poses: vec![TimedPose { t_s: 0.0, pose: pose(0.0, 0.0) }] };
-        let paths = [(); 2].map(|()| save(&folder, &walk).expect("written"));
+        let folder = folder("numbers");
+        let ended = |folder: &Path, poses: u32| {
+            let mut recording = Recording::new(folder, 1.4);
+            (0..poses).for_each(|_| recording.pose(pose(0.0, 0.0), Instant::now()));
+            recording.end()
+        };
+        let paths = [(); 2].map(|()| ended(&folder, 1).1.expect("written"));
         assert!(paths[0].ends_with("walk-0001.path.json") && paths[1].ends_with("walk-0002.path.json"), "{paths:?}");
+        assert!(ended(&folder, 0).0.is_none() && !folder.join("walk-0003.path.json").exists(), "nothing was recorded");
         std::fs::write(folder.join("file"), "").expect("written");
-        assert!(save(&folder.join("file"), &walk).expect_err("no folder").contains("--shots"));
-        std::fs::remove_dir_all(folder.parent().expect("made")).expect("removed");
+        let (walk, nowhere) = ended(&folder.join("file"), 1);
+        assert!(walk.is_some() && nowhere.expect_err("no folder").contains("--shots"));
+        std::fs::remove_dir_all(folder).expect("removed");
     }
 }
