@@ -1,7 +1,7 @@
 //! The same frames as video: what a server that renders every frame and streams pixels would send, at which error.
 //!
-//! In: frames of a walk as PNG (`ldi-server render`), a truth for some of them under the same names, encoders and their quality settings. Out: bits per second and mean FLIP
-//! of each, and what each needs for a given FLIP. `ffmpeg` encodes and decodes; settings are those of an interactive stream: no frame waits for a later one, one key frame.
+//! In: frames of a walk as PNG (`ldi-server render`), a truth for some of them under the same names, encoders and their quality settings. Out: bits per second, mean FLIP and
+//! bytes of the first frame of each, and what each needs for a given FLIP. `ffmpeg` encodes and decodes; settings are those of an interactive stream: no frame waits for a later one, one key frame.
 
 use anyhow::{Context as _, Result, bail, ensure};
 use ldi_client::metrics::{FlipMap, Picture, psnr_db};
@@ -75,6 +75,8 @@ pub struct Row {
     pub crf: Option<u32>,
     /// Of the file.
     pub bytes: u64,
+    /// Of the first frame alone: nothing shows before these are there.
+    pub first_bytes: u64,
     /// Mean.
     pub mbit_per_s: f64,
     /// Over the judged frames.
@@ -164,7 +166,17 @@ pub fn run(study: &Study, mut heard: impl FnMut(&Row)) -> Result<Found> {
     let (flip, psnr_db) = judge(&own)?;
     let bytes = frames.iter().filter_map(|f| Some(f.metadata().ok()?.len())).sum::<u64>();
     let mbit = |bytes: u64| bytes as f64 * 8e-6 / seconds;
-    let row = Row { encoder: "PNG".into(), crf: None, bytes, mbit_per_s: mbit(bytes), flip, psnr_db, encode_ms: 0.0 };
+    let size = |file: &Path| Ok::<_, anyhow::Error>(file.metadata().with_context(|| file.display().to_string())?.len());
+    let row = Row {
+        encoder: "PNG".into(),
+        crf: None,
+        bytes,
+        first_bytes: size(&frames[0])?,
+        mbit_per_s: mbit(bytes),
+        flip,
+        psnr_db,
+        encode_ms: 0.0,
+    };
     heard(&row);
     let mut rows = vec![row];
     let mut needed = Vec::new();
@@ -172,18 +184,18 @@ pub fn run(study: &Study, mut heard: impl FnMut(&Row)) -> Result<Found> {
     for encoder in &study.encoders {
         let mut own = Vec::new();
         for crf in &study.crf {
-            let file = study.output.join("video.mkv");
+            let (file, first) = (study.output.join("video.mkv"), study.output.join("first.mkv"));
             let input = ["-framerate", &fps, "-pattern_type", "glob", "-i"].map(OsStr::new);
             let crf_text = crf.to_string();
             // One key frame, at the begin.
             let quality = ["-g", "100000", "-crf", &crf_text];
             let mut arguments = [&input[..], &[pattern.as_os_str()]].concat();
             arguments.extend(EXACT_COLOURS.iter().chain(encoder.options()).chain(&quality).map(OsStr::new));
-            arguments.push(file.as_os_str());
             let start = Instant::now();
-            ffmpeg(&arguments)?;
+            ffmpeg(&[&arguments[..], &[file.as_os_str()]].concat())?;
             let encode_ms = start.elapsed().as_secs_f64() * 1e3 / frames.len() as f64;
-            let bytes = file.metadata().with_context(|| file.display().to_string())?.len();
+            ffmpeg(&[&arguments[..], &["-frames:v", "1"].map(OsStr::new), &[first.as_os_str()]].concat())?;
+            let (bytes, first_bytes) = (size(&file)?, size(&first)?);
             let decoded = study.output.join("decoded");
             let _ = std::fs::remove_dir_all(&decoded);
             std::fs::create_dir_all(&decoded).with_context(|| format!("cannot make {}", decoded.display()))?;
@@ -198,9 +210,18 @@ pub fn run(study: &Study, mut heard: impl FnMut(&Row)) -> Result<Found> {
             let (flip, psnr_db) = judge(&pairs)?;
             std::fs::remove_dir_all(&decoded)?;
             std::fs::remove_file(&file)?;
+            std::fs::remove_file(&first)?;
             let mbit_per_s = mbit(bytes);
-            let row =
-                Row { encoder: encoder.name().into(), crf: Some(*crf), bytes, mbit_per_s, flip, psnr_db, encode_ms };
+            let row = Row {
+                encoder: encoder.name().into(),
+                crf: Some(*crf),
+                bytes,
+                first_bytes,
+                mbit_per_s,
+                flip,
+                psnr_db,
+                encode_ms,
+            };
             heard(&row);
             own.push((flip, mbit_per_s));
             rows.push(row);
@@ -224,13 +245,17 @@ fn between(pairs: &[(f64, f64)], flip: f64) -> Option<f64> {
 /// A row as a line.
 pub fn line(r: &Row) -> String {
     let crf = r.crf.map_or("-".into(), |c| c.to_string());
-    format!("| {} | {crf} | {:.2} | {:.4} | {:.1} | {:.1} |", r.encoder, r.mbit_per_s, r.flip, r.psnr_db, r.encode_ms)
+    let (encoder, first_kb) = (&r.encoder, r.first_bytes as f64 / 1e3);
+    format!(
+        "| {encoder} | {crf} | {:.2} | {:.4} | {:.1} | {:.1} | {first_kb:.0} |",
+        r.mbit_per_s, r.flip, r.psnr_db, r.encode_ms
+    )
 }
 
 /// The table.
 pub fn table(found: &Found, flip: Option<f64>) -> String {
     let mut t = format!(
-        "{} frames, {:.1} s, {} of them judged\n\n| encoder | crf | Mbit/s | FLIP | PSNR, dB | ms per frame |\n|---|---|---|---|---|---|\n",
+        "{} frames, {:.1} s, {} of them judged\n\n| encoder | crf | Mbit/s | FLIP | PSNR, dB | ms per frame | first frame, kB |\n|---|---|---|---|---|---|---|\n",
         found.frames[0], found.seconds, found.frames[1]
     );
     for r in &found.rows {
