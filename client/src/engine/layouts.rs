@@ -7,7 +7,7 @@ use std::{sync::Arc, time::Instant};
 
 /// Layouts that are kept besides those of the current frame: of the images that a walker goes back and forth between. Each is
 /// about three times as large as the decoded image.
-const KEPT: usize = 4;
+const KEPT: usize = 32;
 
 /// What is laid out.
 #[derive(Debug, Clone)]

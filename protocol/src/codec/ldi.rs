@@ -33,11 +33,23 @@ const DEEPER: [u8; 3] = *b"LDD";
 /// # Errors
 /// As [`encode_first`].
 pub fn encode(ldi: &Ldi, profile: ColourProfile, level: i32) -> Result<Vec<Vec<u8>>, CodecError> {
-    let granted = profile.bytes_per_sample() * ldi.samples() as f64;
+    Ok(encode_all(&[ldi], profile, level)?.concat())
+}
+
+/// Encodes several LDIs as [`encode`] does one, with the bytes that they are granted together: where one is plain, another may have exact textures. The chunks of each.
+///
+/// # Errors
+/// As [`encode_first`].
+pub fn encode_all(ldis: &[&Ldi], profile: ColourProfile, level: i32) -> Result<Vec<Vec<Vec<u8>>>, CodecError> {
+    let granted = profile.bytes_per_sample() * ldis.iter().map(|ldi| ldi.samples()).sum::<usize>() as f64;
     let coded = |mode: ColourMode| -> Result<_, CodecError> {
-        let mut chunks = vec![encode_first(ldi, mode, level)?];
-        chunks.extend(encode_deeper(ldi, mode, level)?);
-        let fits = chunks.iter().map(Vec::len).sum::<usize>() as f64 <= granted;
+        let of_one = |ldi: &&Ldi| {
+            let mut chunks = vec![encode_first(ldi, mode, level)?];
+            chunks.extend(encode_deeper(ldi, mode, level)?);
+            Ok(chunks)
+        };
+        let chunks: Vec<Vec<Vec<u8>>> = ldis.iter().map(of_one).collect::<Result<_, CodecError>>()?;
+        let fits = chunks.iter().flatten().map(Vec::len).sum::<usize>() as f64 <= granted;
         Ok((chunks, fits))
     };
     // Exact colours suit most images. Of the others each takes fewer bytes than the one before: the first that fits is found by halving.

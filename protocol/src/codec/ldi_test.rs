@@ -162,6 +162,13 @@ fn an_image_is_exact_as_long_as_its_profile_grants_the_bytes() {
             assert!(encode(&faint, profile, 3).unwrap() == in_mode(modes[first]), "{profile:?} at {contrast}: {first}");
         }
     }
+    // Granted together, noise has what plain images leave; and two as noisy are as coarse as one.
+    let profile = ColourProfile::High;
+    let plain = vec![&flat; 40];
+    let together = encode_all(&[&plain[..], &[&noisy]].concat(), profile, 3).unwrap();
+    let exact = [encode_first(&noisy, ColourMode::LOSSLESS, 3).unwrap()];
+    assert!(together.len() == 41 && together[40][..1] == exact && encode(&noisy, profile, 3).unwrap()[..1] != exact);
+    assert!(encode_all(&[&noisy, &noisy], profile, 3).unwrap()[1] == encode(&noisy, profile, 3).unwrap());
     assert!(found.len() > 4, "modes between the first and the last are among them: {found:?}");
 }
 

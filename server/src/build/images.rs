@@ -192,7 +192,13 @@ fn one(
     seconds[0] = made.sight_seconds;
     let mut kept = Kept { images: Vec::new(), sight_rays: made.sight_rays, sky: made.sky, merge: None };
     let mut chunks = Vec::new();
+    let holds_something = |ldi: &Ldi| ldi.samples() > 0 || !ldi.slivers.is_empty();
     for (planned, tiles) in made.images.iter().enumerate() {
+        let start = std::time::Instant::now();
+        // Tiles of a face are granted their bytes together: a textured one is not coarser for being cut off from plain ones.
+        let full: Vec<&Ldi> = tiles.iter().map(|t| &t.ldi).filter(|ldi| holds_something(ldi)).collect();
+        let mut of_full = coded(&full, colour, &format!("an image of placement {number}"))?.into_iter();
+        seconds[STEPS.len() - 1] += start.elapsed().as_secs_f64();
         for Constructed { window, ldi, stats } in tiles {
             let mut image = KeptImage {
                 planned,
@@ -207,12 +213,10 @@ fn one(
                 ..KeptImage::default()
             };
             seconds[1..].iter_mut().zip(stats.seconds).for_each(|(a, b)| *a += b);
-            if ldi.samples() > 0 || !ldi.slivers.is_empty() {
+            if holds_something(ldi) {
                 // Of no samples it says nothing.
                 image.quantization_error_px = stats.quantization_error_px;
-                let start = std::time::Instant::now();
-                image.code(ldi, colour, &format!("an image of placement {number}"), &mut chunks)?;
-                seconds[STEPS.len() - 1] += start.elapsed().as_secs_f64();
+                image.take(ldi, of_full.next().unwrap_or_default(), &mut chunks);
             }
             kept.images.push(image);
         }
@@ -226,21 +230,17 @@ impl KeptImage {
         Self { planned, window, ..Self::default() }
     }
 
-    /// Codes an image: its chunks go to the end of `chunks`.
-    pub fn code(
-        &mut self,
-        ldi: &Ldi,
-        colour: ColourProfile,
-        what: &str,
-        chunks: &mut Vec<Vec<u8>>,
-    ) -> Result<(), BuildError> {
-        let pack_error = |source| PackError { what: what.into(), source };
-        let coded = ldi::encode(ldi, colour, IMAGE_LEVEL).map_err(pack_error)?;
+    /// Takes an image's chunks: they go to the end of `chunks`.
+    pub fn take(&mut self, ldi: &Ldi, coded: Vec<Vec<u8>>, chunks: &mut Vec<Vec<u8>>) {
         self.decoded_bytes = ldi::decoded_bytes(ldi).map(|b| u32::try_from(b).unwrap_or(u32::MAX));
         self.lengths = coded.iter().map(|c| c.len() as u32).collect();
         chunks.extend(coded);
-        Ok(())
     }
+}
+
+/// The chunks of images, which are granted their bytes together.
+pub(super) fn coded(ldis: &[&Ldi], colour: ColourProfile, what: &str) -> Result<Vec<Vec<Vec<u8>>>, BuildError> {
+    Ok(ldi::encode_all(ldis, colour, IMAGE_LEVEL).map_err(|source| PackError { what: what.into(), source })?)
 }
 
 pub(super) fn pack((kept, chunks): &(Kept, Vec<Vec<u8>>)) -> Vec<u8> {

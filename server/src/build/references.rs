@@ -1,6 +1,6 @@
 //! Reference images of portals and what is merged from them, kept as they are finished.
 
-use super::images::{Images, Kept, KeptImage, Piece, pack, unpack};
+use super::images::{Images, Kept, KeptImage, Piece, coded, pack, unpack};
 use super::{BuildError, Progress, key};
 use crate::construct::{self, ConstructOptions, MergeFigures};
 use crate::portal::{EVERYWHERE, SidePlan};
@@ -35,7 +35,8 @@ pub fn construct_references(
             let mut image = KeptImage::over(planned, EVERYWHERE);
             if let Some(ldi) = ldi {
                 image.samples_by_layer = ldi.layers.iter().map(|l| l.len() as u32).collect();
-                image.code(ldi, colour, &format!("a reference image of portal {}", plan.portal), &mut chunks)?;
+                let coded = coded(&[ldi], colour, &format!("a reference image of portal {}", plan.portal))?.concat();
+                image.take(ldi, coded, &mut chunks);
             }
             kept.images.push(image);
         }

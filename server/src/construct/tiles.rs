@@ -8,15 +8,13 @@ use super::{
     sums::Sums,
     view::Window,
 };
-use ldi_protocol::ldi::Ldi;
 use std::ops::Range;
 
 /// Edge of the squares that cuts run between, pixels. Smaller: tighter tiles, more time. By judgement.
 const SQUARE: usize = 128;
-/// Tiles of more pixels are cut: the memory and time of one image stay bounded, and a client fetches what it looks at.
-const MOST_PIXELS: usize = 4_000_000;
-/// Tiles of more squares on a side are cut: an image may have twice as many pixels there.
-const MOST_SQUARES: usize = Ldi::MAX_SIDE as usize / SQUARE / 2;
+/// Tiles of more pixels are cut: a client fetches, lays out and keeps what it looks at, and what is fetched for a turn that never comes is small. Smaller: more images per frame. See
+/// decisions.md.
+const MOST_PIXELS: usize = 250_000;
 /// A tile is cut where that leaves out more than this share of it. Each cut costs an image; what nobody looks at costs memory only. By judgement.
 const WORTH_CUTTING: f64 = 0.5;
 /// Tiles reach over their borders by this many pixels, so that surfaces join across them.
@@ -64,19 +62,20 @@ fn cover(needed: &Sums, columns: Range<usize>, rows: Range<usize>, found: &mut d
     let (across, down) = tight.clone();
     let area = |(columns, rows): &Block| columns.len() * rows.len();
     let all = area(&tight);
-    let large = all > 1 && (all * SQUARE * SQUARE > MOST_PIXELS || across.len().max(down.len()) > MOST_SQUARES);
-    // The cut that leaves out the most squares; of equals the most even one. Beside each cut lie needed squares, as the block is tight.
+    let large = all > 1 && all * SQUARE * SQUARE > MOST_PIXELS;
+    // The cut that leaves out the most squares; of equals one through the longer side, and of these the most even one. Beside each cut lie needed squares, as the block is tight.
     let left_of = |c: usize| [(columns.start..c, rows.clone()), (c..columns.end, rows.clone())];
     let above = |r: usize| [(columns.clone(), rows.start..r), (columns.clone(), r..rows.end)];
     let cuts = (across.start + 1..across.end).map(left_of).chain((down.start + 1..down.end).map(above));
     let best = cuts
         .map(|parts| {
             let [a, b] = parts.clone().map(|(c, r)| needed.tight(c, r).map_or(0, |t| area(&t)));
-            ((a + b, a.abs_diff(b)), parts)
+            let through_rows = parts[0].0 == parts[1].0;
+            ((a + b, through_rows != (down.len() > across.len()), a.abs_diff(b)), parts)
         })
         .min_by_key(|cut| cut.0);
     match best {
-        Some(((kept, _), parts)) if large || ((all - kept) as f64) > WORTH_CUTTING * all as f64 => {
+        Some(((kept, ..), parts)) if large || ((all - kept) as f64) > WORTH_CUTTING * all as f64 => {
             parts.into_iter().for_each(|(c, r)| cover(needed, c, r, found));
         }
         _ => found((columns, rows), tight),
@@ -106,7 +105,8 @@ mod tests {
             }
         }
         let all = tiles(&face, seen.iter());
-        assert!((2..=4).contains(&all.len()), "{all:?}");
+        // As few as hold 128 pixels' squares of all three, of some 2.9 million pixels, or hardly more.
+        assert!((12..=20).contains(&all.len()), "{} {all:?}", all.len());
         let inside =
             |w: &Window, u: f64, v: f64| w.index(u as i64 - i64::from(w.left), v as i64 - i64::from(w.top)).is_some();
         let pixels: usize = all.iter().map(|t| t.window.pixels()).sum();
@@ -127,9 +127,12 @@ mod tests {
         // A long strip is cut, too.
         let (strip, along) = (Window { width: 100_000, height: 200, ..face }, [50_000.0, 100.0]);
         let seen = Glimpse { at: [47_000.0, 600.0, 0.1], half: along, ray: [0.0; 2], ray_half: [0.0; 2] };
-        assert!(tiles(&strip, std::iter::once(&seen)).iter().all(|t| t.window.width < Ldi::MAX_SIDE));
+        let strips = tiles(&strip, std::iter::once(&seen));
+        assert!(strips.len() >= 50 && strips.iter().all(|t| t.window.pixels() < MOST_PIXELS + MOST_PIXELS / 4));
         // Seen all over: cut because it is large.
         let everywhere = Glimpse { at: [0.0, 2500.0, 0.1], half: [9000.0; 2], ray: [0.0; 2], ray_half: [0.0; 2] };
-        assert!(tiles(&face, std::iter::once(&everywhere)).len() >= 7);
+        let whole = tiles(&face, std::iter::once(&everywhere));
+        assert!(whole.len() >= face.pixels() / MOST_PIXELS, "{}", whole.len());
+        assert!(whole.iter().all(|t| t.window.width < 3 * t.window.height && t.window.height < 3 * t.window.width));
     }
 }
