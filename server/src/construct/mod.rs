@@ -75,6 +75,9 @@ pub struct ConstructOptions {
     pub output: OutputCamera,
     /// Largest number of pixels of an image; more is an error, as memory grows by 100 bytes each.
     pub max_pixels: u64,
+    /// What is seen of a plan's window is cut into tiles of at most so many pixels: a client fetches, lays out and keeps what it looks at, and what is fetched for a turn that never
+    /// comes is small. Smaller: more images per frame (decisions.md).
+    pub tile_pixels: usize,
     /// Repeat samples where a surface changes layer, so that it stays linked.
     pub bridges: bool,
 }
@@ -82,7 +85,7 @@ pub struct ConstructOptions {
 impl ConstructOptions {
     /// Defaults for a picture.
     pub fn new(output: OutputCamera) -> Self {
-        Self { output, max_pixels: 1 << 26, bridges: true }
+        Self { output, max_pixels: 1 << 26, tile_pixels: 250_000, bridges: true }
     }
 }
 
@@ -239,7 +242,7 @@ pub fn construct_subset<C: SubsetCaster>(
     };
     let face = Face::of(survey, plan, &whole);
     let mut out = Vec::new();
-    for Tile { share, window } in face.tiles(&whole) {
+    for Tile { share, window } in face.tiles(&whole, options.tile_pixels) {
         let share = share.tangents_within(&whole.window, plan);
         out.extend(tile(caster, Rig { window, ..whole.clone() }, Some(&face), share, plan, options)?);
     }

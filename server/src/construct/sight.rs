@@ -28,7 +28,7 @@ use crate::render::Ray;
 use glam::{DVec3, Vec3};
 use ldi_protocol::sky::SkyMap;
 use rayon::prelude::*;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// Side of the squares in which a construction camera looks or does not, pixels of it (two of the image's). By judgement.
@@ -48,6 +48,8 @@ const PIECE: f64 = 32.0;
 /// Two hits this much apart in depth, relatively, are different pieces. By judgement: smaller takes slanted surfaces to pieces, larger takes what stands
 /// before a wall for the wall.
 const PIECE_DEPTH: f64 = 0.1;
+/// So many cameras see each piece, if eyes do: what one of them sees of it, through a slit, may be another part than what the next one does.
+const CAMERAS_PER_PIECE: u8 = 2;
 /// A hit that differs from the plane of the central sample in its place by at most this many steps of disparity is held: one output pixel
 /// for the worst eye.
 const HELD_STEPS: f32 = 8.0;
@@ -259,9 +261,9 @@ impl Face {
         Self(eyes.collect())
     }
 
-    /// Its tiles.
-    pub fn tiles(&self, rig: &Rig) -> Vec<Tile> {
-        tiles(&rig.window, self.0.iter().flat_map(|(_, glimpses)| glimpses))
+    /// Its tiles, of at most so many pixels each.
+    pub fn tiles(&self, rig: &Rig, most_pixels: usize) -> Vec<Tile> {
+        tiles(&rig.window, self.0.iter().flat_map(|(_, glimpses)| glimpses), most_pixels)
     }
 }
 
@@ -331,12 +333,12 @@ impl Sight {
         Some(Self { looked, pictures: Some(pictures) })
     }
 
-    /// Rounds of cameras that together see every piece of surface that eyes see and the central image does not hold: always the eye that
-    /// sees the most pieces that none before it did. Where eyes may be anywhere: the corners of the users' box.
+    /// Rounds of cameras that together see every piece of surface that eyes see and the central image does not hold, twice where they can: always the eye that
+    /// sees the most pieces that are still open. Where eyes may be anywhere: the corners of the users' box.
     pub fn cameras(self, rig: &Rig, central: &[Sample], tolerance: &Tolerance) -> Vec<Vec<View>> {
         let Some(pictures) = self.pictures else { return rig.corner_cameras() };
         // Per eye, its pieces and what shows them.
-        let pieces: Vec<BTreeMap<[i32; 3], Vec<&Glimpse>>> = pictures
+        let mut pieces: Vec<BTreeMap<[i32; 3], Vec<&Glimpse>>> = pictures
             .par_iter()
             .map(|picture| {
                 let mut pieces: BTreeMap<[i32; 3], Vec<&Glimpse>> = BTreeMap::new();
@@ -346,15 +348,18 @@ impl Sight {
                 pieces
             })
             .collect();
+        let is_open = |cameras_of: &BTreeMap<[i32; 3], u8>, piece: &[i32; 3]| {
+            cameras_of.get(piece).is_none_or(|cameras| *cameras < CAMERAS_PER_PIECE)
+        };
         let mut gains: Vec<usize> = pieces.iter().map(BTreeMap::len).collect();
-        let mut known: BTreeSet<[i32; 3]> = BTreeSet::new();
+        let mut cameras_of: BTreeMap<[i32; 3], u8> = BTreeMap::new();
         let mut views = Vec::new();
         while views.len() < MOST_CAMERAS {
             // Gains only shrink: the largest is up to date once recounting leaves it the largest. Of equals the first.
             let (best, gain) = loop {
                 let best = (0..gains.len()).rev().max_by_key(|i| gains[*i]);
                 let Some(best) = best else { break (0, 0) };
-                let fresh = pieces[best].keys().filter(|k| !known.contains(*k)).count();
+                let fresh = pieces[best].keys().filter(|k| is_open(&cameras_of, k)).count();
                 if fresh == gains[best] {
                     break (best, fresh);
                 }
@@ -363,9 +368,10 @@ impl Sight {
             if gain == 0 {
                 break;
             }
-            let new = pieces[best].iter().filter(|(k, _)| !known.contains(*k));
-            views.extend(pictures[best].view(new.flat_map(|(_, seen)| seen.iter().copied())));
-            known.extend(pieces[best].keys());
+            let new: Vec<_> =
+                std::mem::take(&mut pieces[best]).into_iter().filter(|(k, _)| is_open(&cameras_of, k)).collect();
+            new.iter().for_each(|(piece, _)| *cameras_of.entry(*piece).or_default() += 1);
+            views.extend(pictures[best].view(new.into_iter().flat_map(|(_, seen)| seen)));
             gains[best] = 0;
         }
         // A few at a time: what one finds, the next need not trace.

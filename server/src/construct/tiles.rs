@@ -12,9 +12,6 @@ use std::ops::Range;
 
 /// Edge of the squares that cuts run between, pixels. Smaller: tighter tiles, more time. By judgement.
 const SQUARE: usize = 128;
-/// Tiles of more pixels are cut: a client fetches, lays out and keeps what it looks at, and what is fetched for a turn that never comes is small. Smaller: more images per frame. See
-/// decisions.md.
-const MOST_PIXELS: usize = 250_000;
 /// A tile is cut where that leaves out more than this share of it. Each cut costs an image; what nobody looks at costs memory only. By judgement.
 const WORTH_CUTTING: f64 = 0.5;
 /// Tiles reach over their borders by this many pixels, so that surfaces join across them.
@@ -29,8 +26,8 @@ pub(super) struct Tile {
     pub window: Window,
 }
 
-/// The tiles of a face; none if nothing is seen.
-pub(super) fn tiles<'a>(face: &Window, seen: impl Iterator<Item = &'a Glimpse>) -> Vec<Tile> {
+/// The tiles of a face, of at most so many pixels without what they overlap; none if nothing is seen.
+pub(super) fn tiles<'a>(face: &Window, seen: impl Iterator<Item = &'a Glimpse>, most_pixels: usize) -> Vec<Tile> {
     let (columns, rows) = ((face.width as usize).div_ceil(SQUARE), (face.height as usize).div_ceil(SQUARE));
     let mut needed = vec![false; columns * rows];
     for glimpse in seen {
@@ -47,7 +44,8 @@ pub(super) fn tiles<'a>(face: &Window, seen: impl Iterator<Item = &'a Glimpse>) 
         Window { left, top, width, height }
     };
     let mut out = Vec::new();
-    cover(&Sums::new(&needed, columns), 0..columns, 0..rows, &mut |share, tight| {
+    let most_squares = most_pixels / (SQUARE * SQUARE);
+    cover(&Sums::new(&needed, columns), 0..columns, 0..rows, most_squares, &mut |share, tight| {
         out.push(Tile { share: window(&share.0, &share.1), window: window(&tight.0, &tight.1) });
     });
     out
@@ -56,13 +54,19 @@ pub(super) fn tiles<'a>(face: &Window, seen: impl Iterator<Item = &'a Glimpse>) 
 /// Columns and rows of squares.
 type Block = (Range<usize>, Range<usize>);
 
-/// Covers the needed squares of a block; `found` takes shares of the block and what of them is needed.
-fn cover(needed: &Sums, columns: Range<usize>, rows: Range<usize>, found: &mut dyn FnMut(Block, Block)) {
+/// Covers the needed squares of a block; `found` takes shares of the block and what of them is needed, `most_squares` at most.
+fn cover(
+    needed: &Sums,
+    columns: Range<usize>,
+    rows: Range<usize>,
+    most_squares: usize,
+    found: &mut dyn FnMut(Block, Block),
+) {
     let Some(tight) = needed.tight(columns.clone(), rows.clone()) else { return };
     let (across, down) = tight.clone();
     let area = |(columns, rows): &Block| columns.len() * rows.len();
     let all = area(&tight);
-    let large = all > 1 && all * SQUARE * SQUARE > MOST_PIXELS;
+    let large = all > 1 && all > most_squares;
     // The cut that leaves out the most squares; of equals one through the longer side, and of these the most even one. Beside each cut lie needed squares, as the block is tight.
     let left_of = |c: usize| [(columns.start..c, rows.clone()), (c..columns.end, rows.clone())];
     let above = |r: usize| [(columns.clone(), rows.start..r), (columns.clone(), r..rows.end)];
@@ -76,7 +80,7 @@ fn cover(needed: &Sums, columns: Range<usize>, rows: Range<usize>, found: &mut d
         .min_by_key(|cut| cut.0);
     match best {
         Some(((kept, ..), parts)) if large || ((all - kept) as f64) > WORTH_CUTTING * all as f64 => {
-            parts.into_iter().for_each(|(c, r)| cover(needed, c, r, found));
+            parts.into_iter().for_each(|(c, r)| cover(needed, c, r, most_squares, found));
         }
         _ => found((columns, rows), tight),
     }
@@ -85,6 +89,8 @@ fn cover(needed: &Sums, columns: Range<usize>, rows: Range<usize>, found: &mut d
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const MOST_PIXELS: usize = 250_000;
 
     #[test]
     fn tiles_hold_what_is_seen_and_share_out_the_face() {
@@ -104,7 +110,7 @@ mod tests {
                 });
             }
         }
-        let all = tiles(&face, seen.iter());
+        let all = tiles(&face, seen.iter(), MOST_PIXELS);
         // As few as hold 128 pixels' squares of all three, of some 2.9 million pixels, or hardly more.
         assert!((12..=20).contains(&all.len()), "{} {all:?}", all.len());
         let inside =
@@ -123,15 +129,15 @@ mod tests {
                 (f64::from(face.left) + f64::from(k % 100) * 60.0, f64::from(face.top) + f64::from(k / 100) * 41.0);
             assert!(all.iter().any(|t| inside(&t.share, u, v)), "{u} {v}");
         }
-        assert!(tiles(&face, std::iter::empty()).is_empty());
+        assert!(tiles(&face, std::iter::empty(), MOST_PIXELS).is_empty());
         // A long strip is cut, too.
         let (strip, along) = (Window { width: 100_000, height: 200, ..face }, [50_000.0, 100.0]);
         let seen = Glimpse { at: [47_000.0, 600.0, 0.1], half: along, ray: [0.0; 2], ray_half: [0.0; 2] };
-        let strips = tiles(&strip, std::iter::once(&seen));
+        let strips = tiles(&strip, std::iter::once(&seen), MOST_PIXELS);
         assert!(strips.len() >= 50 && strips.iter().all(|t| t.window.pixels() < MOST_PIXELS + MOST_PIXELS / 4));
         // Seen all over: cut because it is large.
         let everywhere = Glimpse { at: [0.0, 2500.0, 0.1], half: [9000.0; 2], ray: [0.0; 2], ray_half: [0.0; 2] };
-        let whole = tiles(&face, std::iter::once(&everywhere));
+        let whole = tiles(&face, std::iter::once(&everywhere), MOST_PIXELS);
         assert!(whole.len() >= face.pixels() / MOST_PIXELS, "{}", whole.len());
         assert!(whole.iter().all(|t| t.window.width < 3 * t.window.height && t.window.height < 3 * t.window.width));
     }

@@ -23,8 +23,9 @@ use ldi_protocol::{
 };
 use scenes::{Analytic, GREY, OUTPUT, RED, Random, plan, room};
 
+/// As for datasets, but in one tile.
 fn options() -> ConstructOptions {
-    ConstructOptions::new(OUTPUT)
+    ConstructOptions { tile_pixels: 4_000_000, ..ConstructOptions::new(OUTPUT) }
 }
 
 fn made(scene: &Analytic, plan: &ImagePlan) -> Constructed {
@@ -624,6 +625,23 @@ fn what_is_skipped_does_not_show_where_a_camera_looks() {
         }
     }
     assert!(open > 2_000 && closed > 2_000 && traced > 200, "{open} {closed} {traced}");
+}
+
+#[test]
+fn two_cameras_look_at_what_many_eyes_see() {
+    let (plan, _) = plan_with_eyes(8);
+    let scene = next_door();
+    let views = |eyes: &[DVec3]| {
+        let mut rig = Rig::new(&plan, &OUTPUT).expect("sound");
+        let tolerance = Tolerance { step: rig.step() as f32 };
+        let face = survey(&scene, eyes).map(|s| Face::of(&s, &plan, &rig));
+        let sight = Sight::of(face.as_ref(), &mut rig).expect("something is seen");
+        let (central, _) = central_image(&scene, &rig, &sight.looked);
+        sight.cameras(&rig, &central, &tolerance).iter().flatten().count()
+    };
+    let eye = DVec3::new(0.6, 0.0, 0.4);
+    // Rays of an eye are random, so that of many some see pieces that others do not.
+    assert_eq!([1, 2, 3].map(|eyes| views(&vec![eye; eyes])), [1, 2, 2]);
 }
 
 #[test]
