@@ -59,7 +59,7 @@ struct Depends {
 
 /// How far ahead images are looked for that will be seen, seconds: they are laid out by then. Larger: more that is never seen.
 const AHEAD_S: [f64; 2] = [0.4, 1.0];
-/// Images that are laid out ahead at most: each takes three times the memory of a decoded one.
+/// Images that are laid out ahead at most, about as many as a view shows: each takes three times the memory of a decoded one.
 const MOST_AHEAD: usize = 32;
 /// Pictures farther apart than this tell nothing of how the eye moves.
 const LONGEST_STEP_S: f64 = 0.5;

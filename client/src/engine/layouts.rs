@@ -6,7 +6,7 @@ use ldi_protocol::{OutputCamera, Pose, ldi::Ldi};
 use std::{sync::Arc, time::Instant};
 
 /// Layouts that are kept besides those of the current frame: of the images that a walker goes back and forth between. Each is
-/// about three times as large as the decoded image.
+/// about three times as large as the decoded image. As many as a view shows, some thirty tiles of a quarter of a million pixels.
 const KEPT: usize = 32;
 
 /// What is laid out.

@@ -111,7 +111,7 @@ mod tests {
             }
         }
         let all = tiles(&face, seen.iter(), MOST_PIXELS);
-        // As few as hold 128 pixels' squares of all three, of some 2.9 million pixels, or hardly more.
+        // With the squares that they reach into the three take some 3 million pixels, twelve tiles' worth; halves are seldom full.
         assert!((12..=20).contains(&all.len()), "{} {all:?}", all.len());
         let inside =
             |w: &Window, u: f64, v: f64| w.index(u as i64 - i64::from(w.left), v as i64 - i64::from(w.top)).is_some();
