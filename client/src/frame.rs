@@ -8,6 +8,7 @@ use ldi_protocol::{
     OutputCamera,
     shade::{SKY_SRGB, linear_from_srgb8_table, srgb8_from_linear},
 };
+use rayon::prelude::*;
 
 /// What a pixel's colour came from. Later ones are more doubtful, which [`Frame::resolve`] uses to break ties.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
@@ -59,6 +60,11 @@ pub struct Frame {
     pub source: Vec<Source>,
 }
 
+impl Source {
+    /// All, by number.
+    pub const ALL: [Self; 6] = [Self::Sky, Self::Near, Self::Far, Self::Tree, Self::Filled, Self::Unpainted];
+}
+
 impl Frame {
     /// An unpainted frame.
     pub fn new(width: u32, height: u32) -> Self {
@@ -77,6 +83,26 @@ impl Frame {
         self.disparity.resize(n, 0.0);
         self.source.clear();
         self.source.resize(n, Source::Unpainted);
+    }
+
+    /// Makes those pixels unpainted whose bit of `open` is set, row by row, the lowest bit of a word first. All others were painted elsewhere: they count as near geometry, and their colours and
+    /// disparities mean nothing.
+    pub fn reset_open(&mut self, width: u32, height: u32, open: &[u32]) {
+        const WORD: usize = u32::BITS as usize;
+        let n = width as usize * height as usize;
+        (self.width, self.height) = (width, height);
+        self.colour.resize(n, SKY);
+        self.disparity.resize(n, 0.0);
+        self.source.resize(n, Source::Unpainted);
+        let planes = self.colour.par_chunks_mut(WORD).zip(self.disparity.par_chunks_mut(WORD));
+        let planes = planes.zip(self.source.par_chunks_mut(WORD)).zip(open.par_iter());
+        planes.with_min_len(512).for_each(|(((colours, disparities), sources), word)| {
+            sources.fill(Source::Near);
+            let planes = colours.iter_mut().zip(disparities).zip(sources).enumerate();
+            for (_, ((colour, disparity), source)) in planes.filter(|(bit, _)| *word != 0 && word >> bit & 1 == 1) {
+                (*colour, *disparity, *source) = (SKY, 0.0, Source::Unpainted);
+            }
+        });
     }
 
     /// Number of pixels.
@@ -145,14 +171,13 @@ impl Frame {
 
 /// The source with the most votes; ties go to the later one.
 fn most_frequent(votes: [u32; 6]) -> Source {
-    const ALL: [Source; 6] = [Source::Sky, Source::Near, Source::Far, Source::Tree, Source::Filled, Source::Unpainted];
     let mut best = 0;
     for (i, n) in votes.iter().enumerate() {
         if *n >= votes[best] {
             best = i;
         }
     }
-    ALL[best]
+    Source::ALL[best]
 }
 
 /// The camera of a frame rendered at `factor` times the output's resolution: same field of view, more pixels.

@@ -131,6 +131,11 @@ impl CompositeStats {
         if self.pixels == 0 { 0.0 } else { count as f64 / self.pixels as f64 }
     }
 
+    /// Whether what is left is worth filling. `known`: an image or the tree was there, so that it is gaps in that.
+    pub fn is_worth_filling(&self, known: bool) -> bool {
+        known && self.unpainted > 0 && self.unpainted * FILL_UP_TO < self.pixels
+    }
+
     fn add(mut self, other: Self) -> Self {
         self.pixels += other.pixels;
         self.near += other.near;
@@ -229,8 +234,7 @@ pub fn merge(frame: &mut Frame, far: Far<'_>, pose: &Pose, camera: &OutputCamera
 
 /// The second half: fill and smoothing. `known`: an image or the tree was there, so that holes are gaps in it.
 pub fn finish(frame: &mut Frame, known: bool, stats: &mut CompositeStats, options: &CompositeOptions<'_>) {
-    let worth_filling = stats.unpainted * FILL_UP_TO < stats.pixels;
-    if stats.unpainted > 0 && worth_filling && known {
+    if stats.is_worth_filling(known) {
         stats.filled = match options.fill {
             Fill::Surface => fill::fill(frame),
             Fill::Last if options.last.len() == frame.len() => fill::from_last(frame, options.last),
@@ -364,6 +368,23 @@ struct Face<'a> {
     absent: Vec<[f64; 4]>,
 }
 
+/// How well the disparities of images of one plane are known: one step of their codes moves a disparity d of the picture at a column and a row by
+/// step (d eye depth + forward), where forward is affine in both.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CodeStep {
+    /// Component of a pixel's direction along the plane's normal: at pixel (0, 0), per column, per row.
+    pub forward: [f64; 3],
+    /// The eye's depth as the plane sees it, m.
+    pub eye_depth_m: f64,
+    /// Step of the codes, 1/m.
+    pub step: f64,
+}
+
+/// The steps of those images that are there.
+pub fn code_steps(images: &[FarImage<'_>], pose: &Pose, camera: &OutputCamera) -> Vec<CodeStep> {
+    faces(images, pose, camera).iter().filter(|f| f.step > 0.0).map(Face::code_step).collect()
+}
+
 fn faces<'a>(images: &[FarImage<'a>], pose: &Pose, camera: &OutputCamera) -> Vec<Face<'a>> {
     let mut faces: Vec<Face<'a>> = Vec::new();
     for image in images {
@@ -475,6 +496,12 @@ impl Face<'_> {
             here: Vec::new(),
             absent: Vec::new(),
         }
+    }
+
+    /// See [`CodeStep`].
+    fn code_step(&self) -> CodeStep {
+        let Directions { first, per_column, per_row } = &self.directions;
+        CodeStep { forward: [first[2], per_column[2], per_row[2]], eye_depth_m: self.eye_depth_m, step: self.step }
     }
 
     /// How far one step of the images' disparity codes moves the disparity of a far surface in the picture.

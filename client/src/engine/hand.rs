@@ -2,6 +2,7 @@
 
 use super::painter::Painter;
 use crate::{
+    composite::CodeStep,
     frame::Frame,
     gpu::{Gpu, GpuError, WarpOn},
     near::{NearStats, Rasterizer},
@@ -67,6 +68,15 @@ pub struct Hand {
     /// One image of several, where its order counts and must not mix with the others'.
     single: FarFrame,
     gpu: Option<Box<Gpu>>,
+    /// What of the frame lies on the card and nowhere else.
+    on_card: OnCard,
+}
+
+/// Pictures that were not read back.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct OnCard {
+    near: bool,
+    warped: bool,
 }
 
 impl Hand {
@@ -98,7 +108,7 @@ impl Hand {
         self.drawer(camera).filter(|gpu| gpu.warps() && Gpu::can_warp(options).is_ok())
     }
 
-    /// Near geometry; `frame` becomes as large as the camera.
+    /// Near geometry, the first thing of a frame: into `frame`, which becomes as large as the camera, or onto the card.
     pub fn draw_near(
         &mut self,
         index: &Index,
@@ -108,8 +118,13 @@ impl Hand {
         pose: &Pose,
         frame: &mut Frame,
     ) -> Result<NearStats, PaintError> {
+        self.on_card = OnCard::default();
         match self.drawer(camera) {
-            Some(gpu) => Ok(gpu.draw(index, resident, cells, camera, pose, frame)?),
+            Some(gpu) => {
+                let stats = gpu.draw(index, resident, cells, camera, pose)?;
+                self.on_card.near = true;
+                Ok(stats)
+            }
             None => Ok(self.rasterizer.draw(index, resident, cells, camera, pose, frame)),
         }
     }
@@ -127,7 +142,7 @@ impl Hand {
         Ok(())
     }
 
-    /// Warps images to one picture: within an image by the given order, between images by depth.
+    /// Warps images to one picture, within an image by the given order, between images by depth: into `into`, or onto the card.
     pub fn warp(
         &mut self,
         images: &[Shown<'_>],
@@ -139,9 +154,60 @@ impl Hand {
         // One picture is drawn by one of the two.
         let fit = |gpu: &&mut Gpu| images.iter().all(|i| gpu.fits_image(i.laid_out));
         if let Some(gpu) = self.warper(camera, options).filter(fit) {
-            return Ok(gpu.warp_images(images, pose, camera, options, into)?);
+            let stats = gpu.warp_images(images, pose, camera, options)?;
+            self.on_card.warped = true;
+            return Ok(stats);
         }
         Ok(warp_images(images, pose, camera, options, into, &mut self.single)?)
+    }
+
+    /// Joins on the card what was drawn there, if that is all there is (`into` is what [`Self::warp`] got) and a card is at home in such things: a bit per pixel that nothing reached
+    /// ([`Gpu::merge`]). None: [`Self::read_back`] what is there.
+    pub fn merge(
+        &mut self,
+        steps: &[CodeStep],
+        camera: &OutputCamera,
+        into: &FarFrame,
+    ) -> Result<Option<Vec<u32>>, PaintError> {
+        let OnCard { near, warped } = self.on_card;
+        let all = near && (warped || into.is_untouched());
+        let Some(gpu) = self.gpu.as_deref_mut().filter(|gpu| all && gpu.warps()) else { return Ok(None) };
+        let mut open = Vec::new();
+        gpu.merge(warped, steps, camera, &mut open)?;
+        Ok(Some(open))
+    }
+
+    /// See [`Gpu::finish`].
+    pub fn finish(
+        &mut self,
+        open: &[u32],
+        found: &Frame,
+        fill: bool,
+        factor: u32,
+        out: &mut Frame,
+    ) -> Result<u64, PaintError> {
+        match self.gpu.as_deref_mut() {
+            Some(gpu) => Ok(gpu.finish(open, found, fill, factor, out)?),
+            None => Ok(0),
+        }
+    }
+
+    /// What lies on the card and nowhere else, to where the processor draws.
+    pub fn read_back(
+        &mut self,
+        camera: &OutputCamera,
+        frame: &mut Frame,
+        warped: &mut FarFrame,
+    ) -> Result<(), PaintError> {
+        let on_card = std::mem::take(&mut self.on_card);
+        let Some(gpu) = self.gpu.as_deref_mut() else { return Ok(()) };
+        if on_card.near {
+            gpu.read_near(camera, frame)?;
+        }
+        if on_card.warped {
+            gpu.read_warped(warped)?;
+        }
+        Ok(())
     }
 }
 
@@ -169,6 +235,7 @@ mod tests {
             let mut far = FarFrame::new(camera.width, camera.height);
             let images = [Shown::from(&laid_out)];
             hand.warp(&images, &pose, &camera, &options, &mut far).expect("warped");
+            hand.read_back(&camera, &mut Frame::default(), &mut far).expect("read back");
             far.packed
         };
         assert!(drawn(&mut small) == drawn(&mut Hand::default()), "bit by bit");

@@ -8,12 +8,13 @@ use super::{
     layouts::{Layout, Layouts, Wanted},
     options::{Cull, Method, WalkOptions},
     stand_in::{StandIn, absent_chunks},
+    views::Shows,
     workshop::Workshop,
 };
 use crate::{
     composite::{
-        CompositeOptions, Doubt, Far, FarImage, FarPortal, Fill, downsample, finish, grow_sky, lay_under, merge,
-        wanted_under,
+        CompositeOptions, Doubt, Far, FarImage, FarPortal, Fill, code_steps, downsample, finish, grow_sky, lay_under,
+        merge, wanted_under,
     },
     frame::{Frame, Source, supersampled},
     gpu::Gpu,
@@ -77,6 +78,8 @@ pub struct Painted {
     pub waiting: usize,
     /// The placement that stands in for the view's own, which is not at hand yet.
     pub stand_in: Option<u32>,
+    /// Whether a graphics card joined near geometry and images.
+    pub on_card: bool,
     /// Time by stage. `total` is without `prepare`.
     pub ms: StageMs,
 }
@@ -94,6 +97,8 @@ pub struct Painter {
     hand: Hand,
     far: FarFrame,
     full: Frame,
+    /// Pixels that were filled where `full` does not show it.
+    filled_on_card: u64,
     tree: StillPainter,
     /// Samples of the tree per millisecond, as measured; 0 before the first.
     tree_rate: f64,
@@ -250,7 +255,7 @@ impl Painter {
         *self = Self { hand, ..Self::default() };
     }
 
-    /// Draws a view into `out`, at the camera's size. `holds` tells whether a chunk is resident, decoded.
+    /// Draws a view into `out`, at the camera's size; of a frame that a card joined it has no disparities. `holds` tells whether a chunk is resident, decoded.
     ///
     /// # Errors
     ///
@@ -417,6 +422,19 @@ impl Painter {
                 Some(FarPortal { cones: &p.cones, images, sky })
             })
             .collect();
+        let mut known = images.iter().any(|(.., l)| l.is_some());
+        let doubtful = gaps || ((view.by_tree || index.rooms.is_some()) && view.dropped > 0);
+        // On the card if all is there that the picture wants, and nothing that only the processor does.
+        let plain = options.shows == Shows::Scene && options.fill != Fill::Last && !options.smooth;
+        let open = match plain && !doubtful && view.dropped == 0 {
+            true => self.hand.merge(&code_steps(&shown, pose, &full_camera), &full_camera, &self.far)?,
+            false => None,
+        };
+        painted.on_card = open.is_some();
+        match &open {
+            Some(open) => self.full.reset_open(full_camera.width, full_camera.height, open),
+            None => self.hand.read_back(&full_camera, &mut self.full, &mut self.far)?,
+        }
         let far = match shown[..] {
             _ if !portals.is_empty() => {
                 Far::Portals { picture: &self.far, portals: &portals, complete: view.dropped == 0 && !near_gaps }
@@ -430,8 +448,6 @@ impl Painter {
             }
         };
         let mut stats = merge(&mut self.full, far, pose, &full_camera);
-        let mut known = images.iter().any(|(.., l)| l.is_some());
-        let doubtful = gaps || ((view.by_tree || index.rooms.is_some()) && view.dropped > 0);
         let all_layers = images.iter().all(|(_, entry, ldi)| absent_layers(entry, ldi.as_deref()).is_empty());
         // Reference images of portals are not made from what eyes see: what they miss is no sky.
         if known && all_layers && !doubtful && !view.portal_images.is_paper() {
@@ -450,17 +466,23 @@ impl Painter {
                 painted.ms.warp += t.ms;
             }
         }
-        let composite_options = CompositeOptions { fill: options.fill, last: &self.last, smooth: options.smooth };
-        finish(&mut self.full, known, &mut stats, &composite_options);
-        if gaps && index.tree.is_none() && images.is_empty() && view.dropped == 0 {
-            // Nothing better is known than that nothing was found there.
-            self.full.paint_rest_as_sky();
-        }
-        options.shows.recolour(&mut self.full);
-        if options.supersample > 1 {
-            downsample(&self.full, options.supersample, out);
+        self.filled_on_card = 0;
+        if let Some(open) = open {
+            let fill = options.fill == Fill::Surface && stats.is_worth_filling(known);
+            self.filled_on_card = self.hand.finish(&open, &self.full, fill, options.supersample, out)?;
         } else {
-            out.clone_from(&self.full);
+            let composite_options = CompositeOptions { fill: options.fill, last: &self.last, smooth: options.smooth };
+            finish(&mut self.full, known, &mut stats, &composite_options);
+            if gaps && index.tree.is_none() && images.is_empty() && view.dropped == 0 {
+                // Nothing better is known than that nothing was found there.
+                self.full.paint_rest_as_sky();
+            }
+            options.shows.recolour(&mut self.full);
+            if options.supersample > 1 {
+                downsample(&self.full, options.supersample, out);
+            } else {
+                out.clone_from(&self.full);
+            }
         }
         painted.ms.composite = ms_since(start) - painted.tree.as_ref().map_or(0.0, |t| t.ms);
         let m = &mut painted.ms;
@@ -503,7 +525,8 @@ impl Painter {
         Some(stats)
     }
 
-    /// The last frame before averaging: what the warp and the rasterizer left, pixel by pixel.
+    /// The last frame before averaging: what the warp and the rasterizer left, pixel by pixel. Of a frame that a card joined only sky, the LDI tree's pixels and those that nothing reached are what they are here,
+    /// not filled; all else counts as near geometry.
     pub fn full(&self) -> &Frame {
         &self.full
     }
@@ -511,8 +534,8 @@ impl Painter {
     /// Shares of the full frame's pixels that nothing known reached, before and after the fill.
     pub fn unknown_fractions(&self) -> (f64, f64) {
         let n = self.full.len().max(1) as f64;
-        let filled = self.full.count(Source::Filled) as f64;
-        let unpainted = self.full.count(Source::Unpainted) as f64;
-        ((filled + unpainted) / n, unpainted / n)
+        let unknown = (self.full.count(Source::Filled) + self.full.count(Source::Unpainted)) as f64;
+        let filled = self.full.count(Source::Filled) as f64 + self.filled_on_card as f64;
+        (unknown / n, (unknown - filled) / n)
     }
 }

@@ -5,6 +5,7 @@ use crate::{
     cache::{Cache, Incomplete, fixture::street},
     composite::Fill,
     frame::{Frame, Source, unpack_rgb},
+    gpu::{Gpu, GpuError},
     report::StageMs,
     resident::Resident,
     test_support::{Memory, dataset, plain_material, quad_cluster},
@@ -253,6 +254,52 @@ fn near_and_far_come_together() {
     let (frame, painted, view) = paint(&feed, &ahead, &geometry);
     assert_eq!((view.selection.placement, view.cells, painted.triangles), (None, vec![0, 1], 4));
     assert_eq!((colour_at(&frame, 18, 24), painted.warp.is_none()), ([0, 255, 0], true));
+}
+
+/// A card joins a frame that lacks nothing; what is missing, debug views and what only the processor does are the processor's. The pictures are the same.
+#[test]
+fn a_card_joins_what_it_drew() {
+    let gpu = match Gpu::open() {
+        Err(e @ (GpuError::NoAdapter(_) | GpuError::Lacking { .. })) => return eprintln!("SKIPPED: {e}"),
+        opened => opened.expect("an adapter that draws"),
+    };
+    let mut on_card = Painter::on(gpu);
+    let feed = scene();
+    let beside = Pose { position: DVec3::new(0.13, 0.0, 0.0), yaw_deg: 4.0, pitch_deg: 0.0 };
+    let plain = options(Pace::Wait);
+    let cases = [
+        (plain.clone(), true, true),
+        (WalkOptions { supersample: 2, ..plain.clone() }, true, true),
+        (WalkOptions { fill: Fill::Off, ..plain.clone() }, true, true),
+        (WalkOptions { method: Method::Geometry, ..plain.clone() }, true, true),
+        (WalkOptions { fill: Fill::Last, ..plain.clone() }, true, false),
+        (WalkOptions { smooth: true, ..plain.clone() }, true, false),
+        (WalkOptions { stamp: Stamp::Ewa, ..plain.clone() }, true, false),
+        (WalkOptions { shows: Shows::Depth, ..plain.clone() }, true, false),
+        (plain, false, false),
+    ];
+    for (number, (options, whole, joins)) in cases.into_iter().enumerate() {
+        let mut ms = StageMs::default();
+        let view = view_of(&feed.index, &beside, &CAMERA, options.method, &mut ms);
+        // All, or the near square alone.
+        feed.state().0 = if whole { vec![0, 1, 2] } else { vec![0] };
+        let painted = |painter: &mut Painter| {
+            let mut frame = Frame::default();
+            let done = painter.paint(&feed.index, &feed, &view, &beside, &CAMERA, &options, ms, &mut frame);
+            (done.expect("painted"), frame, painter.unknown_fractions())
+        };
+        let (theirs, ours) = (painted(&mut on_card), painted(&mut Painter::default()));
+        assert_eq!((theirs.0.on_card, ours.0.on_card), (joins, false), "case {number}");
+        assert_eq!(theirs.0.missing_chunks, ours.0.missing_chunks, "case {number}");
+        assert_eq!(theirs.2, ours.2, "case {number}: what nothing known reached");
+        let off = |(a, b): (&u32, &u32)| {
+            unpack_rgb(*a).into_iter().zip(unpack_rgb(*b)).map(|(a, b)| a.abs_diff(b)).max().unwrap_or(0) > 1
+        };
+        let differ = theirs.1.colour.iter().zip(&ours.1.colour).filter(|p| off(*p)).count();
+        // Of some hundred along edges.
+        assert!(differ <= 8, "case {number}: {differ} pixels");
+        assert!(ours.1.count(Source::Near) > 100, "case {number}");
+    }
 }
 
 /// What the upper half of the image does not show is sky, as it borders on sky; but not while a deeper layer may hold it.

@@ -160,6 +160,19 @@ impl Card {
         })
     }
 
+    /// Does what was encoded, and waits for it.
+    pub fn run(&self, encoder: wgpu::CommandEncoder) -> Result<(), GpuError> {
+        let submission = self.queue.submit([encoder.finish()]);
+        self.check()?;
+        self.wait(submission)
+    }
+
+    /// Waits until the card has done something.
+    pub fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), GpuError> {
+        let wait = wgpu::PollType::Wait { submission_index: Some(submission), timeout: None };
+        self.device.poll(wait).map(drop).map_err(|e| self.failed(e.to_string()))
+    }
+
     pub fn encoder(&self) -> wgpu::CommandEncoder {
         self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
     }

@@ -1,7 +1,7 @@
 //! Drawing on a graphics card: the twin of `near` and `warp`, with their stages and names.
 //!
-//! In: what those take. Out: what those give, read back: a [`Frame`] of the near geometry and a [`FarFrame`] of the warped images, which `composite` merges as it
-//! merges the processor's. The near geometry goes through the card's rasterizer ([`near`]), the micro-quads and the fixed stamps through compute shaders ([`warp`]),
+//! In: what those take. Out: what those give, on the card: there both are joined and averaged ([`join`]), or they are read back, a [`Frame`] of the near geometry and a [`FarFrame`] of the
+//! warped images, which `composite` merges as it merges the processor's. The near geometry goes through the card's rasterizer ([`near`]), the micro-quads and the fixed stamps through compute shaders ([`warp`]),
 //! so that an adapter without a rasterizer could still warp.
 //!
 //! Pictures equal the processor's up to rounding: f32 in place of f64 for vertices, a card's own filter weights, and pixels whose centres lie on an edge to
@@ -17,6 +17,7 @@ mod calibrate;
 mod device;
 mod geometry;
 mod images;
+mod join;
 mod near;
 mod read_back;
 #[cfg(test)]
@@ -28,6 +29,7 @@ pub use calibrate::{Calibration, WarpOn};
 pub use device::{Atomics, GpuError};
 
 use crate::{
+    composite::CodeStep,
     frame::Frame,
     near::NearStats,
     resident::Resident,
@@ -41,6 +43,7 @@ pub struct Gpu {
     card: Card,
     near: near::Near,
     warp: warp::Warp,
+    join: join::Join,
     calibration: Option<Calibration>,
     /// Largest array that it can bind or hold, bytes.
     largest_bytes: u64,
@@ -78,11 +81,11 @@ impl Gpu {
     }
 
     fn with(card: Card) -> Result<Self, GpuError> {
-        let (near, warp) = (near::Near::new(&card), warp::Warp::new(&card));
+        let (near, warp, join) = (near::Near::new(&card), warp::Warp::new(&card), join::Join::new(&card));
         card.check()?;
         let limits = card.device.limits();
         let largest_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        Ok(Self { card, near, warp, calibration: None, largest_bytes })
+        Ok(Self { card, near, warp, join, calibration: None, largest_bytes })
     }
 
     /// Name of the adapter and how it is driven.
@@ -148,7 +151,7 @@ impl Gpu {
         self.calibration.is_none_or(|c| c.on_card)
     }
 
-    /// What [`crate::near::Rasterizer::draw`] does.
+    /// What [`crate::near::Rasterizer::draw`] does; the picture stays on the card.
     ///
     /// # Errors
     /// If the card fails.
@@ -159,9 +162,16 @@ impl Gpu {
         cells: &[u32],
         camera: &OutputCamera,
         pose: &Pose,
-        frame: &mut Frame,
     ) -> Result<NearStats, GpuError> {
-        self.near.draw(&self.card, index, resident, cells, camera, pose, frame)
+        self.near.draw(&self.card, index, resident, cells, camera, pose)
+    }
+
+    /// Reads back what [`Self::draw`] drew with the same camera; `frame` becomes as large.
+    ///
+    /// # Errors
+    /// If the card fails.
+    pub fn read_near(&mut self, camera: &OutputCamera, frame: &mut Frame) -> Result<(), GpuError> {
+        self.near.read(&self.card, camera, frame)
     }
 
     /// Puts an image that fits ([`Self::fits_image`]) onto the card, unless it is there. Returns whether it was new.
@@ -174,7 +184,7 @@ impl Gpu {
         Ok(new)
     }
 
-    /// Warps images that fit ([`Self::fits_image`]) to one picture, by depth: what [`crate::warp::warp_images`] does with [`crate::warp::Order::Z`].
+    /// Warps images that fit ([`Self::fits_image`]) to one picture, by depth: what [`crate::warp::warp_images`] does with [`crate::warp::Order::Z`]; the picture stays on the card.
     ///
     /// # Errors
     /// If the card fails, or cannot draw the stamp or the order.
@@ -184,9 +194,49 @@ impl Gpu {
         pose: &Pose,
         camera: &OutputCamera,
         options: &WarpOptions,
-        into: &mut FarFrame,
     ) -> Result<WarpStats, GpuError> {
-        self.warp.warp_images(&self.card, images, pose, camera, options, into)
+        self.warp.warp_images(&self.card, images, pose, camera, options)
+    }
+
+    /// Reads back what [`Self::warp_images`] warped, into a picture of the same size.
+    ///
+    /// # Errors
+    /// If the card fails.
+    pub fn read_warped(&mut self, into: &mut FarFrame) -> Result<(), GpuError> {
+        self.warp.read(&self.card, into)
+    }
+
+    /// Merges what [`Self::draw`] drew and, if something was `warped`, [`Self::warp_images`] warped, both with the same camera, by depth: the first half of [`crate::composite::merge`]. `open` takes a bit per
+    /// pixel that neither reached, row by row, the lowest bit of a word first.
+    ///
+    /// # Errors
+    /// If the card fails.
+    pub fn merge(
+        &mut self,
+        warped: bool,
+        steps: &[CodeStep],
+        camera: &OutputCamera,
+        open: &mut Vec<u32>,
+    ) -> Result<(), GpuError> {
+        let Some(near) = self.near.textures() else { return Err(self.card.failed("nothing was drawn")) };
+        let far = warped.then(|| self.warp.planes(&self.card));
+        self.join.merge(&self.card, &join::Drawn { near, far }, steps, camera, open)
+    }
+
+    /// Lays what was `found` where pixels are `open`, sky and samples of the LDI tree, into what [`Self::merge`] made, fills what is left if it is to be filled
+    /// ([`crate::composite::Fill::Surface`]), and averages blocks of `factor` pixels into `out`, whose disparities are 0: they stay on the card. Returns how many pixels were filled.
+    ///
+    /// # Errors
+    /// If the card fails.
+    pub fn finish(
+        &mut self,
+        open: &[u32],
+        found: &Frame,
+        fill: bool,
+        factor: u32,
+        out: &mut Frame,
+    ) -> Result<u64, GpuError> {
+        self.join.finish(&self.card, open, found, fill, factor, out)
     }
 
     /// Forgets what lies on the card: numbers are about to mean something else.

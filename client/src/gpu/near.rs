@@ -1,6 +1,6 @@
 //! Near geometry by the card's rasterizer (`near.wgsl`).
 //!
-//! In: the cells to draw, as for [`crate::near::Rasterizer`]. Out: the same frame. Depth on the card is disparity times the near plane's distance, greater is nearer, the first of
+//! In: the cells to draw, as for [`crate::near::Rasterizer`]. Out: the same picture, on the card; and read back, the same frame. Depth on the card is disparity times the near plane's distance, greater is nearer, the first of
 //! equally near triangles wins; placements come to the card in f32 relative to the eye, formed in f64, so that a scene far from the world's origin looks the same.
 
 use super::{
@@ -23,6 +23,8 @@ use ldi_protocol::{OutputCamera, Pose, index::Index, mesh::Material};
 use rayon::prelude::*;
 
 const COLOUR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
+/// The same codes, not decoded when they are read.
+pub const COLOUR_CODES: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 /// Bytes per pixel of either.
 const PIXEL: u32 = 4;
@@ -72,6 +74,8 @@ pub struct Near {
     textures: Textures,
     placed: Growing,
     targets: Option<Targets>,
+    /// Nothing was drawn into them.
+    is_empty: bool,
     read_back: ReadBack,
 }
 
@@ -160,6 +164,7 @@ impl Near {
             textures,
             placed: Growing::new("placed", wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_DST),
             targets: None,
+            is_empty: true,
             read_back: ReadBack::new(),
         }
     }
@@ -170,7 +175,6 @@ impl Near {
     }
 
     /// See [`super::Gpu::draw`].
-    #[expect(clippy::too_many_arguments, reason = "the card, and what the processor's rasterizer takes")]
     pub fn draw(
         &mut self,
         card: &Card,
@@ -179,12 +183,11 @@ impl Near {
         cells: &[u32],
         camera: &OutputCamera,
         pose: &Pose,
-        frame: &mut Frame,
     ) -> Result<NearStats, GpuError> {
         let [width, height] = [camera.width, camera.height].map(|n| n.min(MAX_SIDE_PX));
-        frame.reset(width, height);
         let scene = gather(index, resident, cells);
-        if frame.is_empty() || scene.draws.is_empty() {
+        self.is_empty = width == 0 || height == 0 || scene.draws.is_empty();
+        if width == 0 || height == 0 {
             return Ok(scene.stats);
         }
         self.geometry.hold(card, &scene.held);
@@ -201,8 +204,13 @@ impl Near {
         self.targets = Some(held.unwrap_or_else(|| Targets::new(card, [width, height])));
         let mut encoder = card.encoder();
         self.encode(card, &mut encoder, &scene, &items);
-        self.read(card, encoder, frame)?;
+        card.run(encoder)?;
         Ok(scene.stats)
+    }
+
+    /// Colours and depths of the last picture, on the card.
+    pub fn textures(&self) -> Option<[&wgpu::Texture; 2]> {
+        self.targets.as_ref().map(|t| [&t.colour, &t.depth])
     }
 
     fn encode(&mut self, card: &Card, encoder: &mut wgpu::CommandEncoder, scene: &Gathered<'_>, items: &[Item]) {
@@ -251,9 +259,13 @@ impl Near {
         }
     }
 
-    /// Reads colours and depths back into an unpainted frame.
-    fn read(&mut self, card: &Card, encoder: wgpu::CommandEncoder, frame: &mut Frame) -> Result<(), GpuError> {
-        let Some(targets) = &self.targets else { return Ok(()) };
+    /// Reads colours and depths of the last picture back.
+    pub fn read(&mut self, card: &Card, camera: &OutputCamera, frame: &mut Frame) -> Result<(), GpuError> {
+        let [width, height] = [camera.width, camera.height].map(|n| n.min(MAX_SIDE_PX));
+        frame.reset(width, height);
+        let Some(targets) = self.targets.as_ref().filter(|t| !self.is_empty && t.size == [width, height]) else {
+            return Ok(());
+        };
         let (width, height) = (frame.width as usize, frame.height);
         let stride = (PIXEL * frame.width).next_multiple_of(ROW_ALIGNMENT);
         let plane = u64::from(stride) * u64::from(height);
@@ -267,7 +279,7 @@ impl Near {
                 );
             }
         };
-        self.read_back.run(card, encoder, 2 * plane, copy, |bytes| {
+        self.read_back.run(card, card.encoder(), 2 * plane, copy, |bytes| {
             let (colours, depths) = bytes.split_at(plane as usize);
             let rows = colours.par_chunks(stride as usize).zip(depths.par_chunks(stride as usize));
             frame
@@ -293,7 +305,7 @@ impl Near {
 
 impl Targets {
     fn new(card: &Card, size: [u32; 2]) -> Self {
-        let target = |label, format| {
+        let target = |label, format, view_formats| {
             card.device.create_texture(&wgpu::TextureDescriptor {
                 label: Some(label),
                 size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
@@ -301,11 +313,13 @@ impl Targets {
                 sample_count: 1,
                 dimension: wgpu::TextureDimension::D2,
                 format,
-                usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
-                view_formats: &[],
+                usage: wgpu::TextureUsages::RENDER_ATTACHMENT
+                    | wgpu::TextureUsages::COPY_SRC
+                    | wgpu::TextureUsages::TEXTURE_BINDING,
+                view_formats,
             })
         };
-        Self { size, colour: target("near colour", COLOUR), depth: target("near depth", DEPTH) }
+        Self { size, colour: target("near colour", COLOUR, &[COLOUR_CODES]), depth: target("near depth", DEPTH, &[]) }
     }
 }
 

@@ -32,8 +32,7 @@ impl ReadBack {
         let (told, done) = mpsc::channel();
         // The receiver waits below: it is there.
         staging.map_async(wgpu::MapMode::Read, 0..size, move |mapped| drop(told.send(mapped)));
-        let wait = wgpu::PollType::Wait { submission_index: Some(submission), timeout: None };
-        card.device.poll(wait).map_err(|e| card.failed(e.to_string()))?;
+        card.wait(submission)?;
         done.recv().map_err(|e| card.failed(e.to_string()))?.map_err(|e| card.failed(e.to_string()))?;
         let seen = {
             let view = staging.get_mapped_range(0..size).map_err(|e| card.failed(e.to_string()))?;

@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::{
-    frame::{Source, unpack_rgb},
+    composite::{CompositeOptions, Far, FarImage, Fill, code_steps, downsample, finish, merge},
+    frame::{Source, pack_rgb, unpack_rgb},
     near::Rasterizer,
     test_support::{Memory, dataset, plain_material, quad_cluster},
     warp::{Order, Shown, Stamp, analytic, warp_images},
@@ -46,6 +47,7 @@ fn the_shaders_are_valid() {
     let wide = with(include_str!("keep_wide.wgsl"));
     assert_eq!(validate(&wide, C::SHADER_INT64 | C::SHADER_INT64_ATOMIC_MIN_MAX), Ok(1));
     assert!(validate(&wide, C::empty()).is_err(), "what a card must have for it is asked for");
+    assert_eq!(validate(include_str!("join.wgsl"), C::empty()), Ok(5));
 }
 
 /// PSNR of two pictures' colours, dB.
@@ -152,7 +154,8 @@ fn poses(far_m: f64) -> Vec<Pose> {
 fn drawn(gpu: &mut Gpu, index: &Index, memory: &Memory, pose: &Pose) -> (Frame, NearStats) {
     let cells: Vec<u32> = (0..index.cells.len() as u32).collect();
     let mut frame = Frame::default();
-    let stats = gpu.draw(index, memory, &cells, &CAMERA, pose, &mut frame).expect("drawn");
+    let stats = gpu.draw(index, memory, &cells, &CAMERA, pose).expect("drawn");
+    gpu.read_near(&CAMERA, &mut frame).expect("read back");
     (frame, stats)
 }
 
@@ -229,7 +232,8 @@ fn warped(gpu: &mut Gpu, images: &[&PreparedLdi], pose: &Pose, stamp: Stamp) -> 
     let images: Vec<Shown<'_>> = images.iter().map(|i| Shown::from(*i)).collect();
     let mut far = FarFrame::new(CAMERA.width, CAMERA.height);
     let options = WarpOptions { stamp, ..WarpOptions::default() };
-    let stats = gpu.warp_images(&images, pose, &CAMERA, &options, &mut far).expect("warped");
+    let stats = gpu.warp_images(&images, pose, &CAMERA, &options).expect("warped");
+    gpu.read_warped(&mut far).expect("read back");
     (far, stats)
 }
 
@@ -297,6 +301,99 @@ fn both_ways_to_keep_the_nearest_sample_give_the_same_picture() {
             assert!(one.0.painted() > 10_000);
             assert_eq!(one, two, "{stamp}");
         }
+    }
+}
+
+/// What stands in for the tree: every seventh pixel that nothing reached, and none of the leftmost columns, which stay for the fill.
+fn lay_some(frame: &mut Frame) -> u64 {
+    let open = |frame: &Frame, at: usize| frame.source[at] == Source::Unpainted && at as u32 % frame.width > 40;
+    let given: Vec<usize> = (0..frame.len()).filter(|at| at % 7 == 0 && open(frame, *at)).collect();
+    for at in &given {
+        frame.colour[*at] = pack_rgb([*at as u8, 200, 30]);
+        (frame.disparity[*at], frame.source[*at]) = (1.0 / 3.0 + (*at % 5) as f32, Source::Tree);
+    }
+    given.len() as u64
+}
+
+#[test]
+fn what_the_card_joins_is_what_the_processor_joins() {
+    for atomics in [Atomics::Wide, Atomics::Narrow] {
+        let Some(mut gpu) = card(atomics) else { continue };
+        let (index, memory) = scene(0.0);
+        let cells: Vec<u32> = (0..index.cells.len() as u32).collect();
+        let mut ldi = analytic::scene("slanted").ldi(analytic::ldi_camera(DVec3::ZERO, 96, 64, 40.0), 3);
+        let laid_out = PreparedLdi::new(&ldi);
+        // Coarser than it is, so that near geometry often lies within a step.
+        ldi.codes.step = 0.1;
+        let shown = [FarImage::Here(&ldi, [-0.7, 0.7, -0.5, 0.5])];
+        // Whether near wins by a step, whether sky and holes are there: each has to happen somewhere.
+        let (mut by_step, mut sky, mut filled_in_all, mut from_tree) = (0, 0, 0, 0);
+        for (number, pose) in poses(0.0).into_iter().enumerate() {
+            for (warped, drawn) in [(true, true), (true, false), (false, true)] {
+                let cells = if drawn { &cells[..] } else { &[] };
+                let options = WarpOptions::default();
+                gpu.draw(&index, &memory, cells, &CAMERA, &pose).expect("drawn");
+                let mut frame = Frame::default();
+                gpu.read_near(&CAMERA, &mut frame).expect("read back");
+                let mut picture = FarFrame::new(CAMERA.width, CAMERA.height);
+                if warped {
+                    gpu.warp_images(&[Shown::from(&laid_out)], &pose, &CAMERA, &options).expect("warped");
+                    gpu.read_warped(&mut picture).expect("read back");
+                }
+                let untouched = FarFrame::new(CAMERA.width, CAMERA.height);
+                let far = |picture| match warped {
+                    true => Far::Images { picture, images: &shown, sky: None },
+                    false => Far::Nothing,
+                };
+                let steps = code_steps(if warped { &shown } else { &[] }, &pose, &CAMERA);
+                assert_eq!(steps.len(), usize::from(warped));
+                for (factor, fill) in [(1, true), (2, true), (2, false)] {
+                    // The processor.
+                    let mut full = frame.clone();
+                    let mut stats = merge(&mut full, far(&picture), &pose, &CAMERA);
+                    by_step += (0..full.len())
+                        .filter(|at| full.source[*at] == Source::Near)
+                        .filter(|at| picture.get(*at).is_some_and(|(_, far)| far > full.disparity[*at]))
+                        .count();
+                    stats.unpainted -= lay_some(&mut full);
+                    let settings = if fill { Fill::Surface } else { Fill::Off };
+                    finish(&mut full, true, &mut stats, &CompositeOptions { fill: settings, ..Default::default() });
+                    let mut expected = Frame::default();
+                    downsample(&full, factor, &mut expected);
+
+                    // The card.
+                    let mut open = Vec::new();
+                    gpu.merge(warped, &steps, &CAMERA, &mut open).expect("merged");
+                    let mut found = Frame::default();
+                    found.reset_open(CAMERA.width, CAMERA.height, &open);
+                    let mut stats = merge(&mut found, far(&untouched), &pose, &CAMERA);
+                    sky += stats.sky;
+                    let given = lay_some(&mut found);
+                    (stats.unpainted, from_tree) = (stats.unpainted - given, from_tree + given);
+                    let fill = fill && stats.is_worth_filling(true);
+                    let mut out = Frame::default();
+                    let filled = gpu.finish(&open, &found, fill, factor, &mut out).expect("finished");
+                    assert_eq!(filled, full.count(Source::Filled) as u64);
+                    filled_in_all += filled;
+
+                    let case = format!("{atomics:?} {number} {warped} {drawn} {factor} {fill}");
+                    assert_eq!((out.width, out.height), (expected.width, expected.height), "{case}");
+                    assert!(out.source == expected.source, "{case}: sources");
+                    let off = |(a, b): (&u32, &u32)| {
+                        let (a, b) = (unpack_rgb(*a), unpack_rgb(*b));
+                        a.into_iter().zip(b).map(|(a, b)| a.abs_diff(b)).max()
+                    };
+                    let most = out.colour.iter().zip(&expected.colour).filter_map(off).max();
+                    // Means are rounded by a table here and exactly there.
+                    assert!(most <= Some(if factor == 1 { 0 } else { 1 }), "{case}: {most:?}");
+                }
+            }
+        }
+        assert!(
+            by_step > 100 && sky > 1000 && filled_in_all > 1000 && from_tree > 1000,
+            "{by_step} {sky} {filled_in_all} {from_tree}"
+        );
+        println!("{} {atomics:?}: joined alike", gpu.adapter());
     }
 }
 

@@ -1,6 +1,6 @@
 //! The warp by compute shaders (`warp.wgsl`): a workgroup per tile that reaches the picture.
 //!
-//! In: images that lie on the card, a pose. Out: the same picture as the processor's. What a frame sends is a matrix per tile; which tiles reach the picture the processor finds out, as it does for
+//! In: images that lie on the card, a pose. Out: the same picture as the processor's, on the card; and read back. What a frame sends is a matrix per tile; which tiles reach the picture the processor finds out, as it does for
 //! its own warp. Samples are written as maxima, so that the picture depends on no order.
 
 use super::{
@@ -183,11 +183,9 @@ impl Warp {
         pose: &Pose,
         camera: &OutputCamera,
         options: &WarpOptions,
-        into: &mut FarFrame,
     ) -> Result<WarpStats, GpuError> {
         super::Gpu::can_warp(options)?;
         let stamp = number_of(options.stamp)?;
-        let pixels = u64::from(camera.width) * u64::from(camera.height);
         self.frame += 1;
         let (mut stats, mut jobs, mut batches) = (WarpStats::default(), Vec::<Job>::new(), Vec::new());
         for image in images {
@@ -208,7 +206,13 @@ impl Warp {
         self.make_room();
         let picture = Picture { width: camera.width, height: camera.height, stamp, unused: 0 };
         let encoder = self.encode(card, &picture, &jobs, &batches);
-        let figures = self.read(card, encoder, pixels, into)?;
+        let figures = &self.figures;
+        let copy = |encoder: &mut wgpu::CommandEncoder, to: &wgpu::Buffer| {
+            encoder.copy_buffer_to_buffer(figures, 0, to, 0, 4 * FIGURES);
+        };
+        let figures = self.read_back.run(card, encoder, 4 * FIGURES, copy, |bytes| {
+            bytes.as_chunks::<4>().0.iter().map(|w| u32::from_le_bytes(*w)).collect::<Vec<u32>>()
+        })?;
         stats.footprint_max_px = f32::from_bits(figures[0]).sqrt();
         stats.stretch = StretchHistogram::of(&figures[1..]);
         Ok(stats)
@@ -268,19 +272,21 @@ impl Warp {
         encoder
     }
 
-    /// Reads picture and figures back.
-    fn read(
-        &mut self,
-        card: &Card,
-        encoder: wgpu::CommandEncoder,
-        pixels: u64,
-        into: &mut FarFrame,
-    ) -> Result<Vec<u32>, GpuError> {
-        let size = PIXEL_BYTES * pixels;
+    /// The planes of the last picture, on the card: colours, disparities, and the words between a pixel and the next.
+    pub fn planes(&mut self, card: &Card) -> ([&wgpu::Buffer; 2], u32) {
+        let wide = card.atomics == Atomics::Wide;
+        let [first, second] = &mut self.targets;
+        let first = first.room(card, 0);
+        // Disparity is the upper half of 64 bits; of two planes it is the first.
+        if wide { ([first, first], 2) } else { ([second.room(card, 0), first], 1) }
+    }
+
+    /// Reads the last picture back into one of the same size.
+    pub fn read(&mut self, card: &Card, into: &mut FarFrame) -> Result<(), GpuError> {
+        let size = PIXEL_BYTES * into.packed.len() as u64;
         let wide = card.atomics == Atomics::Wide;
         let [first, second] = &mut self.targets;
         let planes = [first.room(card, 0), second.room(card, 0)];
-        let figures = &self.figures;
         let copy = |encoder: &mut wgpu::CommandEncoder, to: &wgpu::Buffer| {
             if wide {
                 encoder.copy_buffer_to_buffer(planes[0], 0, to, 0, size);
@@ -288,11 +294,9 @@ impl Warp {
                 encoder.copy_buffer_to_buffer(planes[0], 0, to, 0, size / 2);
                 encoder.copy_buffer_to_buffer(planes[1], 0, to, size / 2, size / 2);
             }
-            encoder.copy_buffer_to_buffer(figures, 0, to, size, 4 * FIGURES);
         };
         into.clear();
-        self.read_back.run(card, encoder, size + 4 * FIGURES, copy, |bytes| {
-            let (picture, figures) = bytes.split_at(size as usize);
+        self.read_back.run(card, card.encoder(), size, copy, |picture| {
             if wide {
                 let read = picture.as_chunks::<8>().0;
                 into.packed.par_iter_mut().zip(read.par_iter()).for_each(|(to, p)| *to = u64::from_le_bytes(*p));
@@ -303,7 +307,6 @@ impl Warp {
                     *to = u64::from(u32::from_le_bytes(*d)) << 32 | u64::from(u32::from_le_bytes(*c));
                 });
             }
-            figures.as_chunks::<4>().0.iter().map(|w| u32::from_le_bytes(*w)).collect()
         })
     }
 }

@@ -1,0 +1,308 @@
+//! Near geometry and warped images joined on the card (`join.wgsl`): the twins of the processor's `merge`, `fill` and `downsample`.
+//!
+//! In: both pictures, where the card drew them. Out: the finished frame, averaged. Between the two halves lies what the card does not know, sky and the LDI tree: of the first half a bit per
+//! pixel comes back, those that nothing reached ([`Join::merge`]); what the processor finds there goes to the second ([`Join::finish`]). So a frame costs a 32nd of its pixels' bytes on the
+//! way back, and four bytes for each pixel of the output, where reading both pictures takes sixteen for each pixel of the frame.
+
+use super::{
+    device::{Card, GpuError, Growing},
+    near::COLOUR_CODES,
+    read_back::ReadBack,
+};
+use crate::{
+    composite::CodeStep,
+    frame::{Frame, SKY, Source},
+    near::NEAR_PLANE_M,
+};
+use bytemuck::{Pod, Zeroable};
+use ldi_protocol::OutputCamera;
+use rayon::prelude::*;
+
+/// Threads of a workgroup, along a row.
+const ACROSS: u32 = 64;
+/// Samples of the tree that are sent at once: a frame may consist of nothing else, and buffers are bounded, as are workgroups.
+const SENT_AT_ONCE: usize = 1 << 20;
+/// Pixels of a word of bits.
+const WORD: usize = 32;
+
+/// As `join.wgsl` reads it.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Settings {
+    width: u32,
+    height: u32,
+    faces: u32,
+    far_stride: u32,
+    nearest: f32,
+    sky: u32,
+    samples: u32,
+    factor: u32,
+}
+
+/// Likewise.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Face {
+    forward: [f32; 3],
+    eye_depth: f32,
+    step: f32,
+}
+
+/// Likewise: a pixel that the LDI tree gives.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Sample {
+    at: u32,
+    colour: u32,
+    disparity: f32,
+}
+
+/// What is joined: the near picture's colours and depths; and the warped picture's colours, disparities, and words from pixel to pixel, if something was warped.
+pub struct Drawn<'a> {
+    pub near: [&'a wgpu::Texture; 2],
+    pub far: Option<([&'a wgpu::Buffer; 2], u32)>,
+}
+
+/// See the module.
+pub struct Join {
+    merge: wgpu::ComputePipeline,
+    lay_sky: wgpu::ComputePipeline,
+    lay_samples: wgpu::ComputePipeline,
+    fill: wgpu::ComputePipeline,
+    downsample: wgpu::ComputePipeline,
+    settings: Growing,
+    faces: Growing,
+    colours: Growing,
+    disparities: Growing,
+    open: Growing,
+    skies: Growing,
+    samples: Growing,
+    averaged: Growing,
+    filled: wgpu::Buffer,
+    read_back: ReadBack,
+}
+
+/// A colour and its source, as the card holds them.
+const fn sourced(colour: u32, source: Source) -> u32 {
+    colour | (source as u32) << 24
+}
+
+/// Runs a pass over so many workgroups across and down.
+fn run(
+    card: &Card,
+    encoder: &mut wgpu::CommandEncoder,
+    pipeline: &wgpu::ComputePipeline,
+    resources: &[(u32, wgpu::BindingResource<'_>)],
+    [across, down]: [u32; 2],
+) {
+    let entries: Vec<wgpu::BindGroupEntry<'_>> =
+        resources.iter().map(|(binding, r)| wgpu::BindGroupEntry { binding: *binding, resource: r.clone() }).collect();
+    let group = card.device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some("join"),
+        layout: &pipeline.get_bind_group_layout(0),
+        entries: &entries,
+    });
+    let mut pass =
+        encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("join"), timestamp_writes: None });
+    pass.set_pipeline(pipeline);
+    pass.set_bind_group(0, &group, &[]);
+    pass.dispatch_workgroups(across, down, 1);
+}
+
+impl Join {
+    pub fn new(card: &Card) -> Self {
+        let module = card.shader("join", include_str!("join.wgsl"));
+        let pipeline = |entry| {
+            card.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(entry),
+                layout: None,
+                module: &module,
+                entry_point: Some(entry),
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                cache: None,
+            })
+        };
+        let (storage, to, from) =
+            (wgpu::BufferUsages::STORAGE, wgpu::BufferUsages::COPY_DST, wgpu::BufferUsages::COPY_SRC);
+        Self {
+            merge: pipeline("merge"),
+            lay_sky: pipeline("lay_sky"),
+            lay_samples: pipeline("lay_samples"),
+            fill: pipeline("fill"),
+            downsample: pipeline("downsample"),
+            settings: Growing::new("join", wgpu::BufferUsages::UNIFORM | to),
+            faces: Growing::new("faces", storage | to),
+            colours: Growing::new("colours", storage),
+            disparities: Growing::new("disparities", storage),
+            open: Growing::new("open pixels", storage | to | from),
+            skies: Growing::new("sky", storage | to),
+            samples: Growing::new("samples of the tree", storage | to),
+            averaged: Growing::new("averaged", storage | from),
+            filled: card.room("filled", 4, storage | to | from),
+            read_back: ReadBack::new(),
+        }
+    }
+
+    /// Merges by depth: near geometry wins within what `steps` say of how well the far surface's disparity is known. Into `open` come the bits of pixels that neither reached, the lowest
+    /// bit of a word first, row by row.
+    pub fn merge(
+        &mut self,
+        card: &Card,
+        drawn: &Drawn<'_>,
+        steps: &[CodeStep],
+        camera: &OutputCamera,
+        open: &mut Vec<u32>,
+    ) -> Result<(), GpuError> {
+        let pixels = u64::from(camera.width) * u64::from(camera.height);
+        let faces: Vec<Face> = steps
+            .iter()
+            .map(|s| Face {
+                forward: s.forward.map(|x| x as f32),
+                eye_depth: s.eye_depth_m as f32,
+                step: s.step as f32,
+            })
+            .collect();
+        let settings = Settings {
+            far_stride: drawn.far.map_or(0, |(_, stride)| stride),
+            faces: faces.len() as u32,
+            ..settings(camera)
+        };
+        let words = pixels.div_ceil(WORD as u64);
+        let settings = self.settings.write(card, bytemuck::bytes_of(&settings));
+        let faces = self.faces.write(card, bytemuck::cast_slice(&faces));
+        let (colours, disparities) = (self.colours.room(card, 4 * pixels), self.disparities.room(card, 4 * pixels));
+        let bits = self.open.room(card, 4 * words);
+        // Something must be bound where nothing was warped.
+        let [far_colours, far_disparities] = drawn.far.map_or([faces, faces], |(planes, _)| planes);
+        let codes = wgpu::TextureViewDescriptor { format: Some(COLOUR_CODES), ..Default::default() };
+        let [colour, depth] =
+            [drawn.near[0].create_view(&codes), drawn.near[1].create_view(&wgpu::TextureViewDescriptor::default())];
+        let mut encoder = card.encoder();
+        encoder.clear_buffer(bits, 0, None);
+        let resources = [
+            (0, settings.as_entire_binding()),
+            (1, wgpu::BindingResource::TextureView(&colour)),
+            (2, wgpu::BindingResource::TextureView(&depth)),
+            (3, far_colours.as_entire_binding()),
+            (4, far_disparities.as_entire_binding()),
+            (5, faces.as_entire_binding()),
+            (6, colours.as_entire_binding()),
+            (7, disparities.as_entire_binding()),
+            (8, bits.as_entire_binding()),
+        ];
+        run(card, &mut encoder, &self.merge, &resources, [camera.width.div_ceil(ACROSS), camera.height]);
+        let copy = |encoder: &mut wgpu::CommandEncoder, to: &wgpu::Buffer| {
+            encoder.copy_buffer_to_buffer(bits, 0, to, 0, 4 * words);
+        };
+        self.read_back.run(card, encoder, 4 * words, copy, |bytes| {
+            open.clear();
+            open.extend(bytes.as_chunks::<4>().0.iter().map(|w| u32::from_le_bytes(*w)));
+        })
+    }
+
+    /// Lays sky and the tree's samples, of `found`, where pixels are `open`, fills what is left if it is to be filled, and averages blocks of `factor` pixels into `out`, whose disparities
+    /// are 0. Returns the number of pixels that were filled.
+    pub fn finish(
+        &mut self,
+        card: &Card,
+        open: &[u32],
+        found: &Frame,
+        fill: bool,
+        factor: u32,
+        out: &mut Frame,
+    ) -> Result<u64, GpuError> {
+        let factor = factor.max(1);
+        let (width, height) = (found.width / factor, found.height / factor);
+        out.reset(width, height);
+        if out.is_empty() {
+            return Ok(0);
+        }
+        let camera = OutputCamera { width: found.width, height: found.height, fov_deg: 0.0 };
+        let (skies, samples) = laid(open, found);
+        let everywhere = [camera.width.div_ceil(ACROSS), camera.height];
+        let planes = [self.colours.room(card, 0), self.disparities.room(card, 0)];
+        let [colours, disparities] = planes.map(wgpu::Buffer::as_entire_binding);
+        for sent in samples.chunks(SENT_AT_ONCE) {
+            let settings = Settings { samples: sent.len() as u32, ..settings(&camera) };
+            let settings = self.settings.write(card, bytemuck::bytes_of(&settings)).as_entire_binding();
+            let sent_there = self.samples.write(card, bytemuck::cast_slice(sent)).as_entire_binding();
+            let resources = [(0, settings), (6, colours.clone()), (7, disparities.clone()), (10, sent_there)];
+            let mut encoder = card.encoder();
+            run(card, &mut encoder, &self.lay_samples, &resources, [(sent.len() as u32).div_ceil(ACROSS), 1]);
+            // Before the buffers take the next ones.
+            card.queue.submit([encoder.finish()]);
+        }
+        let settings = Settings { factor, ..settings(&camera) };
+        let settings = self.settings.write(card, bytemuck::bytes_of(&settings)).as_entire_binding();
+        let mut encoder = card.encoder();
+        if skies.iter().any(|w| *w != 0) {
+            let skies = self.skies.write(card, bytemuck::cast_slice(&skies)).as_entire_binding();
+            let resources = [(0, settings.clone()), (6, colours.clone()), (9, skies)];
+            run(card, &mut encoder, &self.lay_sky, &resources, everywhere);
+        }
+        encoder.clear_buffer(&self.filled, 0, None);
+        if fill {
+            let filled = self.filled.as_entire_binding();
+            let resources = [(0, settings.clone()), (6, colours.clone()), (7, disparities), (12, filled)];
+            run(card, &mut encoder, &self.fill, &resources, everywhere);
+        }
+        let size = 4 * u64::from(width) * u64::from(height);
+        let averaged = self.averaged.room(card, size);
+        let resources = [(0, settings), (6, colours), (11, averaged.as_entire_binding())];
+        run(card, &mut encoder, &self.downsample, &resources, [width.div_ceil(ACROSS), height]);
+        let filled = &self.filled;
+        let copy = |encoder: &mut wgpu::CommandEncoder, to: &wgpu::Buffer| {
+            encoder.copy_buffer_to_buffer(averaged, 0, to, 0, size);
+            encoder.copy_buffer_to_buffer(filled, 0, to, size, 4);
+        };
+        self.read_back.run(card, encoder, size + 4, copy, |bytes| {
+            let words = bytes.as_chunks::<4>().0;
+            let (pixels, filled) = words.split_at(out.len());
+            let planes = out.colour.par_iter_mut().zip(out.source.par_iter_mut());
+            planes.zip(pixels.par_iter()).for_each(|((colour, source), word)| {
+                let [r, g, b, from] = *word;
+                *colour = u32::from_le_bytes([r, g, b, 0]);
+                *source = Source::ALL[usize::from(from).min(Source::ALL.len() - 1)];
+            });
+            filled.first().map_or(0, |w| u64::from(u32::from_le_bytes(*w)))
+        })
+    }
+}
+
+fn settings(camera: &OutputCamera) -> Settings {
+    Settings {
+        width: camera.width,
+        height: camera.height,
+        faces: 0,
+        far_stride: 0,
+        nearest: (1.0 / NEAR_PLANE_M) as f32,
+        sky: sourced(SKY, Source::Sky),
+        samples: 0,
+        factor: 1,
+    }
+}
+
+/// What was found of open pixels: a bit for each that is sky, and those that the tree gives.
+fn laid(open: &[u32], found: &Frame) -> (Vec<u32>, Vec<Sample>) {
+    let of_word = |(number, bits): (usize, &u32)| {
+        let (mut sky, mut samples, mut left) = (0u32, Vec::new(), *bits);
+        while left != 0 {
+            let bit = left.trailing_zeros();
+            left &= left - 1;
+            let at = number * WORD + bit as usize;
+            match found.source[at] {
+                Source::Sky => sky |= 1 << bit,
+                Source::Tree => samples.push(Sample {
+                    at: at as u32,
+                    colour: sourced(found.colour[at], Source::Tree),
+                    disparity: found.disparity[at],
+                }),
+                _ => {}
+            }
+        }
+        (sky, samples)
+    };
+    let words: Vec<(u32, Vec<Sample>)> = open.par_iter().enumerate().map(of_word).collect();
+    let samples = words.iter().flat_map(|(_, s)| s).copied().collect();
+    (words.iter().map(|(sky, _)| *sky).collect(), samples)
+}
