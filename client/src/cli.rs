@@ -465,7 +465,16 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
             "{outside} of the frames lie outside of the walk volume, where nothing is promised; are path and scene in the same unit and axes?"
         );
     }
-    Ok(())
+    if s.damaged_chunks > 0 {
+        let n = s.damaged_chunks;
+        return Err(Failure::permanent(anyhow::anyhow!(
+            "{n} chunks of the dataset are damaged: frames lack what is in them; look with `ldi-server verify`"
+        )));
+    }
+    match &s.lost {
+        Some(lost) => Err(Failure { code: 1, error: anyhow::anyhow!("{lost}; the walk is not whole") }),
+        None => Ok(()),
+    }
 }
 
 /// The card that draws, and what its calibration found; null where there is none.

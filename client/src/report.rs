@@ -208,6 +208,10 @@ pub struct WalkTotals {
     pub cache_peak_bytes: u64,
     /// Frames, drawn or kept, that lacked something.
     pub frames_incomplete: usize,
+    /// Chunks that came damaged until they were given up.
+    pub damaged_chunks: usize,
+    /// Why the walk ended early, if it did because the server was gone.
+    pub lost: Option<String>,
     /// Largest resident set of the process.
     pub process_peak_rss_bytes: Option<u64>,
     /// 99th percentile of the longest sides of micro-quads, output pixels.
@@ -226,6 +230,8 @@ pub struct WalkTotals {
 pub struct Summary {
     pub frames: usize,
     pub frames_drawn: usize,
+    pub damaged_chunks: usize,
+    pub lost: Option<String>,
     pub budget_triangles: u64,
     pub max_triangles: u64,
     pub budget_violations: usize,
@@ -398,6 +404,8 @@ impl Summary {
         Self {
             frames: frames.len(),
             frames_drawn: totals.drawn.len(),
+            damaged_chunks: totals.damaged_chunks,
+            lost: totals.lost.clone(),
             budget_triangles: totals.budget_triangles,
             max_triangles: triangles().max().unwrap_or(0),
             budget_violations: triangles().filter(|n| *n > totals.budget_triangles).count(),

@@ -74,6 +74,11 @@ fn assert_same_dataset(a: &Path, b: &Path) {
 
 /// Walks the fixture's poses; returns the report.
 fn walk(served: &Server, f: &Fixture, out: &Path, more: &[&str]) -> Value {
+    run::run(walking(served, f, out, more)).expect("walks");
+    json(&out.join("walk.json"))
+}
+
+fn walking(served: &Server, f: &Fixture, out: &Path, more: &[&str]) -> Command {
     let mut c = run::command("ldi-client").expect("built");
     c.args(["walk", &served.quic, "--fingerprint", &served.fingerprint, "--path"]).arg(&f.poses);
     c.args(["--size", SIZE, "--pace", "wait", "-o"])
@@ -81,8 +86,7 @@ fn walk(served: &Server, f: &Fixture, out: &Path, more: &[&str]) -> Value {
         .arg("--report")
         .arg(out.join("walk.json"))
         .args(more);
-    run::run(c).expect("walks");
-    json(&out.join("walk.json"))
+    c
 }
 
 #[test]
@@ -262,8 +266,10 @@ fn a_flipped_byte_is_named_and_the_walk_goes_on() {
     let fault = |l: &str| l.contains(&format!(" {chunk} ")) && l.contains(&format!("at byte {at}:"));
     assert!(said.lines().any(fault), "chunk {chunk} at {at}: {said}");
     let served = Server::start(&damaged).expect("serves what is whole");
-    let report = walk(&served, f, &out, &[]);
-    assert_eq!(report["summary"]["frames"], 5);
+    let (code, said) = outcome(&walking(&served, f, &out, &[]).output().expect("runs"));
+    assert!(code == Some(42) && said.contains("1 chunks of the dataset are damaged"), "{code:?} {said}");
+    let report = json(&out.join("walk.json"));
+    assert_eq!((&report["summary"]["frames"], &report["summary"]["damaged_chunks"]), (&5.into(), &1.into()));
     assert!(report["summary"]["frames_incomplete"].as_u64() > Some(0), "{}", report["summary"]);
     assert!(report["summary"]["mean_triangles"].as_f64() > Some(0.0), "the rest is drawn");
 }

@@ -147,6 +147,13 @@ fn the_door_opens_as_for_the_client() {
     let known = ["--fingerprint", host.server().fingerprint()];
     let (code, said) = end(&[&[&quic, "--link", "loss=2"][..], &known, &["--random", "1"]].concat());
     assert!(code == Some(2) && said.contains("for example rate=20mbit"), "{code:?} {said}");
+    let mut c = run::command("ldi-load").expect("built");
+    c.args([&quic, "--walkers", "1", "--random", "1", "--seconds", "1", "--report"])
+        .arg(folder.join("r.html"))
+        .args(known);
+    let out = c.output().expect("runs");
+    let said = String::from_utf8_lossy(&out.stderr).into_owned();
+    assert!(out.status.code() == Some(2) && said.contains("name it .json"), "{said}");
     let (code, said) = end(&[&[&quic, "--server-pid", "4294967295"][..], &known, &["--random", "1"]].concat());
     assert!(code == Some(2) && said.contains("no such process"), "{code:?} {said}");
     let (code, said) = end(&[&[quic.as_str()][..], &known, &["--path", "/nowhere.json"]].concat());

@@ -368,6 +368,10 @@ impl Visit {
                 events.tell("view", fields! { "shows": self.shows });
             }
             Key::Named(NamedKey::F3) => {
+                if self.map.open {
+                    // The map would cover them.
+                    self.toggle_map(link, events);
+                }
                 self.settings.open = !self.settings.open;
                 if self.settings.open {
                     self.capture(false, events);
@@ -384,6 +388,10 @@ impl Visit {
                 None => self.hud.say("nothing to walk again yet: R records a walk".into(), false),
             },
             Key::Named(NamedKey::Escape) if self.map.open => self.toggle_map(link, events),
+            Key::Named(NamedKey::Escape) if self.settings.open => {
+                self.settings.open = false;
+                events.tell("settings", fields! { "open": false });
+            }
             Key::Named(NamedKey::Escape) => self.capture(false, events),
             Key::Named(NamedKey::F1) => {
                 self.hud.figures = !self.hud.figures;
@@ -435,6 +443,9 @@ impl Visit {
         link.others().want(self.map.open);
         (self.told.map, self.told.others) = (false, None);
         if self.map.open {
+            if std::mem::take(&mut self.settings.open) {
+                events.tell("settings", fields! { "open": false });
+            }
             self.capture_again = self.captured;
             self.capture(false, events);
         } else {

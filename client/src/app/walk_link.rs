@@ -18,6 +18,8 @@ use std::{
 
 /// What does not come for so long is asked for, unless the line is busy.
 const ASK_AFTER: Duration = Duration::from_millis(300);
+/// A line that is down for so long is not waited for any more: a server that is started again is up by then.
+const LOST_FOR: Duration = Duration::from_secs(30);
 /// Fewer bytes than these in that time are no progress: keep-alives and acknowledgements.
 const BUSY_BYTES: u64 = 4096;
 
@@ -91,17 +93,22 @@ impl Feed for WalkLink {
     fn wait_for(&self, chunks: &[u32], patience: Duration) -> Result<(), Incomplete> {
         let deadline = Instant::now() + patience;
         let mut received = self.link.stats().bytes_total;
+        let mut lost: Option<Instant> = None;
         loop {
             let stopped = self.stop.load(Ordering::Relaxed);
             let left = if stopped { Duration::ZERO } else { deadline.saturating_duration_since(Instant::now()) };
             match self.scene.cache.wait(chunks, left.min(ASK_AFTER)) {
                 Err(Incomplete::Timeout(missing)) if left > ASK_AFTER => {
+                    lost = None;
                     let before = std::mem::replace(&mut received, self.link.stats().bytes_total);
                     if received < before + BUSY_BYTES {
                         self.link.want(&missing);
                     }
                 }
-                Err(Incomplete::Disconnected(_)) if left > ASK_AFTER => {
+                Err(Incomplete::Disconnected(reason)) if left > ASK_AFTER => {
+                    if lost.get_or_insert_with(Instant::now).elapsed() > LOST_FOR {
+                        return Err(Incomplete::Disconnected(reason));
+                    }
                     if let Some(reason) = self.in_vain() {
                         return Err(Incomplete::Disconnected(reason));
                     }

@@ -290,6 +290,11 @@ impl Cache {
         self.changed.notify_all();
     }
 
+    /// How many chunks were given up.
+    pub fn damaged(&self) -> usize {
+        self.lock().damaged.iter().filter(|d| **d).count()
+    }
+
     /// Whether a chunk was given up.
     pub fn is_damaged(&self, chunk: u32) -> bool {
         self.lock().damaged.get(chunk as usize).copied().unwrap_or(false)

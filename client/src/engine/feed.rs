@@ -21,6 +21,8 @@ pub struct Traffic {
     pub mbit_per_s_p99_1s: f64,
     /// Largest sum of decoded bytes that the cache held.
     pub cache_peak_bytes: u64,
+    /// Chunks that came damaged until they were given up.
+    pub damaged_chunks: usize,
 }
 
 impl Traffic {
@@ -32,6 +34,7 @@ impl Traffic {
             wasted_bytes: stats.wasted_bytes,
             mbit_per_s_p99_1s: stats.mbit_per_s_p99_1s,
             cache_peak_bytes: cache.usage().peak_bytes,
+            damaged_chunks: cache.damaged(),
         }
     }
 }

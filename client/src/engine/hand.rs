@@ -42,7 +42,7 @@ impl Renderer {
         });
         match calibrated {
             Err(e) if self == Self::Auto => {
-                tracing::info!("drawing on the processor: {e}");
+                tracing::info!("drawing on the processor: {}", e.reason());
                 Ok(Painter::default())
             }
             calibrated => Ok(Painter::on(calibrated?)),

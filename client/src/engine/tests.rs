@@ -47,12 +47,24 @@ struct MemoryFeed {
     room: usize,
     /// Whether chunks arrive before anyone waits for them.
     pushes: bool,
+    /// Waits after which the server is gone.
+    gone_after: Option<usize>,
+    waits: Mutex<usize>,
     state: Mutex<(Vec<u32>, u64)>,
 }
 
 impl MemoryFeed {
     fn new(index: Index, memory: Memory) -> Self {
-        Self { index, memory, lost: BTreeSet::new(), room: 100, pushes: true, state: Mutex::default() }
+        Self {
+            index,
+            memory,
+            lost: BTreeSet::new(),
+            room: 100,
+            pushes: true,
+            gone_after: None,
+            waits: Mutex::default(),
+            state: Mutex::default(),
+        }
     }
     fn state(&self) -> std::sync::MutexGuard<'_, (Vec<u32>, u64)> {
         self.state.lock().expect("no test panics while it holds the lock")
@@ -91,6 +103,11 @@ impl Feed for MemoryFeed {
     }
     fn ask(&self, _: &[u32]) {}
     fn wait_for(&self, chunks: &[u32], _: Duration) -> Result<(), Incomplete> {
+        let mut waits = self.waits.lock().expect("no test panics while it holds the lock");
+        *waits += 1;
+        if self.gone_after.is_some_and(|n| *waits > n) {
+            return Err(Incomplete::Disconnected("the server is gone".into()));
+        }
         let mut state = self.state();
         for chunk in chunks.iter().filter(|c| !self.lost.contains(c)) {
             if !state.0.contains(chunk) {
@@ -106,7 +123,14 @@ impl Feed for MemoryFeed {
         self.state().0.contains(&chunk)
     }
     fn traffic(&self) -> Traffic {
-        Traffic { elapsed_s: 1.0, bytes: self.state().1, wasted_bytes: 0, mbit_per_s_p99_1s: 1.0, cache_peak_bytes: 7 }
+        Traffic {
+            elapsed_s: 1.0,
+            bytes: self.state().1,
+            wasted_bytes: 0,
+            mbit_per_s_p99_1s: 1.0,
+            cache_peak_bytes: 7,
+            damaged_chunks: 0,
+        }
     }
 }
 
@@ -554,6 +578,25 @@ fn a_walk_that_is_stopped_reports_the_frames_so_far() {
         assert_eq!((summary.frames, summary.all_geometry_bytes), (frames.len(), None));
         std::fs::remove_dir_all(&folder).expect("removed");
     }
+}
+
+#[test]
+fn a_walk_whose_server_is_gone_reports_the_frames_so_far() {
+    let (path, folder) = (five_poses(), folder("gone"));
+    let options = WalkOptions { baseline_frames: 5, ..options(Pace::Wait) };
+    let job = WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None, stop: None };
+    let walked = |waits| {
+        let feed = MemoryFeed { gone_after: Some(waits), pushes: false, ..scene() };
+        run(&feed, &job, Painter::default(), &mut |_| {})
+    };
+    // One wait for each pose, of which every second is drawn.
+    let (summary, frames) = walked(2).expect("a report");
+    assert_eq!(frames.iter().map(|f| f.index).collect::<Vec<_>>(), [0, 2]);
+    let lost = summary.lost.expect("it ended early");
+    assert!(lost.contains("pose 4") && lost.contains("the server is gone"), "{lost}");
+    assert_eq!((summary.frames, summary.all_geometry_bytes), (2, None));
+    assert!(matches!(walked(0), Err(WalkError::Disconnected { pose: 0, .. })), "nothing to report");
+    std::fs::remove_dir_all(&folder).expect("removed");
 }
 
 #[test]

@@ -154,6 +154,10 @@ pub fn run(
 ) -> Result<(Summary, Vec<FrameReport>), WalkError> {
     let folder = job.folder;
     std::fs::create_dir_all(folder).map_err(|source| WalkError::Folder { path: folder.to_owned(), source })?;
+    let others = frames_in(folder);
+    if others > 0 {
+        tracing::warn!("{} holds {others} frames of an earlier walk; those of other poses stay", folder.display());
+    }
     let index = feed.index();
     let mut walker = Walker {
         feed,
@@ -189,6 +193,7 @@ pub fn run(
     totals.bytes_total = traffic.bytes;
     totals.wasted_bytes = traffic.wasted_bytes;
     totals.cache_peak_bytes = traffic.cache_peak_bytes;
+    totals.damaged_chunks = traffic.damaged_chunks;
     totals.mbit_per_s_p99_1s = Some(traffic.mbit_per_s_p99_1s);
     totals.process_peak_rss_bytes = peak_rss_bytes();
     let stretch = walker.warp_totals.stretch.quantile_px(0.99);
@@ -199,7 +204,7 @@ pub fn run(
     let frames: Vec<FrameReport> = walker.kept.into_iter().map(|k| k.report).collect();
     // Who ends a walk waits for no measurement.
     let options = WalkOptions {
-        baseline_frames: if job.stopped() { 0 } else { job.options.baseline_frames },
+        baseline_frames: if job.stopped() || walker.totals.lost.is_some() { 0 } else { job.options.baseline_frames },
         ..job.options.clone()
     };
     let baseline = baseline::measure(feed, &mut walker.painter, &frames, &walker.camera, &options)?;
@@ -207,6 +212,13 @@ pub fn run(
     totals.all_geometry_bytes = (options.baseline_frames > 0).then_some(baseline.bytes);
     (totals.all_geometry_ms, totals.ours_at_same_poses_ms) = (baseline.all_geometry_ms, baseline.ours_ms);
     Ok((Summary::new(&frames, &totals), frames))
+}
+
+/// Pictures of frames in a folder.
+fn frames_in(folder: &Path) -> usize {
+    let is_frame = |name: &str| name.starts_with("frame_") && name.ends_with(".png") && name.matches('.').count() == 1;
+    let names = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.file_name());
+    names.filter(|name| name.to_str().is_some_and(is_frame)).count()
 }
 
 impl Walker<'_> {
@@ -233,6 +245,10 @@ impl Walker<'_> {
             let index = self.feed.index();
             let view = view_of(index, &pose, &self.camera, options.method, &mut ms);
             self.ask(index, &view, at)?;
+            if let Some(lost) = &self.totals.lost {
+                tracing::warn!("{lost}; the report covers the frames until then");
+                break;
+            }
             if self.job.stopped() {
                 tracing::warn!("stopped before pose {at} of {}: the report covers the frames until then", poses.len());
                 break;
@@ -297,7 +313,13 @@ impl Walker<'_> {
                 Ok(()) => {}
                 // What comes no more is no matter, nor is what did not come yet.
                 Err(_) if self.job.stopped() => {}
-                Err(Incomplete::Disconnected(reason)) => return Err(WalkError::Disconnected { pose: at, reason }),
+                // With nothing to report, that is all there is to say.
+                Err(Incomplete::Disconnected(reason)) if self.kept.is_empty() => {
+                    return Err(WalkError::Disconnected { pose: at, reason });
+                }
+                Err(Incomplete::Disconnected(reason)) => {
+                    self.totals.lost = Some(format!("the connection was lost at pose {at}: {reason}"));
+                }
                 // The frame is drawn without it and the report says so.
                 Err(incomplete) => tracing::warn!("pose {at}: {incomplete}"),
             }

@@ -37,6 +37,17 @@ pub enum GpuError {
     Order(Order),
 }
 
+impl GpuError {
+    /// What is wrong, without what to do about it.
+    pub fn reason(&self) -> String {
+        match self {
+            Self::NoAdapter(_) => "no driver can draw".into(),
+            Self::Lacking { adapter, reason } => format!("the graphics driver {adapter} {reason}"),
+            other => other.to_string(),
+        }
+    }
+}
+
 /// How the nearest of many samples is kept in a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Atomics {

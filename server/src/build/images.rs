@@ -129,14 +129,17 @@ pub fn construct_all(
             let key = key::images_key(scene_key, settings, plan);
             let found = writer.cached(&key).and_then(|bytes| unpack(&bytes));
             let ((kept, chunks), seconds) = match found {
-                Some(found) => (found, None),
+                Some(found) => {
+                    progress.skip(1);
+                    (found, None)
+                }
                 None => {
                     let (made, seconds) = one(caster, plan, &options, colour, (number, plans.len()))?;
                     writer.store(&key, &pack(&made))?;
+                    progress.advance(1);
                     (made, Some(seconds))
                 }
             };
-            progress.advance(1);
             let hashes = chunks.iter().map(|bytes| ChunkHash(*blake3::hash(bytes).as_bytes())).collect();
             Ok((Piece { kept, key, hashes }, seconds))
         })

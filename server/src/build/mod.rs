@@ -36,7 +36,7 @@ use crate::placement::{
 };
 use crate::render::{Caster, CellSet, Ray};
 use crate::scene::{self, Note, Scene, SceneError};
-use crate::store::{DatasetWriter, StoreError, Written};
+use crate::store::{Dataset, DatasetWriter, StoreError, Written};
 use crate::tree::{self, BuiltTree, Depth, TreeFigures};
 use glam::DVec3;
 use ldi_protocol::codec::ColourProfile;
@@ -110,6 +110,10 @@ pub trait Progress: Sync {
     fn stage(&self, name: &str, steps: u64);
     /// Steps are done.
     fn advance(&self, steps: u64);
+    /// Steps need not be done: an earlier build left what they make.
+    fn skip(&self, steps: u64) {
+        self.advance(steps);
+    }
     /// How far a stage is whose steps are not known.
     fn note(&self, what: &str);
 }
@@ -201,6 +205,8 @@ pub struct Built {
     pub written: Written,
     /// The report, as in the dataset's `report.json`.
     pub report: serde_json::Value,
+    /// Of what `skipped` of the report lists, so many entries, the first ones, are of the scene.
+    pub of_scene: usize,
 }
 
 /// A scene with its plan.
@@ -315,6 +321,9 @@ pub fn compare_searches(
 type Read = (Arc<Scene>, Clusters, Octree, BuildSettings);
 
 fn read(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> Result<Read, BuildError> {
+    // Of a share of the scene's triangles nothing is known yet.
+    let asked = BuildSettings { budget: options.settings.budget.max(1), ..options.settings.clone() };
+    placement::check_settings(&asked)?;
     progress.stage("reading the scene", 0);
     let scene = Arc::new(scene::load(&options.scene)?);
     // A wrong unit or axis shows here.
@@ -425,6 +434,12 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     let mut clock = Clock::default();
     // First: whether the directory can be written is known at once, planning takes minutes.
     let writer = DatasetWriter::open(&options.output)?;
+    if let Ok(there) = Dataset::open(&options.output) {
+        let (path, before) = (options.output.display(), &there.index().scene.name);
+        tracing::warn!(
+            "{path} holds a dataset of {before}: it is replaced when this one is done, and stays until then"
+        );
+    }
     let planned = plan(options, &mut clock, progress);
     let Planned { scene, clusters, octree, settings, mut plan, caster, mut rooms, grid_alone, no_rooms } = match planned
     {
@@ -608,7 +623,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         report = report_json(&figures, written);
         report.clone()
     })?;
-    Ok(Built { written, report })
+    Ok(Built { written, report, of_scene: scene.notes.len() })
 }
 
 /// The scene's name as reports show it: a file's name without its folder, which is nobody's business.

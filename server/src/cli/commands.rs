@@ -168,9 +168,10 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         write_json(file, &built.report)?;
     }
     let r = &built.report;
-    for note in r["skipped"].as_array().into_iter().flatten() {
+    for (number, note) in r["skipped"].as_array().into_iter().flatten().enumerate() {
         let [what, why] = ["what", "why"].map(|k| note[k].as_str().unwrap_or_default());
-        eprintln!("not as in the scene: {what} ({why})");
+        let of_scene = number < built.of_scene;
+        eprintln!("{}: {what} ({why})", if of_scene { "not as in the scene" } else { "not made" });
     }
     println!(
         "{}: {} images for {}, {:.1} MB, hash {}",
@@ -290,8 +291,13 @@ fn audit_size(random: u64, adversarial: Option<u64>) -> placement::AuditSize {
     placement::AuditSize { random, adversarial: adversarial.unwrap_or(random / 10) }
 }
 
-/// Whether all promises were kept.
+/// Whether all promises were kept; says so.
 fn promises_kept(audit: &placement::AuditReport) -> Result<(), Failure> {
+    eprintln!(
+        "both promises, triangles and footprints, hold in {} of {} poses",
+        audit.all_poses() - audit.violations.min(audit.all_poses()),
+        audit.all_poses()
+    );
     if audit.violations > 0 {
         return Err(Failure::permanent(anyhow!("{} of {} poses break a promise", audit.violations, audit.all_poses())));
     }

@@ -22,6 +22,8 @@ struct State {
     name: String,
     steps: u64,
     done: u64,
+    /// Of these, what an earlier build had done.
+    skipped: u64,
     started: Instant,
     said: Instant,
     /// The last note, until it is said.
@@ -31,7 +33,16 @@ struct State {
 impl Default for Stderr {
     fn default() -> Self {
         let now = Instant::now();
-        let state = State { bar: None, name: String::new(), steps: 0, done: 0, started: now, said: now, unsaid: None };
+        let state = State {
+            bar: None,
+            name: String::new(),
+            steps: 0,
+            done: 0,
+            skipped: 0,
+            started: now,
+            said: now,
+            unsaid: None,
+        };
         Self { terminal: std::io::stderr().is_terminal(), state: Mutex::new(state) }
     }
 }
@@ -59,9 +70,40 @@ impl State {
         self.name.clear();
     }
 
+    fn go_on(&mut self, steps: u64) {
+        self.done += steps;
+        if let Some(bar) = &self.bar {
+            bar.set_position(self.done);
+            if self.done == self.skipped {
+                // Time left is told by what takes time.
+                bar.reset_eta();
+            }
+        } else if self.said.elapsed() >= PLAIN_INTERVAL {
+            self.said = Instant::now();
+            eprintln!("{}", self.progress(self.started.elapsed()));
+        }
+    }
+
+    /// How far a stage of known steps is. What an earlier build left tells nothing of the time that the rest takes.
+    fn progress(&self, took: Duration) -> String {
+        let Self { name, done, steps, skipped, .. } = self;
+        let made = done.saturating_sub(*skipped);
+        if made == 0 {
+            return format!("{name}: {done} of {steps}");
+        }
+        let rate = made as f64 / took.as_secs_f64();
+        let left = steps.saturating_sub(*done) as f64 / rate;
+        let before = if *skipped > 0 { format!(" ({skipped} by an earlier build)") } else { String::new() };
+        format!("{name}: {done} of {steps}{before}, {rate:.2} per second, {left:.0} s left")
+    }
+
     /// What remains of a stage: a short one has had no other moment to say what it found.
     fn summary(&self, took: Duration) -> String {
-        let count = if self.steps > 0 { format!(" ({})", self.steps) } else { String::new() };
+        let count = match (self.steps, self.skipped) {
+            (0, _) => String::new(),
+            (steps, 0) => format!(" ({steps})"),
+            (steps, skipped) => format!(" ({steps}, {skipped} of them left by an earlier build)"),
+        };
         let note = self.unsaid.as_ref().map_or_else(String::new, |n| format!("; {n}"));
         format!("{}{count}: {:.1} s{note}", self.name, took.as_secs_f64())
     }
@@ -72,7 +114,8 @@ impl Progress for Stderr {
         self.with(|s| {
             s.end();
             let now = Instant::now();
-            (s.name, s.steps, s.done, s.started, s.said, s.unsaid) = (name.into(), steps, 0, now, now, None);
+            (s.name, s.steps, s.done, s.skipped) = (name.into(), steps, 0, 0);
+            (s.started, s.said, s.unsaid) = (now, now, None);
             if self.terminal {
                 let bar = ProgressBar::with_draw_target((steps > 0).then_some(steps), ProgressDrawTarget::stderr());
                 let template = if steps > 0 {
@@ -104,16 +147,13 @@ impl Progress for Stderr {
     }
 
     fn advance(&self, steps: u64) {
+        self.with(|s| s.go_on(steps));
+    }
+
+    fn skip(&self, steps: u64) {
         self.with(|s| {
-            s.done += steps;
-            if let Some(bar) = &s.bar {
-                bar.set_position(s.done);
-            } else if s.said.elapsed() >= PLAIN_INTERVAL && s.done > 0 {
-                s.said = Instant::now();
-                let rate = s.done as f64 / s.started.elapsed().as_secs_f64();
-                let left = s.steps.saturating_sub(s.done) as f64 / rate;
-                eprintln!("{}: {} of {}, {rate:.2} per second, {left:.0} s left", s.name, s.done, s.steps);
-            }
+            s.skipped += steps;
+            s.go_on(steps);
         });
     }
 }
@@ -132,6 +172,13 @@ mod tests {
         };
         progress.stage("clusters", 20);
         assert_eq!(summary(), "clusters (20): 1.2 s");
+        progress.skip(5);
+        progress.advance(5);
+        let ten_s = Duration::from_secs(10);
+        let mut said = String::new();
+        progress.with(|s| said = s.progress(ten_s));
+        assert_eq!(said, "clusters: 10 of 20 (5 by an earlier build), 0.50 per second, 20 s left");
+        progress.stage("clusters", 20);
         progress.note("budget: 8000 of 20000 triangles");
         assert_eq!(summary(), "clusters (20): 1.2 s; budget: 8000 of 20000 triangles");
         progress.stage("grid", 0);

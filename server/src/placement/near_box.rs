@@ -133,11 +133,18 @@ pub(super) struct Fit<'a> {
     ahead: [f64; 6],
 }
 
-/// Whether a box can serve all eyes of `member` and those up to `extra_m` farther out.
-pub(super) fn feasible(ctx: &Context, member: &Member, extra_m: f64) -> Result<(), TooNear> {
+/// Whether a box can serve all eyes of `member` and those up to `extra_m` farther out within a budget. Err: some direction that exceeds it.
+pub(super) fn feasible(ctx: &Context, member: &Member, extra_m: f64, budget: u64) -> Result<(), TooNear> {
     let members = [member];
     let fit = Fit::new(ctx, &members, extra_m);
-    fit.counts(&fit.near(&fit.smallest()), ctx.budget).map(|_| ())
+    fit.counts(&fit.near(&fit.smallest()), budget).map(|_| ())
+}
+
+/// The smallest budget with which a box can serve all eyes of `member`; None if this one is as large.
+pub(super) fn enough(ctx: &Context, member: &Member, budget: u64) -> Option<TooNear> {
+    let members = [member];
+    let fit = Fit::new(ctx, &members, 0.0);
+    fit.needs(&fit.near(&fit.smallest()), budget)
 }
 
 /// The smallest budget that any box around the eyes of `member` could keep; None if the budget is as large.
@@ -145,12 +152,7 @@ pub(super) fn needed(ctx: &Context, member: &Member) -> Option<TooNear> {
     let members = [member];
     let fit = Fit::new(ctx, &members, 0.0);
     // What touches the eyes themselves is within every box.
-    let near = fit.near(&fit.ahead);
-    let mut worst = None;
-    while let Err(more) = fit.counts(&near, worst.map_or(ctx.budget, |w: TooNear| w.needed)) {
-        worst = Some(more);
-    }
-    worst
+    fit.needs(&fit.near(&fit.ahead), ctx.budget)
 }
 
 /// Fits a box to a group of members. Err: some direction stays above the budget even with the smallest box.
@@ -273,6 +275,15 @@ impl<'a> Fit<'a> {
     fn counts(&self, near: &CellMask, limit: u64) -> Result<Counts, TooNear> {
         let looks = self.members.iter().flat_map(|m| m.units.iter().map(|u| Look::new(self.ctx, m.eyes, *u)));
         Counts::new(self.ctx, looks, near, limit)
+    }
+
+    /// The direction with the most triangles if it exceeds a budget.
+    fn needs(&self, near: &CellMask, budget: u64) -> Option<TooNear> {
+        let mut worst = None;
+        while let Err(more) = self.counts(near, worst.map_or(budget, |w: TooNear| w.needed)) {
+            worst = Some(more);
+        }
+        worst
     }
 
     /// The cells that touch the box.
@@ -578,7 +589,7 @@ mod tests {
         let (cells, directions) = hall();
         let ctx = Context::new(&cells, &directions, &settings(40), 60.0, CostBenefit::default(), NOTHING_BETWEEN);
         let members = members(&ctx);
-        assert!(feasible(&ctx, &members[4], 0.0).is_err());
+        assert!(feasible(&ctx, &members[4], 0.0, ctx.budget).is_err());
         let Err((_, too_near)) = group(&ctx, &members) else { panic!("no box can serve") };
         assert!(too_near.needed > 40);
     }

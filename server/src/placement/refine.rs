@@ -13,7 +13,7 @@ use super::{
     hull::EyeHull,
     lattice::Lattice,
     model::{PlacementPlan, PlacementStatistics},
-    near_box::{Member, feasible, fit, needed},
+    near_box::{Member, enough, feasible, fit, needed},
     nearest::nearest,
     plan::{plan, plan_box},
     point::{Context, Scheme, Solution, TooNear, solve},
@@ -61,8 +61,10 @@ pub(super) fn refine(
     heard: &dyn Fn(&str),
 ) -> Result<Refined, PlacementError> {
     if let (Scheme::Cells, Some((eye, too_near))) = (ctx.scheme, hardest_eye(ctx, tree)) {
-        return Err(infeasible(ctx, eye, too_near));
+        return Err(infeasible(ctx, eye, too_near, false));
     }
+    // The place that needs most, once some cannot be served: from then on it is looked for what budget would do everywhere.
+    let mut hardest: Option<(DVec3, TooNear)> = None;
     let mut cover = Cover::new(ctx, tree, directions);
     let mut solved: Vec<bool> = Vec::new();
     loop {
@@ -71,6 +73,7 @@ pub(super) fn refine(
         let (uses, boxes) = timed(statistics, "coverage", || cover.certify(&positions))?;
         solved.resize(positions.len(), false);
         let open: Vec<usize> = (0..positions.len()).filter(|i| !solved[*i] && !uses[*i].units.is_empty()).collect();
+        let budget = hardest.map_or(ctx.budget, |h| h.1.needed);
         let evaluate = |i: &usize| match ctx.scheme {
             Scheme::Paper => solve(ctx, positions[*i], &uses[*i]).map(|_| ()).map_err(Some),
             Scheme::Cells => {
@@ -78,8 +81,12 @@ pub(super) fn refine(
                 let extra_m = member.eyes.size().max_element() * 0.5 * (SHARED_REACH - 1.0);
                 // Below this spacing sharing is given up before the budget is.
                 let shared = lattice.spacing_of(lattice.points[*i].level) > FINEST_SHARED_M;
-                feasible(ctx, &member, if shared { extra_m } else { 0.0 }).map_err(Some)?;
-                if shared && worth_subdividing(ctx, &member) { Err(None) } else { Ok(()) }
+                match shared {
+                    true => feasible(ctx, &member, extra_m, budget).map_err(Some)?,
+                    // It may be the last word on this place.
+                    false => enough(ctx, &member, budget).map_or(Ok(()), |too_near| Err(Some(too_near)))?,
+                }
+                if shared && hardest.is_none() && worth_subdividing(ctx, &member) { Err(None) } else { Ok(()) }
             }
         };
         // Err(None): within the budget, but dearer than its parts.
@@ -102,6 +109,9 @@ pub(super) fn refine(
             "grid refinement"
         );
         heard(&format!("round {}: {} cells, {} to subdivide", statistics.rounds, positions.len(), failed.len()));
+        if let (true, Some((position, too_near))) = (failed.is_empty(), hardest) {
+            return Err(infeasible(ctx, position, too_near, true));
+        }
         if failed.is_empty() {
             match finish(ctx, &lattice, uses, statistics) {
                 Ok(refined) => {
@@ -128,9 +138,20 @@ pub(super) fn refine(
             let too_fine = spacing_m < FINEST_SPACING_M || lattice.points.len() > most;
             if too_fine || !lattice.subdivide(i as u32, graded) {
                 match too_near {
-                    Some(too_near) => return Err(infeasible(ctx, lattice.position(i), too_near)),
-                    None => solved[i] = true,
+                    Some(too_near) if ctx.scheme == Scheme::Paper => {
+                        return Err(infeasible(ctx, lattice.position(i), too_near, false));
+                    }
+                    Some(too_near) if hardest.is_none_or(|h| h.1.needed < too_near.needed) => {
+                        let [x, y, z] = lattice.position(i).to_array().map(|m| format!("{m:.2}"));
+                        let needed = too_near.needed;
+                        heard(&format!(
+                            "the budget cannot be met: {needed} triangles near ({x}, {y}, {z}); looking for the place that needs most"
+                        ));
+                        hardest = Some((lattice.position(i), too_near));
+                    }
+                    _ => {}
                 }
+                solved[i] = true;
             }
         }
     }
@@ -269,10 +290,11 @@ struct Solved {
 }
 
 /// The error for a place that cannot be served.
-fn infeasible(ctx: &Context, position: DVec3, too_near: TooNear) -> PlacementError {
+fn infeasible(ctx: &Context, position: DVec3, too_near: TooNear, is_most: bool) -> PlacementError {
     PlacementError::Infeasible {
         budget: ctx.budget,
         needed: too_near.needed,
+        is_most,
         position,
         yaw_deg: too_near.direction_deg[0],
         pitch_deg: too_near.direction_deg[1],
@@ -449,5 +471,37 @@ mod tests {
         let needed = refused(10);
         // The least that would do does not depend on how far the budget is off.
         assert_eq!(refused(needed - 1), needed);
+    }
+
+    #[test]
+    fn a_budget_that_cannot_be_met_somewhere_is_refused_with_what_is_enough_everywhere() {
+        let (bounds, triangles) = strewn(4000, 33);
+        let model = bounds.iter().fold(Aabb::EMPTY, |all, b| all.union(*b));
+        let (cells, directions) = (Cells::new(bounds, triangles), Directions::new(0.0));
+        let runs: Vec<Vec<[u16; 2]>> = (0..1).map(|_| vec![[11, 20]]).collect();
+        let cut = Aabb { min: DVec3::new(-0.5, 0.0, -0.5), max: DVec3::new(0.5, 3.0, 0.5) };
+        let volume = WalkVolume::new(cut.min, 1.0, 0.1, [1, 1], &runs, &cut).expect("a volume");
+        let tree = EyeTree::new(&volume);
+        let refused = |budget: u64| {
+            let settings = settings(budget);
+            let mut ctx = Context::new(&cells, &directions, &settings, 60.0, CostBenefit::default(), NOTHING_BETWEEN);
+            ctx.eyes = Some(&tree);
+            let statistics = &mut PlacementStatistics::default();
+            match refine(&ctx, &tree, &directions, Lattice::new(&model, 30.0), statistics, &|_| ()) {
+                Err(PlacementError::Infeasible { needed, is_most, .. }) => Some((needed, is_most)),
+                Err(other) => panic!("{other}"),
+                Ok(_) => None,
+            }
+        };
+        // What the eyes that are asked first need may be less than what some place needs.
+        let mut budget = 10;
+        let enough = loop {
+            match refused(budget).expect("too small somewhere") {
+                (enough, true) => break enough,
+                (least, false) => budget = least,
+            }
+        };
+        assert!(enough > budget, "{enough} {budget}");
+        assert_eq!(refused(enough), None);
     }
 }

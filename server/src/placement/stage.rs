@@ -154,7 +154,7 @@ impl Ground {
         settings: &BuildSettings,
         parameters: &Parameters,
     ) -> Result<Self, PlacementError> {
-        check(settings)?;
+        check_settings(settings)?;
         let mut statistics = PlacementStatistics::default();
         let (volume, skipped) = timed(&mut statistics, "walk volume", || match &parameters.volume {
             Some(volume) => Ok((volume.clone(), Default::default())),
@@ -196,7 +196,10 @@ fn refined<T>(
 }
 
 /// Refuses settings outside their ranges.
-fn check(s: &BuildSettings) -> Result<(), PlacementError> {
+///
+/// # Errors
+/// [`PlacementError::FieldOfView`] and [`PlacementError::Setting`].
+pub fn check_settings(s: &BuildSettings) -> Result<(), PlacementError> {
     if s.camera.fov_deg.is_nan() || !(SMALLEST_FOV_DEG..120.0).contains(&s.camera.fov_deg) {
         return Err(PlacementError::FieldOfView { fov_deg: s.camera.fov_deg });
     }

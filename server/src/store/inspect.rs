@@ -212,7 +212,7 @@ pub fn inspect_text(value: &Value) -> String {
             number("/placements/count"),
             number("/placements/images"),
             number("/placements/empty_images"),
-            at("/placements/max_footprint_px")
+            at("/placements/max_footprint_px").as_f64().map_or("-".into(), |px| format!("{px:.2}"))
         ),
     );
     line(
@@ -224,7 +224,7 @@ pub fn inspect_text(value: &Value) -> String {
             at("/samples/bytes_per_sample").as_f64().map_or("-".into(), |b| format!("{b:.2}"))
         ),
     );
-    for kind in ["cell", "bundle", "ldi", "texture"] {
+    for kind in ["cell", "bundle", "texture", "tree", "ldi"] {
         let n = |field: &str| number(&format!("/chunks/{kind}/{field}"));
         line(
             kind,

@@ -4,6 +4,7 @@ use anyhow::{Context as _, Result, bail};
 use clap::{Parser, Subcommand};
 use ldi_client::{stream::LinkSpec, warp::Stamp};
 use ldi_protocol::room_index::BuiltImages;
+use ldi_protocol::said::{is_lasting, said};
 use ldi_server::cli::size;
 use ldi_server::placement::AuditSize;
 use ldi_server::serve::planner::PlannerConfig;
@@ -13,6 +14,7 @@ use ldi_tests::bench::{
     streaming, tree, video,
 };
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 
 /// Measures the methods over scenes and settings; leaves tables (CSV, JSON), plots (SVG) and a page (HTML).
 #[derive(Debug, Parser)]
@@ -281,8 +283,20 @@ struct SearchesArgs {
     cases: usize,
 }
 
-fn main() -> Result<()> {
-    match Cli::parse().command {
+fn main() -> ExitCode {
+    match run(Cli::parse().command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(e) => {
+            eprintln!("ldi-bench: {}", said(e.as_ref()));
+            // What no retry mends.
+            let lasting = e.chain().filter_map(|cause| cause.downcast_ref::<std::io::Error>()).any(is_lasting);
+            ExitCode::from(if lasting { 42 } else { 1 })
+        }
+    }
+}
+
+fn run(command: Command) -> Result<()> {
+    match command {
         Command::Placement(a) => placement(a),
         Command::Searches(a) => searches(a),
         Command::SpeedError(a) => speed_error(a),

@@ -179,11 +179,18 @@ fn run(cli: &Cli) -> Result<(), Failure> {
             config.cache_bytes as f64 * 1e-9
         );
     }
+    if cli.report.extension().is_some_and(|e| e == "html") {
+        let name = cli.report.display();
+        return Err(Failure(
+            2,
+            anyhow::anyhow!("--report {name}: the report is JSON, and its page lies beside it as .html; name it .json"),
+        ));
+    }
     // Found out before the run, not after it.
     let beside = cli.report.with_extension("tmp");
     std::fs::write(&beside, "")
         .with_context(|| {
-            format!("{}: cannot be written; give --report a file in a folder that can be", beside.display())
+            format!("{}: cannot be written; give --report a file in a folder that can be", cli.report.display())
         })
         .map_err(permanent)?;
     let load = Load {
