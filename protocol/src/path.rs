@@ -118,11 +118,11 @@ struct FilePose {
 pub fn read(file: impl Read, tell: impl FnOnce(&str)) -> Result<Walk, PathError> {
     let mut text = String::new();
     file.take(MAX_TEXT_BYTES as u64 + 1).read_to_string(&mut text)?;
-    let walk = parse(&text)?;
+    // Before what it may have led to: a list whose name is misspelt is missing.
     if let Some(unknown) = unknown_fields(&text) {
         tell(&unknown);
     }
-    Ok(walk)
+    parse(&text)
 }
 
 /// Fields of a [`PathFile`].

@@ -35,8 +35,8 @@ pub struct Figures {
     pub supersample: u32,
     /// What it shows.
     pub shows: Shows,
-    /// Name of the card that drew it; None for the processor.
-    pub card: Option<String>,
+    /// Name of the card that drew it, and bytes of the scene that lie on it; None for the processor.
+    pub card: Option<(String, u64)>,
 }
 
 /// A finished picture.

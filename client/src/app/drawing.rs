@@ -364,7 +364,7 @@ impl Draughtsman {
             dropped_cells: view.dropped,
             supersample: options.supersample,
             shows: options.shows,
-            card: self.painter.gpu().map(|g| g.adapter().to_owned()),
+            card: self.painter.gpu().map(|g| (g.adapter().to_owned(), g.held_bytes())),
             painted,
         };
         Some((camera, figures))

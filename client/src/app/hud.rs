@@ -132,7 +132,10 @@ impl Hud {
                 "ms         select {:.1}  cull {:.1}  near {:.1}  layout {:.1}  warp {:.1}  composite {:.1}",
                 ms.select, ms.cull, ms.near, ms.prepare, ms.warp, ms.composite
             ),
-            format!("drawn by   {}", f.card.as_deref().unwrap_or("the processor")),
+            match &f.card {
+                Some((name, bytes)) => format!("drawn by   {name}, {:.0} MB on it", *bytes as f64 * 1e-6),
+                None => "drawn by   the processor".into(),
+            },
             format!("triangles  {} of {}{dropped}", grouped(f.painted.triangles), grouped(index.settings.budget)),
             format!("samples    {} warped", grouped(warp.map_or(0, |w| w.samples_warped))),
             format!(

@@ -101,6 +101,7 @@ pub(super) struct Visit {
 pub(super) struct Counts {
     pictures: u64,
     shown: u64,
+    card_bytes_most: u64,
 }
 
 /// What the events have said already.
@@ -199,6 +200,8 @@ impl Visit {
             screen.upload(&picture.frame);
         }
         self.counts.pictures += 1;
+        let on_card = picture.figures.card.as_ref().map_or(0, |(_, bytes)| *bytes);
+        self.counts.card_bytes_most = self.counts.card_bytes_most.max(on_card);
         self.hud.picture(picture);
         let ms = &picture.figures.painted.ms;
         self.pace.picture(&picture.pose, ms.total + ms.prepare, picture.at);

@@ -76,6 +76,11 @@ impl Geometry {
         self.held.get(&address(chunk))
     }
 
+    /// Bytes on the card.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
     pub fn clear(&mut self) {
         (self.held, self.bytes) = (HashMap::new(), 0);
     }

@@ -125,6 +125,11 @@ impl Gpu {
         self.warp.holds(laid_out) || images::largest_buffer(laid_out) <= self.largest_bytes
     }
 
+    /// Bytes of geometry, textures and images that lie on the card, without pictures in the making.
+    pub fn held_bytes(&self) -> u64 {
+        self.near.bytes() + self.warp.bytes()
+    }
+
     /// A smaller card.
     #[cfg(test)]
     pub(crate) fn shrink(&mut self, largest_bytes: u64) {

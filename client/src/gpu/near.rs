@@ -208,6 +208,11 @@ impl Near {
         Ok(scene.stats)
     }
 
+    /// Bytes of geometry and textures on the card.
+    pub fn bytes(&self) -> u64 {
+        self.geometry.bytes() + self.textures.bytes()
+    }
+
     /// Colours and depths of the last picture, on the card.
     pub fn textures(&self) -> Option<[&wgpu::Texture; 2]> {
         self.targets.as_ref().map(|t| [&t.colour, &t.depth])

@@ -416,6 +416,26 @@ fn images_stay_on_the_card() {
     assert_eq!([&a, &a, &b, &a, &b].map(&mut hold), [true, false, true, false, false], "each layout once");
 }
 
+/// Of images that are seen one after the other those seen last stay, as many as there is room for.
+#[test]
+fn images_that_were_not_seen_for_long_leave_the_card() {
+    let Some(mut gpu) = card(Atomics::Best) else { return };
+    let images: Vec<PreparedLdi> = (0..4).map(|_| image("sphere", 64)).collect();
+    let mut bytes = Vec::new();
+    for image in &images {
+        warped(&mut gpu, &[image], &poses(0.0)[0], Stamp::Quads);
+        bytes.push(gpu.held_bytes());
+    }
+    assert!(bytes[0] > 0 && bytes[3] == 4 * bytes[0], "{bytes:?}");
+    gpu.warp.kept_bytes = 2 * bytes[0];
+    warped(&mut gpu, &[&images[0]], &poses(0.0)[0], Stamp::Quads);
+    assert_eq!(gpu.held_bytes(), 2 * bytes[0]);
+    let mut is_new = |i: usize| gpu.hold(&images[i]).expect("held");
+    assert_eq!([0, 3, 1].map(&mut is_new), [false, false, true]);
+    gpu.forget();
+    assert_eq!(gpu.held_bytes(), 0);
+}
+
 #[test]
 fn what_only_the_processor_can_is_refused_by_name() {
     let options = |stamp, order| WarpOptions { stamp, order, ..WarpOptions::default() };

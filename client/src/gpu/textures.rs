@@ -21,6 +21,7 @@ struct Uploaded {
     /// Held so that the address stays this texture's.
     source: Weak<Texture>,
     group: wgpu::BindGroup,
+    bytes: u64,
 }
 
 /// See the module.
@@ -103,7 +104,8 @@ impl Textures {
             }
             self.held.remove(&number);
             if let Some(group) = self.upload(card, texture) {
-                self.held.insert(number, Uploaded { source: Arc::downgrade(texture), group });
+                let bytes = texture.levels.iter().flatten().map(|l| size_of_val(&*l.rgba) as u64).sum();
+                self.held.insert(number, Uploaded { source: Arc::downgrade(texture), group, bytes });
             }
         }
         // Those in sight a moment ago may come back at once; those that the cache has let go will not.
@@ -119,6 +121,11 @@ impl Textures {
     pub fn sampler(&self, wrap: [Wrap; 2]) -> &wgpu::BindGroup {
         let [across, down] = wrap.map(|w| WRAPS.iter().position(|k| *k == w).unwrap_or(0));
         &self.samplers[across][down]
+    }
+
+    /// Bytes on the card.
+    pub fn bytes(&self) -> u64 {
+        self.held.values().map(|u| u.bytes).sum()
     }
 
     pub fn clear(&mut self) {

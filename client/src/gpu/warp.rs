@@ -15,7 +15,7 @@ use bytemuck::{Pod, Zeroable};
 use ldi_protocol::{OutputCamera, Pose};
 use rayon::prelude::*;
 
-/// Bytes of images that stay on the card besides those of the frame.
+/// Bytes of images that stay on the card, or those of the frame if they are more.
 const KEPT_BYTES: u64 = 256 << 20;
 /// Workgroups along one axis of a dispatch, at most, on any card.
 const ACROSS: u32 = 65_535;
@@ -65,6 +65,8 @@ pub struct Warp {
     targets: [Growing; 2],
     held: Vec<Uploaded>,
     frame: u64,
+    /// [`KEPT_BYTES`]; less in tests.
+    pub kept_bytes: u64,
     read_back: ReadBack,
 }
 
@@ -141,12 +143,18 @@ impl Warp {
             targets: [target(), target()],
             held: Vec::new(),
             frame: 0,
+            kept_bytes: KEPT_BYTES,
             read_back: ReadBack::new(),
         }
     }
 
     pub fn forget(&mut self) {
         self.held.clear();
+    }
+
+    /// Bytes of images on the card.
+    pub fn bytes(&self) -> u64 {
+        self.held.iter().map(Uploaded::bytes).sum()
     }
 
     /// Whether an image lies on the card.
@@ -167,8 +175,8 @@ impl Warp {
 
     /// Lets go of images that were used longest ago, until the rest is small enough.
     fn make_room(&mut self) {
-        let mut bytes: u64 = self.held.iter().map(Uploaded::bytes).sum();
-        while bytes > KEPT_BYTES {
+        let mut bytes = self.bytes();
+        while bytes > self.kept_bytes {
             let idle = self.held.iter().enumerate().filter(|(_, u)| u.used < self.frame).min_by_key(|(_, u)| u.used);
             let Some((at, _)) = idle else { break };
             bytes -= self.held.swap_remove(at).bytes();

@@ -1,7 +1,7 @@
 //! The command line of `ldi-server`.
 
 use clap::{Args, Parser, Subcommand};
-use std::net::SocketAddr;
+use std::net::{SocketAddr, ToSocketAddrs as _};
 use std::path::PathBuf;
 
 /// Precomputes layered depth images of big 3D scenes and streams them to walkers on the LAN.
@@ -312,11 +312,11 @@ pub struct RenderArgs {
 pub struct ServeArgs {
     /// Dataset directory.
     pub dataset: PathBuf,
-    /// QUIC address [default: 127.0.0.1:4433]; port 0 picks a free one.
-    #[arg(long)]
+    /// QUIC address or name, with port [default: 127.0.0.1:4433]; port 0 picks a free one.
+    #[arg(long, value_name = "HOST:PORT", value_parser = address)]
     pub listen: Option<SocketAddr>,
-    /// HTTP address [default: 127.0.0.1:8080]; port 0 picks a free one.
-    #[arg(long)]
+    /// HTTP address or name, with port [default: 127.0.0.1:8080]; port 0 picks a free one.
+    #[arg(long, value_name = "HOST:PORT", value_parser = address)]
     pub http: Option<SocketAddr>,
     /// TOML file with the same settings and the limits; options given here win.
     #[arg(long)]
@@ -332,6 +332,14 @@ pub fn size(s: &str) -> Result<(u32, u32), String> {
     let (w, h) = s.split_once('x').ok_or_else(wrong)?;
     let side = |t: &str| t.parse::<u32>().ok().filter(|n| (16..=8192).contains(n)).ok_or_else(wrong);
     Ok((side(w)?, side(h)?))
+}
+
+/// An address, or the first of a name's.
+fn address(s: &str) -> Result<SocketAddr, String> {
+    let found = s
+        .to_socket_addrs()
+        .map_err(|e| format!("{e}; an address and a port are needed, as 0.0.0.0:4433 or localhost:4433"))?;
+    found.into_iter().next().ok_or_else(|| "the name has no address".to_string())
 }
 
 fn positive(s: &str) -> Result<f64, String> {
@@ -369,6 +377,15 @@ fn density(s: &str) -> Result<f64, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_server_listens_on_addresses_and_names() {
+        assert_eq!(address("0.0.0.0:4433"), Ok(SocketAddr::from(([0, 0, 0, 0], 4433))));
+        assert!(address("localhost:80").is_ok_and(|a| a.ip().is_loopback() && a.port() == 80));
+        for wrong in ["4433", "0.0.0.0", "localhost", ""] {
+            assert!(address(wrong).is_err_and(|e| e.contains("localhost:4433")), "{wrong}");
+        }
+    }
 
     #[test]
     fn budgets_are_triangles_or_shares() {

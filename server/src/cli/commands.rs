@@ -247,6 +247,9 @@ fn verify(a: &VerifyArgs) -> Result<(), Failure> {
         if found.faults.is_empty() {
             return Ok(());
         }
+        if !found.all_known {
+            print("chunks were not looked at: their list lies in what is damaged")?;
+        }
         return Err(Failure::permanent(anyhow!(
             "{} faults; build the dataset again, or copy the named files once more",
             found.faults.len()

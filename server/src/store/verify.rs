@@ -62,6 +62,8 @@ pub struct Verification {
     pub chunks: usize,
     /// Chunks that were decoded and compared with the index.
     pub decoded: usize,
+    /// Whether all chunks are known: their list lies in the pages.
+    pub all_known: bool,
     /// Bytes hashed.
     pub bytes: u64,
     /// Everything that is wrong, by file and place.
@@ -94,12 +96,14 @@ pub fn verify(path: &Path) -> Result<Verification, StoreError> {
     let packs = Packs::open(path)?;
     let mut layout = Layout::default();
     let Some(index) = check_pages(&root, &mut layout, &packs, &mut out) else { return Ok(out) };
+    out.all_known = true;
     let locations = layout.place_chunks(&index.chunks);
     packs.check_lengths(layout.pack_bytes(), &mut out);
     let places = Places { index: &index, packs: &packs, locations: &locations };
     let hashed: Vec<Option<Fault>> = (0..index.chunks.len()).into_par_iter().map(|k| places.check_hash(k)).collect();
-    out.chunks = hashed.len();
-    out.bytes += index.chunks.iter().map(|c| u64::from(c.stored_bytes)).sum::<u64>();
+    let is_there = |l: &Location| packs.get(l).is_some();
+    out.chunks = locations.iter().filter(|l| is_there(l)).count();
+    out.bytes += locations.iter().filter(|l| is_there(l)).map(|l| u64::from(l.bytes)).sum::<u64>();
     let intact: Vec<bool> = hashed.iter().map(Option::is_none).collect();
     out.faults.extend(hashed.into_iter().flatten());
     places.check_contents(&intact, &mut out);
@@ -130,6 +134,14 @@ impl Packs {
         }
     }
 
+    /// Why [`Self::get`] gives nothing.
+    fn why_not(&self, l: &Location) -> String {
+        match self.0.get(l.pack as usize) {
+            Some(_) => "it lies beyond the end of its pack".into(),
+            None => "its pack is missing".into(),
+        }
+    }
+
     fn get(&self, l: &Location) -> Option<&[u8]> {
         let start = usize::try_from(l.offset).ok()?;
         self.0.get(l.pack as usize)?.get(start..start.checked_add(l.bytes as usize)?)
@@ -155,7 +167,7 @@ fn check_pages(root: &Root, layout: &mut Layout, packs: &Packs, out: &mut Verifi
     for (number, (entry, location)) in root.pages.iter().zip(layout.place_pages(&root.pages)).enumerate() {
         let bytes = packs.get(&location);
         match bytes
-            .ok_or_else(|| "it lies beyond the end of its pack".to_owned())
+            .ok_or_else(|| packs.why_not(&location))
             .and_then(|b| manifest::check_page_hash(entry, b).map_err(|_| "its bytes have another hash".to_owned()))
         {
             Ok(()) => pages.extend(bytes),
@@ -205,7 +217,7 @@ impl Places<'_> {
 
     fn check_hash(&self, chunk: usize) -> Option<Fault> {
         let Some(bytes) = self.packs.get(&self.locations[chunk]) else {
-            return Some(self.fault(chunk, "it lies beyond the end of its pack".into()));
+            return Some(self.fault(chunk, self.packs.why_not(&self.locations[chunk])));
         };
         let same = ChunkHash(blake3::hash(bytes).into()) == self.index.chunks[chunk].hash;
         (!same).then(|| self.fault(chunk, "its bytes have another hash".into()))
