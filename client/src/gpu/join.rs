@@ -290,9 +290,10 @@ fn laid(open: &[u32], found: &Frame) -> (Vec<u32>, Vec<Sample>) {
             let bit = left.trailing_zeros();
             left &= left - 1;
             let at = number * WORD + bit as usize;
-            match found.source[at] {
-                Source::Sky => sky |= 1 << bit,
-                Source::Tree => samples.push(Sample {
+            // A bit beyond the frame would be the driver's fault, and no reason to end.
+            match found.source.get(at) {
+                Some(Source::Sky) => sky |= 1 << bit,
+                Some(Source::Tree) => samples.push(Sample {
                     at: at as u32,
                     colour: sourced(found.colour[at], Source::Tree),
                     disparity: found.disparity[at],

@@ -478,7 +478,7 @@ mod tests {
         let (bounds, triangles) = strewn(4000, 33);
         let model = bounds.iter().fold(Aabb::EMPTY, |all, b| all.union(*b));
         let (cells, directions) = (Cells::new(bounds, triangles), Directions::new(0.0));
-        let runs: Vec<Vec<[u16; 2]>> = (0..1).map(|_| vec![[11, 20]]).collect();
+        let runs = [vec![[11, 20]]];
         let cut = Aabb { min: DVec3::new(-0.5, 0.0, -0.5), max: DVec3::new(0.5, 3.0, 0.5) };
         let volume = WalkVolume::new(cut.min, 1.0, 0.1, [1, 1], &runs, &cut).expect("a volume");
         let tree = EyeTree::new(&volume);
