@@ -18,7 +18,7 @@ use super::{
 };
 use crate::{
     composite::Fill,
-    engine::{Cull, Method, Pace, PaintError, Painter, Shows, WalkOptions, view_of},
+    engine::{Ahead, Cull, Method, Pace, PaintError, Painter, Shows, View, WalkOptions, view_of},
     frame::Frame,
     near::MAX_SIDE_PX,
     report::StageMs,
@@ -57,7 +57,7 @@ struct Depends {
     shows: Shows,
 }
 
-/// How far ahead images are looked for that will be seen, seconds: they are laid out by then. Larger: more that is never seen.
+/// How far ahead is looked for what will be seen, seconds: it is laid out and on the card by then. Larger: more that is never seen.
 const AHEAD_S: [f64; 2] = [0.4, 1.0];
 /// Images that are laid out ahead at most, about as many as a view shows: each takes three times the memory of a decoded one.
 const MOST_AHEAD: usize = 32;
@@ -249,8 +249,10 @@ impl Draughtsman {
         let complete = scene.index.is_whole() && self.last.as_ref().is_some_and(|l| l.missing.is_empty() && !l.waiting);
         self.scale.aim(desk.frame_ms);
         let fine = desk.fine && complete && self.large_ms.is_some_and(|ms| 4.0 * ms < FINE_MS);
+        // Images are laid out for small pictures or for large ones: what is under way is finished first.
+        let half_way = self.last.as_ref().is_some_and(|l| l.waiting && l.depends.size != window);
         let (size, supersample) = match rest {
-            r if r < REST_LARGE => (self.scale.size(window), 1),
+            r if r < REST_LARGE || half_way => (self.scale.size(window), 1),
             r if r < REST_FINE || !fine => (window, 1),
             _ => (window, 2),
         };
@@ -305,25 +307,28 @@ impl Draughtsman {
         (self.done)();
     }
 
-    /// The images that are not seen yet and will be if the eye goes on as it does, soonest first.
-    fn images_ahead(&mut self, scene: &Scene, pose: &Pose, camera: &OutputCamera, seen: &[u32]) -> Vec<u32> {
-        let now = Instant::now();
-        let Some((before, at)) = self.before.replace((*pose, now)) else { return Vec::new() };
+    /// What is not seen yet and will be if the eye goes on as it does, soonest first.
+    fn ahead(&mut self, scene: &Scene, pose: &Pose, camera: &OutputCamera, seen: &View) -> Ahead {
+        let (now, mut ahead) = (Instant::now(), Ahead::default());
+        let Some((before, at)) = self.before.replace((*pose, now)) else { return ahead };
         let dt_s = (now - at).as_secs_f64();
         let step = pose.position - before.position;
         if before == *pose || dt_s > LONGEST_STEP_S || step.length() > FASTEST_M_PER_S * dt_s {
-            return Vec::new();
+            return ahead;
         }
         let turn_deg = apart_deg(before.yaw_deg, pose.yaw_deg);
-        let mut ahead: Vec<u32> = Vec::new();
+        let add = |to: &mut Vec<u32>, view: Vec<u32>, seen: &[u32]| {
+            let new: Vec<u32> = view.into_iter().filter(|i| !to.contains(i) && !seen.contains(i)).collect();
+            to.extend(new);
+        };
         for t_s in AHEAD_S {
             let (position, yaw_deg) = (pose.position + step * (t_s / dt_s), pose.yaw_deg + turn_deg * (t_s / dt_s));
             let then = Pose { position, yaw_deg, ..*pose };
             let view = view_of(&scene.index, &then, camera, Method::Auto, &mut StageMs::default());
-            let new: Vec<u32> = view.images.into_iter().filter(|i| !ahead.contains(i) && !seen.contains(i)).collect();
-            ahead.extend(new);
+            add(&mut ahead.images, view.images, &seen.images);
+            add(&mut ahead.cells, view.cells, &seen.cells);
         }
-        ahead.truncate(MOST_AHEAD);
+        ahead.images.truncate(MOST_AHEAD);
         ahead
     }
 
@@ -344,7 +349,7 @@ impl Draughtsman {
         let needed = view.needed(index);
         self.link.look(pose, &needed);
         if options.beside {
-            let ahead = self.images_ahead(scene, pose, &camera, &view.images);
+            let ahead = self.ahead(scene, pose, &camera, &view);
             self.painter.anticipate(ahead);
         }
         let painted = match self.painter.paint(index, &*scene.cache, &view, pose, &camera, &options, ms, out) {

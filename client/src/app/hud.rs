@@ -115,8 +115,11 @@ impl Hud {
             0 => "nothing".to_owned(),
             n => format!("{n} chunks, {:.2} MB", f.missing_bytes as f64 * 1e-6),
         };
-        let waiting =
-            if f.painted.waiting > 0 { format!(", {} images to lay out", f.painted.waiting) } else { String::new() };
+        let waiting = if f.painted.waiting > 0 {
+            format!(", {} to be laid out or put onto the card", f.painted.waiting)
+        } else {
+            String::new()
+        };
         let place = f.selection.grid_point.map_or("none".into(), |p| p.to_string());
         let image = f.selection.placement.map_or("none".into(), |p| p.to_string());
         let p = picture.pose.position;

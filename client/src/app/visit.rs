@@ -100,8 +100,12 @@ pub(super) struct Visit {
 #[derive(Debug, Default, serde::Serialize)]
 pub(super) struct Counts {
     pictures: u64,
+    /// They lacked something, or it was on its way from the cache to the screen.
+    incomplete: u64,
     shown: u64,
     card_bytes_most: u64,
+    /// By one picture.
+    brought_bytes_most: u64,
 }
 
 /// What the events have said already.
@@ -202,10 +206,14 @@ impl Visit {
         self.counts.pictures += 1;
         let on_card = picture.figures.card.as_ref().map_or(0, |(_, bytes)| *bytes);
         self.counts.card_bytes_most = self.counts.card_bytes_most.max(on_card);
+        let brought = picture.figures.painted.brought_bytes;
+        self.counts.brought_bytes_most = self.counts.brought_bytes_most.max(brought);
         self.hud.picture(picture);
         let ms = &picture.figures.painted.ms;
         self.pace.picture(&picture.pose, ms.total + ms.prepare, picture.at);
-        let complete = picture.figures.painted.is_complete() && !picture.scouting;
+        let whole = picture.figures.painted.is_complete();
+        self.counts.incomplete += u64::from(!whole);
+        let complete = whole && !picture.scouting;
         self.started |= complete;
         let about = || {
             fields! {

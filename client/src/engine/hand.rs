@@ -4,7 +4,7 @@ use super::painter::Painter;
 use crate::{
     composite::CodeStep,
     frame::Frame,
-    gpu::{Gpu, GpuError, WarpOn},
+    gpu::{Gpu, GpuError, Packed, WarpOn},
     near::{NearStats, Rasterizer},
     resident::Resident,
     warp::{FarFrame, PreparedLdi, Shown, WarpError, WarpOptions, WarpStats, warp_images},
@@ -99,12 +99,12 @@ impl Hand {
     }
 
     /// The card, if it can draw pictures as large.
-    fn drawer(&mut self, camera: &OutputCamera) -> Option<&mut Gpu> {
+    pub(super) fn drawer(&mut self, camera: &OutputCamera) -> Option<&mut Gpu> {
         self.gpu.as_deref_mut().filter(|gpu| gpu.fits(camera))
     }
 
     /// The card, if it is to warp so.
-    fn warper(&mut self, camera: &OutputCamera, options: &WarpOptions) -> Option<&mut Gpu> {
+    pub(super) fn warper(&mut self, camera: &OutputCamera, options: &WarpOptions) -> Option<&mut Gpu> {
         self.drawer(camera).filter(|gpu| gpu.warps() && Gpu::can_warp(options).is_ok())
     }
 
@@ -129,17 +129,41 @@ impl Hand {
         }
     }
 
-    /// Puts an image where it can be warped from.
-    pub fn hold(
+    /// A frame begins that may put so many bytes onto the card.
+    pub fn begin_frame(&mut self, allowed: u64) {
+        if let Some(gpu) = &mut self.gpu {
+            gpu.begin_frame(allowed);
+        }
+    }
+
+    /// Bytes that it has put there.
+    pub fn brought_bytes(&self) -> u64 {
+        self.gpu.as_ref().map_or(0, |gpu| gpu.brought_bytes())
+    }
+
+    /// The card, if it is to warp this image so.
+    fn warper_of(&mut self, laid_out: &PreparedLdi, camera: &OutputCamera, options: &WarpOptions) -> Option<&mut Gpu> {
+        self.warper(camera, options).filter(|gpu| gpu.fits_image(laid_out))
+    }
+
+    /// Brings an image to where it is warped from ([`Gpu::bring_image`]); returns whether it is there.
+    pub fn bring(
         &mut self,
         laid_out: &PreparedLdi,
+        packed: &mut Option<Packed>,
+        ahead: bool,
         camera: &OutputCamera,
         options: &WarpOptions,
-    ) -> Result<(), PaintError> {
-        if let Some(gpu) = self.warper(camera, options).filter(|gpu| gpu.fits_image(laid_out)) {
-            gpu.hold(laid_out)?;
+    ) -> Result<bool, PaintError> {
+        match self.warper_of(laid_out, camera, options) {
+            Some(gpu) => Ok(gpu.bring_image(laid_out, packed, ahead)?),
+            None => Ok(true),
         }
-        Ok(())
+    }
+
+    /// Whether an image is where it is warped from.
+    pub fn holds(&mut self, laid_out: &PreparedLdi, camera: &OutputCamera, options: &WarpOptions) -> bool {
+        self.warper_of(laid_out, camera, options).is_none_or(|gpu| gpu.holds(laid_out))
     }
 
     /// Warps images to one picture, within an image by the given order, between images by depth: into `into`, or onto the card.
@@ -230,7 +254,8 @@ mod tests {
         let mut small = Hand::on(gpu);
         small.gpu.as_mut().expect("a card").shrink(1000);
         let options = WarpOptions::default();
-        small.hold(&laid_out, &camera, &options).expect("left out");
+        let brought = small.bring(&laid_out, &mut None, false, &camera, &options);
+        assert_eq!(brought, Ok(true), "left to the processor");
         let drawn = |hand: &mut Hand| {
             let mut far = FarFrame::new(camera.width, camera.height);
             let images = [Shown::from(&laid_out)];
@@ -240,6 +265,6 @@ mod tests {
         };
         assert!(drawn(&mut small) == drawn(&mut Hand::default()), "bit by bit");
         let gpu = small.gpu.as_mut().expect("a card");
-        assert!(gpu.hold(&laid_out).expect("held"), "it was not there yet");
+        assert!(!gpu.holds(&laid_out));
     }
 }

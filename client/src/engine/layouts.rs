@@ -1,7 +1,10 @@
 //! Images laid out for the warp, kept from frame to frame.
 
 use super::views::Shows;
-use crate::warp::{PreparedLdi, halved};
+use crate::{
+    gpu::Packed,
+    warp::{PreparedLdi, halved},
+};
 use ldi_protocol::{OutputCamera, Pose, ldi::Ldi};
 use std::{sync::Arc, time::Instant};
 
@@ -34,20 +37,23 @@ pub struct Layout {
     pub of: Wanted,
     /// The layout.
     pub laid_out: PreparedLdi,
+    /// The same as a card reads it, until it is there.
+    pub packed: Option<Packed>,
     since: Instant,
 }
 
 impl Layout {
-    /// Lays out an image.
-    pub fn new(of: Wanted) -> Self {
+    /// Lays out an image; `pack`: for a card.
+    pub fn new(of: Wanted, pack: bool) -> Self {
         let laid_out = if of.half { PreparedLdi::new(&halved(&of.ldi)) } else { PreparedLdi::new(&of.ldi) };
-        Self { of, laid_out, since: Instant::now() }
+        let packed = pack.then(|| Packed::new(&laid_out));
+        Self { of, laid_out, packed, since: Instant::now() }
     }
 
     /// Lays out at full resolution what `painted` shows of an image.
     fn painted(of: Wanted, painted: Option<Ldi>) -> Self {
         let laid_out = PreparedLdi::new(painted.as_ref().unwrap_or(&of.ldi));
-        Self { of, laid_out, since: Instant::now() }
+        Self { of, laid_out, packed: None, since: Instant::now() }
     }
 }
 
@@ -58,8 +64,17 @@ pub struct Layouts(Vec<Layout>);
 impl Layouts {
     /// The layout of an image, at the resolution that is wanted if there is that.
     pub fn get(&self, number: u32, half: bool) -> Option<&Layout> {
-        let of_image = || self.0.iter().filter(|l| l.of.number == number);
-        of_image().find(|l| l.of.half == half).or_else(|| of_image().next())
+        self.of(number).find(|l| l.of.half == half).or_else(|| self.of(number).next())
+    }
+
+    /// All layouts of an image.
+    pub fn of(&self, number: u32) -> impl Iterator<Item = &Layout> {
+        self.0.iter().filter(move |l| l.of.number == number)
+    }
+
+    /// Forgets some.
+    pub fn retain(&mut self, keep: impl FnMut(&Layout) -> bool) {
+        self.0.retain(keep);
     }
 
     /// Whether this is laid out.
@@ -111,7 +126,7 @@ impl Layouts {
         let tint = |l: &Layout| {
             let ldi = shows.tint(&l.of.ldi, pose, camera, l.since.elapsed().as_secs_f64())?;
             let of = Wanted { half: false, ldi: ldi.clone(), ..l.of };
-            Some(Layout { of, laid_out: PreparedLdi::new(&ldi), since: l.since })
+            Some(Layout { of, laid_out: PreparedLdi::new(&ldi), packed: None, since: l.since })
         };
         let tinted: Vec<Layout> = numbers.filter_map(|n| self.get(n, false)).filter_map(tint).collect();
         (!tinted.is_empty()).then_some(Self(tinted))

@@ -5,7 +5,7 @@
 //! angular range, draw what is not culled, warp the image of what is, compose by depth.
 //!
 //! - [`painter`](Painter): one frame from resident data; never waits.
-//! - `stand_in`: what shows while a view is on its way. `layouts`: images laid out for the warp. `hand`: who draws, the processor or a graphics card.
+//! - `stand_in`: what shows while a view is on its way. `layouts`: images laid out for the warp. `landing`: what goes to a card with which picture. `hand`: who draws, the processor or a graphics card.
 //! - `walk`: paces frames, asks the feed for what they need, keeps every Nth.
 //! - `baseline`: the same poses with all geometry, for the speedup.
 //! - `judge`: kept frames against the truth. `save`: pictures on disk. `views`: the same frame in other colours.
@@ -14,6 +14,7 @@ mod baseline;
 mod feed;
 mod hand;
 mod judge;
+mod landing;
 mod layouts;
 mod options;
 mod painter;
@@ -28,6 +29,7 @@ mod workshop;
 pub use feed::{Feed, Traffic};
 pub use hand::{PaintError, Renderer};
 pub use judge::{JudgeError, Truth, Verdict, pictures_of};
+pub use landing::Ahead;
 pub use options::{Cull, Method, Pace, WalkOptions};
 pub use painter::{Painted, Painter, View, view_of};
 pub(crate) use save::save_rgb;

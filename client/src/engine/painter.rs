@@ -5,6 +5,7 @@
 
 use super::{
     hand::{Hand, PaintError},
+    landing::{Ahead, Landed, Landing, Late, allowed_bytes, bring_cells},
     layouts::{Layout, Layouts, Wanted},
     options::{Cull, Method, WalkOptions},
     stand_in::{StandIn, absent_chunks},
@@ -74,8 +75,10 @@ pub struct Painted {
     pub missing_chunks: Vec<u32>,
     /// Whether all of the index was known.
     pub whole: bool,
-    /// Images that are resident and being laid out beside; older layouts of theirs are shown, if there are any.
+    /// Images, chunks of geometry and textures that are resident and being laid out beside or on their way to the card; what is there of them is shown.
     pub waiting: usize,
+    /// Bytes of the scene that this picture put onto a card.
+    pub brought_bytes: u64,
     /// The placement that stands in for the view's own, which is not at hand yet.
     pub stand_in: Option<u32>,
     /// Whether a graphics card joined near geometry and images.
@@ -108,8 +111,13 @@ pub struct Painter {
     stand_in: StandIn,
     /// Lays images out beside, once a frame asks for that; None also where the system gives no threads.
     workshop: Option<Workshop>,
-    /// Images that the next frames may show, likeliest first.
-    ahead: Vec<u32>,
+    landing: Landing,
+    /// Geometry or textures of the last picture are on their way to the card.
+    late: bool,
+    ahead: Ahead,
+    /// Bytes that a picture may put onto the card, in place of the usual ones.
+    #[cfg(test)]
+    pub(super) allowed_bytes: Option<u64>,
     /// They are painted onto their portals.
     textures: bool,
 }
@@ -228,14 +236,14 @@ impl Painter {
         self.hand.gpu()
     }
 
-    /// Images that the next frames may show, likeliest first: they are laid out beside when nothing else is.
-    pub fn anticipate(&mut self, images: Vec<u32>) {
-        self.ahead = images;
+    /// What the next frames may show: it is laid out beside when nothing else is, and goes to the card after all that the frame itself wants.
+    pub fn anticipate(&mut self, ahead: Ahead) {
+        self.ahead = ahead;
     }
 
-    /// Whether images were laid out beside that no frame has shown yet.
+    /// Whether another picture could show more, although nothing has come: images were laid out, or something is on its way to the card.
     pub fn has_news(&self) -> bool {
-        self.workshop.as_ref().is_some_and(Workshop::has_finished)
+        self.late || self.landing.is_under_way() || self.workshop.as_ref().is_some_and(Workshop::has_finished)
     }
 
     /// Opens the workshop when it is wanted for the first time.
@@ -285,10 +293,32 @@ impl Painter {
         let half = beside && 2.0 * full_camera.focal_px() <= index.settings.camera.focal_px() * (1.0 + 1e-6);
         if std::mem::replace(&mut self.textures, view.portal_images.is_texture()) != self.textures {
             // The same images, laid out otherwise.
-            self.layouts = Layouts::default();
+            (self.layouts, self.landing) = (Layouts::default(), Landing::default());
         }
+        let warp_options = WarpOptions {
+            stamp: options.stamp,
+            order: options.order,
+            keep_all_tiles: options.cull == Cull::Off,
+            ..WarpOptions::default()
+        };
+        let ahead = std::mem::take(&mut self.ahead);
+        let allowed = allowed_bytes(beside, options.frame_ms.is_some());
+        #[cfg(test)]
+        let allowed = self.allowed_bytes.unwrap_or(allowed);
+        self.hand.begin_frame(allowed);
+        let late = match beside {
+            true => bring_cells(&mut self.hand, index, resident, &view.cells, &full_camera, false)?,
+            false => Late::default(),
+        };
+        let landed = Landed { resident, index, late: &late.chunks };
         let made = self.workshop.as_ref().map(Workshop::take);
-        made.into_iter().flatten().for_each(|layout| self.layouts.put(layout));
+        made.into_iter().flatten().for_each(|layout| self.landing.put(layout));
+        if beside {
+            let images = (&view.images[..], &ahead.images[..]);
+            self.landing.bring(&mut self.hand, &mut self.layouts, images, &full_camera, &warp_options)?;
+            bring_cells(&mut self.hand, index, resident, &ahead.cells, &full_camera, true)?;
+        }
+        let resident: &dyn Resident = &landed;
         let is_at_hand = |image| match beside {
             true => self.layouts.get(image, half).is_some(),
             false => resident.ldi(image).is_some(),
@@ -336,17 +366,14 @@ impl Painter {
         }
         painted.missing_chunks.sort_unstable();
         painted.missing_chunks.dedup();
+        // Those have come; they only do not show yet.
+        painted.missing_chunks.retain(|c| !late.chunks.contains(c));
+        self.late = !late.chunks.is_empty() || late.coarse > 0;
+        painted.waiting += late.chunks.len() + late.coarse;
 
-        let ahead = std::mem::take(&mut self.ahead);
         self.layouts.forget_all_but(|number| {
-            images.iter().any(|(n, ..)| *n == number) || own.images.contains(&number) || ahead.contains(&number)
+            images.iter().any(|(n, ..)| *n == number) || own.images.contains(&number) || ahead.images.contains(&number)
         });
-        let warp_options = WarpOptions {
-            stamp: options.stamp,
-            order: options.order,
-            keep_all_tiles: options.cull == Cull::Off,
-            ..WarpOptions::default()
-        };
         for (number, _, held) in &mut images {
             let canvas = view.canvas(index, *number);
             if beside && canvas.is_none() {
@@ -355,9 +382,6 @@ impl Painter {
                 // Until it is ready, what was laid out when it had fewer layers or at the other resolution, if there is that.
                 let shown = self.layouts.get(*number, half);
                 *held = shown.map(|l| l.of.ldi.clone());
-                if let Some(l) = shown {
-                    self.hand.hold(&l.laid_out, &full_camera, &warp_options)?;
-                }
                 if !self.layouts.holds(&want) {
                     wanted.push(want);
                     painted.waiting += 1;
@@ -369,14 +393,16 @@ impl Painter {
             let paint = |ldi: &Ldi| canvas.and_then(|p| painted_onto(ldi, p.normal(), p.centre(), SKY_SRGB));
             let new = self.layouts.lay_out(*number, ldi, paint);
             if let Some(l) = self.layouts.get(*number, false) {
-                self.hand.hold(&l.laid_out, &full_camera, &warp_options)?;
+                self.hand.bring(&l.laid_out, &mut None, false, &full_camera, &warp_options)?;
             }
             painted.ms.prepare += if new { ms_since(start) } else { 0.0 };
         }
         if let Some(workshop) = self.workshop.as_ref().filter(|_| beside) {
-            let resident = ahead.iter().filter_map(|n| Some(Wanted { number: *n, half, ldi: resident.ldi(*n)? }));
+            let resident =
+                ahead.images.iter().filter_map(|n| Some(Wanted { number: *n, half, ldi: resident.ldi(*n)? }));
             wanted.extend(resident.filter(|w| !self.layouts.holds(w)));
-            workshop.want(wanted);
+            wanted.retain(|w| !self.landing.holds(w));
+            workshop.want(wanted, self.hand.warper(&full_camera, &warp_options).is_some());
         }
         let gaps = !painted.whole || near_gaps || images.iter().any(|(.., l)| l.is_none());
         if stand_in.is_none() && !gaps {
@@ -484,6 +510,7 @@ impl Painter {
                 out.clone_from(&self.full);
             }
         }
+        painted.brought_bytes = self.hand.brought_bytes();
         painted.ms.composite = ms_since(start) - painted.tree.as_ref().map_or(0.0, |t| t.ms);
         let m = &mut painted.ms;
         m.total = m.select + m.cull + m.near + m.warp + m.composite;

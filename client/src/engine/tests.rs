@@ -14,13 +14,16 @@ use crate::{
 use glam::{DVec3, Vec3};
 use ldi_protocol::{
     Aabb, OutputCamera, Pose, ViewBasis,
-    index::{AngularRange, ChunkEntry, ChunkHash, ChunkKind, GridPoint, ImageEntry, Index, Placement},
+    index::{
+        AngularRange, ChunkEntry, ChunkHash, ChunkKind, GridPoint, ImageEntry, Index, Placement, TextureChunk,
+        TextureEntry,
+    },
     ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiCamera, LdiLayer, Segment},
     mesh::{CellGeometry, Material},
     need::Needed,
     path::{self, Walk},
     select::CELLS,
-    texture::Texture,
+    texture::{MipLevel, Texture},
     tree::Brood,
 };
 use std::{
@@ -280,14 +283,29 @@ fn near_and_far_come_together() {
     assert_eq!((colour_at(&frame, 18, 24), painted.warp.is_none()), ([0, 255, 0], true));
 }
 
+/// A painter on a card, or None with the reason on the screen where this machine has none that could.
+fn on_card() -> Option<Painter> {
+    match Gpu::open() {
+        Err(e @ (GpuError::NoAdapter(_) | GpuError::Lacking { .. })) => {
+            eprintln!("SKIPPED: {e}");
+            None
+        }
+        opened => Some(Painter::on(opened.expect("an adapter that draws"))),
+    }
+}
+
+/// How many pixels of two pictures are more than a code apart.
+fn differing(a: &Frame, b: &Frame) -> usize {
+    let off = |(a, b): &(&u32, &u32)| {
+        unpack_rgb(**a).into_iter().zip(unpack_rgb(**b)).map(|(a, b)| a.abs_diff(b)).max().unwrap_or(0) > 1
+    };
+    a.colour.iter().zip(&b.colour).filter(off).count()
+}
+
 /// A card joins a frame that lacks nothing; what is missing, debug views and what only the processor does are the processor's. The pictures are the same.
 #[test]
 fn a_card_joins_what_it_drew() {
-    let gpu = match Gpu::open() {
-        Err(e @ (GpuError::NoAdapter(_) | GpuError::Lacking { .. })) => return eprintln!("SKIPPED: {e}"),
-        opened => opened.expect("an adapter that draws"),
-    };
-    let mut on_card = Painter::on(gpu);
+    let Some(mut on_card) = on_card() else { return };
     let feed = scene();
     let beside = Pose { position: DVec3::new(0.13, 0.0, 0.0), yaw_deg: 4.0, pitch_deg: 0.0 };
     let plain = options(Pace::Wait);
@@ -316,10 +334,7 @@ fn a_card_joins_what_it_drew() {
         assert_eq!((theirs.0.on_card, ours.0.on_card), (joins, false), "case {number}");
         assert_eq!(theirs.0.missing_chunks, ours.0.missing_chunks, "case {number}");
         assert_eq!(theirs.2, ours.2, "case {number}: what nothing known reached");
-        let off = |(a, b): (&u32, &u32)| {
-            unpack_rgb(*a).into_iter().zip(unpack_rgb(*b)).map(|(a, b)| a.abs_diff(b)).max().unwrap_or(0) > 1
-        };
-        let differ = theirs.1.colour.iter().zip(&ours.1.colour).filter(|p| off(*p)).count();
+        let differ = differing(&theirs.1, &ours.1);
         // Of some hundred along edges.
         assert!(differ <= 8, "case {number}: {differ} pixels");
         assert!(ours.1.count(Source::Near) > 100, "case {number}");
@@ -354,20 +369,21 @@ fn sky_grows_where_all_layers_are_there() {
     assert!(frame.count(Source::Unpainted) > 50 && !painted.missing_chunks.is_empty());
 }
 
-/// A painter that lays images out beside, and a frame of its own.
+/// A painter that lays images out beside, a frame of its own, and the bytes that it put onto a card.
 #[derive(Default)]
-struct Beside(Painter, Frame);
+struct Beside(Painter, Frame, u64);
 
 impl Beside {
     /// How many images wait, and whether any is seen.
     fn paint(&mut self, feed: &MemoryFeed, pose: &Pose) -> (usize, bool) {
-        let Self(painter, frame) = self;
+        let Self(painter, frame, brought) = self;
         let view = view_of(&feed.index, pose, &CAMERA, Method::Auto, &mut StageMs::default());
         let all: Vec<u32> = view.needed(&feed.index).all().collect();
         feed.wait_for(&all, Duration::ZERO).expect("memory does not fail");
         let options = WalkOptions { beside: true, ..options(Pace::Realtime) };
         let painted = painter.paint(&feed.index, feed, &view, pose, &CAMERA, &options, StageMs::default(), frame);
         let painted = painted.expect("quads by z");
+        *brought = painted.brought_bytes;
         assert!(painted.missing_chunks.is_empty());
         assert_eq!(painted.is_complete(), painted.waiting == 0);
         (painted.waiting, frame.count(Source::Far) > 100)
@@ -407,10 +423,84 @@ fn what_is_expected_is_laid_out_before_it_is_seen() {
     let mut painter = Beside::default();
     feed.wait_for(&[2], Duration::ZERO).expect("memory does not fail");
     assert_eq!(painter.paint(&feed, &away), (0, false));
-    painter.0.anticipate(vec![0]);
+    painter.0.anticipate(Ahead { images: vec![0], ..Ahead::default() });
     assert_eq!(painter.paint(&feed, &away), (0, false));
     painter.wait_for_news();
     assert_eq!(painter.paint(&feed, &AHEAD), (0, true));
+}
+
+/// [`scene`], the near square with a texture of 64 by 64 texels.
+fn textured_scene() -> MemoryFeed {
+    let mut feed = scene();
+    let rgba = (0..64 * 64).map(|i| [255, 4 * (i % 64) as u8, 4 * (i / 64) as u8, 255]).collect();
+    let texture = Texture::from_base(MipLevel { width: 64, height: 64, rgba }, false);
+    feed.memory.textures.insert(0, Arc::new(texture));
+    let index = &mut feed.index;
+    index.materials[0].texture = Some(0);
+    let chunk = TextureChunk { chunk: index.chunks.len() as u32, first_level: 0, last_level: 6 };
+    index.chunks.push(ChunkEntry { hash: ChunkHash([11; 32]), kind: ChunkKind::Texture, ..index.chunks[0] });
+    index.textures.push(TextureEntry { width: 64, height: 64, chunks: vec![chunk] });
+    feed
+}
+
+/// A card that takes little per picture gets what the picture shows piece by piece, and then shows what the processor does; nothing of it is sent twice.
+#[test]
+fn no_picture_puts_more_onto_the_card_than_it_may() {
+    const ALLOWED: u64 = 3000;
+    let Some(mut on_card) = on_card() else { return };
+    on_card.allowed_bytes = Some(ALLOWED);
+    let feed = textured_scene();
+    let mut painter = Beside(on_card, Frame::default(), 0);
+    let (mut pictures, mut waited_for, mut brought, mut centres) = (0, Vec::new(), 0, Vec::new());
+    loop {
+        let (waiting, _) = painter.paint(&feed, &AHEAD);
+        centres.push(colour_at(&painter.1, 31, 24));
+        // Up to a row of the texture.
+        assert!(painter.2 <= ALLOWED + 255, "{} bytes in picture {pictures}", painter.2);
+        (pictures, brought) = (pictures + 1, brought + painter.2);
+        waited_for.push(waiting);
+        if waiting == 0 {
+            break;
+        }
+        painter.wait_for_news();
+    }
+    assert!(brought > 5 * ALLOWED && pictures > 5, "{brought} bytes in {pictures} pictures");
+    assert_eq!(waited_for[0], 2, "the image and the texture");
+    assert!(waited_for.is_sorted_by(|a, b| a >= b), "{waited_for:?}");
+    let [grey, red] = [centres[0], centres[centres.len() - 1]];
+    assert!(red == [255, 0, 0] && grey[0] < 250, "as long as its texture is on the way: {centres:?}");
+    let mut theirs = Beside::default();
+    theirs.paint(&feed, &AHEAD);
+    theirs.wait_for_news();
+    assert_eq!(theirs.paint(&feed, &AHEAD), (0, true));
+    assert!(differing(&painter.1, &theirs.1) <= 8, "{}", differing(&painter.1, &theirs.1));
+    painter.paint(&feed, &Pose { yaw_deg: 180.0, ..AHEAD });
+    assert_eq!((painter.paint(&feed, &AHEAD), painter.2), ((0, true), 0));
+}
+
+#[test]
+fn what_is_expected_is_on_the_card_before_it_is_seen() {
+    let Some(mut on_card) = on_card() else { return };
+    on_card.allowed_bytes = Some(3000);
+    let feed = textured_scene();
+    let away = Pose { yaw_deg: 180.0, ..AHEAD };
+    let view = view_of(&feed.index, &AHEAD, &CAMERA, Method::Auto, &mut StageMs::default());
+    feed.wait_for(&view.needed(&feed.index).all().collect::<Vec<_>>(), Duration::ZERO).expect("memory");
+    let mut painter = Beside(on_card, Frame::default(), 0);
+    let mut brought = 0;
+    for picture in 0.. {
+        painter.0.anticipate(Ahead { images: view.images.clone(), cells: view.cells.clone() });
+        assert_eq!(painter.paint(&feed, &away).0, 0, "of what is seen nothing is missing");
+        brought += painter.2;
+        if painter.2 == 0 && brought > 0 {
+            break;
+        }
+        assert!(picture < 60_000, "nothing was brought");
+        if brought == 0 {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+    assert_eq!((painter.paint(&feed, &AHEAD), painter.2), ((0, true), 0));
 }
 
 /// [`scene`] with a second view cell, around z = -1: its image is chunk 3, and everything looks as from the first one.

@@ -18,6 +18,8 @@ pub struct Workshop {
 #[derive(Debug, Default)]
 struct Desk {
     wanted: Vec<Wanted>,
+    /// Packed for a card as well.
+    pack: bool,
     busy: Option<Wanted>,
     done: Vec<Layout>,
     stop: bool,
@@ -45,8 +47,8 @@ impl Workshop {
         let desk = Arc::<(Mutex<Desk>, Condvar)>::default();
         let seen = desk.clone();
         let work = move || {
-            while let Some(wanted) = next(&seen) {
-                let layout = pool.install(|| Layout::new(wanted));
+            while let Some((wanted, pack)) = next(&seen) {
+                let layout = pool.install(|| Layout::new(wanted, pack));
                 let mut desk = lock(&seen.0);
                 desk.busy = None;
                 desk.done.push(layout);
@@ -66,16 +68,17 @@ impl Workshop {
         !lock(&self.desk.0).done.is_empty()
     }
 
-    /// These from now on, in this order, and nothing that was wanted before.
-    pub fn want(&self, images: Vec<Wanted>) {
+    /// These from now on, in this order, and nothing that was wanted before. `pack`: for a card as well.
+    pub fn want(&self, images: Vec<Wanted>, pack: bool) {
         let mut desk = lock(&self.desk.0);
+        desk.pack = pack;
         desk.wanted = images.into_iter().filter(|w| !desk.is_under_way(w)).collect();
         self.desk.1.notify_one();
     }
 }
 
 /// Waits for something to do. None: stop.
-fn next((desk, changed): &(Mutex<Desk>, Condvar)) -> Option<Wanted> {
+fn next((desk, changed): &(Mutex<Desk>, Condvar)) -> Option<(Wanted, bool)> {
     let mut desk = lock(desk);
     loop {
         if desk.stop {
@@ -84,7 +87,7 @@ fn next((desk, changed): &(Mutex<Desk>, Condvar)) -> Option<Wanted> {
         if !desk.wanted.is_empty() {
             let first = desk.wanted.remove(0);
             desk.busy = Some(first.clone());
-            return Some(first);
+            return Some((first, desk.pack));
         }
         desk = changed.wait(desk).unwrap_or_else(PoisonError::into_inner);
     }

@@ -71,7 +71,7 @@ pub fn calibrate(gpu: &mut Gpu, on: WarpOn) -> Result<Calibration, GpuError> {
         debug_assert!(done.is_ok());
         best[1] = best[1].min(start.elapsed().as_secs_f64() * 1e3);
     }
-    gpu.warp.forget();
+    gpu.warp.images.clear();
     Ok(Calibration { on_card: best[0] < best[1], card_ms: Some(best[0]), processor_ms: Some(best[1]) })
 }
 

@@ -137,20 +137,10 @@ impl Card {
         GpuError::Failed { adapter: self.name.clone(), reason: reason.into() }
     }
 
-    /// A buffer with something in it; never empty, which bindings do not allow.
+    /// A small buffer with something in it, whole words.
     pub fn buffer(&self, label: &str, content: &[u8], usage: wgpu::BufferUsages) -> wgpu::Buffer {
-        let size = (content.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT).max(16);
-        let buffer = self.room(label, size, usage | wgpu::BufferUsages::COPY_DST);
-        if !content.is_empty() {
-            // Writes come in fours; what is left over goes with padding.
-            let whole = content.len() & !3;
-            self.queue.write_buffer(&buffer, 0, &content[..whole]);
-            if whole < content.len() {
-                let mut last = [0; 4];
-                last[..content.len() - whole].copy_from_slice(&content[whole..]);
-                self.queue.write_buffer(&buffer, whole as u64, &last);
-            }
-        }
+        let buffer = self.room(label, content.len() as u64, usage | wgpu::BufferUsages::COPY_DST);
+        self.queue.write_buffer(&buffer, 0, content);
         buffer
     }
 

@@ -1,14 +1,15 @@
-//! Clusters on the card: one vertex and one index buffer per chunk of geometry, made when it is first drawn.
+//! Clusters on the card: one vertex and one index buffer per chunk of geometry, made when it is first wanted.
 //!
 //! What is kept is bounded in bytes; the chunks that were drawn longest ago go first. A chunk that the cache has let go goes as well.
 
-use super::device::Card;
+use super::{
+    device::Card,
+    shelf::Shelf,
+    transfer::{Allowance, Transfer},
+};
 use bytemuck::{Pod, Zeroable};
 use ldi_protocol::mesh::{CellGeometry, Cluster, MAX_CLUSTER_TRIANGLES};
-use std::{
-    collections::HashMap,
-    sync::{Arc, Weak},
-};
+use std::sync::{Arc, Weak};
 
 /// Bytes of geometry that stay on the card when they are not drawn: some five million vertices.
 const KEPT_BYTES: u64 = 256 << 20;
@@ -39,74 +40,58 @@ pub struct Uploaded {
     pub spans: Vec<Span>,
     /// Held so that the address stays this chunk's.
     source: Weak<CellGeometry>,
-    used: u64,
 }
 
-/// See the module.
-#[derive(Default)]
-pub struct Geometry {
-    /// By address.
-    held: HashMap<usize, Uploaded>,
-    bytes: u64,
-    frame: u64,
-}
+/// See the module. By address.
+pub struct Geometry(Shelf<usize, Uploaded>);
 
 fn address(geometry: &Arc<CellGeometry>) -> usize {
     Arc::as_ptr(geometry) as usize
 }
 
 impl Geometry {
-    /// Puts the chunks of a frame onto the card and makes room for them.
-    pub fn hold(&mut self, card: &Card, chunks: &[Arc<CellGeometry>]) {
-        self.frame += 1;
-        for chunk in chunks {
-            let frame = self.frame;
-            let known = self.held.get_mut(&address(chunk)).map(|u| u.used = frame).is_some();
-            if !known {
-                let uploaded = Uploaded::new(card, chunk, frame);
-                self.bytes += uploaded.bytes();
-                self.held.insert(address(chunk), uploaded);
-            }
-        }
-        self.make_room();
+    pub fn new() -> Self {
+        Self(Shelf::new(KEPT_BYTES))
     }
 
-    /// A chunk that [`Self::hold`] was given.
+    pub fn begin_frame(&mut self) {
+        self.0.begin_frame(|u| u.source.strong_count() > 0);
+    }
+
+    /// Puts a chunk onto the card, as much of it as is allowed; returns whether all of it is there.
+    pub fn bring(&mut self, card: &Card, chunk: &Arc<CellGeometry>, allowance: &mut Allowance) -> bool {
+        self.0.bring(address(chunk), card, allowance, || Uploaded::new(card, chunk))
+    }
+
+    /// Whether a chunk is there, on its way, or can stay besides what the frame has wanted so far.
+    pub fn has_room(&self, chunk: &Arc<CellGeometry>) -> bool {
+        self.0.has(address(chunk)) || self.0.has_room(bytes(chunk))
+    }
+
+    /// A chunk that is there.
     pub fn get(&self, chunk: &Arc<CellGeometry>) -> Option<&Uploaded> {
-        self.held.get(&address(chunk))
+        self.0.get(address(chunk))
     }
 
     /// Bytes on the card.
     pub fn bytes(&self) -> u64 {
-        self.bytes
+        self.0.bytes()
     }
 
     pub fn clear(&mut self) {
-        (self.held, self.bytes) = (HashMap::new(), 0);
-    }
-
-    fn make_room(&mut self) {
-        self.held.retain(|_, u| u.source.strong_count() > 0);
-        self.bytes = self.held.values().map(Uploaded::bytes).sum();
-        if self.bytes <= KEPT_BYTES {
-            return;
-        }
-        let mut oldest: Vec<(u64, usize)> =
-            self.held.iter().filter(|(_, u)| u.used < self.frame).map(|(at, u)| (u.used, *at)).collect();
-        oldest.sort_unstable();
-        for (_, at) in oldest {
-            if self.bytes <= KEPT_BYTES {
-                break;
-            }
-            if let Some(gone) = self.held.remove(&at) {
-                self.bytes -= gone.bytes();
-            }
-        }
+        self.0.clear();
     }
 }
 
+/// Of a chunk on the card.
+fn bytes(chunk: &CellGeometry) -> u64 {
+    let of = |c: &Cluster| size_of::<Corner>() * c.positions.len() + 6 * c.triangles.len().min(MAX_CLUSTER_TRIANGLES);
+    chunk.clusters.iter().map(|c| of(c) as u64).sum()
+}
+
 impl Uploaded {
-    fn new(card: &Card, chunk: &Arc<CellGeometry>, used: u64) -> Self {
+    /// Also its bytes, and what must be sent.
+    fn new(card: &Card, chunk: &Arc<CellGeometry>) -> (Self, u64, Transfer) {
         let (mut corners, mut indices, mut spans) = (Vec::<Corner>::new(), Vec::<u16>::new(), Vec::new());
         for cluster in &chunk.clusters {
             let first_index = indices.len() as u32;
@@ -119,17 +104,15 @@ impl Uploaded {
             spans.push(span);
             corners.extend((0..count).map(|i| corner(cluster, i)));
         }
-        Self {
-            corners: card.buffer("corners", bytemuck::cast_slice(&corners), wgpu::BufferUsages::VERTEX),
-            indices: card.buffer("indices", bytemuck::cast_slice(&indices), wgpu::BufferUsages::INDEX),
+        let mut transfer = Transfer::default();
+        let uploaded = Self {
+            corners: transfer.array(card, "corners", corners, wgpu::BufferUsages::VERTEX),
+            indices: transfer.array(card, "indices", indices, wgpu::BufferUsages::INDEX),
             spans,
             source: Arc::downgrade(chunk),
-            used,
-        }
-    }
-
-    fn bytes(&self) -> u64 {
-        self.corners.size() + self.indices.size()
+        };
+        let bytes = uploaded.corners.size() + uploaded.indices.size();
+        (uploaded, bytes, transfer)
     }
 }
 

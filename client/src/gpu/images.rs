@@ -1,6 +1,6 @@
 //! Images on the card: the arrays of a [`PreparedLdi`], one buffer each over all of its tiles, put there once.
 
-use super::device::Card;
+use super::{device::Card, transfer::Transfer};
 use crate::warp::PreparedLdi;
 use bytemuck::{Pod, Zeroable};
 
@@ -34,18 +34,32 @@ const COUNTED_EVERY: u32 = 8;
 
 /// An image on the card.
 pub struct Uploaded {
-    pub serial: u64,
     pub tiles: wgpu::Buffer,
     pub samples: wgpu::Buffer,
     pub quads: wgpu::Buffer,
     pub groups: wgpu::Buffer,
     /// Number of the first tile of each part.
     first_tile: Vec<u32>,
-    pub used: u64,
 }
 
-impl Uploaded {
-    pub fn new(card: &Card, laid_out: &PreparedLdi, used: u64) -> Self {
+/// An image as a card reads it, not there yet: it can be made on any thread.
+pub struct Packed {
+    tiles: Vec<Tile>,
+    samples: Vec<Sample>,
+    quads: Vec<u32>,
+    groups: Vec<u32>,
+    first_tile: Vec<u32>,
+}
+
+impl std::fmt::Debug for Packed {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Packed").field("tiles", &self.tiles.len()).finish_non_exhaustive()
+    }
+}
+
+impl Packed {
+    /// Packs an image.
+    pub fn new(laid_out: &PreparedLdi) -> Self {
         let parts = &laid_out.parts;
         let (mut tiles, mut samples, mut quads, mut groups) = (Vec::new(), Vec::new(), Vec::new(), Vec::<u32>::new());
         let mut first_tile = Vec::with_capacity(parts.len());
@@ -85,25 +99,36 @@ impl Uploaded {
                 }
             }
         }
+        Self { tiles, samples, quads, groups, first_tile }
+    }
+
+    /// Bytes on the card, nearly.
+    pub fn bytes(&self) -> u64 {
+        let [tiles, samples] = [size_of_val(&*self.tiles), size_of_val(&*self.samples)];
+        (tiles + samples + size_of_val(&*self.quads) + size_of_val(&*self.groups)) as u64
+    }
+}
+
+impl Uploaded {
+    /// Also its bytes, and what must be sent.
+    pub fn new(card: &Card, packed: Packed) -> (Self, u64, Transfer) {
         let storage = wgpu::BufferUsages::STORAGE;
-        Self {
-            serial: laid_out.serial,
-            tiles: card.buffer("tiles", bytemuck::cast_slice(&tiles), storage),
-            samples: card.buffer("samples", bytemuck::cast_slice(&samples), storage),
-            quads: card.buffer("quads", bytemuck::cast_slice(&quads), storage),
-            groups: card.buffer("pieces", bytemuck::cast_slice(&groups), storage),
+        let bytes = packed.bytes();
+        let Packed { tiles, samples, quads, groups, first_tile } = packed;
+        let mut transfer = Transfer::default();
+        let uploaded = Self {
+            tiles: transfer.array(card, "tiles", tiles, storage),
+            samples: transfer.array(card, "samples", samples, storage),
+            quads: transfer.array(card, "quads", quads, storage),
+            groups: transfer.array(card, "pieces", groups, storage),
             first_tile,
-            used,
-        }
+        };
+        (uploaded, bytes, transfer)
     }
 
     /// The number of a tile among all, from its part's and its own there.
     pub fn tile(&self, [part, tile]: [u32; 2]) -> u32 {
         self.first_tile.get(part as usize).map_or(0, |first| first + tile)
-    }
-
-    pub fn bytes(&self) -> u64 {
-        [&self.tiles, &self.samples, &self.quads, &self.groups].iter().map(|b| b.size()).sum()
     }
 }
 

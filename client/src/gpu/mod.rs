@@ -20,13 +20,18 @@ mod images;
 mod join;
 mod near;
 mod read_back;
+mod shelf;
 #[cfg(test)]
 mod tests;
 mod textures;
+mod transfer;
 mod warp;
 
 pub use calibrate::{Calibration, WarpOn};
 pub use device::{Atomics, GpuError};
+pub use images::Packed;
+pub use shelf::PATIENCE;
+pub use textures::Arrived;
 
 use crate::{
     composite::CodeStep,
@@ -36,7 +41,9 @@ use crate::{
     warp::{FarFrame, Order, PreparedLdi, Shown, WarpOptions, WarpStats},
 };
 use device::{Card, Software};
-use ldi_protocol::{OutputCamera, Pose, index::Index};
+use ldi_protocol::{OutputCamera, Pose, index::Index, mesh::CellGeometry, texture::Texture};
+use std::sync::Arc;
+use transfer::Allowance;
 
 /// A graphics card, and what lies on it.
 pub struct Gpu {
@@ -47,6 +54,7 @@ pub struct Gpu {
     calibration: Option<Calibration>,
     /// Largest array that it can bind or hold, bytes.
     largest_bytes: u64,
+    allowance: Allowance,
 }
 
 impl std::fmt::Debug for Gpu {
@@ -85,7 +93,8 @@ impl Gpu {
         card.check()?;
         let limits = card.device.limits();
         let largest_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        Ok(Self { card, near, warp, join, calibration: None, largest_bytes })
+        let allowance = Allowance::new(u64::MAX);
+        Ok(Self { card, near, warp, join, calibration: None, largest_bytes, allowance })
     }
 
     /// Name of the adapter and how it is driven.
@@ -122,12 +131,12 @@ impl Gpu {
 
     /// Whether an image fits the card. Software drivers bind no more than 128 MiB: some ten million samples are larger.
     pub fn fits_image(&self, laid_out: &PreparedLdi) -> bool {
-        self.warp.holds(laid_out) || images::largest_buffer(laid_out) <= self.largest_bytes
+        self.warp.images.has(laid_out.serial) || images::largest_buffer(laid_out) <= self.largest_bytes
     }
 
     /// Bytes of geometry, textures and images that lie on the card, without pictures in the making.
     pub fn held_bytes(&self) -> u64 {
-        self.near.bytes() + self.warp.bytes()
+        self.near.bytes() + self.warp.images.bytes()
     }
 
     /// A smaller card.
@@ -168,7 +177,7 @@ impl Gpu {
         camera: &OutputCamera,
         pose: &Pose,
     ) -> Result<NearStats, GpuError> {
-        self.near.draw(&self.card, index, resident, cells, camera, pose)
+        self.near.draw(&self.card, &mut self.allowance, index, resident, cells, camera, pose)
     }
 
     /// Reads back what [`Self::draw`] drew with the same camera; `frame` becomes as large.
@@ -179,14 +188,58 @@ impl Gpu {
         self.near.read(&self.card, camera, frame)
     }
 
-    /// Puts an image that fits ([`Self::fits_image`]) onto the card, unless it is there. Returns whether it was new.
+    /// A frame begins that may put so many bytes of the scene onto the card; until one does there is no bound. What was not wanted for long makes room.
+    pub fn begin_frame(&mut self, allowed: u64) {
+        self.allowance = Allowance::new(allowed);
+        self.near.begin_frame();
+        self.warp.images.begin_frame(|_| true);
+    }
+
+    /// Bytes that this frame has put onto the card. They exceed what it may by the small levels of a texture at most, and by what it draws without having brought it.
+    pub fn brought_bytes(&self) -> u64 {
+        self.allowance.spent
+    }
+
+    /// Puts an image that fits ([`Self::fits_image`]) onto the card, as much of it as this frame may; what was packed already need not be. `ahead`: only if there is room besides what this
+    /// frame wants. Returns whether all of it is there.
     ///
     /// # Errors
     /// If the card fails.
-    pub fn hold(&mut self, laid_out: &PreparedLdi) -> Result<bool, GpuError> {
-        let new = self.warp.hold(&self.card, laid_out);
+    pub fn bring_image(
+        &mut self,
+        laid_out: &PreparedLdi,
+        packed: &mut Option<Packed>,
+        ahead: bool,
+    ) -> Result<bool, GpuError> {
+        let there = self.warp.bring(&self.card, laid_out, packed, ahead, &mut self.allowance);
         self.card.check()?;
-        Ok(new)
+        Ok(there)
+    }
+
+    /// Whether an image is on the card.
+    pub fn holds(&self, laid_out: &PreparedLdi) -> bool {
+        self.warp.images.get(laid_out.serial).is_some()
+    }
+
+    /// The same for geometry.
+    ///
+    /// # Errors
+    /// If the card fails.
+    pub fn bring_geometry(&mut self, chunk: &Arc<CellGeometry>, ahead: bool) -> Result<bool, GpuError> {
+        let geometry = &mut self.near.geometry;
+        let there = (!ahead || geometry.has_room(chunk)) && geometry.bring(&self.card, chunk, &mut self.allowance);
+        self.card.check()?;
+        Ok(there)
+    }
+
+    /// The same for a texture, of which small levels come first.
+    ///
+    /// # Errors
+    /// If the card fails.
+    pub fn bring_texture(&mut self, number: u32, texture: &Arc<Texture>) -> Result<Arrived, GpuError> {
+        let arrived = self.near.textures.bring(&self.card, number, texture, &mut self.allowance);
+        self.card.check()?;
+        Ok(arrived)
     }
 
     /// Warps images that fit ([`Self::fits_image`]) to one picture, by depth: what [`crate::warp::warp_images`] does with [`crate::warp::Order::Z`]; the picture stays on the card.
@@ -200,7 +253,7 @@ impl Gpu {
         camera: &OutputCamera,
         options: &WarpOptions,
     ) -> Result<WarpStats, GpuError> {
-        self.warp.warp_images(&self.card, images, pose, camera, options)
+        self.warp.warp_images(&self.card, images, pose, camera, options, &mut self.allowance)
     }
 
     /// Reads back what [`Self::warp_images`] warped, into a picture of the same size.
@@ -247,6 +300,6 @@ impl Gpu {
     /// Forgets what lies on the card: numbers are about to mean something else.
     pub fn forget(&mut self) {
         self.near.forget();
-        self.warp.forget();
+        self.warp.images.clear();
     }
 }

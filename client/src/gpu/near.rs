@@ -8,6 +8,7 @@ use super::{
     geometry::Geometry,
     read_back::{ROW_ALIGNMENT, ReadBack},
     textures::Textures,
+    transfer::Allowance,
 };
 use crate::{
     frame::{Frame, SKY, Source},
@@ -70,8 +71,8 @@ pub struct Near {
     masked: wgpu::RenderPipeline,
     view: wgpu::Buffer,
     view_group: wgpu::BindGroup,
-    geometry: Geometry,
-    textures: Textures,
+    pub geometry: Geometry,
+    pub textures: Textures,
     placed: Growing,
     targets: Option<Targets>,
     /// Nothing was drawn into them.
@@ -160,7 +161,7 @@ impl Near {
             masked: pipeline("masked"),
             view,
             view_group,
-            geometry: Geometry::default(),
+            geometry: Geometry::new(),
             textures,
             placed: Growing::new("placed", wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_DST),
             targets: None,
@@ -174,10 +175,18 @@ impl Near {
         self.textures.clear();
     }
 
-    /// See [`super::Gpu::draw`].
+    /// A frame begins.
+    pub fn begin_frame(&mut self) {
+        self.geometry.begin_frame();
+        self.textures.begin_frame();
+    }
+
+    /// See [`super::Gpu::draw`]; of textures no more than is allowed goes to the card.
+    #[expect(clippy::too_many_arguments, reason = "the card and what a frame depends on")]
     pub fn draw(
         &mut self,
         card: &Card,
+        allowance: &mut Allowance,
         index: &Index,
         resident: &dyn Resident,
         cells: &[u32],
@@ -190,8 +199,12 @@ impl Near {
         if width == 0 || height == 0 {
             return Ok(scene.stats);
         }
-        self.geometry.hold(card, &scene.held);
-        self.textures.hold(card, scene.textures());
+        for chunk in &scene.held {
+            allowance.without_bound(|a| self.geometry.bring(card, chunk, a));
+        }
+        for (number, texture) in scene.textures() {
+            self.textures.bring(card, number, texture, allowance);
+        }
         let (items, placed) = arrange(&scene, pose);
         let view = View {
             scale: [1.0 / camera.half_tan_x() as f32, 1.0 / camera.half_tan_y() as f32],

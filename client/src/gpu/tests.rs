@@ -412,8 +412,85 @@ fn pictures_larger_than_the_card_are_the_processors() {
 fn images_stay_on_the_card() {
     let Some(mut gpu) = card(Atomics::Best) else { return };
     let (a, b) = (image("sphere", 64), image("sphere", 64));
-    let mut hold = |laid_out: &PreparedLdi| gpu.hold(laid_out).expect("held");
-    assert_eq!([&a, &a, &b, &a, &b].map(&mut hold), [true, false, true, false, false], "each layout once");
+    let mut brought = |laid_out: &PreparedLdi| {
+        let before = gpu.brought_bytes();
+        assert!(gpu.bring_image(laid_out, &mut None, false).expect("brought"));
+        gpu.brought_bytes() > before
+    };
+    assert_eq!([&a, &a, &b, &a, &b].map(&mut brought), [true, false, true, false, false], "each layout once");
+}
+
+/// Each frame sends what it may; until all is there, nothing is shown of geometry and images, and small levels of a texture.
+#[test]
+fn what_is_large_goes_to_the_card_in_slices() {
+    let Some(mut gpu) = card(Atomics::Best) else { return };
+    // In so many frames, of which each sends `allowed` bytes at most, and a row.
+    let mut frames = |allowed: u64, bring: &mut dyn FnMut(&mut Gpu) -> bool| {
+        let mut sent = Vec::new();
+        loop {
+            gpu.begin_frame(allowed);
+            let there = bring(&mut gpu);
+            sent.push(gpu.brought_bytes());
+            if there {
+                return sent;
+            }
+            assert!(sent.len() < 1000, "{sent:?}");
+        }
+    };
+    let picture = image("sphere", 64);
+    let (mut whole, mut sliced) =
+        (FarFrame::new(CAMERA.width, CAMERA.height), FarFrame::new(CAMERA.width, CAMERA.height));
+    let sent = frames(10_000, &mut |gpu| gpu.bring_image(&picture, &mut None, false).expect("brought"));
+    let bytes = Packed::new(&picture).bytes();
+    assert!(sent.len() as u64 == bytes.div_ceil(10_000) && sent.iter().sum::<u64>() == bytes, "{sent:?} of {bytes}");
+    let (_, memory) = scene(0.0);
+    let ball = &memory.cells[&1];
+    let sent = frames(1000, &mut |gpu| gpu.bring_geometry(ball, false).expect("brought"));
+    assert!(sent.len() > 3 && sent.iter().all(|s| *s <= 1000), "{sent:?}");
+    let (width, height) = (1000, 300);
+    let rgba = (0..width * height).map(|i| [(i % 251) as u8, (i / width) as u8, 0, 255]).collect();
+    let large = Arc::new(Texture::from_base(MipLevel { width, height, rgba }, false));
+    let mut arrived = Vec::new();
+    let sent = frames(100_000, &mut |gpu| {
+        arrived.push(gpu.bring_texture(5, &large).expect("brought"));
+        arrived.last() == Some(&Arrived::All)
+    });
+    // Small levels are 250 x 75 texels, a third more in all; else up to a row too many.
+    assert!(sent.len() > 10 && sent.iter().all(|s| *s <= 104_000), "{sent:?}");
+    assert!(arrived[..arrived.len() - 1].iter().all(|a| *a == Arrived::Coarse), "{arrived:?}");
+    // What came in slices is what comes at once.
+    let warp = |gpu: &mut Gpu, into: &mut FarFrame| {
+        let images = [Shown::from(&picture)];
+        gpu.warp_images(&images, &poses(0.0)[0], &CAMERA, &WarpOptions::default()).expect("warped");
+        gpu.read_warped(into).expect("read");
+    };
+    warp(&mut gpu, &mut sliced);
+    gpu.forget();
+    warp(&mut gpu, &mut whole);
+    assert!(whole.packed == sliced.packed && whole.packed.iter().any(|p| *p != 0));
+}
+
+/// What nobody wants any more before it is there is left; ahead comes only what has room.
+#[test]
+fn what_is_not_seen_yet_does_not_drive_out_what_is() {
+    let Some(mut gpu) = card(Atomics::Best) else { return };
+    let images: Vec<PreparedLdi> = (0..3).map(|_| image("sphere", 64)).collect();
+    let bytes = Packed::new(&images[0]).bytes();
+    gpu.warp.images.kept_bytes = 2 * bytes;
+    let bring = |gpu: &mut Gpu, i: usize, ahead| gpu.bring_image(&images[i], &mut None, ahead).expect("brought");
+    gpu.begin_frame(u64::MAX);
+    assert!(bring(&mut gpu, 0, false) && bring(&mut gpu, 1, true));
+    assert!(!bring(&mut gpu, 2, true), "there is no room");
+    assert_eq!((gpu.held_bytes(), gpu.holds(&images[2])), (2 * bytes, false));
+    gpu.begin_frame(100);
+    assert!(bring(&mut gpu, 0, false));
+    assert!(!bring(&mut gpu, 2, true) && gpu.brought_bytes() == 100, "begun instead of the one that nobody wants now");
+    assert!(gpu.warp.images.has(images[2].serial));
+    for _ in 0..=PATIENCE + 1 {
+        gpu.begin_frame(100);
+        assert!(bring(&mut gpu, 0, false));
+    }
+    assert_eq!([0, 1, 2].map(|i| gpu.warp.images.has(images[i].serial)), [true, false, false]);
 }
 
 /// Of images that are seen one after the other those seen last stay, as many as there is room for.
@@ -423,15 +500,17 @@ fn images_that_were_not_seen_for_long_leave_the_card() {
     let images: Vec<PreparedLdi> = (0..4).map(|_| image("sphere", 64)).collect();
     let mut bytes = Vec::new();
     for image in &images {
+        gpu.begin_frame(u64::MAX);
         warped(&mut gpu, &[image], &poses(0.0)[0], Stamp::Quads);
         bytes.push(gpu.held_bytes());
     }
     assert!(bytes[0] > 0 && bytes[3] == 4 * bytes[0], "{bytes:?}");
-    gpu.warp.kept_bytes = 2 * bytes[0];
+    gpu.warp.images.kept_bytes = 2 * bytes[0];
+    gpu.begin_frame(u64::MAX);
     warped(&mut gpu, &[&images[0]], &poses(0.0)[0], Stamp::Quads);
+    gpu.begin_frame(u64::MAX);
     assert_eq!(gpu.held_bytes(), 2 * bytes[0]);
-    let mut is_new = |i: usize| gpu.hold(&images[i]).expect("held");
-    assert_eq!([0, 3, 1].map(&mut is_new), [false, false, true]);
+    assert_eq!([0, 1, 2, 3].map(|i| gpu.holds(&images[i])), [true, false, false, true]);
     gpu.forget();
     assert_eq!(gpu.held_bytes(), 0);
 }

@@ -1,12 +1,22 @@
 //! Textures on the card: the levels that are here, put there anew when finer ones have come.
 
-use super::device::Card;
+use super::{
+    device::Card,
+    shelf::PATIENCE,
+    transfer::{Allowance, Transfer},
+};
 use bytemuck::{Pod, Zeroable};
-use ldi_protocol::{mesh::Wrap, texture::Texture};
+use ldi_protocol::{
+    mesh::Wrap,
+    texture::{MipLevel, Texture},
+};
 use std::{
-    collections::{HashMap, HashSet},
+    collections::HashMap,
     sync::{Arc, Weak},
 };
+
+/// Levels of a texture up to this side go to the card at once, a third of a megabyte: it shows something from then on.
+const SMALL_PX: u32 = 256;
 
 /// As `near.wgsl` reads it.
 #[repr(C)]
@@ -22,6 +32,21 @@ struct Uploaded {
     source: Weak<Texture>,
     group: wgpu::BindGroup,
     bytes: u64,
+    /// All levels that are here and that the card can take.
+    whole: bool,
+    /// The frame that wanted it last.
+    used: u64,
+}
+
+/// What of a texture is on the card.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Arrived {
+    /// It does not show.
+    Nothing,
+    /// Levels show that are coarser than what has come.
+    Coarse,
+    /// All levels that have come.
+    All,
 }
 
 /// See the module.
@@ -29,6 +54,9 @@ pub struct Textures {
     pub layout: wgpu::BindGroupLayout,
     pub sampler_layout: wgpu::BindGroupLayout,
     held: HashMap<u32, Uploaded>,
+    /// More of them, and what is still to be sent.
+    arriving: HashMap<u32, (Uploaded, Transfer)>,
+    frame: u64,
     /// For materials without a texture.
     none: wgpu::BindGroup,
     /// By wrap modes across and down.
@@ -91,25 +119,49 @@ impl Textures {
             })
         });
         let none = group(card, &layout, &white(card), ImageInfo { size: [1.0; 2], first_level: 0.0, unused: 0.0 });
-        Self { layout, sampler_layout, held: HashMap::new(), none, samplers }
+        Self { layout, sampler_layout, held: HashMap::new(), arriving: HashMap::new(), frame: 0, none, samplers }
     }
 
-    /// Puts the textures of a frame onto the card, those that are there; others go.
-    pub fn hold<'a>(&mut self, card: &Card, textures: impl Iterator<Item = (u32, &'a Arc<Texture>)>) {
-        let mut wanted = HashSet::new();
-        for (number, texture) in textures {
-            wanted.insert(number);
-            if self.held.get(&number).is_some_and(|u| u.source.as_ptr() == Arc::as_ptr(texture)) {
-                continue;
-            }
-            self.held.remove(&number);
-            if let Some(group) = self.upload(card, texture) {
-                let bytes = texture.levels.iter().flatten().map(|l| size_of_val(&*l.rgba) as u64).sum();
-                self.held.insert(number, Uploaded { source: Arc::downgrade(texture), group, bytes });
+    /// A frame begins.
+    pub fn begin_frame(&mut self) {
+        let last = self.frame;
+        self.frame += 1;
+        self.arriving.retain(|_, (u, _)| u.used + PATIENCE >= last);
+        // Those in sight a moment ago may come back at once; those that the cache has let go will not.
+        self.held.retain(|_, u| u.used == last || u.source.strong_count() > 0);
+    }
+
+    /// Puts a texture onto the card, as much of it as is allowed: small levels first, which show until all are there.
+    pub fn bring(&mut self, card: &Card, number: u32, texture: &Arc<Texture>, allowance: &mut Allowance) -> Arrived {
+        let is = |u: &Uploaded| u.source.as_ptr() == Arc::as_ptr(texture);
+        let held = self.held.get_mut(&number);
+        let (any, all) = (held.is_some(), held.as_ref().is_some_and(|u| is(u) && u.whole));
+        held.into_iter().for_each(|u| u.used = self.frame);
+        if all {
+            return Arrived::All;
+        }
+        let Some(finest) = finest(card, texture) else { return Arrived::All };
+        if !any && allowance.left > 0 && bytes_from(texture, finest) > allowance.left {
+            let small = |l: &Option<MipLevel>| l.as_ref().is_some_and(|l| l.width.max(l.height) <= SMALL_PX);
+            let first = texture.levels.iter().position(small).filter(|first| *first > finest);
+            if let Some((uploaded, mut transfer)) = first.and_then(|first| self.begin(card, texture, first)) {
+                allowance.without_bound(|a| transfer.push(card, a));
+                self.held.insert(number, Uploaded { whole: false, ..uploaded });
             }
         }
-        // Those in sight a moment ago may come back at once; those that the cache has let go will not.
-        self.held.retain(|number, u| wanted.contains(number) || u.source.strong_count() > 0);
+        let mut arriving = self.arriving.remove(&number).filter(|(u, _)| is(u));
+        if arriving.is_none() && allowance.left > 0 {
+            arriving = self.begin(card, texture, finest);
+        }
+        if let Some((mut uploaded, mut transfer)) = arriving {
+            if transfer.push(card, allowance) {
+                self.held.insert(number, uploaded);
+                return Arrived::All;
+            }
+            uploaded.used = self.frame;
+            self.arriving.insert(number, (uploaded, transfer));
+        }
+        if self.held.contains_key(&number) { Arrived::Coarse } else { Arrived::Nothing }
     }
 
     /// The texture of a material.
@@ -123,35 +175,49 @@ impl Textures {
         &self.samplers[across][down]
     }
 
-    /// Bytes on the card.
+    /// Bytes on the card, those on their way included.
     pub fn bytes(&self) -> u64 {
-        self.held.values().map(|u| u.bytes).sum()
+        self.held.values().chain(self.arriving.values().map(|(u, _)| u)).map(|u| u.bytes).sum()
     }
 
     pub fn clear(&mut self) {
         self.held.clear();
+        self.arriving.clear();
     }
 
-    /// The levels from the finest on that is here and that the card can take; None where there are none.
-    fn upload(&self, card: &Card, texture: &Texture) -> Option<wgpu::BindGroup> {
-        let most = card.device.limits().max_texture_dimension_2d;
-        let fits = |width: u32, height: u32| width.max(height) <= most;
-        let first = texture.levels.iter().position(|l| l.as_ref().is_some_and(|l| fits(l.width, l.height)))?;
+    /// The levels from `first` on, and what must be sent.
+    fn begin(&self, card: &Card, texture: &Arc<Texture>, first: usize) -> Option<(Uploaded, Transfer)> {
         let levels: Vec<_> = texture.levels[first..].iter().map_while(Option::as_ref).collect();
         let finest = levels.first()?;
         let on_card = room(card, finest.width, finest.height, levels.len() as u32);
-        for (number, level) in (0u32..).zip(&levels) {
-            write(card, &on_card, number, [level.width, level.height], level.rgba.as_flattened());
+        let mut transfer = Transfer::default();
+        for number in 0..levels.len() {
+            transfer.level(texture, first + number, &on_card, number as u32);
         }
         let (width, height) = texture.size()?;
         let info = ImageInfo { size: [width as f32, height as f32], first_level: first as f32, unused: 0.0 };
-        Some(group(card, &self.layout, &on_card, info))
+        let group = group(card, &self.layout, &on_card, info);
+        let bytes = bytes_from(texture, first);
+        let source = Arc::downgrade(texture);
+        Some((Uploaded { source, group, bytes, whole: true, used: self.frame }, transfer))
     }
+}
+
+/// The finest level that is here and that the card can take.
+fn finest(card: &Card, texture: &Texture) -> Option<usize> {
+    let most = card.device.limits().max_texture_dimension_2d;
+    texture.levels.iter().position(|l| l.as_ref().is_some_and(|l| l.width.max(l.height) <= most))
+}
+
+/// Bytes of the levels from the `first` on.
+fn bytes_from(texture: &Texture, first: usize) -> u64 {
+    texture.levels[first..].iter().map_while(Option::as_ref).map(|l| size_of_val(&*l.rgba) as u64).sum()
 }
 
 fn white(card: &Card) -> wgpu::Texture {
     let texture = room(card, 1, 1, 1);
-    write(card, &texture, 0, [1, 1], &[255; 4]);
+    let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4), rows_per_image: None };
+    card.queue.write_texture(texture.as_image_copy(), &[255; 4], layout, texture.size());
     texture
 }
 
@@ -166,12 +232,6 @@ fn room(card: &Card, width: u32, height: u32, levels: u32) -> wgpu::Texture {
         usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
         view_formats: &[],
     })
-}
-
-fn write(card: &Card, texture: &wgpu::Texture, level: u32, [width, height]: [u32; 2], rgba: &[u8]) {
-    let to = wgpu::TexelCopyTextureInfo { mip_level: level, ..texture.as_image_copy() };
-    let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * width), rows_per_image: None };
-    card.queue.write_texture(to, rgba, layout, wgpu::Extent3d { width, height, depth_or_array_layers: 1 });
 }
 
 fn group(card: &Card, layout: &wgpu::BindGroupLayout, texture: &wgpu::Texture, info: ImageInfo) -> wgpu::BindGroup {

@@ -5,8 +5,10 @@
 
 use super::{
     device::{Atomics, Card, GpuError, Growing},
-    images::Uploaded,
+    images::{Packed, Uploaded},
     read_back::ReadBack,
+    shelf::Shelf,
+    transfer::Allowance,
 };
 use crate::warp::{
     FarFrame, PreparedLdi, Shown, Stamp, StretchHistogram, TileJob, WarpOptions, WarpStats, picture_bytes, tile_jobs,
@@ -63,10 +65,8 @@ pub struct Warp {
     figures: wgpu::Buffer,
     /// One plane of 64 bits, or two of 32.
     targets: [Growing; 2],
-    held: Vec<Uploaded>,
-    frame: u64,
-    /// [`KEPT_BYTES`]; less in tests.
-    pub kept_bytes: u64,
+    /// By serial number.
+    pub images: Shelf<u64, Uploaded>,
     read_back: ReadBack,
 }
 
@@ -141,46 +141,30 @@ impl Warp {
             jobs: Growing::new("tiles of the frame", storage | copy),
             figures: card.room("figures", 4 * FIGURES, storage | copy | wgpu::BufferUsages::COPY_SRC),
             targets: [target(), target()],
-            held: Vec::new(),
-            frame: 0,
-            kept_bytes: KEPT_BYTES,
+            images: Shelf::new(KEPT_BYTES),
             read_back: ReadBack::new(),
         }
     }
 
-    pub fn forget(&mut self) {
-        self.held.clear();
-    }
-
-    /// Bytes of images on the card.
-    pub fn bytes(&self) -> u64 {
-        self.held.iter().map(Uploaded::bytes).sum()
-    }
-
-    /// Whether an image lies on the card.
-    pub fn holds(&self, laid_out: &PreparedLdi) -> bool {
-        self.held.iter().any(|u| u.serial == laid_out.serial)
-    }
-
-    /// See [`super::Gpu::hold`].
-    pub fn hold(&mut self, card: &Card, laid_out: &PreparedLdi) -> bool {
-        let frame = self.frame;
-        if let Some(found) = self.held.iter_mut().find(|u| u.serial == laid_out.serial) {
-            found.used = frame;
-            return false;
+    /// See [`super::Gpu::bring_image`].
+    pub fn bring(
+        &mut self,
+        card: &Card,
+        laid_out: &PreparedLdi,
+        packed: &mut Option<Packed>,
+        ahead: bool,
+        allowance: &mut Allowance,
+    ) -> bool {
+        let serial = laid_out.serial;
+        if ahead && !self.images.has(serial) {
+            let bytes = packed.get_or_insert_with(|| Packed::new(laid_out)).bytes();
+            if !self.images.has_room(bytes) {
+                return false;
+            }
         }
-        self.held.push(Uploaded::new(card, laid_out, frame));
-        true
-    }
-
-    /// Lets go of images that were used longest ago, until the rest is small enough.
-    fn make_room(&mut self) {
-        let mut bytes = self.bytes();
-        while bytes > self.kept_bytes {
-            let idle = self.held.iter().enumerate().filter(|(_, u)| u.used < self.frame).min_by_key(|(_, u)| u.used);
-            let Some((at, _)) = idle else { break };
-            bytes -= self.held.swap_remove(at).bytes();
-        }
+        self.images.bring(serial, card, allowance, || {
+            Uploaded::new(card, packed.take().unwrap_or_else(|| Packed::new(laid_out)))
+        })
     }
 
     /// See [`super::Gpu::warp_images`].
@@ -191,17 +175,16 @@ impl Warp {
         pose: &Pose,
         camera: &OutputCamera,
         options: &WarpOptions,
+        allowance: &mut Allowance,
     ) -> Result<WarpStats, GpuError> {
         super::Gpu::can_warp(options)?;
         let stamp = number_of(options.stamp)?;
-        self.frame += 1;
         let (mut stats, mut jobs, mut batches) = (WarpStats::default(), Vec::<Job>::new(), Vec::new());
         for image in images {
-            self.hold(card, image.laid_out);
+            allowance.without_bound(|a| self.bring(card, image.laid_out, &mut None, false, a));
             let (tiles, more) = tile_jobs(image, pose, camera, options);
             stats.add(&more);
-            let Some(uploaded) = self.held.iter_mut().find(|u| u.serial == image.laid_out.serial) else { continue };
-            uploaded.used = self.frame;
+            let Some(uploaded) = self.images.get(image.laid_out.serial) else { continue };
             let first_job = jobs.len() as u32;
             jobs.extend(tiles.iter().map(|t: &TileJob| Job { rows: t.rows, tile: [uploaded.tile(t.number), 0, 0, 0] }));
             let count = tiles.len() as u32;
@@ -211,7 +194,6 @@ impl Warp {
             ));
         }
         stats.bytes += picture_bytes(camera);
-        self.make_room();
         let picture = Picture { width: camera.width, height: camera.height, stamp, unused: 0 };
         let encoder = self.encode(card, &picture, &jobs, &batches);
         let figures = &self.figures;
@@ -259,7 +241,7 @@ impl Warp {
             .iter()
             .filter(|(_, batch)| batch.jobs > 0)
             .filter_map(|(serial, batch)| {
-                let held = self.held.iter().find(|u| u.serial == *serial)?;
+                let held = self.images.get(*serial)?;
                 let of_image = card.buffer("batch", bytemuck::bytes_of(batch), wgpu::BufferUsages::UNIFORM);
                 let buffers = [&held.tiles, &held.samples, &held.quads, &held.groups, &of_image];
                 Some((bind(&self.image_layout, &buffers), batch))

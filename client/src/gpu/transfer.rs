@@ -1,0 +1,141 @@
+//! Arrays on their way to the card, a slice with every picture: no picture waits for more than it may put there.
+
+use super::device::Card;
+use bytemuck::Pod;
+use ldi_protocol::texture::Texture;
+use std::sync::Arc;
+
+/// What a frame may put onto the card.
+#[derive(Debug)]
+pub struct Allowance {
+    /// Bytes that are left.
+    pub left: u64,
+    /// Bytes that it has put there.
+    pub spent: u64,
+}
+
+impl Allowance {
+    pub fn new(left: u64) -> Self {
+        Self { left, spent: 0 }
+    }
+
+    fn spend(&mut self, bytes: u64) {
+        self.left = self.left.saturating_sub(bytes);
+        self.spent += bytes;
+    }
+
+    /// Does what must be done, whatever is left.
+    pub fn without_bound<T>(&mut self, f: impl FnOnce(&mut Self) -> T) -> T {
+        let (left, spent) = (std::mem::replace(&mut self.left, u64::MAX), self.spent);
+        let done = f(self);
+        self.left = left.saturating_sub(self.spent - spent);
+        done
+    }
+}
+
+/// What a buffer or a level of a texture is to hold.
+trait Content: Send + Sync {
+    fn bytes(&self) -> &[u8];
+}
+
+impl<T: Pod + Send + Sync> Content for Vec<T> {
+    fn bytes(&self) -> &[u8] {
+        bytemuck::cast_slice(self)
+    }
+}
+
+/// A level of a texture.
+struct Texels(Arc<Texture>, usize);
+
+impl Content for Texels {
+    fn bytes(&self) -> &[u8] {
+        self.0.levels.get(self.1).and_then(Option::as_ref).map_or(&[], |l| l.rgba.as_flattened())
+    }
+}
+
+enum To {
+    Buffer(wgpu::Buffer),
+    /// Row after row of so many texels.
+    Level {
+        texture: wgpu::Texture,
+        level: u32,
+        width: u32,
+    },
+}
+
+struct Part {
+    to: To,
+    content: Box<dyn Content>,
+}
+
+/// See the module.
+#[derive(Default)]
+pub struct Transfer {
+    /// The next one last.
+    parts: Vec<Part>,
+    /// Bytes of that one which are there.
+    sent: usize,
+}
+
+impl Transfer {
+    /// An array, for the buffer that is returned; never empty, which bindings do not allow.
+    pub fn array<T: Pod + Send + Sync>(
+        &mut self,
+        card: &Card,
+        label: &str,
+        mut content: Vec<T>,
+        usage: wgpu::BufferUsages,
+    ) -> wgpu::Buffer {
+        // Writes come in fours.
+        while !(content.len() * size_of::<T>()).is_multiple_of(4) {
+            content.push(T::zeroed());
+        }
+        let size = (content.len() * size_of::<T>()).max(16) as u64;
+        let buffer = card.room(label, size, usage | wgpu::BufferUsages::COPY_DST);
+        self.parts.push(Part { to: To::Buffer(buffer.clone()), content: Box::new(content) });
+        buffer
+    }
+
+    /// A level of a texture, number `from` there and `to` on the card.
+    pub fn level(&mut self, texture: &Arc<Texture>, from: usize, on_card: &wgpu::Texture, to: u32) {
+        let Some(Some(level)) = texture.levels.get(from) else { return };
+        let to = To::Level { texture: on_card.clone(), level: to, width: level.width };
+        self.parts.push(Part { to, content: Box::new(Texels(texture.clone(), from)) });
+    }
+
+    /// Sends on, as much as is allowed, rounded up to words or rows. Returns whether all is there.
+    pub fn push(&mut self, card: &Card, allowance: &mut Allowance) -> bool {
+        while let Some(part) = self.parts.last() {
+            let rest = &part.content.bytes()[self.sent..];
+            if rest.is_empty() {
+                self.parts.pop();
+                self.sent = 0;
+                continue;
+            }
+            if allowance.left == 0 {
+                return false;
+            }
+            let unit = match &part.to {
+                To::Buffer(_) => 4,
+                To::Level { width, .. } => 4 * *width as usize,
+            };
+            let most = usize::try_from(allowance.left).unwrap_or(usize::MAX).min(rest.len());
+            let slice = &rest[..most.next_multiple_of(unit).min(rest.len())];
+            match &part.to {
+                To::Buffer(buffer) => card.queue.write_buffer(buffer, self.sent as u64, slice),
+                To::Level { texture, level, width } => {
+                    let origin = wgpu::Origin3d { x: 0, y: (self.sent / unit) as u32, z: 0 };
+                    let to = wgpu::TexelCopyTextureInfo { mip_level: *level, origin, ..texture.as_image_copy() };
+                    let layout =
+                        wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * width), rows_per_image: None };
+                    let size =
+                        wgpu::Extent3d { width: *width, height: (slice.len() / unit) as u32, depth_or_array_layers: 1 };
+                    card.queue.write_texture(to, slice, layout, size);
+                }
+            }
+            self.sent += slice.len();
+            allowance.spend(slice.len() as u64);
+        }
+        true
+    }
+}
