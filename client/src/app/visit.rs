@@ -572,6 +572,10 @@ impl Visit {
         if let Some(p) = clicked {
             self.drawing.teleport(p);
             events.tell("teleport", fields! { "position": p.to_array() });
+            let volume = link.scene().and_then(|s| s.index.volume.clone());
+            if volume.is_some_and(|v| v.heights(p.x, p.z).next().is_none()) {
+                self.hud.say("nobody can stand where you clicked: this is the nearest place".into(), true);
+            }
             self.toggle_map(link, events);
         }
         Ok(())

@@ -337,6 +337,12 @@ fn render(a: &RenderArgs) -> Result<(), Failure> {
     options.check().map_err(Failure::usage)?;
     let walk = read_walk(&a.path)?;
     let scene = scene::load(&a.scene).map_err(|e| Failure::of(e.is_permanent(), e))?;
+    let outside = walk.poses.iter().filter(|p| !scene.bounds().contains(p.pose.position)).count();
+    if outside > 0 {
+        let (of, bounds) = (walk.poses.len(), scene.bounds());
+        let [from, to] = [bounds.min, bounds.max].map(|p| format!("{:.1}, {:.1}, {:.1}", p.x, p.y, p.z));
+        tracing::warn!("{outside} of {of} poses lie outside of the scene, which reaches from ({from}) to ({to})");
+    }
     std::fs::create_dir_all(&a.output)
         .with_context(|| format!("cannot make {}", a.output.display()))
         .map_err(|e| Failure::of(false, e))?;

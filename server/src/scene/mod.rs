@@ -30,7 +30,7 @@ pub use annotations::{CellExtra, OUTSIDE, PortalExtra, SceneExtras};
 pub use error::SceneError;
 pub use limits::{LIMITS, Limits};
 pub use model::{Instance, Mesh, Note, PortalAnnotation, Primitive, RoomAnnotation, Scene, SceneTexture};
-pub use spec::{BuiltinSpec, FileSpec};
+pub use spec::{BuiltinSpec, FileSpec, unit_doubt};
 
 use error::Fault;
 use files::Files;

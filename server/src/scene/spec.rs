@@ -111,9 +111,29 @@ impl FileSpec {
     }
 }
 
+/// What speaks against metres in a scene's longest side, if anything: towns are smaller than the larger bound, and nobody walks in less than the smaller one.
+pub fn unit_doubt(longest_m: f64) -> Option<String> {
+    let size = match longest_m {
+        m if m > 5000.0 => format!("{:.0} km", m / 1000.0),
+        m if m > 0.0 && m < 1.0 => format!("{:.0} mm", m * 1000.0),
+        _ => return None,
+    };
+    Some(format!(
+        "the scene is {size} long; if its unit is not the metre, name it as in 'FILE?unit=mm' (or cm, in, ft)"
+    ))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sizes_that_no_walked_scene_has_are_doubted() {
+        assert_eq!([12.0, 1.0, 5000.0, 0.0].map(unit_doubt), [const { None }; 4]);
+        let doubt = |m| unit_doubt(m).expect("doubted");
+        assert!(doubt(48_300.0).contains("48 km") && doubt(0.31).contains("310 mm"));
+        assert!(doubt(48_300.0).contains("FILE?unit=mm"));
+    }
 
     #[test]
     fn files_tell_their_axes_and_units() {
