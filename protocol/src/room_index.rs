@@ -132,12 +132,20 @@ pub struct RoomIndex {
     pub built: BuiltImages,
     /// Per portal and side the images of 1998. Empty where none were to be made ([`BuiltImages::Ours`]).
     pub sides: Vec<[SideImages; 2]>,
+    /// Per room, the outside last, whether its eyes are served by the grid although rooms would do: walks need less so. Empty: in none.
+    #[serde(default)]
+    pub by_grid: Vec<bool>,
 }
 
 impl RoomIndex {
     /// Position of a room in [`RoomIndex::cells_of`].
     pub fn slot(&self, room: CellId) -> usize {
         room.map_or(self.rooms.cells().len(), |c| c as usize)
+    }
+
+    /// Whether the grid serves an eye although rooms would do.
+    pub fn is_by_grid(&self, eye: DVec3) -> bool {
+        !self.by_grid.is_empty() && self.by_grid.get(self.slot(self.rooms.cell_at(eye))) == Some(&true)
     }
 
     /// The cells of a room.
@@ -206,6 +214,12 @@ impl RoomIndex {
                 "{} lists of cells for {rooms} rooms and the outside, placements of {} portals for {portals}",
                 self.cells_of.len(),
                 self.placements.len()
+            ));
+        }
+        if !self.by_grid.is_empty() && self.by_grid.len() != rooms + 1 {
+            return Err(format!(
+                "{} rooms are told to be the grid's or not, of {rooms} and the outside",
+                self.by_grid.len()
             ));
         }
         for (room, list) in self.cells_of.iter().enumerate() {

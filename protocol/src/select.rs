@@ -202,17 +202,23 @@ pub fn draw_list_of(
     let Some(rooms) = &index.rooms else {
         return grid_list(index, groups, select(index, pose), pose, picture_half_tan);
     };
+    // The grid, if it was made for this eye.
+    let by_grid = || {
+        let grid = grid_list(index, groups, select(index, pose), pose, picture_half_tan);
+        let users = grid.selection.placement.and_then(|p| index.placements.get(p as usize)).map(|p| &p.users);
+        let serves = grid.dropped == 0 && users.is_none_or(|u| u.inflated(USERS_SLACK_M).contains(pose.position));
+        serves.then_some(grid)
+    };
+    let is_asked_for = show.portals == ShowPortals::default() && rooms.is_by_grid(pose.position);
+    if is_asked_for && let Some(grid) = by_grid() {
+        return grid;
+    }
     let list = portals::draw_list(index, rooms, pose, picture_half_tan, show.portals);
     if list.dropped == 0 || index.points.is_empty() {
         return list;
     }
-    // The rooms are too much for the budget: the grid, if it was made for this eye.
-    let grid = grid_list(index, groups, select(index, pose), pose, picture_half_tan);
-    let users = grid.selection.placement.and_then(|p| index.placements.get(p as usize)).map(|p| &p.users);
-    match grid.dropped == 0 && users.is_none_or(|u| u.inflated(USERS_SLACK_M).contains(pose.position)) {
-        true => grid,
-        false => list,
-    }
+    // The rooms are too much for the budget.
+    by_grid().unwrap_or(list)
 }
 
 /// Triangles of what rooms have to draw as geometry: above the budget the grid takes over. None in a dataset without rooms.

@@ -158,6 +158,7 @@ fn rooms(n: usize) -> RoomIndex {
         placements: vec![[0..0, own], [0..0, 0..0]],
         built: if paper { BuiltImages::Both } else { BuiltImages::Ours },
         sides: if paper { sides.to_vec() } else { vec![] },
+        by_grid: if n % 2 == 1 { vec![false, true, false] } else { vec![] },
     }
 }
 

@@ -331,3 +331,20 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn rooms_of_the_grid_are_served_by_it_where_it_was_made() {
+    let mut index = with_grid(1000);
+    let (first, second) = (pose(-0.5, 0.0), pose(-5.0, 0.0));
+    let by = |index: &Index, pose: &Pose| draw_list(index, pose, SQUARE).selection.placement;
+    assert_eq!([first, second].map(|p| by(&index, &p)), [None; 2], "all of it fits the budget");
+    index.rooms.as_mut().unwrap().by_grid = vec![true; ROOMS + 1];
+    assert_eq!(by(&index, &first), Some(0));
+    assert_eq!(draw_list(&index, &first, SQUARE).cells, [0, 1]);
+    assert_eq!(by(&index, &second), None, "not among the placement's eyes");
+    let zones = ShowPortals { images: PortalImages::Zones, ..ShowPortals::default() };
+    let asked = draw_list_showing(&index, &first, SQUARE, Show { portals: zones, ..Show::default() });
+    assert_eq!(asked.selection.placement, None, "who asks for portals gets them");
+    index.rooms.as_mut().unwrap().by_grid[0] = false;
+    assert_eq!(by(&index, &first), None);
+}

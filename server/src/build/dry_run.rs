@@ -96,9 +96,9 @@ pub fn draft(options: &BuildOptions, progress: &dyn Progress) -> Result<Draft, B
     let bounds: Vec<_> = geometry.cells.iter().map(|c| c.bounds).collect();
     let counts = octree::recount(&scene, &ranges, &bounds)?;
     let images: Vec<ImagePlan> = plan.plans.iter().flat_map(|p| p.images.iter().cloned()).collect();
-    let index = draft_index(options, &scene, &settings, &plan, geometry.cells, rooms.as_ref().map(|r| &r.index));
+    let index = draft_index(options, &scene, &settings, &plan, geometry.cells, rooms.as_ref().map(|(r, _)| &r.index));
     let statistics = plan.statistics;
-    Ok(Draft { index, images, counts, statistics, rooms: rooms.map(|r| r.figures), seconds: clock.laps })
+    Ok(Draft { index, images, counts, statistics, rooms: rooms.map(|(r, _)| r.figures), seconds: clock.laps })
 }
 
 #[cfg(test)]

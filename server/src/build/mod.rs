@@ -9,6 +9,7 @@
 //! number of threads. Images, the slow part, are kept as they are finished, so that a stopped build goes on where it was.
 
 mod choose;
+mod choose_rooms;
 mod dry_run;
 mod images;
 mod key;
@@ -17,10 +18,10 @@ mod report;
 mod rooms;
 
 use images::Indexed;
-use rooms::RoomPlan;
+use rooms::{RoomPlan, Site};
 
-use choose::{ImageBytes, Walks};
-pub use choose::{RoomWeighing, Weighing, Weight};
+pub use choose::Weighing;
+pub use choose_rooms::{Mixed, RoomWeighing, Weight};
 pub use dry_run::{Draft, DryRun, draft, dry_run};
 pub use images::{IMAGE_LEVEL, ImageFigures};
 pub use references::ReferenceFigures;
@@ -31,8 +32,8 @@ use crate::construct::ConstructError;
 use crate::octree::{Clusters, Octree, RecountError};
 use crate::pack::{self, PackError};
 use crate::placement::{
-    self, AuditReport, AuditSize, Corridor, Groupings, ImagePlan, PlacementError, PlacementPlan, PlacementResult,
-    PlacementStatistics, SearchCase, SearchComparison, Sees,
+    self, AuditReport, AuditSize, Corridor, Groupings, ImagePlan, PlacementError, PlacementResult, PlacementStatistics,
+    SearchCase, SearchComparison, Sees,
 };
 use crate::render::{Caster, CellSet, Ray};
 use crate::scene::{self, Note, Scene, SceneError};
@@ -219,7 +220,7 @@ struct Planned {
     plan: PlacementResult,
     /// None for a scene within its budget.
     caster: Option<Caster>,
-    rooms: Option<RoomPlan>,
+    rooms: Option<(RoomPlan, Site)>,
     /// The grid's alone, to be weighed against a plan by rooms.
     grid_alone: Option<PlacementResult>,
     /// Why there is nothing to weigh it against, though rooms were welcome.
@@ -232,18 +233,28 @@ fn sees(caster: &Caster, from: DVec3, to: DVec3) -> bool {
     !caster.occluded(&ray, &CellSet::all())
 }
 
+/// Plans the grid for the eyes of a volume, or of all of the scene.
+fn place(
+    options: &BuildOptions,
+    (scene, octree, settings): (&Scene, &Octree, &BuildSettings),
+    caster: Option<&Caster>,
+    volume: Option<WalkVolume>,
+    progress: &dyn Progress,
+) -> Result<PlacementResult, PlacementError> {
+    let in_sight = |a, b| caster.is_none_or(|c| sees(c, a, b));
+    let parameters = placement::Parameters { along: options.along.clone(), volume, ..Default::default() };
+    placement::plan_placements(scene, octree, settings, &parameters, Sees(&in_sight), &|what| progress.note(what))
+}
+
 fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> Result<Planned, BuildError> {
     let (scene, clusters, octree, settings) = read(options, clock, progress)?;
     progress.stage("grid and placement", 0);
     // A scene within its budget needs none.
     let caster = (scene.triangles() > settings.budget).then(|| Caster::new(Arc::clone(&scene), &clusters, &octree));
     clock.lap("caster");
-    let in_sight = |a, b| caster.as_ref().is_none_or(|c| sees(c, a, b));
-    let heard = |what: &str| progress.note(what);
     let place = |budget: u64, volume: Option<WalkVolume>| {
-        let parameters = placement::Parameters { along: options.along.clone(), volume, ..Default::default() };
         let settings = BuildSettings { budget, ..settings.clone() };
-        placement::plan_placements(&scene, &octree, &settings, &parameters, Sees(&in_sight), &heard)
+        place(options, (&scene, &octree, &settings), caster.as_ref(), volume, progress)
     };
     // Nothing to place: what remains of a plan is the walk volume.
     let ground = || place(settings.budget.max(scene.triangles()), None);
@@ -291,10 +302,12 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
             let draft = index_of(options, &scene, settings.clone(), ground, parts, Vec::new(), nothing);
             clock.lap("walk volume");
             let grid = |volume| place(settings.budget, Some(volume));
-            let (mut plan, found) = rooms::plan_rooms(caster, known, portals, draft, &grid, progress)?;
+            let site = Site::of(caster, known, draft.cells.len(), progress);
+            let (mut plan, found) =
+                rooms::plan_rooms(caster, &site, portals, draft, rooms::Share::default(), &grid, progress)?;
             // The grid was given its volume, so it left out nothing of it.
             plan.statistics.skipped.extend(skipped);
-            rooms = Some(found);
+            rooms = Some((found, site));
             plan
         }
         None => place(settings.budget, None)?,
@@ -444,8 +457,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         );
     }
     let planned = plan(options, &mut clock, progress);
-    let Planned { scene, clusters, octree, settings, mut plan, caster, mut rooms, grid_alone, no_rooms } = match planned
-    {
+    let Planned { scene, clusters, octree, settings, mut plan, caster, rooms, grid_alone, no_rooms } = match planned {
         Ok(planned) => planned,
         Err(e) => {
             writer.give_up();
@@ -464,32 +476,31 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     let scene_key = key::scene_key(&scene);
     let heard = |what: &str| progress.note(what);
     let mut room_weighing = None;
-    if let (Some(grid_alone), Some(by_rooms)) = (grid_alone, &rooms) {
-        progress.stage("rooms or the grid alone", 0);
-        let draft = |plan: &PlacementResult, rooms| Index {
-            chunks: chunks.iter().map(chunk_entry).collect(),
-            textures: textures.textures.clone(),
-            ..draft_index(options, &scene, &settings, plan, geometry.cells.clone(), rooms)
-        };
-        let index = draft(&plan, Some(&by_rooms.index));
-        let counts: Vec<u64> = geometry.cells.iter().map(|c| u64::from(c.triangles)).collect();
-        let cameras: Vec<LdiCamera> = plan.plans.iter().flat_map(|p| &p.images).map(planned_camera).collect();
-        let audit = placement::audit(&index, &counts, &|i| cameras.get(i as usize).copied(), AUDITED_POSES, 1);
-        let walks = Walks::take(&caster, &plan.volume);
-        let weight = |index: Index, plans: &[PlacementPlan]| -> Result<Weight, BuildError> {
-            let images = ImageBytes::expected(&caster, plans, &settings, options.colour, &scene_key, &writer)?;
-            Ok(Weight::of(&walks, index, plans, images))
-        };
-        let by_rooms = weight(index, &plan.plans)?;
-        let by_grid = weight(draft(&grid_alone, None), &grid_alone.plans)?;
-        let found = RoomWeighing::of(&audit, &walks, by_rooms, by_grid);
-        heard(&format!("{}: {}", found.chosen, found.why));
-        if found.chosen == RoomWeighing::GRID {
-            (plan, rooms) = (grid_alone, None);
+    let mut rooms = match (rooms, grid_alone, &options.represent) {
+        (Some((by_rooms, site)), Some(grid_alone), Represent::Auto { portals, .. }) => {
+            progress.stage("rooms or the grid alone", 0);
+            let ground = choose_rooms::Ground {
+                options,
+                caster: &caster,
+                scene: &scene,
+                octree: &octree,
+                settings: &settings,
+                cells: &geometry.cells,
+                chunks: &chunks.iter().map(chunk_entry).collect::<Vec<_>>(),
+                textures: &textures.textures,
+                scene_key: &scene_key,
+                writer: &writer,
+                progress,
+            };
+            let (found, chosen, by_rooms) =
+                choose_rooms::choose_rooms(&ground, (plan, by_rooms, &site), grid_alone, portals)?;
+            room_weighing = Some(found);
+            plan = chosen;
+            clock.lap("weighing of rooms");
+            by_rooms
         }
-        room_weighing = Some(found);
-        clock.lap("weighing of rooms");
-    }
+        (rooms, ..) => rooms.map(|(by_rooms, _)| by_rooms),
+    };
     progress.stage("reference positions of the LDI tree", 0);
     let places = tree::choose(&caster, &plan.volume);
     heard(&format!("{} of {} candidates", places.positions.len(), places.candidates));

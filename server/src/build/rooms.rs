@@ -6,6 +6,7 @@ use crate::placement::{PlacementError, PlacementResult};
 use crate::portal::{self, PortalPlans, PortalStatistics, Semicircle, SemicircleStatistics, SidePlan};
 use crate::render::Caster;
 use crate::scene::{Note, Scene};
+use ldi_protocol::Aabb;
 use ldi_protocol::index::Index;
 use ldi_protocol::room_index::{BuiltImages, PortalImages, RoomIndex, SideImages};
 use ldi_protocol::rooms::{MAX_JSON_BYTES, Rooms};
@@ -74,7 +75,7 @@ pub struct RoomFigures {
     pub plan_seconds: f64,
 }
 
-/// The part of the walk volume where what has to be geometry of rooms exceeds the budget.
+/// The part of the walk volume where the grid serves: what has to be geometry of rooms exceeds the budget, or walks need less so.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct GridUnderRooms {
     /// Boxes of the walk volume whose eyes the grid serves.
@@ -105,6 +106,8 @@ pub(super) struct RoomPlan {
     /// Reference images.
     pub sides: Vec<SidePlan>,
     pub figures: RoomFigures,
+    /// Per box of the walk volume whether rooms are too much for the budget.
+    over: Vec<bool>,
 }
 
 impl RoomPlan {
@@ -120,34 +123,64 @@ impl RoomPlan {
     }
 }
 
-/// Plans the images of portals, and those of the grid where rooms are too much.
+/// Rooms, and what lies in them.
+pub(super) struct Site {
+    rooms: Rooms,
+    cells_of: Vec<Vec<u32>>,
+    find_seconds: f64,
+    cells_seconds: f64,
+}
+
+impl Site {
+    /// Finds which of so many cells lie in which room.
+    pub fn of(caster: &Caster, Known { rooms, seconds }: Known, cells: usize, progress: &dyn Progress) -> Self {
+        progress.stage("cells of rooms", 0);
+        let start = Instant::now();
+        let cells_of = portal::cells_of_rooms(caster, &rooms, cells);
+        Self { rooms, cells_of, find_seconds: seconds, cells_seconds: start.elapsed().as_secs_f64() }
+    }
+
+    /// The rooms.
+    pub fn rooms(&self) -> &Rooms {
+        &self.rooms
+    }
+}
+
+/// What is planned by rooms, and where else.
+#[derive(Default)]
+pub(super) struct Share<'a> {
+    /// Per room, the outside last, whether the grid serves it although rooms would do; empty: none.
+    pub by_grid: Vec<bool>,
+    /// An earlier plan of the same rooms, none of which was the grid's.
+    pub before: Option<&'a RoomPlan>,
+}
+
+/// Plans the images of portals, and those of the grid where rooms are too much, or the grid is to serve.
 ///
 /// `draft`: without chunks: cells, settings and the walk volume. `grid`: plans the grid for the eyes of a volume.
 pub(super) fn plan_rooms(
     caster: &Caster,
-    Known { rooms, seconds: find_seconds }: Known,
+    site: &Site,
     options: &PortalOptions,
     mut draft: Index,
+    share: Share<'_>,
     grid: &dyn Fn(WalkVolume) -> Result<PlacementResult, PlacementError>,
     progress: &dyn Progress,
 ) -> Result<(PlacementResult, RoomPlan), BuildError> {
-    progress.stage("cells of rooms", 0);
-    let start = Instant::now();
-    let cells = draft.cells.len();
-    let cells_of = portal::cells_of_rooms(caster, &rooms, cells);
-    let held = Instant::now();
+    let Site { rooms, cells_of, .. } = site;
+    let (cells, held) = (draft.cells.len(), Instant::now());
     progress.stage("images of portals", 0);
     let nowhere = || BuildError::Rooms { why: "there is no place where an eye may be".into() };
     let volume = draft.volume.clone().ok_or_else(nowhere)?;
     let PortalOptions { near_m, images, semicircle, .. } = *options;
-    let mut plans = portal::plan_portals(&rooms, &cells_of, cells, &volume, &draft.settings, near_m);
+    let mut plans = portal::plan_portals(rooms, cells_of, cells, &volume, &draft.settings, near_m);
     if !images.offer(PortalImages::Zones) {
         plans.leave_out();
     }
     let (mut sides, mut on_semicircle) = (Vec::new(), None);
     if images.offer(PortalImages::Layered) {
         let sees = |a, b| super::sees(caster, a, b);
-        let (planned, found) = portal::plan_semicircles(&rooms, &volume, &draft.settings, near_m, &semicircle, &sees);
+        let (planned, found) = portal::plan_semicircles(rooms, &volume, &draft.settings, near_m, &semicircle, &sees);
         (sides, on_semicircle) = (planned, Some((semicircle, found)));
     }
     let of_room = |list: &Vec<u32>| list.iter().map(|c| u64::from(draft.cells[*c as usize].triangles)).sum::<u64>();
@@ -157,18 +190,31 @@ pub(super) fn plan_rooms(
         BuiltImages::Ours => Vec::new(),
         _ => vec![Default::default(); rooms.portals().len()],
     };
-    let mut index = RoomIndex { rooms, near_m, cells_of, placements: Vec::new(), built: images, sides: nothing };
+    let mut index = RoomIndex {
+        rooms: rooms.clone(),
+        near_m,
+        cells_of: cells_of.clone(),
+        placements: Vec::new(),
+        built: images,
+        sides: nothing,
+        by_grid: share.by_grid,
+    };
     draft.rooms = Some(index.clone());
     plans.keep_used(&mut draft, &volume, images == BuiltImages::Both);
     index.placements.clone_from(&plans.of_portal);
     let plan_seconds = held.elapsed().as_secs_f64();
-    // Images of 1998 promise no budget.
-    let over = if images.offer(PortalImages::Zones) { portal::over_budget(&draft) } else { Vec::new() };
-    let places = over.iter().filter(|o| **o).count();
-    progress.note(&format!("{places} of {} places need the grid", volume.boxes().count()));
+    let over = match share.before {
+        Some(plan) => plan.over.clone(),
+        // Images of 1998 promise no budget.
+        None if images.offer(PortalImages::Zones) => portal::over_budget(&draft),
+        None => vec![false; volume.boxes().count()],
+    };
+    let served: Vec<bool> = volume.boxes().zip(&over).map(|(b, over)| *over || touches_the_grids(&index, &b)).collect();
+    let places = served.iter().filter(|s| **s).count();
+    progress.note(&format!("{places} of {} places need the grid", served.len()));
     let there = match places {
         0 => None,
-        _ => Some(grid(volume.only(|number| over[number]))?),
+        _ => Some(grid(volume.only(|number| served[number]))?),
     };
     let under = GridUnderRooms {
         places,
@@ -183,12 +229,22 @@ pub(super) fn plan_rooms(
         images,
         semicircle: on_semicircle,
         references: None,
-        find_seconds,
-        cells_seconds: (held - start).as_secs_f64(),
+        find_seconds: site.find_seconds,
+        cells_seconds: site.cells_seconds,
         grid: under,
         plan_seconds,
     };
-    Ok((plan, RoomPlan { index, sides, figures }))
+    Ok((plan, RoomPlan { index, sides, figures, over }))
+}
+
+/// Whether an eye of a box may be in a room of the grid's.
+fn touches_the_grids(index: &RoomIndex, b: &Aabb) -> bool {
+    if index.by_grid.is_empty() {
+        return false;
+    }
+    let near = index.rooms.cells().iter().zip(&index.by_grid).filter(|(_, by_grid)| **by_grid);
+    let inside = near.flat_map(|(c, _)| &c.boxes).any(|o| o.intersects(b));
+    inside || b.corners().into_iter().chain([b.centre()]).any(|p| index.is_by_grid(p))
 }
 
 /// The placements of portals, then those of the grid.

@@ -131,7 +131,9 @@ impl PortalPlans {
             .into_par_iter()
             .map(|number| {
                 let mut random = Random(number as u64 + 1);
-                let Some(position) = sampler.point(std::array::from_fn(|_| random.unit())) else { return Vec::new() };
+                let served = |p: &DVec3| known.rooms.as_ref().is_none_or(|r| !r.is_by_grid(*p));
+                let position = sampler.point(std::array::from_fn(|_| random.unit())).filter(served);
+                let Some(position) = position else { return Vec::new() };
                 let turn = random.unit() * 360.0;
                 let look = |k: usize| {
                     let yaw_deg = turn + 360.0 * k as f64 / YAWS_TRIED as f64;

@@ -28,6 +28,8 @@ pub(in crate::manifest) struct Draft {
     placements: Vec<[Range<u32>; 2]>,
     built: BuiltImages,
     sides: Vec<[SideImages; 2]>,
+    /// As many as rooms, or none.
+    by_grid: Vec<bool>,
 }
 
 impl Draft {
@@ -53,6 +55,7 @@ impl Draft {
             placements: self.placements,
             built: self.built,
             sides: self.sides,
+            by_grid: self.by_grid,
         }))
     }
 }
@@ -66,13 +69,19 @@ pub(super) fn put_rooms(w: &mut Writer, rooms: &RoomIndex, range: Range<usize>) 
     put_numbers(w, "rooms' distances", [rooms.rooms.margin_m(), rooms.near_m])?;
     let cells = rooms.rooms.cells();
     let (mut numbers, mut names, mut boxes) = (Vec::new(), Vec::new(), Vec::new());
-    put_varint(&mut numbers, BuiltImages::ALL.iter().position(|b| *b == rooms.built).unwrap_or(0) as u64);
+    let built = BuiltImages::ALL.iter().position(|b| *b == rooms.built).unwrap_or(0);
+    // Where some rooms are the grid's each says so.
+    let told = if rooms.by_grid.is_empty() { 0 } else { BuiltImages::ALL.len() };
+    put_varint(&mut numbers, (built + told) as u64);
     for i in range {
         let (name, of_room) = cells.get(i).map_or(("", &[][..]), |c| (c.name.as_str(), c.boxes.as_slice()));
         put_varint(&mut numbers, name.len() as u64);
         names.extend(name.as_bytes());
         put_varint(&mut numbers, of_room.len() as u64);
         boxes.extend(of_room.iter().flat_map(|b| b.min.to_array().into_iter().chain(b.max.to_array())));
+        if let Some(by_grid) = rooms.by_grid.get(i) {
+            put_varint(&mut numbers, u64::from(*by_grid));
+        }
         put_ascending(&mut numbers, &rooms.cells_of[i]);
     }
     w.section("rooms", &numbers)?;
@@ -93,11 +102,17 @@ pub(super) fn take_rooms(
     }
     (draft.margin_m, draft.near_m) = (found[0], found[1]);
     let mut numbers = Numbers::take(r, "rooms")?;
-    let built = numbers.next("rooms' images")?;
-    let built = *BuiltImages::ALL
-        .get(built as usize)
-        .ok_or_else(|| CodecError::range("rooms' images", built, "0 for ours, 1 for those of 1998, 2 for both"))?;
-    if !draft.cells.is_empty() && built != draft.built {
+    let number = numbers.next("rooms' images")?;
+    let kinds = BuiltImages::ALL.len() as u32;
+    let told = number >= kinds;
+    let built = *BuiltImages::ALL.get((number - if told { kinds } else { 0 }) as usize).ok_or_else(|| {
+        CodecError::range(
+            "rooms' images",
+            number,
+            "0 for ours, 1 for those of 1998, 2 for both; 3 more where rooms tell whether they are the grid's",
+        )
+    })?;
+    if !draft.cells.is_empty() && (built != draft.built || told == draft.by_grid.is_empty()) {
         return Err(CodecError::mismatch("rooms' images", "two pages disagree"));
     }
     draft.built = built;
@@ -108,6 +123,12 @@ pub(super) fn take_rooms(
         let of_room = numbers.count("room boxes", MAX_BOXES - boxes)?;
         boxes += of_room;
         shape.push((name, of_room));
+        if told {
+            draft.by_grid.push(match numbers.next("the grid's rooms")? {
+                n @ 0..=1 => n == 1,
+                n => return Err(CodecError::range("the grid's rooms", n, "0 or 1")),
+            });
+        }
         draft.cells_of.push(take_ascending(&mut numbers, "room cells", budget)?);
     }
     numbers.finish("rooms")?;
