@@ -1,7 +1,7 @@
 //! Rooms, the grid, or both: at the same bound on footprints by what walks need. In, plans, not yet made into images; out, a [`RoomWeighing`] and the plan that was chosen.
 //!
-//! 1. Random walks tell which bytes walkers need by rooms and by the grid alone, and in which room they need them first.
-//! 2. Where in some rooms the grid brings less, a plan is made in which it serves those.
+//! 1. Random walks tell what walkers need in which room, by rooms and by the grid alone.
+//! 2. Which rooms the grid should serve for walks to need least is searched for; where that saves enough, a plan is made in which it serves those.
 //! 3. What breaks no promise and brings the least is taken.
 
 use super::choose::{ImageBytes, megabytes, pixels_of};
@@ -25,7 +25,7 @@ use ldi_protocol::{
 };
 use rayon::prelude::*;
 use serde::Serialize;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Walks that tell what is sent: an hour in all, whose poses take seconds to look at. Fewer: where they happen to begin decides.
 const WALKS: u64 = 64;
@@ -48,54 +48,114 @@ impl Walks {
         Self((0..WALKS).into_par_iter().map(walk).collect())
     }
 
-    /// Stored bytes that a walk needs, mean of all, by the room in which it needs them first, the outside last; without rooms all are the outside's. `index`: with the chunks of its geometry, its
-    /// images as those of `plans`, not yet made.
-    fn bytes(
-        &self,
-        mut index: Index,
-        plans: &[PlacementPlan],
-        bytes_per_pixel: f64,
-        rooms: Option<&Rooms>,
-    ) -> Vec<u64> {
+    /// What walks need of a plan. `index`: with the chunks of its geometry, its images as those of `plans`, not yet made.
+    fn needs(&self, mut index: Index, plans: &[PlacementPlan], bytes_per_pixel: f64, rooms: Option<&Rooms>) -> Needs {
         // An image without chunks shows nothing, so nobody would need it: these have one, which is none of the index's.
         index.images.iter_mut().for_each(|i| i.chunks = vec![u32::MAX]);
         let index = &index;
-        let pixels: Vec<u64> = plans.iter().flat_map(|p| &p.images).map(pixels_of).collect();
         let groups = CellGroups::of(&index.cells);
         let camera = &index.settings.camera;
         let half_tan = (camera.half_tan_x(), camera.half_tan_y());
         let outside = rooms.map_or(0, |r| r.cells().len());
         let of_walk = |walk: &Vec<Pose>| {
-            let (mut images, mut chunks) = (BTreeSet::new(), BTreeSet::new());
-            let mut bytes = vec![0.0; outside + 1];
+            let mut needs = BTreeMap::<usize, Needed>::new();
             for pose in walk {
                 let room = rooms.and_then(|r| r.cell_at(pose.position)).map_or(outside, |c| c as usize);
                 let list = draw_list_of(index, &groups, pose, half_tan, Show::default());
-                let chunks_here = needed(index, &[], &list.cells, &[]);
-                let new = chunks_here.all().filter(|c| chunks.insert(*c));
-                bytes[room] += new.map(|c| f64::from(index.chunks[c as usize].stored_bytes)).sum::<f64>();
-                let new = list.images.into_iter().filter(|i| images.insert(*i));
-                let pixels: u64 = new.filter_map(|i| pixels.get(i as usize)).sum();
-                bytes[room] += bytes_per_pixel * pixels as f64;
+                let here = needs.entry(room).or_default();
+                here.chunks.extend(needed(index, &[], &list.cells, &[]).all());
+                here.images.extend(list.images);
             }
-            bytes
+            needs
         };
-        let of_walks: Vec<Vec<f64>> = self.0.par_iter().map(of_walk).collect();
-        let mean = |room| of_walks.iter().map(|w| w[room]).sum::<f64>() / of_walks.len().max(1) as f64;
-        (0..=outside).map(|room| mean(room) as u64).collect()
+        let image = |i| (bytes_per_pixel * pixels_of(i) as f64) as u64;
+        Needs {
+            walks: self.0.par_iter().map(of_walk).collect(),
+            chunk_bytes: index.chunks.iter().map(|c| u64::from(c.stored_bytes)).collect(),
+            image_bytes: plans.iter().flat_map(|p| &p.images).map(image).collect(),
+            rooms: outside + 1,
+        }
     }
 }
 
-/// Share of what walks need by rooms that has to be saved for another plan, in which the grid serves some rooms: it takes minutes where rooms are many. By judgement.
+/// Chunks of geometry and textures, and images, by number.
+#[derive(Default)]
+struct Needed {
+    chunks: BTreeSet<u32>,
+    images: BTreeSet<u32>,
+}
+
+/// What walks need.
+struct Needs {
+    /// Per walk, by the room of the eye, the outside last; without rooms all is the outside's.
+    walks: Vec<BTreeMap<usize, Needed>>,
+    /// Stored bytes.
+    chunk_bytes: Vec<u64>,
+    /// Likewise, expected.
+    image_bytes: Vec<u64>,
+    /// The outside included.
+    rooms: usize,
+}
+
+fn sum(bytes: &[u64], of: &BTreeSet<u32>) -> u64 {
+    of.iter().filter_map(|i| bytes.get(*i as usize)).sum()
+}
+
+impl Needs {
+    /// Bytes of all walks.
+    fn all(&self) -> u64 {
+        (0..self.walks.len()).map(|walk| self.of_walk(walk, self, &[])).sum()
+    }
+
+    /// Bytes of a walk where `other` serves some rooms instead. What several rooms need counts once.
+    fn of_walk(&self, walk: usize, other: &Self, by_other: &[bool]) -> u64 {
+        let (mut chunks, mut images) = (BTreeSet::new(), [BTreeSet::new(), BTreeSet::new()]);
+        let is_others = |room: usize| by_other.get(room) == Some(&true);
+        let own = self.walks[walk].iter().filter(|(room, _)| !is_others(**room)).map(|(_, needs)| (0, needs));
+        let others = other.walks[walk].iter().filter(|(room, _)| is_others(**room)).map(|(_, needs)| (1, needs));
+        for (way, needs) in own.chain(others) {
+            chunks.extend(&needs.chunks);
+            images[way].extend(&needs.images);
+        }
+        sum(&self.chunk_bytes, &chunks) + sum(&self.image_bytes, &images[0]) + sum(&other.image_bytes, &images[1])
+    }
+
+    /// The rooms that `other` should serve for walks to need least, and what they then need: from none and from all rooms on, the one that saves most changes hands, until none saves
+    /// anything.
+    fn shared_with(&self, other: &Self) -> (Vec<bool>, u64) {
+        let from = |start: bool| {
+            let mut by_other = vec![start; self.rooms];
+            let mut bytes: Vec<u64> = (0..self.walks.len()).map(|w| self.of_walk(w, other, &by_other)).collect();
+            loop {
+                let flip = |room: usize| {
+                    let mut changed = by_other.clone();
+                    changed[room] = !changed[room];
+                    let through = (0..bytes.len()).filter(|walk| self.walks[*walk].contains_key(&room));
+                    let new: Vec<(usize, u64)> =
+                        through.map(|walk| (walk, self.of_walk(walk, other, &changed))).collect();
+                    let saved: i64 = new.iter().map(|(walk, now)| bytes[*walk] as i64 - *now as i64).sum();
+                    (saved, room, new)
+                };
+                let best = (0..self.rooms).into_par_iter().map(flip).max_by_key(|(saved, room, _)| (*saved, *room));
+                let Some((_, room, new)) = best.filter(|(saved, ..)| *saved > 0) else { break };
+                by_other[room] = !by_other[room];
+                new.into_iter().for_each(|(walk, now)| bytes[walk] = now);
+            }
+            (by_other, bytes.iter().sum::<u64>())
+        };
+        let [none, all] = [false, true].map(from);
+        if all.1 < none.1 { all } else { none }
+    }
+}
+
+/// Share of what walks need by rooms alone or by the grid alone that has to be saved for another plan, in which the grid serves some rooms: it takes minutes where rooms are many. By judgement.
 const WORTH: f64 = 0.05;
 
-/// The rooms in which walks need less by the grid, by what they need first there; none where that saves too little.
-fn cheaper_by_grid(by_rooms: &[u64], by_grid: &[u64]) -> Vec<bool> {
-    let saved: u64 = by_rooms.iter().zip(by_grid).map(|(rooms, grid)| rooms.saturating_sub(*grid)).sum();
-    if (saved as f64) < WORTH * by_rooms.iter().sum::<u64>() as f64 || saved == 0 {
-        return Vec::new();
-    }
-    by_rooms.iter().zip(by_grid).map(|(rooms, grid)| grid < rooms).collect()
+/// The rooms that the grid should serve; none where that saves too little.
+fn cheaper_by_grid(by_rooms: &Needs, by_grid: &Needs) -> Vec<bool> {
+    let (grids, bytes) = by_rooms.shared_with(by_grid);
+    let alone = by_rooms.all().min(by_grid.all());
+    if bytes as f64 <= (1.0 - WORTH) * alone as f64 { grids } else { Vec::new() }
 }
 
 /// Rooms, with the grid where those are too much, against the grid alone, and against rooms with the grid also where it alone would bring less: at the same bound on footprints, what brings a walker
@@ -144,15 +204,13 @@ pub struct Weight {
 }
 
 impl Weight {
-    /// Weighs a plan; `index` as of [`Walks::bytes`], which also gives what walks need by room.
-    fn of(walks: &Walks, index: Index, plans: &[PlacementPlan], images: ImageBytes, rooms: &Rooms) -> (Self, Vec<u64>) {
-        let by_room = walks.bytes(index, plans, images.per_pixel, Some(rooms));
-        let weight = Self {
-            walk_bytes_expected: by_room.iter().sum(),
+    /// Weighs a plan.
+    fn of(needs: &Needs, images: ImageBytes) -> Self {
+        Self {
+            walk_bytes_expected: needs.all() / needs.walks.len().max(1) as u64,
             images_bytes_expected: images.all,
             placements_sampled: images.sampled,
-        };
-        (weight, by_room)
+        }
     }
 }
 
@@ -237,10 +295,11 @@ impl Ground<'_> {
         plan: &PlacementResult,
         rooms: Option<&RoomIndex>,
         site: &Site,
-    ) -> Result<(Weight, Vec<u64>), BuildError> {
+    ) -> Result<(Weight, Needs), BuildError> {
         let Self { caster, settings, scene_key, writer, .. } = self;
         let images = ImageBytes::expected(caster, &plan.plans, settings, self.options.colour, scene_key, writer)?;
-        Ok(Weight::of(walks, self.index(plan, rooms), &plan.plans, images, site.rooms()))
+        let needs = walks.needs(self.index(plan, rooms), &plan.plans, images.per_pixel, Some(site.rooms()));
+        Ok((Weight::of(&needs, images), needs))
     }
 
     fn audit(&self, plan: &PlacementResult, rooms: &RoomIndex) -> AuditReport {
@@ -277,9 +336,9 @@ pub(super) fn choose_rooms(
 ) -> Result<(RoomWeighing, PlacementResult, Option<RoomPlan>), BuildError> {
     let walks = Walks::take(ground.caster, &plan.volume);
     let audited = ground.audit(&plan, &by_rooms.index);
-    let (portals_weight, bytes_by_rooms) = ground.weigh(&walks, &plan, Some(&by_rooms.index), site)?;
-    let (grid_weight, bytes_by_grid) = ground.weigh(&walks, &grid_alone, None, site)?;
-    let mut by_grid = cheaper_by_grid(&bytes_by_rooms, &bytes_by_grid);
+    let (portals_weight, needs_by_rooms) = ground.weigh(&walks, &plan, Some(&by_rooms.index), site)?;
+    let (grid_weight, needs_by_grid) = ground.weigh(&walks, &grid_alone, None, site)?;
+    let mut by_grid = cheaper_by_grid(&needs_by_rooms, &needs_by_grid);
     if !portals.images.offer(PortalImages::Zones) || audited.violations > 0 {
         by_grid.clear();
     }
@@ -329,10 +388,7 @@ mod tests {
             ..draft_index(&options, &p.scene, &p.settings, plan, geometry.cells.clone(), None)
         };
         let walks = Walks::take(p.caster.as_ref().unwrap(), &plan.volume);
-        let bytes = |per_pixel| match walks.bytes(index.clone(), &plan.plans, per_pixel, None)[..] {
-            [all] => all,
-            ref more => panic!("{more:?}"),
-        };
+        let bytes = |per_pixel| walks.needs(index.clone(), &plan.plans, per_pixel, None).all() / WALKS;
         let (without, with) = (bytes(0.0), bytes(1.0));
         let all: u64 = index.chunks.iter().map(|c| u64::from(c.stored_bytes)).sum();
         let pixels: u64 = plan.plans.iter().flat_map(|p| &p.images).map(pixels_of).sum();
@@ -377,10 +433,60 @@ mod tests {
         assert!(broken.why.contains("3 of 1000 poses"), "{}", broken.why);
     }
 
+    /// What walks need in each of three rooms: chunks of 100 bytes, and images.
+    fn needs(walks: &[[(&[u32], &[u32]); 3]], image_bytes: u64) -> Needs {
+        let set = |of: &[u32]| of.iter().copied().collect();
+        let of_walk = |walk: &[(&[u32], &[u32]); 3]| {
+            let rooms = walk.iter().map(|(chunks, images)| Needed { chunks: set(chunks), images: set(images) });
+            rooms.enumerate().collect()
+        };
+        let walks = walks.iter().map(of_walk).collect();
+        Needs { walks, chunk_bytes: vec![100; 10], image_bytes: vec![image_bytes; 10], rooms: 3 }
+    }
+
     #[test]
-    fn the_grid_gets_rooms_where_that_saves_something() {
-        assert_eq!(cheaper_by_grid(&[500, 300, 200], &[900, 100, 200]), [false, true, false]);
-        assert!(cheaper_by_grid(&[500, 300, 200], &[900, 290, 200]).is_empty(), "a hundredth");
-        assert!(cheaper_by_grid(&[0, 0], &[0, 0]).is_empty() && cheaper_by_grid(&[10, 10], &[11, 11]).is_empty());
+    fn what_several_rooms_need_counts_once() {
+        let n = needs(&[[(&[0, 1], &[0]), (&[1], &[0, 1]), (&[], &[])], [(&[2], &[]), (&[2], &[]), (&[2], &[])]], 10);
+        assert_eq!(n.all(), 2 * 100 + 2 * 10 + 100);
+        let other = needs(&[[(&[1], &[0]), (&[], &[]), (&[], &[])], [(&[3], &[]), (&[], &[]), (&[], &[])]], 1);
+        let first = [true, false, false];
+        assert_eq!(n.of_walk(0, &other, &first), 100 + 2 * 10 + 1, "chunk 1 once; images are each plan's own");
+        assert_eq!(n.of_walk(1, &other, &first), 200);
+    }
+
+    #[test]
+    fn the_grid_gets_rooms_where_walks_need_less_so() {
+        // The grid is cheaper in the first room; in the others it would bring what nobody needs.
+        let rooms = needs(&[[(&[0, 1, 2], &[]), (&[3], &[]), (&[4], &[])]], 10);
+        let grid = needs(&[[(&[0], &[5]), (&[0, 1, 2, 3], &[5]), (&[4, 5, 6], &[])]], 10);
+        assert_eq!(rooms.shared_with(&grid), (vec![true, false, false], 310));
+        assert_eq!(cheaper_by_grid(&rooms, &grid), [true, false, false]);
+        // A hundredth is not worth another plan.
+        let rooms = needs(&[[(&[0, 1], &[]), (&[2], &[]), (&[3], &[])]], 10);
+        let grid = needs(&[[(&[0], &[5]), (&[4], &[]), (&[5], &[])]], 96);
+        assert_eq!(rooms.shared_with(&grid), (vec![true, false, false], 396));
+        assert!(cheaper_by_grid(&rooms, &grid).is_empty());
+    }
+
+    #[test]
+    fn no_single_room_that_changes_hands_saves_anything() {
+        let mut random = Random::new(5, 0);
+        for _ in 0..50 {
+            let lists: Vec<Vec<u32>> = (0..24).map(|_| (0..10).filter(|_| random.uniform() < 0.3).collect()).collect();
+            let plan = |at: usize| {
+                let room = |k: usize| (&lists[at + 2 * k][..], &lists[at + 2 * k + 1][..]);
+                needs(&[[room(0), room(1), room(2)], [room(3), room(4), room(5)]], 40)
+            };
+            let (own, other) = (plan(0), plan(12));
+            let (shared, bytes) = own.shared_with(&other);
+            let of = |by: &[bool]| (0..2).map(|walk| own.of_walk(walk, &other, by)).sum::<u64>();
+            assert_eq!(bytes, of(&shared));
+            for room in 0..3 {
+                let mut changed = shared.clone();
+                changed[room] = !changed[room];
+                assert!(of(&changed) >= bytes, "{shared:?}, {room}");
+            }
+            assert!(bytes <= own.all().min(of(&[true; 3])));
+        }
     }
 }
