@@ -18,7 +18,7 @@ use super::{
     start,
 };
 use crate::engine::{Painter, Shows};
-use ldi_protocol::Pose;
+use ldi_protocol::{Pose, volume::WalkVolume};
 use std::{
     sync::{Arc, mpsc},
     time::{Duration, Instant},
@@ -572,8 +572,8 @@ impl Visit {
         if let Some(p) = clicked {
             self.drawing.teleport(p);
             events.tell("teleport", fields! { "position": p.to_array() });
-            let volume = link.scene().and_then(|s| s.index.volume.clone());
-            if volume.is_some_and(|v| v.heights(p.x, p.z).next().is_none()) {
+            let is_floor = |v: &WalkVolume| v.heights(p.x, p.z).next().is_some();
+            if link.scene().is_some_and(|s| s.index.volume.as_ref().is_some_and(|v| !is_floor(v))) {
                 self.hud.say("nobody can stand where you clicked: this is the nearest place".into(), true);
             }
             self.toggle_map(link, events);

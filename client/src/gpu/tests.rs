@@ -458,6 +458,11 @@ fn what_is_large_goes_to_the_card_in_slices() {
     // Small levels are 250 x 75 texels, a third more in all; else up to a row too many.
     assert!(sent.len() > 10 && sent.iter().all(|s| *s <= 104_000), "{sent:?}");
     assert!(arrived[..arrived.len() - 1].iter().all(|a| *a == Arrived::Coarse), "{arrived:?}");
+    // Levels that are not as large as they say are not sent.
+    let level = |width, height, texels| Some(MipLevel { width, height, rgba: vec![[0; 4]; texels] });
+    let faulty = Arc::new(Texture { levels: vec![level(8, 8, 63), level(4, 4, 16), level(2, 2, 0), level(1, 1, 1)] });
+    let sent = frames(1000, &mut |gpu| gpu.bring_texture(6, &faulty).expect("brought") == Arrived::All);
+    assert_eq!(sent, [4 * (16 + 1)]);
     // What came in slices is what comes at once.
     let warp = |gpu: &mut Gpu, into: &mut FarFrame| {
         let images = [Shown::from(&picture)];

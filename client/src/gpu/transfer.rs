@@ -2,7 +2,7 @@
 
 use super::device::Card;
 use bytemuck::Pod;
-use ldi_protocol::texture::Texture;
+use ldi_protocol::texture::{MipLevel, Texture};
 use std::sync::Arc;
 
 /// What a frame may put onto the card.
@@ -98,7 +98,8 @@ impl Transfer {
 
     /// A level of a texture, number `from` there and `to` on the card.
     pub fn level(&mut self, texture: &Arc<Texture>, from: usize, on_card: &wgpu::Texture, to: u32) {
-        let Some(Some(level)) = texture.levels.get(from) else { return };
+        let whole = |l: &&MipLevel| l.width > 0 && l.rgba.len() == l.width as usize * l.height as usize;
+        let Some(level) = texture.levels.get(from).and_then(Option::as_ref).filter(whole) else { return };
         let to = To::Level { texture: on_card.clone(), level: to, width: level.width };
         self.parts.push(Part { to, content: Box::new(Texels(texture.clone(), from)) });
     }

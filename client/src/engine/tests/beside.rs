@@ -1,0 +1,212 @@
+//! What is laid out beside and brought to the card while pictures follow one another.
+
+use super::*;
+
+/// A painter that lays images out beside, a frame of its own, and the bytes that it put onto a card.
+#[derive(Default)]
+struct Beside(Painter, Frame, u64);
+
+impl Beside {
+    /// How many images wait, and whether any is seen.
+    fn paint(&mut self, feed: &MemoryFeed, pose: &Pose) -> (usize, bool) {
+        let Self(painter, frame, brought) = self;
+        let view = view_of(&feed.index, pose, &CAMERA, Method::Auto, &mut StageMs::default());
+        let all: Vec<u32> = view.needed(&feed.index).all().collect();
+        feed.wait_for(&all, Duration::ZERO).expect("memory does not fail");
+        let options = WalkOptions { beside: true, ..options(Pace::Realtime) };
+        let painted = painter.paint(&feed.index, feed, &view, pose, &CAMERA, &options, StageMs::default(), frame);
+        let painted = painted.expect("quads by z");
+        *brought = painted.brought_bytes;
+        assert!(painted.missing_chunks.is_empty());
+        assert_eq!(painted.is_complete(), painted.waiting == 0);
+        (painted.waiting, frame.count(Source::Far) > 100)
+    }
+
+    fn wait_for_news(&self) {
+        let begun = std::time::Instant::now();
+        while !self.0.has_news() {
+            assert!(begun.elapsed() < Duration::from_secs(60), "nothing was laid out");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+}
+
+const AHEAD: Pose = Pose { position: DVec3::new(0.05, 0.0, 0.0), yaw_deg: 0.0, pitch_deg: 0.0 };
+
+#[test]
+fn no_frame_waits_for_images_to_be_laid_out() {
+    let mut feed = scene();
+    let mut painter = Beside::default();
+    assert_eq!(painter.paint(&feed, &AHEAD), (1, false));
+    painter.wait_for_news();
+    assert_eq!([(); 2].map(|()| painter.paint(&feed, &AHEAD)), [(0, true); 2]);
+    // Another layer: what was laid out without it is shown until then.
+    let mut more = (*feed.memory.ldis[&0]).clone();
+    more.layers.push(more.layers[0].clone());
+    feed.memory.ldis.insert(0, Arc::new(more));
+    assert_eq!(painter.paint(&feed, &AHEAD), (1, true));
+    painter.wait_for_news();
+    assert_eq!(painter.paint(&feed, &AHEAD), (0, true));
+}
+
+#[test]
+fn what_is_expected_is_laid_out_before_it_is_seen() {
+    let feed = scene();
+    let away = Pose { yaw_deg: 180.0, ..AHEAD };
+    let mut painter = Beside::default();
+    feed.wait_for(&[2], Duration::ZERO).expect("memory does not fail");
+    assert_eq!(painter.paint(&feed, &away), (0, false));
+    painter.0.anticipate(Ahead { images: vec![0], ..Ahead::default() });
+    assert_eq!(painter.paint(&feed, &away), (0, false));
+    painter.wait_for_news();
+    assert_eq!(painter.paint(&feed, &AHEAD), (0, true));
+}
+
+/// [`scene`], the near square with a texture of 64 by 64 texels.
+fn textured_scene() -> MemoryFeed {
+    let mut feed = scene();
+    let rgba = (0..64 * 64).map(|i| [255, 4 * (i % 64) as u8, 4 * (i / 64) as u8, 255]).collect();
+    let texture = Texture::from_base(MipLevel { width: 64, height: 64, rgba }, false);
+    feed.memory.textures.insert(0, Arc::new(texture));
+    let index = &mut feed.index;
+    index.materials[0].texture = Some(0);
+    let chunk = TextureChunk { chunk: index.chunks.len() as u32, first_level: 0, last_level: 6 };
+    index.chunks.push(ChunkEntry { hash: ChunkHash([11; 32]), kind: ChunkKind::Texture, ..index.chunks[0] });
+    index.textures.push(TextureEntry { width: 64, height: 64, chunks: vec![chunk] });
+    feed
+}
+
+/// A card that takes little per picture gets what the picture shows piece by piece, and then shows what the processor does; nothing of it is sent twice.
+#[test]
+fn no_picture_puts_more_onto_the_card_than_it_may() {
+    const ALLOWED: u64 = 3000;
+    let Some(mut on_card) = on_card() else { return };
+    on_card.allowed_bytes = Some(ALLOWED);
+    let feed = textured_scene();
+    let mut painter = Beside(on_card, Frame::default(), 0);
+    let (mut pictures, mut waited_for, mut brought, mut centres) = (0, Vec::new(), 0, Vec::new());
+    loop {
+        let (waiting, _) = painter.paint(&feed, &AHEAD);
+        centres.push(colour_at(&painter.1, 31, 24));
+        // Up to a row of the texture.
+        assert!(painter.2 <= ALLOWED + 255, "{} bytes in picture {pictures}", painter.2);
+        (pictures, brought) = (pictures + 1, brought + painter.2);
+        waited_for.push(waiting);
+        if waiting == 0 {
+            break;
+        }
+        painter.wait_for_news();
+    }
+    assert!(brought > 5 * ALLOWED && pictures > 5, "{brought} bytes in {pictures} pictures");
+    assert_eq!(waited_for[0], 2, "the image and the texture");
+    assert!(waited_for.is_sorted_by(|a, b| a >= b), "{waited_for:?}");
+    let [grey, red] = [centres[0], centres[centres.len() - 1]];
+    assert!(red == [255, 0, 0] && grey[0] < 250, "as long as its texture is on the way: {centres:?}");
+    let mut theirs = Beside::default();
+    theirs.paint(&feed, &AHEAD);
+    theirs.wait_for_news();
+    assert_eq!(theirs.paint(&feed, &AHEAD), (0, true));
+    assert!(differing(&painter.1, &theirs.1) <= 8, "{}", differing(&painter.1, &theirs.1));
+    painter.paint(&feed, &Pose { yaw_deg: 180.0, ..AHEAD });
+    assert_eq!((painter.paint(&feed, &AHEAD), painter.2), ((0, true), 0));
+}
+
+#[test]
+fn what_is_expected_is_on_the_card_before_it_is_seen() {
+    let Some(mut on_card) = on_card() else { return };
+    on_card.allowed_bytes = Some(3000);
+    let feed = textured_scene();
+    let away = Pose { yaw_deg: 180.0, ..AHEAD };
+    let view = view_of(&feed.index, &AHEAD, &CAMERA, Method::Auto, &mut StageMs::default());
+    feed.wait_for(&view.needed(&feed.index).all().collect::<Vec<_>>(), Duration::ZERO).expect("memory");
+    let mut painter = Beside(on_card, Frame::default(), 0);
+    let mut brought = 0;
+    for picture in 0.. {
+        painter.0.anticipate(Ahead { images: view.images.clone(), cells: view.cells.clone() });
+        assert_eq!(painter.paint(&feed, &away).0, 0, "of what is seen nothing is missing");
+        brought += painter.2;
+        if painter.2 == 0 && brought > 0 {
+            break;
+        }
+        assert!(picture < 60_000, "nothing was brought");
+        if brought == 0 {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+    assert_eq!((painter.paint(&feed, &AHEAD), painter.2), ((0, true), 0));
+}
+
+/// [`scene`] with a second view cell, around z = -1: its image is chunk 3, and everything looks as from the first one.
+fn two_view_cells() -> MemoryFeed {
+    let mut feed = scene();
+    let index = &mut feed.index;
+    index.settings.grid = CELLS.into();
+    let users = |z: f64| Aabb { min: DVec3::new(-0.25, -0.25, z - 0.25), max: DVec3::new(0.25, 0.25, z + 0.25) };
+    index.chunks.push(ChunkEntry { hash: ChunkHash([10; 32]), ..index.chunks[2] });
+    index.images.push(ImageEntry { chunks: vec![3], ..index.images[0].clone() });
+    index.placements[0].users = users(0.0);
+    index.placements.push(Placement {
+        grid_point: Some(1),
+        users: users(-1.0),
+        images: 1..2,
+        ..index.placements[0].clone()
+    });
+    let ahead = AngularRange { yaw_start_deg: 0.0, placement: Some(1) };
+    index.points[0].position = DVec3::ZERO;
+    index.points.push(GridPoint { position: DVec3::NEG_Z, bands: vec![vec![ahead]], ..index.points[0].clone() });
+    let ldi = feed.memory.ldis[&0].clone();
+    feed.memory.ldis.insert(1, ldi);
+    feed
+}
+
+#[test]
+fn the_placement_before_stands_in_near_its_users_and_within_the_budget() {
+    let at = |z: f64| Pose { position: DVec3::new(0.05, 0.0, z), ..AHEAD };
+    let (begun, beyond, far_off) = (at(0.0), at(-0.6), at(-1.6));
+    let mut feed = two_view_cells();
+    feed.lost = BTreeSet::from([3]);
+    let mut painter = Painter::default();
+    let mut frame = Frame::default();
+    let mut paint = |feed: &MemoryFeed, pose: &Pose| {
+        let view = view_of(&feed.index, pose, &CAMERA, Method::Auto, &mut StageMs::default());
+        feed.wait_for(&view.needed(&feed.index).all().collect::<Vec<_>>(), Duration::ZERO).expect("memory");
+        let options = options(Pace::Realtime);
+        let painted = painter.paint(&feed.index, feed, &view, pose, &CAMERA, &options, StageMs::default(), &mut frame);
+        let painted = painted.expect("quads by z");
+        assert_eq!(painted.is_complete(), painted.missing_chunks.is_empty());
+        (painted.stand_in, painted.missing_chunks, frame.count(Source::Unpainted))
+    };
+    assert_eq!(paint(&feed, &begun), (None, vec![], 0));
+    assert_eq!(paint(&feed, &beyond), (Some(0), vec![3], 0));
+    let (stand_in, missing, _) = paint(&feed, &far_off);
+    assert_eq!((stand_in, missing), (None, vec![3]), "1.35 m from its users, a quarter of 5 m allowed");
+    // All it replaces would be geometry: four triangles, and the budget is three.
+    let culled = std::mem::take(&mut feed.index.placements[0].culled);
+    assert_eq!(paint(&feed, &beyond).0, None);
+    feed.index.placements[0].culled = culled;
+    assert_eq!(paint(&feed, &beyond).0, Some(0));
+    // Without images nothing says how far it may be used.
+    let images = std::mem::replace(&mut feed.index.placements[0].images, 0..0);
+    assert_eq!(paint(&feed, &beyond).0, None);
+    feed.index.placements[0].images = images;
+    assert_eq!(paint(&feed, &beyond).0, Some(0));
+    // It has come: the view itself, which from now on is what stands in.
+    feed.lost.clear();
+    assert_eq!(paint(&feed, &beyond), (None, vec![], 0));
+    feed.state().0.retain(|c| *c != 2);
+    feed.lost = BTreeSet::from([2]);
+    assert_eq!(paint(&feed, &at(-0.45)), (Some(1), vec![2], 0));
+}
+
+#[test]
+fn the_placement_before_stands_in_while_images_are_laid_out() {
+    let feed = two_view_cells();
+    let mut painter = Beside::default();
+    assert_eq!(painter.paint(&feed, &AHEAD), (1, false));
+    painter.wait_for_news();
+    assert_eq!(painter.paint(&feed, &AHEAD), (0, true));
+    let beyond = Pose { position: DVec3::new(0.05, 0.0, -0.6), ..AHEAD };
+    assert_eq!(painter.paint(&feed, &beyond), (1, true));
+    painter.wait_for_news();
+    assert_eq!(painter.paint(&feed, &beyond), (0, true));
+}
