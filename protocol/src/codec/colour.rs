@@ -19,6 +19,7 @@ use super::{
     residual::{Coder, median_edge},
     runs::Run,
 };
+use std::cell::Cell;
 
 /// How exactly colours are kept amid detail: quantizer steps of the prediction residuals. One mechanism, many settings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -143,17 +144,29 @@ const GREEN_BORDERS: [i32; GREEN - 1] = [1, 3, 6, 11, 20, 36, 70];
 /// One column of the row buffer: G, R - G, B - G as decoded.
 type Decoded = [i32; 3];
 
+/// A table by the sum of at most four absolute differences of 8-bit values, or of two of colour differences.
+type ByVariation = [u8; 1024];
+
 /// Rows and contexts of a walk, shared by the layers of a chunk.
 pub(super) struct Walker {
-    green_context: Vec<u8>,
     mode: ColourMode,
+    green_context: ByVariation,
+    /// What the variation of a colour difference adds to the context of R and B: where colours are exact, and amid detail.
+    other_context: [ByVariation; 2],
+    /// What the residual just before, a byte, adds to it.
+    residual_context: [u8; 256],
 }
 
 impl Walker {
     pub fn new(mode: ColourMode) -> Self {
-        // Three absolute differences of 8-bit values.
-        let green_context = (0..=3 * 255).map(|v| GREEN_BORDERS.partition_point(|b| v > *b) as u8).collect();
-        Self { green_context, mode }
+        let by_variation = |context: &dyn Fn(i32) -> usize| std::array::from_fn(|v| context(v as i32) as u8);
+        let by_step = |step: u8| by_variation(&|v| 3 * class(v, step.into()));
+        Self {
+            mode,
+            green_context: by_variation(&|v| GREEN_BORDERS.partition_point(|b| v > *b)),
+            other_context: [by_step(1), by_step(mode.red_blue_step)],
+            residual_context: std::array::from_fn(|q| class(i32::from(q as u8 as i8).abs(), 1) as u8),
+        }
     }
 
     /// Codes the colours of all samples. A decoder passes black ones and gets the colours; an encoder passes the colours and gets
@@ -185,36 +198,38 @@ impl Walker {
             last_row[columns.clone()].fill(row);
             let samples = &mut rgb[next..next + columns.len()];
             next += columns.len();
-            for (column, sample) in columns.zip(samples) {
-                let (up, up_right) = (above[column], above[column + 1]);
+            let above = Cell::from_mut(&mut above[columns.start..=columns.end]).as_slice_of_cells();
+            let mut up = above[0].get();
+            for (above, sample) in above.windows(2).zip(samples) {
+                let up_right = above[1].get();
                 let [red, green, blue] = sample.map(i32::from);
                 let variation = (left[0] - corner[0]).abs() + (up[0] - corner[0]).abs() + (up[0] - up_right[0]).abs();
-                let context = self.green_context[variation as usize] as usize;
-                let (green_step, other_step) = if LOSSLESS || context < exact { (1, 1) } else { steps };
+                let context = usize::from(self.green_context[variation as usize % 1024]);
+                let detail = !LOSSLESS && context >= exact;
+                let (green_step, other_step) = if detail { steps } else { (1, 1) };
                 let predicted = median_edge(left[0], up[0], corner[0]);
                 let (q_green, green) = coder.byte::<LOSSLESS>(context, green_step, predicted, green);
-                let other = |i: usize| {
+                let other = |i: usize, q: i32| {
                     let predicted = (green + median_edge(left[i], up[i], corner[i])).clamp(0, 255);
                     let variation = (left[i] - corner[i]).abs() + (up[i] - corner[i]).abs();
-                    (predicted, 3 * class(variation, other_step))
+                    let context = self.other_context[usize::from(detail)][variation as usize % 1024];
+                    (predicted, usize::from(context + self.residual_context[usize::from(q as u8)]))
                 };
-                let (predicted, context) = other(1);
-                let (q_red, red) =
-                    coder.byte::<LOSSLESS>(GREEN + context + class(q_green.abs(), 1), other_step, predicted, red);
-                let (predicted, context) = other(2);
-                let context = GREEN + OTHER + context + class(q_red.abs(), 1);
-                let (_, blue) = coder.byte::<LOSSLESS>(context, other_step, predicted, blue);
+                let (predicted, context) = other(1, q_green);
+                let (q_red, red) = coder.byte::<LOSSLESS>(GREEN + context, other_step, predicted, red);
+                let (predicted, context) = other(2, q_red);
+                let (_, blue) = coder.byte::<LOSSLESS>(GREEN + OTHER + context, other_step, predicted, blue);
                 *sample = [red as u8, green as u8, blue as u8];
                 corner = up;
                 left = [green, red - green, blue - green];
-                above[column] = left;
+                above[0].set(left);
+                up = up_right;
             }
         }
     }
 }
 
 /// 0, 1 or 2 for none, little or more.
-#[inline]
 fn class(v: i32, step: i32) -> usize {
     usize::from(v > 0) + usize::from(v > 3 * step)
 }

@@ -223,7 +223,7 @@ fn encode_layers(w: &mut Writer, ldi: &Ldi, layers: &[LdiLayer], mode: ColourMod
     for layer in layers {
         let runs = runs_of_layer(layer, width, height)?;
         occupancy.layer(&runs, height);
-        let joined = surface::walk_links(&runs, width, &mut layer.links.clone(), &mut links);
+        let joined = surface::walk_links(&runs, &mut layer.links.clone(), &mut links);
         surface::walk_ends(&runs, width, &joined, &layer.links, &mut layer.ends.clone(), &mut ends);
         let open = (&layer.links[..], &layer.ends[..]);
         surface::walk_slopes(&runs, width, &joined, open, &mut layer.slopes.clone(), &mut slopes);
@@ -269,7 +269,7 @@ fn decode_layers(r: &mut Reader<'_>, (width, height): (u32, u32), most: usize) -
             ends: vec![0; n],
             slopes: vec![[0; 2]; n],
         };
-        let joined = surface::walk_links(runs, width, &mut layer.links, &mut links);
+        let joined = surface::walk_links(runs, &mut layer.links, &mut links);
         surface::walk_ends(runs, width, &joined, &layer.links, &mut layer.ends, &mut ends);
         let open = (&layer.links[..], &layer.ends[..]);
         surface::walk_slopes(runs, width, &joined, open, &mut layer.slopes, &mut slopes);

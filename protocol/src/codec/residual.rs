@@ -31,8 +31,12 @@ fn restored<const LOSSLESS: bool>(step: i32, predicted: i32, q: i32) -> i32 {
     if LOSSLESS || step == 1 { (predicted + q) & 255 } else { (predicted + q * step).clamp(0, 255) }
 }
 
-/// Residuals of 16-bit values from here on are written out in full: escape byte, then two bytes elsewhere.
+/// Residuals of 16-bit values from here on, zigzagged, are written out in full: escape byte, then two bytes elsewhere.
 const ESCAPE: u64 = 255;
+/// The escape byte as a residual.
+const ESCAPED: i8 = -128;
+/// Most streams of a [`Decoder`]: a power of two, so that none is looked for beyond the array.
+const MOST_STREAMS: usize = 64;
 
 /// Collects streams.
 pub(super) struct Encoder {
@@ -76,16 +80,20 @@ impl Coder for Encoder {
 /// Gives streams back. Reading past the end of a stream gives zeros and is found by [`Decoder::finish`], so that the inner
 /// loops need no error path.
 pub(super) struct Decoder {
-    bytes: Vec<u8>,
-    /// Per stream, next byte and end in `bytes`; the escapes come last.
-    cursors: Vec<(usize, usize)>,
+    residuals: Vec<i8>,
+    /// Per stream, the next of its residuals.
+    next: [usize; MOST_STREAMS],
+    /// Per stream, where its residuals end.
+    ends: Vec<usize>,
+    escaped: Vec<u8>,
+    next_escaped: usize,
 }
 
 impl Decoder {
     /// Reads the sections of `streams` streams that hold `values` residuals altogether.
     pub fn new(r: &mut Reader<'_>, field: &'static str, streams: usize, values: usize) -> Result<Self, CodecError> {
         let decoder = Self::of_at_most(r, field, streams, values)?;
-        let residuals = decoder.cursors[streams].0;
+        let residuals = decoder.residuals.len();
         if residuals == values {
             Ok(decoder)
         } else {
@@ -99,20 +107,27 @@ impl Decoder {
         streams: usize,
         most: usize,
     ) -> Result<Self, CodecError> {
-        let mut bytes = Vec::new();
-        let mut cursors = Vec::with_capacity(streams + 1);
-        for stream in 0..=streams {
-            // An escaped residual takes at most three bytes.
-            let max = if stream < streams { most - bytes.len() } else { bytes.len() * 3 };
-            let section = r.section(field, max)?;
-            cursors.push((bytes.len(), bytes.len() + section.len()));
-            if bytes.is_empty() { bytes = section } else { bytes.extend_from_slice(&section) }
+        assert!(streams <= MOST_STREAMS, "{streams} streams");
+        let (mut bytes, mut next, mut ends) = (Vec::new(), [0; MOST_STREAMS], Vec::with_capacity(streams));
+        for stream in 0..streams {
+            let section = r.section(field, most - bytes.len())?;
+            next[stream] = bytes.len();
+            if bytes.is_empty() {
+                bytes = section
+            } else {
+                bytes.extend_from_slice(&section)
+            }
+            ends.push(bytes.len());
         }
-        Ok(Self { bytes, cursors })
+        // An escaped residual takes at most three bytes.
+        let escaped = r.section(field, bytes.len() * 3)?;
+        let residuals = bytes.into_iter().map(|z| unzigzag(z.into()) as i8).collect();
+        Ok(Self { residuals, next, ends, escaped, next_escaped: 0 })
     }
     /// Checks that every stream was read to its end and not beyond.
     pub fn finish(self, field: &'static str) -> Result<(), CodecError> {
-        match self.cursors.iter().position(|(next, end)| next != end) {
+        let unlike = self.ends.iter().zip(&self.next).position(|(end, next)| next != end);
+        match unlike.or((self.next_escaped != self.escaped.len()).then_some(self.ends.len())) {
             None => Ok(()),
             Some(i) => {
                 Err(CodecError::mismatch(field, format!("stream {i} has another length than the values ask for")))
@@ -120,19 +135,19 @@ impl Decoder {
         }
     }
     #[inline]
-    fn next(&mut self, stream: usize) -> u8 {
-        let cursor = &mut self.cursors[stream];
-        let byte = self.bytes.get(cursor.0).copied().unwrap_or(0);
-        cursor.0 += 1;
-        byte
+    fn next(&mut self, stream: usize) -> i8 {
+        let next = &mut self.next[stream % MOST_STREAMS];
+        let residual = self.residuals.get(*next).copied().unwrap_or(0);
+        *next += 1;
+        residual
     }
     /// An escaped residual's excess; at most three bytes are looked at.
     #[cold]
     fn next_escaped(&mut self) -> u64 {
-        let stream = self.cursors.len() - 1;
         let mut v = 0;
         for shift in [0, 7, 14] {
-            let byte = self.next(stream);
+            let byte = self.escaped.get(self.next_escaped).copied().unwrap_or(0);
+            self.next_escaped += 1;
             v |= u64::from(byte & 127) << shift;
             if byte < 128 {
                 break;
@@ -145,16 +160,15 @@ impl Decoder {
 impl Coder for Decoder {
     #[inline]
     fn byte<const LOSSLESS: bool>(&mut self, stream: usize, step: i32, predicted: i32, _: i32) -> (i32, i32) {
-        let q = unzigzag(self.next(stream).into()) as i32;
+        let q = self.next(stream).into();
         (q, restored::<LOSSLESS>(step, predicted, q))
     }
     #[inline]
     fn word(&mut self, stream: usize, predicted: u16, _: u16) -> u16 {
-        let mut z = u64::from(self.next(stream));
-        if z == ESCAPE {
-            z += self.next_escaped();
+        match self.next(stream) {
+            ESCAPED => predicted.wrapping_add(unzigzag(ESCAPE + self.next_escaped()) as u16),
+            residual => predicted.wrapping_add_signed(residual.into()),
         }
-        predicted.wrapping_add(unzigzag(z) as u16)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Whether an LDI keeps its promises.
 //!
 //! A decoder calls [`Ldi::check`] before it hands an image on, tests call it after every construction; the
-//! warp may then index without looking. Cost: two visits per sample; memory: a few bytes per column, a byte per sample.
+//! warp may then index without looking. Cost: a visit per sample; memory: a few bytes per column.
 
 use super::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, SIDES, Segment, Sliver, end_of, is_loose};
 use glam::DVec3;
@@ -63,7 +63,8 @@ pub enum LdiFault {
         /// What is wrong.
         what: &'static str,
     },
-    /// A sample is misplaced, has no code, lies before one of a layer above, or links to nothing.
+    /// A sample is misplaced, has no code, lies before one of a layer above, links to nothing, ends beyond the next pixel's centre or where it is linked, or has a slope
+    /// where its surface does not go on.
     #[error("LDI layer {layer}, row {row}, column {column}: {what}")]
     Sample {
         /// Layer.
@@ -74,22 +75,6 @@ pub enum LdiFault {
         column: u32,
         /// What is wrong.
         what: &'static str,
-    },
-    /// A surface ends beyond the next pixel's centre, or where it is linked.
-    #[error("LDI layer {layer}, sample {sample}: it ends too far off, or where it goes on")]
-    End {
-        /// Layer.
-        layer: usize,
-        /// Sample.
-        sample: usize,
-    },
-    /// A slope is told where the surface does not go on.
-    #[error("LDI layer {layer}, sample {sample}: a slope where it ends")]
-    Slope {
-        /// Layer.
-        layer: usize,
-        /// Sample.
-        sample: usize,
     },
     /// A sliver lies outside of the image or its codes, or there are too many.
     #[error("LDI sliver {sliver}: {what}")]
@@ -129,27 +114,8 @@ impl Ldi {
             self.check_segments(k, layer)?;
         }
         self.check_samples()?;
-        self.check_ends()?;
         self.check_slivers()?;
         self.check_sky()
-    }
-
-    fn check_ends(&self) -> Result<(), LdiFault> {
-        for (layer, l) in self.layers.iter().enumerate() {
-            for (sample, (ends, linked)) in l.ends.iter().zip(l.linked_sides()).enumerate() {
-                let sound = |side: usize| match end_of(*ends, side) {
-                    0 => true,
-                    end => end <= END_PARTS && linked >> side & 1 == 0,
-                };
-                if !(0..SIDES.len()).all(sound) {
-                    return Err(LdiFault::End { layer, sample });
-                }
-                if (0..2).any(|axis| l.slopes[sample][axis] != 0 && !is_loose(*ends, axis)) {
-                    return Err(LdiFault::Slope { layer, sample });
-                }
-            }
-        }
-        Ok(())
     }
 
     fn check_slivers(&self) -> Result<(), LdiFault> {
@@ -259,54 +225,68 @@ impl Ldi {
         for row in 0..self.camera.height {
             nearest_allowed.fill(u16::MAX);
             for (k, cursor) in cursors.iter_mut().enumerate() {
-                let fault = |column: u32, what| Err(LdiFault::Sample { layer: k, row, column, what });
+                let fault = |column: usize, what| LdiFault::Sample { layer: k, row, column: column as u32, what };
                 let mut down_found = 0;
-                let mut right_open: Option<u32> = None;
+                let mut right_open: Option<usize> = None;
                 let mut down_next = 0;
                 for s in cursor.take_row(row) {
-                    let range = s.first as usize..s.first as usize + usize::from(s.count);
-                    let mut last_in_block = None;
-                    for i in range {
-                        let byte = cursor.layer.column[i];
-                        let column = u32::from(s.column_base) + u32::from(byte);
-                        if last_in_block.is_some_and(|l| l >= byte) {
-                            return fault(column, "columns do not ascend");
+                    let Rows { layer, wanted_in_row, .. } = cursor;
+                    let offsets = &layer.column[s.first as usize..s.first as usize + usize::from(s.count)];
+                    let base = usize::from(s.column_base);
+                    if let Some(k) = first_of(offsets.windows(2).map(|w| w[0] >= w[1])) {
+                        return Err(fault(base + usize::from(offsets[k + 1]), "columns do not ascend"));
+                    }
+                    let last = base + usize::from(offsets[offsets.len() - 1]);
+                    if last >= width {
+                        return Err(fault(last, "outside the image"));
+                    }
+                    let mut first = s.first as usize;
+                    for offsets in neighbours(offsets) {
+                        let column = base + usize::from(offsets[0]);
+                        let (samples, columns) = (first..first + offsets.len(), column..column + offsets.len());
+                        first = samples.end;
+                        let codes = &layer.disparity[samples.clone()];
+                        if let Some(k) = first_of(codes.iter().map(|c| *c == 0 || *c > self.codes.largest_code)) {
+                            return Err(fault(column + k, "disparity code out of range"));
                         }
-                        last_in_block = Some(byte);
-                        if column as usize >= width {
-                            return fault(column, "outside the image");
+                        let allowed = &mut nearest_allowed[columns.clone()];
+                        if let Some(k) = first_of(codes.iter().zip(&*allowed).map(|(code, allowed)| code > allowed)) {
+                            return Err(fault(column + k, "nearer than a layer before it"));
                         }
-                        let code = cursor.layer.disparity[i];
-                        if code == 0 || code > self.codes.largest_code {
-                            return fault(column, "disparity code out of range");
-                        }
-                        let allowed = &mut nearest_allowed[column as usize];
-                        if code > *allowed {
-                            return fault(column, "nearer than a layer before it");
-                        }
-                        *allowed = code;
+                        allowed.copy_from_slice(codes);
                         if right_open.is_some_and(|wanted| wanted != column) {
-                            return fault(column, "a link to the right leads to no sample");
+                            return Err(fault(column, "a link to the right leads to no sample"));
                         }
-                        let links = cursor.layer.links[i];
-                        if links & !(LINK_RIGHT | LINK_DOWN) != 0 {
-                            return fault(column, "unknown link bits");
+                        let links = &layer.links[samples.clone()];
+                        if let Some(k) = first_of(links.iter().map(|l| l & !(LINK_RIGHT | LINK_DOWN) != 0)) {
+                            return Err(fault(column + k, "unknown link bits"));
                         }
-                        right_open = (links & LINK_RIGHT != 0).then_some(column + 1);
+                        let mut left = right_open.is_some();
+                        right_open = (links[links.len() - 1] & LINK_RIGHT != 0).then_some(columns.end);
                         // The row number marks the wanted columns, so that nothing need be cleared.
-                        let wanted = &mut cursor.wanted_in_row[column as usize];
-                        down_found += u32::from(*wanted == row);
-                        if links & LINK_DOWN != 0 {
-                            *wanted = row + 1;
-                            down_next += 1;
+                        let wanted = &mut wanted_in_row[columns];
+                        down_found += wanted.iter().map(|w| u32::from(*w == row)).sum::<u32>();
+                        let ends = layer.ends[samples.clone()].iter().zip(&layer.slopes[samples]);
+                        for (k, (&ends, &slopes)) in ends.enumerate() {
+                            let (right, down) = (links[k] & LINK_RIGHT != 0, links[k] & LINK_DOWN != 0);
+                            if ends != 0 || slopes != [0; 2] {
+                                check_ends(ends, [left, right, wanted[k] == row, down], slopes)
+                                    .map_err(|what| fault(column + k, what))?;
+                            }
+                            left = right;
+                        }
+                        for (wanted, links) in wanted.iter_mut().zip(links) {
+                            let down = links & LINK_DOWN != 0;
+                            *wanted = if down { row + 1 } else { *wanted };
+                            down_next += u32::from(down);
                         }
                     }
                 }
                 if let Some(column) = right_open {
-                    return fault(column, "a link to the right leads to no sample");
+                    return Err(fault(column, "a link to the right leads to no sample"));
                 }
                 if down_found != cursor.wanted_count {
-                    return fault(0, "a link from the row above leads to no sample");
+                    return Err(fault(0, "a link from the row above leads to no sample"));
                 }
                 cursor.wanted_count = down_next;
             }
@@ -334,6 +314,41 @@ impl Ldi {
         }
         Ok(())
     }
+}
+
+/// Which is the first that holds. All are looked at before, without leaving early: many at once.
+fn first_of(mut holds: impl Iterator<Item = bool> + Clone) -> Option<usize> {
+    if holds.clone().fold(false, |any, holds| any | holds) { holds.position(|holds| holds) } else { None }
+}
+
+/// Cuts ascending columns into those that lie beside each other.
+fn neighbours(columns: &[u8]) -> impl Iterator<Item = &[u8]> {
+    let mut rest = columns;
+    std::iter::from_fn(move || {
+        let (first, last) = (*rest.first()?, *rest.last()?);
+        let n = match usize::from(last - first) + 1 {
+            span if span == rest.len() => span,
+            _ => 1 + rest.windows(2).take_while(|w| w[0] + 1 == w[1]).count(),
+        };
+        let neighbours;
+        (neighbours, rest) = rest.split_at(n);
+        Some(neighbours)
+    })
+}
+
+/// Of one sample: no end beyond the next pixel's centre or where it is linked, no slope where the surface does not go on.
+fn check_ends(ends: u16, linked: [bool; SIDES.len()], slopes: [i8; 2]) -> Result<(), &'static str> {
+    let sound = |side: usize| match end_of(ends, side) {
+        0 => true,
+        end => end <= END_PARTS && !linked[side],
+    };
+    if !(0..SIDES.len()).all(sound) {
+        return Err("it ends too far off, or where it goes on");
+    }
+    if (0..2).any(|axis| slopes[axis] != 0 && !is_loose(ends, axis)) {
+        return Err("a slope where it ends");
+    }
+    Ok(())
 }
 
 /// Walks a layer's segments row by row and remembers which columns the row above linked to.
@@ -434,7 +449,10 @@ mod tests {
             ("down off the image", |l| l.layers[0].links[4] = LINK_DOWN),
             ("short ends", |l| _ = l.layers[0].ends.pop()),
             ("end too far", |l| l.layers[0].ends[5] = 5 << (3 * 4)),
-            ("end where it goes on", |l| l.layers[0].ends[4] |= 1),
+            ("end to the left where it goes on", |l| l.layers[0].ends[4] |= 1),
+            ("end to the right where it goes on", |l| l.layers[0].ends[0] |= 1 << 4),
+            ("end above where it goes on", |l| l.layers[0].ends[4] |= 1 << 8),
+            ("end below where it goes on", |l| l.layers[0].ends[0] |= 1 << 12),
             ("short slopes", |l| _ = l.layers[0].slopes.pop()),
             ("slope where it ends", |l| {
                 l.layers[1].ends[0] &= !0xff;

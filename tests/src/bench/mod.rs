@@ -1,6 +1,7 @@
 //! `ldi-bench`: sweeps over settings, as tables, plots and a page. Rows are kept as JSON, from which everything else is made.
 
 pub mod colours;
+pub mod decode;
 pub mod numerics;
 pub mod numerics_page;
 pub mod placement;

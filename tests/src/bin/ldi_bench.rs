@@ -10,8 +10,8 @@ use ldi_server::placement::AuditSize;
 use ldi_server::serve::planner::PlannerConfig;
 use ldi_tests::args::percent;
 use ldi_tests::bench::{
-    numerics, numerics_page, placement, placement_page, portals, portals_page, searches, speed_error, speed_error_page,
-    streaming, tree, video,
+    decode, numerics, numerics_page, placement, placement_page, portals, portals_page, searches, speed_error,
+    speed_error_page, streaming, tree, video,
 };
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -68,6 +68,11 @@ Examples:
   ldi-bench streaming small_house --path small_house.path.json -o out/streaming
   ldi-bench streaming small_house --path small_house.path.json --link rate=25mbit,delay=40ms --decode-mb-s 15 --twice -o out/streaming")]
     Streaming(StreamingArgs),
+    /// How fast one thread verifies and decodes each kind of chunk, as a client's cache takes it in.
+    #[command(after_help = "\
+Examples:
+  ldi-bench decode clinic.ldi -o out/decode")]
+    Decode(DecodeArgs),
     /// The frames of a walk as video, as a server that renders every frame would stream them: bits per second against error. Needs ffmpeg.
     #[command(after_help = "\
 Examples:
@@ -99,6 +104,18 @@ struct VideoArgs {
     /// Folder for what is left.
     #[arg(short, long)]
     output: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+struct DecodeArgs {
+    /// Directory of a dataset, as `ldi-server build` makes it; all of its chunks come into memory.
+    dataset: PathBuf,
+    /// Folder for what is left.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Passes over all chunks; the median counts.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
+    repeat: u32,
 }
 
 #[derive(Debug, clap::Args)]
@@ -303,6 +320,7 @@ fn run(command: Command) -> Result<()> {
         Command::Numerics(a) => numerics(a),
         Command::Tree(a) => ldi_tree(a),
         Command::Streaming(a) => streaming(&a),
+        Command::Decode(a) => decode_of(&a),
         Command::Portals(a) => portals_of(a),
         Command::Video(a) => video_of(a),
     }
@@ -452,6 +470,14 @@ fn streaming(a: &StreamingArgs) -> Result<()> {
     let found = streaming::run(&study, |r| eprintln!("{}", streaming::line(r)))?;
     write(&a.output.join("streaming.json"), &serde_json::to_string_pretty(&found)?)?;
     print!("{}", streaming::table(&found));
+    Ok(())
+}
+
+fn decode_of(a: &DecodeArgs) -> Result<()> {
+    std::fs::create_dir_all(&a.output).with_context(|| format!("cannot make {}", a.output.display()))?;
+    let kinds = decode::run(&a.dataset, a.repeat)?;
+    write(&a.output.join("decode.json"), &serde_json::to_string_pretty(&kinds)?)?;
+    print!("{}", decode::table(&kinds));
     Ok(())
 }
 
