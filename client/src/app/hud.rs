@@ -191,8 +191,10 @@ impl Hud {
 /// What is wrong with the line, in words; None when nothing is.
 pub fn trouble(state: &LinkState) -> Option<String> {
     match state {
-        LinkState::Up | LinkState::Connecting(1) => None,
-        LinkState::Connecting(_) => Some("connecting again; you can go on where you have been".into()),
+        LinkState::Up | LinkState::Connecting { after: None, .. } => None,
+        LinkState::Connecting { after: Some(reason), .. } => {
+            Some(format!("{reason}; connecting again; you can go on where you have been"))
+        }
         LinkState::Waiting { reason, until } => {
             let seconds = until.saturating_duration_since(Instant::now()).as_secs_f64().ceil();
             Some(format!("{reason}; trying again in {seconds:.0} s; you can go on where you have been"))
@@ -244,8 +246,10 @@ mod tests {
 
     #[test]
     fn trouble_is_said_with_what_follows() {
-        assert_eq!((trouble(&LinkState::Up), trouble(&LinkState::Connecting(1))), (None, None));
-        assert!(trouble(&LinkState::Connecting(2)).is_some_and(|t| t.contains("again")));
+        let connecting = |attempt, after: Option<&str>| LinkState::Connecting { attempt, after: after.map(Into::into) };
+        assert_eq!((trouble(&LinkState::Up), trouble(&connecting(1, None))), (None, None));
+        let text = trouble(&connecting(2, Some("the server stops"))).expect("trouble");
+        assert!(text.contains("the server stops") && text.contains("again"), "{text}");
         let waiting = LinkState::Waiting { reason: "the server stops".into(), until: Instant::now() };
         let text = trouble(&waiting).expect("trouble");
         assert!(text.contains("the server stops") && text.contains("trying again"), "{text}");

@@ -33,8 +33,13 @@ const RATE_OVER: Duration = Duration::from_secs(1);
 /// How the line is.
 #[derive(Debug, Clone, PartialEq)]
 pub enum LinkState {
-    /// Connecting: 1 for the first time, 2 and so on after a failure or a loss.
-    Connecting(u32),
+    /// Connecting.
+    Connecting {
+        /// 1 for the first time, 2 and so on after a failure or a loss.
+        attempt: u32,
+        /// Why the one before failed or was lost.
+        after: Option<String>,
+    },
     /// There is a connection.
     Up,
     /// There is none, and the next attempt comes then.
@@ -137,7 +142,7 @@ impl Link {
 
     fn begin(first: Option<Connection>, config: ConnectConfig, changed: Box<dyn Fn() + Send>) -> std::io::Result<Self> {
         let inner = Arc::new(Mutex::new(Inner {
-            state: if first.is_some() { LinkState::Up } else { LinkState::Connecting(1) },
+            state: if first.is_some() { LinkState::Up } else { LinkState::Connecting { attempt: 1, after: None } },
             scene: first.as_ref().map(Scene::of),
             connection: None,
             figures: LinkFigures::default(),
@@ -205,7 +210,7 @@ impl Drop for Link {
     fn drop(&mut self) {
         self.stop = None;
         // While connecting, the thread cannot be told; the process need not wait for a server that does not answer.
-        if let (Some(thread), false) = (self.thread.take(), matches!(self.state(), LinkState::Connecting(_))) {
+        if let (Some(thread), false) = (self.thread.take(), matches!(self.state(), LinkState::Connecting { .. })) {
             let _ = thread.join();
         }
     }
@@ -221,10 +226,10 @@ struct Keeper {
 
 impl Keeper {
     fn run(mut self, mut first: Option<Connection>) {
-        let mut attempt = 1;
+        let (mut attempt, mut after) = (1, None);
         loop {
             let connected = first.take().map(Ok).unwrap_or_else(|| {
-                self.enter(LinkState::Connecting(attempt));
+                self.enter(LinkState::Connecting { attempt, after: after.take() });
                 Connection::connect(self.config.clone())
             });
             let ended = match connected {
@@ -244,6 +249,7 @@ impl Keeper {
                     }
                     attempt += 1;
                     let pause = (FIRST_PAUSE * (1 << (attempt - 2).min(8))).min(LONGEST_PAUSE);
+                    after = Some(e.to_string());
                     self.enter(LinkState::Waiting { reason: e.to_string(), until: Instant::now() + pause });
                     if self.stops_within(pause) {
                         return;

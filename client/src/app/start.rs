@@ -89,7 +89,7 @@ fn step(link: &Link, picture: Option<&Picture>) -> (String, Option<f32>) {
         LinkState::Up => picture.map_or(("drawing the first view".into(), None), first_view),
         LinkState::Waiting { .. } => ("no connection".into(), None),
         LinkState::Refused(_) => ("the server does not let this client in".into(), None),
-        LinkState::Connecting(_) => match link.progress().0 {
+        LinkState::Connecting { .. } => match link.progress().0 {
             Phase::Idle | Phase::Dialling => ("looking for the server".into(), None),
             Phase::Asking => ("asking to be let in".into(), None),
             Phase::Index => index(),

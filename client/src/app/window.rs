@@ -48,7 +48,7 @@ pub fn run(config: AppConfig, painter: Painter) -> Result<(), AppError> {
         events,
         open: None,
         failed: None,
-        told: LinkState::Connecting(1),
+        told: LinkState::Connecting { attempt: 1, after: None },
     };
     event_loop.run_app(&mut app).map_err(|e| AppError::no_display(&e))?;
     // Drawing ends before what it draws with.
@@ -184,7 +184,7 @@ impl App {
     /// The link's state has changed.
     fn tell_link(&mut self, state: &LinkState) {
         match state {
-            LinkState::Connecting(attempt) => self.events.tell("connecting", fields! { "attempt": attempt }),
+            LinkState::Connecting { attempt, .. } => self.events.tell("connecting", fields! { "attempt": attempt }),
             LinkState::Up => {
                 let scene = self.link.scene().map(|s| s.index.scene.name.clone()).unwrap_or_default();
                 if let Some(open) = &self.open {
