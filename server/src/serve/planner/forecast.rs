@@ -4,7 +4,8 @@
 //!
 //! Three kinds of guesses, after how people walk:
 //! - **on**: it goes on as it goes, velocity and turn rate kept, less likely the farther ahead: people stop, and paths bend;
-//! - **turn**: it turns on the spot at [`QUICK_TURN_DEG_S`] to either side, from now on. A head turns faster than feet walk, and needs no run-up;
+//! - **turn**: it turns on the spot at [`QUICK_TURN_DEG_S`] to either side, from now on. A head turns faster than feet walk, and needs no run-up. Geometry around it is
+//!   expected at once, whichever way it looks: heads turn faster still, and it takes next to no bytes where images show what is far;
 //! - **off**: from where it stands or turns it walks off, straight ahead of where it looks then.
 //!
 //! In a dataset with rooms there are two things more, both by the way on foot ([`ways`]):
@@ -16,7 +17,12 @@
 
 use super::motion::Motion;
 use super::{Views, ways};
-use ldi_protocol::{Pose, index::Index, rooms::Rooms, wire::Urgency};
+use ldi_protocol::{
+    Pose,
+    index::{ChunkKind, Index},
+    rooms::Rooms,
+    wire::Urgency,
+};
 use std::{collections::HashMap, sync::Arc};
 
 /// How fast a head is believed to turn to look elsewhere, degrees per second. Path walkers of this project turn at 120, players faster, but few begin
@@ -43,6 +49,8 @@ const DOORS: f64 = 0.5;
 const KEEPS_TO_DOOR_S: f64 = 3.0;
 /// Step of guesses in angle, degrees: below half the smallest field of view (54), so that no direction in between is left out.
 const STEP_DEG: f64 = 12.0;
+/// The same in such steps where only geometry is looked for, to spare work: 36 degrees.
+const GEOMETRY_STEP: i32 = 3;
 /// Times of guesses ahead, seconds.
 const TIMES_S: [f64; 10] = [0.08, 0.16, 0.3, 0.45, 0.65, 0.9, 1.25, 1.75, 2.5, 3.5];
 
@@ -78,6 +86,8 @@ struct Guess {
     in_s: f64,
     probability: f64,
     urgency: Urgency,
+    /// By a turn of the head alone.
+    turned: bool,
 }
 
 impl Foresight for Forecast {
@@ -93,7 +103,12 @@ impl Foresight for Forecast {
         let poses: Vec<Pose> = guesses.iter().map(|g| g.pose).collect();
         for (g, lacking) in guesses.iter().zip(self.views.lacking(&poses, absent)) {
             for chunk in lacking {
-                let new = Expected { chunk, in_s: g.in_s, probability: g.probability, urgency: g.urgency };
+                let geometry = matches!(self.index.chunks[chunk as usize].kind, ChunkKind::Cell | ChunkKind::Bundle);
+                let in_s = if g.turned && geometry { 0.0 } else { g.in_s };
+                if in_s > within_s {
+                    continue;
+                }
+                let new = Expected { chunk, in_s, probability: g.probability, urgency: g.urgency };
                 let entry = found.entry(chunk).or_insert(new);
                 if rank_s(&new) < rank_s(entry) {
                     *entry = new;
@@ -109,13 +124,14 @@ pub(super) fn rank_s(e: &Expected) -> f64 {
     e.in_s / e.probability.max(1e-3)
 }
 
+/// Guesses of what comes within a time, and of turns of the head whenever.
 fn guesses(motion: &Motion, within_s: f64) -> Vec<Guess> {
     let here = motion.pose();
     let (walks, turns) = (motion.walks(), motion.turns());
     let mut out = Vec::new();
     let mut put = |pose: Pose, in_s: f64, probability: f64, urgency| {
         if in_s <= within_s {
-            out.push(Guess { pose, in_s, probability, urgency });
+            out.push(Guess { pose, in_s, probability, urgency, turned: false });
         }
     };
     let turned = |pose: Pose, by: f64| Pose { yaw_deg: pose.yaw_deg + by, ..pose };
@@ -148,8 +164,12 @@ fn guesses(motion: &Motion, within_s: f64) -> Vec<Guess> {
         let by = STEP_DEG * f64::from(i);
         // Half a step earlier, as what is needed here was not needed a step before.
         let in_s = (by - STEP_DEG / 2.0) / QUICK_TURN_DEG_S;
-        for side in [by, -by] {
-            put(turned(here, side), in_s, TURNS * (-in_s / KEEPS_TURNING_S).exp(), Urgency::Around);
+        if in_s > within_s && i % GEOMETRY_STEP != 0 {
+            continue;
+        }
+        let probability = TURNS * (-in_s / KEEPS_TURNING_S).exp();
+        for pose in [by, -by].map(|by| turned(here, by)) {
+            out.push(Guess { pose, in_s, probability, urgency: Urgency::Around, turned: true });
         }
     }
     out
@@ -171,6 +191,7 @@ fn through_doors(rooms: &Rooms, motion: &Motion, within_s: f64, reach_m: f64) ->
             in_s,
             probability,
             urgency: Urgency::Around,
+            turned: false,
         }
     };
     ways::doors(rooms, here.position, reach_m.min(within_s * speed)).into_iter().map(guess).collect()

@@ -360,3 +360,24 @@ fn nobody_walks_through_walls() {
     let way_s = DVec3::new(1.16, 0.0, 6.0).length() / 1.4;
     assert!((door.in_s - way_s).abs() < 0.1 && door.urgency == Urgency::Around, "{door:?}");
 }
+
+/// Views backward need two chunks more.
+struct Behind;
+impl Views for Behind {
+    fn needed(&self, pose: &Pose) -> Needed {
+        let backward = pose.yaw_deg.to_radians().cos() < 0.0;
+        Needed { base: vec![], now: if backward { vec![5, 6] } else { vec![0] }, fine: vec![] }
+    }
+}
+
+#[test]
+fn geometry_goes_at_once_whichever_way_the_walker_may_look() {
+    let mut index = index();
+    Arc::make_mut(&mut index).chunks[6].kind = ChunkKind::Ldi;
+    let mut p = Planner::new(index, Arc::new(Behind), PlannerConfig::default());
+    // A link over which an image would be there in time when the head has turned so far.
+    p.capacity(Capacity { bytes_per_s: Some(1e9), ..Capacity::default() });
+    p.pose(at(1, 0, 0.5));
+    let sent = drain(&mut p, ms(0));
+    assert_eq!(sent, [(0, Urgency::Now), (5, Urgency::Around)]);
+}
