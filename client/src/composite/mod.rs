@@ -6,20 +6,22 @@
 //! 1. **By depth** ([`composite`]): cells that were not culled can lie beside or behind the LDI's samples, so the two are
 //!    merged by disparity. Near geometry wins within one quantization step of the image's disparity codes, as nearly as those
 //!    know where the far surface is, and not beyond: a rug of the images must stay above the floor of the geometry.
-//! 2. **Sky**: a pixel that nothing reached is sky where no image knows of anything else in its direction. Sky lies at infinity, so
+//! 2. **Seams** (`seams`): gaps of one pixel within a surface, where images of it or near geometry meet, are closed.
+//! 3. **Sky**: a pixel that nothing reached is sky where no image knows of anything else in its direction. Sky lies at infinity, so
 //!    the lookup is a rotation. Without an LDI nothing was culled, and what is left is sky.
 //!    Where all images are there, sky grows into openings that it borders on (`grow`).
-//! 3. **Under it** (`under`): where pixels are left, or data is missing, the LDI tree shows through.
-//! 4. **Fill** (`fill`, optional): remaining holes take the colour of the nearest farther surface, of sky around them, or of the last frame, and are marked
+//! 4. **Under it** (`under`): where pixels are left, or data is missing, the LDI tree shows through.
+//! 5. **Fill** (`fill`, optional): remaining holes take the colour of the nearest farther surface, of sky around them, or of the last frame, and are marked
 //!    [`Source::Filled`].
-//! 5. **Smoothing** (`smooth`, optional): the 3 x 3 kernel of Aliaga and Lastra's system, over far pixels.
-//! 6. **Averaging** ([`downsample()`]): a supersampled frame is averaged in linear light.
+//! 6. **Smoothing** (`smooth`, optional): the 3 x 3 kernel of Aliaga and Lastra's system, over far pixels.
+//! 7. **Averaging** ([`downsample()`]): a supersampled frame is averaged in linear light.
 //!
 //! All stages run on the current rayon pool by rows; their results do not depend on its size.
 
 mod downsample;
 mod fill;
 mod grow;
+mod seams;
 mod smooth;
 mod under;
 
@@ -37,6 +39,7 @@ use ldi_protocol::{
     OutputCamera, Pose, camera::ViewBasis, index::ImageEntry, ldi::Ldi, portal_view::Cone, sky::SkyMap,
 };
 use rayon::prelude::*;
+use seams::Seam;
 
 /// What stands for the cells that were not drawn.
 #[derive(Debug, Clone, Copy)]
@@ -187,8 +190,7 @@ pub fn merge(frame: &mut Frame, far: Far<'_>, pose: &Pose, camera: &OutputCamera
         }
         other => other,
     };
-    let width = frame.width as usize;
-    if width == 0 || frame.is_empty() {
+    if frame.is_empty() {
         return CompositeStats::default();
     }
     let merge = match far {
@@ -206,30 +208,25 @@ pub fn merge(frame: &mut Frame, far: Far<'_>, pose: &Pose, camera: &OutputCamera
         }
         Far::Nothing | Far::Missing => None,
     };
-    let chunk = width * ROWS_PER_TASK;
-    frame
-        .colour
-        .par_chunks_mut(chunk)
-        .zip(frame.disparity.par_chunks_mut(chunk))
-        .zip(frame.source.par_chunks_mut(chunk))
-        .enumerate()
-        .map(|(task, ((colour, disparity), source))| {
-            let mut stats = CompositeStats::default();
-            let rows = colour.chunks_mut(width).zip(disparity.chunks_mut(width)).zip(source.chunks_mut(width));
-            for (i, ((colour, disparity), source)) in rows.enumerate() {
-                let mut row = Row { colour, disparity, source };
-                if let Some(merge) = &merge {
-                    merge.row(task * ROWS_PER_TASK + i, &mut row, &mut stats);
-                    continue;
-                }
-                if matches!(far, Far::Nothing) {
-                    row.rest_is_sky();
-                }
-                row.count(&mut stats);
-            }
-            stats
-        })
-        .reduce(CompositeStats::default, CompositeStats::add)
+    if let Some(merge) = merge {
+        return merge.into_frame(frame);
+    }
+    let nothing = matches!(far, Far::Nothing);
+    let rows = by_rows(frame, |_, mut row| {
+        if nothing {
+            row.rest_is_sky();
+        }
+        row.count()
+    });
+    rows.into_iter().fold(CompositeStats::default(), CompositeStats::add)
+}
+
+/// What `of_row` says of each row, by its number.
+fn by_rows<T: Send>(frame: &mut Frame, of_row: impl Fn(usize, Row<'_>) -> T + Sync) -> Vec<T> {
+    let width = frame.width as usize;
+    let planes = frame.colour.par_chunks_mut(width).zip(frame.disparity.par_chunks_mut(width));
+    let rows = planes.zip(frame.source.par_chunks_mut(width)).enumerate().with_min_len(ROWS_PER_TASK);
+    rows.map(|(number, ((colour, disparity), source))| of_row(number, Row { colour, disparity, source })).collect()
 }
 
 /// The second half: fill and smoothing. `known`: an image or the tree was there, so that holes are gaps in it.
@@ -263,12 +260,12 @@ impl Row<'_> {
         }
     }
 
-    fn count(&self, stats: &mut CompositeStats) {
+    fn count(&self) -> CompositeStats {
         let mut by_source = [0u64; 6];
         for s in &*self.source {
             by_source[*s as usize] += 1;
         }
-        *stats = stats.add(CompositeStats {
+        CompositeStats {
             pixels: self.source.len() as u64,
             near: by_source[Source::Near as usize],
             far: by_source[Source::Far as usize],
@@ -277,7 +274,7 @@ impl Row<'_> {
             hole_before_fill: by_source[Source::Unpainted as usize],
             filled: by_source[Source::Filled as usize],
             unpainted: by_source[Source::Unpainted as usize],
-        });
+        }
     }
 }
 
@@ -412,13 +409,30 @@ impl<'a> Merge<'a> {
     fn new(picture: &'a FarFrame, groups: Vec<Group<'a>>, complete: bool, pose: &Pose, camera: &OutputCamera) -> Self {
         Self { picture, groups, complete, world: Directions::new(pose, camera, |w| w.to_array()) }
     }
-    fn row(&self, row: usize, pixels: &mut Row<'_>, stats: &mut CompositeStats) {
+
+    fn into_frame(self, frame: &mut Frame) -> CompositeStats {
+        let reached = by_rows(frame, |number, mut row| self.by_depth(number, &mut row));
+        let open: Vec<u64> = reached.iter().map(|r| u64::from(frame.width) - r.iter().sum::<u64>()).collect();
+        let [mut near, mut far] = [0, 1].map(|of| reached.iter().map(|r| r[of]).sum::<u64>());
+        let seams = if far > 0 { seams::find(frame, &open) } else { Vec::new() };
+        for Seam { at, of } in seams {
+            (frame.colour[at], frame.disparity[at]) = (frame.colour[of], frame.disparity[of]);
+            frame.source[at] = frame.source[of];
+            *(if frame.source[of] == Source::Near { &mut near } else { &mut far }) += 1;
+        }
+        let sky = by_rows(frame, |number, mut row| if open[number] > 0 { self.sky_row(number, &mut row) } else { 0 });
+        let (pixels, sky) = (frame.len() as u64, sky.iter().sum());
+        let unpainted = pixels - near - far - sky;
+        let stats = CompositeStats { pixels, near, far, sky, ..CompositeStats::default() };
+        CompositeStats { hole_before_fill: unpainted, unpainted, ..stats }
+    }
+
+    /// Merges a row by depth; returns how many of its pixels are near geometry, and how many the images'.
+    fn by_depth(&self, row: usize, pixels: &mut Row<'_>) -> [u64; 2] {
         let width = pixels.colour.len();
         let first = row * width;
         if self.picture.is_untouched() {
-            self.sky_row(row, pixels);
-            pixels.count(stats);
-            return;
+            return [pixels.source.iter().filter(|s| **s == Source::Near).count() as u64, 0];
         }
         let (mut near_count, mut far_count) = (0u32, 0u32);
         let far = &self.picture.packed[first..first + width];
@@ -436,18 +450,7 @@ impl<'a> Merge<'a> {
             far_count += 1;
             (*colour, *disparity, *source) = (far_colour, far_disparity, Source::Far);
         }
-        let left = width as u64 - u64::from(near_count + far_count);
-        let sky = if left == 0 { 0 } else { self.sky_row(row, pixels) };
-        *stats = stats.add(CompositeStats {
-            pixels: width as u64,
-            near: u64::from(near_count),
-            far: u64::from(far_count),
-            tree: 0,
-            sky,
-            hole_before_fill: left - sky,
-            filled: 0,
-            unpainted: left - sky,
-        });
+        [near_count, far_count].map(u64::from)
     }
 
     /// Turns unpainted pixels whose directions are known to be sky into sky; returns how many.

@@ -88,6 +88,35 @@ fn the_nearer_surface_wins_within_the_step() {
     }
 }
 
+/// Near geometry on the left, the image's wall at 10 m on the right, and a column between that neither reaches, where the image knows sky.
+#[test]
+fn a_gap_of_one_pixel_between_near_geometry_and_an_image_of_it_is_no_sky() {
+    let mut ldi = image("frontal");
+    ldi.sky.fill(u64::MAX);
+    let height = CAMERA.height as usize;
+    for (disparity, gap, source) in
+        [(0.102, 1, Source::Far), (0.098, 1, Source::Near), (0.15, 1, Source::Sky), (0.102, 2, Source::Sky)]
+    {
+        let mut picture = warped(&ldi, &ahead());
+        picture.packed.iter_mut().enumerate().filter(|(at, _)| at % 160 < 80 + gap).for_each(|(_, p)| *p = 0);
+        let mut frame = half_near(disparity);
+        let far = Far::Images { picture: &picture, images: &[as_planned(&ldi)], sky: None };
+        let stats = composite(&mut frame, far, &ahead(), &CAMERA, &CompositeOptions::default());
+        for at in (0..frame.len()).filter(|at| (80..80 + gap).contains(&(at % 160))) {
+            assert_eq!(frame.source[at], source, "near at {disparity}, gap of {gap}");
+            let side = if source == Source::Near { at - 1 } else { at + 1 };
+            let pixel = |at: usize| (frame.colour[at], frame.disparity[at]);
+            assert!(source == Source::Sky || pixel(at) == pixel(side));
+        }
+        let count = |source| frame.count(source) as u64;
+        let counted =
+            CompositeStats { near: count(Source::Near), far: count(Source::Far), sky: count(Source::Sky), ..stats };
+        assert_eq!(stats, counted);
+        assert_eq!((stats.near + stats.far + stats.sky, stats.unpainted), (stats.pixels, 0));
+        assert!(stats.far >= 78 * height as u64);
+    }
+}
+
 /// A rug lies millimetres above its floor, and both are steep: less than half a pixel's slope apart.
 #[test]
 fn steep_surfaces_get_no_more_tolerance_than_the_step() {

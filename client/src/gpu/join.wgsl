@@ -8,6 +8,7 @@ const UNPAINTED = 5u;
 // As on the processor.
 const REACH_PX = 48u;
 const SKY_SIDES = 2u;
+const SAME_SURFACE = 0.1;
 
 struct Join {
     width: u32,
@@ -72,30 +73,70 @@ fn near_wins(place: vec2f, near: f32, far: f32) -> bool {
     return far - near <= largest;
 }
 
+// A colour with its source; disparity 0 where there is no surface.
+struct Pixel {
+    colour: u32,
+    disparity: f32,
+}
+
+// What is at a place by depth.
+fn by_depth(place: vec2u) -> Pixel {
+    let at = place.y * join.width + place.x;
+    let depth = textureLoad(near_depth, place, 0);
+    let near = depth * join.nearest;
+    var far = 0.0;
+    if join.far_stride > 0u {
+        far = bitcast<f32>(far_disparities[at * join.far_stride + join.far_stride - 1u]);
+    }
+    if depth > 0.0 && (!(far > 0.0) || near >= far || near_wins(vec2f(place), near, far)) {
+        let codes = vec3u(textureLoad(near_colour, place, 0).rgb * 255.0 + 0.5);
+        return Pixel(codes.x | (codes.y << 8u) | (codes.z << 16u) | (NEAR << 24u), near);
+    }
+    if far > 0.0 {
+        return Pixel(far_colours[at * join.far_stride] | (FAR << 24u), far);
+    }
+    return Pixel((join.sky & 0xffffffu) | (UNPAINTED << 24u), 0.0);
+}
+
+// Whether both sides of a gap show the same surface, and one of them an image of it.
+fn joins(a: Pixel, b: Pixel) -> bool {
+    let sources = vec2u(a.colour, b.colour) >> vec2u(24u);
+    return min(sources.x, sources.y) >= NEAR && max(sources.x, sources.y) == FAR
+        && abs(a.disparity - b.disparity) <= SAME_SURFACE * max(a.disparity, b.disparity);
+}
+
+// What an open pixel shows: the farther side if it is a seam.
+fn close_seam(place: vec2u, open_pixel: Pixel) -> Pixel {
+    for (var axis = 0u; axis < 2u; axis += 1u) {
+        let step = select(vec2u(0u, 1u), vec2u(1u, 0u), axis == 0u);
+        if any(place < step) || any(place + step >= vec2u(join.width, join.height)) {
+            continue;
+        }
+        let before = by_depth(place - step);
+        let after = by_depth(place + step);
+        if joins(before, after) {
+            if before.disparity <= after.disparity {
+                return before;
+            }
+            return after;
+        }
+    }
+    return open_pixel;
+}
+
 @compute @workgroup_size(64)
 fn merge(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= join.width || id.y >= join.height {
         return;
     }
-    let at = id.y * join.width + id.x;
-    let depth = textureLoad(near_depth, id.xy, 0);
-    let near = depth * join.nearest;
-    let codes = vec3u(textureLoad(near_colour, id.xy, 0).rgb * 255.0 + 0.5);
-    let near_packed = codes.x | (codes.y << 8u) | (codes.z << 16u) | (NEAR << 24u);
-    var far = 0.0;
-    if join.far_stride > 0u {
-        far = bitcast<f32>(far_disparities[at * join.far_stride + join.far_stride - 1u]);
+    var pixel = by_depth(id.xy);
+    if pixel.disparity == 0.0 {
+        pixel = close_seam(id.xy, pixel);
     }
-    let is_near = depth > 0.0;
-    if is_near && (!(far > 0.0) || near >= far || near_wins(vec2f(id.xy), near, far)) {
-        colours[at] = near_packed;
-        disparities[at] = near;
-    } else if far > 0.0 {
-        colours[at] = far_colours[at * join.far_stride] | (FAR << 24u);
-        disparities[at] = far;
-    } else {
-        colours[at] = (join.sky & 0xffffffu) | (UNPAINTED << 24u);
-        disparities[at] = 0.0;
+    let at = id.y * join.width + id.x;
+    colours[at] = pixel.colour;
+    disparities[at] = pixel.disparity;
+    if pixel.disparity == 0.0 {
         atomicOr(&open[at / 32u], 1u << (at % 32u));
     }
 }

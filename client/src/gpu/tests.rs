@@ -326,12 +326,14 @@ fn what_the_card_joins_is_what_the_processor_joins() {
         // Coarser than it is, so that near geometry often lies within a step.
         ldi.codes.step = 0.1;
         let shown = [FarImage::Here(&ldi, [-0.7, 0.7, -0.5, 0.5])];
-        // Whether near wins by a step, whether sky and holes are there: each has to happen somewhere.
-        let (mut by_step, mut sky, mut filled_in_all, mut from_tree) = (0, 0, 0, 0);
+        // Whether near wins by a step, whether seams, sky and holes are there: each has to happen somewhere.
+        let (mut by_step, mut seams, mut sky, mut filled_in_all, mut from_tree) = (0, 0, 0, 0, 0);
         for (number, pose) in poses(0.0).into_iter().enumerate() {
             for (warped, drawn) in [(true, true), (true, false), (false, true)] {
                 let cells = if drawn { &cells[..] } else { &[] };
-                let options = WarpOptions::default();
+                // Of every other pose samples as small as a pixel, between which the picture has gaps.
+                let stamp = if number % 2 == 0 { Stamp::OnePixel } else { Stamp::default() };
+                let options = WarpOptions { stamp, ..WarpOptions::default() };
                 gpu.draw(&index, &memory, cells, &CAMERA, &pose).expect("drawn");
                 let mut frame = Frame::default();
                 gpu.read_near(&CAMERA, &mut frame).expect("read back");
@@ -354,6 +356,10 @@ fn what_the_card_joins_is_what_the_processor_joins() {
                     by_step += (0..full.len())
                         .filter(|at| full.source[*at] == Source::Near)
                         .filter(|at| picture.get(*at).is_some_and(|(_, far)| far > full.disparity[*at]))
+                        .count();
+                    seams += (0..full.len())
+                        .filter(|at| matches!(full.source[*at], Source::Near | Source::Far))
+                        .filter(|at| frame.source[*at] == Source::Unpainted && picture.get(*at).is_none())
                         .count();
                     stats.unpainted -= lay_some(&mut full);
                     let settings = if fill { Fill::Surface } else { Fill::Off };
@@ -390,8 +396,8 @@ fn what_the_card_joins_is_what_the_processor_joins() {
             }
         }
         assert!(
-            by_step > 100 && sky > 1000 && filled_in_all > 1000 && from_tree > 1000,
-            "{by_step} {sky} {filled_in_all} {from_tree}"
+            by_step > 100 && seams > 1000 && sky > 1000 && filled_in_all > 1000 && from_tree > 1000,
+            "{by_step} {seams} {sky} {filled_in_all} {from_tree}"
         );
         println!("{} {atomics:?}: joined alike", gpu.adapter());
     }
