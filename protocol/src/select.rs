@@ -26,6 +26,9 @@ use serde::{Deserialize, Serialize};
 /// Samples may lie before their image's plane by this share of its distance: depths are rounded.
 const PLANE_SLACK: f64 = 1e-3;
 
+/// So near is a direction beside another, degrees.
+const BESIDE_DEG: f64 = 1e-3;
+
 /// An eye this close to a placement's users is one of them, metres: rounding.
 const USERS_SLACK_M: f64 = 1e-6;
 
@@ -396,6 +399,16 @@ pub fn placement_of(index: &Index, grid_point: u32, pose: &Pose) -> Option<u32> 
     range.and_then(|r| r.placement)
 }
 
+/// Directions on both sides of each at which the grid point of a pose names another placement while the head turns, degrees: between two of them it stays the same.
+pub fn yaws_of_placements(index: &Index, pose: &Pose) -> Vec<f64> {
+    let of_band = |point: u32| {
+        let band = band_of(&index.pitch_bands_deg, pose.pitch_deg)?;
+        index.points[point as usize].bands.get(band)
+    };
+    let ranges = select(index, pose).grid_point.and_then(of_band).map_or(&[][..], Vec::as_slice);
+    ranges.iter().flat_map(|r| [r.yaw_start_deg - BESIDE_DEG, r.yaw_start_deg + BESIDE_DEG]).collect()
+}
+
 /// The pitch band of a direction; None outside the built range.
 pub fn band_of(borders_deg: &[f64], pitch_deg: f64) -> Option<usize> {
     let (first, last) = (borders_deg.first()?, borders_deg.last()?);
@@ -522,6 +535,21 @@ mod tests {
             Some(2),
             "turned round, the other one is behind"
         );
+    }
+
+    #[test]
+    fn placements_change_between_the_directions_named_and_nowhere_else() {
+        let index = index("paper", 1000);
+        let yaws = yaws_of_placements(&index, &pose(-0.5, 0.0));
+        let (before, after): (Vec<f64>, Vec<f64>) = yaws.chunks(2).map(|y| (y[0], y[1])).unzip();
+        assert_eq!(yaws.len(), 4);
+        let changes =
+            |from: f64, to: f64| placement_of(&index, 1, &pose(0.0, from)) != placement_of(&index, 1, &pose(0.0, to));
+        assert!(before.iter().zip(&after).all(|(b, a)| changes(*b, *a) && a - b < 0.01), "{yaws:?}");
+        assert!(!changes(after[0], before[1]) && !changes(after[1], before[0]), "{yaws:?}");
+        // Outside of the built range of pitch nothing is replaced.
+        assert!(yaws_of_placements(&index, &Pose { pitch_deg: 40.0, ..pose(-0.5, 0.0) }).is_empty());
+        assert!(yaws_of_placements(&Index { points: vec![], ..index }, &pose(-0.5, 0.0)).is_empty());
     }
 
     #[test]

@@ -5,7 +5,7 @@
 //! Three kinds of guesses, after how people walk:
 //! - **on**: it goes on as it goes, velocity and turn rate kept, less likely the farther ahead: people stop, and paths bend;
 //! - **turn**: it turns on the spot at [`QUICK_TURN_DEG_S`] to either side, from now on. A head turns faster than feet walk, and needs no run-up. Geometry around it is
-//!   expected at once, whichever way it looks: heads turn faster still, and it takes next to no bytes where images show what is far;
+//!   expected at once, whichever way it looks: heads turn faster still, and it takes next to no bytes where images show what is far. That goes for the few degrees, too, in which so little is in view that all of it is drawn;
 //! - **off**: from where it stands or turns it walks off, straight ahead of where it looks then.
 //!
 //! In a dataset with rooms there are two things more, both by the way on foot ([`ways`]):
@@ -21,6 +21,7 @@ use ldi_protocol::{
     Pose,
     index::{ChunkKind, Index},
     rooms::Rooms,
+    select::yaws_of_placements,
     wire::Urgency,
 };
 use std::{collections::HashMap, sync::Arc};
@@ -95,6 +96,7 @@ impl Foresight for Forecast {
         let here = motion.pose();
         let mut found: HashMap<u32, Expected> = HashMap::new();
         let mut guesses = guesses(motion, within_s);
+        guesses.extend(turned_to_others(&self.index, &here));
         guesses.retain(|g| g.pose.position.distance(here.position) <= reach_m);
         if let Some(rooms) = &self.index.rooms {
             guesses.retain(|g| ways::leads(&rooms.rooms, here.position, g.pose.position));
@@ -173,6 +175,21 @@ fn guesses(motion: &Motion, within_s: f64) -> Vec<Guess> {
         }
     }
     out
+}
+
+/// Turns of the head to where the grid point names another placement, which may draw cells that no other direction needs: only geometry is looked for.
+fn turned_to_others(index: &Index, here: &Pose) -> impl Iterator<Item = Guess> {
+    yaws_of_placements(index, here).into_iter().map(|yaw_deg| {
+        let by = (yaw_deg - here.yaw_deg + 180.0).rem_euclid(360.0) - 180.0;
+        let probability = TURNS * (-by.abs() / QUICK_TURN_DEG_S / KEEPS_TURNING_S).exp();
+        Guess {
+            pose: Pose { yaw_deg, ..*here },
+            in_s: f64::INFINITY,
+            probability,
+            urgency: Urgency::Around,
+            turned: true,
+        }
+    })
 }
 
 /// Poses in the doors that can be reached, looking into the room beyond.

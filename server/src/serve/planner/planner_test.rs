@@ -4,7 +4,7 @@ use super::*;
 use glam::DVec3;
 use ldi_protocol::{
     Aabb, OutputCamera,
-    index::{BuildSettings, CellEntry, ChunkEntry, ChunkHash, ChunkKind, SceneInfo},
+    index::{AngularRange, BuildSettings, CellEntry, ChunkEntry, ChunkHash, ChunkKind, GridPoint, SceneInfo},
     need::PREFETCH_SHARE,
     room_index::RoomIndex,
     rooms::{Cell, Portal, PortalKind, Rooms},
@@ -380,4 +380,30 @@ fn geometry_goes_at_once_whichever_way_the_walker_may_look() {
     p.pose(at(1, 0, 0.5));
     let sent = drain(&mut p, ms(0));
     assert_eq!(sent, [(0, Urgency::Now), (5, Urgency::Around)]);
+}
+
+/// Views between 100 and 104 degrees need two chunks more.
+struct Slit;
+impl Views for Slit {
+    fn needed(&self, pose: &Pose) -> Needed {
+        let through = (100.0..104.0).contains(&pose.yaw_deg.rem_euclid(360.0));
+        Needed { base: vec![], now: if through { vec![5, 6] } else { vec![0] }, fine: vec![] }
+    }
+}
+
+/// Where little is in view all of it is drawn, in directions too few for steps of a turn to meet: 96 and 108 degrees are seen, and 100 to 104 are not.
+#[test]
+fn geometry_goes_at_once_that_few_directions_draw() {
+    let mut index = index();
+    let of = Arc::make_mut(&mut index);
+    of.chunks[6].kind = ChunkKind::Ldi;
+    of.settings.grid = ldi_protocol::select::CELLS.into();
+    of.pitch_bands_deg = vec![-60.0, 60.0];
+    let range = |yaw_start_deg, placement| AngularRange { yaw_start_deg, placement };
+    let bands = vec![vec![range(100.0, None), range(104.0, Some(0))]];
+    of.points = vec![GridPoint { position: DVec3::ZERO, level: 0, radius: 9.0, bands }];
+    let mut p = Planner::new(index, Arc::new(Slit), PlannerConfig::default());
+    p.capacity(Capacity { bytes_per_s: Some(1e9), ..Capacity::default() });
+    p.pose(at(1, 0, 0.5));
+    assert_eq!(drain(&mut p, ms(0)), [(0, Urgency::Now), (5, Urgency::Around)]);
 }
