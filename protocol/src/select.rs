@@ -15,7 +15,7 @@ pub use portals::ShownPortal;
 use crate::{
     Aabb, Pose,
     camera::Frustum,
-    index::{BuildSettings, CellEntry, Index},
+    index::{AngularRange, BuildSettings, CellEntry, Index},
     room_index::ShowPortals,
     rooms::CellId,
     tree::{CutOptions, Lens, cut},
@@ -26,7 +26,7 @@ use serde::{Deserialize, Serialize};
 /// Samples may lie before their image's plane by this share of its distance: depths are rounded.
 const PLANE_SLACK: f64 = 1e-3;
 
-/// So near is a direction beside another, degrees.
+/// So near is a direction beside another, degrees: less than a picture's pixel, more than rounding.
 const BESIDE_DEG: f64 = 1e-3;
 
 /// An eye this close to a placement's users is one of them, metres: rounding.
@@ -390,22 +390,22 @@ fn tree_chunks(index: &Index, pose: &Pose, (half_tan_x, half_tan_y): (f64, f64))
 
 /// The placement that a grid point names for the direction of a pose.
 pub fn placement_of(index: &Index, grid_point: u32, pose: &Pose) -> Option<u32> {
-    let point = &index.points[grid_point as usize];
-    let band = band_of(&index.pitch_bands_deg, pose.pitch_deg)?;
-    let ranges = point.bands.get(band)?;
+    let ranges = ranges_of(index, grid_point, pose)?;
     let yaw = pose.yaw_deg.rem_euclid(360.0);
     let after = ranges.partition_point(|r| r.yaw_start_deg <= yaw);
     let range = if after == 0 { ranges.last() } else { ranges.get(after - 1) };
     range.and_then(|r| r.placement)
 }
 
-/// Directions on both sides of each at which the grid point of a pose names another placement while the head turns, degrees: between two of them it stays the same.
+/// The angular ranges of a grid point at the pitch of a pose; None outside the built range.
+fn ranges_of<'a>(index: &'a Index, grid_point: u32, pose: &Pose) -> Option<&'a [AngularRange]> {
+    let band = band_of(&index.pitch_bands_deg, pose.pitch_deg)?;
+    index.points[grid_point as usize].bands.get(band).map(Vec::as_slice)
+}
+
+/// Yaws just before and just after each at which the grid point of a pose names another placement, degrees, in pairs: from one pair to the next the placement stays.
 pub fn yaws_of_placements(index: &Index, pose: &Pose) -> Vec<f64> {
-    let of_band = |point: u32| {
-        let band = band_of(&index.pitch_bands_deg, pose.pitch_deg)?;
-        index.points[point as usize].bands.get(band)
-    };
-    let ranges = select(index, pose).grid_point.and_then(of_band).map_or(&[][..], Vec::as_slice);
+    let ranges = select(index, pose).grid_point.and_then(|g| ranges_of(index, g, pose)).unwrap_or_default();
     ranges.iter().flat_map(|r| [r.yaw_start_deg - BESIDE_DEG, r.yaw_start_deg + BESIDE_DEG]).collect()
 }
 
@@ -423,7 +423,7 @@ mod tests {
     use super::*;
     use crate::{
         OutputCamera, ViewBasis,
-        index::{AngularRange, BuildSettings, CellEntry, GridPoint, ImageEntry, Placement, SceneInfo},
+        index::{BuildSettings, CellEntry, GridPoint, ImageEntry, Placement, SceneInfo},
     };
 
     /// Ten cells of 100 triangles along -Z, one per metre from 2 m on; a grid point at the origin and one behind it; a placement that

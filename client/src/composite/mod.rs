@@ -410,6 +410,7 @@ impl<'a> Merge<'a> {
         Self { picture, groups, complete, world: Directions::new(pose, camera, |w| w.to_array()) }
     }
 
+    /// Merges by depth, closes seams and finds sky.
     fn into_frame(self, frame: &mut Frame) -> CompositeStats {
         let reached = by_rows(frame, |number, mut row| self.by_depth(number, &mut row));
         let open: Vec<u64> = reached.iter().map(|r| u64::from(frame.width) - r.iter().sum::<u64>()).collect();

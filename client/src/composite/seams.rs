@@ -12,7 +12,7 @@
 use crate::frame::{Frame, Source};
 use rayon::prelude::*;
 
-/// Disparities on both sides of a seam differ by at most this share of the larger: surfaces may be steep, and beyond two that have nothing to do with each other there may be sky.
+/// Disparities on both sides of a seam differ by at most this share of the larger: surfaces may be steep, and beyond two that have nothing to do with each other there may be sky. By judgement.
 const SAME_SURFACE: f32 = 0.1;
 
 /// A pixel of a seam, by number, and the one beside it whose colour, disparity and source it takes.

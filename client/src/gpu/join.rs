@@ -143,7 +143,7 @@ impl Join {
         }
     }
 
-    /// Merges by depth: near geometry wins within what `steps` say of how well the far surface's disparity is known. Into `open` come the bits of pixels that neither reached, the lowest
+    /// Merges by depth and closes seams: near geometry wins within what `steps` say of how well the far surface's disparity is known. Into `open` come the bits of pixels that nothing reached, the lowest
     /// bit of a word first, row by row.
     pub fn merge(
         &mut self,

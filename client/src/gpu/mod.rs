@@ -264,7 +264,7 @@ impl Gpu {
         self.warp.read(&self.card, into)
     }
 
-    /// Merges what [`Self::draw`] drew and, if something was `warped`, [`Self::warp_images`] warped, both with the same camera, by depth: the first half of [`crate::composite::merge`]. `open` takes a bit per
+    /// Merges what [`Self::draw`] drew and, if something was `warped`, [`Self::warp_images`] warped, both with the same camera, by depth, and closes seams: [`crate::composite::merge`] without the sky. `open` takes a bit per
     /// pixel that neither reached, row by row, the lowest bit of a word first.
     ///
     /// # Errors

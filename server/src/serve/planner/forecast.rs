@@ -87,7 +87,7 @@ struct Guess {
     in_s: f64,
     probability: f64,
     urgency: Urgency,
-    /// By a turn of the head alone.
+    /// By a turn of the head alone: geometry is needed at once, whatever `in_s`.
     turned: bool,
 }
 
@@ -169,26 +169,23 @@ fn guesses(motion: &Motion, within_s: f64) -> Vec<Guess> {
         if in_s > within_s && i % GEOMETRY_STEP != 0 {
             continue;
         }
-        let probability = TURNS * (-in_s / KEEPS_TURNING_S).exp();
-        for pose in [by, -by].map(|by| turned(here, by)) {
-            out.push(Guess { pose, in_s, probability, urgency: Urgency::Around, turned: true });
-        }
+        out.extend([by, -by].map(|by| turn(turned(here, by), in_s, in_s)));
     }
     out
 }
 
-/// Turns of the head to where the grid point names another placement, which may draw cells that no other direction needs: only geometry is looked for.
+/// A turn of the head that takes so long, if there is one; after `in_s` images are needed.
+fn turn(pose: Pose, takes_s: f64, in_s: f64) -> Guess {
+    let probability = TURNS * (-takes_s / KEEPS_TURNING_S).exp();
+    Guess { pose, in_s, probability, urgency: Urgency::Around, turned: true }
+}
+
+/// Turns of the head to where the grid point names another placement, which may draw cells that no other direction needs: only geometry is looked for, as
+/// steps of a turn find the images.
 fn turned_to_others(index: &Index, here: &Pose) -> impl Iterator<Item = Guess> {
     yaws_of_placements(index, here).into_iter().map(|yaw_deg| {
         let by = (yaw_deg - here.yaw_deg + 180.0).rem_euclid(360.0) - 180.0;
-        let probability = TURNS * (-by.abs() / QUICK_TURN_DEG_S / KEEPS_TURNING_S).exp();
-        Guess {
-            pose: Pose { yaw_deg, ..*here },
-            in_s: f64::INFINITY,
-            probability,
-            urgency: Urgency::Around,
-            turned: true,
-        }
+        turn(Pose { yaw_deg, ..*here }, by.abs() / QUICK_TURN_DEG_S, f64::INFINITY)
     })
 }
 
