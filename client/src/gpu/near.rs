@@ -20,7 +20,11 @@ use crate::{
 };
 use bytemuck::{Pod, Zeroable};
 use glam::{DMat3, Vec3};
-use ldi_protocol::{OutputCamera, Pose, index::Index, mesh::Material};
+use ldi_protocol::{
+    OutputCamera, Pose,
+    index::Index,
+    mesh::{Material, Wrap},
+};
 use rayon::prelude::*;
 
 const COLOUR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
@@ -46,7 +50,7 @@ struct Placed {
     rows: [[f32; 4]; 3],
     normal: [[f32; 3]; 3],
     factor: [f32; 4],
-    kind: [f32; 3],
+    kind: [f32; 4],
 }
 
 /// A draw with what it takes.
@@ -54,7 +58,6 @@ struct Item {
     geometry: u32,
     cluster: u32,
     texture: Option<u32>,
-    wrap: [ldi_protocol::mesh::Wrap; 2],
     masked: bool,
 }
 
@@ -83,7 +86,7 @@ pub struct Near {
 const CORNER: [wgpu::VertexAttribute; 4] =
     wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3, 2 => Float32x2, 3 => Float32x3];
 const PLACED: [wgpu::VertexAttribute; 8] = wgpu::vertex_attr_array![
-    4 => Float32x4, 5 => Float32x4, 6 => Float32x4, 7 => Float32x3, 8 => Float32x3, 9 => Float32x3, 10 => Float32x4, 11 => Float32x3
+    4 => Float32x4, 5 => Float32x4, 6 => Float32x4, 7 => Float32x3, 8 => Float32x3, 9 => Float32x3, 10 => Float32x4, 11 => Float32x4
 ];
 
 impl Near {
@@ -104,7 +107,7 @@ impl Near {
         });
         let layout = card.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("near"),
-            bind_group_layouts: &[Some(&view_layout), Some(&textures.layout), Some(&textures.sampler_layout)],
+            bind_group_layouts: &[Some(&view_layout), Some(&textures.layout)],
             immediate_size: 0,
         });
         let module = card.shader("near", include_str!("near.wgsl"));
@@ -257,7 +260,7 @@ impl Near {
         for (masked, pipeline) in [(false, &self.solid), (true, &self.masked)] {
             pass.set_pipeline(pipeline);
             // What is bound already need not be bound again.
-            let (mut geometry, mut texture, mut wrap) = (None, None, None);
+            let (mut geometry, mut texture) = (None, None);
             for (number, item) in (0u32..).zip(items).filter(|(_, i)| i.masked == masked) {
                 let Some(uploaded) = self.geometry.get(&scene.held[item.geometry as usize]) else { continue };
                 let Some(span) = uploaded.spans.get(item.cluster as usize).filter(|s| s.indices > 0) else { continue };
@@ -267,9 +270,6 @@ impl Near {
                 }
                 if texture.replace(item.texture) != Some(item.texture) {
                     pass.set_bind_group(1, self.textures.get(item.texture), &[]);
-                }
-                if wrap.replace(item.wrap) != Some(item.wrap) {
-                    pass.set_bind_group(2, self.textures.sampler(item.wrap), &[]);
                 }
                 let indices = span.first_index..span.first_index + span.indices;
                 pass.draw_indexed(indices, span.first_corner, number..number + 1);
@@ -365,15 +365,19 @@ fn arrange(scene: &Gathered<'_>, pose: &Pose) -> (Vec<Item>, Vec<Placed>) {
             [texture.is_some(), here.is_some()],
             cutoff,
         ));
-        items.push(Item {
-            geometry: draw.geometry,
-            cluster: draw.cluster,
-            texture: here,
-            wrap: material.wrap,
-            masked: cutoff >= 0.0,
-        });
+        items.push(Item { geometry: draw.geometry, cluster: draw.cluster, texture: here, masked: cutoff >= 0.0 });
     }
     (items, placed)
+}
+
+/// How a material continues its texture across and down, as `near.wgsl` reads it.
+fn wrap_code([across, down]: [Wrap; 2]) -> f32 {
+    let code = |wrap| match wrap {
+        Wrap::Repeat => 0u8,
+        Wrap::Mirror => 1,
+        Wrap::Clamp => 2,
+    };
+    f32::from(code(across) + 3 * code(down))
 }
 
 /// A draw's placement and material. Positions are relative to the cluster's origin.
@@ -404,6 +408,6 @@ fn place(
         rows,
         normal: turn.to_cols_array_2d(),
         factor,
-        kind: [f32::from(u8::from(material.unlit)), f32::from(u8::from(here)), cutoff],
+        kind: [f32::from(u8::from(material.unlit)), f32::from(u8::from(here)), cutoff, wrap_code(material.wrap)],
     }
 }

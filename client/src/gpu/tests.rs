@@ -66,6 +66,24 @@ fn disagree(a: &Frame, b: &Frame) -> f64 {
     n as f64 / a.len() as f64
 }
 
+/// Pixels whose disparities differ by more than rounding and places of corners explain; alpha tests and edges may differ in single ones.
+///
+/// Cards round corners to a 256th of a pixel. Some lay the plane of depths through the rounded corners, others, and the processor, through the exact ones: up to a 512th of what
+/// disparity changes by from pixel to pixel, along each axis.
+fn far_off(a: &Frame, b: &Frame) -> usize {
+    let (width, d) = (a.width as usize, &a.disparity);
+    // The smaller of the changes to both sides, where there are both: the other one may lead over an edge.
+    let step = |at: usize, apart: usize| {
+        let changes = [at.checked_sub(apart), Some(at + apart)].map(|o| Some((d[at] - d.get(o?)?).abs()));
+        changes.into_iter().flatten().fold(f32::INFINITY, f32::min)
+    };
+    let differs = |at: &usize| {
+        let allowed = 1e-5 * d[*at].max(b.disparity[*at]) + (step(*at, 1) + step(*at, width)) / 256.0;
+        (d[*at] - b.disparity[*at]).abs() > allowed
+    };
+    (0..a.len()).filter(differs).count()
+}
+
 /// Blobs of colour and alpha on an odd-sized texture, with its mip levels.
 fn texture() -> Texture {
     let (width, height) = (93u32, 70u32);
@@ -176,15 +194,16 @@ fn near_geometry_is_the_processors() {
         let db = psnr_db(&frame.colour, &on_card.colour);
         assert!(db >= ALIKE_DB, "{pose:?}: {db} dB");
         assert!(disagree(&frame, &on_card) < 1e-3, "{}", disagree(&frame, &on_card));
-        // Where both show the same surface; alpha tests and edges may differ in single pixels.
-        let far_off =
-            frame.disparity.iter().zip(&on_card.disparity).filter(|(a, b)| (*a - *b).abs() > 1e-5 * a.max(**b));
-        assert!((far_off.count() as f64) < 1e-3 * frame.len() as f64);
+        let off = far_off(&frame, &on_card);
+        assert!((off as f64) < 1e-3 * frame.len() as f64, "{pose:?}: {off} pixels");
         worst = worst.min(db);
         // The comparison can fail: the same from a third of a pixel beside.
         let beside = Pose { yaw_deg: pose.yaw_deg + 0.07, ..pose };
         let other = drawn(&mut gpu, &index, &memory, &beside).0;
         assert!(psnr_db(&frame.colour, &other.colour) < ALIKE_DB);
+        let nearer = Pose { position: pose.position + DVec3::splat(0.002), ..pose };
+        let off = far_off(&frame, &drawn(&mut gpu, &index, &memory, &nearer).0);
+        assert!(off > near / 2, "{off} of {near}");
     }
     println!("{}: near geometry at least {worst:.1} dB alike", gpu.adapter());
 }

@@ -6,10 +6,7 @@ use super::{
     transfer::{Allowance, Transfer},
 };
 use bytemuck::{Pod, Zeroable};
-use ldi_protocol::{
-    mesh::Wrap,
-    texture::{MipLevel, Texture},
-};
+use ldi_protocol::texture::{MipLevel, Texture};
 use std::{
     collections::HashMap,
     sync::{Arc, Weak},
@@ -52,25 +49,12 @@ pub enum Arrived {
 /// See the module.
 pub struct Textures {
     pub layout: wgpu::BindGroupLayout,
-    pub sampler_layout: wgpu::BindGroupLayout,
     held: HashMap<u32, Uploaded>,
     /// More of them, and what is still to be sent.
     arriving: HashMap<u32, (Uploaded, Transfer)>,
     frame: u64,
     /// For materials without a texture.
     none: wgpu::BindGroup,
-    /// By wrap modes across and down.
-    samplers: [[wgpu::BindGroup; 3]; 3],
-}
-
-const WRAPS: [Wrap; 3] = [Wrap::Repeat, Wrap::Mirror, Wrap::Clamp];
-
-fn mode(wrap: Wrap) -> wgpu::AddressMode {
-    match wrap {
-        Wrap::Repeat => wgpu::AddressMode::Repeat,
-        Wrap::Mirror => wgpu::AddressMode::MirrorRepeat,
-        Wrap::Clamp => wgpu::AddressMode::ClampToEdge,
-    }
 }
 
 impl Textures {
@@ -88,38 +72,15 @@ impl Textures {
         };
         let texels = wgpu::BindingType::Texture {
             multisampled: false,
-            sample_type: wgpu::TextureSampleType::Float { filterable: true },
+            sample_type: wgpu::TextureSampleType::Float { filterable: false },
             view_dimension: wgpu::TextureViewDimension::D2,
         };
         let layout = card.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("texture"),
             entries: &[entry(0, uniform), entry(1, texels)],
         });
-        let sampling = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
-        let sampler_layout = card.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("sampler"),
-            entries: &[entry(0, sampling)],
-        });
-        let samplers = WRAPS.map(|across| {
-            WRAPS.map(|down| {
-                let sampler = card.device.create_sampler(&wgpu::SamplerDescriptor {
-                    label: Some("texels"),
-                    address_mode_u: mode(across),
-                    address_mode_v: mode(down),
-                    mag_filter: wgpu::FilterMode::Linear,
-                    min_filter: wgpu::FilterMode::Linear,
-                    mipmap_filter: wgpu::MipmapFilterMode::Linear,
-                    ..Default::default()
-                });
-                card.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                    label: Some("sampler"),
-                    layout: &sampler_layout,
-                    entries: &[wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::Sampler(&sampler) }],
-                })
-            })
-        });
         let none = group(card, &layout, &white(card), ImageInfo { size: [1.0; 2], first_level: 0.0, unused: 0.0 });
-        Self { layout, sampler_layout, held: HashMap::new(), arriving: HashMap::new(), frame: 0, none, samplers }
+        Self { layout, held: HashMap::new(), arriving: HashMap::new(), frame: 0, none }
     }
 
     /// A frame begins.
@@ -167,12 +128,6 @@ impl Textures {
     /// The texture of a material.
     pub fn get(&self, number: Option<u32>) -> &wgpu::BindGroup {
         number.and_then(|n| self.held.get(&n)).map_or(&self.none, |u| &u.group)
-    }
-
-    /// How a material continues its texture.
-    pub fn sampler(&self, wrap: [Wrap; 2]) -> &wgpu::BindGroup {
-        let [across, down] = wrap.map(|w| WRAPS.iter().position(|k| *k == w).unwrap_or(0));
-        &self.samplers[across][down]
     }
 
     /// Bytes on the card, those on their way included.
