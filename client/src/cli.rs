@@ -355,8 +355,9 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
             _ => {}
         }
     }
-    let mut config =
-        ConnectConfig::new(&args.server, Picture { width: args.size.0, height: args.size.1, fov_deg: None });
+    // As large as it is drawn: that decides which levels of textures show.
+    let [width, height] = [args.size.0, args.size.1].map(|n| n.saturating_mul(args.supersample));
+    let mut config = ConnectConfig::new(&args.server, Picture { width, height, fov_deg: None });
     config.fingerprint = args.fingerprint.as_deref().map(str::parse::<Fingerprint>).transpose()?;
     config.token = token;
     config.prefetch_m = prefetch_m(args);

@@ -4,7 +4,7 @@ use crate::resident::Resident;
 use glam::{DAffine3, DVec3, Vec2, Vec3};
 use ldi_protocol::{
     Aabb, OutputCamera,
-    index::{BuildSettings, CellEntry, ChunkEntry, ChunkHash, ChunkKind, Index, SceneInfo},
+    index::{BuildSettings, CellEntry, ChunkEntry, ChunkHash, ChunkKind, EVERY_LEVEL, Index, SceneInfo},
     ldi::Ldi,
     mesh::{Alpha, CellGeometry, Cluster, ClusterInstance, ClusterRef, Material, Wrap},
     texture::Texture,
@@ -97,6 +97,7 @@ pub fn dataset(camera: OutputCamera, materials: Vec<Material>, clusters: Vec<Clu
             chunk: i as u32,
             bundles: Vec::new(),
             materials: vec![cluster.material],
+            texel_density: vec![EVERY_LEVEL],
         });
         chunks.push(ChunkEntry {
             hash: ChunkHash([i as u8; 32]),

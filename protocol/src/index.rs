@@ -112,7 +112,13 @@ pub struct CellEntry {
     pub bundles: Vec<u32>,
     /// The materials it uses, ascending.
     pub materials: Vec<u32>,
+    /// For each of them, how many texels of its texture lie along a metre of what the cell draws with it, where they are fewest: four times the binary logarithm, rounded
+    /// down, of the root mean square over directions. [`EVERY_LEVEL`] where all levels of the texture count at any distance.
+    pub texel_density: Vec<i8>,
 }
+
+/// See [`CellEntry::texel_density`]: of alpha masks, whose finest level decides at any distance, and of coordinates that do not move.
+pub const EVERY_LEVEL: i8 = i8::MIN;
 
 /// One entry of a grid point's list for a pitch band: from `yaw_start_deg` on (to the next entry's start, the last
 /// one to the first's, around the circle), use `placement`, or draw everything when it is None.

@@ -6,13 +6,16 @@
 //! [`needed`]: the chunks of one view, in two classes. `now` leaves no gap: the first layers of the LDIs in view (they
 //! fill the most pixels per byte, so they go first), then the drawn cells, near to far, each with the bundles it
 //! refers to and the coarse levels of its textures. `fine` only sharpens: deeper layers, then finer texture levels in the
-//! same near-to-far order.
+//! same near-to-far order, those alone that can show from where the view looks ([`Sight`]).
 //!
 //! [`near_to_far`]: everything within a radius of the eye, whatever the direction (Aliaga and Lastra 1999, section 6: "all images
 //! within a radius are loaded near to far"; here cells as well as images), until the cache is full. A chunk that only sharpens
 //! counts as farther ([`FINE_FACTOR`], [`FINE_OFFSET_M`]), so that coarse data reaches farther than fine data.
 
-use crate::index::Index;
+use crate::{
+    OutputCamera, Pose,
+    index::{CellEntry, EVERY_LEVEL, Index, TextureEntry},
+};
 use glam::DVec3;
 
 /// A fine chunk at distance d is loaded together with the coarse ones at `FINE_FACTOR * d + FINE_OFFSET_M`. Larger: a
@@ -65,8 +68,45 @@ impl OrderedSet {
     }
 }
 
-/// What a view needs that draws `drawn_cells` (near to far), warps `images` and refines the LDI tree by the chunks `tree`.
-pub fn needed(index: &Index, images: &[u32], drawn_cells: &[u32], tree: &[u32]) -> Needed {
+/// From where and how finely a view looks: which levels of a texture it can show.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sight {
+    eye: DVec3,
+    /// Unit vector into the scene.
+    forward: DVec3,
+    /// Cosine of the angle between it and the picture's corners.
+    cos_corner: f64,
+    /// Binary logarithm of the focal length, pixels, over that cosine.
+    focal_log2: f64,
+}
+
+impl Sight {
+    /// Of a picture with `supersample` samples per pixel along each side.
+    pub fn new(pose: &Pose, camera: &OutputCamera, supersample: u32) -> Self {
+        let cos_corner = (1.0 + camera.half_tan_x().powi(2) + camera.half_tan_y().powi(2)).sqrt().recip();
+        let focal_px = camera.focal_px() * f64::from(supersample.max(1));
+        let forward = pose.basis().forward;
+        Self { eye: pose.position, forward, cos_corner, focal_log2: (focal_px / cos_corner).log2() }
+    }
+
+    /// The finest level that any pixel shows of a texture with this density in this cell.
+    ///
+    /// From one pixel to the next the eye's ray moves by `depth / focal` times the cosine of its angle off the axis on a surface, at least, whichever way that is turned. The longer of both pixels' steps
+    /// over the texture, which decides the level ([`crate::texture::lod_of`]), is as long as their root mean square at least.
+    fn finest_level(&self, cell: &CellEntry, density: i8) -> u8 {
+        let (centre, half) = (cell.bounds.centre(), cell.bounds.size() * 0.5);
+        let nearest = self.forward.dot(centre - self.eye) - self.forward.abs().dot(half);
+        let depth = nearest.max(cell.bounds.distance(self.eye) * self.cos_corner);
+        if density == EVERY_LEVEL || depth <= 0.0 {
+            return 0;
+        }
+        // Saturating: below 0 it is the finest.
+        (f64::from(density) / 4.0 + depth.log2() - self.focal_log2).floor() as u8
+    }
+}
+
+/// What a view needs that draws `drawn_cells` (near to far), warps `images` and refines the LDI tree by the chunks `tree`, seen from `sight`.
+pub fn needed(index: &Index, images: &[u32], drawn_cells: &[u32], tree: &[u32], sight: &Sight) -> Needed {
     let mut set = OrderedSet::new(index.chunks.len());
     index.tree.iter().flat_map(|t| t.pinned_chunks()).for_each(|c| set.insert(c));
     let base = set.take();
@@ -76,25 +116,36 @@ pub fn needed(index: &Index, images: &[u32], drawn_cells: &[u32], tree: &[u32]) 
     for cell in cells() {
         set.insert(cell.chunk);
         cell.bundles.iter().for_each(|b| set.insert(*b));
-        texture_chunks(index, &cell.materials, 0).for_each(|t| set.insert(t));
+        coarse_levels(index, cell).for_each(|t| set.insert(t));
     }
     let now = set.take();
     tree.iter().for_each(|c| set.insert(*c));
     layers().for_each(|c| c.iter().skip(1).for_each(|c| set.insert(*c)));
     for cell in cells() {
-        texture_chunks(index, &cell.materials, 1).for_each(|t| set.insert(t));
+        finer_levels(index, cell, Some(sight)).for_each(|t| set.insert(t));
     }
     Needed { base, now, fine: set.take() }
 }
 
-/// Chunks of the materials' textures: the coarsest range of levels (`skip` 0) or all finer ones (`skip` 1).
-fn texture_chunks<'a>(index: &'a Index, materials: &'a [u32], skip: usize) -> impl Iterator<Item = u32> + 'a {
-    materials
-        .iter()
-        .filter_map(|m| index.materials.get(*m as usize)?.texture)
-        .filter_map(|t| index.textures.get(t as usize))
-        .flat_map(move |t| t.chunks.iter().skip(skip).take(if skip == 0 { 1 } else { usize::MAX }))
-        .map(|c| c.chunk)
+/// The textures of a cell's materials, and their densities in it.
+fn textures<'a>(index: &'a Index, cell: &'a CellEntry) -> impl Iterator<Item = (&'a TextureEntry, i8)> {
+    cell.materials.iter().enumerate().filter_map(|(n, m)| {
+        let texture = index.textures.get(index.materials.get(*m as usize)?.texture? as usize)?;
+        Some((texture, cell.texel_density.get(n).copied().unwrap_or(EVERY_LEVEL)))
+    })
+}
+
+/// The coarsest levels of a cell's textures.
+fn coarse_levels<'a>(index: &'a Index, cell: &'a CellEntry) -> impl Iterator<Item = u32> {
+    textures(index, cell).filter_map(|(t, _)| t.chunks.first()).map(|c| c.chunk)
+}
+
+/// All finer ones, or those that can be seen.
+fn finer_levels<'a>(index: &'a Index, cell: &'a CellEntry, sight: Option<&'a Sight>) -> impl Iterator<Item = u32> {
+    textures(index, cell).flat_map(move |(t, density)| {
+        let finest = sight.map_or(0, |s| s.finest_level(cell, density));
+        t.chunks.iter().skip(1).filter(move |c| c.last_level >= finest).map(|c| c.chunk)
+    })
 }
 
 /// How far [`near_to_far`] goes.
@@ -149,9 +200,9 @@ pub fn near_to_far(index: &Index, eye: DVec3, reach: Reach) -> Vec<u32> {
                 let cell = &index.cells[number];
                 set.insert(cell.chunk);
                 cell.bundles.iter().for_each(|b| set.insert(*b));
-                texture_chunks(index, &cell.materials, 0).for_each(|t| set.insert(t));
+                coarse_levels(index, cell).for_each(|t| set.insert(t));
             }
-            _ => texture_chunks(index, &index.cells[number].materials, 1).for_each(|t| set.insert(t)),
+            _ => finer_levels(index, &index.cells[number], None).for_each(|t| set.insert(t)),
         }
         while let Some(chunk) = set.order.get(counted) {
             bytes += u64::from(index.chunks[*chunk as usize].decoded_bytes);

@@ -80,6 +80,7 @@ fn row_of_cells() -> Index {
                 chunk: i as u32,
                 bundles: if i >= 2 { vec![4] } else { vec![] },
                 materials: vec![(i % 2) as u32],
+                texel_density: vec![EVERY_LEVEL],
             })
             .collect(),
         materials: (0..2)
@@ -112,18 +113,40 @@ fn row_of_cells() -> Index {
 
 #[test]
 fn a_view_takes_the_first_layer_then_cells_near_to_far_then_what_sharpens() {
-    let n = needed(&row_of_cells(), &[0], &[0, 1, 2, 3], &[]);
+    let n = needed(&row_of_cells(), &[0], &[0, 1, 2, 3], &[], &anywhere());
     assert_eq!(n.now, [7, 0, 1, 5, 2, 4, 3]);
     assert_eq!(n.fine, [8, 6]);
     // The order of the cells is the caller's, and what nobody refers to stays away.
-    let n = needed(&row_of_cells(), &[], &[2, 0], &[]);
+    let n = needed(&row_of_cells(), &[], &[2, 0], &[], &anywhere());
     assert_eq!(n.now, [2, 4, 0]);
     assert!(n.fine.is_empty());
 }
 
+/// The cell's near face is 10 m ahead, a pixel there 0.18 m wide.
+#[test]
+fn levels_finer_than_a_pixel_shows_are_left_out() {
+    let mut index = row_of_cells();
+    let along_x = Pose { position: DVec3::new(0.0, 0.5, 0.5), yaw_deg: -90.0, pitch_deg: 0.0 };
+    let camera = OutputCamera { width: 64, height: 48, fov_deg: 60.0 };
+    let fine = |index: &Index, pose: &Pose, supersample| {
+        needed(index, &[], &[1], &[], &Sight::new(pose, &camera, supersample)).fine
+    };
+    // Level 0 is the last to be needed where a pixel is less than two texels wide; steps from pixel to pixel may be 0.81 times as long at the corners.
+    let (few, many) = (0.9 * 2.0 / 0.18, 1.1 * 2.0 / (0.18 * 0.81));
+    for (texels_per_m, expected) in [(few, &[6u32][..]), (many, &[])] {
+        index.cells[1].texel_density = vec![(4.0 * f64::log2(texels_per_m)).round() as i8];
+        assert_eq!(fine(&index, &along_x, 1), expected, "{texels_per_m} texels per metre");
+        let inside = Pose { position: DVec3::new(10.5, 0.5, 0.5), ..along_x };
+        assert_eq!(fine(&index, &inside, 1), [6], "what is at hand shows all");
+    }
+    assert_eq!(fine(&index, &along_x, 2), [6], "with four samples per pixel");
+    index.cells[1].texel_density = vec![EVERY_LEVEL];
+    assert_eq!(fine(&index, &along_x, 1), [6]);
+}
+
 #[test]
 fn numbers_beyond_the_index_are_left_out() {
-    let n = needed(&row_of_cells(), &[99], &[77, 1], &[]);
+    let n = needed(&row_of_cells(), &[99], &[77, 1], &[], &anywhere());
     assert_eq!(n.now, [1, 5]);
     assert_eq!(n.fine, [6]);
 }
@@ -137,6 +160,14 @@ fn around_the_eye_near_comes_before_far_and_coarse_before_fine() {
     assert_eq!(list, [0, 7, 8, 1, 5, 6, 2, 4, 9, 3]);
     let near = near_to_far(&index, DVec3::new(0.5, 0.5, 0.5), Reach { radius_m: 5.0, ..everything });
     assert_eq!(near, [0, 7]);
+}
+
+fn anywhere() -> Sight {
+    Sight::new(
+        &Pose { position: DVec3::ZERO, yaw_deg: 0.0, pitch_deg: 0.0 },
+        &OutputCamera { width: 64, height: 48, fov_deg: 60.0 },
+        1,
+    )
 }
 
 proptest! {

@@ -280,9 +280,17 @@ fn cells_in_view(
     DrawList { selection, cells, images, triangles, dropped: 0, tree, rooms, portals }
 }
 
-/// Cells that a pose draws where all else comes from the LDI tree, near to far.
-pub fn cells_before_tree(index: &Index, groups: &CellGroups, pose: &Pose, picture_half_tan: (f64, f64)) -> Vec<u32> {
-    grid_list(index, groups, Selection { grid_point: None, placement: None }, pose, picture_half_tan).cells
+/// Cells that a pose draws where all else comes from the LDI tree, near to far, were the budget `share` times as large.
+pub fn cells_before_tree(
+    index: &Index,
+    groups: &CellGroups,
+    pose: &Pose,
+    picture_half_tan: (f64, f64),
+    share: f64,
+) -> Vec<u32> {
+    let nothing = Selection { grid_point: None, placement: None };
+    let budget = (index.settings.budget as f64 * share) as u64;
+    within(index, budget, cells_in_view(index, groups, nothing, pose, picture_half_tan)).cells
 }
 
 /// Of some cells and images, those that a pose draws, in no order. As [`draw_list_of`] finds them in a dataset with grid points, or where all that is far is geometry, but for
@@ -327,8 +335,13 @@ fn near_to_far(mut cells: Vec<(f64, u32)>) -> Vec<u32> {
 }
 
 /// The list without the farthest cells that exceed the budget.
-fn within_budget(index: &Index, mut list: DrawList) -> DrawList {
-    while list.triangles > index.settings.budget {
+fn within_budget(index: &Index, list: DrawList) -> DrawList {
+    within(index, index.settings.budget, list)
+}
+
+/// The same for any budget.
+fn within(index: &Index, budget: u64, mut list: DrawList) -> DrawList {
+    while list.triangles > budget {
         let Some(cell) = list.cells.pop() else { break };
         list.triangles -= u64::from(index.cells[cell as usize].triangles);
         list.dropped += 1;
@@ -438,6 +451,7 @@ mod tests {
             chunk: 0,
             bundles: vec![],
             materials: vec![],
+            texel_density: vec![],
         };
         let point = |z: f64, placement| GridPoint {
             position: DVec3::new(0.0, 0.0, z),
@@ -606,6 +620,15 @@ mod tests {
         assert_eq!(of(250), Nearest { cells: vec![0, 1], triangles: 200, dropped: 8 });
         assert_eq!(of(1000), Nearest { cells: (0..10).collect(), triangles: 1000, dropped: 0 });
         assert_eq!(of(99), Nearest { cells: vec![], triangles: 0, dropped: 10 });
+    }
+
+    #[test]
+    fn a_larger_share_of_the_budget_goes_on_farther() {
+        let index = index("paper", 250);
+        let of =
+            |share| cells_before_tree(&index, &CellGroups::of(&index.cells), &pose(-0.5, 0.0), (0.577, 0.32), share);
+        assert_eq!(of(1.0), draw_list(&index, &pose(-0.5, 0.0), (0.577, 0.32)).cells);
+        assert_eq!([1.0, 1.3].map(of), [vec![0, 1], vec![0, 1, 2]]);
     }
 
     #[test]

@@ -4,7 +4,7 @@ use ldi_client::{
     engine::{Method, Truth, view_of},
     report::StageMs,
 };
-use ldi_protocol::{OutputCamera, Pose, path, select::draw_list};
+use ldi_protocol::{OutputCamera, Pose, need::Sight, path, select::draw_list};
 use ldi_server::{
     octree::{Clusters, Octree},
     render::{Caster, CellSet, Ray},
@@ -229,7 +229,7 @@ fn server_and_client_agree_on_what_a_method_needs() {
             .map(|p| {
                 let view = view_of(index, &p.pose, &camera, method, &mut StageMs::default());
                 let needed = views.needed(&p.pose);
-                assert_eq!(needed, view.needed(index), "{method:?} at {:?}", p.pose);
+                assert_eq!(needed, view.needed(index, &Sight::new(&p.pose, &camera, 1)), "{method:?} at {:?}", p.pose);
                 needed
             })
             .collect();

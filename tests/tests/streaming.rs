@@ -20,7 +20,7 @@ use ldi_protocol::{
     Pose,
     codec::ColourProfile,
     index::{BuildSettings, ChunkHash, ChunkKind},
-    need::Needed,
+    need::{Needed, Sight},
     select::{CELLS, CellGroups, FarBy, Show, select},
     wire::{RefusalCode, Request},
 };
@@ -155,15 +155,21 @@ fn what_is_lacking_is_what_is_needed_and_absent() {
             (all_cells, near_cells) = (all_cells + all.len(), near_cells + near.len());
             let needed = shown.needed(pose);
             let view = view_of(&index, pose, &camera, method, &mut StageMs::default());
-            assert_eq!(needed, view.needed(&index), "{method:?} at {pose:?}");
+            assert_eq!(needed, view.needed(&index, &Sight::new(pose, &camera, 1)), "{method:?} at {pose:?}");
             let Needed { base, now, fine } = needed;
             let sorted = |mut list: Vec<u32>| {
                 list.sort_unstable();
                 list
             };
             let expected = sorted(now.into_iter().chain(fine).filter(|c| absent(*c)).collect());
-            // The base layer is on its way before anything else, named or not; and of the tree it may name a chunk without samples in view.
-            let surplus = |c: &u32| index.chunks[*c as usize].kind == ChunkKind::Tree && !expected.contains(c);
+            // The base layer is on its way before anything else, named or not; of the tree it may name a chunk without samples in view, and before it cells in view beyond the budget.
+            let beyond = |c: &u32| match index.chunks[*c as usize].kind {
+                ChunkKind::Tree => true,
+                ChunkKind::Cell => method == Method::Tree && all.contains(c),
+                ChunkKind::Bundle | ChunkKind::Texture => method == Method::Tree,
+                _ => false,
+            };
+            let surplus = |c: &u32| beyond(c) && !expected.contains(c);
             let lacking = lacking.into_iter().filter(|c| !base.contains(c) && !surplus(c)).collect();
             assert_eq!(sorted(lacking), expected, "{method:?}, round {round}, {pose:?}");
             for chunk in expected {

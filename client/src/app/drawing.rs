@@ -25,7 +25,7 @@ use crate::{
     warp::{Order, Stamp},
 };
 use glam::DVec3;
-use ldi_protocol::{OutputCamera, Pose, camera::apart_deg, path::Walk, volume::WalkVolume};
+use ldi_protocol::{OutputCamera, Pose, camera::apart_deg, need::Sight, path::Walk, volume::WalkVolume};
 use std::{
     sync::{Arc, Condvar, Mutex, PoisonError},
     time::{Duration, Instant},
@@ -346,7 +346,7 @@ impl Draughtsman {
         let options = WalkOptions { width, height, ..options };
         let mut ms = StageMs::default();
         let view = view_of(index, pose, &camera, Method::Auto, &mut ms);
-        let needed = view.needed(index);
+        let needed = view.needed(index, &Sight::new(pose, &camera, options.supersample));
         self.link.look(pose, &needed);
         if options.beside {
             let ahead = self.ahead(scene, pose, &camera, &view);

@@ -61,6 +61,7 @@ pub fn street(cells: u32, side: u32) -> Street {
             chunk,
             bundles: if i % 2 == 1 { vec![BUNDLE] } else { vec![] },
             materials: vec![0],
+            texel_density: vec![0],
         });
     }
     let bounds = entries.iter().fold(Aabb::EMPTY, |b, c: &CellEntry| b.union(c.bounds));

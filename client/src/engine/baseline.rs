@@ -15,7 +15,7 @@ use crate::{
     report::{FrameReport, StageMs},
 };
 use glam::DVec3;
-use ldi_protocol::{OutputCamera, Pose};
+use ldi_protocol::{OutputCamera, Pose, need::Sight};
 use std::{collections::BTreeSet, time::Duration};
 
 /// All-geometry frames of some of the walk's poses.
@@ -62,7 +62,7 @@ pub(super) fn measure(
             Pose { position: DVec3::from_array(frame.position), yaw_deg: frame.yaw_deg, pitch_deg: frame.pitch_deg };
         let mut ms = StageMs::default();
         let view = view_of(feed.index(), &pose, camera, Method::Geometry, &mut ms);
-        let view_needs = view.needed(feed.index());
+        let view_needs = view.needed(feed.index(), &Sight::new(&pose, camera, options.supersample));
         let needed: Vec<u32> = view_needs.all().collect();
         chunks.extend(needed.iter().copied());
         feed.look(&pose, &view_needs);

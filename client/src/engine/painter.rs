@@ -28,7 +28,7 @@ use ldi_protocol::{
     OutputCamera, Pose,
     index::{ImageEntry, Index},
     ldi::Ldi,
-    need::{Needed, needed},
+    need::{Needed, Sight, needed},
     portal_view::Cone,
     room_index::PortalImages,
     rooms::{CellId, Portal},
@@ -213,9 +213,9 @@ fn cells_in_frustum(index: &Index, pose: &Pose, half_tan: (f64, f64)) -> Vec<u32
 }
 
 impl View {
-    /// The chunks that complete the view.
-    pub fn needed(&self, index: &Index) -> Needed {
-        needed(index, &self.images, &self.cells, &self.tree)
+    /// The chunks that complete the view, seen from its pose.
+    pub fn needed(&self, index: &Index, sight: &Sight) -> Needed {
+        needed(index, &self.images, &self.cells, &self.tree, sight)
     }
 
     /// The portal that an image is painted onto.
@@ -342,10 +342,16 @@ impl Painter {
             chunks.map(|c| c.chunk).collect::<Vec<_>>()
         };
         painted.missing_chunks.extend(absent_levels(&near.missing_textures, 0));
-        // Which of the finer levels is absent only the cache knows; the finest certainly is.
-        painted.missing_chunks.extend(
-            near.coarse_textures.iter().filter_map(|t| Some(index.textures.get(*t as usize)?.chunks.last()?.chunk)),
-        );
+        if !near.coarse_textures.is_empty() {
+            let seen = view.needed(index, &Sight::new(pose, camera, options.supersample)).fine;
+            let entries = near.coarse_textures.iter().filter_map(|t| Some((*t, index.textures.get(*t as usize)?)));
+            for (number, entry) in entries {
+                let levels = resident.texture(number).map(|t| t.levels.iter().position(Option::is_some));
+                let finest = levels.flatten().unwrap_or(usize::MAX);
+                let absent = entry.chunks.iter().filter(|c| usize::from(c.last_level) < finest).map(|c| c.chunk);
+                painted.missing_chunks.extend(absent.filter(|c| seen.contains(c)));
+            }
+        }
 
         let mut images: Vec<(u32, &ImageEntry, Option<Arc<Ldi>>)> =
             view.images.iter().filter_map(|i| Some((*i, index.images.get(*i as usize)?, resident.ldi(*i)))).collect();

@@ -19,7 +19,7 @@ use crate::{
     report::{FrameReport, StageMs, Summary, WalkTotals},
     warp::WarpStats,
 };
-use ldi_protocol::{OutputCamera, index::Index, path::Walk, room_index::PortalImages};
+use ldi_protocol::{OutputCamera, index::Index, need::Sight, path::Walk, room_index::PortalImages};
 use std::{
     path::{Path, PathBuf},
     sync::{
@@ -286,7 +286,8 @@ impl Walker<'_> {
         let index = self.feed.index();
         if let (Some(tree), Some(first)) = (&index.tree, self.job.path.poses.first()) {
             let view = view_of(index, &first.pose, &self.camera, self.job.options.method, &mut StageMs::default());
-            self.feed.look(&first.pose, &view.needed(index));
+            let sight = Sight::new(&first.pose, &self.camera, self.job.options.supersample);
+            self.feed.look(&first.pose, &view.needed(index, &sight));
             if let Err(e) = self.feed.wait_for(&[tree.root_chunk], PATIENCE) {
                 tracing::warn!("the first picture: {e}");
             }
@@ -295,7 +296,8 @@ impl Walker<'_> {
 
     /// Asks for what a view needs, and for `--pace wait` waits for it.
     fn ask(&mut self, index: &Index, view: &View, at: usize) -> Result<(), WalkError> {
-        let view_needs = view.needed(index);
+        let sight = Sight::new(&self.job.path.poses[at].pose, &self.camera, self.job.options.supersample);
+        let view_needs = view.needed(index, &sight);
         let needed: Vec<u32> = view_needs.all().collect();
         for chunk in &needed {
             let absent = !self.feed.holds(*chunk);

@@ -4,7 +4,9 @@ use super::*;
 use crate::test_support::{Memory, dataset, loose_cluster, plain_material, quad_cluster};
 use glam::{DAffine3, DVec3, Vec3};
 use ldi_protocol::{
+    index::{TextureChunk, TextureEntry},
     mesh::{Alpha, CellGeometry, ClusterInstance, ClusterRef, Material},
+    need,
     texture::{MipLevel, Texture},
 };
 use proptest::prelude::*;
@@ -232,6 +234,49 @@ fn texture_coordinates_are_perspective_correct() {
         seen += 1;
     }
     assert!(seen > 8000, "{seen}");
+}
+
+/// Pictures are the same without the levels that a view does not need, and seldom without one more.
+#[test]
+fn levels_that_no_pixel_shows_make_no_difference() {
+    const SIDE: u32 = 512;
+    let material = Material { texture: Some(0), ..plain_material() };
+    let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
+    let (mut index, mut memory) =
+        dataset(CAMERA, vec![material], vec![quad_cluster(0, corners.map(|[x, y]| Vec3::new(x, y, 0.0)))]);
+    index.cells[0].texel_density = vec![(4.0 * f64::from(SIDE / 2).log2()) as i8];
+    let code = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
+    let rgba = (0..SIDE * SIDE).map(|i| [code(i), code(i + 7), code(i + 77), 255]).collect();
+    let whole = Texture::from_base(MipLevel { width: SIDE, height: SIDE, rgba }, false);
+    // A chunk of its own for each level, the coarsest first.
+    let (first, levels) = (index.chunks.len() as u32, whole.levels.len() as u32);
+    let chunks =
+        (0..levels).rev().map(|l| TextureChunk { chunk: first + l, first_level: l as u8, last_level: l as u8 });
+    index.textures.push(TextureEntry { width: SIDE, height: SIDE, chunks: chunks.collect() });
+    index.chunks.extend((0..levels).map(|_| index.chunks[0]).collect::<Vec<_>>());
+    let mut with = |texture: Texture, pose: &Pose| {
+        memory.textures.insert(0, Arc::new(texture));
+        draw(&index, &memory, &CAMERA, pose).0.colour
+    };
+    let (mut spared, mut differ, mut tried) = (0, 0, 0);
+    for i in 0..400u32 {
+        let random = |n: u32| f64::from((4 * i + n + 1).wrapping_mul(2_654_435_761)) / f64::from(u32::MAX);
+        let away = 0.3 + 10.0 * random(0);
+        let position = DVec3::new(away * (random(1) - 0.5), away * (random(2) - 0.5), away);
+        let pose = Pose { position, yaw_deg: 50.0 * (random(3) - 0.5), pitch_deg: 30.0 * (random(1) - 0.5) };
+        let needed = need::needed(&index, &[], &[0], &[], &need::Sight::new(&pose, &CAMERA, 1));
+        let finest = (needed.now.iter().chain(&needed.fine)).filter(|c| **c >= first).map(|c| c - first).min();
+        let finest = finest.expect("the coarsest level") as usize;
+        let all = with(whole.clone(), &pose);
+        let mut fewer = whole.clone();
+        fewer.levels[..finest].fill(None);
+        assert!(all == with(fewer.clone(), &pose), "without {finest} levels from {pose:?}");
+        fewer.levels[finest] = None;
+        spared += finest;
+        differ += usize::from(all != with(fewer, &pose));
+        tried += usize::from(all.iter().any(|c| *c != crate::frame::SKY));
+    }
+    assert!(tried > 200 && spared > 600 && differ > tried / 3, "{tried} {spared} {differ}");
 }
 
 #[test]

@@ -64,6 +64,7 @@ fn index(n: usize) -> Index {
                 chunk: 2 + i as u32,
                 bundles: if i % 2 == 0 { vec![0] } else { vec![] },
                 materials: vec![0, 1],
+                texel_density: vec![-3, 40],
             })
             .collect(),
         materials: vec![

@@ -283,6 +283,7 @@ fn put_cells(w: &mut Writer, cells: &[CellEntry]) -> Result<(), CodecError> {
         put_varint(&mut numbers, c.chunk.into());
         put_ascending(&mut numbers, &c.bundles);
         put_ascending(&mut numbers, &c.materials);
+        c.texel_density.iter().for_each(|d| put_varint(&mut numbers, d.cast_unsigned().into()));
     }
     w.section("cells", &numbers)
 }
@@ -297,13 +298,17 @@ fn take_cells(r: &mut Reader<'_>, n: usize, budget: &mut usize) -> Result<Vec<Ce
     let mut cells = Vec::with_capacity(n);
     for i in 0..n {
         let corner = |k| DVec3::new(bound(k, i), bound(k + 1, i), bound(k + 2, i));
-        cells.push(CellEntry {
-            bounds: Aabb { min: corner(0), max: corner(3) },
-            triangles: numbers.next("cell triangles")?,
-            chunk: numbers.next("cell chunk")?,
-            bundles: take_ascending(&mut numbers, "cell bundles", budget)?,
-            materials: take_ascending(&mut numbers, "cell materials", budget)?,
-        });
+        let (triangles, chunk) = (numbers.next("cell triangles")?, numbers.next("cell chunk")?);
+        let bundles = take_ascending(&mut numbers, "cell bundles", budget)?;
+        let materials = take_ascending(&mut numbers, "cell materials", budget)?;
+        let mut density = |_: &u32| {
+            let code = numbers.next("texel density")?;
+            let code = u8::try_from(code).map_err(|_| CodecError::range("texel density", code, "0 to 255"))?;
+            Ok(code.cast_signed())
+        };
+        let texel_density = materials.iter().map(&mut density).collect::<Result<_, CodecError>>()?;
+        let bounds = Aabb { min: corner(0), max: corner(3) };
+        cells.push(CellEntry { bounds, triangles, chunk, bundles, materials, texel_density });
     }
     numbers.finish("cells")?;
     Ok(cells)

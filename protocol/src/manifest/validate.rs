@@ -35,6 +35,9 @@ pub fn validate(index: &Index) -> Result<(), CodecError> {
         is(c.chunk, ChunkKind::Cell)?;
         ascending("bundles", &c.bundles, index.chunks.len())?;
         c.bundles.iter().try_for_each(|&b| is(b, ChunkKind::Bundle))?;
+        if c.texel_density.len() != c.materials.len() {
+            return Err("texel densities: there must be one per material".into());
+        }
         ascending("materials", &c.materials, index.materials.len())
     })?;
     let bands = &index.pitch_bands_deg;

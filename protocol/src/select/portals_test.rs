@@ -26,6 +26,7 @@ fn index(budget: u64, served: &[usize]) -> Index {
             chunk: 0,
             bundles: vec![],
             materials: vec![],
+            texel_density: vec![],
         }
     };
     let room = |k: usize| Cell {

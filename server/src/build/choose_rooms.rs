@@ -16,7 +16,7 @@ use ldi_protocol::{
     Pose,
     index::{BuildSettings, CellEntry, ChunkEntry, Index, TextureEntry},
     ldi::LdiCamera,
-    need::needed,
+    need::{Sight, needed},
     room_index::{PortalImages, RoomIndex},
     rooms::Rooms,
     select::{CellGroups, Show, draw_list_of},
@@ -63,7 +63,7 @@ impl Walks {
                 let room = rooms.and_then(|r| r.cell_at(pose.position)).map_or(outside, |c| c as usize);
                 let list = draw_list_of(index, &groups, pose, half_tan, Show::default());
                 let here = needs.entry(room).or_default();
-                here.chunks.extend(needed(index, &[], &list.cells, &[]).all());
+                here.chunks.extend(needed(index, &[], &list.cells, &[], &Sight::new(pose, camera, 1)).all());
                 here.images.extend(list.images);
             }
             needs

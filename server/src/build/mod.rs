@@ -294,6 +294,7 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
                 chunk: 0,
                 bundles: Vec::new(),
                 materials: Vec::new(),
+                texel_density: Vec::new(),
             };
             let cells = octree.cells.iter().map(entry).collect();
             let (parts, nothing) = ((cells, Vec::new()), (Vec::new(), Vec::new(), None));

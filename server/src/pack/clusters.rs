@@ -1,6 +1,6 @@
 //! Clusters of the scene as clusters of the wire, shared or not, and the cells that place them.
 
-use super::{Chunk, PackError};
+use super::{Chunk, PackError, density};
 use crate::octree::{Clusters, Octree, SourceCluster};
 use crate::scene::Scene;
 use glam::DVec3;
@@ -96,29 +96,16 @@ pub fn pack_geometry(
         .collect();
     let cells = octree
         .cells
-        .iter()
-        .zip(first_chunk + bundles.len() as u32..)
-        .map(|(c, chunk)| CellEntry {
-            bounds: c.bounds,
-            triangles: c.triangles,
-            chunk,
-            bundles: c
-                .content
-                .iter()
-                .filter_map(|(_, k)| match shared.get(k) {
-                    Some(ClusterRef::Shared { chunk, .. }) => Some(*chunk),
-                    _ => None,
-                })
-                .collect::<BTreeSet<_>>()
-                .into_iter()
-                .collect(),
-            materials: c
-                .content
-                .iter()
-                .map(|(_, k)| material(scene, &clusters.clusters[*k as usize]))
-                .collect::<BTreeSet<_>>()
-                .into_iter()
-                .collect(),
+        .par_iter()
+        .zip(first_chunk + bundles.len() as u32..first_chunk + (bundles.len() + octree.cells.len()) as u32)
+        .map(|(c, chunk)| {
+            let in_bundles = c.content.iter().filter_map(|(_, k)| match shared.get(k) {
+                Some(ClusterRef::Shared { chunk, .. }) => Some(*chunk),
+                _ => None,
+            });
+            let bundles = in_bundles.collect::<BTreeSet<_>>().into_iter().collect();
+            let (materials, texel_density) = density::materials_of(scene, clusters, c);
+            CellEntry { bounds: c.bounds, triangles: c.triangles, chunk, bundles, materials, texel_density }
         })
         .collect();
     let chunks = bundle_chunks.into_iter().chain(cell_chunks).collect::<Result<_, _>>()?;

@@ -5,6 +5,7 @@
 //! which the cells first need their clusters, so that neighbours in space are neighbours in a bundle.
 
 mod clusters;
+mod density;
 mod texture;
 
 pub use clusters::{PackedGeometry, pack_geometry};

@@ -161,6 +161,7 @@ mod tests {
             chunk: 0,
             bundles: vec![],
             materials: vec![],
+            texel_density: vec![],
         };
         let cut = boxed([-8.0, 0.0, 0.0], [8.0, 3.0, 8.0]);
         let runs = vec![vec![[0, 9]]; 32 * 16];

@@ -4,7 +4,7 @@ use super::planner::Views;
 use ldi_protocol::{
     OutputCamera, Pose,
     index::{CellEntry, Index},
-    need::{Needed, needed},
+    need::{Needed, Sight, needed},
     select::{CellGroups, FarBy, Show, cells_before_tree, draw_list_of, draws_among},
     tree::{Lens, lacking, lacking_below},
 };
@@ -12,6 +12,9 @@ use std::sync::{
     Arc,
     atomic::{AtomicU8, Ordering::Relaxed},
 };
+
+/// A guessed pose stands for those around it. Before the LDI tree some of them draw cells that the budget keeps it from drawing: cells within so many budgets are looked for.
+const GUESSED_BUDGET: f64 = 1.3;
 
 /// What a client knows of an index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,6 +32,7 @@ pub enum Known {
 pub struct SelectViews {
     index: Arc<Index>,
     groups: Arc<CellGroups>,
+    picture: OutputCamera,
     picture_half_tan: (f64, f64),
     show: Show,
     /// A [`Known`]: the planner and its forecast share the views.
@@ -47,10 +51,15 @@ impl SelectViews {
         Self {
             index,
             groups,
+            picture: *picture,
             picture_half_tan: (picture.half_tan_x(), picture.half_tan_y()),
             show,
             known: AtomicU8::new(Known::Whole as u8),
         }
+    }
+
+    fn sight(&self, pose: &Pose) -> Sight {
+        Sight::new(pose, &self.picture, 1)
     }
 
     /// How much the client knows of the index, which bounds what its views need.
@@ -63,11 +72,11 @@ impl Views for SelectViews {
     fn needed(&self, pose: &Pose) -> Needed {
         match self.known.load(Relaxed) {
             n if n == Known::Unsaid as u8 => return Needed::default(),
-            n if n == Known::Tree as u8 => return needed(&self.index, &[], &[], &[]),
+            n if n == Known::Tree as u8 => return needed(&self.index, &[], &[], &[], &self.sight(pose)),
             _ => {}
         }
         let list = draw_list_of(&self.index, &self.groups, pose, self.picture_half_tan, self.show);
-        needed(&self.index, &list.images, &list.cells, &list.tree)
+        needed(&self.index, &list.images, &list.cells, &list.tree, &self.sight(pose))
     }
 
     /// Looks only at cells, images and nodes of the LDI tree that lack something: where most is there, a small part of the work. Where rooms decide what is drawn it looks at all.
@@ -80,8 +89,8 @@ impl Views for SelectViews {
             let lens = Lens { half_tan_x, half_tan_y, focal_px: index.settings.camera.focal_px() };
             let below = lacking_below(tree, absent);
             let of_pose = |pose: &Pose| {
-                let cells = cells_before_tree(index, &self.groups, pose, self.picture_half_tan);
-                let mut chunks = of(needed(index, &[], &cells, &[]));
+                let cells = cells_before_tree(index, &self.groups, pose, self.picture_half_tan, GUESSED_BUDGET);
+                let mut chunks = of(needed(index, &[], &cells, &[], &self.sight(pose)));
                 chunks.extend(lacking(tree, pose, &lens, &below, absent));
                 chunks
             };
@@ -106,7 +115,7 @@ impl Views for SelectViews {
             let (cells, images) = draws_among(index, &self.groups, (&cells, &images), pose, self.picture_half_tan, far);
             match cells.is_empty() && images.is_empty() {
                 true => Vec::new(),
-                false => of(needed(index, &images, &cells, &[])),
+                false => of(needed(index, &images, &cells, &[], &self.sight(pose))),
             }
         };
         poses.iter().map(of_pose).collect()

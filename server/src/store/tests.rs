@@ -118,6 +118,7 @@ fn sample() -> Sample {
         chunk,
         bundles: vec![0],
         materials: vec![0],
+        texel_density: vec![12],
     };
     let bounds = Aabb { min: DVec3::ZERO, max: DVec3::new(8.0, 1.0, 0.5) };
     let index = Index {

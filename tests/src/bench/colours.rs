@@ -17,6 +17,7 @@ use ldi_protocol::{
     codec::{ColourProfile, ldi},
     ldi::Ldi,
     mesh::CellGeometry,
+    need::Sight,
     texture::Texture,
     tree::Brood,
 };
@@ -93,7 +94,7 @@ pub fn compare(scene: &str, dataset: &Dataset, camera: &OutputCamera, views: &[O
         .iter()
         .map(|v| {
             let view = view_of(index, &v.pose, camera, options.method, &mut StageMs::default());
-            Ok((resident(dataset, &view)?, view))
+            Ok((resident(dataset, &view, &Sight::new(&v.pose, camera, 1))?, view))
         })
         .collect::<Result<Vec<_>>>()?;
     let numbers: BTreeSet<u32> = seen.iter().flat_map(|(_, view)| view.images.iter().copied()).collect();

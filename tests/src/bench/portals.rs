@@ -18,6 +18,7 @@ use ldi_client::{
 use ldi_protocol::{
     OutputCamera,
     index::Index,
+    need::Sight,
     path::{TimedPose, Walk},
     room_index::BuiltImages,
 };
@@ -319,7 +320,7 @@ pub fn walk_by(
     for (i, (at, truth)) in poses.iter().zip(truths).enumerate() {
         let mut ms = StageMs::default();
         let view = view_of(index, &at.pose, camera, method, &mut ms);
-        for chunk in cache.missing(view.needed(index).all()) {
+        for chunk in cache.missing(view.needed(index, &Sight::new(&at.pose, camera, 1)).all()) {
             let bytes = dataset.chunk(chunk).with_context(|| format!("chunk {chunk} is missing"))?;
             cache.insert(chunk, bytes).with_context(|| format!("chunk {chunk}"))?;
         }

@@ -20,7 +20,7 @@ use ldi_client::{
     resident::Resident as _,
     warp::{FarFrame, Order, PreparedLdi, Shown, Stamp, WarpOptions, WarpStats, transform_only, warp_images},
 };
-use ldi_protocol::{OutputCamera, Pose, codec::ColourProfile, path::Walk};
+use ldi_protocol::{OutputCamera, Pose, codec::ColourProfile, need::Sight, path::Walk};
 use ldi_server::{
     build::{self, Progress},
     render::{Caster, RenderOptions, render_path},
@@ -318,7 +318,7 @@ fn shows_images(dataset: &Dataset, pose: &Pose, camera: &OutputCamera) -> Result
         return Ok(false);
     }
     let options = PLAIN.walk_options((small.width, small.height));
-    let (cache, mut picture) = (resident(dataset, &view)?, Frame::default());
+    let (cache, mut picture) = (resident(dataset, &view, &Sight::new(pose, &small, 1))?, Frame::default());
     Painter::default().paint(index, &cache, &view, pose, &small, &options, StageMs::default(), &mut picture)?;
     Ok(picture.count(Source::Far) * 100 >= picture.len())
 }
@@ -363,10 +363,10 @@ fn camera_of(job: &Job) -> OutputCamera {
     OutputCamera { width: job.size.0, height: job.size.1, fov_deg: 60.0 }
 }
 
-/// A cache that holds what a view needs.
-pub(super) fn resident(dataset: &Dataset, view: &View) -> Result<Cache> {
+/// A cache that holds what a view needs, looked at so.
+pub(super) fn resident(dataset: &Dataset, view: &View, sight: &Sight) -> Result<Cache> {
     let cache = Cache::new(Arc::clone(dataset.index()), u64::MAX);
-    for chunk in view.needed(dataset.index()).all() {
+    for chunk in view.needed(dataset.index(), sight).all() {
         let bytes = dataset.chunk(chunk).with_context(|| format!("chunk {chunk} is missing"))?;
         cache.insert(chunk, bytes).with_context(|| format!("chunk {chunk}"))?;
     }
@@ -394,7 +394,7 @@ fn measure(
     let mut painter = Painter::default();
     for v in views {
         let view = view_of(index, &v.pose, &camera, options.method, &mut StageMs::default());
-        let cache = resident(dataset, &view)?;
+        let cache = resident(dataset, &view, &Sight::new(&v.pose, &full, 1))?;
         if setting.stamp.is_some() {
             let images: Vec<PreparedLdi> =
                 view.images.iter().filter_map(|i| cache.ldi(*i)).map(|ldi| PreparedLdi::new(&ldi)).collect();

@@ -35,7 +35,8 @@ pub(in crate::load) fn index(chunks: u32) -> Arc<Index> {
         decoded_bytes: 4 * BYTES,
         kind: ChunkKind::Cell,
     };
-    let cell = |chunk| CellEntry { bounds, triangles: 1, chunk, bundles: vec![], materials: vec![] };
+    let cell =
+        |chunk| CellEntry { bounds, triangles: 1, chunk, bundles: vec![], materials: vec![], texel_density: vec![] };
     Arc::new(Index {
         scene: SceneInfo { name: "street".into(), triangles: 1, unique_triangles: 1, instances: 1, bounds },
         settings: BuildSettings {

@@ -7,7 +7,7 @@ use super::LoadError;
 use ldi_protocol::{
     OutputCamera, Pose,
     index::Index,
-    need::{Needed, needed},
+    need::{Needed, Sight, needed},
     path::{TimedPose, Walk},
     select::draw_list,
     stroll::{self, Random, TURN_DEG_S, stroll},
@@ -78,8 +78,9 @@ impl Track {
     /// What it needs, with the functions that the client renders with.
     pub fn needed(&self, frame: usize, index: &Index, camera: &OutputCamera) -> Arc<Needed> {
         let find = || {
-            let list = draw_list(index, &self.pose(frame), (camera.half_tan_x(), camera.half_tan_y()));
-            Arc::new(needed(index, &list.images, &list.cells, &list.tree))
+            let pose = self.pose(frame);
+            let list = draw_list(index, &pose, (camera.half_tan_x(), camera.half_tan_y()));
+            Arc::new(needed(index, &list.images, &list.cells, &list.tree, &Sight::new(&pose, camera, 1)))
         };
         match &self.needs {
             Some(needs) => needs[(self.offset + frame) % self.poses.len()].get_or_init(find).clone(),

@@ -11,7 +11,7 @@ impl Beside {
     fn paint(&mut self, feed: &MemoryFeed, pose: &Pose) -> (usize, bool) {
         let Self(painter, frame, brought) = self;
         let view = view_of(&feed.index, pose, &CAMERA, Method::Auto, &mut StageMs::default());
-        let all: Vec<u32> = view.needed(&feed.index).all().collect();
+        let all: Vec<u32> = view.needed(&feed.index, &Sight::new(pose, &CAMERA, 1)).all().collect();
         feed.wait_for(&all, Duration::ZERO).expect("memory does not fail");
         let options = WalkOptions { beside: true, ..options(Pace::Realtime) };
         let painted = painter.paint(&feed.index, feed, &view, pose, &CAMERA, &options, StageMs::default(), frame);
@@ -118,7 +118,8 @@ fn what_is_expected_is_on_the_card_before_it_is_seen() {
     let feed = textured_scene();
     let away = Pose { yaw_deg: 180.0, ..AHEAD };
     let view = view_of(&feed.index, &AHEAD, &CAMERA, Method::Auto, &mut StageMs::default());
-    feed.wait_for(&view.needed(&feed.index).all().collect::<Vec<_>>(), Duration::ZERO).expect("memory");
+    feed.wait_for(&view.needed(&feed.index, &Sight::new(&AHEAD, &CAMERA, 1)).all().collect::<Vec<_>>(), Duration::ZERO)
+        .expect("memory");
     let mut painter = Beside(on_card, Frame::default(), 0);
     let mut brought = 0;
     for picture in 0.. {
@@ -169,7 +170,11 @@ fn the_placement_before_stands_in_near_its_users_and_within_the_budget() {
     let mut frame = Frame::default();
     let mut paint = |feed: &MemoryFeed, pose: &Pose| {
         let view = view_of(&feed.index, pose, &CAMERA, Method::Auto, &mut StageMs::default());
-        feed.wait_for(&view.needed(&feed.index).all().collect::<Vec<_>>(), Duration::ZERO).expect("memory");
+        feed.wait_for(
+            &view.needed(&feed.index, &Sight::new(pose, &CAMERA, 1)).all().collect::<Vec<_>>(),
+            Duration::ZERO,
+        )
+        .expect("memory");
         let options = options(Pace::Realtime);
         let painted = painter.paint(&feed.index, feed, &view, pose, &CAMERA, &options, StageMs::default(), &mut frame);
         let painted = painted.expect("quads by z");

@@ -20,7 +20,7 @@ use ldi_protocol::{
     },
     ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiCamera, LdiLayer, Segment},
     mesh::{CellGeometry, Material},
-    need::Needed,
+    need::{Needed, Sight},
     path::{self, Walk},
     select::CELLS,
     texture::{MipLevel, Texture},
@@ -255,7 +255,11 @@ fn colour_at(frame: &Frame, x: u32, y: u32) -> [u8; 3] {
 fn paint(feed: &MemoryFeed, pose: &Pose, options: &WalkOptions) -> (Frame, Painted, View) {
     let mut ms = StageMs::default();
     let view = view_of(&feed.index, pose, &CAMERA, options.method, &mut ms);
-    feed.wait_for(&view.needed(&feed.index).all().collect::<Vec<_>>(), Duration::ZERO).expect("memory does not fail");
+    feed.wait_for(
+        &view.needed(&feed.index, &Sight::new(pose, &CAMERA, options.supersample)).all().collect::<Vec<_>>(),
+        Duration::ZERO,
+    )
+    .expect("memory does not fail");
     let mut frame = Frame::default();
     let painted =
         Painter::default().paint(&feed.index, feed, &view, pose, &CAMERA, options, ms, &mut frame).expect("quads by z");
@@ -520,7 +524,7 @@ fn a_picture_of_a_first_index_shows_the_tree_and_without_its_root_takes_nothing_
         let pose = Pose { position: DVec3::new(-57.0, -55.0, -58.0), yaw_deg, pitch_deg: 0.0 };
         let (index, mut ms, mut out) = (cache.index(), StageMs::default(), Frame::default());
         let view = view_of(index, &pose, &CAMERA, Method::Auto, &mut ms);
-        assert_eq!(view.needed(index).all().collect::<Vec<_>>(), [root]);
+        assert_eq!(view.needed(index, &Sight::new(&pose, &CAMERA, 1)).all().collect::<Vec<_>>(), [root]);
         let options = options(Pace::Realtime);
         let painted = Painter::default().paint(index, &cache, &view, &pose, &CAMERA, &options, ms, &mut out);
         let painted = painted.expect("a picture");

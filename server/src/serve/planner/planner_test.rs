@@ -52,6 +52,7 @@ fn index() -> Arc<Index> {
                 chunk: i,
                 bundles: vec![],
                 materials: vec![],
+                texel_density: vec![],
             })
             .collect(),
         materials: vec![],
