@@ -76,6 +76,29 @@ fn textured_scene() -> MemoryFeed {
     feed
 }
 
+/// Of the near square's texture level 0 is absent: at 2 m a pixel is 3.9 texels wide, a sample of four 1.9.
+#[test]
+fn an_absent_level_is_missing_where_it_could_show() {
+    let mut feed = textured_scene();
+    let index = &mut feed.index;
+    let coarse = TextureChunk { first_level: 1, ..index.textures[0].chunks[0] };
+    let fine = TextureChunk { chunk: index.chunks.len() as u32, first_level: 0, last_level: 0 };
+    index.chunks.push(index.chunks[coarse.chunk as usize]);
+    index.textures[0].chunks = vec![coarse, fine];
+    let mut texture = (*feed.memory.textures[&0]).clone();
+    texture.levels[0] = None;
+    feed.memory.textures.insert(0, Arc::new(texture));
+    let mut missing = |density: i8, supersample| {
+        feed.index.cells[0].texel_density = vec![density];
+        let options = WalkOptions { supersample, ..options(Pace::Realtime) };
+        paint(&feed, &AHEAD, &options).1.missing_chunks
+    };
+    // 64 texels on 0.6 m.
+    let density = (4.0 * f64::log2(64.0 / 0.6)) as i8;
+    assert_eq!([1, 2].map(|n| missing(density, n)), [vec![], vec![fine.chunk]]);
+    assert_eq!(missing(EVERY_LEVEL, 1), [fine.chunk]);
+}
+
 /// A card that takes little per picture gets what the picture shows piece by piece, and then shows what the processor does; nothing of it is sent twice.
 #[test]
 fn no_picture_puts_more_onto_the_card_than_it_may() {

@@ -15,8 +15,8 @@ use glam::{DVec3, Vec3};
 use ldi_protocol::{
     Aabb, OutputCamera, Pose, ViewBasis,
     index::{
-        AngularRange, ChunkEntry, ChunkHash, ChunkKind, GridPoint, ImageEntry, Index, Placement, TextureChunk,
-        TextureEntry,
+        AngularRange, ChunkEntry, ChunkHash, ChunkKind, EVERY_LEVEL, GridPoint, ImageEntry, Index, Placement,
+        TextureChunk, TextureEntry,
     },
     ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiCamera, LdiLayer, Segment},
     mesh::{CellGeometry, Material},
