@@ -59,13 +59,15 @@ pub struct Miss {
 const MOST_WORST: usize = 20;
 
 /// Judges culling from these poses by one ray per pixel. A cell counts as reported if any within the rooms' margin of the surface is: walls stand in two rooms. A surface counts as
-/// drawn if its cell of the octree is, as a frame draws it where the budget allows all that is seen. `cells`: bounds of the octree's cells, which `caster` knows.
+/// drawn if its cell of the octree is, as a frame draws it where the budget allows all that is seen. `cells`: bounds of the octree's cells, which `caster` knows. `judged` is
+/// called after each pose, from any thread.
 pub fn check_sight(
     caster: &Caster,
     cells: &[Aabb],
     rooms: &Rooms,
     poses: &[Pose],
     camera: &OutputCamera,
+    judged: &(dyn Fn() + Sync),
 ) -> SightCheck {
     let mut rooms_of = vec![Vec::new(); cells.len()];
     for (room, held) in (0u32..).zip(cells_of_rooms(caster, rooms, cells.len())) {
@@ -128,6 +130,7 @@ pub fn check_sight(
         found.cells_reached_mean = reached.len() as f64;
         found.poses_with_a_miss = u64::from(found.missed_rays > 0);
         found.poses_left_out = u64::from(found.left_out_rays > 0);
+        judged();
         found
     };
     let all: Vec<SightCheck> = poses.par_iter().map(one).collect();

@@ -8,7 +8,10 @@ use glam::DVec3;
 use ldi_protocol::Aabb;
 use ldi_protocol::OutputCamera;
 use ldi_protocol::rooms::{CellId, Portal, PortalKind, Rooms};
-use std::sync::Arc;
+use std::sync::{
+    Arc,
+    atomic::{AtomicU64, Ordering::Relaxed},
+};
 
 /// Height of the rooms, metres.
 const HIGH: f64 = 2.8;
@@ -102,7 +105,12 @@ fn assert_nothing_missed(caster: &Caster, r: &Rooms) {
     assert!(poses.len() > 100, "{} poses", poses.len());
     // The whole scene is one cell of the octree, which is always drawn: cells of rooms are what is judged here.
     let cells = [caster.scene().bounds()];
-    let check = check_sight(caster, &cells, r, &poses, &OutputCamera { width: 96, height: 64, fov_deg: 70.0 });
+    let judged = AtomicU64::new(0);
+    let told = || {
+        judged.fetch_add(1, Relaxed);
+    };
+    let check = check_sight(caster, &cells, r, &poses, &OutputCamera { width: 96, height: 64, fov_deg: 70.0 }, &told);
+    assert_eq!(judged.into_inner(), check.poses);
     assert!(check.rays > 100_000, "{check:?}");
     assert_eq!(check.missed_rays, 0, "{check:?}");
 }
