@@ -227,17 +227,26 @@ mod tests {
                 prop_assert_eq!(out.len(), n);
             }
         }
+    }
 
-        #[test]
-        fn a_flipped_bit_behind_the_table_is_found(at in 0usize..4000, bit in 0u8..8) {
-            let raw = residuals(4000, 0.3, 3);
-            let mut coded = encode(&raw);
-            let behind = 1 + { let mut t = Vec::new(); put_table(&mut t, &parts_of(&raw)); t.len() };
-            let at = behind + at % (coded.len() - behind);
-            coded[at] ^= 1 << bit;
-            // Nearly always: a state of 32 bits may end right by chance, one time in 2^128 for all four.
-            prop_assert!(decoded(&coded, raw.len()).is_err());
+    /// It is no check of its own, chunks have hashes: two values may lead from different states to the same one, so that a bit which turns the one into the other is not noticed (2 of 11,840 here).
+    #[test]
+    fn hardly_a_flipped_bit_behind_the_table_goes_unnoticed() {
+        let raw = residuals(4000, 0.3, 3);
+        let coded = encode(&raw);
+        let mut table = Vec::new();
+        put_table(&mut table, &parts_of(&raw));
+        let bits = 8 * (1 + table.len())..8 * coded.len();
+        let mut unnoticed = 0;
+        for bit in bits.clone() {
+            let mut flipped = coded.clone();
+            flipped[bit / 8] ^= 1 << (bit % 8);
+            if let Ok(other) = decoded(&flipped, raw.len()) {
+                unnoticed += 1;
+                assert_eq!(other.iter().zip(&raw).filter(|(a, b)| a != b).count(), 1, "bit {bit}");
+            }
         }
+        assert!(unnoticed * 1000 < bits.len(), "{unnoticed} of {}", bits.len());
     }
 
     #[test]
