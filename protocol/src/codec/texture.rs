@@ -3,7 +3,8 @@
 //! One chunk holds every level whose longer side is at most [`COARSE_SIDE`] texels, so that a texture is useful after a few
 //! kilobytes; each finer level is a chunk of its own ([`chunk_ranges`]). Texels are coded like LDI colours (one run per row);
 //! alpha is a plane of its own, written only where some texel is not opaque. Alpha is always exact: cutouts are tested
-//! against it.
+//! against it. The finest level may be the picture file that the texture was read from instead ([`encode_picture`]): JPEG files
+//! and PNG files of few colours are smaller than any exact coding of what they decode to.
 
 use super::{
     CodecError, ColourMode,
@@ -13,10 +14,12 @@ use super::{
     runs::Run,
 };
 use crate::texture::{MipLevel, level_count, level_size};
+use image::{DynamicImage, ImageDecoder as _, ImageFormat, ImageReader};
+use std::io::Cursor;
 use std::ops::RangeInclusive;
 
 /// Version of texture chunks.
-pub const VERSION: u8 = 3;
+pub const VERSION: u8 = 4;
 /// Longer side of the finest level in a texture's first chunk. Larger delays the first useful picture, smaller saves nothing.
 pub const COARSE_SIDE: u32 = 64;
 /// Largest side of a texture.
@@ -25,6 +28,10 @@ pub const MAX_SIDE: u32 = 16_384;
 pub const MAX_TEXELS: usize = 1 << 26;
 
 const MAGIC: [u8; 3] = *b"TEX";
+/// Texels are coded like LDI colours.
+const CODED: u8 = 0;
+/// A PNG or JPEG file follows.
+const PICTURE: u8 = 1;
 
 /// Levels of a texture, decoded: a range of its pyramid.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -64,13 +71,7 @@ pub fn encode(texture: &TextureLevels, mode: ColourMode, level: i32) -> Result<V
         return Err(CodecError::mismatch("levels", format!("entry {l} has not the size of its level")));
     }
     let opaque = t.levels.iter().all(|l| l.rgba.iter().all(|p| p[3] == 255));
-    let mut w = Writer::new(level)?;
-    w.raw(&MAGIC);
-    w.u8(VERSION);
-    w.u32(t.width);
-    w.u32(t.height);
-    w.u8(t.first_level);
-    w.u8(t.levels.len() as u8);
+    let mut w = header((t.width, t.height), t.first_level, t.levels.len() as u8, CODED, level)?;
     w.raw(&mode_bytes);
     w.u8(u8::from(!opaque));
     let walker = colour::Walker::new(mode);
@@ -90,6 +91,30 @@ pub fn encode(texture: &TextureLevels, mode: ColourMode, level: i32) -> Result<V
     Ok(w.bytes)
 }
 
+/// The finest level of a texture as the `file`, PNG or JPEG, that its `width` x `height` texels were decoded from.
+/// What [`decode`] makes of it may differ by a code from processor to processor with a JPEG file, and not with a PNG file.
+///
+/// # Errors
+/// If there are too many texels.
+pub fn encode_picture(width: u32, height: u32, file: &[u8]) -> Result<Vec<u8>, CodecError> {
+    sizes(width, height, 0, 1)?;
+    let mut w = header((width, height), 0, 1, PICTURE, 1)?;
+    w.raw(file);
+    Ok(w.bytes)
+}
+
+fn header((width, height): (u32, u32), first_level: u8, count: u8, form: u8, level: i32) -> Result<Writer, CodecError> {
+    let mut w = Writer::new(level)?;
+    w.raw(&MAGIC);
+    w.u8(VERSION);
+    w.u32(width);
+    w.u32(height);
+    w.u8(first_level);
+    w.u8(count);
+    w.u8(form);
+    Ok(w)
+}
+
 /// Decodes a chunk. Whether it is the chunk that was asked for is for the caller to compare.
 ///
 /// # Errors
@@ -100,6 +125,40 @@ pub fn decode(bytes: &[u8]) -> Result<TextureLevels, CodecError> {
     let (width, height) = (r.u32("width")?, r.u32("height")?);
     let (first_level, count) = (r.u8("first level")?, r.u8("levels")?);
     let sizes = sizes(width, height, first_level, count.into())?;
+    let levels = match r.u8("form")? {
+        CODED => coded_levels(r, &sizes)?,
+        PICTURE if (first_level, count) == (0, 1) => {
+            let file = r.take(r.remaining(), "picture")?;
+            vec![picture(file, width, height)?]
+        }
+        other => return Err(CodecError::range("form", other, "it is 0, or 1 with level 0 alone")),
+    };
+    Ok(TextureLevels { width, height, first_level, levels })
+}
+
+/// A PNG or JPEG file of this size. Both are known to be within [`MAX_TEXELS`].
+fn picture(file: &[u8], width: u32, height: u32) -> Result<MipLevel, CodecError> {
+    let fault = |e: image::ImageError| CodecError::mismatch("picture", e.to_string());
+    let format = image::guess_format(file).map_err(fault)?;
+    if !matches!(format, ImageFormat::Png | ImageFormat::Jpeg) {
+        return Err(CodecError::mismatch("picture", format!("it is {format:?}, neither PNG nor JPEG")));
+    }
+    let mut reader = ImageReader::with_format(Cursor::new(file), format);
+    let mut limits = image::Limits::no_limits();
+    // 16 bits in each of four channels.
+    limits.max_alloc = Some(texels((width, height)) as u64 * 8);
+    reader.limits(limits);
+    let decoder = reader.into_decoder().map_err(fault)?;
+    if decoder.dimensions() != (width, height) {
+        let (w, h) = decoder.dimensions();
+        return Err(CodecError::mismatch("picture", format!("it has {w} x {h} pixels, the level {width} x {height}")));
+    }
+    let rgba = DynamicImage::from_decoder(decoder).map_err(fault)?.into_rgba8();
+    Ok(MipLevel { width, height, rgba: rgba.as_raw().as_chunks::<4>().0.to_vec() })
+}
+
+/// Levels of these sizes.
+fn coded_levels(mut r: Reader<'_>, sizes: &[(u32, u32)]) -> Result<Vec<MipLevel>, CodecError> {
     let mode = ColourMode::read(&mut r)?;
     let alpha = r.u8("alpha flag")?;
     if alpha > 1 {
@@ -111,7 +170,7 @@ pub fn decode(bytes: &[u8]) -> Result<TextureLevels, CodecError> {
     r.finish("texture")?;
     let walker = colour::Walker::new(mode);
     let mut levels = Vec::with_capacity(sizes.len());
-    for &size in &sizes {
+    for &size in sizes {
         let mut rgb = vec![[0; 3]; texels(size)];
         walker.walk(&rows(size), size.0, &mut rgb, &mut colours);
         let mut rgba: Vec<[u8; 4]> = rgb.iter().map(|&[r, g, b]| [r, g, b, 255]).collect();
@@ -124,7 +183,7 @@ pub fn decode(bytes: &[u8]) -> Result<TextureLevels, CodecError> {
     if let Some(alphas) = alphas {
         alphas.finish("alpha")?;
     }
-    Ok(TextureLevels { width, height, first_level, levels })
+    Ok(levels)
 }
 
 /// Bytes that decoded levels take in memory, for [`crate::index::ChunkEntry::decoded_bytes`].
@@ -252,6 +311,70 @@ mod tests {
         }
     }
 
+    /// A picture file of these texels, without their alpha as JPEG.
+    fn file(width: u32, height: u32, rgba: &[[u8; 4]], format: ImageFormat) -> Vec<u8> {
+        let picture = image::RgbaImage::from_raw(width, height, rgba.as_flattened().to_vec()).unwrap();
+        let mut out = Cursor::new(Vec::new());
+        match format {
+            ImageFormat::Jpeg => DynamicImage::from(picture).into_rgb8().write_to(&mut out, format),
+            _ => picture.write_to(&mut out, format),
+        }
+        .unwrap();
+        out.into_inner()
+    }
+
+    #[test]
+    fn a_picture_file_is_the_finest_level() {
+        let levels = pyramid(90, 70, true);
+        let png = file(90, 70, &levels[0].rgba, ImageFormat::Png);
+        let out = decode(&encode_picture(90, 70, &png).unwrap()).unwrap();
+        assert_eq!(out, TextureLevels { width: 90, height: 70, first_level: 0, levels: levels[..1].to_vec() });
+
+        let jpeg = file(90, 70, &levels[0].rgba, ImageFormat::Jpeg);
+        let out = decode(&encode_picture(90, 70, &jpeg).unwrap()).unwrap();
+        let mean = |rgba: &[[u8; 4]], k: usize| rgba.iter().map(|p| f64::from(p[k])).sum::<f64>() / rgba.len() as f64;
+        for k in 0..3 {
+            assert!((mean(&out.levels[0].rgba, k) - mean(&levels[0].rgba, k)).abs() < 2.0);
+        }
+        assert!(out.levels[0].rgba.iter().all(|p| p[3] == 255));
+    }
+
+    #[test]
+    fn pictures_of_another_size_kind_or_level_are_refused() {
+        let levels = pyramid(90, 70, false);
+        let png = file(90, 70, &levels[0].rgba, ImageFormat::Png);
+        let refusal = |width, height, file: &[u8]| {
+            decode(&encode_picture(width, height, file).unwrap()).expect_err("refused").to_string()
+        };
+        assert!(refusal(70, 90, &png).contains("90 x 70 pixels, the level 70 x 90"));
+        assert!(refusal(90, 70, b"GIF89a and more").contains("Gif"));
+        assert!(refusal(90, 70, b"").contains("picture"));
+        assert!(encode_picture(0, 70, &png).is_err() && encode_picture(MAX_SIDE, MAX_SIDE, &png).is_err());
+        for (at, value) in [(12, 1), (13, 2), (14, 2)] {
+            let mut bytes = encode_picture(90, 70, &png).unwrap();
+            bytes[at] = value;
+            assert!(decode(&bytes).unwrap_err().to_string().starts_with("form is"), "byte {at}");
+        }
+    }
+
+    #[test]
+    fn damaged_pictures_never_panic() {
+        let levels = pyramid(90, 70, true);
+        for format in [ImageFormat::Png, ImageFormat::Jpeg] {
+            let bytes = encode_picture(90, 70, &file(90, 70, &levels[0].rgba, format)).unwrap();
+            for n in 0..bytes.len() {
+                assert!(n > 15 + 100 || decode(&bytes[..n]).is_err(), "cut at {n}");
+            }
+            for i in 0..4000usize {
+                let mut damaged = bytes.clone();
+                damaged[i * 7919 % bytes.len()] ^= 1 + (i % 255) as u8;
+                if let Ok(t) = decode(&damaged) {
+                    assert!(t.levels.iter().all(|l| l.rgba.len() == l.width as usize * l.height as usize));
+                }
+            }
+        }
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(24))]
         #[test]
@@ -262,7 +385,7 @@ mod tests {
         }
         #[test]
         fn any_bytes_are_survived(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
-            let mut with_magic = b"TEX\x01".to_vec();
+            let mut with_magic = [&MAGIC[..], &[VERSION]].concat();
             with_magic.extend(bytes);
             let _ = decode(&with_magic);
         }

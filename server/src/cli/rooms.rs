@@ -55,11 +55,13 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
     }
     let comparison = compare.map(|annotated| portal::compare(&annotated, &rooms));
     let check = caster.as_ref().filter(|_| a.check > 0).map(|caster| {
+        progress.stage("sorting cells into rooms", 0);
+        let members = portal::cells_of_rooms(caster, &rooms, cells.len());
         let poses = portal::random_poses(caster, &rooms, a.check as usize, 1);
         progress.stage("checking against rays", poses.len() as u64);
         let (width, height) = a.check_size;
         let camera = OutputCamera { width, height, fov_deg: 60.0 };
-        portal::check_sight(caster, &cells, &rooms, &poses, &camera, &|| progress.advance(1))
+        portal::check_sight(caster, &cells, &rooms, &members, &poses, &camera, &|| progress.advance(1))
     });
     progress.finish();
     print(&summary(&a.scene, &rooms, statistics.as_ref()))?;

@@ -44,8 +44,14 @@ pub fn pack_textures(scene: &Scene, mode: ColourMode, first_chunk: u32) -> Resul
                         first_level: first,
                         levels: levels[first as usize..=last as usize].iter().flatten().cloned().collect(),
                     };
-                    let bytes = texture::encode(&part, mode, LEVEL)
-                        .map_err(|source| PackError { what: format!("texture {number} ({})", t.name), source })?;
+                    let what = |source| PackError { what: format!("texture {number} ({})", t.name), source };
+                    let mut bytes = texture::encode(&part, mode, LEVEL).map_err(what)?;
+                    if first == 0 && last == 0 && !t.file.is_empty() && t.file.len() < bytes.len() {
+                        let file = texture::encode_picture(t.width, t.height, &t.file).map_err(what)?;
+                        if texture::decode(&file).is_ok_and(|levels| levels == part) {
+                            bytes = file;
+                        }
+                    }
                     Ok((
                         first,
                         last,
@@ -65,4 +71,45 @@ pub fn pack_textures(scene: &Scene, mode: ColourMode, first_chunk: u32) -> Resul
         packed.textures.push(TextureEntry { width: t.width, height: t.height, chunks });
     }
     Ok(packed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::SceneTexture;
+    use ldi_protocol::codec::ColourProfile;
+
+    /// What a JPEG file of a picture with detail decodes to.
+    fn painted(name: &str) -> SceneTexture {
+        let (width, height) = (256, 128);
+        let mut pixels = image::RgbImage::new(width, height);
+        for (x, y, p) in pixels.enumerate_pixels_mut() {
+            let n = (x * 2_654_435_761).wrapping_add(y * 40_503) >> 9 & 31;
+            *p = image::Rgb([x as u8, (y + n) as u8, 90 + n as u8]);
+        }
+        let mut file = std::io::Cursor::new(Vec::new());
+        pixels.write_to(&mut file, image::ImageFormat::Jpeg).unwrap();
+        let file = file.into_inner();
+        let rgba = image::load_from_memory(&file).unwrap().into_rgba8().as_raw().as_chunks::<4>().0.to_vec();
+        SceneTexture { name: name.to_owned(), width, height, rgba, file }
+    }
+
+    #[test]
+    fn files_are_kept_where_they_are_smaller_and_give_the_texels() {
+        let kept = painted("kept");
+        let touched = SceneTexture { rgba: kept.rgba.iter().map(|p| p.map(|c| c ^ 1)).collect(), ..painted("touched") };
+        let none = SceneTexture { file: Vec::new(), ..painted("none") };
+        let padded = SceneTexture { file: [kept.file.clone(), vec![0; 1 << 20]].concat(), ..painted("padded") };
+        let scene = Scene { textures: vec![kept, touched, none, padded], ..Scene::default() };
+        let packed = pack_textures(&scene, ColourProfile::High.of_textures(), 7).unwrap();
+        let finest = |n: usize| {
+            let chunk = packed.textures[n].chunks.iter().find(|c| c.first_level == 0).unwrap().chunk - 7;
+            &packed.chunks[chunk as usize].bytes
+        };
+        for (n, t) in scene.textures.iter().enumerate() {
+            assert_eq!(texture::decode(finest(n)).unwrap().levels[0].rgba, t.rgba, "{}", t.name);
+            assert_eq!(!t.file.is_empty() && finest(n).ends_with(&t.file), n == 0, "{}", t.name);
+        }
+        assert!(finest(0).len() < finest(2).len());
+    }
 }

@@ -1,17 +1,15 @@
 //! Does portal culling miss what is seen? Ray casts over the scene are the judge.
 
 use super::leaks::Random;
-use super::members::cells_of_rooms;
 use super::storeys::is_free;
 use crate::render::{Caster, CellSet, Ray};
 use glam::DVec3;
 use ldi_protocol::camera::{Frustum, ViewBasis};
 use ldi_protocol::portal_view::{VISITS_PER_VIEW, portal_view_within};
-use ldi_protocol::rooms::Rooms;
+use ldi_protocol::rooms::{CellId, Rooms};
 use ldi_protocol::{Aabb, OutputCamera, Pose};
 use rayon::prelude::*;
 use serde::Serialize;
-use std::collections::HashMap;
 
 /// Result of [`check_sight`].
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
@@ -59,21 +57,23 @@ pub struct Miss {
 const MOST_WORST: usize = 20;
 
 /// Judges culling from these poses by one ray per pixel. A cell counts as reported if any within the rooms' margin of the surface is: walls stand in two rooms. A surface counts as
-/// drawn if its cell of the octree is, as a frame draws it where the budget allows all that is seen. `cells`: bounds of the octree's cells, which `caster` knows. `judged` is
-/// called after each pose, from any thread.
+/// drawn if its cell of the octree is, as a frame draws it where the budget allows all that is seen. `cells`: bounds of the octree's cells, which `caster` knows; `members`: those of them that lie
+/// in each room, as [`cells_of_rooms`](super::members::cells_of_rooms) has them. `judged` is called after each pose, from any thread.
 pub fn check_sight(
     caster: &Caster,
     cells: &[Aabb],
     rooms: &Rooms,
+    members: &[Vec<u32>],
     poses: &[Pose],
     camera: &OutputCamera,
     judged: &(dyn Fn() + Sync),
 ) -> SightCheck {
     let mut rooms_of = vec![Vec::new(); cells.len()];
-    for (room, held) in (0u32..).zip(cells_of_rooms(caster, rooms, cells.len())) {
+    for (room, held) in (0u32..).zip(members) {
         let id = ((room as usize) < rooms.cells().len()).then_some(room);
-        held.into_iter().for_each(|cell| rooms_of[cell as usize].push(id));
+        held.iter().for_each(|cell| rooms_of[*cell as usize].push(id));
     }
+    let columns = Columns::new(rooms);
     let one = |pose: &Pose| {
         let basis = ViewBasis::from_yaw_pitch(pose.yaw_deg, pose.pitch_deg);
         let frustum = Frustum::new(pose.position, &basis, camera.half_tan_x(), camera.half_tan_y());
@@ -88,30 +88,27 @@ pub fn check_sight(
             cull_us_mean: start.elapsed().as_secs_f64() * 1e6,
             ..SightCheck::default()
         };
-        let mut rays = Vec::with_capacity(camera.width as usize);
-        let mut hits = vec![None; camera.width as usize];
         let mut reached = std::collections::BTreeSet::new();
         let reaches =
             |room, b: &Aabb| view.cells.iter().any(|c| c.cell == room && c.cones.iter().any(|k| k.may_intersect(b)));
-        let mut drawn: HashMap<u32, bool> = HashMap::new();
+        let mut drawn: Vec<Option<bool>> = vec![None; cells.len()];
         let mut is_drawn = |cell: u32| {
             let n = cell as usize;
-            *drawn.entry(cell).or_insert_with(|| rooms_of[n].iter().any(|room| reaches(*room, &cells[n])))
+            *drawn[n].get_or_insert_with(|| rooms_of[n].iter().any(|room| reaches(*room, &cells[n])))
         };
-        for v in 0..camera.height {
-            rays.clear();
-            rays.extend(
-                (0..camera.width)
-                    .map(|u| Ray::new(pose.position, camera.ray(&basis, f64::from(u) + 0.5, f64::from(v) + 0.5))),
-            );
-            caster.trace_batch(&rays, &CellSet::all(), &mut hits);
-            for (ray, hit) in rays.iter().zip(&hits) {
+        let mut hits = vec![None; (TILE * TILE) as usize];
+        for tile in tiles(camera) {
+            let ray = |[u, v]: [u32; 2]| camera.ray(&basis, f64::from(u) + 0.5, f64::from(v) + 0.5);
+            let rays: Vec<Ray> = tile.map(|pixel| Ray::new(pose.position, ray(pixel))).collect();
+            let hits = &mut hits[..rays.len()];
+            caster.trace_batch(&rays, &CellSet::all(), hits);
+            for (ray, hit) in rays.iter().zip(hits.iter()) {
                 let Some(hit) = hit else { continue };
                 let p = ray.at(hit.t);
                 found.rays += 1;
-                let near = rooms.cells_near(p, rooms.margin_m());
-                if near.len() == 1 {
-                    reached.insert(near[0]);
+                let near = columns.cells_near(p);
+                if let &[only] = &near[..] {
+                    reached.insert(only);
                 }
                 let missed = !near.iter().any(|c| view.sees(*c));
                 let left_out = !is_drawn(caster.cell_of(hit.triangle));
@@ -157,6 +154,87 @@ pub fn check_sight(
     sum.portals_clipped_mean /= n;
     sum.cull_us_mean /= n;
     sum
+}
+
+/// Side of a tile, pixels: its rays make one packet for the caster.
+const TILE: u32 = 8;
+
+/// All pixels of a picture, tile by tile.
+fn tiles(camera: &OutputCamera) -> impl Iterator<Item = impl Iterator<Item = [u32; 2]>> {
+    let (width, height) = (camera.width, camera.height);
+    let starts = |side: u32| (0..side).step_by(TILE as usize);
+    starts(height).flat_map(move |v0| starts(width).map(move |u0| (u0, v0))).map(move |(u0, v0)| {
+        let rows = v0..height.min(v0 + TILE);
+        rows.flat_map(move |v| (u0..width.min(u0 + TILE)).map(move |u| [u, v]))
+    })
+}
+
+/// Most columns of [`Columns`]: some megabytes.
+const MOST_COLUMNS: f64 = 65_536.0;
+/// Side of one, at least, metres: a doorway is about as wide.
+const LEAST_COLUMN_M: f64 = 0.5;
+
+/// What [`Rooms::cells_near`] within the rooms' margin gives, for many points: boxes sorted by where they lie in plan.
+struct Columns<'a> {
+    rooms: &'a Rooms,
+    bounds: Aabb,
+    side_m: f64,
+    across: usize,
+    /// Per column, cell and number of every box that reaches it with the margin around, cells in order.
+    boxes: Vec<Vec<[u32; 2]>>,
+}
+
+impl<'a> Columns<'a> {
+    fn new(rooms: &'a Rooms) -> Self {
+        let all =
+            || (0u32..).zip(rooms.cells()).flat_map(|(c, cell)| (0u32..).zip(&cell.boxes).map(move |(n, b)| (c, n, b)));
+        let around = |b: &Aabb| Aabb { min: b.min - rooms.margin_m(), max: b.max + rooms.margin_m() };
+        let bounds = Aabb::from_points(all().flat_map(|(.., b)| [around(b).min, around(b).max]));
+        let size = bounds.size().max(DVec3::ZERO);
+        let side_m = (size.x * size.z / MOST_COLUMNS).sqrt().max(size.max_element() / MOST_COLUMNS).max(LEAST_COLUMN_M);
+        let count = |m: f64| (m / side_m) as usize + 1;
+        let mut columns = Self {
+            rooms,
+            bounds,
+            side_m,
+            across: count(size.x),
+            boxes: vec![Vec::new(); count(size.x) * count(size.z)],
+        };
+        for (c, n, b) in all() {
+            let b = around(b);
+            let ([x0, z0], [x1, z1]) = (columns.column(b.min), columns.column(b.max));
+            for z in z0..=z1 {
+                for x in x0..=x1 {
+                    columns.boxes[z * columns.across + x].push([c, n]);
+                }
+            }
+        }
+        columns
+    }
+
+    /// Of a point within the bounds.
+    fn column(&self, p: DVec3) -> [usize; 2] {
+        let from = (p - self.bounds.min) / self.side_m;
+        [from.x as usize, from.z as usize]
+    }
+
+    fn cells_near(&self, p: DVec3) -> Vec<CellId> {
+        let margin = self.rooms.margin_m();
+        if !self.bounds.contains(p) {
+            return vec![None];
+        }
+        let [x, z] = self.column(p);
+        let here = &self.boxes[z * self.across + x];
+        let of = |&[c, n]: &[u32; 2]| &self.rooms.cells()[c as usize].boxes[n as usize];
+        let mut near: Vec<CellId> = here.iter().filter(|b| of(b).distance(p) <= margin).map(|b| Some(b[0])).collect();
+        near.dedup();
+        let held = |q: DVec3| here.iter().any(|b| of(b).contains(q) && near.contains(&Some(b[0])));
+        let around = Aabb { min: p - margin, max: p + margin };
+        if !(held(p) && around.corners().into_iter().all(held)) {
+            near.push(None);
+        }
+        near
+    }
 }
 
 /// Half of the width of a person, metres.
@@ -221,8 +299,42 @@ pub fn random_poses(caster: &Caster, rooms: &Rooms, count: usize, seed: u64) -> 
 mod tests {
     use super::*;
     use crate::placement::test_scenes::{block, scene_of};
-    use ldi_protocol::Aabb;
+    use ldi_protocol::rooms::Cell;
     use std::sync::Arc;
+
+    #[test]
+    fn columns_give_what_a_look_at_every_box_gives() {
+        let mut r = Random(7);
+        let mut at = |m: f64| DVec3::new(m * r.unit(), 0.3 * m * r.unit(), 2.0 * m * r.unit());
+        let cells = (0..40)
+            .map(|n| Cell {
+                name: n.to_string(),
+                boxes: (0..5)
+                    .map(|_| (at(9.0), at(2.0)))
+                    .map(|(min, size)| Aabb { min, max: min + size + 0.1 })
+                    .collect(),
+            })
+            .collect();
+        let rooms = Rooms::new(0.15, cells, Vec::new()).unwrap();
+        let columns = Columns::new(&rooms);
+        let mut counts = [0; 5];
+        for _ in 0..20_000 {
+            let p = at(12.0) - 0.5;
+            let near = columns.cells_near(p);
+            assert_eq!(near, rooms.cells_near(p, rooms.margin_m()), "at {p}");
+            counts[near.len().min(4)] += 1;
+        }
+        assert!(counts[1..].iter().all(|n| *n > 100), "{counts:?}");
+    }
+
+    #[test]
+    fn tiles_hold_every_pixel_once() {
+        let camera = OutputCamera { width: 21, height: 9, fov_deg: 60.0 };
+        let mut pixels: Vec<[u32; 2]> = tiles(&camera).flatten().collect();
+        assert!(pixels[..64].iter().all(|p| p.iter().all(|n| *n < 8)));
+        pixels.sort_unstable();
+        assert!(pixels.into_iter().eq((0..21).flat_map(|u| (0..9).map(move |v| [u, v]))));
+    }
 
     #[test]
     fn nobody_stands_in_a_hollow_wall() {

@@ -113,10 +113,14 @@ fn rays_beside(caster: &Caster, sight: &Sight, random: &mut Random) -> Vec<Ray> 
 fn sights(caster: &Caster, rooms: &Rooms, lies_in: &(dyn Fn(u32, CellId) -> bool + Sync), rays: &[Ray]) -> Vec<Sight> {
     let mut hits = vec![None; rays.len()];
     caster.trace_batch(rays, &CellSet::all(), &mut hits);
+    // Rays come in groups from one eye.
+    let (mut eye, mut start) = (DVec3::NAN, Vec::new());
     let beside = |(ray, hit): (&Ray, &Option<Hit>)| {
         let hit = (*hit)?;
         let cell = caster.cell_of(hit.triangle);
-        let start = rooms.cells_near(ray.origin, rooms.margin_m());
+        if ray.origin != eye {
+            (eye, start) = (ray.origin, rooms.cells_near(ray.origin, rooms.margin_m()));
+        }
         let room = last_before(rooms, &start, ray, hit.t, &|room| lies_in(cell, room))?;
         Some(Sight { pair: (cell, room), eye: ray.origin, surface: ray.at(hit.t) })
     };

@@ -109,7 +109,9 @@ fn assert_nothing_missed(caster: &Caster, r: &Rooms) {
     let told = || {
         judged.fetch_add(1, Relaxed);
     };
-    let check = check_sight(caster, &cells, r, &poses, &OutputCamera { width: 96, height: 64, fov_deg: 70.0 }, &told);
+    let members = cells_of_rooms(caster, r, cells.len());
+    let check =
+        check_sight(caster, &cells, r, &members, &poses, &OutputCamera { width: 96, height: 64, fov_deg: 70.0 }, &told);
     assert_eq!(judged.into_inner(), check.poses);
     assert!(check.rays > 100_000, "{check:?}");
     assert_eq!(check.missed_rays, 0, "{check:?}");

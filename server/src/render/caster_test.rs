@@ -202,7 +202,7 @@ fn empty_and_degenerate_scenes_are_never_hit() {
 /// A texture of four texels: opaque red, clear, opaque green, opaque blue.
 fn four_texels() -> SceneTexture {
     let rgba = vec![[255, 0, 0, 255], [9, 9, 9, 0], [0, 255, 0, 255], [0, 0, 255, 255]];
-    SceneTexture { name: String::new(), width: 2, height: 2, rgba }
+    SceneTexture { name: String::new(), width: 2, height: 2, rgba, file: Vec::new() }
 }
 
 #[test]
@@ -257,7 +257,7 @@ fn footprints_choose_the_level() {
     // 256 x 256 texels over 2 m in black and white stripes of 16: level 4 still shows them, level 5 is grey.
     let texel = |i: u32| if i % 32 < 16 { [255; 4] } else { [0, 0, 0, 255] };
     let rgba = (0..256 * 256).map(|i| texel(i % 256)).collect();
-    let texture = SceneTexture { name: String::new(), width: 256, height: 256, rgba };
+    let texture = SceneTexture { name: String::new(), width: 256, height: 256, rgba, file: Vec::new() };
     let wall = quad(Vec3::new(-1.0, 1.0, -1.0), Vec3::X * 2.0, Vec3::NEG_Y * 2.0);
     let textured = Material { texture: Some(0), ..plain([1.0; 4]) };
     let c = caster(scene(vec![(wall, textured)], vec![texture])).with_mips();

@@ -54,7 +54,8 @@ pub(super) fn decode_all(
     let decoded: Vec<Option<Result<SceneTexture, Fault>>> =
         images.par_iter().zip(&sound).map(|(image, sound)| sound.then(|| image.decode(limits))).collect();
     let texture = |(image, decoded): (&EncodedImage<'_>, Option<Result<SceneTexture, Fault>>)| {
-        let plain = || SceneTexture { name: image.name.clone(), width: 1, height: 1, rgba: vec![PLAIN] };
+        let plain =
+            || SceneTexture { name: image.name.clone(), width: 1, height: 1, rgba: vec![PLAIN], file: Vec::new() };
         Ok(decoded.map(|d| files.dispensable(d)).transpose()?.flatten().unwrap_or_else(plain))
     };
     images.iter().zip(decoded).map(texture).collect()
@@ -116,7 +117,7 @@ impl EncodedImage<'_> {
         let image = DynamicImage::from_decoder(self.decoder(limits)?).map_err(|e| self.undecodable(&e))?.into_rgba8();
         let (width, height) = image.dimensions();
         let rgba = image.as_raw().as_chunks::<4>().0.to_vec();
-        Ok(SceneTexture { name: self.name.clone(), width, height, rgba })
+        Ok(SceneTexture { name: self.name.clone(), width, height, rgba, file: self.encoded().to_vec() })
     }
 
     fn undecodable(&self, error: &image::ImageError) -> Fault {

@@ -83,6 +83,8 @@ pub struct SceneTexture {
     pub height: u32,
     /// sRGB colour, linear alpha.
     pub rgba: Vec<[u8; 4]>,
+    /// The PNG or JPEG file that the texels were decoded from; empty where they come from no file.
+    pub file: Vec<u8>,
 }
 
 /// A room that the file names: a convex or box-shaped cell.

@@ -37,7 +37,7 @@ pub fn texture(pattern: Pattern, name: String) -> SceneTexture {
             rgba.push(texel(pattern, x, y, &noise));
         }
     }
-    SceneTexture { name, width: SIDE, height: SIDE, rgba }
+    SceneTexture { name, width: SIDE, height: SIDE, rgba, file: Vec::new() }
 }
 
 fn texel(pattern: Pattern, x: u32, y: u32, noise: &Noise) -> [u8; 4] {
