@@ -3,8 +3,9 @@
 //! One chunk holds every level whose longer side is at most [`COARSE_SIDE`] texels, so that a texture is useful after a few
 //! kilobytes; each finer level is a chunk of its own ([`chunk_ranges`]). Texels are coded like LDI colours (one run per row);
 //! alpha is a plane of its own, written only where some texel is not opaque. Alpha is always exact: cutouts are tested
-//! against it. The finest level may be the picture file that the texture was read from instead ([`encode_picture`]): JPEG files
-//! and PNG files of few colours are smaller than any exact coding of what they decode to.
+//! against it. Instead of the finest levels a chunk may hold the picture file that the texture was read from ([`encode_picture`]):
+//! JPEG files and PNG files of few colours are often smaller than any exact coding of what they decode to, even of every second
+//! row and column of it. Coarser levels are made of it as the server makes them.
 
 use super::{
     CodecError, ColourMode,
@@ -13,7 +14,7 @@ use super::{
     residual::{Coder, Decoder, Encoder, median_edge},
     runs::Run,
 };
-use crate::texture::{MipLevel, level_count, level_size};
+use crate::texture::{MipLevel, Texture, level_count, level_size};
 use image::{DynamicImage, ImageDecoder as _, ImageFormat, ImageReader};
 use std::io::Cursor;
 use std::ops::RangeInclusive;
@@ -30,8 +31,10 @@ pub const MAX_TEXELS: usize = 1 << 26;
 const MAGIC: [u8; 3] = *b"TEX";
 /// Texels are coded like LDI colours.
 const CODED: u8 = 0;
-/// A PNG or JPEG file follows.
+/// A PNG or JPEG file follows, of which coarser levels are means.
 const PICTURE: u8 = 1;
+/// The same, with alpha as weight.
+const MASKED_PICTURE: u8 = 2;
 
 /// Levels of a texture, decoded: a range of its pyramid.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -91,14 +94,14 @@ pub fn encode(texture: &TextureLevels, mode: ColourMode, level: i32) -> Result<V
     Ok(w.bytes)
 }
 
-/// The finest level of a texture as the `file`, PNG or JPEG, that its `width` x `height` texels were decoded from.
-/// What [`decode`] makes of it may differ by a code from processor to processor with a JPEG file, and not with a PNG file.
+/// The finest `count` levels of a texture as the `file`, PNG or JPEG, that its `width` x `height` texels were decoded from; `masked`
+/// as in [`Texture::from_base`]. What [`decode`] makes of a JPEG file may differ by a code from processor to processor.
 ///
 /// # Errors
-/// If there are too many texels.
-pub fn encode_picture(width: u32, height: u32, file: &[u8]) -> Result<Vec<u8>, CodecError> {
-    sizes(width, height, 0, 1)?;
-    let mut w = header((width, height), 0, 1, PICTURE, 1)?;
+/// If there are too many texels, or not so many levels.
+pub fn encode_picture(width: u32, height: u32, count: u8, masked: bool, file: &[u8]) -> Result<Vec<u8>, CodecError> {
+    sizes(width, height, 0, count.into())?;
+    let mut w = header((width, height), 0, count, if masked { MASKED_PICTURE } else { PICTURE }, 1)?;
     w.raw(file);
     Ok(w.bytes)
 }
@@ -127,11 +130,12 @@ pub fn decode(bytes: &[u8]) -> Result<TextureLevels, CodecError> {
     let sizes = sizes(width, height, first_level, count.into())?;
     let levels = match r.u8("form")? {
         CODED => coded_levels(r, &sizes)?,
-        PICTURE if (first_level, count) == (0, 1) => {
-            let file = r.take(r.remaining(), "picture")?;
-            vec![picture(file, width, height)?]
+        form @ (PICTURE | MASKED_PICTURE) if first_level == 0 => {
+            let base = picture(r.take(r.remaining(), "picture")?, width, height)?;
+            let all = Texture::from_base(base, form == MASKED_PICTURE).levels;
+            all.into_iter().flatten().take(sizes.len()).collect()
         }
-        other => return Err(CodecError::range("form", other, "it is 0, or 1 with level 0 alone")),
+        other => return Err(CodecError::range("form", other, "it is 0, or 1 or 2 with levels from 0 on")),
     };
     Ok(TextureLevels { width, height, first_level, levels })
 }
@@ -237,7 +241,6 @@ fn walk_alpha(width: u32, rgba: &mut [[u8; 4]], coder: &mut impl Coder) {
 mod tests {
     use super::*;
     use crate::codec::ColourProfile;
-    use crate::texture::Texture;
     use proptest::prelude::*;
 
     fn pyramid(width: u32, height: u32, transparent: bool) -> Vec<MipLevel> {
@@ -324,14 +327,19 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_file_is_the_finest_level() {
+    fn a_picture_file_gives_the_finest_levels() {
         let levels = pyramid(90, 70, true);
         let png = file(90, 70, &levels[0].rgba, ImageFormat::Png);
-        let out = decode(&encode_picture(90, 70, &png).unwrap()).unwrap();
-        assert_eq!(out, TextureLevels { width: 90, height: 70, first_level: 0, levels: levels[..1].to_vec() });
+        for count in 1..=7 {
+            let out = decode(&encode_picture(90, 70, count, true, &png).unwrap()).unwrap();
+            let levels = levels[..count.into()].to_vec();
+            assert_eq!(out, TextureLevels { width: 90, height: 70, first_level: 0, levels });
+        }
+        let plain = decode(&encode_picture(90, 70, 2, false, &png).unwrap()).unwrap();
+        assert!(plain.levels[0] == levels[0] && plain.levels[1] != levels[1], "not weighted by alpha");
 
         let jpeg = file(90, 70, &levels[0].rgba, ImageFormat::Jpeg);
-        let out = decode(&encode_picture(90, 70, &jpeg).unwrap()).unwrap();
+        let out = decode(&encode_picture(90, 70, 1, false, &jpeg).unwrap()).unwrap();
         let mean = |rgba: &[[u8; 4]], k: usize| rgba.iter().map(|p| f64::from(p[k])).sum::<f64>() / rgba.len() as f64;
         for k in 0..3 {
             assert!((mean(&out.levels[0].rgba, k) - mean(&levels[0].rgba, k)).abs() < 2.0);
@@ -344,14 +352,16 @@ mod tests {
         let levels = pyramid(90, 70, false);
         let png = file(90, 70, &levels[0].rgba, ImageFormat::Png);
         let refusal = |width, height, file: &[u8]| {
-            decode(&encode_picture(width, height, file).unwrap()).expect_err("refused").to_string()
+            decode(&encode_picture(width, height, 1, false, file).unwrap()).expect_err("refused").to_string()
         };
         assert!(refusal(70, 90, &png).contains("90 x 70 pixels, the level 70 x 90"));
         assert!(refusal(90, 70, b"GIF89a and more").contains("Gif"));
         assert!(refusal(90, 70, b"").contains("picture"));
-        assert!(encode_picture(0, 70, &png).is_err() && encode_picture(MAX_SIDE, MAX_SIDE, &png).is_err());
-        for (at, value) in [(12, 1), (13, 2), (14, 2)] {
-            let mut bytes = encode_picture(90, 70, &png).unwrap();
+        for (width, height, count) in [(0, 70, 1), (MAX_SIDE, MAX_SIDE, 1), (90, 70, 0), (90, 70, 8)] {
+            assert!(encode_picture(width, height, count, false, &png).is_err());
+        }
+        for (at, value) in [(12, 1), (14, 3)] {
+            let mut bytes = encode_picture(90, 70, 1, false, &png).unwrap();
             bytes[at] = value;
             assert!(decode(&bytes).unwrap_err().to_string().starts_with("form is"), "byte {at}");
         }
@@ -361,7 +371,7 @@ mod tests {
     fn damaged_pictures_never_panic() {
         let levels = pyramid(90, 70, true);
         for format in [ImageFormat::Png, ImageFormat::Jpeg] {
-            let bytes = encode_picture(90, 70, &file(90, 70, &levels[0].rgba, format)).unwrap();
+            let bytes = encode_picture(90, 70, 3, true, &file(90, 70, &levels[0].rgba, format)).unwrap();
             for n in 0..bytes.len() {
                 assert!(n > 15 + 100 || decode(&bytes[..n]).is_err(), "cut at {n}");
             }
