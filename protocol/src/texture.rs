@@ -55,13 +55,18 @@ impl Texture {
         if width == 0 || height == 0 || base.rgba.len() != width as usize * height as usize {
             return Self::default();
         }
-        let mut fine = Linear::from_level(&base, masked);
-        let mut levels = vec![Some(base)];
+        let mut levels = vec![None];
+        let mut finer: Option<Linear> = None;
         for level in 1..level_count(width, height) {
             let (w, h) = level_size(width, height, level);
-            fine = fine.halved(w as usize, h as usize);
-            levels.push(Some(fine.to_level(masked)));
+            let linear = match &finer {
+                None => Linear::below(&base, masked, (w as usize, h as usize)),
+                Some(finer) => finer.halved((w as usize, h as usize)),
+            };
+            levels.push(Some(linear.to_level(masked)));
+            finer = Some(linear);
         }
+        levels[0] = Some(base);
         Self { levels }
     }
 
@@ -219,36 +224,36 @@ struct Linear {
 }
 
 impl Linear {
-    fn from_level(level: &MipLevel, masked: bool) -> Self {
+    /// The level of `size` columns and rows below the finest.
+    fn below(base: &MipLevel, masked: bool, size: (usize, usize)) -> Self {
         let table = linear_from_srgb8_table();
-        let colour = |t: &[u8; 4]| [table[usize::from(t[0])], table[usize::from(t[1])], table[usize::from(t[2])]];
+        let alphas: [f32; 256] = std::array::from_fn(|code| code as f32 / 255.0);
+        let (w, h) = (base.width as usize, base.height as usize);
+        let colour = |t: [u8; 4]| [table[usize::from(t[0])], table[usize::from(t[1])], table[usize::from(t[2])]];
+        let weighted = |x, y| {
+            let texel: [u8; 4] = base.rgba[y * w + x];
+            let alpha = alphas[usize::from(texel[3])];
+            let weight = if masked { alpha } else { 1.0 };
+            let c = colour(texel);
+            [c[0] * weight, c[1] * weight, c[2] * weight, alpha]
+        };
+        let plain = |x, y| colour(base.rgba[y * w + x]);
         Self {
-            width: level.width as usize,
-            height: level.height as usize,
-            weighted: level
-                .rgba
-                .iter()
-                .map(|t| {
-                    let alpha = f32::from(t[3]) / 255.0;
-                    let weight = if masked { alpha } else { 1.0 };
-                    let c = colour(t);
-                    [c[0] * weight, c[1] * weight, c[2] * weight, alpha]
-                })
-                .collect(),
-            plain: if masked { level.rgba.iter().map(colour).collect() } else { Vec::new() },
+            width: size.0,
+            height: size.1,
+            weighted: box_filter((w, h), size, weighted),
+            plain: if masked { box_filter((w, h), size, plain) } else { Vec::new() },
         }
     }
 
-    fn halved(&self, width: usize, height: usize) -> Self {
+    fn halved(&self, size: (usize, usize)) -> Self {
+        let (w, h) = (self.width, self.height);
+        let masked = !self.plain.is_empty();
         Self {
-            width,
-            height,
-            weighted: box_filter(&self.weighted, self.width, self.height, width, height),
-            plain: if self.plain.is_empty() {
-                Vec::new()
-            } else {
-                box_filter(&self.plain, self.width, self.height, width, height)
-            },
+            width: size.0,
+            height: size.1,
+            weighted: box_filter((w, h), size, |x, y| self.weighted[y * w + x]),
+            plain: if masked { box_filter((w, h), size, |x, y| self.plain[y * w + x]) } else { Vec::new() },
         }
     }
 
@@ -276,29 +281,39 @@ impl Linear {
     }
 }
 
-/// Means over the areas that the texels of a coarser raster cover, one axis after the other.
+/// Means over the areas that the texels of a coarser raster of `coarse` columns and rows cover, in each row first. `texel`: of the
+/// `fine` columns and rows, by column and row.
 fn box_filter<const N: usize>(
-    fine: &[[f32; N]],
-    w: usize,
-    h: usize,
-    coarse_w: usize,
-    coarse_h: usize,
+    fine: (usize, usize),
+    coarse: (usize, usize),
+    texel: impl Fn(usize, usize) -> [f32; N],
 ) -> Vec<[f32; N]> {
-    let columns = footprints(w, coarse_w);
-    let rows = footprints(h, coarse_h);
-    let mut narrow = Vec::with_capacity(coarse_w * h);
-    for row in fine.chunks_exact(w) {
-        for f in &columns {
-            narrow.push(f.mean(|i| row[i]));
+    let columns = footprints(fine.0, coarse.0);
+    let pairs = fine.0 == 2 * coarse.0;
+    let mut narrow = vec![[0.0; N]; coarse.0];
+    let mut out = vec![[0.0; N]; coarse.0 * coarse.1];
+    for (f, sums) in footprints(fine.1, coarse.1).iter().zip(out.chunks_exact_mut(coarse.0)) {
+        for (k, weight) in f.weights[..f.count].iter().enumerate() {
+            let y = f.first + k;
+            if pairs {
+                // What footprints give, without their loops.
+                for (x, mean) in narrow.iter_mut().enumerate() {
+                    let (a, b) = (texel(2 * x, y), texel(2 * x + 1, y));
+                    *mean = std::array::from_fn(|c| a[c] * 0.5 + b[c] * 0.5);
+                }
+            } else {
+                for (f, mean) in columns.iter().zip(&mut narrow) {
+                    *mean = f.mean(|x| texel(x, y));
+                }
+            }
+            for (sum, mean) in sums.iter_mut().zip(&narrow) {
+                for (s, m) in sum.iter_mut().zip(mean) {
+                    *s += m * weight;
+                }
+            }
         }
     }
-    let mut coarse = Vec::with_capacity(coarse_w * coarse_h);
-    for f in &rows {
-        for x in 0..coarse_w {
-            coarse.push(f.mean(|i| narrow[i * coarse_w + x]));
-        }
-    }
-    coarse
+    out
 }
 
 /// Fine texels under one coarse texel along one axis, at most three of them, with weights that sum to 1.
