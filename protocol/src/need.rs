@@ -89,6 +89,12 @@ impl Sight {
         Self { eye: pose.position, forward, cos_corner, focal_log2: (focal_px / cos_corner).log2() }
     }
 
+    /// The same with pixels `factor` times as fine, above 1: of what shows from a little nearer, too.
+    #[must_use]
+    pub fn finer(self, factor: f64) -> Self {
+        Self { focal_log2: self.focal_log2 + factor.log2(), ..self }
+    }
+
     /// The finest level that any pixel shows of a texture with this density in this cell.
     ///
     /// From one pixel to the next the eye's ray moves by `depth / focal` times the cosine of its angle off the axis on a surface, at least, whichever way that is turned. The longer of both pixels' steps

@@ -15,6 +15,8 @@ use std::sync::{
 
 /// A guessed pose stands for those around it. Before the LDI tree some of them draw cells that the budget keeps it from drawing: cells within so many budgets are looked for.
 const GUESSED_BUDGET: f64 = 1.3;
+/// And some of them lie nearer: levels of textures and of the LDI tree are looked for as pixels so many times as fine show them.
+const GUESSED_FINER: f64 = 1.1;
 
 /// What a client knows of an index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -62,6 +64,11 @@ impl SelectViews {
         Sight::new(pose, &self.picture, 1)
     }
 
+    /// Of a pose that may come true or nearly.
+    fn guessed(&self, pose: &Pose) -> Sight {
+        self.sight(pose).finer(GUESSED_FINER)
+    }
+
     /// How much the client knows of the index, which bounds what its views need.
     pub fn know(&self, known: Known) {
         self.known.store(known as u8, Relaxed);
@@ -86,11 +93,11 @@ impl Views for SelectViews {
         let whole = self.known.load(Relaxed) == Known::Whole as u8;
         if let Some(tree) = index.tree.as_ref().filter(|_| whole && self.show.far.is_tree(index)) {
             let (half_tan_x, half_tan_y) = self.picture_half_tan;
-            let lens = Lens { half_tan_x, half_tan_y, focal_px: index.settings.camera.focal_px() };
+            let lens = Lens { half_tan_x, half_tan_y, focal_px: index.settings.camera.focal_px() * GUESSED_FINER };
             let below = lacking_below(tree, absent);
             let of_pose = |pose: &Pose| {
                 let cells = cells_before_tree(index, &self.groups, pose, self.picture_half_tan, GUESSED_BUDGET);
-                let mut chunks = of(needed(index, &[], &cells, &[], &self.sight(pose)));
+                let mut chunks = of(needed(index, &[], &cells, &[], &self.guessed(pose)));
                 chunks.extend(lacking(tree, pose, &lens, &below, absent));
                 chunks
             };
@@ -115,7 +122,7 @@ impl Views for SelectViews {
             let (cells, images) = draws_among(index, &self.groups, (&cells, &images), pose, self.picture_half_tan, far);
             match cells.is_empty() && images.is_empty() {
                 true => Vec::new(),
-                false => of(needed(index, &images, &cells, &[], &self.sight(pose))),
+                false => of(needed(index, &images, &cells, &[], &self.guessed(pose))),
             }
         };
         poses.iter().map(of_pose).collect()
