@@ -26,7 +26,7 @@ use ldi_protocol::{
 };
 use ldi_server::{
     build::{self, BuildOptions, Represent},
-    serve::{SelectViews, ServeConfig, planner::Views},
+    serve::{GUESSED_FINER, SelectViews, ServeConfig, planner::Views},
     store::Dataset,
 };
 use std::{collections::BTreeSet, sync::Arc, time::Duration};
@@ -133,6 +133,7 @@ fn what_is_lacking_is_what_is_needed_and_absent() {
     let mut found = [[0, 0]; 3];
     // Cells that poses need where all is geometry, and where the tree shows what is far.
     let (mut all_cells, mut near_cells) = (0, 0);
+    let mut guessed_finer = 0;
     let cells = |method: usize, pose: &Pose| -> BTreeSet<u32> {
         let is_cell = |c: &u32| index.chunks[*c as usize].kind == ChunkKind::Cell;
         views[method].needed(pose).all().filter(is_cell).collect()
@@ -156,7 +157,10 @@ fn what_is_lacking_is_what_is_needed_and_absent() {
             let needed = shown.needed(pose);
             let view = view_of(&index, pose, &camera, method, &mut StageMs::default());
             assert_eq!(needed, view.needed(&index, &Sight::new(pose, &camera, 1)), "{method:?} at {pose:?}");
-            let Needed { base, now, fine } = needed;
+            // Guesses see as much of the scene, and its textures a little finer.
+            let finer = Sight::new(pose, &camera, 1).finer(GUESSED_FINER);
+            let Needed { base, now, fine } = view.needed(&index, &finer);
+            guessed_finer += fine.iter().filter(|c| !needed.fine.contains(c)).count();
             let sorted = |mut list: Vec<u32>| {
                 list.sort_unstable();
                 list
@@ -181,6 +185,7 @@ fn what_is_lacking_is_what_is_needed_and_absent() {
     assert!(offered.iter().all(|n| *n > 100), "geometry, images: {offered:?}");
     assert!(geometry[0] > 100 && tree[0] > 100 && geometry[1] + tree[1] == 0, "{geometry:?}, {tree:?}");
     assert!(near_cells > 100 && near_cells < all_cells, "{near_cells} of {all_cells}");
+    assert!(guessed_finer > 0, "some texture is finer in a guess");
 }
 
 #[test]

@@ -36,4 +36,4 @@ pub use identity::{Identity, IdentityError};
 pub use meter::Meter;
 pub use server::{Server, serve};
 pub use source::ChunkSource;
-pub use views::SelectViews;
+pub use views::{GUESSED_FINER, SelectViews};

@@ -42,7 +42,7 @@ pub trait Views: Send + Sync {
     /// What this pose needs.
     fn needed(&self, pose: &Pose) -> Needed;
 
-    /// What of that is absent, per pose: for many poses of which most need nothing more. May name a little more.
+    /// What of that is absent, per pose: for many poses of which most need nothing more. May name a little more, as poses that are guessed stand for those around them.
     fn lacking(&self, poses: &[Pose], absent: &dyn Fn(u32) -> bool) -> Vec<Vec<u32>> {
         let of_pose = |pose: &Pose| {
             let Needed { now, fine, .. } = self.needed(pose);

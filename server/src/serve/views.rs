@@ -16,7 +16,7 @@ use std::sync::{
 /// A guessed pose stands for those around it. Before the LDI tree some of them draw cells that the budget keeps it from drawing: cells within so many budgets are looked for.
 const GUESSED_BUDGET: f64 = 1.3;
 /// And some of them lie nearer: levels of textures and of the LDI tree are looked for as pixels so many times as fine show them.
-const GUESSED_FINER: f64 = 1.1;
+pub const GUESSED_FINER: f64 = 1.1;
 
 /// What a client knows of an index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
