@@ -51,13 +51,19 @@ pub fn level_size(width: u32, height: u32, level: u32) -> (u32, u32) {
 impl Texture {
     /// The full pyramid over `base`; `masked` weights colour by alpha. A base without texels gives a texture without levels.
     pub fn from_base(base: MipLevel, masked: bool) -> Self {
+        let count = level_count(base.width, base.height);
+        Self::finest(base, masked, count)
+    }
+
+    /// The finest `count` levels of [`Self::from_base`], of those that there are.
+    pub(crate) fn finest(base: MipLevel, masked: bool, count: u32) -> Self {
         let (width, height) = (base.width, base.height);
         if width == 0 || height == 0 || base.rgba.len() != width as usize * height as usize {
             return Self::default();
         }
         let mut levels = vec![None];
         let mut finer: Option<Linear> = None;
-        for level in 1..level_count(width, height) {
+        for level in 1..count.min(level_count(width, height)) {
             let (w, h) = level_size(width, height, level);
             let linear = match &finer {
                 None => Linear::below(&base, masked, (w as usize, h as usize)),

@@ -25,8 +25,11 @@ pub const VERSION: u8 = 4;
 pub const COARSE_SIDE: u32 = 64;
 /// Largest side of a texture.
 pub const MAX_SIDE: u32 = 16_384;
-/// Most texels in a chunk: bounds what a forged chunk can make a reader allocate, to about 0.5 GB.
+/// Most texels in a chunk: bounds what a forged chunk can make a reader allocate, to about 0.5 GB, or 0.8 of a picture of 16 bits.
 pub const MAX_TEXELS: usize = 1 << 26;
+/// Most pixels that one byte of a PNG or JPEG file can hold. Deflate makes at most 1,032 bytes of one, of eight 1-bit pixels each; JPEG
+/// takes at least one bit for the 64 pixels of a block.
+pub const PIXELS_PER_BYTE: u64 = 1_032 * 8;
 
 const MAGIC: [u8; 3] = *b"TEX";
 /// Texels are coded like LDI colours.
@@ -132,8 +135,7 @@ pub fn decode(bytes: &[u8]) -> Result<TextureLevels, CodecError> {
         CODED => coded_levels(r, &sizes)?,
         form @ (PICTURE | MASKED_PICTURE) if first_level == 0 => {
             let base = picture(r.take(r.remaining(), "picture")?, width, height)?;
-            let all = Texture::from_base(base, form == MASKED_PICTURE).levels;
-            all.into_iter().flatten().take(sizes.len()).collect()
+            Texture::finest(base, form == MASKED_PICTURE, count.into()).levels.into_iter().flatten().collect()
         }
         other => return Err(CodecError::range("form", other, "it is 0, or 1 or 2 with levels from 0 on")),
     };
@@ -143,6 +145,9 @@ pub fn decode(bytes: &[u8]) -> Result<TextureLevels, CodecError> {
 /// A PNG or JPEG file of this size. Both are known to be within [`MAX_TEXELS`].
 fn picture(file: &[u8], width: u32, height: u32) -> Result<MipLevel, CodecError> {
     let fault = |e: image::ImageError| CodecError::mismatch("picture", e.to_string());
+    if texels((width, height)) as u64 > file.len() as u64 * PIXELS_PER_BYTE {
+        return Err(CodecError::mismatch("picture", format!("{} bytes hold no {width} x {height} pixels", file.len())));
+    }
     let format = image::guess_format(file).map_err(fault)?;
     if !matches!(format, ImageFormat::Png | ImageFormat::Jpeg) {
         return Err(CodecError::mismatch("picture", format!("it is {format:?}, neither PNG nor JPEG")));
@@ -356,6 +361,7 @@ mod tests {
         };
         assert!(refusal(70, 90, &png).contains("90 x 70 pixels, the level 70 x 90"));
         assert!(refusal(90, 70, b"GIF89a and more").contains("Gif"));
+        assert!(refusal(8000, 8000, &png).contains("bytes hold no 8000 x 8000 pixels"));
         assert!(refusal(90, 70, b"").contains("picture"));
         for (width, height, count) in [(0, 70, 1), (MAX_SIDE, MAX_SIDE, 1), (90, 70, 0), (90, 70, 8)] {
             assert!(encode_picture(width, height, count, false, &png).is_err());

@@ -1,14 +1,14 @@
 //! Pictures: PNG and JPEG bytes in, sRGB texels out.
 //!
 //! Sizes are read from all headers first and compared with the limits, one by one and together; only then are the
-//! pictures decoded, in parallel, in order. Neither format packs more than 8,256 pixels into a byte (deflate: 1,032
-//! bytes per byte, eight 1-bit pixels in each; JPEG: at least one bit for the 64 pixels of a block), so that a header
-//! which promises more than its bytes can hold is refused before its picture is allocated.
+//! pictures decoded, in parallel, in order. A header which promises more than its bytes can
+//! hold ([`PIXELS_PER_BYTE`]) is refused before its picture is allocated.
 
 use std::borrow::Cow;
 use std::io::Cursor;
 
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
+use ldi_protocol::codec::texture::PIXELS_PER_BYTE;
 use rayon::prelude::*;
 
 use super::error::Fault;
@@ -16,8 +16,6 @@ use super::files::Files;
 use super::limits::Limits;
 use super::model::SceneTexture;
 
-/// Most pixels that one byte of a PNG or JPEG file can hold.
-const PIXELS_PER_BYTE: u64 = 1_032 * 8;
 /// Bytes of one decoded pixel while decoding: 16 bits in each of four channels.
 const BYTES_PER_PIXEL: u64 = 8;
 
