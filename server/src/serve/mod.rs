@@ -4,7 +4,7 @@
 //! need them; to a browser, health, metrics and a page with the plan from above.
 //!
 //! - [`planner`]: what to send next; pure, time comes in.
-//! - [`session`]: one connection; [`control`]: its messages; [`push`]: one chunk; [`requests`]: chunks by number or name.
+//! - [`session`]: one connection; [`control`]: its messages; [`push`]: chunks on their way; [`requests`]: chunks by number or name.
 //! - [`source`]: where bytes come from; [`views`]: what a pose needs; [`walkers`]: who is connected.
 //! - [`transport`], [`identity`], [`limits`], [`config`]: the door. [`veno`]: congestion control; [`meter`]: what the link delivers.
 //! - [`http`], [`plan`]: health, metrics and the page.
@@ -34,6 +34,7 @@ pub use config::{ConfigError, Congestion, ServeConfig};
 pub use error::ServeError;
 pub use identity::{Identity, IdentityError};
 pub use meter::Meter;
+pub use push::{FINISH_BELOW, send_window};
 pub use server::{Server, serve};
 pub use source::ChunkSource;
 pub use views::{GUESSED_FINER, SelectViews};

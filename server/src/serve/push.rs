@@ -1,36 +1,59 @@
-//! Sends one chunk on one stream, in slices, and changes its mind while it does.
+//! Chunks on their way to one client: the most urgent first, one after another.
+//!
+//! What the transport has taken is out of our hands: a stream that waits in it keeps the priority that it came with, and what is as urgent shares the link with it,
+//! so that all of them end late. So little is handed over ([`UNSENT_S`]), all of it in one order, and what waits here is reordered or dropped at no cost.
 
-use super::{limits::Allowance, walkers::Counters};
-use bytes::Bytes;
+use super::{limits::Allowance, meter::Metered, walkers::Counters};
+use bytes::{Buf, Bytes};
 use ldi_protocol::wire::{StreamHeader, Urgency, code};
 use quinn::{Connection, SendStream, VarInt, WriteError};
-use std::{sync::Arc, time::Instant};
-use tokio::{sync::watch, time::sleep_until};
+use std::{
+    collections::BTreeMap,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+use tokio::{sync::mpsc, time::sleep_until};
 
-/// Bytes handed to the transport at a time. Larger: a change of priority waits longer; smaller: more wake-ups.
+/// Bytes handed to the transport at a time. Larger: fewer wake-ups; smaller: the first of several chunks is noticed to be out sooner.
 const SLICE: usize = 64 * 1024;
-/// A stale chunk with less than this left is finished all the same: what was sent of it would be wasted.
-const FINISH_BELOW: usize = 32 * 1024;
+/// A stale chunk that began and has less than this left is finished all the same: what was sent of it would be wasted.
+pub const FINISH_BELOW: usize = 32 * 1024;
+/// How often the send window follows the congestion window.
+const WINDOW_INTERVAL: Duration = Duration::from_millis(5);
+/// What may wait in the transport beyond the congestion window: the link's bytes in this time, seconds. Longer: what is urgent waits longer; shorter: the link is idle
+/// while the next slice is fetched.
+const UNSENT_S: f64 = 0.01;
+/// The same in bytes, at least.
+const MIN_UNSENT: u64 = 32 * 1024;
 
-/// A chunk of fewer bytes is out when the transport has it, urgent or not: it takes no part of the send window worth naming, and waiting for a hundred of them to be
-/// acknowledged, a few at a time, takes seconds on a long link.
-pub const SMALL: usize = 16 * 1024;
+/// The same while the congestion window grows, at least: it grows only while the connection has more to send than it may, also between two acknowledgements.
+const GROWING_UNSENT: u64 = 256 * 1024;
+/// A window grows if it became larger by this factor in a round trip.
+const GROWN: f64 = 1.25;
 
-/// What the planner thinks of a chunk on its way.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
-    /// Go on, this urgently.
-    Send(Urgency),
-    /// Stop, unless it is nearly there.
-    Stop,
+/// Unacknowledged bytes that a connection may have: its congestion window and a little that waits.
+pub fn send_window(congestion_window: u64, bytes_per_s: Option<f64>) -> u64 {
+    let of_rate = bytes_per_s.unwrap_or(0.0) * UNSENT_S;
+    congestion_window + MIN_UNSENT.max(of_rate as u64)
 }
 
-/// How a push ended.
+/// What is to be done.
+#[derive(Debug)]
+pub enum Task {
+    /// Send this chunk.
+    Send(StreamHeader, Bytes),
+    /// It matters more or less than before.
+    Reprioritize(u32, Urgency),
+    /// Nobody needs it any more: stop, unless it is nearly there.
+    Stop(u32),
+}
+
+/// How a chunk ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ended {
     /// All bytes are with the transport.
     Sent,
-    /// Reset by us: stale.
+    /// Given up by us: stale.
     Stale,
     /// The client stopped the stream: it holds the chunk already, or does not want it. It can ask for it again.
     Refused,
@@ -65,88 +88,185 @@ impl Outlet {
     }
 }
 
-/// Strict priorities of the transport: higher goes first.
-fn priority(urgency: Urgency) -> i32 {
-    -(urgency as i32)
-}
-
-/// Sends header and bytes. Pressing chunks and small ones end as soon as the transport has them; large ones in the background when the client
-/// has them, so that what nobody waits for never fills the send window that an urgent chunk needs.
-pub async fn push(
-    outlet: Outlet,
+/// A chunk or page on its way.
+#[derive(Debug)]
+struct Push {
     header: StreamHeader,
-    bytes: Bytes,
-    verdict: watch::Receiver<Verdict>,
-    counters: &Counters,
-) -> Ended {
-    let small = bytes.len() < SMALL;
-    match transfer(outlet, header, bytes, verdict, counters).await {
-        Ok((stream, urgency)) => {
-            if !urgency.is_pressing() && !small {
-                acknowledged(stream).await;
-            }
-            counters.sent_chunk();
-            Ended::Sent
-        }
-        Err(ended) => ended,
-    }
+    /// None: not begun.
+    stream: Option<SendStream>,
+    /// What is left.
+    head: Bytes,
+    body: Bytes,
 }
 
-/// The same, but it always ends when the client has everything: for what has to be there before anything else fills the link's queues.
-pub async fn push_through(outlet: Outlet, header: StreamHeader, bytes: Bytes, counters: &Counters) {
-    let (_keep, verdict) = watch::channel(Verdict::Send(header.urgency));
-    if let Ok((stream, _)) = transfer(outlet, header, bytes, verdict, counters).await {
-        acknowledged(stream).await;
+impl Push {
+    fn new(header: StreamHeader, body: Bytes) -> Self {
+        Self { header, stream: None, head: Bytes::new(), body }
+    }
+
+    /// Hands the next slice over; how it ended, if it did. Cancel-safe: it either writes or does not.
+    async fn advance(&mut self, outlet: &Outlet, counters: &Counters) -> Option<Ended> {
+        let stream = match &mut self.stream {
+            Some(stream) => stream,
+            none => match outlet.connection.open_uni().await {
+                Ok(stream) => {
+                    self.head = Bytes::copy_from_slice(&self.header.encode());
+                    none.insert(stream)
+                }
+                Err(_) => return Some(Ended::Failed),
+            },
+        };
+        let mut slices = [self.head.clone(), self.body.slice(..self.body.len().min(SLICE))];
+        outlet.turn().await;
+        let written = match stream.write_chunks(&mut slices).await {
+            Ok(written) => written.bytes,
+            Err(WriteError::Stopped(_)) => return Some(Ended::Refused),
+            Err(_) => return Some(Ended::Failed),
+        };
+        let of_head = written.min(self.head.len());
+        self.head.advance(of_head);
+        self.body.advance(written - of_head);
+        outlet.sent(written);
+        counters.sent_bytes(written - of_head);
+        if !self.body.is_empty() {
+            return None;
+        }
         counters.sent_chunk();
+        Some(stream.finish().map_or(Ended::Failed, |()| Ended::Sent))
     }
 }
 
-/// Hands header and bytes to the transport. The stream, and how urgent it was in the end; or how else it ended.
-async fn transfer(
-    outlet: Outlet,
-    header: StreamHeader,
-    bytes: Bytes,
-    mut verdict: watch::Receiver<Verdict>,
-    counters: &Counters,
-) -> Result<(SendStream, Urgency), Ended> {
-    let Ok(mut stream) = outlet.connection.open_uni().await else { return Err(Ended::Failed) };
-    let _ = stream.set_priority(priority(header.urgency));
-    let mut urgency = header.urgency;
-    if stream.write_all(&header.encode()).await.is_err() {
-        return Err(Ended::Failed);
+/// Whether a congestion window grows fast, as after the start.
+#[derive(Debug, Default)]
+struct Growth {
+    /// When the last round trip began, and the window then.
+    since: Option<(Duration, u64)>,
+    stopped: bool,
+}
+
+impl Growth {
+    /// Called with the window of now, again and again. True before the first round trip is over.
+    fn goes_on(&mut self, now: Duration, round_trip: Duration, window: u64) -> bool {
+        let (since, before) = *self.since.get_or_insert((now, window));
+        if now - since >= round_trip {
+            self.stopped = (window as f64) < before as f64 * GROWN;
+            self.since = Some((now, window));
+        }
+        !self.stopped
     }
-    let mut left = bytes;
-    while !left.is_empty() {
-        let mut slice = [left.slice(..left.len().min(SLICE))];
-        tokio::select! {
+}
+
+/// Carries chunks until the tasks end; tells how each ended. `most`: of unacknowledged bytes.
+pub async fn carry(
+    outlet: Outlet,
+    most: u64,
+    mut tasks: mpsc::UnboundedReceiver<Task>,
+    ended: mpsc::UnboundedSender<(u32, Ended)>,
+    counters: Arc<Counters>,
+) {
+    let mut queue = Queue::default();
+    let mut window_at: Option<Instant> = None;
+    let mut growth = Growth::default();
+    loop {
+        if window_at.is_none_or(|at| at.elapsed() >= WINDOW_INTERVAL) {
+            window_at = Some(Instant::now());
+            let path = outlet.connection.stats().path;
+            let window = match growth.goes_on(outlet.epoch.elapsed(), path.rtt, path.cwnd) {
+                true => path.cwnd + path.cwnd.max(GROWING_UNSENT),
+                false => send_window(path.cwnd, Metered::rate_of(&outlet.connection)),
+            };
+            outlet.connection.set_send_window(window.min(most));
+        }
+        let done = tokio::select! {
             biased;
-            Ok(()) = verdict.changed() => match *verdict.borrow_and_update() {
-                Verdict::Send(u) => {
-                    urgency = u;
-                    let _ = stream.set_priority(priority(u));
-                }
-                Verdict::Stop if left.len() > FINISH_BELOW => {
-                    let _ = stream.reset(VarInt::from_u32(code::STALE));
-                    counters.stale();
-                    return Err(Ended::Stale);
-                }
-                Verdict::Stop => {}
+            task = tasks.recv() => match task {
+                Some(task) => queue.take(task, &counters).map(|chunk| (chunk, Ended::Stale)),
+                None => return,
             },
-            // Cancel-safe: it either writes or does not.
-            written = async { outlet.turn().await; stream.write_chunks(&mut slice).await } => match written {
-                Ok(w) => {
-                    outlet.sent(w.bytes);
-                    counters.sent_bytes(w.bytes);
-                    let _ = left.split_to(w.bytes);
-                }
-                Err(WriteError::Stopped(_)) => return Err(Ended::Refused),
-                Err(_) => return Err(Ended::Failed),
-            },
+            done = queue.advance(&outlet, &counters) => done,
+        };
+        if let Some(done) = done
+            && ended.send(done).is_err()
+        {
+            return;
         }
     }
-    stream.finish().map(|()| (stream, urgency)).map_err(|_| Ended::Failed)
 }
 
-async fn acknowledged(stream: SendStream) {
-    let _ = stream.stopped().await;
+/// Chunks by urgency, then as they came.
+#[derive(Debug, Default)]
+struct Queue {
+    pushes: BTreeMap<(Urgency, u64), Push>,
+    came: u64,
 }
+
+impl Queue {
+    /// The chunk that was given up, if one was.
+    fn take(&mut self, task: Task, counters: &Counters) -> Option<u32> {
+        let key_of = |number: u32| self.pushes.iter().find(|(_, p)| p.header.number == number).map(|(key, _)| *key);
+        match task {
+            Task::Send(header, body) => {
+                self.pushes.insert((header.urgency, self.came), Push::new(header, body));
+                self.came += 1;
+            }
+            Task::Reprioritize(number, urgency) => {
+                let key = key_of(number)?;
+                let mut push = self.pushes.remove(&key)?;
+                // The client decodes in this order, too; what began has told another one.
+                push.header.urgency = urgency;
+                self.pushes.insert((urgency, key.1), push);
+            }
+            Task::Stop(number) => {
+                let key = key_of(number)?;
+                let push = self.pushes.get(&key)?;
+                if push.stream.is_some() && push.body.len() <= FINISH_BELOW {
+                    return None;
+                }
+                let push = self.pushes.remove(&key)?;
+                if let Some(mut stream) = push.stream {
+                    let _ = stream.reset(VarInt::from_u32(code::STALE));
+                }
+                counters.stale();
+                return Some(number);
+            }
+        }
+        None
+    }
+
+    /// Hands a slice of the first one over; which it was and how it ended, if it did. Pending while there is none.
+    async fn advance(&mut self, outlet: &Outlet, counters: &Counters) -> Option<(u32, Ended)> {
+        let Some(mut first) = self.pushes.first_entry() else { return std::future::pending().await };
+        let push = first.get_mut();
+        let done = (push.header.number, push.advance(outlet, counters).await?);
+        first.remove();
+        Some(done)
+    }
+}
+
+/// Sends header and bytes beside the queue. It ends when the transport has them; the stream, or none if it did not get there.
+pub async fn push_beside(
+    outlet: &Outlet,
+    header: StreamHeader,
+    bytes: Bytes,
+    counters: &Counters,
+) -> Option<SendStream> {
+    let mut push = Push::new(header, bytes);
+    loop {
+        match push.advance(outlet, counters).await {
+            None => {}
+            Some(Ended::Sent) => return push.stream,
+            Some(_) => return None,
+        }
+    }
+}
+
+/// The same, but it ends when the client has everything: for what has to be there before anything else fills the link's queues.
+pub async fn push_through(outlet: &Outlet, header: StreamHeader, bytes: Bytes, counters: &Counters) {
+    if let Some(stream) = push_beside(outlet, header, bytes, counters).await {
+        let _ = stream.stopped().await;
+    }
+}
+
+#[cfg(test)]
+#[path = "push_test.rs"]
+mod tests;

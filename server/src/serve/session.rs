@@ -8,7 +8,7 @@ use super::{
     limits::{Door, Place, TokenBucket},
     meter::Metered,
     planner::{Capacity, Order, Planner, PlannerConfig, Turn},
-    push::{Ended, Outlet, Verdict, push, push_through},
+    push::{Ended, Outlet, Task, carry, push_beside, push_through},
     requests,
     source::Served,
     views::{Known, SelectViews},
@@ -24,7 +24,6 @@ use ldi_protocol::{
 };
 use quinn::{RecvStream, SendStream, VarInt};
 use std::{
-    collections::HashMap,
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -38,10 +37,8 @@ use tokio::{
 const HANDSHAKE: Duration = Duration::from_secs(10);
 /// Time for the manifest to reach the client: 256 kB of root and a few MB of pages on a slow link.
 const WELCOME: Duration = Duration::from_secs(120);
-/// How often the send window follows the congestion window.
-const WINDOW_INTERVAL: Duration = Duration::from_millis(100);
-/// The send window is never smaller: below, a fast start stalls.
-const MIN_SEND_WINDOW: u64 = 256 * 1024;
+/// How often the planner learns what the link delivers.
+const LINK_INTERVAL: Duration = Duration::from_millis(100);
 /// A wrong token is answered after this time, so that guessing is slow.
 const WRONG_TOKEN_DELAY: Duration = Duration::from_millis(300);
 /// Control messages that wait for the session; more and the reader waits, and with it the client.
@@ -128,7 +125,12 @@ async fn converse(shared: &Arc<Shared>, outlet: &Outlet) -> Result<(), SessionEr
     };
     let walker = shared.walkers.enter(&hello.name);
     tracing::info!(address = %connection.remote_address(), walker = walker.id, name = %hello.name, "came in");
-    let end = Session::new(shared.clone(), outlet.clone(), &hello, walker).run(&mut send, recv).await;
+    let (tasks, given) = mpsc::unbounded_channel();
+    let (ended, done) = mpsc::unbounded_channel();
+    let mut carrier = JoinSet::new();
+    carrier.spawn(carry(outlet.clone(), shared.send_window, given, ended, walker.counters.clone()));
+    let session = Session::new(shared.clone(), outlet.clone(), &hello, walker, tasks);
+    let end = session.run(&mut send, recv, done).await;
     if let Err(SessionError::Refused { code, message }) = &end {
         refuse(&mut send, *code, message).await;
     }
@@ -141,11 +143,11 @@ struct Session {
     walker: Entry,
     planner: Planner,
     started: Instant,
-    pushes: JoinSet<(u32, Ended)>,
-    verdicts: HashMap<u32, watch::Sender<Verdict>>,
+    /// To the task that carries chunks. Unbounded, but no more is on its way than the planner allows.
+    tasks: mpsc::UnboundedSender<Task>,
     /// Chunks that exist but cannot be read, to be told.
     unreadable: Vec<u32>,
-    window_at: Duration,
+    link_at: Duration,
     /// As the client said it last.
     capacity: Capacity,
     /// Datasets whose manifest the client has.
@@ -165,7 +167,13 @@ struct Told {
 }
 
 impl Session {
-    fn new(shared: Arc<Shared>, outlet: Outlet, hello: &Hello, walker: Entry) -> Self {
+    fn new(
+        shared: Arc<Shared>,
+        outlet: Outlet,
+        hello: &Hello,
+        walker: Entry,
+        tasks: mpsc::UnboundedSender<Task>,
+    ) -> Self {
         let index = shared.served.index().clone();
         let config = PlannerConfig {
             cache_bytes: hello.cache_bytes,
@@ -185,10 +193,9 @@ impl Session {
             outlet,
             walker,
             started: Instant::now(),
-            pushes: JoinSet::new(),
-            verdicts: HashMap::new(),
+            tasks,
             unreadable: Vec::new(),
-            window_at: Duration::ZERO,
+            link_at: Duration::ZERO,
             capacity: Capacity::default(),
             manifests: hello.manifests.clone(),
             poses: TokenBucket::new(POSES_PER_SECOND, POSES_PER_SECOND),
@@ -196,7 +203,12 @@ impl Session {
         }
     }
 
-    async fn run(mut self, send: &mut SendStream, recv: RecvStream) -> Result<(), SessionError> {
+    async fn run(
+        mut self,
+        send: &mut SendStream,
+        recv: RecvStream,
+        mut carried: mpsc::UnboundedReceiver<(u32, Ended)>,
+    ) -> Result<(), SessionError> {
         // A client that reads nothing of it would keep its place for ever.
         let mut pages = JoinSet::new();
         timeout(WELCOME, self.welcome(send, &mut pages)).await.map_err(|_| SessionError::Silent)??;
@@ -222,7 +234,7 @@ impl Session {
                 },
                 Some(number) = answers.recv() => self.planner.sent_elsewhere(number),
                 datagram = self.outlet.connection.read_datagram() => self.see(&datagram?),
-                Some(done) = self.pushes.join_next() => self.land(done),
+                Some(done) = carried.recv() => self.land(done),
                 Some(Ok(sent)) = pages.join_next() => sent.map_err(|_| SessionError::Silent)??,
                 () = due(&mut self.others) => self.tell_others(send).await?,
                 () = sleep_until(wake) => {}
@@ -288,7 +300,7 @@ impl Session {
             let Some((number, bytes)) = bytes else { return };
             let urgency = Urgency::Asked;
             let header = StreamHeader { kind: StreamKind::Chunk, urgency, number, bytes: bytes.len() as u32 };
-            push_through(outlet, header, bytes, &counters).await;
+            push_through(&outlet, header, bytes, &counters).await;
         }
     }
 
@@ -302,8 +314,7 @@ impl Session {
                 };
                 let header =
                     StreamHeader { kind: StreamKind::Page, urgency: Urgency::Now, number, bytes: bytes.len() as u32 };
-                let (_keep, verdict) = watch::channel(Verdict::Send(Urgency::Now));
-                push(outlet.clone(), header, bytes, verdict, &counters).await;
+                push_beside(&outlet, header, bytes, &counters).await;
             }
             Ok(())
         }
@@ -374,15 +385,10 @@ impl Session {
         }
     }
 
-    /// Twice the congestion window may wait in the connection. What waits there can be neither overtaken by a chunk of the same
-    /// urgency nor taken back; less would leave the link idle between two wake-ups. The planner learns what the link delivers.
     fn follow_link(&mut self) {
         let now = self.started.elapsed();
-        if now - self.window_at >= WINDOW_INTERVAL {
-            self.window_at = now;
-            let window = 2 * self.outlet.connection.stats().path.cwnd;
-            let largest = self.shared.send_window.max(MIN_SEND_WINDOW);
-            self.outlet.connection.set_send_window(window.clamp(MIN_SEND_WINDOW, largest));
+        if now - self.link_at >= LINK_INTERVAL {
+            self.link_at = now;
             self.capacity.round_trip = self.outlet.connection.rtt();
             self.capacity.bytes_per_s = Metered::rate_of(&self.outlet.connection);
             self.planner.capacity(self.capacity);
@@ -397,14 +403,16 @@ impl Session {
         }
         metrics::histogram!("ldi_plan_seconds").record((self.started.elapsed() - now).as_secs_f64());
         for turn in self.planner.turns() {
-            let (chunk, verdict) = match turn {
-                Turn::Reprioritize(order) => (order.chunk, Verdict::Send(order.urgency)),
-                Turn::Stale(chunk) => (chunk, Verdict::Stop),
-            };
-            if let Some(sender) = self.verdicts.get(&chunk) {
-                let _ = sender.send(verdict);
-            }
+            self.task(match turn {
+                Turn::Reprioritize(order) => Task::Reprioritize(order.chunk, order.urgency),
+                Turn::Stale(chunk) => Task::Stop(chunk),
+            });
         }
+    }
+
+    /// The task that carries chunks ends with the connection, and the session with it.
+    fn task(&self, task: Task) {
+        let _ = self.tasks.send(task);
     }
 
     fn push_one(&mut self, order: Order) {
@@ -413,22 +421,16 @@ impl Session {
             self.unreadable.push(order.chunk);
             return self.planner.sent(order.chunk);
         };
-        let (sender, verdict) = watch::channel(Verdict::Send(order.urgency));
-        self.verdicts.insert(order.chunk, sender);
         let header = StreamHeader {
             kind: StreamKind::Chunk,
             urgency: order.urgency,
             number: order.chunk,
             bytes: bytes.len() as u32,
         };
-        let (outlet, counters) = (self.outlet.clone(), self.walker.counters.clone());
-        self.pushes.spawn(async move { (order.chunk, push(outlet, header, bytes, verdict, &counters).await) });
+        self.task(Task::Send(header, bytes));
     }
 
-    fn land(&mut self, done: Result<(u32, Ended), tokio::task::JoinError>) {
-        // A push neither panics nor is it cancelled while the session lives.
-        let Ok((chunk, ended)) = done else { return };
-        self.verdicts.remove(&chunk);
+    fn land(&mut self, (chunk, ended): (u32, Ended)) {
         match ended {
             Ended::Sent | Ended::Refused => self.planner.sent(chunk),
             Ended::Stale | Ended::Failed => self.planner.aborted(chunk),

@@ -75,7 +75,9 @@ fn transport(config: &ServeConfig) -> TransportConfig {
         .stream_receive_window(VarInt::from_u32(CLIENT_STREAM_WINDOW))
         .receive_window(VarInt::from_u32(4 * CLIENT_STREAM_WINDOW))
         .datagram_receive_buffer_size(Some(POSE_BUFFER_BYTES))
-        .send_window(config.send_window);
+        .send_window(config.send_window)
+        // One stream after another: what is half there is of no use.
+        .send_fairness(false);
     match config.congestion {
         Congestion::Cubic => control(&mut t, congestion::CubicConfig::default()),
         Congestion::NewReno => control(&mut t, congestion::NewRenoConfig::default()),

@@ -20,8 +20,9 @@ use ldi_protocol::{
     wire::{PoseDatagram, Urgency},
 };
 use ldi_server::serve::{
-    Meter,
+    FINISH_BELOW, Meter,
     planner::{Capacity, Order, Planner, PlannerConfig, Turn, Views},
+    send_window,
 };
 use std::{
     cmp::Reverse,
@@ -36,12 +37,6 @@ const STEP: Duration = Duration::from_millis(1);
 const PACKET: usize = 1200;
 /// What congestion control lets stand in the link's queue.
 const QUEUE: Duration = Duration::from_millis(10);
-/// Bytes of a connection that may be unacknowledged, at least; as the server's.
-const MIN_SEND_WINDOW: usize = 256 * 1024;
-/// A stale chunk with less than this left is finished; as the server's.
-const FINISH_BELOW: usize = 32 * 1024;
-/// A chunk of fewer bytes is out when the transport has it; as the server's.
-const SMALL: usize = 16 * 1024;
 /// How often the client says what it dropped and how far behind it is.
 const TICK: Duration = Duration::from_millis(100);
 
@@ -125,27 +120,30 @@ pub struct Score {
     pub second_half: u64,
 }
 
-/// A chunk on its way.
+/// A chunk on its way to the transport.
 #[derive(Debug)]
-struct Stream {
+struct Push {
     urgency: Urgency,
-    number: u64,
-    bytes: usize,
+    stream: u64,
     /// Not yet taken by the transport.
     left: usize,
-    /// Taken, and not sent or to be sent again.
-    buffered: usize,
-    acked: usize,
-    arrived: usize,
-    done: bool,
-    reset: bool,
+}
+
+/// A chunk on its way from there.
+#[derive(Debug)]
+struct Stream {
+    chunk: u32,
+    /// As it was when the stream began.
+    urgency: Urgency,
+    /// Not yet arrived.
+    left: usize,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Event {
-    Arrives { chunk: u32, stream: u64, bytes: usize },
-    Acknowledged { chunk: u32, stream: u64, bytes: usize, had_less: bool },
-    Lost { chunk: u32, stream: u64, bytes: usize },
+    Arrives { stream: u64, bytes: usize },
+    Acknowledged { bytes: usize, had_less: bool },
+    Lost { stream: u64, bytes: usize },
     Seen { frame: usize, sequence: u32, sent_us: u64 },
     Told { waiting: u64 },
     Dropped { chunk: u32 },
@@ -160,8 +158,13 @@ struct Rehearsal<'a> {
     epoch: Instant,
     now: Duration,
     link: Link,
-    streams: BTreeMap<u32, Stream>,
+    pushes: BTreeMap<u32, Push>,
+    streams: BTreeMap<u64, Stream>,
     opened: u64,
+    /// Taken by the transport and not sent, in order: stream and bytes.
+    unsent: VecDeque<(u64, usize)>,
+    /// Taken by the transport and not acknowledged.
+    unacked: usize,
     events: BinaryHeap<Reverse<(Duration, u64, Event)>>,
     event_number: u64,
     in_flight: usize,
@@ -206,8 +209,11 @@ pub fn rehearse(script: &Script, setting: &Setting, views: Arc<dyn Views>) -> Sc
         epoch: Instant::now(),
         now: Duration::ZERO,
         link: Link::new(LinkSpec { queue: Duration::from_secs(10), ..setting.link }, Direction::Down),
+        pushes: BTreeMap::new(),
         streams: BTreeMap::new(),
         opened: 0,
+        unsent: VecDeque::new(),
+        unacked: 0,
         events: BinaryHeap::new(),
         event_number: 0,
         in_flight: 0,
@@ -266,42 +272,28 @@ impl Rehearsal<'_> {
     }
 
     fn happen(&mut self, event: Event) {
-        let stream_of = |streams: &mut BTreeMap<u32, Stream>, chunk: u32, number: u64| {
-            streams.get(&chunk).is_some_and(|s| s.number == number)
-        };
         match event {
-            Event::Arrives { chunk, stream, bytes } => {
+            Event::Arrives { stream, bytes } => {
                 self.score.received += bytes as u64;
-                if !stream_of(&mut self.streams, chunk, stream) {
-                    return;
-                }
-                let Some(s) = self.streams.get_mut(&chunk) else { return };
-                s.arrived += bytes;
-                if s.arrived == s.bytes && !s.reset {
-                    let urgency = s.urgency;
+                let Some(s) = self.streams.get_mut(&stream) else { return };
+                s.left -= bytes;
+                if s.left == 0 {
+                    let (chunk, urgency) = (s.chunk, s.urgency);
+                    self.streams.remove(&stream);
                     if urgency.is_pressing() { &mut self.pressing } else { &mut self.ahead }
                         .push_back((chunk, urgency));
                 }
             }
-            Event::Acknowledged { chunk, stream, bytes, had_less } => {
+            Event::Acknowledged { bytes, had_less } => {
                 self.in_flight -= bytes;
+                self.unacked -= bytes;
                 self.meter.acknowledged(self.now, bytes as u64, had_less, 2 * self.setting.link.delay);
-                if !stream_of(&mut self.streams, chunk, stream) {
-                    return;
-                }
-                let Some(s) = self.streams.get_mut(&chunk) else { return };
-                s.acked += bytes;
-                if s.acked == s.bytes || s.reset {
-                    if !s.done {
-                        self.planner.sent(chunk);
-                    }
-                    self.streams.remove(&chunk);
-                }
             }
-            Event::Lost { chunk, stream, bytes } => {
+            Event::Lost { stream, bytes } => {
                 self.in_flight -= bytes;
-                if let Some(s) = self.streams.get_mut(&chunk).filter(|s| s.number == stream && !s.reset) {
-                    s.buffered += bytes;
+                match self.streams.contains_key(&stream) {
+                    true => self.unsent.push_back((stream, bytes)),
+                    false => self.unacked -= bytes,
                 }
             }
             Event::Seen { frame, sequence, sent_us } => {
@@ -384,53 +376,50 @@ impl Rehearsal<'_> {
         while let Some(Order { chunk, urgency }) = self.planner.next(self.now) {
             let bytes = self.script.index.chunks[chunk as usize].stored_bytes as usize;
             self.opened += 1;
-            let stream = Stream {
-                urgency,
-                number: self.opened,
-                bytes,
-                left: bytes,
-                buffered: 0,
-                acked: 0,
-                arrived: 0,
-                done: false,
-                reset: false,
-            };
-            self.streams.insert(chunk, stream);
+            self.pushes.insert(chunk, Push { urgency, stream: self.opened, left: bytes });
         }
         for turn in self.planner.turns() {
             match turn {
                 Turn::Reprioritize(order) => {
-                    if let Some(s) = self.streams.get_mut(&order.chunk) {
-                        s.urgency = order.urgency;
+                    if let Some(p) = self.pushes.get_mut(&order.chunk) {
+                        p.urgency = order.urgency;
                     }
                 }
-                Turn::Stale(chunk) => {
-                    let Some(s) = self.streams.get_mut(&chunk) else { continue };
-                    if s.left > FINISH_BELOW {
-                        self.streams.remove(&chunk);
-                        self.planner.aborted(chunk);
-                        self.score.stale += 1;
-                    }
-                }
+                Turn::Stale(chunk) => self.stop(chunk),
             }
         }
     }
 
+    /// As the server's: what began and is nearly there is finished.
+    fn stop(&mut self, chunk: u32) {
+        let Some(p) = self.pushes.get(&chunk) else { return };
+        let (stream, left) = (p.stream, p.left);
+        if self.streams.contains_key(&stream) && left <= FINISH_BELOW {
+            return;
+        }
+        self.pushes.remove(&chunk);
+        self.streams.remove(&stream);
+        let of_it = self.unsent.iter().filter(|(s, _)| *s == stream);
+        self.unacked -= of_it.map(|(_, bytes)| bytes).sum::<usize>();
+        self.unsent.retain(|(s, _)| *s != stream);
+        self.planner.aborted(chunk);
+        self.score.stale += 1;
+    }
+
     /// Hands bytes to the transport, most urgent first, as far as its window goes.
     fn fill(&mut self) {
-        let unacked: usize = self.streams.values().map(|s| s.bytes - s.left - s.acked).sum();
-        let mut room = MIN_SEND_WINDOW.max(2 * self.window).saturating_sub(unacked);
-        let mut order: Vec<u32> = self.streams.iter().filter(|(_, s)| s.left > 0).map(|(c, _)| *c).collect();
-        order.sort_by_key(|c| (self.streams[c].urgency, self.streams[c].number));
-        for chunk in order {
-            let Some(s) = self.streams.get_mut(&chunk) else { continue };
-            let taken = s.left.min(room);
-            room -= taken;
-            s.left -= taken;
-            s.buffered += taken;
-            // What somebody waits for and what is small is out when the transport has it, all else when the client has.
-            if s.left == 0 && (s.urgency.is_pressing() || s.bytes < SMALL) && !s.done {
-                s.done = true;
+        let window = send_window(self.window as u64, self.meter.bytes_per_s()) as usize;
+        while let Some(room) = window.checked_sub(self.unacked).filter(|r| *r > 0) {
+            let first = self.pushes.iter_mut().min_by_key(|(_, p)| (p.urgency, p.stream));
+            let Some((&chunk, p)) = first else { return };
+            let all = self.script.index.chunks[chunk as usize].stored_bytes as usize;
+            self.streams.entry(p.stream).or_insert(Stream { chunk, urgency: p.urgency, left: all });
+            let taken = p.left.min(room);
+            p.left -= taken;
+            self.unacked += taken;
+            self.unsent.push_back((p.stream, taken));
+            if p.left == 0 {
+                self.pushes.remove(&chunk);
                 self.planner.sent(chunk);
             }
         }
@@ -438,23 +427,23 @@ impl Rehearsal<'_> {
 
     fn transmit(&mut self) {
         while self.in_flight < self.window {
-            let ready = self.streams.iter().filter(|(_, s)| s.buffered > 0);
-            let Some(chunk) = ready.min_by_key(|(_, s)| (s.urgency, s.number)).map(|(c, _)| *c) else { return };
-            let Some(s) = self.streams.get_mut(&chunk) else { return };
-            let bytes = s.buffered.min(PACKET);
-            s.buffered -= bytes;
-            let stream = s.number;
+            let Some((stream, waiting)) = self.unsent.front_mut() else { return };
+            let (stream, bytes) = (*stream, PACKET.min(*waiting));
+            *waiting -= bytes;
+            if *waiting == 0 {
+                self.unsent.pop_front();
+            }
             self.in_flight += bytes;
-            let had_less = self.streams.values().all(|s| s.buffered == 0);
+            let had_less = self.unsent.is_empty();
             match self.link.send(self.now, bytes + HEADER_BYTES) {
                 Fate::Arrives(at) | Fate::ArrivesTwice(at, _) => {
-                    self.at(at, Event::Arrives { chunk, stream, bytes });
+                    self.at(at, Event::Arrives { stream, bytes });
                     let back = at + self.setting.link.delay;
-                    self.at(back, Event::Acknowledged { chunk, stream, bytes, had_less });
+                    self.at(back, Event::Acknowledged { bytes, had_less });
                 }
                 Fate::Lost | Fate::Dropped => {
                     let noticed = self.now + 2 * self.setting.link.delay + QUEUE;
-                    self.at(noticed, Event::Lost { chunk, stream, bytes });
+                    self.at(noticed, Event::Lost { stream, bytes });
                 }
             }
         }
