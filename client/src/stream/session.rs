@@ -31,7 +31,7 @@ use std::{
     time::{Duration, Instant},
 };
 use tokio::{
-    sync::{mpsc, oneshot},
+    sync::{Semaphore, mpsc, oneshot},
     task::{JoinHandle, JoinSet},
     time::{interval, timeout},
 };
@@ -42,6 +42,8 @@ pub const MAX_RETRIES: u8 = 2;
 const TOUCH_STEP_M: f64 = 0.5;
 /// So far around the eye data is kept in memory and read from disk unasked, metres.
 const AROUND_M: f64 = 5.0;
+/// Bytes of chunks and pages that arrive at the same time or wait for a decoding thread.
+const ARRIVING_BYTES: u32 = 32 << 20;
 /// Time for the goodbye.
 const GOODBYE: Duration = Duration::from_millis(500);
 
@@ -199,7 +201,14 @@ impl Session {
         }
         let (messages, mut heard) = mpsc::channel(16);
         let (paged, mut pages) = mpsc::channel(MAX_STREAMS as usize);
-        let listed: Arc<[PageEntry]> = self.rest.as_ref().map_or_else(Vec::new, Pages::listed).into();
+        let listed = self.rest.as_ref().map_or_else(Vec::new, Pages::listed);
+        let intake = Arc::new(Intake {
+            target: self.target.clone(),
+            pool: self.pool.clone(),
+            listed,
+            paged,
+            room: Semaphore::new(ARRIVING_BYTES as usize),
+        });
         let mut tasks = JoinSet::new();
         tasks.spawn(listen(recv, self.connection.clone(), messages));
         let mut tick = interval(SAMPLE_EVERY);
@@ -208,7 +217,7 @@ impl Session {
                 // A stream that was read to its end no longer counts for QUIC: chunks that wait for a decoder must count here.
                 stream = self.connection.accept_uni(), if tasks.len() <= MAX_STREAMS as usize => {
                     let stream = stream.map_err(|e| handshake::lost(&e))?;
-                    tasks.spawn(take_in(stream, self.target.clone(), self.pool.clone(), listed.clone(), paged.clone()));
+                    tasks.spawn(intake.clone().take_in(stream));
                 }
                 pose = poses.next() => self.send_pose(pose),
                 command = commands.recv() => match command {
@@ -382,42 +391,51 @@ async fn assembled(assembling: &mut Option<JoinHandle<Result<Index, ConnectError
     done.unwrap_or_else(|e| Err(ConnectError::Local(e.to_string())))
 }
 
-/// Takes in one page, for the session, or one chunk, for the decoding threads.
-async fn take_in(
-    mut stream: RecvStream,
+/// Where streams go.
+struct Intake {
     target: Arc<Target>,
     pool: Arc<DecodePool>,
-    listed: Arc<[PageEntry]>,
+    /// Pages that may come.
+    listed: Vec<PageEntry>,
     paged: mpsc::Sender<(u32, Vec<u8>)>,
-) {
-    let Target { cache, stats, .. } = &*target;
-    let taken = async {
-        let header = receive::header(&mut stream).await?;
+    /// Bytes that may arrive or wait, see [`ARRIVING_BYTES`].
+    room: Semaphore,
+}
+
+impl Intake {
+    /// Takes in one page, for the session, or one chunk, for the decoding threads.
+    async fn take_in(self: Arc<Self>, mut stream: RecvStream) {
+        match self.receive(&mut stream).await {
+            Ok(()) => {}
+            Err(Broken::Off { bytes }) => self.target.stats.broken_off(bytes),
+            Err(e @ Broken::Wrong(_)) => tracing::warn!("a stream was refused: {e}"),
+        }
+    }
+
+    async fn receive(&self, stream: &mut RecvStream) -> Result<(), Broken> {
+        let Target { cache, stats, .. } = &*self.target;
+        let header = receive::header(stream).await?;
         let entry = cache.index().chunks.get(header.number as usize).filter(|_| header.kind == StreamKind::Chunk);
-        if entry.is_none_or(|e| e.stored_bytes != header.bytes) && !is_listed(&listed, &header) {
-            receive::refuse(&mut stream, code::BAD_STREAM);
+        if entry.is_none_or(|e| e.stored_bytes != header.bytes) && !is_listed(&self.listed, &header) {
+            receive::refuse(stream, code::BAD_STREAM);
             return Err(Broken::Wrong(format!("{:?} {} is not as the index lists it", header.kind, header.number)));
         }
         if header.kind == StreamKind::Chunk && cache.holds(header.number) {
-            receive::refuse(&mut stream, code::DUPLICATE);
+            receive::refuse(stream, code::DUPLICATE);
             stats.duplicate(0);
-            return Ok(None);
+            return Ok(());
         }
-        let bytes = receive::body(&mut stream, &header).await?;
-        Ok(Some((header, bytes)))
-    };
-    match taken.await {
-        Ok(Some((header, bytes))) if header.kind == StreamKind::Page => {
+        // Never closed, so there is always a permit. Held until a thread has it.
+        let _room = self.room.acquire_many(header.bytes.min(ARRIVING_BYTES)).await;
+        let bytes = receive::body(stream, &header).await?;
+        if header.kind == StreamKind::Page {
             // The session is gone when nobody takes it.
-            let _ = paged.send((header.number, bytes)).await;
+            let _ = self.paged.send((header.number, bytes)).await;
+            return Ok(());
         }
-        Ok(Some((header, bytes))) => {
-            let job = Job { chunk: header.number, urgency: header.urgency, bytes: Some(bytes), target: target.clone() };
-            pool.send(job).await;
-        }
-        Ok(None) => {}
-        Err(Broken::Off { bytes }) => stats.broken_off(bytes),
-        Err(e @ Broken::Wrong(_)) => tracing::warn!("a stream was refused: {e}"),
+        let target = self.target.clone();
+        self.pool.send(Job { chunk: header.number, urgency: header.urgency, bytes: Some(bytes), target }).await;
+        Ok(())
     }
 }
 
