@@ -188,6 +188,25 @@ fn a_walk_outlives_its_connection() {
     assert!(bytes("broken") < 1.2 * bytes("whole"), "{} of {}", bytes("broken"), bytes("whole"));
 }
 
+/// Ctrl-C reaches a client twice when what started it passes signals on: the walk ends once, with its report.
+#[test]
+fn two_signals_at_once_leave_a_report() {
+    let f = fixture();
+    let out = folder("signals");
+    let served = Server::start(&f.dataset).expect("serves");
+    let mut walk = walking(&served, f, &out, &["--link", "rate=2mbit,delay=1ms"]);
+    let mut child = walk.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
+    while !out.join("frames/frame_00000.png").exists() {
+        assert!(child.try_wait().expect("known").is_none(), "it ended before its first picture");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let twice = format!("kill -INT {0}; sleep 0.02; kill -INT {0}", child.id());
+    assert!(Command::new("sh").args(["-c", &twice]).status().expect("a shell").success());
+    assert!(child.wait().expect("ends").success());
+    let frames = json(&out.join("walk.json"))["summary"]["frames"].as_u64().expect("a count");
+    assert!((1..5).contains(&frames), "{frames}: ended in the middle");
+}
+
 #[test]
 fn one_thread_and_two_give_the_same_bytes() {
     let f = fixture();

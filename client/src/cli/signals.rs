@@ -1,14 +1,20 @@
 //! SIGINT and SIGTERM, as walks with and without a window take them.
 
-use std::sync::{
-    Arc,
-    atomic::{AtomicBool, Ordering},
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
 };
 
 /// What a shell takes for a process that SIGINT ended.
 const INTERRUPTED: i32 = 130;
 
-/// Becomes true at the first signal, which `said` answers on the terminal; the second ends the process at once.
+/// Signals that come within this time of the first are the same one: what started the client (`timeout`, for one) passes on what the terminal sends to all.
+const SAME: Duration = Duration::from_millis(500);
+
+/// Becomes true at the first signal, which `said` answers on the terminal; the next one, after a moment, ends the process at once.
 ///
 /// # Errors
 /// If the system grants no signal handler or no thread.
@@ -24,7 +30,10 @@ pub fn stop_at_signal(said: &'static str) -> std::io::Result<Arc<AtomicBool>> {
             signals.next().await;
             flag.store(true, Ordering::Relaxed);
             eprintln!("ldi-client: {said}");
-            signals.next().await;
+            let first = Instant::now();
+            while first.elapsed() < SAME {
+                signals.next().await;
+            }
             std::process::exit(INTERRUPTED);
         });
     })?;
