@@ -64,9 +64,9 @@ pub struct PlannerConfig {
     pub ahead_worth: u64,
     /// Shortest time between two plans. Shorter: fresher plans, more work; a frame of the walker takes about 16 ms.
     pub replan_interval: Duration,
-    /// Chunks on their way that the view does not wait for.
+    /// Chunks on their way to the transport that the view does not wait for.
     pub max_background: usize,
-    /// Chunks on their way in all.
+    /// Chunks on their way to the transport in all.
     pub max_flying: usize,
 }
 

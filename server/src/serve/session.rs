@@ -1,7 +1,7 @@
 //! One connection from its first to its last byte: who is it, what does it hold, what comes next.
 //!
-//! All state belongs to one task. Others only carry: one reads control frames, one answers requests by number or name, one per
-//! chunk writes it. A client that sends garbage ends its own connection and nobody else's.
+//! All state belongs to one task. Others only carry: one reads control frames, one answers requests by number or name, one hands
+//! chunks to the transport. A client that sends garbage ends its own connection and nobody else's.
 
 use super::{
     control::{self, SessionError, admit, read_message, refuse, tell},
