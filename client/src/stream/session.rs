@@ -27,11 +27,14 @@ use ldi_protocol::{
 use quinn::{Connection, RecvStream, SendStream, VarInt};
 use std::{
     collections::HashMap,
-    sync::{Arc, Mutex, atomic::AtomicUsize},
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicUsize, Ordering::Relaxed},
+    },
     time::{Duration, Instant},
 };
 use tokio::{
-    sync::{Semaphore, mpsc, oneshot},
+    sync::{mpsc, oneshot},
     task::{JoinHandle, JoinSet},
     time::{interval, timeout},
 };
@@ -42,8 +45,9 @@ pub const MAX_RETRIES: u8 = 2;
 const TOUCH_STEP_M: f64 = 0.5;
 /// So far around the eye data is kept in memory and read from disk unasked, metres.
 const AROUND_M: f64 = 5.0;
-/// Bytes of chunks and pages that arrive at the same time or wait for a decoding thread.
-const ARRIVING_BYTES: u32 = 32 << 20;
+/// Bytes of whole chunks that wait for a decoding thread, beyond which no further stream is begun. Bytes that are still to come must not count: the server may have put that
+/// chunk off for the one that would then wait for it, for ever.
+const WAITING_BYTES: usize = 32 << 20;
 /// Time for the goodbye.
 const GOODBYE: Duration = Duration::from_millis(500);
 
@@ -207,7 +211,7 @@ impl Session {
             pool: self.pool.clone(),
             listed,
             paged,
-            room: Semaphore::new(ARRIVING_BYTES as usize),
+            waiting_bytes: AtomicUsize::new(0),
         });
         let mut tasks = JoinSet::new();
         tasks.spawn(listen(recv, self.connection.clone(), messages));
@@ -215,7 +219,7 @@ impl Session {
         loop {
             tokio::select! {
                 // A stream that was read to its end no longer counts for QUIC: chunks that wait for a decoder must count here.
-                stream = self.connection.accept_uni(), if tasks.len() <= MAX_STREAMS as usize => {
+                stream = self.connection.accept_uni(), if tasks.len() <= MAX_STREAMS as usize && !intake.is_full() => {
                     let stream = stream.map_err(|e| handshake::lost(&e))?;
                     tasks.spawn(intake.clone().take_in(stream));
                 }
@@ -398,11 +402,16 @@ struct Intake {
     /// Pages that may come.
     listed: Vec<PageEntry>,
     paged: mpsc::Sender<(u32, Vec<u8>)>,
-    /// Bytes that may arrive or wait, see [`ARRIVING_BYTES`].
-    room: Semaphore,
+    /// See [`WAITING_BYTES`].
+    waiting_bytes: AtomicUsize,
 }
 
 impl Intake {
+    /// Until a task ends.
+    fn is_full(&self) -> bool {
+        self.waiting_bytes.load(Relaxed) > WAITING_BYTES
+    }
+
     /// Takes in one page, for the session, or one chunk, for the decoding threads.
     async fn take_in(self: Arc<Self>, mut stream: RecvStream) {
         match self.receive(&mut stream).await {
@@ -425,16 +434,16 @@ impl Intake {
             stats.duplicate(0);
             return Ok(());
         }
-        // Never closed, so there is always a permit. Held until a thread has it.
-        let _room = self.room.acquire_many(header.bytes.min(ARRIVING_BYTES)).await;
         let bytes = receive::body(stream, &header).await?;
         if header.kind == StreamKind::Page {
             // The session is gone when nobody takes it.
             let _ = self.paged.send((header.number, bytes)).await;
             return Ok(());
         }
-        let target = self.target.clone();
+        let (target, waiting) = (self.target.clone(), bytes.len());
+        self.waiting_bytes.fetch_add(waiting, Relaxed);
         self.pool.send(Job { chunk: header.number, urgency: header.urgency, bytes: Some(bytes), target }).await;
+        self.waiting_bytes.fetch_sub(waiting, Relaxed);
         Ok(())
     }
 }

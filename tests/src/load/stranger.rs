@@ -20,7 +20,7 @@ use std::{
 };
 
 /// Streams that the server may have open to a stranger, as to a client.
-const STREAMS: u32 = 32;
+const STREAMS: u32 = 512;
 /// Below the server's patience with silent connections: a stranger goes when it is told to.
 const KEEP_ALIVE: Duration = Duration::from_secs(8);
 
