@@ -65,6 +65,8 @@ pub trait Lanes: Copy {
     fn gather_texels(raster: &[[u8; 4]], at: Self::I) -> Self::I;
     /// Bit i is set where lane i of the mask is.
     fn mask_bits(a: Self::I) -> u32;
+    /// 64-bit integers of low and high halves.
+    fn joined(low: Self::I, high: Self::I) -> [u64; LANES];
 }
 
 /// Plain arrays: the fallback and the reference.
@@ -221,6 +223,10 @@ impl Lanes for Portable {
     fn mask_bits(a: Self::I) -> u32 {
         a.iter().enumerate().fold(0, |bits, (i, m)| bits | (m >> 31) << i)
     }
+    #[inline(always)]
+    fn joined(low: Self::I, high: Self::I) -> [u64; LANES] {
+        each(low, high, |low, high| u64::from(high) << 32 | u64::from(low))
+    }
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -283,6 +289,17 @@ mod avx2 {
             mask_bits(a: __m256i) -> u32 = _mm256_movemask_ps(_mm256_castsi256_ps(a)) as u32;
         }
 
+        #[inline(always)]
+        fn joined(low: __m256i, high: __m256i) -> [u64; LANES] {
+            let mut to = [0; LANES];
+            // SAFETY: AVX2 is present; there is room for eight integers; the stores may be unaligned.
+            unsafe {
+                let (even, odd) = (_mm256_unpacklo_epi32(low, high), _mm256_unpackhi_epi32(low, high));
+                _mm256_storeu_si256(to.as_mut_ptr().cast(), _mm256_permute2x128_si256::<0x20>(even, odd));
+                _mm256_storeu_si256(to[4..].as_mut_ptr().cast(), _mm256_permute2x128_si256::<0x31>(even, odd));
+            }
+            to
+        }
         #[inline(always)]
         fn shift_left<const N: i32>(a: __m256i) -> __m256i {
             // SAFETY: AVX2 is present; no memory is touched.

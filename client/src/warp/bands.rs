@@ -8,15 +8,11 @@ use super::{
     prepared::{Part, PreparedLdi, Tile},
     quads::{Target, draw_tile},
     stamps::{own_rows, stamp_tile},
-    transform::{Scratch, TileTransform, Transformed, Window, transform_tile},
+    transform::{Largest, Scratch, TileTransform, Transformed, Wanted, Window, transform_tile},
 };
 use crate::lanes::{Lanes, Portable};
 use ldi_protocol::{OutputCamera, Pose};
 use rayon::prelude::*;
-
-/// Bands per thread: one alone would leave a thread waiting for the other's harder half; more repeat the tiles that
-/// straddle borders.
-const BANDS_PER_THREAD: usize = 2;
 
 /// What all bands share.
 struct Job<'a> {
@@ -106,7 +102,7 @@ fn run(
         into.reset(camera.width, camera.height);
     }
     let mut stats = WarpStats::default();
-    let reaching = images.iter().map(|Shown { laid_out: ldi, within }| {
+    let reaching = images.par_iter().map(|Shown { laid_out: ldi, within }| {
         let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
         let within = wanted(*within, camera);
         let in_order = (options.order == Order::Epipole).then(|| (Epipole::new(&ldi.camera, order), ldi.streams()));
@@ -117,10 +113,10 @@ fn run(
         if let Some((epipole, _)) = &in_order {
             epipole.sort_tiles(&mut tiles);
         }
-        stats.add(&counted(ldi, &tiles, options.stamp));
-        Reaching { matrix, tiles, in_order }
+        (counted(ldi, &tiles, options.stamp), Reaching { matrix, tiles, in_order })
     });
-    let reaching: Vec<Reaching<'_>> = reaching.collect();
+    let (counts, reaching): (Vec<WarpStats>, Vec<Reaching<'_>>) = reaching.unzip();
+    counts.iter().for_each(|c| stats.add(c));
     stats.bytes += picture_bytes(camera);
     let clear = into.stale;
     into.stale = false;
@@ -229,6 +225,9 @@ pub fn transformed(ldi: &PreparedLdi, pose: &Pose, camera: &OutputCamera, portab
     out
 }
 
+/// All that a tile's own samples become.
+const ALL_OWN: Wanted = Wanted { halo: false, footprints: true };
+
 /// Transforms a tile with the best kernels that this machine has.
 fn transform_dispatch(
     matrix: &WarpMatrix,
@@ -244,13 +243,13 @@ fn transform_dispatch(
         return;
     }
     let _ = portable;
-    transform_tile::<Portable>(matrix, part, tile, window, scratch);
+    transform_tile::<Portable>(matrix, part, tile, (window, ALL_OWN), scratch, &mut Largest::none());
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn transform_tile_avx2(matrix: &WarpMatrix, part: &Part, tile: &Tile, window: &Window, scratch: &mut Scratch) {
-    transform_tile::<crate::lanes::Avx2>(matrix, part, tile, window, scratch);
+    transform_tile::<crate::lanes::Avx2>(matrix, part, tile, (window, ALL_OWN), scratch, &mut Largest::none());
 }
 
 /// Warps single pixels to one pose in the order of another: to show that the order matters.
@@ -260,9 +259,10 @@ pub fn warp_in_order(ldi: &PreparedLdi, pose: &Pose, order: &Pose, camera: &Outp
     run(&[Shown::from(ldi)], pose, camera, &options, (order, true), into);
 }
 
-/// Cuts the rows into bands (first row, rows) with about equal numbers of samples.
+/// Cuts the rows into bands (first row, rows) with about equal numbers of samples, one for each thread: tiles that straddle borders are done by both, and with two bands
+/// for each thread that takes longer than it saves where one half is the harder or a core is busy.
 fn cut<'a>(tiles: impl Iterator<Item = &'a Reach<'a>>, height: u32, threads: usize) -> Vec<(u32, u32)> {
-    let wanted = if threads <= 1 { 1 } else { threads * BANDS_PER_THREAD };
+    let wanted = threads.max(1);
     let mut weight = vec![0.0f64; height as usize + 1];
     for t in tiles {
         // Spread evenly over the tile's rows, as a difference array.
@@ -327,20 +327,22 @@ fn draw_image<L: Lanes>(
     scratch: &mut Scratch,
     stats: &mut WarpStats,
 ) {
-    let mut footprint2 = 0.0f32;
+    let mut largest = Largest::<L>::none();
     let window = target.window;
     let (matrix, stamp) = (&image.matrix, job.options.stamp);
+    // Quads alone reach over to samples of the next tiles.
+    let needs = Wanted { halo: stamp == Stamp::Quads, footprints: stamp == Stamp::Footprint };
     let here = |t: &&Reach<'_>| t.to > window.first_row && t.from < window.first_row + window.rows;
     let tiles = || image.tiles.iter().filter(here);
     if let Some((epipole, streams)) = &image.in_order {
         for t in tiles() {
-            footprint2 = footprint2.max(paint_tile::<L>(target, matrix, epipole, streams, t, stamp));
+            paint_tile::<L>(target, matrix, epipole, streams, t, stamp, &mut largest);
         }
-        stats.footprint_max_px = stats.footprint_max_px.max(footprint2.sqrt());
+        stats.footprint_max_px = stats.footprint_max_px.max(largest.squared().sqrt());
         return;
     }
     for t in tiles() {
-        footprint2 = footprint2.max(transform_tile::<L>(matrix, t.part, t.tile, &window, scratch));
+        transform_tile::<L>(matrix, t.part, t.tile, (&window, needs), scratch, &mut largest);
         if !job.paint {
             continue;
         }
@@ -357,10 +359,10 @@ fn draw_image<L: Lanes>(
     if stamp == Stamp::Ewa && job.paint {
         let mut means = Means::new(target);
         for t in tiles() {
-            transform_tile::<L>(matrix, t.part, t.tile, &window, scratch);
+            transform_tile::<L>(matrix, t.part, t.tile, (&window, needs), scratch, &mut largest);
             means.add_tile(target, &TileTransform::new(matrix, t.tile), t.part, t.tile, scratch);
         }
         means.write(target);
     }
-    stats.footprint_max_px = stats.footprint_max_px.max(footprint2.sqrt());
+    stats.footprint_max_px = stats.footprint_max_px.max(largest.squared().sqrt());
 }

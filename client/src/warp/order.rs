@@ -24,7 +24,7 @@ use super::{
     prepared::{Part, TILE_COLUMNS, TILE_ROWS, Tile},
     quads::Target,
     stamps::own_rows,
-    transform::{Inside, Points, Slopes, TileTransform, first_lanes},
+    transform::{Inside, Largest, Points, Slopes, TileTransform, first_lanes},
 };
 use crate::lanes::{LANES, Lanes};
 use ldi_protocol::{Pose, ldi::LdiCamera};
@@ -152,7 +152,7 @@ impl Streams {
     }
 }
 
-/// Paints a tile and returns the largest squared footprint.
+/// Paints a tile; `largest` sees the footprints.
 #[inline(always)]
 pub fn paint_tile<L: Lanes>(
     target: &mut Target<'_>,
@@ -161,11 +161,11 @@ pub fn paint_tile<L: Lanes>(
     streams: &Streams,
     reach: &Reach<'_>,
     stamp: Stamp,
-) -> f32 {
+    largest: &mut Largest<L>,
+) {
     let transform = TileTransform::new(matrix, reach.tile);
     let slopes = Slopes::<L>::new(&transform);
     let inside = Inside::<L>::new(&target.window);
-    let mut largest = L::splat(0.0);
     // Columns whose centres lie left of the epipole come from the stream that ends at it.
     let split = (epipole.u - f64::from(reach.tile.column) + 0.5).floor().clamp(0.0, TILE_COLUMNS as f64) as u8;
     let (part_number, tile_number) = reach.number;
@@ -184,7 +184,7 @@ pub fn paint_tile<L: Lanes>(
                 let p = slopes.warp(constants, L::load_bytes(&part.column[at..]), L::load(&part.disparity[at..]));
                 let on = first_lanes::<L>(range.end - i);
                 let seen = L::and(inside.test(&p), on);
-                largest = L::max(L::select(seen, p.footprint2, L::splat(0.0)), largest);
+                largest.see(seen, &slopes.stretch(&p));
                 let colours = &part.colour[at..at + LANES];
                 match stamp {
                     Stamp::TwoByTwo => two_by_two::<L>(target, &p, on, colours),
@@ -193,7 +193,6 @@ pub fn paint_tile<L: Lanes>(
             }
         }
     }
-    L::array(largest).into_iter().fold(0.0, f32::max)
 }
 
 /// Writes the pixels that contain the points of a mask, all inside the window, one after the other.

@@ -173,6 +173,16 @@ impl PreparedLdi {
     }
 }
 
+impl Part {
+    /// Tile-local numbers of a row's samples, the one in the halo's column last, which is left out unless `with_halo`.
+    #[inline(always)]
+    pub(super) fn row_of(&self, tile: &Tile, row: usize, with_halo: bool) -> Range<usize> {
+        let (from, to) = (tile.row_start[row] as usize, tile.row_start[row + 1] as usize);
+        let halo = !with_halo && to > from && usize::from(self.column[tile.first + to - 1]) == TILE_COLUMNS;
+        from..to - usize::from(halo)
+    }
+}
+
 impl Pieces {
     /// Begins a tile: returns its first group.
     pub(super) fn begin(&mut self) -> usize {

@@ -44,6 +44,25 @@ impl Target<'_> {
         }
     }
 
+    /// Keeps the nearer of what is there and these, packed, where a bit is set.
+    #[inline(always)]
+    pub fn put8(&mut self, mut bits: u32, at: [u32; LANES], values: [u64; LANES]) {
+        let mut put = |lane: usize| {
+            if let Some(pixel) = self.pixels.get_mut(at[lane] as usize) {
+                *pixel = (*pixel).max(values[lane]);
+            }
+        };
+        // Most groups are whole: no loop over bits for them.
+        if bits == (1 << LANES) - 1 {
+            (0..LANES).for_each(put);
+            return;
+        }
+        while bits != 0 {
+            put(bits.trailing_zeros() as usize & (LANES - 1));
+            bits &= bits - 1;
+        }
+    }
+
     /// Replaces what is there.
     #[inline(always)]
     pub fn set(&mut self, at: usize, disparity_bits: u32, colour: u32) {
@@ -289,7 +308,7 @@ fn paint8<L: Lanes>(
     let (s1, t1, inside1) = halves[0].locate(x, y);
     let (s2, t2, inside2) = halves[1].locate(x, y);
     let covered = L::and(on, L::or(inside1, inside2));
-    let mut bits = L::mask_bits(covered);
+    let bits = L::mask_bits(covered);
     if bits == 0 {
         return;
     }
@@ -304,12 +323,7 @@ fn paint8<L: Lanes>(
     let disparity = bilinear::<L>([a.disparity, b.disparity, e.disparity, f.disparity], s, t);
     let from_row = L::to_int(L::sub(row, L::splat(target.window.first_row as f32)));
     let at = L::add_int(L::mul_int(from_row, L::splat_int(target.window.width)), L::to_int(column));
-    let (at, disparity, colour) = (L::array_int(at), L::array_int(L::bits(disparity)), L::array_int(colour));
-    while bits != 0 {
-        let lane = bits.trailing_zeros() as usize & (LANES - 1);
-        target.put(at[lane] as usize, disparity[lane], colour[lane]);
-        bits &= bits - 1;
-    }
+    target.put8(bits, L::array_int(at), L::joined(colour, L::bits(disparity)));
 }
 
 /// Fills the quads of the given lanes, eight pixels of a row at a time.

@@ -7,7 +7,7 @@
 
 use super::{
     Stamp,
-    prepared::{OVERLAP, Part, TILE_COLUMNS, TILE_ROWS, Tile},
+    prepared::{OVERLAP, Part, TILE_ROWS, Tile},
     quads::Target,
     transform::{Scratch, TileTransform, Window, first_lanes},
 };
@@ -30,14 +30,14 @@ pub fn stamp_tile<L: Lanes>(
 ) {
     for row in own_rows(part, tile) {
         for i in row.clone().step_by(LANES) {
-            let colours = &part.colour[tile.first + i..tile.first + row.end.min(i + LANES)];
+            let colours = (&part.colour[tile.first + i..], row.len() - (i - row.start));
             match stamp {
                 Stamp::OnePixel => offsets8::<L>(target, scratch, colours, i, (0.0, &ONE_PIXEL)),
                 Stamp::TwoByTwo => offsets8::<L>(target, scratch, colours, i, (0.5, &TWO_BY_TWO)),
                 Stamp::ThreeByThree => offsets8::<L>(target, scratch, colours, i, (0.0, &THREE_BY_THREE)),
                 Stamp::Cross => offsets8::<L>(target, scratch, colours, i, (0.0, &CROSS)),
                 Stamp::Parallelogram | Stamp::Ewa => {
-                    for (at, colour) in colours.iter().enumerate() {
+                    for (at, colour) in colours.0[..colours.1.min(LANES)].iter().enumerate() {
                         if let Some(splat) = Splat::new(transform, part, tile, scratch, i + at) {
                             splat.parallelogram(target, *colour);
                         }
@@ -51,11 +51,7 @@ pub fn stamp_tile<L: Lanes>(
 
 /// Tile-local numbers of the samples of each row that are no halo.
 pub fn own_rows<'a>(part: &'a Part, tile: &'a Tile) -> impl Iterator<Item = Range<usize>> + 'a {
-    (0..TILE_ROWS).map(|row| {
-        let (from, to) = (tile.row_start[row] as usize, tile.row_start[row + 1] as usize);
-        let halo = to > from && usize::from(part.column[tile.first + to - 1]) == TILE_COLUMNS;
-        from..to - usize::from(halo)
-    })
+    (0..TILE_ROWS).map(|row| part.row_of(tile, row, false))
 }
 
 /// A sample with what the warp does to its surroundings in the image.
@@ -135,11 +131,10 @@ const THREE_BY_THREE: [(i8, i8); 9] = [(-1, -1), (0, -1), (1, -1), (-1, 0), (0, 
 fn offsets8<L: Lanes>(
     target: &mut Target<'_>,
     scratch: &Scratch,
-    colours: &[u32],
+    (colours, count): (&[u32], usize),
     i: usize,
     (shift, offsets): (f32, &Offsets),
 ) {
-    let count = colours.len();
     let window = target.window;
     let shift = L::splat(shift);
     let column = L::floor(L::sub(L::load(&scratch.x[i..]), shift));
@@ -150,28 +145,24 @@ fn offsets8<L: Lanes>(
     if L::mask_bits(ahead) == 0 {
         return;
     }
-    let disparities = L::array_int(L::bits(disparity));
+    let values = L::joined(L::load_int(colours), L::bits(disparity));
     let (zero, width, rows) = (L::splat(0.0), L::splat(window.width as f32), L::splat(window.rows as f32));
     for (dx, dy) in offsets {
         let column = L::add(column, L::splat(f32::from(*dx)));
         let row = L::add(row, L::splat(f32::from(*dy)));
         let inside_x = L::and(L::ge(column, zero), L::gt(width, column));
         let inside_y = L::and(L::ge(row, zero), L::gt(rows, row));
-        let mut bits = L::mask_bits(L::and(ahead, L::and(inside_x, inside_y)));
+        let bits = L::mask_bits(L::and(ahead, L::and(inside_x, inside_y)));
         let from_row = L::mul_int(L::to_int(row), L::splat_int(window.width));
         let at = L::array_int(L::add_int(from_row, L::to_int(column)));
-        while bits != 0 {
-            let lane = bits.trailing_zeros() as usize & (LANES - 1);
-            target.put(at[lane] as usize, disparities[lane], colours[lane.min(count - 1)]);
-            bits &= bits - 1;
-        }
+        target.put8(bits, at, values);
     }
 }
 
 /// Squares of the footprints' sizes, each placed so that its centre is nearest to its sample, at eight samples, of which those with
 /// colours count.
 #[inline(always)]
-fn footprint8<L: Lanes>(target: &mut Target<'_>, scratch: &Scratch, colours: &[u32], i: usize) {
+fn footprint8<L: Lanes>(target: &mut Target<'_>, scratch: &Scratch, (colours, count): (&[u32], usize), i: usize) {
     let window = target.window;
     let (x, y) = (L::load(&scratch.x[i..]), L::load(&scratch.y[i..]));
     let y = L::sub(y, L::splat(window.first_row as f32));
@@ -180,31 +171,40 @@ fn footprint8<L: Lanes>(target: &mut Target<'_>, scratch: &Scratch, colours: &[u
     let (low, margin) = (L::splat(-LARGEST_FOOTPRINT_STAMP), LARGEST_FOOTPRINT_STAMP);
     let across = L::and(L::gt(x, low), L::gt(L::splat(window.width as f32 + margin), x));
     let down = L::and(L::gt(y, low), L::gt(L::splat(window.rows as f32 + margin), y));
-    let ahead = L::and(L::gt(disparity, L::splat(0.0)), first_lanes::<L>(colours.len()));
-    let mut bits = L::mask_bits(L::and(ahead, L::and(across, down)));
-    if bits == 0 {
+    let ahead = L::and(L::gt(disparity, L::splat(0.0)), first_lanes::<L>(count));
+    let on = L::and(ahead, L::and(across, down));
+    if L::mask_bits(on) == 0 {
         return;
     }
     // The next integer up, in the range of sides: minus the floor of minus.
-    let zero = L::splat(0.0);
+    let (zero, one) = (L::splat(0.0), L::splat(1.0));
     let up = L::sub(zero, L::floor(L::sub(zero, L::sqrt(L::load(&scratch.footprint2[i..])))));
-    let side = L::min(L::max(up, L::splat(1.0)), L::splat(LARGEST_FOOTPRINT_STAMP));
-    let offset = L::mul(L::splat(0.5), L::sub(side, L::splat(1.0)));
-    let left = L::array_int(L::to_int(L::floor(L::sub(x, offset))));
-    let top = L::array_int(L::to_int(L::floor(L::sub(y, offset))));
-    let (sides, disparities) = (L::array_int(L::to_int(side)), L::array_int(L::bits(disparity)));
-    let (width, height) = (window.width as i32, window.rows as i32);
-    while bits != 0 {
-        let lane = bits.trailing_zeros() as usize & (LANES - 1);
-        bits &= bits - 1;
-        let (left, top, side) = (left[lane] as i32, top[lane] as i32, sides[lane] as i32);
-        let colour = colours[lane.min(colours.len() - 1)];
-        let columns = left.max(0) as usize..(left + side).min(width).max(0) as usize;
-        for row in top.max(0)..(top + side).min(height) {
-            let first = row as usize * window.width as usize;
-            for column in columns.clone() {
-                target.put(first + column, disparities[lane], colour);
-            }
+    let side = L::min(L::max(up, one), L::splat(LARGEST_FOOTPRINT_STAMP));
+    let offset = L::mul(L::splat(0.5), L::sub(side, one));
+    let (left, top) = (L::floor(L::sub(x, offset)), L::floor(L::sub(y, offset)));
+    let values = L::joined(L::load_int(colours), L::bits(disparity));
+    let (width, rows) = (L::splat(window.width as f32), L::splat(window.rows as f32));
+    // Pixel by pixel of the largest square, at all eight samples.
+    let mut down = zero;
+    loop {
+        let on = L::and(on, L::gt(side, down));
+        if L::mask_bits(on) == 0 {
+            break;
         }
+        let row = L::add(top, down);
+        let on = L::and(on, L::and(L::ge(row, zero), L::gt(rows, row)));
+        let from_row = L::mul_int(L::to_int(row), L::splat_int(window.width));
+        let mut across = zero;
+        loop {
+            let on = L::and(on, L::gt(side, across));
+            if L::mask_bits(on) == 0 {
+                break;
+            }
+            let column = L::add(left, across);
+            let bits = L::mask_bits(L::and(on, L::and(L::ge(column, zero), L::gt(width, column))));
+            target.put8(bits, L::array_int(L::add_int(from_row, L::to_int(column))), values);
+            across = L::add(across, one);
+        }
+        down = L::add(down, one);
     }
 }

@@ -3,7 +3,7 @@
 use super::{
     analytic::*,
     prepared::{OVERLAP, TILE_SAMPLES},
-    transform::{Scratch, Window, transform_tile},
+    transform::{Largest, Scratch, Wanted, Window, transform_tile},
     *,
 };
 use crate::frame::{pack_rgb, unpack_rgb};
@@ -404,7 +404,8 @@ fn f32_rows_of_8192_stay_within_their_bound() {
             let mut scratch = Scratch::default();
             let (mut worst_px, mut worst_relative, mut checked) = (0.0f64, 0.0f64, 0);
             for (part, tile) in prepared.parts.iter().flat_map(|p| p.tiles.iter().map(move |t| (p, t))) {
-                transform_tile::<Portable>(&matrix, part, tile, &window, &mut scratch);
+                let wanted = Wanted { halo: true, footprints: true };
+                transform_tile::<Portable>(&matrix, part, tile, (&window, wanted), &mut scratch, &mut Largest::none());
                 for row in 0..3 {
                     for i in tile.row_start[row] as usize..tile.row_start[row + 1] as usize {
                         let at = tile.first + i;

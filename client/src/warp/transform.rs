@@ -11,6 +11,7 @@ use super::{
     prepared::{Part, TILE_ROWS, TILE_SAMPLES, Tile},
 };
 use crate::lanes::{LANES, Lanes};
+use std::ops::Range;
 
 /// Coefficients for one tile: X, Y, W as functions of tile-relative (u, v, 1, d).
 #[derive(Debug, Clone, Copy)]
@@ -108,13 +109,65 @@ fn entry<L: Lanes>(slope: L::F, p: L::F, slope_w: L::F, inverse: L::F) -> L::F {
     L::mul(L::sub(slope, L::mul(p, slope_w)), inverse)
 }
 
-/// The larger singular value of [[a, b], [c, d]], squared.
-#[inline(always)]
-fn largest_singular_value2<L: Lanes>(a: L::F, b: L::F, c: L::F, d: L::F) -> L::F {
-    let trace = L::add(L::add(L::mul(a, a), L::mul(b, b)), L::add(L::mul(c, c), L::mul(d, d)));
-    let det = L::sub(L::mul(a, d), L::mul(b, c));
-    let discriminant = L::sub(L::mul(trace, trace), L::mul(L::splat(4.0), L::mul(det, det)));
-    L::mul(L::splat(0.5), L::add(trace, L::sqrt(L::max(discriminant, L::splat(0.0)))))
+/// What the singular values of eight Jacobians [[a, b], [c, d]] follow from.
+#[derive(Clone, Copy)]
+pub struct Stretch<L: Lanes> {
+    /// Sum of their squares.
+    sum: L::F,
+    /// Square of their product.
+    product2: L::F,
+}
+
+impl<L: Lanes> Stretch<L> {
+    #[inline(always)]
+    fn new([a, b, c, d]: [L::F; 4]) -> Self {
+        let sum = L::add(L::add(L::mul(a, a), L::mul(b, b)), L::add(L::mul(c, c), L::mul(d, d)));
+        let product = L::sub(L::mul(a, d), L::mul(b, c));
+        Self { sum, product2: L::mul(product, product) }
+    }
+
+    /// The larger singular value, squared.
+    #[inline(always)]
+    fn larger2(&self) -> L::F {
+        let discriminant = L::sub(L::mul(self.sum, self.sum), L::mul(L::splat(4.0), self.product2));
+        L::mul(L::splat(0.5), L::add(self.sum, L::sqrt(L::max(discriminant, L::splat(0.0)))))
+    }
+
+    /// Where the larger singular value, squared, exceeds `m`: without a root, which takes as long as all else. Of x^2 - sum x + product2, whose zeros the squares are,
+    /// one zero lies above m if its value there is negative, or both do if their mean does.
+    #[inline(always)]
+    fn exceeds(&self, m: L::F) -> L::I {
+        let between = L::gt(L::mul(m, L::sub(self.sum, m)), self.product2);
+        L::or(between, L::gt(self.sum, L::add(m, m)))
+    }
+}
+
+/// The largest squared footprint of many samples, in all lanes.
+#[derive(Clone, Copy)]
+pub struct Largest<L: Lanes>(L::F);
+
+impl<L: Lanes> Largest<L> {
+    /// Of none.
+    #[inline(always)]
+    pub fn none() -> Self {
+        Self(L::splat(0.0))
+    }
+
+    /// Takes eight more, of which those of a mask count.
+    #[inline(always)]
+    pub fn see(&mut self, seen: L::I, stretch: &Stretch<L>) {
+        let larger = L::and(seen, stretch.exceeds(self.0));
+        if L::mask_bits(larger) != 0 {
+            let of_these = L::max(L::select(larger, stretch.larger2(), L::splat(0.0)), self.0);
+            self.0 = L::splat(L::array(of_these).into_iter().fold(0.0, f32::max));
+        }
+    }
+
+    /// Squared output pixels.
+    #[inline(always)]
+    pub fn squared(&self) -> f32 {
+        L::array(self.0)[0]
+    }
 }
 
 /// Eight samples on the output.
@@ -126,8 +179,8 @@ pub struct Points<L: Lanes> {
     pub y: L::F,
     /// 1/m; -1 at or behind the eye's plane.
     pub disparity: L::F,
-    /// See [`Scratch::footprint2`].
-    pub footprint2: L::F,
+    /// 1/W.
+    inverse: L::F,
 }
 
 /// A tile's coefficients in all lanes; rows X, Y, W.
@@ -150,7 +203,6 @@ impl<L: Lanes> Slopes<L> {
     #[inline(always)]
     pub fn warp(&self, constants: [L::F; 3], u: L::F, d: L::F) -> Points<L> {
         let [xu, yu, wu] = self.u;
-        let [xv, yv, wv] = self.v;
         let [xd, yd, wd] = self.d;
         let [x0, y0, w0] = constants;
         let x = affine8::<L>(x0, [xu, u], [xd, d]);
@@ -158,13 +210,19 @@ impl<L: Lanes> Slopes<L> {
         let w = affine8::<L>(w0, [wu, u], [wd, d]);
         let [x, y, inverse] = warp8::<L>([x, y, w]);
         let ahead = L::gt(inverse, L::splat(0.0));
-        let footprint2 = largest_singular_value2::<L>(
-            entry::<L>(xu, x, wu, inverse),
-            entry::<L>(xv, x, wv, inverse),
-            entry::<L>(yu, y, wu, inverse),
-            entry::<L>(yv, y, wv, inverse),
-        );
-        Points { x, y, disparity: L::select(ahead, L::mul(d, inverse), L::splat(-1.0)), footprint2 }
+        Points { x, y, disparity: L::select(ahead, L::mul(d, inverse), L::splat(-1.0)), inverse }
+    }
+
+    /// How the warp stretches the image around eight samples, at fixed disparity.
+    #[inline(always)]
+    pub fn stretch(&self, p: &Points<L>) -> Stretch<L> {
+        let ([xu, yu, wu], [xv, yv, wv]) = (self.u, self.v);
+        Stretch::new([
+            entry::<L>(xu, p.x, wu, p.inverse),
+            entry::<L>(xv, p.x, wv, p.inverse),
+            entry::<L>(yu, p.y, wu, p.inverse),
+            entry::<L>(yv, p.y, wv, p.inverse),
+        ])
     }
 }
 
@@ -203,23 +261,31 @@ pub fn first_lanes<L: Lanes>(count: usize) -> L::I {
     L::gt(L::splat(count as f32), L::from_int(L::load_int(&LANE_NUMBERS)))
 }
 
-/// Transforms all samples of a tile, halo included, into `scratch`; returns the largest squared footprint among those
-/// that land inside the window.
+/// What of a tile is transformed.
+#[derive(Debug, Clone, Copy)]
+pub struct Wanted {
+    /// The next tiles' samples that it holds.
+    pub halo: bool,
+    /// [`Scratch::footprint2`].
+    pub footprints: bool,
+}
+
+/// Transforms a tile's samples into `scratch`; `largest` sees the footprints of those that land inside the window.
 #[inline(always)]
 pub fn transform_tile<L: Lanes>(
     matrix: &WarpMatrix,
     part: &Part,
     tile: &Tile,
-    window: &Window,
+    (window, wanted): (&Window, Wanted),
     scratch: &mut Scratch,
-) -> f32 {
+    largest: &mut Largest<L>,
+) {
     let transform = TileTransform::new(matrix, tile);
     let slopes = Slopes::<L>::new(&transform);
     let inside = Inside::<L>::new(window);
-    let mut largest = L::splat(0.0);
-    for row in 0..=TILE_ROWS {
+    for row in 0..TILE_ROWS + usize::from(wanted.halo) {
         let constants = transform.row_constants(matrix, row).map(L::splat);
-        let (from, to) = (tile.row_start[row] as usize, tile.row_start[row + 1] as usize);
+        let Range { start: from, end: to } = part.row_of(tile, row, wanted.halo);
         // The last group may spill into the next row's places, which are written afterwards.
         for i in (from..to).step_by(LANES) {
             let at = tile.first + i;
@@ -227,15 +293,60 @@ pub fn transform_tile<L: Lanes>(
             L::store(p.x, &mut scratch.x[i..]);
             L::store(p.y, &mut scratch.y[i..]);
             L::store(p.disparity, &mut scratch.disparity[i..]);
-            L::store(p.footprint2, &mut scratch.footprint2[i..]);
+            let stretch = slopes.stretch(&p);
+            if wanted.footprints {
+                L::store(stretch.larger2(), &mut scratch.footprint2[i..]);
+            }
             // Lanes past the row's end hold another row's samples with this row's constants: harmless on the picture,
             // because they are overwritten, but not for the maximum.
-            let seen = L::and(inside.test(&p), first_lanes::<L>(to - i));
-            largest = L::max(L::select(seen, p.footprint2, L::splat(0.0)), largest);
+            largest.see(L::and(inside.test(&p), first_lanes::<L>(to - i)), &stretch);
         }
     }
-    L::array(largest).into_iter().fold(0.0, f32::max)
 }
 
 /// 0 to 7.
 pub const LANE_NUMBERS: [u32; LANES] = [0, 1, 2, 3, 4, 5, 6, 7];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lanes::Portable;
+
+    #[test]
+    fn the_largest_footprint_is_found_without_taking_every_root() {
+        let mut state = 1u64;
+        let mut random = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f32 / (1u32 << 24) as f32
+        };
+        for round in 0..2_000 {
+            // From turned scalings, whose product is nearly the half of the sum, to lines, whose product is none.
+            let flatness = (round % 20) as f32 / 19.0;
+            let mut largest = Largest::<Portable>::none();
+            let mut expected = 0.0f64;
+            for _ in 0..1 + round % 5 {
+                let cells: [[f32; LANES]; 4] = {
+                    let mut cells = [[0.0; LANES]; 4];
+                    for lane in 0..LANES {
+                        let (size, angle) = (0.1 + 3.0 * random(), 6.3 * random());
+                        let (c, s) = (size * angle.cos(), size * angle.sin());
+                        let thin = 1.0 - flatness * random();
+                        [c, -s * thin, s, c * thin].into_iter().enumerate().for_each(|(k, x)| cells[k][lane] = x);
+                    }
+                    cells
+                };
+                let seen: [u32; LANES] = std::array::from_fn(|_| if random() < 0.7 { u32::MAX } else { 0 });
+                largest.see(seen, &Stretch::new(cells));
+                for lane in (0..LANES).filter(|lane| seen[*lane] != 0) {
+                    let [a, b, c, d] = cells.map(|cell| f64::from(cell[lane]));
+                    let (sum, product) = (a * a + b * b + c * c + d * d, a * d - b * c);
+                    let root = (sum * sum - 4.0 * product * product).max(0.0).sqrt();
+                    expected = expected.max(0.5 * (sum + root));
+                }
+            }
+            // In f32 the root of what two nearly equal squares leave has lost half of its digits.
+            let found = f64::from(largest.squared());
+            assert!((found - expected).abs() <= 1e-3 * expected, "round {round}: {found} instead of {expected}");
+        }
+    }
+}
