@@ -175,7 +175,7 @@ const MOST_COLUMNS: f64 = 65_536.0;
 const LEAST_COLUMN_M: f64 = 0.5;
 
 /// What [`Rooms::cells_near`] within the rooms' margin gives, for many points: boxes sorted by where they lie in plan.
-struct Columns<'a> {
+pub(super) struct Columns<'a> {
     rooms: &'a Rooms,
     bounds: Aabb,
     side_m: f64,
@@ -185,7 +185,7 @@ struct Columns<'a> {
 }
 
 impl<'a> Columns<'a> {
-    fn new(rooms: &'a Rooms) -> Self {
+    pub(super) fn new(rooms: &'a Rooms) -> Self {
         let all =
             || (0u32..).zip(rooms.cells()).flat_map(|(c, cell)| (0u32..).zip(&cell.boxes).map(move |(n, b)| (c, n, b)));
         let around = |b: &Aabb| Aabb { min: b.min - rooms.margin_m(), max: b.max + rooms.margin_m() };
@@ -218,13 +218,29 @@ impl<'a> Columns<'a> {
         [from.x as usize, from.z as usize]
     }
 
-    fn cells_near(&self, p: DVec3) -> Vec<CellId> {
-        let margin = self.rooms.margin_m();
+    /// Boxes that may reach a point.
+    fn boxes_at(&self, p: DVec3) -> &[[u32; 2]] {
         if !self.bounds.contains(p) {
-            return vec![None];
+            return &[];
         }
         let [x, z] = self.column(p);
-        let here = &self.boxes[z * self.across + x];
+        &self.boxes[z * self.across + x]
+    }
+
+    /// Whether a room is one of [`Self::cells_near`].
+    pub(super) fn is_near(&self, p: DVec3, room: CellId) -> bool {
+        let Some(room) = room else { return self.cells_near(p).contains(&None) };
+        let boxes = &self.rooms.cells()[room as usize].boxes;
+        let mut of_room = self.boxes_at(p).iter().filter(|b| b[0] == room);
+        of_room.any(|b| boxes[b[1] as usize].distance(p) <= self.rooms.margin_m())
+    }
+
+    pub(super) fn cells_near(&self, p: DVec3) -> Vec<CellId> {
+        let margin = self.rooms.margin_m();
+        let here = self.boxes_at(p);
+        if here.is_empty() {
+            return vec![None];
+        }
         let of = |&[c, n]: &[u32; 2]| &self.rooms.cells()[c as usize].boxes[n as usize];
         let mut near: Vec<CellId> = here.iter().filter(|b| of(b).distance(p) <= margin).map(|b| Some(b[0])).collect();
         near.dedup();
@@ -322,6 +338,8 @@ mod tests {
             let p = at(12.0) - 0.5;
             let near = columns.cells_near(p);
             assert_eq!(near, rooms.cells_near(p, rooms.margin_m()), "at {p}");
+            let rooms = (0..40).map(Some).chain([None]);
+            assert!(rooms.into_iter().all(|room| columns.is_near(p, room) == near.contains(&room)), "at {p}");
             counts[near.len().min(4)] += 1;
         }
         assert!(counts[1..].iter().all(|n| *n > 100), "{counts:?}");

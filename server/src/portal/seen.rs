@@ -5,10 +5,11 @@
 //!
 //! Every ray goes through the portals as culling does, from all rooms of its eye through every portal that it passes. If the surface it ends at is drawn with none of the rooms on
 //! its way, it is added to the last of them before the surface. Where one is found there are mostly more: rays from around its eye to around what it saw look for them, and from around those
-//! again (adaptive border sampling of Wonka et al., Guided Visibility Sampling, 2006, with random rays). Sampling proves nothing of surfaces that no ray met; `ldi-server rooms --check` counts
-//! with other rays what is left.
+//! again (adaptive border sampling of Wonka et al., Guided Visibility Sampling, 2006, with random rays). Most such surfaces are drawn all the same, as their cell lies in several rooms; where one of
+//! these is seen beside all portals, others may not be drawn, and so rays look beside these, too. Sampling proves nothing of surfaces that no ray met; `ldi-server rooms --check` counts with other
+//! rays what is left.
 
-use super::check::{is_clear, random_poses};
+use super::check::{Columns, is_clear, random_poses};
 use super::leaks::Random;
 use super::storeys::is_free;
 use crate::render::{Caster, CellSet, Hit, Ray};
@@ -30,8 +31,10 @@ const BUNDLES: usize = 4;
 const BUNDLE: (u32, f64) = (8, 0.026);
 /// Eyes around one that saw a cell beside all portals, and rays from each.
 const LOOK_BESIDE: (usize, usize) = (32, 32);
-/// So many of a pair's sights are looked beside of: it may be seen through several slits.
-const SIGHTS_PER_PAIR: usize = 8;
+/// So many sights of a cell from a room are looked beside of: it may be seen through several slits.
+const SIGHTS_OF_CELL: usize = 8;
+/// So many of a room from another, of cells that are drawn all the same.
+const SIGHTS_OF_ROOM: usize = 64;
 /// Most rounds of looking beside; on the clinic and bleach, of which eight in ten pairs are found so, the last bring next to nothing.
 const ROUNDS: usize = 12;
 /// How far beside, at most: eyes, metres, and what they see, as a share of its distance.
@@ -43,13 +46,39 @@ const FLAT: DVec3 = DVec3::new(1.0, 0.25, 1.0);
 /// Not that of any check.
 const SEED: u64 = 0x5ee;
 
-/// Where a cell was seen beside all portals.
+/// What is seen from a room beside all portals.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Seen {
+    /// A cell of the octree that would not be drawn.
+    Cell(u32, CellId),
+    /// A room, of cells that are drawn all the same: the room that is seen, and the one that sees it.
+    Room(CellId, CellId),
+}
+
+impl Seen {
+    /// Of how many sights of it rays look beside.
+    fn sights(&self) -> usize {
+        match self {
+            Self::Cell(..) => SIGHTS_OF_CELL,
+            Self::Room(..) => SIGHTS_OF_ROOM,
+        }
+    }
+}
+
+/// Where something was seen beside all portals.
 #[derive(Debug, Clone, Copy)]
 struct Sight {
-    /// The cell of the octree, and the room that sees it.
-    pair: (u32, CellId),
+    seen: Seen,
     eye: DVec3,
     surface: DVec3,
+}
+
+/// What sights are judged by.
+struct Judge<'a> {
+    caster: &'a Caster,
+    rooms: &'a Rooms,
+    columns: Columns<'a>,
+    lies_in: &'a (dyn Fn(u32, CellId) -> bool + Sync),
 }
 
 /// Pairs of a cell of the octree and a room that sees it beside all portals, sorted, each once. `lies_in`: whether a cell lies in a room.
@@ -60,36 +89,14 @@ pub(super) fn seen_beside(
 ) -> Vec<(u32, CellId)> {
     let area_m2: f64 = rooms.cells().iter().flat_map(|c| &c.boxes).map(|b| b.size().x * b.size().z).sum();
     let eyes = random_poses(caster, rooms, (area_m2 * EYES_PER_M2).clamp(EYES[0], EYES[1]) as usize, SEED);
+    let judge = Judge { caster, rooms, columns: Columns::new(rooms), lies_in };
     let all_around = |(n, pose): (usize, &Pose)| {
         let mut random = random_of(n as u64);
         let rays: Vec<Ray> = (0..BUNDLES).flat_map(|_| bundle(pose.position, random.direction())).collect();
-        sights(caster, rooms, lies_in, &rays)
+        judge.sights(&rays)
     };
     let seen = eyes.par_iter().enumerate().flat_map_iter(all_around).collect();
-    look_beside(caster, rooms, lies_in, seen).into_iter().collect()
-}
-
-/// The pairs of some sights, and of all that are found from around their eyes.
-fn look_beside(
-    caster: &Caster,
-    rooms: &Rooms,
-    lies_in: &(dyn Fn(u32, CellId) -> bool + Sync),
-    mut seen: Vec<Sight>,
-) -> BTreeSet<(u32, CellId)> {
-    let mut sights_of: BTreeMap<(u32, CellId), usize> = BTreeMap::new();
-    for round in 1..=ROUNDS as u64 {
-        seen.retain(|sight| {
-            let of_pair = sights_of.entry(sight.pair).or_default();
-            *of_pair += 1;
-            *of_pair <= SIGHTS_PER_PAIR
-        });
-        let beside = |(n, sight): (usize, &Sight)| {
-            let mut random = random_of(round << 32 | n as u64);
-            sights(caster, rooms, lies_in, &rays_beside(caster, sight, &mut random))
-        };
-        seen = seen.par_iter().enumerate().flat_map_iter(beside).collect();
-    }
-    sights_of.into_keys().chain(seen.into_iter().map(|sight| sight.pair)).collect()
+    judge.look_beside(seen).into_iter().collect()
 }
 
 /// Rays around a direction.
@@ -120,49 +127,81 @@ fn rays_beside(caster: &Caster, sight: &Sight, random: &mut Random) -> Vec<Ray> 
     rays
 }
 
-/// What these rays see beside all portals.
-fn sights(caster: &Caster, rooms: &Rooms, lies_in: &(dyn Fn(u32, CellId) -> bool + Sync), rays: &[Ray]) -> Vec<Sight> {
-    let mut hits = vec![None; rays.len()];
-    caster.trace_batch(rays, &CellSet::all(), &mut hits);
-    // Rays come in groups from one eye.
-    let (mut eye, mut start) = (DVec3::NAN, Vec::new());
-    let beside = |(ray, hit): (&Ray, &Option<Hit>)| {
-        let hit = (*hit)?;
-        let cell = caster.cell_of(hit.triangle);
-        if ray.origin != eye {
-            (eye, start) = (ray.origin, rooms.cells_near(ray.origin, rooms.margin_m()));
+impl Judge<'_> {
+    /// The cells of some sights, and of all that are found from around their eyes, with the rooms that see them.
+    fn look_beside(&self, mut sights: Vec<Sight>) -> BTreeSet<(u32, CellId)> {
+        let mut count: BTreeMap<Seen, usize> = BTreeMap::new();
+        for round in 1..=ROUNDS as u64 {
+            sights.retain(|sight| {
+                let of_this = count.entry(sight.seen).or_default();
+                *of_this += 1;
+                *of_this <= sight.seen.sights()
+            });
+            let beside = |(n, sight): (usize, &Sight)| {
+                let mut random = random_of(round << 32 | n as u64);
+                self.sights(&rays_beside(self.caster, sight, &mut random))
+            };
+            sights = sights.par_iter().enumerate().flat_map_iter(beside).collect();
         }
-        let room = last_before(rooms, &start, ray, hit.t, &|room| lies_in(cell, room))?;
-        Some(Sight { pair: (cell, room), eye: ray.origin, surface: ray.at(hit.t) })
-    };
-    rays.iter().zip(&hits).filter_map(beside).collect()
-}
-
-/// The last room that a ray enters before `t`; None if some room on its way, before or after, draws what it hits.
-fn last_before(rooms: &Rooms, start: &[CellId], ray: &Ray, t: f64, draws: &dyn Fn(CellId) -> bool) -> Option<CellId> {
-    let mut on_way: Vec<(f64, CellId)> = start.iter().map(|room| (0.0, *room)).collect();
-    let (mut at, mut last) = (0, (0.0, *start.first()?));
-    while let Some(&(from, room)) = on_way.get(at) {
-        if draws(room) {
-            return None;
-        }
-        if from >= last.0 && from <= t {
-            last = (from, room);
-        }
-        for number in rooms.portals_of(room) {
-            let portal = &rooms.portals()[*number as usize];
-            let side = usize::from(portal.cells[0] != room);
-            let beyond = portal.cells[1 - side];
-            let entered = || portal.crossed(side, ray.origin, ray.direction).filter(|t| *t > from);
-            if on_way.iter().all(|(_, r)| *r != beyond)
-                && let Some(t) = entered()
-            {
-                on_way.push((t, beyond));
-            }
-        }
-        at += 1;
+        let seen = count.into_keys().chain(sights.into_iter().map(|sight| sight.seen));
+        let cell = |seen| match seen {
+            Seen::Cell(cell, room) => Some((cell, room)),
+            Seen::Room(..) => None,
+        };
+        seen.filter_map(cell).collect()
     }
-    Some(last.1)
+
+    /// What these rays see beside all portals.
+    fn sights(&self, rays: &[Ray]) -> Vec<Sight> {
+        let mut hits = vec![None; rays.len()];
+        self.caster.trace_batch(rays, &CellSet::all(), &mut hits);
+        // Rays come in groups from one eye.
+        let (mut eye, mut start) = (DVec3::NAN, Vec::new());
+        let beside = |(ray, hit): (&Ray, &Option<Hit>)| {
+            let hit = (*hit)?;
+            if ray.origin != eye {
+                (eye, start) = (ray.origin, self.rooms.cells_near(ray.origin, self.rooms.margin_m()));
+            }
+            let seen = self.beside_portals(&start, ray, &hit)?;
+            Some(Sight { seen, eye: ray.origin, surface: ray.at(hit.t) })
+        };
+        rays.iter().zip(&hits).filter_map(beside).collect()
+    }
+
+    /// What a ray hits, if it is in none of the rooms that the ray enters, before or after, or would be drawn with none. A cell counts as seen from the last room entered before it.
+    fn beside_portals(&self, start: &[CellId], ray: &Ray, hit: &Hit) -> Option<Seen> {
+        let (cell, surface) = (self.caster.cell_of(hit.triangle), ray.at(hit.t));
+        let first = *start.first()?;
+        let mut on_way: Vec<(f64, CellId)> = start.iter().map(|room| (0.0, *room)).collect();
+        let (mut at, mut last) = (0, (0.0, first));
+        let (mut is_drawn, mut is_entered) = (false, false);
+        while let Some(&(from, room)) = on_way.get(at) {
+            is_drawn = is_drawn || (self.lies_in)(cell, room);
+            is_entered = is_entered || self.columns.is_near(surface, room);
+            if is_drawn && is_entered {
+                return None;
+            }
+            if from >= last.0 && from <= hit.t {
+                last = (from, room);
+            }
+            for number in self.rooms.portals_of(room) {
+                let portal = &self.rooms.portals()[*number as usize];
+                let side = usize::from(portal.cells[0] != room);
+                let beyond = portal.cells[1 - side];
+                let entered = || portal.crossed(side, ray.origin, ray.direction).filter(|t| *t > from);
+                if on_way.iter().all(|(_, r)| *r != beyond)
+                    && let Some(t) = entered()
+                {
+                    on_way.push((t, beyond));
+                }
+            }
+            at += 1;
+        }
+        if !is_drawn {
+            return Some(Seen::Cell(cell, last.1));
+        }
+        Some(Seen::Room(*self.columns.cells_near(surface).first()?, first))
+    }
 }
 
 #[cfg(test)]
@@ -207,13 +246,20 @@ mod tests {
         let ray = Ray::new(eye, DVec3::new(5.0, up, z) - eye);
         let hit = caster.trace(&ray, &CellSet::all()).expect("a wall");
         assert!((ray.at(hit.t).x - 5.0).abs() < 1e-6, "above the cupboard: {}", ray.at(hit.t));
-        Sight { pair: (caster.cell_of(hit.triangle), Some(0)), eye, surface: ray.at(hit.t) }
+        Sight { seen: Seen::Cell(caster.cell_of(hit.triangle), Some(0)), eye, surface: ray.at(hit.t) }
+    }
+
+    fn cell_at(caster: &Caster, up: f64, z: f64) -> u32 {
+        match wall_at(caster, up, z).seen {
+            Seen::Cell(cell, _) => cell,
+            Seen::Room(..) => panic!("a cell"),
+        }
     }
 
     #[test]
     fn a_wall_above_a_cupboard_is_drawn_with_the_room_before_it() {
         let (caster, rooms, cells) = two_rooms(&[of([5.0, 0.0, 0.0], [5.2, 2.8, 4.0])]);
-        let (wall, _) = wall_at(&caster, 2.5, 2.0).pair;
+        let wall = cell_at(&caster, 2.5, 2.0);
         let pairs = seen_beside(&caster, &rooms, &|cell, room| cell != wall || room == Some(1));
         assert_eq!(pairs, [(wall, Some(0))], "seen from the west, and nothing else is");
         let [west, east, _] = &cells_of_rooms(&caster, &rooms, cells)[..] else { panic!("three") };
@@ -226,11 +272,27 @@ mod tests {
             (0..20).map(|k| f64::from(k) * 0.2).map(|z| of([5.0, 0.0, z], [5.2, 2.8, z + 0.2])).collect();
         let (caster, rooms, _) = two_rooms(&strips);
         let walls: BTreeSet<(u32, CellId)> =
-            (0..20).map(|k| wall_at(&caster, 2.5, f64::from(k) * 0.2 + 0.1).pair).collect();
+            (0..20).map(|k| (cell_at(&caster, 2.5, f64::from(k) * 0.2 + 0.1), Some(0))).collect();
         assert!(walls.len() >= 4, "strips share {} cells", walls.len());
         let lies_in = |cell: u32, room: CellId| !walls.contains(&(cell, Some(0))) || room == Some(1);
         let one = wall_at(&caster, 2.5, 0.1);
-        assert_eq!(look_beside(&caster, &rooms, &lies_in, vec![one]), walls);
-        assert!(look_beside(&caster, &rooms, &lies_in, vec![]).is_empty());
+        let judge = Judge { caster: &caster, rooms: &rooms, columns: Columns::new(&rooms), lies_in: &lies_in };
+        assert_eq!(judge.look_beside(vec![one]), walls);
+        assert!(judge.look_beside(vec![]).is_empty());
+    }
+
+    #[test]
+    fn sight_into_a_room_that_is_drawn_leads_to_what_is_not() {
+        let strips: Vec<Aabb> =
+            (0..20).map(|k| f64::from(k) * 0.2).map(|z| of([5.0, 0.0, z], [5.2, 2.8, z + 0.2])).collect();
+        let (caster, rooms, _) = two_rooms(&strips);
+        let (near, far) = (cell_at(&caster, 2.5, 0.1), cell_at(&caster, 2.5, 3.9));
+        assert_ne!(near, far);
+        let lies_in = |cell: u32, room: CellId| cell != far || room == Some(1);
+        let judge = Judge { caster: &caster, rooms: &rooms, columns: Columns::new(&rooms), lies_in: &lies_in };
+        let Sight { eye, surface, .. } = wall_at(&caster, 2.5, 0.1);
+        let sights = judge.sights(&[Ray::new(eye, surface - eye)]);
+        assert_eq!(sights.iter().map(|s| s.seen).collect::<Vec<_>>(), [Seen::Room(Some(1), Some(0))]);
+        assert_eq!(judge.look_beside(sights), BTreeSet::from([(far, Some(0))]));
     }
 }
