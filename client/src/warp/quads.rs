@@ -38,7 +38,11 @@ impl Target<'_> {
     /// Keeps the nearer of what is there and this.
     #[inline(always)]
     pub fn put(&mut self, at: usize, disparity_bits: u32, colour: u32) {
-        let value = u64::from(disparity_bits) << 32 | u64::from(colour);
+        self.keep_nearer(at, u64::from(disparity_bits) << 32 | u64::from(colour));
+    }
+
+    #[inline(always)]
+    fn keep_nearer(&mut self, at: usize, value: u64) {
         if let Some(pixel) = self.pixels.get_mut(at) {
             *pixel = (*pixel).max(value);
         }
@@ -47,11 +51,7 @@ impl Target<'_> {
     /// Keeps the nearer of what is there and these, packed, where a bit is set.
     #[inline(always)]
     pub fn put8(&mut self, mut bits: u32, at: [u32; LANES], values: [u64; LANES]) {
-        let mut put = |lane: usize| {
-            if let Some(pixel) = self.pixels.get_mut(at[lane] as usize) {
-                *pixel = (*pixel).max(values[lane]);
-            }
-        };
+        let mut put = |lane: usize| self.keep_nearer(at[lane] as usize, values[lane]);
         // Most groups are whole: no loop over bits for them.
         if bits == (1 << LANES) - 1 {
             (0..LANES).for_each(put);

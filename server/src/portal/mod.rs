@@ -22,6 +22,7 @@
 mod annotated;
 mod basins;
 mod check;
+mod columns;
 mod compare;
 mod excess;
 mod find;
