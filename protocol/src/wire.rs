@@ -206,6 +206,16 @@ pub enum ClientMessage {
     Bye,
 }
 
+impl ClientMessage {
+    /// How many chunks it lists.
+    pub fn listed(&self) -> usize {
+        match self {
+            Self::Want { chunks } | Self::Drop { chunks } | Self::Have { chunks } => chunks.len(),
+            Self::Hello(_) | Self::Decoding { .. } | Self::Whole | Self::Others { .. } | Self::Bye => 0,
+        }
+    }
+}
+
 /// Messages of a server on the control stream.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ServerMessage {

@@ -465,6 +465,21 @@ fn garbage_and_sloth_harm_only_their_own_connection() {
 }
 
 #[test]
+fn who_breaks_rules_again_and_again_is_let_in_no_more() {
+    let host = Host::start("barred", Memory::new(street(2, 16)));
+    let address = host.server().quic();
+    let inside = host.connect();
+    assert_eq!(host.runtime.block_on(stranger::floods_with_poses(address)), Some(RefusalCode::Rate as u64));
+    let came_in = host.runtime.block_on(async {
+        tokio::time::timeout(PATIENCE, stranger::comes_again(address)).await.expect("the door is closed in the end")
+    });
+    assert!((20..40).contains(&came_in), "{came_in} times");
+    // Those of another address are not concerned, inside or new.
+    stand(&inside, &pose(0.0, 0.0)).unwrap();
+    stand(&host.connect(), &pose(0.0, 0.0)).unwrap();
+}
+
+#[test]
 fn a_server_that_stops_says_so() {
     let mut host = Host::start("stop", Memory::new(street(2, 16)));
     let connection = host.connect();

@@ -46,8 +46,10 @@ pub enum ConnectError {
         /// In its words.
         message: String,
     },
-    /// The server has no room.
-    #[error("the server has no room for another connection; try again later")]
+    /// The server has no room, or too many connections from this address broke its rules.
+    #[error(
+        "the server lets nobody else in from here for now: it is full, or connections from this address broke its rules; try again in a minute"
+    )]
     Busy,
     /// The server breaks the protocol or sends a manifest that cannot be used.
     #[error("the server sends what cannot be used: {0}")]

@@ -20,8 +20,10 @@ const LEAST_INTERVAL: Duration = Duration::from_millis(30);
 const MOST_INTERVAL: Duration = Duration::from_millis(100);
 /// A pose is foretold if it is no farther than this from where the motion so far leads, metres and degrees.
 const FORETOLD: (f64, f64) = (0.03, 2.0);
-/// A pose this far from there goes at once.
+/// A pose this far from there goes at once, but no closer to the last one than [`JUMP_INTERVAL`].
 const ELSEWHERE: (f64, f64) = (0.5, 15.0);
+/// The server throws out who sends 250 per second.
+const JUMP_INTERVAL: Duration = Duration::from_millis(10);
 /// One that went at once is repeated after this time.
 const FIRST_REPEAT: Duration = Duration::from_millis(50);
 /// A pose that stays the same is repeated after [`MOST_INTERVAL`], then after twice as long, and so on up to this.
@@ -86,7 +88,7 @@ impl PoseClock {
             Some(sent) => {
                 let off = sent.off(pose, now);
                 if beyond(off, ELSEWHERE) {
-                    now
+                    sent.at + JUMP_INTERVAL
                 } else if beyond(off, FORETOLD) {
                     sent.at + LEAST_INTERVAL
                 } else if *pose != sent.pose {
@@ -222,9 +224,10 @@ mod tests {
         let mut clock = PoseClock::default();
         assert!(clock.look(&pose(0.0, 0.0), ms(0)) && clock.take(ms(0)).is_some());
         assert!(!clock.look(&pose(0.02, 0.0), ms(5)) && clock.take(ms(5)).is_none(), "a small step");
-        assert!(clock.look(&pose(0.02, 20.0), ms(6)) && clock.take(ms(6)).is_some(), "a turn");
-        assert!(clock.look(&pose(0.72, 20.0), ms(7)) && clock.take(ms(7)).is_some(), "a jump");
-        assert_eq!(clock.due, Some(ms(7) + FIRST_REPEAT));
+        assert!(clock.look(&pose(0.02, 20.0), ms(12)) && clock.take(ms(12)).is_some(), "a turn");
+        assert!(clock.look(&pose(0.72, 20.0), ms(13)) && clock.take(ms(13)).is_none(), "a jump right after it");
+        assert!(clock.take(ms(12) + JUMP_INTERVAL).is_some());
+        assert_eq!(clock.due, Some(ms(12) + JUMP_INTERVAL + FIRST_REPEAT));
     }
 
     #[test]

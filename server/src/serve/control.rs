@@ -1,10 +1,16 @@
 //! The control stream: frames in and out, the first message, refusals.
 
-use super::{limits::TokenBucket, session::Shared};
+use super::{
+    limits::{Allowance, TokenBucket},
+    session::Shared,
+};
 use ldi_protocol::wire::{self, ClientMessage, Hello, Message, RefusalCode, ServerMessage, WireError};
 use quinn::{RecvStream, SendStream};
 use std::time::{Duration, Instant};
-use tokio::{sync::mpsc, time::timeout};
+use tokio::{
+    sync::mpsc,
+    time::{sleep_until, timeout},
+};
 
 /// Time for a refused client to read why.
 const LAST_WORDS: Duration = Duration::from_secs(1);
@@ -98,16 +104,24 @@ impl From<SessionReadError> for SessionError {
     }
 }
 
+/// Numbers of chunks that one client may list per second; who lists more is read no faster.
+const LISTED_PER_SECOND: f64 = 20_000.0;
+/// Time over which these may come at once: a client that comes again lists all that it holds, twice, if it begins early.
+const LISTS_BURST: Duration = Duration::from_secs(100);
+
 /// Reads until the stream ends, breaks the protocol, or comes too fast.
 pub(super) async fn read_all(mut recv: RecvStream, out: mpsc::Sender<Result<ClientMessage, SessionError>>, rate: f64) {
     let started = Instant::now();
     let mut bucket = TokenBucket::new(rate, 4.0 * rate);
+    let lists = Allowance::new(LISTED_PER_SECOND, LISTS_BURST);
     loop {
         let mut message = read_message(&mut recv).await.map_err(SessionError::from);
         if message.is_ok() && !bucket.take(started.elapsed()) {
             let text = format!("more than {rate} messages per second");
             message = Err(SessionError::Refused { code: RefusalCode::Rate, message: text });
         }
+        let listed = message.as_ref().map_or(0, ClientMessage::listed);
+        sleep_until((started + lists.take(started.elapsed(), listed)).into()).await;
         let last = message.is_err();
         if out.send(message).await.is_err() || last {
             return;

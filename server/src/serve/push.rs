@@ -83,7 +83,7 @@ impl Outlet {
     /// Counts bytes that were sent.
     pub fn sent(&self, bytes: usize) {
         if let Some(allowance) = &self.allowance {
-            allowance.sent(self.epoch.elapsed(), bytes);
+            allowance.take(self.epoch.elapsed(), bytes);
         }
     }
 }

@@ -5,7 +5,8 @@ use super::{
     error::ServeError,
     http,
     identity::Identity,
-    limits::Door,
+    limits::{Allowance, Door},
+    requests::{ANSWERED_PER_SECOND, ANSWERS_BURST},
     session::{self, Shared},
     source::{ChunkSource, Served},
     transport,
@@ -59,6 +60,7 @@ impl Server {
                 config.bytes_per_second_per_address,
             ),
             epoch: Instant::now(),
+            answers: Allowance::new(ANSWERED_PER_SECOND, ANSWERS_BURST),
             max_connections: config.max_connections,
             send_window: config.send_window,
             ahead_worth: config.ahead_worth,
@@ -102,11 +104,18 @@ impl Server {
 async fn accept(endpoint: Endpoint, shared: Arc<Shared>) {
     while let Some(incoming) = endpoint.accept().await {
         let address = incoming.remote_address();
-        let Some(place) = shared.door.enter(address.ip().to_canonical()) else {
-            metrics::counter!("ldi_refused_total").increment(1);
-            tracing::warn!(%address, "refused: no room");
-            incoming.refuse();
-            continue;
+        let place = match shared.door.enter(address.ip().to_canonical(), shared.epoch.elapsed()) {
+            Ok(place) => place,
+            Err(refusal) => {
+                metrics::counter!("ldi_refused_total").increment(1);
+                if refusal.said {
+                    tracing::warn!(%address, "refused: {}", refusal.closed);
+                    incoming.refuse();
+                } else {
+                    incoming.ignore();
+                }
+                continue;
+            }
         };
         // Getting full: who comes in must first prove that the address is theirs, which costs them a round trip.
         if 2 * shared.door.inside() > shared.max_connections && !incoming.remote_address_validated() {

@@ -5,7 +5,7 @@
 
 use super::{
     control::{self, SessionError, admit, read_message, refuse, tell},
-    limits::{Door, Place, TokenBucket},
+    limits::{Allowance, Door, Place, TokenBucket},
     meter::Metered,
     planner::{Capacity, Order, Planner, PlannerConfig, Turn},
     push::{Ended, Outlet, Task, carry, push_beside, push_through},
@@ -45,8 +45,8 @@ const WRONG_TOKEN_DELAY: Duration = Duration::from_millis(300);
 const CONTROL_QUEUE: usize = 64;
 /// How often a client that shows others is told where they are: a step of a walk.
 const OTHERS_EVERY: Duration = Duration::from_millis(500);
-/// Poses per second beyond which the rest is skipped: four times a fast screen.
-const POSES_PER_SECOND: f64 = 500.0;
+/// Poses per second beyond which a client is thrown out: a client sends at most 100.
+const POSES_PER_SECOND: f64 = 250.0;
 
 /// What all sessions share.
 #[derive(Debug)]
@@ -59,6 +59,8 @@ pub struct Shared {
     pub token: Option<blake3::Hash>,
     /// Room for connections.
     pub door: Arc<Door>,
+    /// Bytes of all answers to requests.
+    pub answers: Allowance,
     /// See [`super::ServeConfig::max_connections`].
     pub max_connections: usize,
     /// See [`super::ServeConfig::send_window`].
@@ -94,6 +96,10 @@ pub async fn run(shared: Arc<Shared>, incoming: quinn::Incoming, place: Place) {
         Ok(()) => connection.close(VarInt::from_u32(code::BYE), b"bye"),
         Err(SessionError::Refused { code, message }) => {
             metrics::counter!("ldi_refused_total").increment(1);
+            // An older program breaks no rule.
+            if *code != RefusalCode::Version && place.strike(shared.epoch.elapsed()) {
+                tracing::warn!(address = %address.ip(), "broke rules too often: few are let in from there for a while");
+            }
             connection.close(VarInt::from_u32(*code as u32), message.as_bytes());
         }
         Err(_) => connection.close(VarInt::from_u32(code::BYE), b""),
@@ -233,7 +239,7 @@ impl Session {
                     Some(Err(e)) => return Err(e),
                 },
                 Some(number) = answers.recv() => self.planner.sent_elsewhere(number),
-                datagram = self.outlet.connection.read_datagram() => self.see(&datagram?),
+                datagram = self.outlet.connection.read_datagram() => self.see(&datagram?)?,
                 Some(done) = carried.recv() => self.land(done),
                 Some(Ok(sent)) = pages.join_next() => sent.map_err(|_| SessionError::Silent)??,
                 () = due(&mut self.others) => self.tell_others(send).await?,
@@ -368,9 +374,10 @@ impl Session {
     }
 
     /// A datagram that is no pose is ignored: they may be damaged or from a later version.
-    fn see(&mut self, datagram: &[u8]) {
+    fn see(&mut self, datagram: &[u8]) -> Result<(), SessionError> {
         if !self.poses.take(self.started.elapsed()) {
-            return;
+            let message = format!("more than {POSES_PER_SECOND} poses per second");
+            return Err(SessionError::Refused { code: RefusalCode::Rate, message });
         }
         match PoseDatagram::decode(datagram) {
             Ok(pose) => {
@@ -383,6 +390,7 @@ impl Session {
                 tracing::debug!(walker = self.walker.id, "datagram: {e}");
             }
         }
+        Ok(())
     }
 
     fn follow_link(&mut self) {

@@ -19,9 +19,11 @@ use tokio::time::{interval, sleep, timeout_at};
 const AGAIN: Duration = Duration::from_millis(100);
 /// Between two poses of one who floods: far more than the server takes.
 const FLOOD_POSES: Duration = Duration::from_millis(1);
-/// Between two messages of one who floods: just below the server's usual limit of 500 per second, beyond which it would be thrown out.
+/// Between two poses of one who is greedy: just below the server's limit of 250 per second, beyond which it would be thrown out.
+const GREEDY_POSES: Duration = Duration::from_millis(5);
+/// Between two messages of both: just below the server's usual limit of 500 per second, beyond which it would be thrown out.
 const FLOOD_MESSAGES: Duration = Duration::from_micros(2_500);
-/// Requests that one who floods has open: as many as the server allows.
+/// Requests that both have open: as many as the server allows.
 const FLOOD_REQUESTS: u32 = 64;
 /// Between two bites of one who is slow, and their size.
 const SLOW_EVERY: Duration = Duration::from_millis(100);
@@ -34,8 +36,10 @@ pub enum Manner {
     Silent,
     /// Walks and asks for large chunks, but reads a kilobyte now and then.
     Slow,
-    /// Asks for everything again and again, as fast as the server lets it, and reads it.
+    /// Asks for everything again and again, as fast as it can, and reads it.
     Flooding,
+    /// The same, but breaks no rule: below every limit.
+    Greedy,
     /// Says what is no message.
     Malformed,
 }
@@ -130,11 +134,12 @@ impl Siege {
                     }
                     std::future::pending().await
                 }
-                Manner::Slow | Manner::Flooding => {
+                Manner::Slow | Manner::Flooding | Manner::Greedy => {
                     say(&mut send, &hello(wire::VERSION)).await;
                     match manner {
                         Manner::Slow => self.dawdle(connection, track).await,
-                        _ => self.flood(connection, send, recv, track).await,
+                        Manner::Greedy => self.flood(connection, send, recv, track, GREEDY_POSES).await,
+                        _ => self.flood(connection, send, recv, track, FLOOD_POSES).await,
                     }
                 }
             }
@@ -168,9 +173,16 @@ impl Siege {
         }
     }
 
-    async fn flood(&self, connection: &Connection, mut send: SendStream, recv: RecvStream, track: &Track) {
+    async fn flood(
+        &self,
+        connection: &Connection,
+        mut send: SendStream,
+        recv: RecvStream,
+        track: &Track,
+        poses_every: Duration,
+    ) {
         let poses = async {
-            let mut due = interval(FLOOD_POSES);
+            let mut due = interval(poses_every);
             for n in 0.. {
                 due.tick().await;
                 pose(connection, track, n);

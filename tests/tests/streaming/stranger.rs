@@ -29,6 +29,41 @@ pub async fn sends(address: SocketAddr, what: Nonsense) -> bool {
     tokio::time::timeout(Duration::from_secs(20), connection.closed()).await.is_ok()
 }
 
+/// From an address of its own: sends nonsense and comes again until it is not let in. Returns how often it was.
+pub async fn comes_again(address: SocketAddr) -> usize {
+    let endpoint = endpoint(IpAddr::from([127, 0, 0, 2])).unwrap();
+    let mut came_in = 0;
+    while let Ok((connection, mut send, _recv)) = connect(&endpoint, address).await {
+        came_in += 1;
+        let _ = send.write_all(&Nonsense::RandomBytes.bytes(hello).unwrap()).await;
+        connection.closed().await;
+    }
+    came_in
+}
+
+/// Sends poses as fast as it can. Returns the code with which the server ends that.
+pub async fn floods_with_poses(address: SocketAddr) -> Option<u64> {
+    let (_endpoint, connection, mut send, _recv) = come(address).await;
+    send.write_all(&wire::encode(&hello(wire::VERSION)).unwrap()).await.unwrap();
+    let flood = async {
+        for sequence in 1.. {
+            let position = glam::DVec3::new(f64::from(sequence) * 1e-3, 0.0, 0.0);
+            let pose = Pose { position, yaw_deg: 0.0, pitch_deg: 0.0 };
+            let datagram = PoseDatagram { sequence, sent_us: 0, pose };
+            let _ = connection.send_datagram_wait(datagram.encode().to_vec().into()).await;
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::select! {
+        end = connection.closed() => match end {
+            quinn::ConnectionError::ApplicationClosed(close) => Some(close.error_code.into_inner()),
+            _ => None,
+        },
+        () = flood => None,
+        () = tokio::time::sleep(Duration::from_secs(20)) => None,
+    }
+}
+
 /// Says hello, looks at something large, and never reads a chunk.
 pub async fn reads_nothing(address: SocketAddr) -> (Endpoint, Connection, SendStream, RecvStream) {
     let (endpoint, connection, mut send, recv) = come(address).await;
