@@ -6,7 +6,7 @@
 //! Every ray goes through the portals as culling does, from all rooms of its eye through every portal that it passes. If the surface it ends at is drawn with none of the rooms on
 //! its way, it is added to the last of them before the surface. Where one is found there are mostly more: rays from around its eye to around what it saw look for them, and from around those
 //! again (adaptive border sampling of Wonka et al., Guided Visibility Sampling, 2006, with random rays). Most such surfaces are drawn all the same, as their cell lies in several rooms; where one of
-//! these is seen beside all portals, others may not be drawn, and so rays look beside these, too. Sampling proves nothing of surfaces that no ray met; `ldi-server rooms --check` counts with other
+//! these is seen beside all portals, others may not be drawn, and so rays look beside these, too, from each place where that happens. Sampling proves nothing of surfaces that no ray met; `ldi-server rooms --check` counts with other
 //! rays what is left.
 
 use super::check::{is_clear, random_poses};
@@ -34,9 +34,11 @@ const BUNDLE: (u32, f64) = (8, 0.026);
 const LOOK_BESIDE: (usize, usize) = (32, 32);
 /// So many sights of a cell from a room are looked beside of: it may be seen through several slits.
 const SIGHTS_OF_CELL: usize = 8;
-/// So many of a room from another, of cells that are drawn all the same. More: rarer places are found, and sorting takes longer: on the clinic 16, 64 and 512 of them leave three, three and two of
-/// four places, after 30, 46 and 237 seconds.
-const SIGHTS_OF_ROOM: usize = 64;
+/// So many of a room from a place in another, of cells that are drawn all the same. More: rarer places are found, and sorting takes longer.
+const SIGHTS_OF_ROOM: usize = 4;
+/// Side of such a place, metres: an open border is as long as an arena, and what is seen through one part of it says nothing of others. Of two places of bleach and three of the clinic, found by a
+/// check, places of 1 m and 4 sights each find two and one in 20 and 57 s; 64 sights from anywhere none in 11 and 46; 4 m and 64 sights one of bleach's in 23; 0.5 m and 2 two and one in 68 and 134.
+const PLACE_M: f64 = 1.0;
 /// Most rounds of looking beside; on the clinic and bleach, of which eight in ten pairs are found so, the last bring next to nothing.
 const ROUNDS: usize = 12;
 /// How far beside, at most: eyes, metres, and what they see, as a share of its distance.
@@ -53,8 +55,8 @@ const SEED: u64 = 0x5ee;
 enum Seen {
     /// A cell of the octree that would not be drawn.
     Cell(u32, CellId),
-    /// A room, of cells that are drawn all the same: the room that is seen, and the one that sees it.
-    Room(CellId, CellId),
+    /// A room, of cells that are drawn all the same: the room that is seen, the one that sees it, and the place in it, in steps of [`PLACE_M`].
+    Room(CellId, CellId, [i32; 3]),
 }
 
 impl Seen {
@@ -202,7 +204,8 @@ impl Judge<'_> {
         if !is_drawn {
             return Some(Seen::Cell(cell, last.1));
         }
-        Some(Seen::Room(*self.columns.cells_near(surface).first()?, first))
+        let place = (ray.origin / PLACE_M).floor().as_ivec3().to_array();
+        Some(Seen::Room(*self.columns.cells_near(surface).first()?, first, place))
     }
 }
 
@@ -287,7 +290,7 @@ mod tests {
         let lies_in = |cell: u32, room: CellId| cell != far || room == Some(1);
         let judge = Judge { caster: &caster, rooms: &rooms, columns: Columns::new(&rooms), lies_in: &lies_in };
         let sights = judge.sights(&[Ray::new(eye, surface - eye)]);
-        assert_eq!(sights.iter().map(|s| s.seen).collect::<Vec<_>>(), [Seen::Room(Some(1), Some(0))]);
+        assert_eq!(sights.iter().map(|s| s.seen).collect::<Vec<_>>(), [Seen::Room(Some(1), Some(0), [2, 1, 2])]);
         assert_eq!(judge.look_beside(sights), BTreeSet::from([(far, Some(0))]));
     }
 }

@@ -16,7 +16,7 @@ use tokio::{sync::mpsc, time::sleep_until};
 
 /// Bytes handed to the transport at a time. Larger: fewer wake-ups; smaller: the first of several chunks is noticed to be out sooner.
 const SLICE: usize = 64 * 1024;
-/// A stale chunk that began and has less than this left is finished all the same: what was sent of it would be wasted.
+/// A stale chunk that began and has at most this left is finished all the same: what was sent of it would be wasted.
 pub const FINISH_BELOW: usize = 32 * 1024;
 /// How often the send window follows the congestion window.
 const WINDOW_INTERVAL: Duration = Duration::from_millis(5);
