@@ -345,6 +345,21 @@ fn an_address_gets_no_more_than_its_bytes_per_second() {
     stand(&connections[0], &pose(0.0, 0.0)).unwrap();
 }
 
+#[test]
+fn who_asks_for_everything_gets_two_megabytes_per_second() {
+    let host = Host::start("asking", Memory::new(street(2, 512)));
+    let asking = host.connect();
+    let started = std::time::Instant::now();
+    let (mut bytes, mut largest) = (0, 0);
+    while bytes < 3_000_000 {
+        let chunk = asking.fetch(Request::Number(LDI[0])).unwrap().1;
+        (bytes, largest) = (bytes + chunk.len(), largest.max(chunk.len()));
+    }
+    // Never more, however fast or slow this machine is: half a second's worth goes at once, and one chunk before it is counted.
+    let most = 2e6 * (started.elapsed().as_secs_f64() + 0.5) + largest as f64;
+    assert!(bytes as f64 <= most, "{bytes} bytes, {most} at most");
+}
+
 /// What a client's map knows of the others, once it is `expected`: walkers by name, and where they are along the street.
 fn others_become(others: &Others, expected: Option<&[(&str, f64)]>) {
     let seen = || {
