@@ -34,6 +34,7 @@ use std::{
 const CAMERA: OutputCamera = OutputCamera { width: 1280, height: 720, fov_deg: 60.0 };
 /// Views that are warped one after another: one is no scene.
 const VIEWS: usize = 6;
+const THREADS: [usize; 2] = [1, 2];
 
 /// A pose and the images that its view shows.
 struct View {
@@ -108,8 +109,9 @@ fn view(dataset: &Dataset, pose: &Pose) -> View {
 }
 
 /// Warps all views, once per iteration.
-fn warp_all(bencher: Bencher<'_, '_>, stamp: Stamp, threads: usize) {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+#[divan::bench(args = [Stamp::OnePixel, Stamp::TwoByTwo, Stamp::Footprint, Stamp::Quads], consts = THREADS)]
+fn warp<const THREADS: usize>(bencher: Bencher<'_, '_>, stamp: Stamp) {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(THREADS).build().expect("threads");
     let options = WarpOptions { stamp, ..WarpOptions::default() };
     let shown: Vec<(Pose, Vec<Shown<'_>>)> =
         SCENE.iter().map(|v| (v.pose, v.images.iter().map(Shown::from).collect())).collect();
@@ -125,30 +127,10 @@ fn warp_all(bencher: Bencher<'_, '_>, stamp: Stamp, threads: usize) {
     bencher.counter(ItemsCount::new(samples)).bench_local(all);
 }
 
-#[divan::bench(args = [1, 2])]
-fn one_pixel(bencher: Bencher<'_, '_>, threads: usize) {
-    warp_all(bencher, Stamp::OnePixel, threads);
-}
-
-#[divan::bench(args = [1, 2])]
-fn two_by_two(bencher: Bencher<'_, '_>, threads: usize) {
-    warp_all(bencher, Stamp::TwoByTwo, threads);
-}
-
-#[divan::bench(args = [1, 2])]
-fn footprints(bencher: Bencher<'_, '_>, threads: usize) {
-    warp_all(bencher, Stamp::Footprint, threads);
-}
-
-#[divan::bench(args = [1, 2])]
-fn quads(bencher: Bencher<'_, '_>, threads: usize) {
-    warp_all(bencher, Stamp::Quads, threads);
-}
-
 /// What arithmetic alone takes: nothing is painted.
-#[divan::bench(args = [1, 2])]
-fn transform_alone(bencher: Bencher<'_, '_>, threads: usize) {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+#[divan::bench(consts = THREADS)]
+fn transform_alone<const THREADS: usize>(bencher: Bencher<'_, '_>) {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(THREADS).build().expect("threads");
     let options = WarpOptions { stamp: Stamp::OnePixel, ..WarpOptions::default() };
     let mut far = FarFrame::default();
     far.reset(CAMERA.width, CAMERA.height);
