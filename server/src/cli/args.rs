@@ -226,6 +226,9 @@ pub struct RoomsArgs {
     /// Pixels of a pose's picture there: many poses with few rays each find other faults than few with many.
     #[arg(long, default_value = "320x200", value_parser = size)]
     pub check_size: (u32, u32),
+    /// Another number gives other poses; those that sort cells into rooms are none of them.
+    #[arg(long, default_value_t = 1, value_name = "NUMBER", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub check_seed: u32,
     /// Write figures as JSON.
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,

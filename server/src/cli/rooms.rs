@@ -57,7 +57,7 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
     let check = caster.as_ref().filter(|_| a.check > 0).map(|caster| {
         progress.stage("sorting cells into rooms", 0);
         let members = portal::cells_of_rooms(caster, &rooms, cells.len());
-        let poses = portal::random_poses(caster, &rooms, a.check as usize, 1);
+        let poses = portal::random_poses(caster, &rooms, a.check as usize, u64::from(a.check_seed));
         progress.stage("checking against rays", poses.len() as u64);
         let (width, height) = a.check_size;
         let camera = OutputCamera { width, height, fov_deg: 60.0 };
@@ -79,13 +79,15 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
     }
     if let Some(c) = &check {
         print(&format!(
-            "against rays: {} of {} poses miss a cell ({} of {} rays), in {} of them a surface would not be drawn ({} rays); {:.2} cells reported, {:.2} reached per pose; {:.0} us each; in {} all of space counts as seen",
+            "against rays: {} of {} poses miss a cell ({} of {} rays), in {} of them a surface would not be drawn ({} rays, {} of them through joints of the model narrower than {} mm); {:.2} cells reported, {:.2} reached per pose; {:.0} us each; in {} all of space counts as seen",
             c.poses_with_a_miss,
             c.poses,
             c.missed_rays,
             c.rays,
             c.poses_left_out,
             c.left_out_rays,
+            c.left_out_rays_in_joints,
+            portal::JOINT_M * 1e3,
             c.cells_reported_mean,
             c.cells_reached_mean,
             c.cull_us_mean,

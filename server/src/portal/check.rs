@@ -27,6 +27,8 @@ pub struct SightCheck {
     pub poses_left_out: u64,
     /// Rays that hit such a surface: no room that its cell of the octree lies in is reported with a cone that reaches that cell.
     pub left_out_rays: u64,
+    /// Those of these rays that go through a joint of the model: between surfaces that are less than [`JOINT_M`] apart.
+    pub left_out_rays_in_joints: u64,
     /// Cells reported per view, mean; the outside counts as one.
     pub cells_reported_mean: f64,
     /// Cells that rays reach per view, mean.
@@ -52,6 +54,25 @@ pub struct Miss {
     pub cells: String,
     /// Whether it would not be drawn.
     pub left_out: bool,
+    /// Whether it would not be drawn and shows through a joint of the model.
+    pub in_joint: bool,
+}
+
+/// A gap narrower than this, metres, is a joint: surfaces that touch, but for how their corners were rounded. At 1 m it is a twelfth of a pixel of 320x200.
+pub const JOINT_M: f64 = 0.5e-3;
+
+/// Whether what a ray hits at `t` is seen through a joint: there is a direction in which rays beside it, [`JOINT_M`] apart from each other, end before.
+fn is_in_joint(caster: &Caster, ray: &Ray, t: f64) -> bool {
+    let (u, v) = ray.direction.any_orthonormal_pair();
+    let ends_before = |beside: DVec3| {
+        let shifted = Ray { origin: ray.origin + beside, t_max: t * (1.0 - 1e-3), ..*ray };
+        caster.occluded(&shifted, &CellSet::all())
+    };
+    (0..DIRECTIONS).any(|k| {
+        let angle = f64::from(k) * std::f64::consts::PI / f64::from(DIRECTIONS);
+        let half = (u * angle.cos() + v * angle.sin()) * (0.5 * JOINT_M);
+        ends_before(half) && ends_before(-half)
+    })
 }
 
 /// Most misses that are written out.
@@ -119,9 +140,17 @@ pub fn check_sight(
                     found.worst.clear();
                 }
                 found.left_out_rays += u64::from(left_out);
+                let in_joint = left_out && is_in_joint(caster, ray, hit.t);
+                found.left_out_rays_in_joints += u64::from(in_joint);
                 if (missed || left_out) && found.worst.is_empty() {
                     let names: Vec<&str> = near.iter().map(|c| rooms.name(*c)).collect();
-                    found.worst.push(Miss { eye: pose.position, surface: p, cells: names.join(", "), left_out });
+                    found.worst.push(Miss {
+                        eye: pose.position,
+                        surface: p,
+                        cells: names.join(", "),
+                        left_out,
+                        in_joint,
+                    });
                 }
             }
         }
@@ -140,6 +169,7 @@ pub fn check_sight(
         sum.missed_rays += f.missed_rays;
         sum.poses_left_out += f.poses_left_out;
         sum.left_out_rays += f.left_out_rays;
+        sum.left_out_rays_in_joints += f.left_out_rays_in_joints;
         sum.everything_seen += f.everything_seen;
         sum.cells_reported_mean += f.cells_reported_mean;
         sum.cells_reached_mean += f.cells_reached_mean;
@@ -174,7 +204,7 @@ fn tiles(camera: &OutputCamera) -> impl Iterator<Item = impl Iterator<Item = [u3
 const HALF_A_PERSON_M: f64 = 0.25;
 /// How far beside an eye room to stand is looked for, metres: eyes lean over tables and around corners, and those close to walls are the hard ones.
 const BESIDE_M: [f64; 3] = [0.15, 0.3, 0.45];
-/// Directions in plan that are tried: sheets of a wall are met by some of them whichever way it runs.
+/// Directions that are tried, in plan around an eye or across a ray: sheets of a wall, and joints, are met by some of them whichever way they run.
 const DIRECTIONS: u32 = 8;
 
 /// Whether somebody whose eye is there has room to stand, at most 0.45 m beside it: not in the cavity of a hollow wall.
@@ -241,6 +271,31 @@ mod tests {
         assert!(pixels[..64].iter().all(|p| p.iter().all(|n| *n < 8)));
         pixels.sort_unstable();
         assert!(pixels.into_iter().eq((0..21).flat_map(|u| (0..9).map(move |v| [u, v]))));
+    }
+
+    #[test]
+    fn a_joint_is_narrower_than_half_a_millimetre() {
+        // Two blocks, one over the other or beside it, the gap between them, and a wall behind.
+        let of = |a: [f64; 3], b: [f64; 3]| Aabb { min: DVec3::from(a), max: DVec3::from(b) };
+        let seen = |gap: f64, blocks: [Aabb; 2]| {
+            let walls = [blocks[0], blocks[1], of([3.0, -5.0, -5.0], [3.2, 5.0, 5.0])];
+            let caster = Caster::of_scene(Arc::new(scene_of(&walls.each_ref().map(block))), false);
+            let ray = Ray::new(DVec3::new(0.0, 0.5 * gap, 0.5 * gap), DVec3::X);
+            let hit = caster.trace(&ray, &CellSet::all()).expect("the wall");
+            assert!((hit.t - 3.0).abs() < 1e-4, "through the gap of {gap}: {}", hit.t);
+            is_in_joint(&caster, &ray, hit.t)
+        };
+        for (gap, is_joint) in [(1e-4, true), (4e-4, true), (7e-4, false), (2e-3, false)] {
+            let level = [of([1.0, -2.0, -2.0], [1.2, 0.0, 2.0]), of([1.0, gap, -2.0], [1.2, 2.0, 2.0])];
+            let upright = [of([1.0, -2.0, -2.0], [1.2, 2.0, 0.0]), of([1.0, -2.0, gap], [1.2, 2.0, 2.0])];
+            // Where one ends behind the other, as a floor behind the wall on its edge.
+            let aslant = [of([1.0, -2.0, -2.0], [1.0001, 0.0, 2.0]), of([1.5, gap, -2.0], [1.7, 2.0, 2.0])];
+            for blocks in [level, upright, aslant] {
+                assert_eq!(seen(gap, blocks), is_joint, "{gap} {blocks:?}");
+            }
+        }
+        let alone = [of([1.0, -2.0, -2.0], [1.2, 0.0, 2.0]), of([4.0, 0.0, 0.0], [4.2, 1.0, 1.0])];
+        assert!(!seen(1e-4, alone), "past an edge");
     }
 
     #[test]

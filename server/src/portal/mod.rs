@@ -40,7 +40,7 @@ mod volumes;
 mod zones;
 
 pub use annotated::annotated_rooms;
-pub use check::{Miss, SightCheck, check_sight, random_poses};
+pub use check::{JOINT_M, Miss, SightCheck, check_sight, random_poses};
 pub use compare::{Comparison, compare};
 pub use excess::over_budget;
 pub use find::{FoundRooms, Statistics, find_rooms};

@@ -47,7 +47,7 @@ const BESIDE: (f64, f64) = (1.0, 0.5);
 const CLOSEST: f64 = 0.01;
 /// Eyes stay at the heights of eyes.
 const FLAT: DVec3 = DVec3::new(1.0, 0.25, 1.0);
-/// Not that of any check.
+/// Not that of any check: those go up to 1,000.
 const SEED: u64 = 0x5ee;
 
 /// What is seen from a room beside all portals.
