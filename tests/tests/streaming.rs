@@ -495,6 +495,18 @@ fn who_breaks_rules_again_and_again_is_let_in_no_more() {
 }
 
 #[test]
+fn who_lists_more_than_anybody_holds_is_read_slowly() {
+    let host = Host::start("lists", Memory::new(street(2, 16)));
+    let address = host.server().quic();
+    // As much as a hundred seconds allow may come at once; three seconds more take three seconds.
+    let took = host.runtime.block_on(async {
+        tokio::time::timeout(PATIENCE, stranger::lists(address, 2_060_000)).await.expect("it is read in the end")
+    });
+    assert!(took >= Duration::from_millis(2_900), "{took:?}");
+    stand(&host.connect(), &pose(0.0, 0.0)).unwrap();
+}
+
+#[test]
 fn a_server_that_stops_says_so() {
     let mut host = Host::start("stop", Memory::new(street(2, 16)));
     let connection = host.connect();

@@ -9,7 +9,7 @@ use ldi_tests::load::stranger::{connect, endpoint};
 use quinn::{Connection, Endpoint, RecvStream, SendStream, VarInt};
 use std::{
     net::{IpAddr, SocketAddr},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 fn hello(version: u16) -> ClientMessage {
@@ -62,6 +62,20 @@ pub async fn floods_with_poses(address: SocketAddr) -> Option<u64> {
         () = flood => None,
         () = tokio::time::sleep(Duration::from_secs(20)) => None,
     }
+}
+
+/// Lists so many numbers of chunks as what it holds, and then sends what is no message. Returns how long the server took to come to that.
+pub async fn lists(address: SocketAddr, numbers: usize) -> Duration {
+    let (_endpoint, connection, mut send, _recv) = come(address).await;
+    let started = Instant::now();
+    send.write_all(&wire::encode(&hello(wire::VERSION)).unwrap()).await.unwrap();
+    for first in (0..numbers).step_by(wire::MAX_LIST) {
+        let chunks = vec![0; wire::MAX_LIST.min(numbers - first)];
+        send.write_all(&wire::encode(&ClientMessage::Have { chunks }).unwrap()).await.unwrap();
+    }
+    send.write_all(&[255; 4]).await.unwrap();
+    connection.closed().await;
+    started.elapsed()
 }
 
 /// Says hello, looks at something large, and never reads a chunk.
