@@ -58,7 +58,7 @@ pub struct Miss {
     pub in_joint: bool,
 }
 
-/// A gap narrower than this, metres, is a joint: surfaces that touch, but for how their corners were rounded. At 1 m it is a twelfth of a pixel of 320x200.
+/// A gap narrower than this, metres, is a joint: surfaces that touch, but for how their corners were rounded. At 1 m it is a seventh of a pixel of 320x200.
 pub const JOINT_M: f64 = 0.5e-3;
 
 /// Whether what a ray hits at `t` is seen through a joint: there is a direction in which rays beside it, [`JOINT_M`] apart from each other, end before.
