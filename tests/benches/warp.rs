@@ -34,6 +34,7 @@ use std::{
 const CAMERA: OutputCamera = OutputCamera { width: 1280, height: 720, fov_deg: 60.0 };
 /// Views that are warped one after another: one is no scene.
 const VIEWS: usize = 6;
+/// Threads of the warp: one, and the two for which the project's figures are.
 const THREADS: [usize; 2] = [1, 2];
 
 /// A pose and the images that its view shows.

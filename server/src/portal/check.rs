@@ -65,6 +65,7 @@ pub const JOINT_M: f64 = 0.5e-3;
 fn is_in_joint(caster: &Caster, ray: &Ray, t: f64) -> bool {
     let (u, v) = ray.direction.any_orthonormal_pair();
     let ends_before = |beside: DVec3| {
+        // A thousandth short of it, so that what is askew there does not end them itself.
         let shifted = Ray { origin: ray.origin + beside, t_max: t * (1.0 - 1e-3), ..*ray };
         caster.occluded(&shifted, &CellSet::all())
     };
