@@ -79,15 +79,15 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
     }
     if let Some(c) = &check {
         print(&format!(
-            "against rays: {} of {} poses miss a cell ({} of {} rays), in {} of them a surface would not be drawn ({} rays, {} of them through joints of the model narrower than {} mm); {:.2} cells reported, {:.2} reached per pose; {:.0} us each; in {} all of space counts as seen",
-            c.poses_with_a_miss,
-            c.poses,
-            c.missed_rays,
-            c.rays,
+            "against rays: from {} of {} poses a surface is seen that would not be drawn ({} of {} rays, {} of them through joints of the model narrower than {} mm), from {} one in a room that culling does not report, though other rooms draw it mostly ({} rays); {:.2} cells reported, {:.2} reached per pose; {:.0} us each; in {} all of space counts as seen",
             c.poses_left_out,
+            c.poses,
             c.left_out_rays,
+            c.rays,
             c.left_out_rays_in_joints,
             portal::JOINT_M * 1e3,
+            c.poses_with_a_miss,
+            c.missed_rays,
             c.cells_reported_mean,
             c.cells_reached_mean,
             c.cull_us_mean,

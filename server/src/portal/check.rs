@@ -11,6 +11,7 @@ use ldi_protocol::rooms::Rooms;
 use ldi_protocol::{Aabb, OutputCamera, Pose};
 use rayon::prelude::*;
 use serde::Serialize;
+use std::ops::Range;
 
 /// Result of [`check_sight`].
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
@@ -201,6 +202,8 @@ fn tiles(camera: &OutputCamera) -> impl Iterator<Item = impl Iterator<Item = [u3
     })
 }
 
+/// Heights of eyes above the bottom of a room's box, which is 0.1 m below its floor, metres.
+pub(super) const EYES_ABOVE_M: Range<f64> = 1.2..2.1;
 /// Half of the width of a person, metres.
 const HALF_A_PERSON_M: f64 = 0.25;
 /// How far beside an eye room to stand is looked for, metres: eyes lean over tables and around corners, and those close to walls are the hard ones.
@@ -209,7 +212,7 @@ const BESIDE_M: [f64; 3] = [0.15, 0.3, 0.45];
 const DIRECTIONS: u32 = 8;
 
 /// Whether somebody whose eye is there has room to stand, at most 0.45 m beside it: not in the cavity of a hollow wall.
-fn stands_in_the_open(caster: &Caster, eye: DVec3) -> bool {
+pub(super) fn stands_in_the_open(caster: &Caster, eye: DVec3) -> bool {
     let around = || {
         (0..DIRECTIONS).map(|k| {
             let angle = f64::from(k) * std::f64::consts::TAU / f64::from(DIRECTIONS);
@@ -224,6 +227,11 @@ fn stands_in_the_open(caster: &Caster, eye: DVec3) -> bool {
 /// Whether nothing is within 0.1 m of an eye, beside and above.
 pub(super) fn is_clear(caster: &Caster, eye: DVec3) -> bool {
     [DVec3::X, DVec3::NEG_X, DVec3::Z, DVec3::NEG_Z, DVec3::Y].iter().all(|d| is_free(caster, eye, eye + 0.1 * *d))
+}
+
+/// Whether something to stand on is below an eye.
+pub(super) fn has_floor(caster: &Caster, eye: DVec3) -> bool {
+    !is_free(caster, eye, eye - 2.2 * DVec3::Y)
 }
 
 /// Poses at eye height in free places of the rooms: 1.1 to 2 m above the floor of a box, something below, 0.1 m clear of all around, and beside them room for a person.
@@ -245,10 +253,10 @@ pub fn random_poses(caster: &Caster, rooms: &Rooms, count: usize, seed: u64) -> 
         }
         let at = r.unit() * total;
         let b = boxes[area.partition_point(|a| *a <= at).min(boxes.len() - 1)];
-        let (u, w, h) = (r.unit(), r.unit(), 1.2 + 0.9 * r.unit());
-        let eye = DVec3::new(b.min.x + b.size().x * u, b.min.y + h, b.min.z + b.size().z * w);
-        let down = Ray { origin: eye, direction: DVec3::NEG_Y, t_min: 0.0, t_max: 2.2 };
-        if !caster.occluded(&down, &CellSet::all()) {
+        let (u, w, h) = (r.unit(), r.unit(), r.unit());
+        let above = EYES_ABOVE_M.start + (EYES_ABOVE_M.end - EYES_ABOVE_M.start) * h;
+        let eye = DVec3::new(b.min.x + b.size().x * u, b.min.y + above, b.min.z + b.size().z * w);
+        if !has_floor(caster, eye) {
             continue;
         }
         let (yaw_deg, pitch_deg) = (360.0 * r.unit(), 120.0 * r.unit() - 60.0);

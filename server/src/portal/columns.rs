@@ -5,6 +5,7 @@
 use glam::DVec3;
 use ldi_protocol::Aabb;
 use ldi_protocol::rooms::{CellId, Rooms};
+use std::ops::Range;
 
 /// Most columns of [`Columns`]: some megabytes.
 const MOST_COLUMNS: f64 = 65_536.0;
@@ -62,6 +63,12 @@ impl<'a> Columns<'a> {
         }
         let [x, z] = self.column(p);
         &self.boxes[z * self.across + x]
+    }
+
+    /// Whether a point is in a box of a room, so high above its bottom, metres.
+    pub(super) fn is_at_height(&self, p: DVec3, heights_m: &Range<f64>) -> bool {
+        let mut boxes = self.boxes_at(p).iter().map(|&[c, n]| &self.rooms.cells()[c as usize].boxes[n as usize]);
+        boxes.any(|b| b.contains(p) && heights_m.contains(&(p.y - b.min.y)))
     }
 
     /// Whether a room is one of [`Self::cells_near`].

@@ -28,6 +28,7 @@ mod excess;
 mod find;
 mod hull;
 mod images;
+mod joints;
 mod leaks;
 mod members;
 mod openings;
