@@ -229,7 +229,7 @@ pub(super) fn is_clear(caster: &Caster, eye: DVec3) -> bool {
     [DVec3::X, DVec3::NEG_X, DVec3::Z, DVec3::NEG_Z, DVec3::Y].iter().all(|d| is_free(caster, eye, eye + 0.1 * *d))
 }
 
-/// Whether something to stand on is below an eye.
+/// Whether something to stand on is below an eye, at most 0.1 m farther than the highest eyes are above the bottom of a room's box.
 pub(super) fn has_floor(caster: &Caster, eye: DVec3) -> bool {
     !is_free(caster, eye, eye - 2.2 * DVec3::Y)
 }

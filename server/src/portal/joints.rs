@@ -1,7 +1,7 @@
 //! Lines of sight through narrow gaps: where surfaces touch but for a tenth of a millimetre, as when the corners of a wall and those of a floor were rounded apart.
 //!
 //! In: a caster. Out: middles of such gaps, and rays through them from where eyes may be. Of random rays from eyes one of 10^9 passes such a gap; of lines
-//! through the gap every tenth or so passes where an eye may be.
+//! through the gap one of some fifteen passes where an eye may be.
 
 use super::check::{EYES_ABOVE_M, has_floor, is_clear, stands_in_the_open};
 use super::columns::Columns;
@@ -10,23 +10,23 @@ use crate::render::{Caster, CellSet, Ray};
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Wider gaps are left to other rays, metres.
+/// Wider gaps are left to other rays, metres: an eye at 1 m sees them half a pixel wide.
 const WIDEST_M: f64 = 2e-3;
 /// What is nearer to an edge touches it, metres: corners in f32 are that far off, some hundred metres from the middle of a scene.
 const NARROWEST_M: f64 = 3e-5;
-/// Gaps are sought along edges of triangles, in one place for so many metres, at random.
+/// Gaps are sought along edges of triangles, in one place for so many metres, at random. What shows through a joint shows along all of it, and joints are as long as walls.
 const APART_M: f64 = 0.25;
-/// In so many places at most: a scene with more edges gets fewer for each metre.
+/// In so many places at most: a scene with more edges gets fewer for each metre. The clinic has six million; their gaps take 24 bytes each.
 const MOST_PLACES: f64 = 8e6;
-/// Directions across an edge in which a gap is sought.
+/// Directions across an edge in which a gap is sought: 45 degrees apart, so that a gap half as wide as the widest is met whichever way it lies.
 const ACROSS: u32 = 8;
-/// Farthest eye, metres.
+/// Farthest eye, metres: from there the widest gap is a sixtieth of a pixel.
 const FARTHEST_M: f64 = 30.0;
-/// Lines that end before lead to no eye, metres.
+/// Lines that end before lead to no eye, metres: nobody's eye is nearer to a wall than half a person.
 const NEAREST_M: f64 = 0.3;
-/// If none of the first so many lines leads farther the gap leads nowhere: most are within walls and things.
+/// If none of the first so many lines leads farther the gap leads nowhere: most are within walls and things. On the clinic lines take 6 s instead of 19, and find 17 pairs of cell and room instead of 20.
 const LINES_OUT: usize = 4;
-/// Places along a line that are tried for eyes; most of it is above or below their heights.
+/// Places along a line that are tried for eyes; most of it is above or below their heights. With 4 instead 17 pairs are found on the clinic, not 19, in a second less.
 const EYES: usize = 16;
 
 /// Middles of gaps between an edge of a triangle and whatever is beside it, in the order of the triangles.
