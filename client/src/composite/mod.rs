@@ -202,7 +202,7 @@ pub fn merge(frame: &mut Frame, far: Far<'_>, pose: &Pose, camera: &OutputCamera
             let groups = portals.iter().map(|p| Group {
                 faces: faces(p.images, pose, camera),
                 sky: Some(p.sky),
-                cones: Some(p.cones.iter().map(|c| c.normals.clone()).collect()),
+                cones: Some(p.cones),
             });
             Some(Merge::new(picture, groups.collect(), complete, pose, camera))
         }
@@ -291,14 +291,14 @@ struct Merge<'a> {
 struct Group<'a> {
     faces: Vec<Face<'a>>,
     sky: Option<&'a SkyMap>,
-    /// Inward normals of the cones around those directions; None: all.
-    cones: Option<Vec<Vec<DVec3>>>,
+    /// The cones around those directions; None: all.
+    cones: Option<&'a [Cone]>,
 }
 
 impl Group<'_> {
     fn holds(&self, direction: DVec3) -> bool {
-        let within = |normals: &Vec<DVec3>| normals.iter().all(|n| n.dot(direction) >= 0.0);
-        self.cones.as_ref().is_none_or(|cones| cones.iter().any(within))
+        let within = |cone: &Cone| cone.normals.iter().all(|n| n.dot(direction) >= 0.0);
+        self.cones.is_none_or(|cones| cones.iter().any(within))
     }
 
     /// As [`Merge::is_sky`], of this group alone.

@@ -202,7 +202,8 @@ pub fn construct(
     let subset = Subset { caster, cells: caster.cell_set(&plan.culled), culled: &plan.culled };
     let start = Instant::now();
     let survey = Survey::of(&subset, &plan.eyes, &plan.gaze, &plan.through);
-    let (sky, sky_rays) = survey.as_ref().map_or_else(Default::default, |s| s.sky(&subset));
+    let looked_for = |s: &Survey| s.sky(&subset, &plan.lookouts, &plan.through);
+    let (sky, sky_rays) = survey.as_ref().map_or_else(Default::default, looked_for);
     let mut out = Panorama {
         sky,
         sight_rays: survey.as_ref().map_or(0, |s| s.rays) + sky_rays,

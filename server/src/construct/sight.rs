@@ -26,7 +26,7 @@ use super::{
 use crate::placement::{Gaze, ImagePlan};
 use crate::render::Ray;
 use glam::{DVec3, Vec3};
-use ldi_protocol::sky::SkyMap;
+use ldi_protocol::{portal_view::Cone, sky::SkyMap};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -148,8 +148,12 @@ impl Survey {
     /// Where eyes see sky. Images hold it as well, pixel by pixel, but only what is theirs: the one that owns a direction may be cut before it, as a box's faces stand
     /// at different distances.
     ///
-    /// A window is a few squares, and few of the survey's rays go through it: from what they met on, sky grows as long as rays find more of it. Also returns their number.
-    pub fn sky<C: SubsetCaster>(&self, caster: &C) -> (SkyMap, u64) {
+    /// A window is a few squares, and few of the survey's rays go through it: from what they met on, sky grows as long as rays find more of it, `through` a polygon unless it is empty. Also returns
+    /// their number. `lookouts`: more places of eyes, of which those near one that saw sky are asked what is beside it. Between two jambs far behind each other some of it is seen from a strip of
+    /// places a few centimetres wide.
+    pub fn sky<C: SubsetCaster>(&self, caster: &C, lookouts: &[DVec3], through: &[DVec3]) -> (SkyMap, u64) {
+        let places: Vec<DVec3> = self.eyes.iter().map(|(eye, _)| *eye).chain(lookouts.iter().copied()).collect();
+        let look = Outlook { caster, places: &places, through };
         let mut squares = vec![false; SkyMap::SQUARES as usize];
         // Who saw it.
         let mut seer = vec![0; squares.len()];
@@ -175,9 +179,15 @@ impl Survey {
                 }
             }
             // Only where the eye that saw its neighbour does not see it others are asked.
-            let ask = |(square, first): &(usize, usize)| match self.sees_sky(caster, *square, &[*first]) {
-                None => (self.sees_sky(caster, *square, &others), 1 + others.len() as u64),
-                seen => (seen, 1),
+            let ask = |(square, first): &(usize, usize)| {
+                let mut asked = 0;
+                let mut ask = |places: &[usize]| {
+                    asked += places.len() as u64;
+                    look.sees_sky(*square, places)
+                };
+                let seen = ask(&[*first]).or_else(|| ask(&others));
+                let seen = seen.or_else(|| ask(&look.nearest(*first, self.eyes.len()..places.len())));
+                (seen, asked)
             };
             let found: Vec<(Option<usize>, u64)> = next.par_iter().map(ask).collect();
             fresh.clear();
@@ -191,19 +201,51 @@ impl Survey {
         }
         (SkyMap::of(&squares), rays)
     }
+}
 
-    /// The first of some eyes that sees sky through the middle of a square.
-    fn sees_sky<C: SubsetCaster>(&self, caster: &C, square: usize, eyes: &[usize]) -> Option<usize> {
+/// Places that are asked whether they see sky.
+struct Outlook<'a, C> {
+    caster: &'a C,
+    places: &'a [DVec3],
+    /// See [`Survey::sky`].
+    through: &'a [DVec3],
+}
+
+impl<C: SubsetCaster> Outlook<'_, C> {
+    /// The first of some places from which sky is seen through the middle of a square.
+    fn sees_sky(&self, square: usize, places: &[usize]) -> Option<usize> {
         let direction = SkyMap::middle(square as u32).normalize();
-        let rays: Vec<Ray> = eyes.iter().map(|eye| Gaze::ray(self.eyes[*eye].0, direction)).collect();
+        let passes =
+            |place: &usize| self.through.is_empty() || is_through(self.places[*place], direction, self.through);
+        let places: Vec<usize> = places.iter().copied().filter(passes).collect();
+        let rays: Vec<Ray> = places.iter().map(|place| Gaze::ray(self.places[*place], direction)).collect();
         let mut met = vec![Met::Stays; rays.len()];
-        caster.meet(&rays, &mut met);
-        met.iter().position(|m| *m == Met::Nothing).map(|k| eyes[k])
+        self.caster.meet(&rays, &mut met);
+        met.iter().position(|m| *m == Met::Nothing).map(|k| places[k])
     }
+
+    /// Up to [`LOOKOUTS`] of some places, those nearest to another.
+    fn nearest(&self, to: usize, of: Range<usize>) -> Vec<usize> {
+        let apart = |place: &usize| self.places[*place].distance_squared(self.places[to]);
+        let mut of: Vec<usize> = of.collect();
+        if of.len() > LOOKOUTS {
+            of.select_nth_unstable_by(LOOKOUTS, |a, b| apart(a).total_cmp(&apart(b)).then(a.cmp(b)));
+            of.truncate(LOOKOUTS);
+            of.sort_unstable();
+        }
+        of
+    }
+}
+
+/// Whether a ray goes through a flat convex polygon, from either side.
+fn is_through(from: DVec3, direction: DVec3, polygon: &[DVec3]) -> bool {
+    Cone::over(from, polygon).is_some_and(|cone| cone.normals.iter().all(|n| n.dot(direction) >= 0.0))
 }
 
 /// Eyes that are asked whether they see sky beside what is known to be sky. By judgement.
 const SKY_EYES: usize = 64;
+/// And so many lookouts, about those within 0.4 m of the eye that sees sky beside it. By judgement.
+const LOOKOUTS: usize = 64;
 
 /// The squares of a [`SkyMap`] around one, on its face.
 fn beside(square: usize) -> impl Iterator<Item = usize> {

@@ -31,6 +31,8 @@ pub struct PlacementPlan {
     /// Places inside that box where eyes stand, spread over all of them: what they see of the replaced cells is what the images hold. Empty: anywhere
     /// in the box, and past cells that stay as if they were not there.
     pub eyes: Vec<DVec3>,
+    /// More such places, nearer to each other: sky that only those see is known as well.
+    pub lookouts: Vec<DVec3>,
     /// The directions in which they look.
     pub gaze: Gaze,
     /// A flat convex polygon that they look through: the images hold nothing else. Empty: everything.

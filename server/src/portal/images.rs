@@ -4,11 +4,11 @@
 //! cells but those of the room before it. Eyes are those of that room, and those near its portals on the other side, for which it is geometry.
 
 use super::leaks::Random;
-use super::zones::{Gate, Zone, zones};
+use super::zones::{Gate, Zone, lookouts, outermost, zones};
 use crate::placement::{DirectionRange, Footprint, Gaze, ImagePlan, PlacementPlan, spread};
 use glam::DVec3;
 use ldi_protocol::index::{BuildSettings, Index, Placement};
-use ldi_protocol::room_index::{PortalImages, ShowPortals, is_faced};
+use ldi_protocol::room_index::{PortalImages, ShowPortals};
 use ldi_protocol::rooms::Rooms;
 use ldi_protocol::select::{Show, draw_list_showing};
 use ldi_protocol::volume::WalkVolume;
@@ -22,8 +22,10 @@ use std::ops::Range;
 pub const NEAR_M: f64 = 1.5;
 /// Eyes of other rooms this far from a portal of the room, beyond `near_m`, may look through its other portals, metres.
 const BEYOND_NEAR_M: f64 = 0.5;
-/// Places that an image is made from. By judgement: a zone is a few metres wide; the grid's near boxes take 256 for eyes of many rooms.
+/// Places that an image is made from, beside the outermost. By judgement: a zone is a few metres wide; the grid's near boxes take 256 for eyes of many rooms.
 const MOST_EYES: usize = 48;
+/// Most lookouts that a plan keeps: outdoors a zone is as wide as the place.
+const MOST_LOOKOUTS: usize = 1024;
 
 /// Eyes for which [`PortalPlans::keep_used`] looks around, and into how many directions. More: fewer eyes that would use an image that was not made; planning takes longer.
 const EYES_TRIED: usize = 3_000;
@@ -219,12 +221,11 @@ fn plan(
     footprint: &Footprint,
 ) -> PlacementPlan {
     let users = zone.users.inflated(1e-6);
-    let standing: Vec<DVec3> = places
-        .iter()
-        .filter(|b| b.intersects(&users))
-        .flat_map(|b| [b.min.y, b.max.y].map(|y| DVec3::new(b.centre().x, y, b.centre().z)))
-        .filter(|p| is_faced(&gate.portal, gate.side, *p, gate.near_m))
-        .collect();
+    let mut lookouts = lookouts(gate, zone, places);
+    let mut eyes = spread(&lookouts, zone.cop, MOST_EYES);
+    eyes.extend(outermost(gate, zone, &lookouts));
+    let every = lookouts.len().div_ceil(MOST_LOOKOUTS);
+    lookouts = lookouts.into_iter().step_by(every.max(1)).collect();
     let [yaw, pitch] = zone.axis_deg;
     // Where eyes may look while the portal is in their picture: half the sphere at most.
     let directions = vec![DirectionRange {
@@ -247,7 +248,8 @@ fn plan(
         cop: zone.cop,
         culled,
         users,
-        eyes: spread(&standing, zone.cop, MOST_EYES),
+        eyes,
+        lookouts,
         gaze: Gaze::everywhere(settings.camera.focal_px()),
         through: gate.portal.corners.clone(),
         footprint_px: zone.footprint_px,

@@ -18,7 +18,7 @@ use glam::DVec3;
 use ldi_protocol::room_index::{LEAST_SINE, is_faced};
 use ldi_protocol::rooms::Portal;
 use ldi_protocol::{Aabb, ViewBasis};
-use std::f64::consts::FRAC_PI_2;
+use std::{cmp::Ordering, f64::consts::FRAC_PI_2};
 
 /// Lines of sight may be this far off an image's axis: cosine of 83 degrees, which the lowest corner of a door has for eyes that just face it. Larger angles: fewer zones, each
 /// with more samples at its sides, by the cube of the cosine.
@@ -26,6 +26,9 @@ const LEAST_COSINE: f64 = 0.12;
 /// Boxes of eyes are divided along borders of what may be used down to this, metres, or this share of their distance. Smaller: zones are a little larger, planning takes longer.
 const FINEST_M: f64 = 0.15;
 const FINEST_SHARE: f64 = 0.1;
+/// Lookouts are this far apart, metres, or this share of their distance from the portal. Larger: a strip beside a jamb is in no image although some eyes see it.
+const APART_M: f64 = 0.125;
+const APART_SHARE: f64 = 0.08;
 /// The image plane lies before the portal's nearest corner by this share of its distance: depths are rounded.
 const PLANE_SLACK: f64 = 1e-3;
 /// Windows reach beyond what may be seen by this much, as tangents.
@@ -215,6 +218,46 @@ fn along(gate: &Gate, users: Aabb, eyes: &[DVec3], axis: DVec3, footprint: &Foot
     Ok(Zone { users, cop, basis, axis_deg, plane_m, scale, footprint_px, window })
 }
 
+/// Where eyes of a zone may be, [`APART_M`] or more apart, and there the lowest and the highest.
+pub(super) fn lookouts(gate: &Gate, zone: &Zone, places: &[Aabb]) -> Vec<DVec3> {
+    let mut eyes: Vec<DVec3> = places
+        .iter()
+        .filter(|b| b.intersects(&zone.users))
+        .flat_map(|b| {
+            let b = Aabb { min: b.min.max(zone.users.min), max: b.max.min(zone.users.max) };
+            let apart_m = APART_M.max(APART_SHARE * gate.portal.distance_m(b.centre()));
+            let [across, along] = [b.size().x, b.size().z].map(|size| (size / apart_m).ceil().max(1.0) as u32);
+            (0..=across).flat_map(move |i| (0..=along).map(move |k| (i, k))).flat_map(move |(i, k)| {
+                let share = |n: u32, of: u32| f64::from(n) / f64::from(of);
+                let at = b.min + b.size() * DVec3::new(share(i, across), 0.0, share(k, along));
+                [at.y, b.max.y].map(|y| DVec3::new(at.x, y, at.z))
+            })
+        })
+        .filter(|p| is_faced(&gate.portal, gate.side, *p, gate.near_m))
+        .collect();
+    // Boxes share their sides.
+    eyes.sort_unstable_by(|a, b| a.to_array().partial_cmp(&b.to_array()).unwrap_or(Ordering::Equal));
+    eyes.dedup();
+    eyes
+}
+
+/// Of some eyes of a zone those that look most to the left, to the right, down and up past each corner of the portal: what others see through it lies between that.
+pub(super) fn outermost(gate: &Gate, zone: &Zone, eyes: &[DVec3]) -> Vec<DVec3> {
+    let mut out: Vec<usize> = Vec::new();
+    for corner in &gate.portal.corners {
+        for side in [zone.basis.right, -zone.basis.right, zone.basis.up, -zone.basis.up] {
+            let reach = |k: &usize| {
+                let v = *corner - eyes[*k];
+                v.dot(side) / v.dot(zone.basis.forward)
+            };
+            out.extend((0..eyes.len()).max_by(|a, b| reach(a).total_cmp(&reach(b))));
+        }
+    }
+    out.sort_unstable();
+    out.dedup();
+    out.into_iter().map(|k| eyes[k]).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -269,6 +312,36 @@ mod tests {
                 assert!(depth / (depth - e) / z.scale <= z.footprint_px);
             }
             assert!(z.footprint_px <= 2.0);
+        }
+    }
+
+    /// Directions past the portal's corners, of eyes anywhere in a zone: none is farther out than the outermost eye's, but for what eyes among those tried differ by.
+    #[test]
+    fn the_outermost_eyes_see_past_corners_what_any_eye_sees() {
+        let (gate, places) = room();
+        let footprint = Footprint::new(&CAMERA, 1.0, 2.0);
+        let mut random = Random::new(6);
+        for z in zones(&gate, &places, &footprint) {
+            let outer = outermost(&gate, &z, &lookouts(&gate, &z, &places));
+            assert!((2..=16).contains(&outer.len()) && outer.iter().all(|e| z.users.contains(*e)), "{outer:?}");
+            let local = |v: DVec3| [v.dot(z.basis.right), v.dot(z.basis.up)].map(|x| x.atan2(v.dot(z.basis.forward)));
+            for _ in 0..300 {
+                let eye = z.users.min + z.users.size() * DVec3::new(random.unit(), random.unit(), random.unit());
+                for corner in gate.portal.corners.iter().filter(|_| is_faced(&gate.portal, gate.side, eye, gate.near_m))
+                {
+                    let seen = local(*corner - eye);
+                    for k in 0..2 {
+                        let all = outer.iter().map(|e| local(*corner - *e)[k]);
+                        let (low, high) = all.fold((f64::MAX, f64::MIN), |(l, h), a| (l.min(a), h.max(a)));
+                        let slack = (APART_M / gate.near_m).max(APART_SHARE);
+                        assert!(
+                            (low - slack..high + slack).contains(&seen[k]),
+                            "{eye} {corner}: {} {low} {high}",
+                            seen[k]
+                        );
+                    }
+                }
+            }
         }
     }
 }

@@ -189,7 +189,7 @@ fn the_sky_of_a_survey_is_what_its_eyes_see() {
     // A wall ahead, up to a height; nothing else.
     let scene = Analytic::default().rect([-50.0, -2.0, -10.0], [100.0, 0.0, 0.0], [0.0, 4.0, 0.0], None, GREY);
     let eyes: Vec<DVec3> = (0..64).map(|k| DVec3::new(f64::from(k % 8) * 0.1, f64::from(k / 8) * 0.1, 0.0)).collect();
-    let sky = survey(&scene, &eyes).expect("there are eyes").sky(&scene).0;
+    let sky = survey(&scene, &eyes).expect("there are eyes").sky(&scene, &[], &[]).0;
     let ahead = |elevation: f64| sky.holds(DVec3::new(0.3, elevation, -10.0));
     // The highest eye, at 0.7 m, sees the wall's upper border 1.3 m above itself, the lowest 2 m.
     assert!((-19..12).all(|k| !ahead(f64::from(k) * 0.1)), "the wall, for every eye");
@@ -203,10 +203,37 @@ fn the_sky_through_a_slit_is_whole() {
     let wall = |scene: Analytic, x: f64| scene.rect([x, -20.0, -10.0], [20.0, 0.0, 0.0], [0.0, 40.0, 0.0], None, GREY);
     let scene = wall(wall(Analytic::default(), -20.1), 0.1);
     let survey = survey(&scene, &[DVec3::ZERO, DVec3::new(0.01, 0.0, 0.0)]).expect("there are eyes");
-    let (sky, rays) = survey.sky(&scene);
+    let (sky, rays) = survey.sky(&scene, &[], &[]);
     assert!((-150..150).all(|k| sky.holds(DVec3::new(0.001, f64::from(k) * 0.1, -10.0))), "the slit");
     assert!((-150..150).all(|k| !sky.holds(DVec3::new(0.5, f64::from(k) * 0.1, -10.0))), "beside it");
     assert!(rays > 300, "{rays}");
+}
+
+/// An opening of a near wall and one of a far wall, aside: an eye at x sees sky with dx/dz between (x - 1) / 2 and x / 2, and between x / 6 and (x + 1) / 6. Of the one between 5/12 and 1/2 only places
+/// beyond x = 1.5 see some, and each another part.
+#[test]
+fn sky_that_only_lookouts_see_is_known_within_the_polygon() {
+    let wall =
+        |scene: Analytic, x: f64, z: f64| scene.rect([x, -20.0, -z], [20.0, 0.0, 0.0], [0.0, 40.0, 0.0], None, GREY);
+    let near = wall(wall(Analytic::default(), -20.0, 2.0), 1.0, 2.0);
+    let scene = wall(wall(near, -21.0, 6.0), 0.0, 6.0);
+    let at = |x: f64| DVec3::new(x, 0.0, 0.0);
+    let survey = survey(&scene, &[at(1.0), at(1.5)]).expect("there are eyes");
+    let lookouts: Vec<DVec3> = (0..40).map(|k| at(1.0 + 0.025 * f64::from(k))).collect();
+    let upper = [[0.0, 0.0], [1.0, 0.0], [1.0, 4.0], [0.0, 4.0]].map(|[x, y]| DVec3::new(x, y, -2.0));
+    let [none, all, above] = [(&[][..], &[][..]), (&lookouts, &[]), (&lookouts, &upper)]
+        .map(|(lookouts, through)| survey.sky(&scene, lookouts, through).0);
+    for (slope, by_survey, by_lookouts) in
+        [(0.25, true, true), (0.40, true, true), (0.44, false, true), (0.47, false, true), (0.52, false, false)]
+    {
+        for elevation in [-0.2, 0.2] {
+            let holds = |sky: &ldi_protocol::sky::SkyMap| sky.holds(DVec3::new(-slope, elevation, -1.0));
+            assert_eq!(holds(&none), by_survey, "{slope} {elevation}");
+            assert_eq!(holds(&all), by_lookouts, "{slope} {elevation}");
+            // What the survey itself met, wherever its rays went, is known below the polygon, too.
+            assert!(holds(&above) == (by_lookouts && elevation > 0.0) || by_survey, "{slope} {elevation}");
+        }
+    }
 }
 
 #[test]
@@ -397,6 +424,7 @@ fn an_image_without_a_window_is_left_out_and_the_others_are_made() {
         culled: (0..octree.cells.len() as u32).collect(),
         users: image.users,
         eyes: vec![middle],
+        lookouts: vec![],
         gaze: Gaze::everywhere(OUTPUT.focal_px()),
         through: vec![],
         footprint_px: 2.0,
