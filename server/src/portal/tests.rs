@@ -237,6 +237,82 @@ fn stairs_join_storeys_through_a_hatch() {
     assert_nothing_missed(&caster, r);
 }
 
+/// Two storeys of 8 x 5 m; the upper floor, at 3 m, is open over x from 1 to 5 and z from 0 to 2.4.
+fn around_a_stairwell() -> Blocks {
+    Blocks::default()
+        .floor([0.0, 8.0], [0.0, 5.0], 0.0, false)
+        .shell([0.0, 8.0], [0.0, 5.0], 0.0)
+        .add([0.0, HIGH, 2.4], [8.0, 3.0, 5.0])
+        .add([0.0, HIGH, 0.0], [1.0, 3.0, 2.4])
+        .add([5.0, HIGH, 0.0], [8.0, 3.0, 2.4])
+        // The outer wall between the storeys' walls, where no floor closes it.
+        .add([1.0, HIGH, -0.1], [5.0, 3.0, 0.1])
+        .floor([0.0, 8.0], [0.0, 5.0], 3.0 + HIGH + 0.2, false)
+        .shell([0.0, 8.0], [0.0, 5.0], 3.0)
+}
+
+/// The storeys are two cells with a hatch between them, and nothing is missed.
+fn assert_joined_by_a_hatch(stairs: Blocks) {
+    let (caster, found) = stairs.found();
+    let r = &found.rooms;
+    assert_eq!(found.statistics.storeys_m.len(), 2, "{:?}", found.statistics);
+    let (low, high) = (at(r, 7.0, 1.0, 4.0), at(r, 7.0, 4.5, 4.0));
+    assert!(low.is_some() && high.is_some() && low != high, "{:?} {:?}", found.statistics, r.portals());
+    let hatches = of_kind(r, PortalKind::Hatch);
+    assert!(hatches.iter().any(|h| h.cells == [low, high]), "{:?}", r.portals());
+    assert_nothing_missed(&caster, r);
+}
+
+#[test]
+fn stairs_with_a_half_landing_join_storeys() {
+    // Up along -x beside the outer wall, a landing at half the height, and up along x beside the first flight.
+    let mut b = around_a_stairwell().add([1.0, 1.4, 0.1], [2.0, 1.5, 2.3]);
+    for k in 0..8 {
+        let (x, y) = (4.4 - 0.3 * f64::from(k), 1.5 * f64::from(k + 1) / 8.0);
+        b = b.add([x - 0.32, y - 0.1, 0.1], [x, y, 1.1]);
+        let (x, y) = (2.0 + 0.3 * f64::from(k), 1.5 + y);
+        b = b.add([x, y - 0.1, 1.3], [x + 0.32, y, 2.3]);
+    }
+    assert_joined_by_a_hatch(b);
+}
+
+#[test]
+fn winding_stairs_join_storeys() {
+    // Three quarters of a turn around a pole.
+    let mut b = around_a_stairwell().add([2.9, 0.0, 1.15], [3.0, 4.0, 1.25]);
+    for k in 0..16 {
+        let (sine, cosine) = (1.5 * std::f64::consts::PI * f64::from(k) / 15.0).sin_cos();
+        let [x, z] = [2.95 + 0.6 * cosine, 1.2 + 0.6 * sine];
+        let y = 3.0 * f64::from(k + 1) / 16.0;
+        b = b.add([x - 0.3, y - 0.08, z - 0.3], [x + 0.3, y, z + 0.3]);
+    }
+    assert_joined_by_a_hatch(b);
+}
+
+#[test]
+fn an_open_gallery_is_seen_from_the_hall_below() {
+    // A hall of 10 x 8 m and 6 m height; along one side a gallery 3 m up, 3 m deep, with a railing of posts.
+    let mut b = Blocks::default()
+        .floor([0.0, 10.0], [0.0, 8.0], 0.0, false)
+        .shell([0.0, 10.0], [0.0, 8.0], 0.0)
+        .add([0.0, HIGH, 5.0], [10.0, 3.0, 8.0])
+        .shell([0.0, 10.0], [0.0, 8.0], 3.0)
+        .floor([0.0, 10.0], [0.0, 8.0], 3.0 + HIGH + 0.2, false)
+        .add([-0.1, HIGH, -0.1], [0.1, 3.0, 5.0])
+        .add([9.9, HIGH, -0.1], [10.1, 3.0, 5.0])
+        .add([0.0, HIGH, -0.1], [10.0, 3.0, 0.1])
+        .add([0.0, 3.95, 5.0], [10.0, 4.0, 5.05]);
+    for k in 0..40 {
+        let x = 0.1 + 0.25 * f64::from(k);
+        b = b.add([x, 3.0, 5.0], [x + 0.03, 3.95, 5.03]);
+    }
+    let (caster, found) = b.found();
+    let r = &found.rooms;
+    let (hall, below, gallery) = (at(r, 5.0, 1.0, 2.5), at(r, 5.0, 1.0, 6.5), at(r, 5.0, 4.5, 6.5));
+    assert!(hall.is_some() && below.is_some() && gallery.is_some(), "{:?} {:?}", found.statistics, r.portals());
+    assert_nothing_missed(&caster, r);
+}
+
 #[test]
 fn under_a_table_upstairs_it_is_upstairs() {
     let storey = |b: Blocks, y: f64| b.floor([0.0, 8.0], [0.0, 5.0], y, false).shell([0.0, 8.0], [0.0, 5.0], y);
