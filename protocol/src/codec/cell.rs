@@ -2,7 +2,7 @@
 //!
 //! - Positions lie on a lattice of mesh space whose step is a power of two, the same for all clusters of a mesh
 //!   ([`position_step_log2`]): neighbouring clusters, wherever they are stored, share their border vertices exactly, and
-//!   decoding is exact in f32. Normals are octahedral, 12 bits a coordinate (Meyer et al. 2010): at most 0.05 degrees off, so
+//!   decoding is exact in f32. Normals are octahedral, 12 bits a coordinate (Meyer et al. 2010): at most 0.04 degrees off, so
 //!   light is off by less than a third of an 8-bit code. Texture coordinates lie on a lattice of 1/16 texel ([`uv_step_log2`]).
 //! - Vertices are numbered in the order of first use, so that most indices say "the next new vertex", and each plane is
 //!   delta-coded along that order. Planes of equal meaning are joined over the chunk's clusters, cut into bytes by
