@@ -210,17 +210,8 @@ fn a_gap_above_a_wall_is_found_by_rays() {
 
 #[test]
 fn stairs_join_storeys_through_a_hatch() {
-    // Two storeys of 8 x 5 m; a straight flight of 16 steps along x in the upper floor's opening, z 0.1 to 1.1.
-    let mut b = Blocks::default()
-        .floor([0.0, 8.0], [0.0, 5.0], 0.0, false)
-        .shell([0.0, 8.0], [0.0, 5.0], 0.0)
-        .add([0.0, HIGH, 1.1], [8.0, 3.0, 5.0])
-        .add([0.0, HIGH, 0.0], [2.0, 3.0, 1.1])
-        .add([6.5, HIGH, 0.0], [8.0, 3.0, 1.1])
-        // The outer wall between the storeys' walls, where no floor closes it.
-        .add([2.0, HIGH, -0.1], [6.5, 3.0, 0.1])
-        .floor([0.0, 8.0], [0.0, 5.0], 3.0 + HIGH + 0.2, false)
-        .shell([0.0, 8.0], [0.0, 5.0], 3.0);
+    // A straight flight of 16 steps along x in the upper floor's opening, z 0.1 to 1.1.
+    let mut b = around_a_stairwell([2.0, 6.5], 1.1);
     for k in 0..15 {
         let x = 2.0 + 0.3 * f64::from(k);
         let y = 3.0 * f64::from(k + 1) / 16.0;
@@ -237,16 +228,16 @@ fn stairs_join_storeys_through_a_hatch() {
     assert_nothing_missed(&caster, r);
 }
 
-/// Two storeys of 8 x 5 m; the upper floor, at 3 m, is open over x from 1 to 5 and z from 0 to 2.4.
-fn around_a_stairwell() -> Blocks {
+/// Two storeys of 8 x 5 m; the upper floor, at 3 m, is open over these x and z from 0 to this, metres.
+fn around_a_stairwell([x0, x1]: [f64; 2], z1: f64) -> Blocks {
     Blocks::default()
         .floor([0.0, 8.0], [0.0, 5.0], 0.0, false)
         .shell([0.0, 8.0], [0.0, 5.0], 0.0)
-        .add([0.0, HIGH, 2.4], [8.0, 3.0, 5.0])
-        .add([0.0, HIGH, 0.0], [1.0, 3.0, 2.4])
-        .add([5.0, HIGH, 0.0], [8.0, 3.0, 2.4])
+        .add([0.0, HIGH, z1], [8.0, 3.0, 5.0])
+        .add([0.0, HIGH, 0.0], [x0, 3.0, z1])
+        .add([x1, HIGH, 0.0], [8.0, 3.0, z1])
         // The outer wall between the storeys' walls, where no floor closes it.
-        .add([1.0, HIGH, -0.1], [5.0, 3.0, 0.1])
+        .add([x0, HIGH, -0.1], [x1, 3.0, 0.1])
         .floor([0.0, 8.0], [0.0, 5.0], 3.0 + HIGH + 0.2, false)
         .shell([0.0, 8.0], [0.0, 5.0], 3.0)
 }
@@ -266,7 +257,7 @@ fn assert_joined_by_a_hatch(stairs: Blocks) {
 #[test]
 fn stairs_with_a_half_landing_join_storeys() {
     // Up along -x beside the outer wall, a landing at half the height, and up along x beside the first flight.
-    let mut b = around_a_stairwell().add([1.0, 1.4, 0.1], [2.0, 1.5, 2.3]);
+    let mut b = around_a_stairwell([1.0, 5.0], 2.4).add([1.0, 1.4, 0.1], [2.0, 1.5, 2.3]);
     for k in 0..8 {
         let (x, y) = (4.4 - 0.3 * f64::from(k), 1.5 * f64::from(k + 1) / 8.0);
         b = b.add([x - 0.32, y - 0.1, 0.1], [x, y, 1.1]);
@@ -279,7 +270,7 @@ fn stairs_with_a_half_landing_join_storeys() {
 #[test]
 fn winding_stairs_join_storeys() {
     // Three quarters of a turn around a pole.
-    let mut b = around_a_stairwell().add([2.9, 0.0, 1.15], [3.0, 4.0, 1.25]);
+    let mut b = around_a_stairwell([1.0, 5.0], 2.4).add([2.9, 0.0, 1.15], [3.0, 4.0, 1.25]);
     for k in 0..16 {
         let (sine, cosine) = (1.5 * std::f64::consts::PI * f64::from(k) / 15.0).sin_cos();
         let [x, z] = [2.95 + 0.6 * cosine, 1.2 + 0.6 * sine];

@@ -29,6 +29,8 @@ const FINEST_SHARE: f64 = 0.1;
 /// Lookouts are this far apart, metres, or this share of their distance from the portal. Larger: a strip beside a jamb is in no image although some eyes see it.
 const APART_M: f64 = 0.125;
 const APART_SHARE: f64 = 0.08;
+/// A box of the walk volume has at most so many to a side: boxes are half a metre wide, but for walks without floors the volume may be one box as large as the scene.
+const MOST_APART: f64 = 16.0;
 /// The image plane lies before the portal's nearest corner by this share of its distance: depths are rounded.
 const PLANE_SLACK: f64 = 1e-3;
 /// Windows reach beyond what may be seen by this much, as tangents.
@@ -226,7 +228,8 @@ pub(super) fn lookouts(gate: &Gate, zone: &Zone, places: &[Aabb]) -> Vec<DVec3> 
         .flat_map(|b| {
             let b = Aabb { min: b.min.max(zone.users.min), max: b.max.min(zone.users.max) };
             let apart_m = APART_M.max(APART_SHARE * gate.portal.distance_m(b.centre()));
-            let [across, along] = [b.size().x, b.size().z].map(|size| (size / apart_m).ceil().max(1.0) as u32);
+            let [across, along] =
+                [b.size().x, b.size().z].map(|size| (size / apart_m).ceil().clamp(1.0, MOST_APART) as u32);
             (0..=across).flat_map(move |i| (0..=along).map(move |k| (i, k))).flat_map(move |(i, k)| {
                 let share = |n: u32, of: u32| f64::from(n) / f64::from(of);
                 let at = b.min + b.size() * DVec3::new(share(i, across), 0.0, share(k, along));
