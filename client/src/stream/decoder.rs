@@ -22,6 +22,9 @@ use tokio::sync::{Semaphore, mpsc};
 
 /// Chunks per thread that the view waits for. With the streams being read they bound the memory of what is not decoded yet.
 const PRESSING: usize = 8;
+/// Bytes of whole chunks of one connection that wait for such a place, beyond which no further stream is begun. Bytes that are still to come must not count: the server may have put
+/// that chunk off for the one that would then wait for it, for ever.
+const WAITING_BYTES: usize = 32 << 20;
 /// Bytes of chunks of one connection that were sent ahead and wait, beside those of the cache. Larger: more memory; smaller: more of what a fast link
 /// brings at the beginning is given up and sent again.
 const AHEAD_BYTES: usize = 32 << 20;
@@ -39,6 +42,8 @@ pub(super) struct Target {
     pub arrivals: Option<mpsc::UnboundedSender<(u32, Instant)>>,
     /// Bytes of chunks sent ahead that wait.
     pub ahead_bytes: AtomicUsize,
+    /// Bytes of chunks that the view waits for and that have no place yet.
+    pub waiting_bytes: AtomicUsize,
     /// All that waits.
     pub behind: Behind,
     /// What lies on disk.
@@ -48,6 +53,11 @@ pub(super) struct Target {
 }
 
 impl Target {
+    /// Whether no further stream is to be begun, until a chunk has found its place.
+    pub fn is_full(&self) -> bool {
+        self.waiting_bytes.load(Relaxed) > WAITING_BYTES
+    }
+
     /// Given up chunks that the server should send again: those that the view has come to need, or all once the decoding has caught up. Told
     /// earlier, the rest would come again at once and be given up again.
     pub fn to_tell(&self) -> Vec<u32> {
@@ -170,10 +180,12 @@ impl DecodePool {
         let bytes = job.bytes.as_ref().map_or(0, Vec::len);
         job.target.behind.came(bytes);
         if job.urgency.is_pressing() {
+            job.target.waiting_bytes.fetch_add(bytes, Relaxed);
             // The semaphore is never closed.
             if let Ok(place) = self.queue.places.acquire().await {
                 place.forget();
             }
+            job.target.waiting_bytes.fetch_sub(bytes, Relaxed);
             self.queue.lock().pressing.push(job);
         } else {
             let target = job.target.clone();
@@ -285,6 +297,7 @@ mod tests {
                 damaged,
                 arrivals: None,
                 ahead_bytes: AtomicUsize::new(0),
+                waiting_bytes: AtomicUsize::new(0),
                 behind: Behind::default(),
                 shelf: None,
                 given_up: Mutex::default(),
@@ -310,13 +323,48 @@ mod tests {
         assert_eq!(order, [21, 22, 20, 11, 10, 12]);
     }
 
+    /// Without threads: nothing leaves the queue.
+    fn idle() -> DecodePool {
+        let queue = Queue { waiting: Mutex::default(), came: Condvar::new(), places: Semaphore::new(PRESSING) };
+        DecodePool { queue: Arc::new(queue), threads: Vec::new() }
+    }
+
+    #[tokio::test]
+    async fn whole_chunks_that_wait_for_a_place_are_bounded_by_bytes() {
+        const MORE: usize = 6;
+        let (target, _damage) = target();
+        let pool = Arc::new(idle());
+        let big = |chunk| Job { bytes: Some(vec![0; WAITING_BYTES / 4]), ..job(&target, chunk, Urgency::Now) };
+        for chunk in 0..PRESSING as u32 {
+            pool.send(big(FIRST_CELL + chunk)).await;
+        }
+        assert!(!target.is_full(), "what has a place counts by number");
+        let mut full = Vec::new();
+        let mut tasks = tokio::task::JoinSet::new();
+        for chunk in 0..MORE as u32 {
+            let (pool, job) = (pool.clone(), big(FIRST_CELL + 20 + chunk));
+            tasks.spawn(async move { pool.send(job).await });
+            tokio::task::yield_now().await;
+            full.push(target.is_full());
+        }
+        assert_eq!(full, [false, false, false, false, true, true], "beyond four quarters");
+        assert_eq!(pool.queue.lock().pressing.len(), PRESSING);
+        // Two are decoded: so many find their place, and streams are begun again.
+        pool.queue.places.add_permits(2);
+        for _ in 0..2 {
+            tasks.join_next().await;
+        }
+        assert!(!target.is_full());
+        pool.queue.places.add_permits(MORE);
+        tasks.join_all().await;
+        assert_eq!(target.waiting_bytes.load(Relaxed), 0);
+        assert_eq!(pool.queue.lock().pressing.len(), PRESSING + MORE);
+    }
+
     #[tokio::test]
     async fn too_much_sent_ahead_is_given_up_and_told_and_what_the_view_needs_is_not() {
         let (target, _damage) = target();
-        // Without threads: nothing leaves the queue.
-        let queue =
-            Arc::new(Queue { waiting: Mutex::default(), came: Condvar::new(), places: Semaphore::new(PRESSING) });
-        let pool = DecodePool { queue, threads: Vec::new() };
+        let pool = idle();
         let big = |chunk| Job { bytes: Some(vec![0; AHEAD_BYTES / 4]), ..job(&target, chunk, Urgency::Around) };
         for chunk in 0..6 {
             pool.send(big(FIRST_CELL + chunk)).await;

@@ -27,10 +27,7 @@ use ldi_protocol::{
 use quinn::{Connection, RecvStream, SendStream, VarInt};
 use std::{
     collections::HashMap,
-    sync::{
-        Arc, Mutex,
-        atomic::{AtomicUsize, Ordering::Relaxed},
-    },
+    sync::{Arc, Mutex, atomic::AtomicUsize},
     time::{Duration, Instant},
 };
 use tokio::{
@@ -45,9 +42,6 @@ pub const MAX_RETRIES: u8 = 2;
 const TOUCH_STEP_M: f64 = 0.5;
 /// So far around the eye data is kept in memory and read from disk unasked, metres.
 const AROUND_M: f64 = 5.0;
-/// Bytes of whole chunks that wait for a decoding thread, beyond which no further stream is begun. Bytes that are still to come must not count: the server may have put that
-/// chunk off for the one that would then wait for it, for ever.
-const WAITING_BYTES: usize = 32 << 20;
 /// Time for the goodbye.
 const GOODBYE: Duration = Duration::from_millis(500);
 
@@ -115,6 +109,7 @@ pub(super) async fn stream(
         damaged,
         arrivals: config.arrivals.clone(),
         ahead_bytes: AtomicUsize::new(0),
+        waiting_bytes: AtomicUsize::new(0),
         behind: Behind::default(),
         shelf: shelf.clone(),
         given_up: Mutex::default(),
@@ -206,20 +201,14 @@ impl Session {
         let (messages, mut heard) = mpsc::channel(16);
         let (paged, mut pages) = mpsc::channel(MAX_STREAMS as usize);
         let listed = self.rest.as_ref().map_or_else(Vec::new, Pages::listed);
-        let intake = Arc::new(Intake {
-            target: self.target.clone(),
-            pool: self.pool.clone(),
-            listed,
-            paged,
-            waiting_bytes: AtomicUsize::new(0),
-        });
+        let intake = Arc::new(Intake { target: self.target.clone(), pool: self.pool.clone(), listed, paged });
         let mut tasks = JoinSet::new();
         tasks.spawn(listen(recv, self.connection.clone(), messages));
         let mut tick = interval(SAMPLE_EVERY);
         loop {
             tokio::select! {
                 // A stream that was read to its end no longer counts for QUIC: chunks that wait for a decoder must count here.
-                stream = self.connection.accept_uni(), if tasks.len() <= MAX_STREAMS as usize && !intake.is_full() => {
+                stream = self.connection.accept_uni(), if tasks.len() <= MAX_STREAMS as usize && !self.target.is_full() => {
                     let stream = stream.map_err(|e| handshake::lost(&e))?;
                     tasks.spawn(intake.clone().take_in(stream));
                 }
@@ -402,16 +391,9 @@ struct Intake {
     /// Pages that may come.
     listed: Vec<PageEntry>,
     paged: mpsc::Sender<(u32, Vec<u8>)>,
-    /// See [`WAITING_BYTES`].
-    waiting_bytes: AtomicUsize,
 }
 
 impl Intake {
-    /// Until a task ends.
-    fn is_full(&self) -> bool {
-        self.waiting_bytes.load(Relaxed) > WAITING_BYTES
-    }
-
     /// Takes in one page, for the session, or one chunk, for the decoding threads.
     async fn take_in(self: Arc<Self>, mut stream: RecvStream) {
         match self.receive(&mut stream).await {
@@ -440,10 +422,8 @@ impl Intake {
             let _ = self.paged.send((header.number, bytes)).await;
             return Ok(());
         }
-        let (target, waiting) = (self.target.clone(), bytes.len());
-        self.waiting_bytes.fetch_add(waiting, Relaxed);
+        let target = self.target.clone();
         self.pool.send(Job { chunk: header.number, urgency: header.urgency, bytes: Some(bytes), target }).await;
-        self.waiting_bytes.fetch_sub(waiting, Relaxed);
         Ok(())
     }
 }

@@ -22,8 +22,12 @@ pub enum Encoder {
     X264,
     /// H.264 at `slower`, with colours at full resolution.
     X264Best,
+    /// The same with 10 bits per channel, which take rounding out of the comparison.
+    X264Deep,
     /// AV1 (SVT) at preset 8.
     Av1,
+    /// AV1 (libaom) in its real-time mode, with colours at full resolution and 10 bits.
+    Av1Deep,
 }
 
 impl Encoder {
@@ -31,7 +35,9 @@ impl Encoder {
         match self {
             Self::X264 => "x264 veryfast",
             Self::X264Best => "x264 slower, 4:4:4",
+            Self::X264Deep => "x264 slower, 4:4:4, 10 bits",
             Self::Av1 => "SVT-AV1 preset 8",
+            Self::Av1Deep => "AV1 (libaom) real time 8, 4:4:4, 10 bits",
         }
     }
 
@@ -39,10 +45,14 @@ impl Encoder {
         match self {
             Self::X264 => &["-c:v", "libx264", "-preset", "veryfast", "-tune", "zerolatency", "-pix_fmt", "yuv420p"],
             Self::X264Best => &["-c:v", "libx264", "-preset", "slower", "-tune", "zerolatency", "-pix_fmt", "yuv444p"],
+            Self::X264Deep => {
+                &["-c:v", "libx264", "-preset", "slower", "-tune", "zerolatency", "-pix_fmt", "yuv444p10le"]
+            }
             // Low delay: prediction from the past alone.
             Self::Av1 => {
                 &["-c:v", "libsvtav1", "-preset", "8", "-svtav1-params", "pred-struct=1", "-pix_fmt", "yuv420p"]
             }
+            Self::Av1Deep => &["-c:v", "libaom-av1", "-usage", "realtime", "-cpu-used", "8", "-pix_fmt", "yuv444p10le"],
         }
     }
 }
@@ -201,7 +211,7 @@ pub fn run(study: &Study, mut heard: impl FnMut(&Row)) -> Result<Found> {
             std::fs::create_dir_all(&decoded).with_context(|| format!("cannot make {}", decoded.display()))?;
             let out = decoded.join("%06d.png");
             let mut back = vec![OsStr::new("-i"), file.as_os_str()];
-            back.extend(EXACT_COLOURS.iter().chain(&["-pix_fmt", "rgb24", "-vsync", "0"]).map(OsStr::new));
+            back.extend(EXACT_COLOURS.iter().chain(&["-pix_fmt", "rgb24", "-fps_mode", "passthrough"]).map(OsStr::new));
             back.push(out.as_os_str());
             ffmpeg(&back)?;
             // Numbered from 1 on.

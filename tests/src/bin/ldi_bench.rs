@@ -93,10 +93,10 @@ struct VideoArgs {
     #[arg(long, default_value_t = 60.0)]
     fps: f64,
     /// Encoders.
-    #[arg(long, value_enum, value_delimiter = ',', default_values = ["x264", "x264-best", "av1"])]
+    #[arg(long, value_enum, value_delimiter = ',', default_values = ["x264", "x264-best", "x264-deep", "av1", "av1-deep"])]
     encoders: Vec<video::Encoder>,
     /// Quality settings: constant rate factors.
-    #[arg(long, value_delimiter = ',', default_values_t = [14, 20, 26, 32, 38, 44])]
+    #[arg(long, value_delimiter = ',', default_values_t = [2, 8, 14, 20, 26, 32, 38])]
     crf: Vec<u32>,
     /// Say what each encoder needs for this mean FLIP: that of `ldi-client walk` over the same frames.
     #[arg(long)]
