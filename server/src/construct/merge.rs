@@ -79,6 +79,26 @@ impl Known {
         // Stable: of equals the older one comes first and stays.
         self.deeper.par_sort_by(order);
         self.deeper.dedup_by(|b, a| a.0 == b.0 && (a.1.disparity - b.1.disparity).abs() <= tolerance.step);
+        self.find_rows();
+    }
+
+    /// The place of each deeper sample in its pixel: 1, the nearest behind the central one.
+    pub fn ranks(&self) -> Vec<usize> {
+        let mut before = (u32::MAX, 0);
+        let rank = |(pixel, _): &Prediction| {
+            before = (*pixel, if before.0 == *pixel { before.1 + 1 } else { 1 });
+            before.1
+        };
+        self.deeper.iter().map(rank).collect()
+    }
+
+    /// Drops deeper samples; asks for each once, in order.
+    pub fn retain_deeper(&mut self, stays: impl FnMut(&Prediction) -> bool) {
+        self.deeper.retain(stays);
+        self.find_rows();
+    }
+
+    fn find_rows(&mut self) {
         let mut next = 0;
         for (row, start) in self.row_starts.iter_mut().enumerate() {
             let limit = (row * self.width) as u32;

@@ -16,6 +16,7 @@
 //!   all samples lie exactly on their pixel's ray, and silhouettes do not grow.
 //! - Where surfaces end between pixels' centres is measured (`ends`), and what the centre of projection sees edge-on is held as slivers (`slivers`),
 //!   as is the step where a surface turns back on itself (`folds`).
+//! - What only cells that stay keep every eye from seeing is forgotten again, sample by sample (`hidden`).
 //! - Sky is a bit per direction: set where some construction ray of that direction meets nothing.
 //!
 //! # Practice
@@ -28,6 +29,7 @@ mod colour;
 mod ends;
 mod explain;
 mod folds;
+mod hidden;
 mod layers;
 mod merge;
 mod portal_merge;
@@ -126,12 +128,21 @@ pub struct RayCounts {
     pub slivers: u64,
     /// Ends of surfaces.
     pub ends: u64,
+    /// From eyes at samples, to find those that cells hide which stay.
+    pub hidden: u64,
 }
 
 impl RayCounts {
     /// All of them.
     pub fn total(&self) -> u64 {
-        self.central + self.construction + self.recast + self.ring + self.colour + self.slivers + self.ends
+        self.central
+            + self.construction
+            + self.recast
+            + self.ring
+            + self.colour
+            + self.slivers
+            + self.ends
+            + self.hidden
     }
 }
 
@@ -318,6 +329,10 @@ fn tile<C: SubsetCaster>(
     recast_seconds += before_ring.elapsed().as_secs_f64();
     let after_merge = Instant::now();
 
+    if let Some(face) = face {
+        stats.rays.hidden = hidden::Watchers::of(face, &rig).forget_hidden(caster, &rig, &mut known);
+        stats.rays.hidden += hidden::drop_hidden(caster, &rig, &cameras, &mut candidates);
+    }
     let (mut raw, dropped) = layers::rank(&known, &rig, &tolerance, options.bridges);
     stats.too_deep = dropped.too_deep;
     stats.pruned += dropped.out_of_reach;

@@ -36,7 +36,7 @@ pub(super) const SQUARE: usize = 16;
 /// It looks this many of its pixels around what rays met: as far as the next ray.
 const AROUND: f64 = 12.0;
 /// Side of the blocks of the image that are kept or left out, pixels. By judgement: half a square, so that borders follow what is seen.
-const BLOCK: usize = 16;
+pub(super) const BLOCK: usize = 16;
 /// What is seen is kept with this many pixels around it: eyes between those tried see a little further around things.
 const MARGIN: f64 = 16.0;
 /// A direction is a place this far away, metres.
@@ -301,6 +301,11 @@ impl Face {
             (offset, hits.iter().filter_map(|hit| Glimpse::of(hit, offset, survey.half_angle, plan, rig)).collect())
         });
         Self(eyes.collect())
+    }
+
+    /// Each eye's offset, and what it sees.
+    pub fn eyes(&self) -> impl Iterator<Item = (&DVec3, &[Glimpse])> {
+        self.0.iter().map(|(offset, glimpses)| (offset, &glimpses[..]))
     }
 
     /// Its tiles, of at most so many pixels each.

@@ -180,7 +180,7 @@ impl Frame {
 }
 
 /// A place in the unit square, another for each number.
-fn scattered(number: usize) -> [f64; 2] {
+pub(crate) fn scattered(number: usize) -> [f64; 2] {
     // SplitMix64's mixing step.
     let mut z = (number as u64).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

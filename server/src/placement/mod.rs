@@ -58,6 +58,7 @@ pub use corridor::Corridor;
 pub use error::PlacementError;
 pub(crate) use footprint::{Footprint, SCALES};
 pub use gaze::Gaze;
+pub(crate) use gaze::scattered;
 pub use groups::Groupings;
 pub use model::{DirectionRange, ImagePlan, PlacementPlan, PlacementResult, PlacementStatistics};
 pub(crate) use plan::spread;

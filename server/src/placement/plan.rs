@@ -112,13 +112,16 @@ fn eyes_of(ctx: &Context, boxes: &[Aabb], cop: DVec3) -> Vec<DVec3> {
     spread(&ctx.eyes.map_or(vec![], |tree| standing(tree, boxes)), cop, MOST_EYES)
 }
 
-/// Where eyes within some boxes may stand: in every box of the walk volume that touches one, lowest and highest.
+/// The outermost places where eyes within some boxes may stand: the corners of what each box of the walk volume shares with one of them. From there eyes see farthest around things.
 fn standing(tree: &EyeTree, eyes: &[Aabb]) -> Vec<DVec3> {
     let mut out = Vec::new();
     for leaf in tree.leaves_touching(|b| eyes.iter().any(|e| e.intersects(b))) {
-        let c = leaf.centre();
-        out.extend([leaf.min.y, leaf.max.y].map(|y| DVec3::new(c.x, y, c.z)));
+        for e in eyes.iter().filter(|e| e.intersects(&leaf)) {
+            out.extend(Aabb { min: leaf.min.max(e.min), max: leaf.max.min(e.max) }.corners());
+        }
     }
+    out.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z)));
+    out.dedup();
     out
 }
 
@@ -221,18 +224,21 @@ mod tests {
         let tree = EyeTree::new(&volume);
         let eyes = Aabb { min: DVec3::new(2.1, 0.0, 2.1), max: DVec3::new(5.9, 0.9, 3.4) };
         let few = standing(&tree, &[eyes]);
-        assert_eq!(few.len(), 8 * 3 * 2, "the boxes of the volume that it touches, lowest and highest");
-        assert!(few.iter().all(|p| eyes.inflated(0.5).contains(*p) && volume.contains(*p)));
-        assert!(few.iter().any(|p| p.y == 0.0) && few.iter().any(|p| p.y > 0.89));
+        // Boxes of half a metre begin at 2.0 to 5.5 and 2.0 to 3.0.
+        assert_eq!(few.len(), 9 * 4 * 2, "corners are shared");
+        assert!(few.iter().all(|p| eyes.contains(*p) && volume.contains(*p)));
+        assert!(eyes.corners().iter().all(|c| few.contains(c)));
+        let halves = [0.0, 1.0].map(|at| Aabb { min: eyes.min.with_x(2.1 + at), max: eyes.max.with_x(4.1 + at) });
+        assert_eq!(standing(&tree, &halves).len(), (6 + 6 - 2) * 4 * 2, "and once where boxes overlap");
         let places = standing(&tree, &[*volume.bounds()]);
-        assert_eq!(places.len(), 800);
+        assert_eq!(places.len(), 21 * 21 * 2);
         let some = spread(&places, eyes.centre(), MOST_EYES);
         assert_eq!(some.len(), MOST_EYES);
         let apart = |all: &[DVec3]| {
             let pairs = all.iter().enumerate().flat_map(|(i, a)| all[..i].iter().map(|b| a.distance(*b)));
             pairs.fold(f64::INFINITY, f64::min)
         };
-        // The corners come first; the first of 800 places in order lie half a metre apart, these farther.
+        // The corners come first; the first of these places in order lie half a metre apart, these farther.
         assert!(apart(&some[..4]) > 4.0 && apart(&some[..64]) > 1.0, "{} {}", apart(&some[..4]), apart(&some[..64]));
         assert_eq!(spread(&places[..3], eyes.centre(), MOST_EYES).len(), 3);
         assert!(spread(&[], DVec3::ZERO, MOST_EYES).is_empty());

@@ -329,11 +329,34 @@ fn what_stays_hides_and_what_shows_past_it_is_there() {
     assert!(hole_fraction(&room(), &open.ldi, &plan) < 0.003);
     assert!(behind.ldi.samples() > 500, "something shows");
     assert!(behind.ldi.samples() * 2 < open.ldi.samples(), "{} of {}", behind.ldi.samples(), open.ldi.samples());
-    assert!(behind.stats.rays.total() * 2 < open.stats.rays.total(), "{:?} of {:?}", behind.stats, open.stats);
+    let rays = [&behind, &open].map(|made| made.stats.rays.total() - made.stats.rays.hidden);
+    assert!(rays[0] * 2 < rays[1], "{:?} of {:?}", behind.stats, open.stats);
     // One eye alone overlooks what others see.
     let one = made_for(&scene, &plan, &[DVec3::new(0.6, 0.0, 0.4)]);
     let missing = hole_fraction(&scene, &one.ldi, &plan);
     assert!(missing > 10.0 * holes, "{missing} {holes}");
+}
+
+/// Every sample is seen by an eye or lies beside one of its layer that is, and few are not seen.
+#[test]
+fn what_no_eye_sees_past_what_stays_is_not_kept() {
+    let (plan, eyes) = plan_with_eyes(64);
+    let scene = next_door();
+    let ldi = made_for(&scene, &plan, &eyes).ldi;
+    let all = samples(&ldi);
+    let is_seen = |c: i64, r: i64, d: f64| {
+        let place = plan.cop + ldi.camera.ray(c as f64 + 0.5, r as f64 + 0.5) / d;
+        eyes.iter().any(|eye| !scene.first_stays(*eye, place - *eye))
+    };
+    let mut seen = std::collections::BTreeSet::new();
+    seen.extend(all.iter().filter(|(_, c, r, d, ..)| is_seen(*c, *r, *d)).map(|(_, c, r, ..)| (*c, *r)));
+    // A bridge repeats a sample beyond.
+    let reach = super::hidden::AROUND as i64 + 1;
+    for (layer, c, r, ..) in &all {
+        let near = (-reach..=reach).any(|dc| seen.range((c + dc, r - reach)..=(c + dc, r + reach)).next().is_some());
+        assert!(near, "layer {layer} ({c}, {r})");
+    }
+    assert!(seen.len() > 5_000 && all.len() < 2 * seen.len(), "{} of {}", seen.len(), all.len());
 }
 
 #[test]
