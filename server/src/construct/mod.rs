@@ -20,7 +20,7 @@
 //! - Sky is a bit per direction: set where some construction ray of that direction meets nothing.
 //!
 //! # Practice
-//! Cells that are not culled are transparent to every ray. Work is parallel over rows, batches and cameras, and every result is collected in order: the
+//! Cells that are not culled are transparent to rays that make samples. Work is parallel over rows, batches and cameras, and every result is collected in order: the
 //! image does not depend on the number of threads. Memory is about 100 bytes per pixel.
 
 mod caster;
