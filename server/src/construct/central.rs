@@ -12,7 +12,7 @@ use ldi_protocol::shade::srgb8_from_linear;
 use rayon::prelude::*;
 
 /// Rays traced together: enough to share a call, few enough to keep both threads busy to the end.
-const BATCH: usize = 2048;
+pub(super) const BATCH: usize = 2048;
 
 /// Turns hits into samples of one camera, remembering the last plane: neighbours mostly share it.
 pub(super) struct Surveyor<'a, C> {

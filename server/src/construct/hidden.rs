@@ -8,6 +8,7 @@
 
 use super::{
     caster::{Met, SubsetCaster},
+    central::BATCH,
     merge::Known,
     sample::UNSEEN,
     sight::{BLOCK, Face, blocks_of},
@@ -26,16 +27,14 @@ use rayon::prelude::*;
 const LOOKS: usize = 16;
 /// More: rays of one eye go together, which is faster; fewer: more eyes.
 const ROWS: usize = 4;
-/// Eyes stand where one of the survey's does, or on the way to one of so many of its neighbours.
+/// Eyes stand where one of the survey's does, or on the way to one of so many of its neighbours; by judgement. More: farther ones, with walls between.
 const NEIGHBOURS: usize = 8;
-/// The first of these, a share of all. The survey's eyes are the outermost.
+/// The first of these, a share of all; by judgement. The survey's eyes are the outermost.
 const OUTERMOST: f64 = 0.33;
 /// Samples stay that lie this many pixels from one that is seen: eyes between those tried see a little more, and surfaces are joined to what they go on to.
 pub(super) const AROUND: usize = 8;
-/// A cell that stays hides a sample if it is nearer by this share of the distance.
+/// A cell that stays hides a sample if it is nearer by this share of the distance: disparities are f32, and where two cells join the one that stays must not hide the other's border.
 const NEARER: f64 = 1e-5;
-/// Rays that are cast together.
-const BATCH: usize = 1024;
 
 /// Eyes that see something replaced, by blocks of the window.
 pub(super) struct Watchers {
@@ -112,14 +111,15 @@ impl Watchers {
         self.eyes[first].lerp(self.eyes[usize::from(*second)], ((way - OUTERMOST) / (1.0 - OUTERMOST)).max(0.0))
     }
 
-    /// Which of some samples stay, at most one per pixel, in ascending order, each with its disparity; and the number of rays. Of those that lie `close` every other one is looked at.
-    fn stay<C: SubsetCaster>(&self, caster: &C, rig: &Rig, samples: &[(u32, f32)], close: bool) -> (Vec<bool>, u64) {
+    /// Which of some samples stay, at most one per pixel, in ascending order, each with its disparity; and the number of rays. Where samples lie side by side looking at every other one does (`thinned`); a
+    /// deeper rank may have a single pixel at a place.
+    fn stay<C: SubsetCaster>(&self, caster: &C, rig: &Rig, samples: &[(u32, f32)], thinned: bool) -> (Vec<bool>, u64) {
         let width = rig.window.width as usize;
         let place = |pixel: u32| (pixel as usize % width, pixel as usize / width);
         let mut of_block: Vec<Vec<(u32, DVec3)>> = vec![Vec::new(); self.blocks.len()];
         for (pixel, disparity) in samples {
             let (column, row) = place(*pixel);
-            if !close || (column + row) % 2 == 0 {
+            if !thinned || (column + row) % 2 == 0 {
                 let (u, v) = rig.window.centre(*pixel as usize);
                 let at = rig.cop + rig.lens.ray(u, v) / f64::from(*disparity);
                 of_block[row / BLOCK * self.columns + column / BLOCK].push((*pixel, at));

@@ -337,7 +337,7 @@ fn what_stays_hides_and_what_shows_past_it_is_there() {
     assert!(missing > 10.0 * holes, "{missing} {holes}");
 }
 
-/// Every sample is seen by an eye or lies beside one of its layer that is, and few are not seen.
+/// Every sample is seen by an eye or lies beside one that is, and fewer than half are not seen.
 #[test]
 fn what_no_eye_sees_past_what_stays_is_not_kept() {
     let (plan, eyes) = plan_with_eyes(64);
