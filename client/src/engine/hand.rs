@@ -166,10 +166,11 @@ impl Hand {
         self.warper_of(laid_out, camera, options).is_none_or(|gpu| gpu.holds(laid_out))
     }
 
-    /// Warps images to one picture, within an image by the given order, between images by depth: into `into`, or onto the card.
+    /// Warps images to one picture, within an image by the given order, between images by depth: into `into`, or onto the card. `near` holds the near geometry, unless the card does.
     pub fn warp(
         &mut self,
         images: &[Shown<'_>],
+        near: &Frame,
         pose: &Pose,
         camera: &OutputCamera,
         options: &WarpOptions,
@@ -182,7 +183,8 @@ impl Hand {
             self.on_card.warped = true;
             return Ok(stats);
         }
-        Ok(warp_images(images, pose, camera, options, into, &mut self.single)?)
+        let near = if self.on_card.near { &[][..] } else { &near.disparity };
+        Ok(warp_images(images, near, pose, camera, options, into, &mut self.single)?)
     }
 
     /// Joins on the card what was drawn there, if that is all there is (`into` is what [`Self::warp`] got) and a card is at home in such things: a bit per pixel that nothing reached
@@ -259,7 +261,7 @@ mod tests {
         let drawn = |hand: &mut Hand| {
             let mut far = FarFrame::new(camera.width, camera.height);
             let images = [Shown::from(&laid_out)];
-            hand.warp(&images, &pose, &camera, &options, &mut far).expect("warped");
+            hand.warp(&images, &Frame::default(), &pose, &camera, &options, &mut far).expect("warped");
             hand.read_back(&camera, &mut Frame::default(), &mut far).expect("read back");
             far.packed
         };

@@ -299,6 +299,7 @@ impl Painter {
             stamp: options.stamp,
             order: options.order,
             keep_all_tiles: options.cull == Cull::Off,
+            keep_hidden: options.cull == Cull::Off,
             ..WarpOptions::default()
         };
         let ahead = std::mem::take(&mut self.ahead);
@@ -432,7 +433,7 @@ impl Painter {
             for portal in &view.portals {
                 show(&|n| portal.images.contains(&n), Some(rectangle(&portal.cones, pose, &full_camera)));
             }
-            let stats = self.hand.warp(&shown, pose, &full_camera, &warp_options, &mut self.far)?;
+            let stats = self.hand.warp(&shown, &self.full, pose, &full_camera, &warp_options, &mut self.far)?;
             painted.warp = Some(stats);
             painted.ms.warp = ms_since(start);
         }

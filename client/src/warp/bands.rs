@@ -4,6 +4,7 @@ use super::{
     FarFrame, Order, Shown, Stamp, WarpError, WarpMatrix, WarpOptions, WarpStats,
     cull::Reach,
     ewa::Means,
+    occlusion::Before,
     order::{Epipole, Streams, paint_tile},
     prepared::{Part, PreparedLdi, Tile},
     quads::{Target, draw_tile},
@@ -20,6 +21,7 @@ struct Job<'a> {
     options: &'a WarpOptions,
     /// Whether samples are painted, or transformed only.
     paint: bool,
+    before: Option<Before<'a>>,
 }
 
 /// What of an image reaches the picture.
@@ -45,16 +47,19 @@ pub fn warp(
     into: &mut FarFrame,
 ) -> Result<WarpStats, WarpError> {
     check(options)?;
-    Ok(run(&[Shown::from(ldi)], pose, camera, options, (pose, true), into))
+    Ok(run(&[Shown::from(ldi)], &[], pose, camera, options, (pose, true), into))
 }
 
 /// Warps several images to one picture: within an image by the given order, between images by depth. `spare` is memory.
+///
+/// `near`: disparities (1/m, row-major, 0 where there is nothing) of what is drawn before the images, or nothing. What it hides by more than rounding may be missing from the picture.
 ///
 /// # Errors
 ///
 /// When the order cannot draw the stamp.
 pub fn warp_images(
     images: &[Shown<'_>],
+    near: &[f32],
     pose: &Pose,
     camera: &OutputCamera,
     options: &WarpOptions,
@@ -68,10 +73,10 @@ pub fn warp_images(
         Order::Epipole => images.len().min(usize::from(into.is_untouched())),
     };
     let (together, singly) = images.split_at(at_once);
-    let mut stats = run(together, pose, camera, options, (pose, true), into);
+    let mut stats = run(together, near, pose, camera, options, (pose, true), into);
     for image in singly {
         spare.reset(camera.width, camera.height);
-        stats.add(&run(&[*image], pose, camera, options, (pose, true), spare));
+        stats.add(&run(&[*image], near, pose, camera, options, (pose, true), spare));
         into.take_nearer(spare);
     }
     Ok(stats)
@@ -86,12 +91,13 @@ pub fn transform_only(
     into: &mut FarFrame,
 ) -> WarpStats {
     let options = WarpOptions { order: Order::Z, ..*options };
-    run(&[Shown::from(ldi)], pose, camera, &options, (pose, false), into)
+    run(&[Shown::from(ldi)], &[], pose, camera, &options, (pose, false), into)
 }
 
 /// Warps images to a pose; with order epipole in that of the pose `order`, each over what is there. See [`check`].
 fn run(
     images: &[Shown<'_>],
+    near: &[f32],
     pose: &Pose,
     camera: &OutputCamera,
     options: &WarpOptions,
@@ -101,7 +107,6 @@ fn run(
     if (into.width, into.height) != (camera.width, camera.height) {
         into.reset(camera.width, camera.height);
     }
-    let mut stats = WarpStats::default();
     let reaching = images.par_iter().map(|Shown { laid_out: ldi, within }| {
         let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
         let within = wanted(*within, camera);
@@ -113,11 +118,9 @@ fn run(
         if let Some((epipole, _)) = &in_order {
             epipole.sort_tiles(&mut tiles);
         }
-        (counted(ldi, &tiles, options.stamp), Reaching { matrix, tiles, in_order })
+        Reaching { matrix, tiles, in_order }
     });
-    let (counts, reaching): (Vec<WarpStats>, Vec<Reaching<'_>>) = reaching.unzip();
-    counts.iter().for_each(|c| stats.add(c));
-    stats.bytes += picture_bytes(camera);
+    let reaching: Vec<Reaching<'_>> = reaching.collect();
     let clear = into.stale;
     into.stale = false;
     let width = into.width;
@@ -129,7 +132,9 @@ fn run(
         rest = later;
         targets.push(Target { pixels, window: Window { width, first_row, rows } });
     }
-    let job = Job { images: &reaching, options, paint };
+    let may_hide = paint && !options.keep_hidden && options.order == Order::Z;
+    let before = may_hide.then(|| Before::new(near, options.stamp, camera));
+    let job = Job { images: &reaching, options, paint, before };
     let parts: Vec<WarpStats> = targets
         .into_par_iter()
         .map(|mut target| {
@@ -139,7 +144,10 @@ fn run(
             dispatch(&job, &mut target)
         })
         .collect();
+    let mut stats = WarpStats { bytes: picture_bytes(camera), ..WarpStats::default() };
     parts.iter().for_each(|p| stats.add(p));
+    stats.samples = images.iter().map(|i| i.laid_out.samples as u64).sum();
+    stats.samples_culled = stats.samples - stats.samples_warped;
     stats
 }
 
@@ -155,22 +163,6 @@ fn check(options: &WarpOptions) -> Result<(), WarpError> {
 fn wanted(within: Option<[u32; 4]>, camera: &OutputCamera) -> [u32; 4] {
     let whole = [0, 0, camera.width, camera.height];
     within.map_or(whole, |w| std::array::from_fn(|k| w[k].min(whole[2 + k % 2])))
-}
-
-/// What is known of a warp before it is done.
-fn counted(ldi: &PreparedLdi, tiles: &[Reach<'_>], stamp: Stamp) -> WarpStats {
-    let samples_warped = tiles.iter().map(|t| u64::from(t.tile.own)).sum();
-    WarpStats {
-        samples: ldi.samples as u64,
-        samples_warped,
-        primitives: match stamp {
-            Stamp::Quads => tiles.iter().map(|t| PreparedLdi::quads(t.part, t.tile)).sum(),
-            _ => samples_warped,
-        },
-        samples_culled: ldi.samples as u64 - samples_warped,
-        bytes: tiles.iter().map(|t| PreparedLdi::bytes(t.tile, stamp)).sum(),
-        ..WarpStats::default()
-    }
 }
 
 /// Bytes of a picture, cleared and written.
@@ -196,7 +188,9 @@ pub fn tile_jobs(
 ) -> (Vec<TileJob>, WarpStats) {
     let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
     let tiles = ldi.blocks.reaching(&ldi.parts, &matrix, wanted(*within, camera), options.keep_all_tiles);
-    let stats = counted(ldi, &tiles, options.stamp);
+    let mut stats = WarpStats { samples: ldi.samples as u64, ..WarpStats::default() };
+    tiles.iter().for_each(|t| stats.count_tile(t.part, t.tile, options.stamp));
+    stats.samples_culled = stats.samples - stats.samples_warped;
     let job =
         |t: &Reach<'_>| TileJob { number: [t.number.0, t.number.1], rows: TileTransform::new(&matrix, t.tile).rows };
     (tiles.iter().map(job).collect(), stats)
@@ -256,7 +250,7 @@ fn transform_tile_avx2(matrix: &WarpMatrix, part: &Part, tile: &Tile, window: &W
 #[cfg(test)]
 pub fn warp_in_order(ldi: &PreparedLdi, pose: &Pose, order: &Pose, camera: &OutputCamera, into: &mut FarFrame) {
     let options = WarpOptions { stamp: Stamp::OnePixel, order: Order::Epipole, ..WarpOptions::default() };
-    run(&[Shown::from(ldi)], pose, camera, &options, (order, true), into);
+    run(&[Shown::from(ldi)], &[], pose, camera, &options, (order, true), into);
 }
 
 /// Cuts the rows into bands (first row, rows) with about equal numbers of samples, one for each thread: tiles that straddle borders are done by both, and with two bands
@@ -266,9 +260,9 @@ fn cut<'a>(tiles: impl Iterator<Item = &'a Reach<'a>>, height: u32, threads: usi
     let mut weight = vec![0.0f64; height as usize + 1];
     for t in tiles {
         // Spread evenly over the tile's rows, as a difference array.
-        let per_row = f64::from(t.tile.own) / f64::from((t.to - t.from).max(1));
-        weight[t.from.min(height) as usize] += per_row;
-        weight[t.to.min(height) as usize] -= per_row;
+        let per_row = f64::from(t.tile.own) / f64::from((t.within.to - t.within.from).max(1));
+        weight[t.within.from.min(height) as usize] += per_row;
+        weight[t.within.to.min(height) as usize] -= per_row;
     }
     let (mut rate, mut sum) = (0.0, 0.0);
     // Empty rows cost their clearing.
@@ -332,24 +326,36 @@ fn draw_image<L: Lanes>(
     let (matrix, stamp) = (&image.matrix, job.options.stamp);
     // Quads alone reach over to samples of the next tiles.
     let needs = Wanted { halo: stamp == Stamp::Quads, footprints: stamp == Stamp::Footprint };
-    let here = |t: &&Reach<'_>| t.to > window.first_row && t.from < window.first_row + window.rows;
+    let here = |t: &&Reach<'_>| t.within.to > window.first_row && t.within.from < window.first_row + window.rows;
+    // A tile that straddles bands is counted in its first one.
+    let is_home = |t: &Reach<'_>| t.within.from >= window.first_row;
+    let hides = |target: &Target<'_>, t: &Reach<'_>| job.before.as_ref().is_some_and(|b| b.hides(target, &t.within));
     let tiles = || image.tiles.iter().filter(here);
     if let Some((epipole, streams)) = &image.in_order {
         for t in tiles() {
             paint_tile::<L>(target, matrix, epipole, streams, t, stamp, &mut largest);
+            if is_home(t) {
+                stats.count_tile(t.part, t.tile, stamp);
+            }
         }
         stats.footprint_max_px = stats.footprint_max_px.max(largest.squared().sqrt());
         return;
     }
     for t in tiles() {
+        if hides(target, t) {
+            stats.samples_hidden += if is_home(t) { u64::from(t.tile.own) } else { 0 };
+            continue;
+        }
+        if is_home(t) {
+            stats.count_tile(t.part, t.tile, stamp);
+        }
         transform_tile::<L>(matrix, t.part, t.tile, (&window, needs), scratch, &mut largest);
         if !job.paint {
             continue;
         }
         let transform = TileTransform::new(matrix, t.tile);
         if stamp == Stamp::Quads {
-            // A tile that straddles bands is counted in its first one.
-            let home = t.from >= window.first_row;
+            let home = is_home(t);
             let stretch = |side2| stats.stretch.count(side2, home);
             draw_tile::<L>(target, &transform, t.part, t.tile, scratch, stretch);
         } else {
@@ -359,6 +365,9 @@ fn draw_image<L: Lanes>(
     if stamp == Stamp::Ewa && job.paint {
         let mut means = Means::new(target);
         for t in tiles() {
+            if hides(target, t) {
+                continue;
+            }
             transform_tile::<L>(matrix, t.part, t.tile, (&window, needs), scratch, &mut largest);
             means.add_tile(target, &TileTransform::new(matrix, t.tile), t.part, t.tile, scratch);
         }

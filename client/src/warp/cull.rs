@@ -1,6 +1,6 @@
 //! Clipping before the warp: which tiles can reach the picture, and which of its rows.
 //!
-//! In: the tiles of an image, a warp. Out: those that may paint something, with the rows that they may reach.
+//! In: the tiles of an image, a warp. Out: those that may paint something, with the rows that they may reach and what bounds them in the picture.
 //!
 //! After the recursive clipping of columns by their smallest and largest disparity (Rafferty, Aliaga, Popescu and Lastra 1998, section 4), with
 //! boxes in place of columns: u, v and disparity of all that a block of tiles draws are bounded by a box; W is affine in them, x and y are monotone in
@@ -8,13 +8,13 @@
 //! may reach it is looked into, down to single tiles. Boxes only grow upward, so nothing that a single tile's test keeps is lost.
 
 use super::{
+    Stamp,
     matrix::WarpMatrix,
     prepared::{Part, Tile},
-    stamps::LARGEST_FOOTPRINT_STAMP,
 };
 use std::ops::Range;
 
-/// A tile and the output rows that it may reach, `from` inclusive, `to` exclusive.
+/// A tile that may reach the picture.
 pub struct Reach<'a> {
     /// The part that holds the tile's arrays.
     pub part: &'a Part,
@@ -22,10 +22,40 @@ pub struct Reach<'a> {
     pub tile: &'a Tile,
     /// Their numbers: part, tile.
     pub number: (u32, u32),
+    /// What of it the picture can show.
+    pub within: Within,
+}
+
+/// What a part of the picture can show of something.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Within {
     /// First row.
     pub from: u32,
     /// After the last row.
     pub to: u32,
+    /// Where it lies in the picture; None where some of it may lie in the eye's plane, and no bound is known.
+    pub silhouette: Option<Silhouette>,
+}
+
+/// Bounds of something that lies ahead of the eye.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Silhouette {
+    /// Upper left corner, output pixels.
+    pub low: [f64; 2],
+    /// Lower right corner, output pixels.
+    pub high: [f64; 2],
+    /// The largest disparity that the picture may show of it, 1/m.
+    pub nearest: f64,
+}
+
+/// Where a box lies.
+enum Place {
+    /// Behind the eye.
+    Behind,
+    /// On both sides of the eye's plane.
+    Across,
+    /// Ahead.
+    Ahead(Silhouette),
 }
 
 /// What bounds something that is drawn.
@@ -55,47 +85,48 @@ impl Bounds {
         self.disparity = [self.disparity[0].min(other.disparity[0]), self.disparity[1].max(other.disparity[1])];
     }
 
-    /// The output rows that may be reached; None where no pixel can be.
-    #[cfg(test)]
-    pub fn rows(&self, matrix: &WarpMatrix, width: u32, height: u32) -> Option<(u32, u32)> {
-        self.rows_within(matrix, [0, 0, width, height])
-    }
-
-    /// The rows of a rectangle of the output (from column, from row, to column, to row) that may be reached; None where no pixel of it can be.
-    pub fn rows_within(&self, matrix: &WarpMatrix, [left, top, right, bottom]: [u32; 4]) -> Option<(u32, u32)> {
+    /// Where the picture shows it. W is affine in u, v and disparity, and x, y and disparity over W are monotone in each of them where W > 0, so that the corners bound all.
+    fn place(&self, matrix: &WarpMatrix) -> Place {
         let [u0, v0, u1, v1] = self.place.map(f64::from);
-        let mut low = [f64::MAX; 2];
-        let mut high = [f64::MIN; 2];
+        let mut out = Silhouette { low: [f64::MAX; 2], high: [f64::MIN; 2], nearest: 0.0 };
         let mut behind = 0;
         for d in self.disparity.map(f64::from) {
-            for v in [v0, v1] {
-                for u in [u0, u1] {
-                    let [x, y, w] = matrix.homogeneous(u, v, d);
-                    if w <= 0.0 {
-                        behind += 1;
-                        continue;
-                    }
-                    for (axis, p) in [x / w, y / w].into_iter().enumerate() {
-                        low[axis] = low[axis].min(p);
-                        high[axis] = high[axis].max(p);
-                    }
+            for (u, v) in [(u0, v0), (u1, v0), (u0, v1), (u1, v1)] {
+                let [x, y, w] = matrix.homogeneous(u, v, d);
+                if w <= 0.0 {
+                    behind += 1;
+                    continue;
                 }
+                for (axis, p) in [x / w, y / w].into_iter().enumerate() {
+                    out.low[axis] = out.low[axis].min(p);
+                    out.high[axis] = out.high[axis].max(p);
+                }
+                out.nearest = out.nearest.max(d / w);
             }
         }
         match behind {
-            8 => return None,
-            0 => {}
-            _ => return Some((top, bottom)),
+            8 => Place::Behind,
+            0 => Place::Ahead(out),
+            _ => Place::Across,
         }
-        // Stamps reach beyond their samples' cells; the additional pixel covers f32 rounding.
-        let margin = f64::from(LARGEST_FOOTPRINT_STAMP) * 0.5 + 1.0;
-        let [x0, y0] = low.map(|p| p - margin);
-        let [x1, y1] = high.map(|p| p + margin);
+    }
+
+    /// What a rectangle of the output (from column, from row, to column, to row) can show of it; None where no pixel of it can be reached.
+    pub fn within(&self, matrix: &WarpMatrix, [left, top, right, bottom]: [u32; 4]) -> Option<Within> {
+        let silhouette = match self.place(matrix) {
+            Place::Behind => return None,
+            Place::Across => return Some(Within { from: top, to: bottom, silhouette: None }),
+            Place::Ahead(silhouette) => silhouette,
+        };
+        let margin = Stamp::LARGEST_REACH_PX;
+        let [x0, y0] = silhouette.low.map(|p| p - margin);
+        let [x1, y1] = silhouette.high.map(|p| p + margin);
         if x1 < f64::from(left) || y1 < f64::from(top) || x0 > f64::from(right) || y0 > f64::from(bottom) {
             return None;
         }
         // Saturating conversions.
-        Some(((y0.floor().max(0.0) as u32).max(top), (y1.ceil().max(0.0) as u32).min(bottom)))
+        let (from, to) = ((y0.floor().max(0.0) as u32).max(top), (y1.ceil().max(0.0) as u32).min(bottom));
+        Some(Within { from, to, silhouette: Some(silhouette) })
     }
 }
 
@@ -155,11 +186,11 @@ impl Blocks {
     /// reach every row.
     pub fn reaching<'a>(&self, parts: &'a [Part], matrix: &WarpMatrix, within: [u32; 4], all: bool) -> Vec<Reach<'a>> {
         let mut out = Vec::new();
-        let rows =
-            |bounds: &Bounds| if all { Some((within[1], within[3])) } else { bounds.rows_within(matrix, within) };
+        let everywhere = Within { from: within[1], to: within[3], silhouette: None };
+        let shown = |bounds: &Bounds| if all { Some(everywhere) } else { bounds.within(matrix, within) };
         let mut at = 0;
         while let Some(block) = self.blocks.get(at) {
-            if rows(&block.bounds).is_none() {
+            if shown(&block.bounds).is_none() {
                 at = block.next;
                 continue;
             }
@@ -168,7 +199,7 @@ impl Blocks {
                 let part = &parts[*p as usize];
                 let tile = &part.tiles[*t as usize];
                 let number = (*p, *t);
-                out.extend(rows(&tile.bounds).map(|(from, to)| Reach { part, tile, number, from, to }));
+                out.extend(shown(&tile.bounds).map(|within| Reach { part, tile, number, within }));
             }
         }
         out
@@ -184,6 +215,10 @@ mod tests {
 
     const SIZE: (u32, u32) = (160, 120);
     const WHOLE: [u32; 4] = [0, 0, SIZE.0, SIZE.1];
+
+    fn rows(bounds: &Bounds, matrix: &WarpMatrix) -> Option<(u32, u32)> {
+        bounds.within(matrix, WHOLE).map(|w| (w.from, w.to))
+    }
 
     /// A part of tiles with nothing but bounds.
     fn part_of(tiles: &[Bounds]) -> Part {
@@ -222,8 +257,8 @@ mod tests {
             let matrix = matrix(eye, yaw, pitch);
             let parts = [part_of(&tiles)];
             let kept = Blocks::new(&parts).reaching(&parts, &matrix, WHOLE, false);
-            let mut alone: Vec<_> = tiles.iter().filter_map(|b| b.rows(&matrix, SIZE.0, SIZE.1)).collect();
-            let mut found: Vec<_> = kept.iter().map(|r| (r.from, r.to)).collect();
+            let mut alone: Vec<_> = tiles.iter().filter_map(|b| rows(b, &matrix)).collect();
+            let mut found: Vec<_> = kept.iter().map(|r| (r.within.from, r.within.to)).collect();
             alone.sort_unstable();
             found.sort_unstable();
             prop_assert_eq!(alone, found);
@@ -235,12 +270,19 @@ mod tests {
                 let at = (mix(u0, u1, inside[0]), mix(v0, v1, inside[1]), mix(b.disparity[0], b.disparity[1], inside[2]));
                 let Some(p) = matrix.warp(at.0, at.1, at.2) else { continue };
                 let on_picture = p.x >= 0.0 && p.x < f64::from(SIZE.0) && p.y >= 0.0 && p.y < f64::from(SIZE.1);
-                let rows = b.rows(&matrix, SIZE.0, SIZE.1);
+                let whole = b.within(&matrix, WHOLE);
+                let rows = whole.map(|w| (w.from, w.to));
                 let in_part = p.x >= 30.0 && p.x < 110.0 && p.y >= 20.0 && p.y < 90.0;
-                let rows_of_part = b.rows_within(&matrix, part);
+                let rows_of_part = b.within(&matrix, part).map(|w| (w.from, w.to));
                 prop_assert!(!in_part || rows_of_part.is_some_and(|(from, to)| p.y >= f64::from(from) && p.y < f64::from(to)));
                 prop_assert!(rows_of_part.is_none_or(|(from, to)| from >= 20 && to <= 90));
                 prop_assert!(!on_picture || rows.is_some_and(|(from, to)| p.y >= f64::from(from) && p.y < f64::from(to)));
+                if let Some(s) = whole.and_then(|w| w.silhouette) {
+                    let slack = 1e-9 * (1.0 + p.x.abs() + p.y.abs());
+                    prop_assert!(p.x >= s.low[0] - slack && p.x <= s.high[0] + slack, "{p:?} {s:?}");
+                    prop_assert!(p.y >= s.low[1] - slack && p.y <= s.high[1] + slack, "{p:?} {s:?}");
+                    prop_assert!(p.disparity <= s.nearest * (1.0 + 1e-9), "{p:?} {s:?}");
+                }
             }
         }
     }
@@ -263,7 +305,7 @@ mod tests {
         let mut at = 0;
         while let Some(block) = blocks.blocks.get(at) {
             looked_at += 1;
-            at = if block.bounds.rows(&matrix, SIZE.0, SIZE.1).is_some() { at + 1 } else { block.next };
+            at = if rows(&block.bounds, &matrix).is_some() { at + 1 } else { block.next };
         }
         assert!(looked_at < 4 * kept, "{looked_at} blocks for {kept} tiles");
         assert_eq!(blocks.reaching(&parts, &matrix, WHOLE, true).len(), 10_000);

@@ -8,7 +8,7 @@
 //! Reconstruction is where quality and time go: [`Stamp::Quads`] joins linked samples to micro-quads (`layout` tells
 //! how they meet, `quads` how they are drawn), the others write fixed sets of pixels (`stamps`).
 //!
-//! **Practice.** Tiles that cannot reach the picture are clipped by blocks (`cull`). The output is cut into bands of rows with
+//! **Practice.** Tiles that cannot reach the picture are clipped by blocks (`cull`), those that near geometry or what is painted already hides are left out (`occlusion`). The output is cut into bands of rows with
 //! about equal numbers of samples; a task owns a band and draws every tile that reaches into it. No two tasks
 //! share a pixel, and a pixel takes a maximum over (disparity, colour): pictures do not depend on the number of
 //! threads, on the order of tiles, nor on whether AVX2 is there. Where disparities tie to the bit, the larger packed colour wins.
@@ -24,6 +24,7 @@ mod ewa;
 mod halve;
 mod layout;
 mod matrix;
+mod occlusion;
 mod order;
 mod prepared;
 mod quads;
@@ -108,6 +109,20 @@ impl FromStr for Stamp {
     }
 }
 
+impl Stamp {
+    /// How far from where a sample lands it may paint, output pixels, at most: of quads the sample is a corner, of other stamps a point within. The additional pixel covers f32 rounding.
+    const fn reach_px(self) -> f64 {
+        match self {
+            Self::OnePixel | Self::Quads => 1.0,
+            Self::TwoByTwo | Self::Cross | Self::ThreeByThree => 3.0,
+            Self::Footprint | Self::Parallelogram | Self::Ewa => Self::LARGEST_REACH_PX,
+        }
+    }
+
+    /// Of all stamps.
+    const LARGEST_REACH_PX: f64 = 0.5 * stamps::LARGEST_FOOTPRINT_STAMP as f64 + 1.0;
+}
+
 /// How samples that meet in a pixel are ordered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Order {
@@ -164,6 +179,8 @@ pub struct WarpOptions {
     pub order: Order,
     /// Draw also the tiles that cannot reach the picture: to measure what culling saves. The picture is the same.
     pub keep_all_tiles: bool,
+    /// Draw also the tiles that something nearer hides: to measure what leaving them out saves. What shows is the same.
+    pub keep_hidden: bool,
     /// Use the portable kernels even where better ones are at hand: to compare them. The picture is the same.
     pub portable: bool,
 }
@@ -189,8 +206,10 @@ pub struct WarpStats {
     pub samples: u64,
     /// Samples in tiles that were drawn.
     pub samples_warped: u64,
-    /// Samples in tiles that cannot reach the picture.
+    /// Samples in tiles that cannot reach the picture, or that something nearer hides.
     pub samples_culled: u64,
+    /// Of these, the hidden ones. Threads ask for the rows that they draw, so that a tile on their border counts as hidden if what is above it is.
+    pub samples_hidden: u64,
     /// Micro-quads and border pieces, or stamps, of the tiles that were drawn.
     pub primitives: u64,
     /// What any warp of these tiles has to move: their arrays read once, the picture cleared and written once.
@@ -203,11 +222,19 @@ pub struct WarpStats {
 }
 
 impl WarpStats {
+    /// Counts a tile that is drawn.
+    fn count_tile(&mut self, part: &prepared::Part, tile: &prepared::Tile, stamp: Stamp) {
+        self.samples_warped += u64::from(tile.own);
+        self.primitives += if stamp == Stamp::Quads { PreparedLdi::quads(part, tile) } else { u64::from(tile.own) };
+        self.bytes += PreparedLdi::bytes(tile, stamp);
+    }
+
     /// Adds another image's or band's figures.
     pub fn add(&mut self, other: &Self) {
         self.samples += other.samples;
         self.samples_warped += other.samples_warped;
         self.samples_culled += other.samples_culled;
+        self.samples_hidden += other.samples_hidden;
         self.primitives += other.primitives;
         self.bytes += other.bytes;
         self.footprint_max_px = self.footprint_max_px.max(other.footprint_max_px);
@@ -221,6 +248,7 @@ impl Default for WarpStats {
             samples: 0,
             samples_warped: 0,
             samples_culled: 0,
+            samples_hidden: 0,
             primitives: 0,
             bytes: 0,
             footprint_max_px: 0.0,

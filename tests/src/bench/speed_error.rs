@@ -16,6 +16,7 @@ use ldi_client::{
     composite::Fill,
     engine::{Cull, Method, Pace, Painter, Shows, Truth, Verdict, View, WalkOptions, view_of},
     frame::{Frame, Source, supersampled},
+    near::Rasterizer,
     report::StageMs,
     resident::Resident as _,
     warp::{FarFrame, Order, PreparedLdi, Shown, Stamp, WarpOptions, WarpStats, transform_only, warp_images},
@@ -96,10 +97,14 @@ pub struct Row {
     pub setting: Setting,
     /// Views.
     pub frames: usize,
-    /// Samples in tiles that were drawn, mean.
+    /// Samples in tiles that may reach the picture, mean.
     pub samples: f64,
-    /// Milliseconds of the warp.
+    /// Milliseconds of warping all of them.
     pub warp_ms: f64,
+    /// The share of them that near geometry or other samples hide, tile by tile.
+    pub hidden: f64,
+    /// Milliseconds of the warp of a frame, which leaves these out.
+    pub warp_hidden_ms: f64,
     /// Milliseconds of the frame: selection, near geometry, warp, composite.
     pub frame_ms: f64,
     /// Millions of samples warped per second.
@@ -200,6 +205,7 @@ impl Setting {
             stamp: self.stamp.unwrap_or_default(),
             order: if self.epipole { Order::Epipole } else { Order::Z },
             keep_all_tiles: self.unclipped,
+            keep_hidden: self.unclipped,
             ..WarpOptions::default()
         }
     }
@@ -386,7 +392,8 @@ fn measure(
     let full = supersampled(&camera, setting.supersample);
     let options = setting.walk_options(job.size);
     let warp_options = setting.warp_options();
-    let (mut warp_ms, mut compute_ms, mut frame_ms) = (vec![], vec![], vec![]);
+    let (mut warp_ms, mut warp_hidden_ms, mut compute_ms, mut frame_ms) = (vec![], vec![], vec![], vec![]);
+    let mut hidden = 0;
     let mut stats = WarpStats::default();
     let mut verdicts = Vec::new();
     let mut differ = Vec::new();
@@ -407,13 +414,19 @@ fn measure(
                 Ok(sum)
             };
             compute_ms.push(timed(&mut { transformed })?.0);
-            let mut by = |order: Order| {
-                let options = WarpOptions { order, ..warp_options };
-                timed(&mut |far| Ok(warp_images(&images, &v.pose, &full, &options, far, &mut spare)?))
+            let mut near = Frame::default();
+            Rasterizer::default().draw(index, &cache, &view.cells, &full, &v.pose, &mut near);
+            let mut by = |order: Order, keep_hidden: bool| {
+                let options = WarpOptions { order, keep_hidden, ..warp_options };
+                let near = &near.disparity;
+                timed(&mut |far| Ok(warp_images(&images, near, &v.pose, &full, &options, far, &mut spare)?))
             };
-            let by_depth = setting.epipole.then(|| by(Order::Z)).transpose()?.map(|(.., far)| far);
-            let (ms, of_this, picture) = by(warp_options.order)?;
+            let by_depth = setting.epipole.then(|| by(Order::Z, true)).transpose()?.map(|(.., far)| far);
+            let (ms, of_this, picture) = by(warp_options.order, true)?;
             warp_ms.push(ms);
+            let (ms, of_frame, _) = by(warp_options.order, warp_options.keep_hidden)?;
+            warp_hidden_ms.push(ms);
+            hidden += of_frame.samples_hidden;
             stats.add(&of_this);
             differ.extend(by_depth.map(|z| share_of_other_surfaces(&z, &picture)));
         }
@@ -441,6 +454,8 @@ fn measure(
         frames: views.len(),
         samples,
         warp_ms: warp,
+        hidden: hidden as f64 / n / samples.max(1.0),
+        warp_hidden_ms: median(warp_hidden_ms),
         frame_ms: median(frame_ms),
         msamples_per_s: samples / warp / 1e3,
         of_compute: compute / warp,

@@ -32,9 +32,11 @@ fn known(v: f64, text: impl Fn(f64) -> String) -> String {
 
 /// Columns after the setting: heading, value.
 type Column = (&'static str, fn(&Row) -> String);
-const COLUMNS: [Column; 16] = [
+const COLUMNS: [Column; 18] = [
     ("threads", |r| r.setting.threads.to_string()),
     ("warp ms", |r| known(r.warp_ms, |v| format!("{v:.2}"))),
+    ("hidden", |r| known(r.hidden, |v| format!("{:.0}%", 100.0 * v))),
+    ("without them ms", |r| known(r.warp_hidden_ms, |v| format!("{v:.2}"))),
     ("frame ms", |r| format!("{:.1}", r.frame_ms)),
     ("Msamples", |r| format!("{:.2}", r.samples / 1e6)),
     ("Msamples/s", |r| known(r.msamples_per_s, |v| format!("{v:.0}"))),
@@ -221,6 +223,8 @@ mod tests {
             frames: 1,
             samples: 1e6,
             warp_ms,
+            hidden: 0.5,
+            warp_hidden_ms: warp_ms / 2.0,
             frame_ms: warp_ms + 10.0,
             msamples_per_s: 1e3 / warp_ms,
             of_compute: 0.5,
