@@ -421,3 +421,22 @@ fn exit_codes_tell_usage_from_bad_input() {
     c.arg("--report").arg(out.join("r"));
     assert_eq!(code(&mut c).0, Some(2), "an unknown server without a fingerprint");
 }
+
+#[test]
+fn culling_hidden_samples_is_measured() {
+    let f = fixture();
+    let text = std::fs::read_to_string(&f.poses).expect("readable");
+    let walk = ldi_protocol::path::parse(&text).expect("a path");
+    let rows = ldi_tests::bench::occlusion::run(&f.dataset, &walk, 12, (320, 180), &[16, 256]).expect("measured");
+    let [fine, coarse, tiles] = &rows[..] else { panic!("two octrees and the tiles: {rows:?}") };
+    assert!(fine.views > 0 && fine.msamples > 0.0, "{fine:?}");
+    for r in &rows {
+        assert!(r.culled <= r.culled_near && r.culled_near <= 1.0, "near geometry only hides more: {r:?}");
+        assert!(r.hidden <= r.hidden_near, "{r:?}");
+    }
+    assert!(fine.culled_near >= coarse.culled_near, "large leaves are harder to hide: {rows:?}");
+    assert_eq!(fine.hidden, coarse.hidden, "what is hidden is no matter of leaves");
+    let (of_fine, of_coarse) = (fine.proposal.expect("an octree"), coarse.proposal.expect("an octree"));
+    assert!(of_fine.culled >= of_coarse.culled && of_fine.lost <= of_fine.culled, "{rows:?}");
+    assert_eq!(tiles.proposal, None);
+}

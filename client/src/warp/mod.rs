@@ -25,6 +25,7 @@ mod halve;
 mod layout;
 mod matrix;
 mod occlusion;
+pub mod octree;
 mod order;
 mod prepared;
 mod quads;

@@ -59,6 +59,13 @@ impl Epipole {
         Self { u: coordinate(right, camera.left), v: coordinate(down, camera.top), toward: ahead >= 0.0 }
     }
 
+    /// Of the quadrants around a place of the image, in LDI pixels, the one that is nearest to the eye: bit 0 the right half, bit 1 the lower one. The opposite one is the farthest.
+    pub fn first_quadrant(&self, [u, v]: [f64; 2]) -> usize {
+        let toward_epipole = usize::from(self.u >= u) | usize::from(self.v >= v) << 1;
+        // Painting toward the epipole ends there.
+        if self.toward { toward_epipole } else { toward_epipole ^ 3 }
+    }
+
     /// Sorts by distance from `e`: toward it the farthest first, away from it the nearest first.
     fn sort<T>(&self, items: &mut [T], distance: impl Fn(&T) -> f64) {
         items.sort_by(|a, b| {

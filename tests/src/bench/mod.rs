@@ -4,6 +4,7 @@ pub mod colours;
 pub mod decode;
 pub mod numerics;
 pub mod numerics_page;
+pub mod occlusion;
 pub mod placement;
 pub mod placement_page;
 pub mod portals;

@@ -3,6 +3,7 @@
 use anyhow::{Context as _, Result, bail};
 use clap::{Parser, Subcommand};
 use ldi_client::{stream::LinkSpec, warp::Stamp};
+use ldi_protocol::path::Walk;
 use ldi_protocol::room_index::BuiltImages;
 use ldi_protocol::said::{is_lasting, said};
 use ldi_server::cli::size;
@@ -10,8 +11,8 @@ use ldi_server::placement::AuditSize;
 use ldi_server::serve::planner::PlannerConfig;
 use ldi_tests::args::percent;
 use ldi_tests::bench::{
-    decode, numerics, numerics_page, placement, placement_page, portals, portals_page, searches, speed_error,
-    speed_error_page, streaming, tree, video,
+    decode, numerics, numerics_page, occlusion, placement, placement_page, portals, portals_page, searches,
+    speed_error, speed_error_page, streaming, tree, video,
 };
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -73,6 +74,12 @@ Examples:
 Examples:
   ldi-bench decode clinic.ldi -o out/decode")]
     Decode(DecodeArgs),
+    /// How many samples of images are hidden, and what culling them gains and loses: by tiles, as frames do, and by the octree that was proposed for it.
+    #[command(after_help = "\
+Examples:
+  ldi-bench occlusion clinic.ldi --path clinic.path.json -o out/occlusion
+  ldi-bench occlusion clinic.ldi --path clinic.path.json --leaves 16,1024 --views 40 -o out/occlusion")]
+    Occlusion(OcclusionArgs),
     /// The frames of a walk as video, as a server that renders every frame would stream them: bits per second against error. Needs ffmpeg.
     #[command(after_help = "\
 Examples:
@@ -116,6 +123,27 @@ struct DecodeArgs {
     /// Passes over all chunks; the median counts.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     repeat: u32,
+}
+
+#[derive(Debug, clap::Args)]
+struct OcclusionArgs {
+    /// Directory of a dataset, as `ldi-server build` makes it.
+    dataset: PathBuf,
+    /// Path file to walk.
+    #[arg(long)]
+    path: PathBuf,
+    /// Folder for what is left.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Most samples of an octree's leaf.
+    #[arg(long, value_delimiter = ',', default_value = "16,64,256,1024", value_parser = clap::value_parser!(u32).range(1..))]
+    leaves: Vec<u32>,
+    /// Poses of the path, evenly spaced; those whose views show images count.
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    views: u32,
+    /// Output size.
+    #[arg(long, default_value = "1280x720", value_parser = size)]
+    size: (u32, u32),
 }
 
 #[derive(Debug, clap::Args)]
@@ -322,6 +350,7 @@ fn run(command: Command) -> Result<()> {
         Command::Streaming(a) => streaming(&a),
         Command::Decode(a) => decode_of(&a),
         Command::Portals(a) => portals_of(a),
+        Command::Occlusion(a) => occlusion_of(&a),
         Command::Video(a) => video_of(a),
     }
 }
@@ -455,8 +484,7 @@ fn portals_of(a: PortalArgs) -> Result<()> {
 
 fn streaming(a: &StreamingArgs) -> Result<()> {
     std::fs::create_dir_all(&a.output).with_context(|| format!("cannot make {}", a.output.display()))?;
-    let text = std::fs::read_to_string(&a.path).with_context(|| format!("cannot read {}", a.path.display()))?;
-    let walk = ldi_protocol::path::parse(&text).with_context(|| a.path.display().to_string())?;
+    let walk = walk_of(&a.path)?;
     let study = streaming::Study {
         dataset: &a.dataset,
         walk: &walk,
@@ -470,6 +498,20 @@ fn streaming(a: &StreamingArgs) -> Result<()> {
     let found = streaming::run(&study, |r| eprintln!("{}", streaming::line(r)))?;
     write(&a.output.join("streaming.json"), &serde_json::to_string_pretty(&found)?)?;
     print!("{}", streaming::table(&found));
+    Ok(())
+}
+
+fn walk_of(path: &Path) -> Result<Walk> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    ldi_protocol::path::parse(&text).with_context(|| path.display().to_string())
+}
+
+fn occlusion_of(a: &OcclusionArgs) -> Result<()> {
+    std::fs::create_dir_all(&a.output).with_context(|| format!("cannot make {}", a.output.display()))?;
+    let leaves: Vec<usize> = a.leaves.iter().map(|n| *n as usize).collect();
+    let rows = occlusion::run(&a.dataset, &walk_of(&a.path)?, a.views as usize, a.size, &leaves)?;
+    write(&a.output.join("occlusion.json"), &serde_json::to_string_pretty(&rows)?)?;
+    print!("{}", occlusion::table(&rows));
     Ok(())
 }
 
