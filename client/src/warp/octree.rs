@@ -1,4 +1,4 @@
-//! The octree over an image's samples, after the proposal to cull hidden samples of LDIs by an octree, which was published before it was finished: to measure what it gains and loses (`ldi-bench octree`).
+//! The octree over an image's samples, after the proposal to cull hidden samples of LDIs by an octree, which was published before it was finished: to measure what it gains and loses (`ldi-bench occlusion`).
 //!
 //! In: a decoded [`Ldi`], a pose. Out: its samples by nodes in front-to-back order, those left out that an occlusion buffer takes to be hidden.
 //!
