@@ -299,7 +299,6 @@ impl Painter {
             stamp: options.stamp,
             order: options.order,
             keep_all_tiles: options.cull == Cull::Off,
-            keep_hidden: options.cull == Cull::Off,
             ..WarpOptions::default()
         };
         let ahead = std::mem::take(&mut self.ahead);

@@ -25,6 +25,8 @@ mod halve;
 mod layout;
 mod matrix;
 mod occlusion;
+#[cfg(test)]
+mod occlusion_tests;
 pub mod octree;
 mod order;
 mod prepared;
@@ -178,7 +180,7 @@ pub struct WarpOptions {
     pub stamp: Stamp,
     /// Visibility.
     pub order: Order,
-    /// Draw also the tiles that cannot reach the picture: to measure what culling saves. The picture is the same.
+    /// Draw also the tiles that cannot reach the picture, and those that something nearer hides: to measure what culling saves. What shows is the same.
     pub keep_all_tiles: bool,
     /// Draw also the tiles that something nearer hides: to measure what leaving them out saves. What shows is the same.
     pub keep_hidden: bool,

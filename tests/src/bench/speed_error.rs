@@ -205,7 +205,6 @@ impl Setting {
             stamp: self.stamp.unwrap_or_default(),
             order: if self.epipole { Order::Epipole } else { Order::Z },
             keep_all_tiles: self.unclipped,
-            keep_hidden: self.unclipped,
             ..WarpOptions::default()
         }
     }
@@ -454,7 +453,7 @@ fn measure(
         frames: views.len(),
         samples,
         warp_ms: warp,
-        hidden: hidden as f64 / n / samples.max(1.0),
+        hidden: hidden as f64 / stats.samples_warped as f64,
         warp_hidden_ms: median(warp_hidden_ms),
         frame_ms: median(frame_ms),
         msamples_per_s: samples / warp / 1e3,
