@@ -8,7 +8,7 @@ use super::{
     order::{Epipole, Streams, paint_tile},
     prepared::{Part, PreparedLdi, Tile},
     quads::{Target, draw_tile},
-    stamps::{own_rows, stamp_tile},
+    stamps::{own_rows, pixels_of_tile, stamp_tile},
     transform::{Largest, Scratch, TileTransform, Transformed, Wanted, Window, transform_tile},
 };
 use crate::lanes::{Lanes, Portable};
@@ -24,11 +24,16 @@ struct Job<'a> {
     before: Option<Before<'a>>,
 }
 
+/// Tiles that one thread asks near geometry for before it gives some away.
+const TILES_AT_ONCE: usize = 32;
+
 /// What of an image reaches the picture.
 struct Reaching<'a> {
     matrix: WarpMatrix,
     tiles: Vec<Reach<'a>>,
     in_order: Option<(Epipole, &'a Streams)>,
+    /// Samples that near geometry hides, in no tile here.
+    hidden: u64,
 }
 
 /// Warps an image into `into`, keeping the nearer of what is already there and the image's samples.
@@ -107,6 +112,8 @@ fn run(
     if (into.width, into.height) != (camera.width, camera.height) {
         into.reset(camera.width, camera.height);
     }
+    let may_hide = paint && !options.keep_hidden && options.order == Order::Z;
+    let before = may_hide.then(|| Before::new(near, options.stamp, camera));
     let reaching = images.par_iter().map(|Shown { laid_out: ldi, within }| {
         let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
         let within = wanted(*within, camera);
@@ -118,7 +125,16 @@ fn run(
         if let Some((epipole, _)) = &in_order {
             epipole.sort_tiles(&mut tiles);
         }
-        Reaching { matrix, tiles, in_order }
+        let mut hidden = 0;
+        if let Some(before) = &before {
+            let own = |tiles: &[Reach<'_>]| tiles.iter().map(|t| u64::from(t.tile.own)).sum::<u64>();
+            hidden = own(&tiles);
+            // Few images may have most of the tiles.
+            tiles =
+                tiles.into_par_iter().with_min_len(TILES_AT_ONCE).filter(|t| !before.near_hides(&t.within)).collect();
+            hidden -= own(&tiles);
+        }
+        Reaching { matrix, tiles, in_order, hidden }
     });
     let reaching: Vec<Reaching<'_>> = reaching.collect();
     let clear = into.stale;
@@ -132,8 +148,6 @@ fn run(
         rest = later;
         targets.push(Target { pixels, window: Window { width, first_row, rows } });
     }
-    let may_hide = paint && !options.keep_hidden && options.order == Order::Z;
-    let before = may_hide.then(|| Before::new(near, options.stamp, camera));
     let job = Job { images: &reaching, options, paint, before };
     let parts: Vec<WarpStats> = targets
         .into_par_iter()
@@ -146,6 +160,7 @@ fn run(
         .collect();
     let mut stats = WarpStats { bytes: picture_bytes(camera), ..WarpStats::default() };
     parts.iter().for_each(|p| stats.add(p));
+    stats.samples_hidden += reaching.iter().map(|r| r.hidden).sum::<u64>();
     stats.samples = images.iter().map(|i| i.laid_out.samples as u64).sum();
     stats.samples_culled = stats.samples - stats.samples_warped;
     stats
@@ -220,7 +235,7 @@ pub fn transformed(ldi: &PreparedLdi, pose: &Pose, camera: &OutputCamera, portab
 }
 
 /// All that a tile's own samples become.
-const ALL_OWN: Wanted = Wanted { halo: false, footprints: true };
+const ALL_OWN: Wanted = Wanted { halo: false, footprints: true, largest: false };
 
 /// Transforms a tile with the best kernels that this machine has.
 fn transform_dispatch(
@@ -289,56 +304,59 @@ fn cut<'a>(tiles: impl Iterator<Item = &'a Reach<'a>>, height: u32, threads: usi
 
 /// Runs the best kernels that this machine has.
 fn dispatch(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
+    let pixels = job.paint && job.options.stamp == Stamp::OnePixel && job.options.order == Order::Z;
     #[cfg(target_arch = "x86_64")]
     if !job.options.portable && std::arch::is_x86_feature_detected!("avx2") {
         // SAFETY: AVX2 was detected. Measured gain over the portable kernels: 3.3-fold with quads, 2.5-fold with 1px.
-        return unsafe { draw_band_avx2(job, target) };
+        return unsafe {
+            if pixels { draw_band_avx2::<true>(job, target) } else { draw_band_avx2::<false>(job, target) }
+        };
     }
-    draw_band::<Portable>(job, target)
+    if pixels { draw_band::<Portable, true>(job, target) } else { draw_band::<Portable, false>(job, target) }
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn draw_band_avx2(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
-    draw_band::<crate::lanes::Avx2>(job, target)
+fn draw_band_avx2<const PIXELS: bool>(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
+    draw_band::<crate::lanes::Avx2, PIXELS>(job, target)
 }
 
+/// `PIXELS`: single pixels are drawn, in depth order. Code of its own, so that no registers are kept for the rest.
 #[inline(always)]
-fn draw_band<L: Lanes>(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
-    let (mut stats, mut scratch) = (WarpStats::default(), Scratch::default());
+fn draw_band<L: Lanes, const PIXELS: bool>(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
+    let (mut stats, mut scratch, mut largest) = (WarpStats::default(), Scratch::default(), Largest::<L>::none());
     for image in job.images {
-        draw_image::<L>(image, job, target, &mut scratch, &mut stats);
+        draw_image::<L, PIXELS>(image, job, target, (&mut scratch, &mut largest), &mut stats);
     }
+    stats.footprint_max_px = largest.squared().sqrt();
     stats
 }
 
 /// The share of an image that a band holds.
 #[inline(always)]
-fn draw_image<L: Lanes>(
+fn draw_image<L: Lanes, const PIXELS: bool>(
     image: &Reaching<'_>,
     job: &Job<'_>,
     target: &mut Target<'_>,
-    scratch: &mut Scratch,
+    (scratch, largest): (&mut Scratch, &mut Largest<L>),
     stats: &mut WarpStats,
 ) {
-    let mut largest = Largest::<L>::none();
     let window = target.window;
-    let (matrix, stamp) = (&image.matrix, job.options.stamp);
+    let (matrix, stamp) = (&image.matrix, if PIXELS { Stamp::OnePixel } else { job.options.stamp });
     // Quads alone reach over to samples of the next tiles.
-    let needs = Wanted { halo: stamp == Stamp::Quads, footprints: stamp == Stamp::Footprint };
+    let (halo, footprints) = (stamp == Stamp::Quads, stamp == Stamp::Footprint);
     let here = |t: &&Reach<'_>| t.within.to > window.first_row && t.within.from < window.first_row + window.rows;
     // A tile that straddles bands is counted in its first one.
     let is_home = |t: &Reach<'_>| t.within.from >= window.first_row;
     let hides = |target: &Target<'_>, t: &Reach<'_>| job.before.as_ref().is_some_and(|b| b.hides(target, &t.within));
     let tiles = || image.tiles.iter().filter(here);
-    if let Some((epipole, streams)) = &image.in_order {
+    if !PIXELS && let Some((epipole, streams)) = &image.in_order {
         for t in tiles() {
-            paint_tile::<L>(target, matrix, epipole, streams, t, stamp, &mut largest);
+            paint_tile::<L>(target, matrix, epipole, streams, t, stamp, largest);
             if is_home(t) {
                 stats.count_tile(t.part, t.tile, stamp);
             }
         }
-        stats.footprint_max_px = stats.footprint_max_px.max(largest.squared().sqrt());
         return;
     }
     for t in tiles() {
@@ -349,7 +367,14 @@ fn draw_image<L: Lanes>(
         if is_home(t) {
             stats.count_tile(t.part, t.tile, stamp);
         }
-        transform_tile::<L>(matrix, t.part, t.tile, (&window, needs), scratch, &mut largest);
+        let bound = t.within.silhouette.map(|s| s.largest_footprint(matrix, &window));
+        let wanted = Wanted { halo, footprints, largest: !bound.is_some_and(|bound| largest.is_at_least(bound)) };
+        if PIXELS {
+            let seen_by = wanted.largest.then_some(&mut *largest);
+            pixels_of_tile::<L>(target, (matrix, &TileTransform::new(matrix, t.tile)), (t.part, t.tile), seen_by);
+            continue;
+        }
+        transform_tile::<L>(matrix, t.part, t.tile, (&window, wanted), scratch, largest);
         if !job.paint {
             continue;
         }
@@ -368,10 +393,10 @@ fn draw_image<L: Lanes>(
             if hides(target, t) {
                 continue;
             }
-            transform_tile::<L>(matrix, t.part, t.tile, (&window, needs), scratch, &mut largest);
+            let wanted = Wanted { halo, footprints, largest: false };
+            transform_tile::<L>(matrix, t.part, t.tile, (&window, wanted), scratch, largest);
             means.add_tile(target, &TileTransform::new(matrix, t.tile), t.part, t.tile, scratch);
         }
         means.write(target);
     }
-    stats.footprint_max_px = stats.footprint_max_px.max(largest.squared().sqrt());
 }

@@ -9,8 +9,9 @@
 
 use super::{
     Stamp,
-    matrix::WarpMatrix,
+    matrix::{WarpMatrix, largest_singular_value},
     prepared::{Part, Tile},
+    transform::Window,
 };
 use std::ops::Range;
 
@@ -46,6 +47,34 @@ pub struct Silhouette {
     pub high: [f64; 2],
     /// The largest disparity that the picture may show of it, 1/m.
     pub nearest: f64,
+    /// Smallest and largest depth over that in its image.
+    w: [f64; 2],
+}
+
+impl Silhouette {
+    /// What footprints in a window are at most, output pixels: each entry of the Jacobian, (slope - p slope of W) / W, is bounded over where p and W may lie; the largest
+    /// singular value of the matrix in the middle of these bounds and the norm of what it may be off by bound that of all between (Weyl's inequality).
+    pub fn largest_footprint(&self, matrix: &WarpMatrix, window: &Window) -> f64 {
+        let (first, end) = (f64::from(window.first_row), f64::from(window.first_row + window.rows));
+        let places = [
+            [self.low[0].max(0.0), self.high[0].min(f64::from(window.width))],
+            [self.low[1].max(first), self.high[1].min(end)],
+        ];
+        let [[xu, xv, ..], [yu, yv, ..], [wu, wv, ..]] = matrix.rows;
+        let mut off2 = 0.0;
+        let mut middle = |slope: f64, place: [f64; 2], slope_w: f64| {
+            let [a, b] = place.map(|p| slope - p * slope_w);
+            let (low, high) = (a.min(b), a.max(b));
+            let [least_w, most_w] = self.w;
+            let (low, high) =
+                (low / if low < 0.0 { least_w } else { most_w }, high / if high < 0.0 { most_w } else { least_w });
+            off2 += (0.5 * (high - low)).powi(2);
+            0.5 * (low + high)
+        };
+        let [x, y] = places;
+        let jacobian = [middle(xu, x, wu), middle(xv, x, wv), middle(yu, y, wu), middle(yv, y, wv)];
+        largest_singular_value(jacobian) + off2.sqrt()
+    }
 }
 
 /// Where a box lies.
@@ -88,7 +117,7 @@ impl Bounds {
     /// Where the picture shows it. W is affine in u, v and disparity, and x, y and disparity over W are monotone in each of them where W > 0, so that the corners bound all.
     fn place(&self, matrix: &WarpMatrix) -> Place {
         let [u0, v0, u1, v1] = self.place.map(f64::from);
-        let mut out = Silhouette { low: [f64::MAX; 2], high: [f64::MIN; 2], nearest: 0.0 };
+        let mut out = Silhouette { low: [f64::MAX; 2], high: [f64::MIN; 2], nearest: 0.0, w: [f64::MAX, 0.0] };
         let mut behind = 0;
         for d in self.disparity.map(f64::from) {
             for (u, v) in [(u0, v0), (u1, v0), (u0, v1), (u1, v1)] {
@@ -102,6 +131,7 @@ impl Bounds {
                     out.high[axis] = out.high[axis].max(p);
                 }
                 out.nearest = out.nearest.max(d / w);
+                out.w = [out.w[0].min(w), out.w[1].max(w)];
             }
         }
         match behind {
@@ -215,6 +245,7 @@ mod tests {
 
     const SIZE: (u32, u32) = (160, 120);
     const WHOLE: [u32; 4] = [0, 0, SIZE.0, SIZE.1];
+    const WINDOW: Window = Window { width: SIZE.0, first_row: 0, rows: SIZE.1 };
 
     fn rows(bounds: &Bounds, matrix: &WarpMatrix) -> Option<(u32, u32)> {
         bounds.within(matrix, WHOLE).map(|w| (w.from, w.to))
@@ -282,8 +313,30 @@ mod tests {
                     prop_assert!(p.x >= s.low[0] - slack && p.x <= s.high[0] + slack, "{p:?} {s:?}");
                     prop_assert!(p.y >= s.low[1] - slack && p.y <= s.high[1] + slack, "{p:?} {s:?}");
                     prop_assert!(p.disparity <= s.nearest * (1.0 + 1e-9), "{p:?} {s:?}");
+                    let footprint = matrix.footprint(at.0, at.1, at.2).unwrap();
+                    let bound = s.largest_footprint(&matrix, &WINDOW);
+                    prop_assert!(!on_picture || footprint <= bound * (1.0 + 1e-9), "{footprint} {bound} {s:?}");
                 }
             }
+        }
+    }
+
+    #[test]
+    fn the_bound_of_footprints_is_near_where_little_varies() {
+        // A tile of a wall whose disparity changes by a hundredth.
+        let bounds = Bounds { place: [128.0, 96.0, 192.0, 112.0], disparity: [0.1, 0.101] };
+        for (eye, yaw) in [([0.0; 3], 0.0), ([1.0, 0.5, -3.0], 20.0), ([-2.0, 0.0, 2.0], -35.0)] {
+            let matrix = matrix(eye, yaw, 10.0);
+            let silhouette = bounds.within(&matrix, WHOLE).and_then(|w| w.silhouette).unwrap();
+            let on_picture = |(u, v): &(f64, f64)| {
+                let p = matrix.warp(*u, *v, 0.101).unwrap();
+                p.x >= 0.0 && p.x < f64::from(SIZE.0) && p.y >= 0.0 && p.y < f64::from(SIZE.1)
+            };
+            let points = (0..=16).flat_map(|y| (0..=64).map(move |x| (128.0 + f64::from(x), 96.0 + f64::from(y))));
+            let footprints = points.filter(on_picture).map(|(u, v)| matrix.footprint(u, v, 0.101).unwrap());
+            let largest = footprints.fold(0.0, f64::max);
+            let bound = silhouette.largest_footprint(&matrix, &WINDOW);
+            assert!(largest > 0.0 && bound >= largest && bound < 1.3 * largest, "{bound} {largest}");
         }
     }
 

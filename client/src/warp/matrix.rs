@@ -76,9 +76,13 @@ impl WarpMatrix {
 
     /// The footprint of a sample, in output pixels: the largest singular value of [`Self::jacobian`].
     pub fn footprint(&self, u: f64, v: f64, disparity: f64) -> Option<f64> {
-        let j = self.jacobian(u, v, disparity)?;
-        let trace = j.iter().map(|e| e * e).sum::<f64>();
-        let det = j[0] * j[3] - j[1] * j[2];
-        Some((0.5 * (trace + (trace * trace - 4.0 * det * det).max(0.0).sqrt())).sqrt())
+        self.jacobian(u, v, disparity).map(largest_singular_value)
     }
+}
+
+/// The largest singular value of a matrix, row by row.
+pub fn largest_singular_value(m: [f64; 4]) -> f64 {
+    let trace = m.iter().map(|e| e * e).sum::<f64>();
+    let det = m[0] * m[3] - m[1] * m[2];
+    (0.5 * (trace + (trace * trace - 4.0 * det * det).max(0.0).sqrt())).sqrt()
 }

@@ -5,10 +5,16 @@
 //! After the occlusion culling of LDI samples by an octree, an unfinished proposal (section 3.2.2: what is warped front to back fills an occlusion buffer, and a node is not
 //! warped where the rectangle around its eight warped corners is full). Their test looks at the picture alone, trusts the order, and accepts that seen samples are lost. Here it
 //! is conservative: a pixel counts only if what it shows is nearer than the nearest corner of the tile's box, so that no order is needed and not a pixel that shows changes.
-//! The picture itself is the buffer, and near geometry, which is drawn before, is most of what hides.
+//! The picture itself is the buffer. Near geometry, which is drawn before, is most of what hides, and is asked alone before the work is shared among threads.
 
-use super::{Stamp, cull::Within, ewa, quads::Target};
+use super::{
+    Stamp,
+    cull::{Silhouette, Within},
+    ewa,
+    quads::Target,
+};
 use ldi_protocol::OutputCamera;
+use std::ops::Range;
 
 /// Relative slack of disparities: thrice the bound of the kernels' errors (`ldi-bench numerics`, disparities after the warp).
 const ROUNDING: f64 = 1.2e-5;
@@ -20,6 +26,8 @@ const AT_ONCE: usize = 8;
 pub struct Before<'a> {
     /// Disparities of near geometry, 1/m, row-major; empty without any.
     near: &'a [f32],
+    /// Columns and rows of the picture.
+    size: [usize; 2],
     /// How far a tile paints beyond where its samples land, pixels.
     reach_px: f64,
     /// What hides is nearer by this factor.
@@ -29,39 +37,45 @@ pub struct Before<'a> {
 impl<'a> Before<'a> {
     /// Near geometry of another size than the picture counts as none.
     pub fn new(near: &'a [f32], stamp: Stamp, camera: &OutputCamera) -> Self {
-        let whole = near.len() == camera.width as usize * camera.height as usize;
+        let size = [camera.width, camera.height].map(|n| n as usize);
+        let whole = near.len() == size[0] * size[1];
         // Gaussians take part in pixels that show something a little nearer.
         let nearer = if stamp == Stamp::Ewa { 1.0 / (1.0 - f64::from(ewa::SAME_SURFACE)) } else { 1.0 };
-        Self { near: if whole { near } else { &[] }, reach_px: stamp.reach_px(), nearer: nearer * (1.0 + ROUNDING) }
+        Self {
+            near: if whole { near } else { &[] },
+            size,
+            reach_px: stamp.reach_px(),
+            nearer: nearer * (1.0 + ROUNDING),
+        }
+    }
+
+    /// Whether near geometry alone hides all of a tile.
+    pub fn near_hides(&self, tile: &Within) -> bool {
+        let Some(silhouette) = &tile.silhouette else { return false };
+        let [columns, mut rows] = self.painted(silhouette);
+        let disparity = self.nearest(silhouette);
+        !self.near.is_empty()
+            && rows.all(|row| self.row(row, &columns).chunks(AT_ONCE).all(|near| all(near, |n| *n > disparity)))
     }
 
     /// Whether nothing of a tile shows in the rows of a target. What is painted later only hides more.
     #[inline(always)]
     pub fn hides(&self, target: &Target<'_>, tile: &Within) -> bool {
         let Some(silhouette) = &tile.silhouette else { return false };
-        let window = target.window;
-        let width = window.width as usize;
-        // Saturating conversions.
-        let from = silhouette.low.map(|p| (p - self.reach_px).floor().max(0.0) as usize);
-        let to = silhouette.high.map(|p| (p + self.reach_px).ceil().max(0.0) as usize);
-        let (left, right) = (from[0].min(width), to[0].min(width));
-        let (first, rows) = (window.first_row as usize, window.rows as usize);
-        let (top, bottom) = (from[1].max(first), to[1].min(first + rows));
-        let disparity = (silhouette.nearest * self.nearer) as f32;
+        let [columns, rows] = self.painted(silhouette);
+        let first = target.window.first_row as usize;
+        let rows = rows.start.max(first)..rows.end.min(first + target.window.rows as usize);
+        let disparity = self.nearest(silhouette);
         // Disparities are positive: their bits order as they do.
         let bits = disparity.to_bits();
         let behind = |pixel: u64| (pixel >> 32) as u32 > bits;
-        for row in top..bottom {
-            let painted = &target.pixels[(row - first) * width..][left..right];
-            // Groups without a branch inside.
+        for row in rows {
+            let painted = &target.pixels[(row - first) * self.size[0]..][columns.clone()];
             let hidden = if self.near.is_empty() {
-                painted.chunks(AT_ONCE).all(|pixels| pixels.iter().fold(true, |all, p| all & behind(*p)))
+                painted.chunks(AT_ONCE).all(|pixels| all(pixels, |p| behind(*p)))
             } else {
-                let near = &self.near[row * width..][left..right];
-                let mut groups = painted.chunks(AT_ONCE).zip(near.chunks(AT_ONCE));
-                groups.all(|(pixels, near)| {
-                    pixels.iter().zip(near).fold(true, |all, (p, n)| all & (behind(*p) | (*n > disparity)))
-                })
+                let mut groups = painted.chunks(AT_ONCE).zip(self.row(row, &columns).chunks(AT_ONCE));
+                groups.all(|(pixels, near)| all(pixels.iter().zip(near), |(p, n)| behind(*p) | (*n > disparity)))
             };
             if !hidden {
                 return false;
@@ -69,4 +83,33 @@ impl<'a> Before<'a> {
         }
         true
     }
+
+    /// Columns and rows that something may paint.
+    #[inline(always)]
+    fn painted(&self, silhouette: &Silhouette) -> [Range<usize>; 2] {
+        std::array::from_fn(|axis| {
+            // Saturating conversions.
+            let from = (silhouette.low[axis] - self.reach_px).floor().max(0.0) as usize;
+            let to = (silhouette.high[axis] + self.reach_px).ceil().max(0.0) as usize;
+            from.min(self.size[axis])..to.min(self.size[axis])
+        })
+    }
+
+    /// The disparity that hides something, 1/m.
+    #[inline(always)]
+    fn nearest(&self, silhouette: &Silhouette) -> f32 {
+        (silhouette.nearest * self.nearer) as f32
+    }
+
+    /// Near geometry's disparities in a row.
+    #[inline(always)]
+    fn row(&self, row: usize, columns: &Range<usize>) -> &[f32] {
+        &self.near[row * self.size[0]..][columns.clone()]
+    }
+}
+
+/// Whether something holds for all of a few, without a branch for each.
+#[inline(always)]
+fn all<T>(few: impl IntoIterator<Item = T>, holds: impl Fn(T) -> bool) -> bool {
+    few.into_iter().fold(true, |all, x| all & holds(x))
 }

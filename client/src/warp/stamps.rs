@@ -7,9 +7,10 @@
 
 use super::{
     Stamp,
+    matrix::WarpMatrix,
     prepared::{OVERLAP, Part, TILE_ROWS, Tile},
     quads::Target,
-    transform::{Scratch, TileTransform, Window, first_lanes},
+    transform::{Inside, Largest, Scratch, Slopes, TileTransform, Window, first_lanes},
 };
 use crate::lanes::{LANES, Lanes};
 use std::ops::Range;
@@ -45,6 +46,36 @@ pub fn stamp_tile<L: Lanes>(
                 }
                 Stamp::Footprint | Stamp::Quads => footprint8::<L>(target, scratch, colours, i),
             }
+        }
+    }
+}
+
+/// The one-pixel stamp without arrays between: what [`super::transform::transform_tile`] and [`stamp_tile`] do for it, in one go.
+#[inline(always)]
+pub fn pixels_of_tile<L: Lanes>(
+    target: &mut Target<'_>,
+    (matrix, transform): (&WarpMatrix, &TileTransform),
+    (part, tile): (&Part, &Tile),
+    largest: Option<&mut Largest<L>>,
+) {
+    let slopes = Slopes::<L>::new(transform);
+    let window = target.window;
+    let inside = Inside::<L>::new(&window);
+    let (top, width) = (L::splat(window.first_row as f32), L::splat_int(window.width));
+    let mut largest = largest;
+    for (row, samples) in own_rows(part, tile).enumerate() {
+        let constants = transform.row_constants(matrix, row).map(L::splat);
+        for i in samples.clone().step_by(LANES) {
+            let at = tile.first + i;
+            let p = slopes.warp(constants, L::load_bytes(&part.column[at..]), L::load(&part.disparity[at..]));
+            let seen = L::and(inside.test(&p), first_lanes::<L>(samples.end - i));
+            if let Some(largest) = &mut largest {
+                largest.see(seen, &slopes.stretch(&p));
+            }
+            let from_row = L::mul_int(L::to_int(L::sub(p.y, top)), width);
+            let pixels = L::array_int(L::add_int(from_row, L::to_int(p.x)));
+            let values = L::joined(L::load_int(&part.colour[at..]), L::bits(p.disparity));
+            target.put8(L::mask_bits(seen), pixels, values);
         }
     }
 }

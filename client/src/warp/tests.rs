@@ -407,7 +407,7 @@ fn f32_rows_of_8192_stay_within_their_bound() {
             let mut scratch = Scratch::default();
             let (mut worst_px, mut worst_relative, mut checked) = (0.0f64, 0.0f64, 0);
             for (part, tile) in prepared.parts.iter().flat_map(|p| p.tiles.iter().map(move |t| (p, t))) {
-                let wanted = Wanted { halo: true, footprints: true };
+                let wanted = Wanted { halo: true, footprints: true, largest: true };
                 transform_tile::<Portable>(&matrix, part, tile, (&window, wanted), &mut scratch, &mut Largest::none());
                 for row in 0..3 {
                     for i in tile.row_start[row] as usize..tile.row_start[row + 1] as usize {

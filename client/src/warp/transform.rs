@@ -13,6 +13,9 @@ use super::{
 use crate::lanes::{LANES, Lanes};
 use std::ops::Range;
 
+/// Relative error of footprints, at most (`ldi-bench numerics`, footprints).
+const FOOTPRINT_ERROR: f64 = 1e-3;
+
 /// Coefficients for one tile: X, Y, W as functions of tile-relative (u, v, 1, d).
 #[derive(Debug, Clone, Copy)]
 pub struct TileTransform {
@@ -163,6 +166,12 @@ impl<L: Lanes> Largest<L> {
         }
     }
 
+    /// Whether footprints of at most `bound` output pixels change nothing, as they come out of f32.
+    #[inline(always)]
+    pub fn is_at_least(&self, bound: f64) -> bool {
+        f64::from(self.squared()) >= (bound * (1.0 + FOOTPRINT_ERROR)).powi(2)
+    }
+
     /// Squared output pixels.
     #[inline(always)]
     pub fn squared(&self) -> f32 {
@@ -268,9 +277,11 @@ pub struct Wanted {
     pub halo: bool,
     /// [`Scratch::footprint2`].
     pub footprints: bool,
+    /// What the largest footprint is found from.
+    pub largest: bool,
 }
 
-/// Transforms a tile's samples into `scratch`; `largest` sees the footprints of those that land inside the window.
+/// Transforms a tile's samples into `scratch`; `largest` sees the footprints of those that land inside the window, if wanted.
 #[inline(always)]
 pub fn transform_tile<L: Lanes>(
     matrix: &WarpMatrix,
@@ -293,9 +304,15 @@ pub fn transform_tile<L: Lanes>(
             L::store(p.x, &mut scratch.x[i..]);
             L::store(p.y, &mut scratch.y[i..]);
             L::store(p.disparity, &mut scratch.disparity[i..]);
+            if !wanted.footprints && !wanted.largest {
+                continue;
+            }
             let stretch = slopes.stretch(&p);
             if wanted.footprints {
                 L::store(stretch.larger2(), &mut scratch.footprint2[i..]);
+            }
+            if !wanted.largest {
+                continue;
             }
             // Lanes past the row's end hold another row's samples with this row's constants: harmless on the picture,
             // because they are overwritten, but not for the maximum.
