@@ -47,20 +47,61 @@ impl Writer {
     }
     /// Appends a section.
     pub fn section(&mut self, field: &'static str, raw: &[u8]) -> Result<(), CodecError> {
-        self.varint(raw.len() as u64);
+        self.packed(field, raw).map(|packed| self.append(raw, &packed))
+    }
+    /// Compresses a section that is not appended yet.
+    pub fn packed(&mut self, field: &'static str, raw: &[u8]) -> Result<Packed, CodecError> {
         if raw.len() >= SMALLEST_COMPRESSED {
             let failed = |e: std::io::Error| CodecError::Compression { field, reason: e.to_string() };
             let (zstd, coded) = (self.zstd.compress(raw).map_err(failed)?, rans::encode(raw));
             let packed = if coded.len() < zstd.len() { coded } else { zstd };
-            if packed.len() < raw.len() {
-                self.varint(packed.len() as u64);
-                self.raw(&packed);
-                return Ok(());
-            }
+            return Ok(Packed((packed.len() < raw.len()).then_some(packed)));
         }
+        Ok(Packed(None))
+    }
+    /// Appends a section that was compressed.
+    pub fn append(&mut self, raw: &[u8], packed: &Packed) {
+        let stored = packed.stored(raw);
         self.varint(raw.len() as u64);
-        self.raw(raw);
-        Ok(())
+        self.varint(stored.len() as u64);
+        self.raw(stored);
+    }
+}
+
+/// A section's bytes where they are fewer than what was written.
+pub(crate) struct Packed(Option<Vec<u8>>);
+
+impl Packed {
+    /// The bytes to store for what was packed.
+    pub fn stored<'a>(&'a self, raw: &'a [u8]) -> &'a [u8] {
+        self.0.as_deref().unwrap_or(raw)
+    }
+}
+
+/// Bits packed eight to a byte, first bit lowest.
+#[derive(Default)]
+pub(crate) struct BitWriter {
+    /// What was written so far; the last byte may hold fewer.
+    pub bytes: Vec<u8>,
+    /// Bits in all.
+    pub bits: usize,
+}
+
+impl BitWriter {
+    /// Appends one.
+    #[inline]
+    pub fn push(&mut self, bit: bool) {
+        if self.bits.is_multiple_of(8) {
+            self.bytes.push(0);
+        }
+        if let Some(last) = self.bytes.last_mut() {
+            *last |= u8::from(bit) << (self.bits % 8);
+        }
+        self.bits += 1;
+    }
+    /// Appends the lowest of a number, low ones first.
+    pub fn put(&mut self, value: u32, count: u32) {
+        (0..count).for_each(|k| self.push(value >> k & 1 == 1));
     }
 }
 
@@ -96,6 +137,17 @@ impl<'a> Reader<'a> {
             .ok_or(CodecError::Truncated { field, missing: n.saturating_sub(self.rest.len()) })?;
         self.rest = rest;
         Ok(head)
+    }
+    /// What is told in bits, up to the end of a byte.
+    pub fn bits<T>(
+        &mut self,
+        field: &'static str,
+        read: impl FnOnce(&mut BitReader<'_>) -> T,
+    ) -> Result<T, CodecError> {
+        let mut bits = BitReader { bytes: self.rest, at: 0 };
+        let told = read(&mut bits);
+        let used = bits.at.div_ceil(8);
+        self.take(used, field).map(|_| told)
     }
     /// A fixed number of bytes.
     pub fn array<const N: usize>(&mut self, field: &'static str) -> Result<[u8; N], CodecError> {
@@ -166,8 +218,8 @@ impl<'a> Reader<'a> {
         if stored_len == raw_len {
             return Ok(stored.to_vec());
         }
-        if let [rans::METHOD, coded @ ..] = stored {
-            return rans::decode(coded, raw_len, field);
+        if let [method @ (rans::METHOD | rans::METHOD_OF_FEW), coded @ ..] = stored {
+            return rans::decode(coded, *method == rans::METHOD_OF_FEW, raw_len, field);
         }
         let failed = |reason: String| CodecError::Compression { field, reason };
         let zstd = match &mut self.zstd {
@@ -196,6 +248,40 @@ impl<'a> Reader<'a> {
         } else {
             Err(CodecError::mismatch(what, format!("{} bytes too many at the end", self.rest.len())))
         }
+    }
+}
+
+/// Takes bits from bytes, low ones first. Past the end come zeros, and [`Reader::bits`] fails.
+pub(crate) struct BitReader<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl BitReader<'_> {
+    /// The next bits, at least 57.
+    #[inline]
+    fn ahead(&self) -> u64 {
+        let rest = self.bytes.get(self.at / 8..).unwrap_or_default();
+        let word = rest.first_chunk().copied().unwrap_or_else(|| {
+            let mut word = [0; 8];
+            word[..rest.len()].copy_from_slice(rest);
+            word
+        });
+        u64::from_le_bytes(word) >> (self.at % 8)
+    }
+    /// A number of at most 32 bits.
+    #[inline]
+    pub fn take(&mut self, count: u32) -> u32 {
+        let value = self.ahead() & ((1 << count) - 1);
+        self.at += count as usize;
+        value as u32
+    }
+    /// How many bits of 1, at most 32, come before the next of 0, which is taken with them.
+    #[inline]
+    pub fn ones(&mut self) -> u32 {
+        let ones = self.ahead().trailing_ones().min(32);
+        self.at += ones as usize + 1;
+        ones
     }
 }
 

@@ -23,7 +23,7 @@ use crate::mesh::{CellGeometry, Cluster, MAX_CLUSTER_TRIANGLES};
 use glam::{DVec3, Vec2, Vec3};
 
 /// Version of cell and bundle chunks.
-pub const VERSION: u8 = 1;
+pub const VERSION: u8 = 2;
 /// Most clusters in a chunk.
 pub const MAX_CLUSTERS: usize = 1 << 16;
 /// Most instances in a cell.

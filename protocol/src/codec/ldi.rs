@@ -20,7 +20,7 @@ use crate::{
 use glam::DVec3;
 
 /// Version of both LDI chunks.
-pub const VERSION: u8 = 5;
+pub const VERSION: u8 = 6;
 /// Most samples in one chunk: bounds what a forged chunk can make a reader allocate, about 150 MB. An LDI of the largest
 /// planned kind (2560 x 1440 at density 2) has 15 million.
 pub const MAX_SAMPLES: usize = 1 << 24;

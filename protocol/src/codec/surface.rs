@@ -16,7 +16,7 @@
 
 use super::{
     CodecError,
-    bytes::{Reader, Writer},
+    bytes::{BitWriter, Reader, Writer},
     residual::{Coder, median_edge},
     runs::Run,
 };
@@ -31,26 +31,6 @@ const CORNER: u8 = 4;
 
 /// Streams that [`walk_disparity`] uses.
 pub(super) const STREAMS: usize = 6;
-
-/// Bits packed eight to a byte, first bit lowest.
-#[derive(Default)]
-struct BitWriter {
-    bytes: Vec<u8>,
-    bits: usize,
-}
-
-impl BitWriter {
-    #[inline]
-    fn push(&mut self, bit: bool) {
-        if self.bits.is_multiple_of(8) {
-            self.bytes.push(0);
-        }
-        if let Some(last) = self.bytes.last_mut() {
-            *last |= u8::from(bit) << (self.bits % 8);
-        }
-        self.bits += 1;
-    }
-}
 
 /// Either side of the coding of link bits.
 pub(super) trait LinkCoder {

@@ -20,7 +20,7 @@ use std::io::Cursor;
 use std::ops::RangeInclusive;
 
 /// Version of texture chunks.
-pub const VERSION: u8 = 4;
+pub const VERSION: u8 = 5;
 /// Longer side of the finest level in a texture's first chunk. Larger delays the first useful picture, smaller saves nothing.
 pub const COARSE_SIDE: u32 = 64;
 /// Largest side of a texture.

@@ -17,7 +17,7 @@ use crate::tree::{Brood, DEPTH_STEPS, MAX_LAYERS, NodeSamples, OPAQUE, SIDE, Tre
 
 const MAGIC: [u8; 3] = *b"LDO";
 /// 2: neighbours on two sides, contexts.
-const VERSION: u8 = 2;
+const VERSION: u8 = 3;
 /// Pixels of a face.
 const PIXELS: usize = (SIDE * SIDE) as usize;
 /// Most samples of a chunk: eight nodes with every pixel of every face twice.
