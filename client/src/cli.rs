@@ -100,6 +100,9 @@ struct WalkArgs {
     /// How what is far is shown.
     #[arg(long, value_enum, default_value = "auto")]
     method: Method,
+    /// With --method cache: how far off a cached image may show things, pixels. Larger: images last longer.
+    #[arg(long, value_name = "PX", default_value_t = 2.0)]
+    cache_error_px: f64,
     /// With --method texture: 1, each portal shows the image taken from straight before it; all, the nearest of those taken along the semicircle.
     #[arg(long, value_name = "1|all", default_value = "1", value_parser = ["1", "all"])]
     portal_textures: String,
@@ -259,11 +262,11 @@ fn refuse_what_is_not_there(args: &WalkArgs) -> Result<(), Failure> {
     if args.warp_on == WarpOn::Gpu && args.renderer != Renderer::Cpu {
         Gpu::can_warp(&order_and_stamp)?;
     }
-    if args.method == Method::Cache {
-        return Err(not_there(
-            "this --method",
-            "use auto, geometry, texture, warp1, warp2, ldi, grid, portals or tree",
-        ));
+    if args.method == Method::Cache && args.renderer != Renderer::Cpu {
+        return Err(not_there("cached images on a graphics card", "use --renderer cpu with --method cache"));
+    }
+    if !(args.cache_error_px.is_finite() && args.cache_error_px > 0.0) {
+        return Err(Failure::usage("--cache-error-px is a positive number of pixels"));
     }
     if args.portal_textures != "1" && args.method != Method::Texture {
         return Err(Failure::usage("--portal-textures goes with --method texture"));
@@ -383,6 +386,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         width: args.size.0,
         height: args.size.1,
         method: method_of(args),
+        cache_error_px: args.cache_error_px,
         stamp: stamp(args),
         order: args.order,
         cull: args.cull,

@@ -6,6 +6,7 @@ pub mod composite;
 pub mod engine;
 pub mod frame;
 pub mod gpu;
+pub mod impostor;
 mod lanes;
 pub mod metrics;
 pub mod near;

@@ -38,7 +38,7 @@ pub struct FrameReport {
     pub yaw_deg: f64,
     /// Degrees, positive up.
     pub pitch_deg: f64,
-    /// `grid` or `portals` where an image was warped, `tree` where that stands for what is far, `geometry` elsewhere.
+    /// `cache` where cached images were drawn, `grid` or `portals` where an image was warped, `tree` where that stands for what is far, `geometry` elsewhere.
     pub method: &'static str,
     /// Selected grid point.
     pub grid_point: Option<u32>,
@@ -78,6 +78,12 @@ pub struct FrameReport {
     pub far_fraction: f64,
     /// Share of pixels whose colour came from the LDI tree.
     pub tree_fraction: f64,
+    /// Cached images drawn, with `--method cache`.
+    pub cached_images: u32,
+    /// Cached images made.
+    pub cached_images_made: u32,
+    /// Milliseconds of the frame that deciding on them and making them took.
+    pub ms_cached_images_made: f64,
     /// Samples of the LDI tree that were looked at.
     pub tree_samples: u64,
     /// Share of hole pixels; null without truth.

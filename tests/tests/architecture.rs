@@ -126,6 +126,7 @@ fn client_stages_import_backward_only() {
             "cache",
             "stream",
             "near",
+            "impostor",
             "warp",
             "gpu",
             "tree",

@@ -383,6 +383,42 @@ fn the_audit_counts_over_the_scene_and_tells_another_scene() {
     assert!(stderr.contains("was not built from"), "{stderr}");
 }
 
+/// A client that makes images of what is far from frames before: fewer triangles, nearly the same pictures.
+#[test]
+fn cached_images_stand_for_what_is_far() {
+    let out = folder("cached");
+    let dataset = out.join("island");
+    let mut c =
+        server(&["build", "builtin:island?triangles=300000", "--represent", "cache", "--budget", "300000", "-o"]);
+    c.arg(&dataset).args(["--size", "320x240"]);
+    run::run(c).expect("builds");
+    let path = out.join("path.json");
+    let waypoints = r#"{"eye_height": 1.6, "closed": false, "waypoints": [[120.0, 17.7, 0.0], [118.0, 17.8, 12.0]]}"#;
+    std::fs::write(&path, waypoints).expect("writable");
+    let served = Server::start(&dataset).expect("serves");
+    let walk = |method: &str, more: &[&str]| {
+        let mut c = run::command("ldi-client").expect("built");
+        c.args(["walk", &served.quic, "--fingerprint", &served.fingerprint, "--size", "320x240", "--every", "6"]);
+        c.arg("--path").arg(&path).args(["--pace", "wait", "--baseline-frames", "0", "--method", method, "-o"]);
+        c.arg(out.join(method)).arg("--report").arg(out.join(format!("{method}.json"))).args(more);
+        run::run(c).expect("walks");
+        json(&out.join(format!("{method}.json")))["frames"].as_array().expect("frames").clone()
+    };
+    let plain = walk("geometry", &[]);
+    let cached = walk("cache", &["--truth", out.join("geometry").to_str().expect("UTF-8")]);
+    assert!(plain.len() == cached.len() && plain.len() > 60, "{}", plain.len());
+    assert_eq!(cached[0]["method"], "geometry", "there is nothing to make images from");
+    let mean = |frames: &[Value], field: &str| {
+        frames.iter().map(|f| f[field].as_f64().expect("a number")).sum::<f64>() / frames.len() as f64
+    };
+    let settled = &cached[20..];
+    assert!(settled.iter().all(|f| f["method"] == "cache" && f["missing_chunks"] == 0));
+    assert!(mean(settled, "far_fraction") > 1e-3, "{}", mean(settled, "far_fraction"));
+    assert!(mean(settled, "triangles") < 0.7 * mean(&plain[20..], "triangles"), "{}", mean(settled, "triangles"));
+    let flip = mean(&cached, "flip");
+    assert!(flip > 0.0 && flip < 0.03, "{flip}");
+}
+
 #[test]
 fn exit_codes_tell_usage_from_bad_input() {
     let out = folder("codes");

@@ -441,6 +441,7 @@ fn options(supersample: u32, shows: Shows) -> WalkOptions {
         width: 0,
         height: 0,
         method: Method::Auto,
+        cache_error_px: 2.0,
         stamp: Stamp::Quads,
         order: Order::Z,
         cull: Cull::Auto,

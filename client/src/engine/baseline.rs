@@ -55,6 +55,7 @@ pub(super) fn measure(
 ) -> Result<Baseline, WalkError> {
     let mut out = Baseline::default();
     let (mut picture, mut chunks) = (Frame::default(), BTreeSet::new());
+    let options = &WalkOptions { method: Method::Geometry, ..options.clone() };
     let n = options.baseline_frames.min(kept.len());
     for i in 0..n {
         let frame = &kept[i * kept.len() / n];

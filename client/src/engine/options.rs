@@ -39,7 +39,7 @@ pub enum Method {
     PortalsEverywhere,
     /// The tree of layered depth images.
     Tree,
-    /// Cached images of a hierarchy (not there yet).
+    /// Geometry, and what is far from images that frames before have made.
     Cache,
 }
 
@@ -57,7 +57,7 @@ impl Method {
             Self::Auto | Self::Geometry | Self::Grid | Self::Tree | Self::Cache => (PortalImages::Offered, false),
         };
         let far = match self {
-            Self::Geometry => FarBy::Geometry,
+            Self::Geometry | Self::Cache => FarBy::Geometry,
             Self::Tree => FarBy::Tree,
             _ => FarBy::Offered,
         };
@@ -96,6 +96,8 @@ pub struct WalkOptions {
     pub height: u32,
     /// Representation of what is far.
     pub method: Method,
+    /// With [`Method::Cache`]: how far off a cached image may show things, pixels.
+    pub cache_error_px: f64,
     /// Reconstruction of warped samples.
     #[serde(serialize_with = "by_name_stamp")]
     pub stamp: Stamp,

@@ -19,6 +19,7 @@ use crate::{
     },
     frame::{Frame, Source, supersampled},
     gpu::Gpu,
+    impostor::{Drawn, Impostors},
     report::StageMs,
     resident::Resident,
     tree::{StillPainter, TreeStats},
@@ -71,6 +72,8 @@ pub struct Painted {
     pub warp: Option<WarpStats>,
     /// What the LDI tree gave; None when it was not drawn.
     pub tree: Option<TreeStats>,
+    /// What cached images did; None with other methods.
+    pub cached: Option<Drawn>,
     /// Chunks that the view needs and that were not resident, finer levels and deeper layers included; ascending.
     pub missing_chunks: Vec<u32>,
     /// Whether all of the index was known.
@@ -98,6 +101,9 @@ impl Painted {
 #[derive(Debug, Default)]
 pub struct Painter {
     hand: Hand,
+    impostors: Impostors,
+    /// Whether the last picture lacked nothing.
+    was_complete: bool,
     far: FarFrame,
     full: Frame,
     /// Pixels that were filled where `full` does not show it.
@@ -328,8 +334,18 @@ impl Painter {
         let (own, view) = (view, stand_in.as_ref().unwrap_or(view));
         painted.stand_in = stand_in.as_ref().and_then(|v| v.selection.placement);
         let (cells, bare) = drawable(index, resident, &view.cells);
-        let near = self.hand.draw_near(index, resident, &cells, &full_camera, pose, &mut self.full)?;
-        painted.ms.near = ms_since(start);
+        let near = if options.method == Method::Cache && bare.is_empty() {
+            self.impostors.settings.error_px = options.cache_error_px * f64::from(options.supersample);
+            let (scene, view) = ((index, resident), (&full_camera, pose));
+            let (near, drawn) = self.impostors.draw(scene, view, self.was_complete, &mut self.full);
+            (painted.ms.near, painted.ms.warp) = (drawn.near_ms, drawn.images_ms + drawn.made_ms);
+            painted.cached = Some(drawn);
+            near
+        } else {
+            let near = self.hand.draw_near(index, resident, &cells, &full_camera, pose, &mut self.full)?;
+            painted.ms.near = ms_since(start);
+            near
+        };
         painted.triangles = near.triangles;
         let near_gaps = !near.missing_chunks.is_empty() || !bare.is_empty();
         painted.missing_chunks = near.missing_chunks;
@@ -518,6 +534,7 @@ impl Painter {
         }
         painted.brought_bytes = self.hand.brought_bytes();
         painted.ms.composite = ms_since(start) - painted.tree.as_ref().map_or(0.0, |t| t.ms);
+        self.was_complete = painted.is_complete();
         let m = &mut painted.ms;
         m.total = m.select + m.cull + m.near + m.warp + m.composite;
         Ok(painted)

@@ -56,13 +56,12 @@ pub fn pixels_of_tile<L: Lanes>(
     target: &mut Target<'_>,
     (matrix, transform): (&WarpMatrix, &TileTransform),
     (part, tile): (&Part, &Tile),
-    largest: Option<&mut Largest<L>>,
+    mut largest: Option<&mut Largest<L>>,
 ) {
     let slopes = Slopes::<L>::new(transform);
     let window = target.window;
     let inside = Inside::<L>::new(&window);
     let (top, width) = (L::splat(window.first_row as f32), L::splat_int(window.width));
-    let mut largest = largest;
     for (row, samples) in own_rows(part, tile).enumerate() {
         let constants = transform.row_constants(matrix, row).map(L::splat);
         for i in samples.clone().step_by(LANES) {

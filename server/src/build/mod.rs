@@ -89,6 +89,8 @@ pub enum Represent {
         /// Pixels along a side of a reference image.
         side: u32,
     },
+    /// Geometry and the coarse levels of an LDI tree: clients make images of what is far themselves (Shade et al. 1996). No budget is promised.
+    Cache,
     /// Rooms, with images of what lies beyond their portals, the grid's images where that exceeds the budget, and the coarse levels of an LDI tree under them.
     Portals {
         /// Where the rooms come from.
@@ -281,7 +283,7 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
         _ => None,
     };
     let plan = match known {
-        _ if matches!(options.represent, Represent::Tree { .. }) => ground()?,
+        _ if matches!(options.represent, Represent::Tree { .. } | Represent::Cache) => ground()?,
         Some((known, portals, caster)) => {
             if automatic {
                 progress.stage("grid and placement", 0);

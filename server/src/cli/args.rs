@@ -144,7 +144,7 @@ pub struct BuildArgs {
     #[arg(long, value_name = "M", default_value_t = 1.0, requires = "along", value_parser = positive)]
     pub within: f64,
     /// Representations to build: grid (images of placements, over the coarse levels of an LDI tree), portals (rooms, with images of what lies beyond
-    /// their portals, and the grid's where that exceeds the budget, over the same) or tree (the LDI tree alone); grid,tree is whichever keeps --max-footprint with fewer bytes; auto is grid,
+    /// their portals, and the grid's where that exceeds the budget, over the same), tree (the LDI tree alone) or cache (geometry and the coarse levels of an LDI tree, for clients that make images themselves: --method cache); grid,tree is whichever keeps --max-footprint with fewer bytes; auto is grid,
     /// or portals if the scene names rooms, or --find-rooms or --rooms is given, and they take fewer bytes and break no promise.
     #[arg(long, default_value = "auto", value_delimiter = ',')]
     pub represent: Vec<String>,

@@ -63,11 +63,10 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
     }
     for r in &a.represent {
         match r.as_str() {
-            "auto" | "grid" | "tree" | "portals" => {}
-            "cache" => return Err(Failure::absent(&format!("--represent {r}"))),
+            "auto" | "grid" | "tree" | "portals" | "cache" => {}
             _ => {
                 return Err(Failure::usage(anyhow!(
-                    "--represent: there is no '{r}'; choose auto, grid, portals or tree"
+                    "--represent: there is no '{r}'; choose auto, grid, portals, tree or cache"
                 )));
             }
         }
@@ -111,6 +110,8 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         (None, false) => RoomSource::Scene,
     };
     let represent = match (asked("auto") || asked("grid"), asked("tree")) {
+        // Beside anything else it adds nothing: cached images are made from what every dataset has.
+        _ if only("cache") => Represent::Cache,
         _ if portals && only("portals") => Represent::Portals { rooms, portals: portal_options },
         // What is planned depends on images, and near a path rooms are not known to be whole.
         _ if (portals || only("auto")) && !a.dry_run && !along => Represent::Auto { rooms, portals: portal_options },

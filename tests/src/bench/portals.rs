@@ -296,6 +296,7 @@ pub fn walk_by(
         width: camera.width,
         height: camera.height,
         method,
+        cache_error_px: 2.0,
         stamp: Stamp::Quads,
         order: Order::Z,
         cull: Cull::On,

@@ -215,6 +215,7 @@ impl Setting {
             width,
             height,
             method: if self.stamp.is_some() { Method::Auto } else { Method::Geometry },
+            cache_error_px: 2.0,
             stamp,
             order,
             cull: if self.unclipped { Cull::Off } else { Cull::On },

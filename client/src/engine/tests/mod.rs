@@ -216,6 +216,7 @@ fn options(pace: Pace) -> WalkOptions {
         width: CAMERA.width,
         height: CAMERA.height,
         method: Method::Auto,
+        cache_error_px: 2.0,
         stamp: Stamp::Quads,
         order: Order::Z,
         cull: Cull::Auto,

@@ -1,0 +1,474 @@
+//! Hierarchical image caching (Shade, Lischinski, Salesin, DeRose, Snyder 1996): what is far is drawn from images that frames before have made.
+//!
+//! In: the cells of a dataset, whatever of them is resident, and a pose. Out: colour and disparity of what is nearest at every pixel. Nothing is precomputed: a [BSP tree](bsp) over the cells'
+//! boxes is made when the dataset is known, and a node of it that will look alike for a while is drawn into an [image](picture), which stands for it as long as no corner of its box is seen farther than some pixels from where the image shows it ([`zone`]).
+//!
+//! As in the paper each frame first decides for every node in view: draw its cached image, its geometry, or what is below it; then draws. Otherwise than in the paper:
+//! - of the images worth making those come first that save the most, and as many as take no more than [`Settings::spare_ms`] longer than drawing the same: no frame stalls, the first neither;
+//! - what is drawn is composited by depth, which images know by the pixel, instead of back to front: near geometry would else stand out of the images' planes;
+//! - planes of images face the eye instead of lying along the picture, so that turning the head costs nothing.
+
+mod bsp;
+mod costs;
+mod picture;
+mod zone;
+
+use crate::{
+    frame::Frame,
+    near::{NearStats, Rasterizer},
+    resident::Resident,
+};
+use bsp::{Bsp, Content, Object};
+use costs::Costs;
+use glam::DVec3;
+use ldi_protocol::{Aabb, OutputCamera, Pose, index::Index, select::DrawFrusta};
+use picture::{Framing, Picture};
+use std::{collections::BTreeMap, time::Instant};
+use zone::{Way, both};
+
+/// How images are cached.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// How far off a corner of a node's box may be seen, pixels.
+    pub error_px: f64,
+    /// Milliseconds that a frame may take longer for making images.
+    pub spare_ms: f64,
+    /// Most bytes of images.
+    pub bytes: usize,
+    /// A leaf holds one cell, or several with at most so many triangles: an image each would cost more than drawing them.
+    pub leaf_triangles: u64,
+    /// What of the neighbourhood an image holds beyond its node, as a share of the node's size to each side, so that no cracks open between nodes (the paper: 17 percent in all).
+    pub inflated: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { error_px: 2.0, spare_ms: 8.0, bytes: 512 << 20, leaf_triangles: 4096, inflated: 0.085 }
+    }
+}
+
+/// What a frame did with images.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Drawn {
+    /// That it shows.
+    pub images: u32,
+    /// That it made.
+    pub made: u32,
+    /// Milliseconds of geometry.
+    pub near_ms: f64,
+    /// Of drawing images.
+    pub images_ms: f64,
+    /// Of making them.
+    pub made_ms: f64,
+    /// Bytes of all that are cached.
+    pub bytes: usize,
+}
+
+/// Cached images of the nodes of a dataset.
+#[derive(Debug, Default)]
+pub struct Impostors {
+    /// How images are cached.
+    pub settings: Settings,
+    nodes: Nodes,
+    cached: BTreeMap<u32, Cached>,
+
+    costs: Costs,
+    way: Way,
+    frame: u64,
+    rasterizer: Rasterizer,
+    drawing: Frame,
+    neighbours: Frame,
+}
+
+/// The tree of a dataset.
+#[derive(Debug, Default)]
+struct Nodes {
+    /// Cells and triangles that it was made for.
+    of: (usize, u64),
+    tree: Bsp,
+    parents: Vec<u32>,
+    /// Boxes with some of what is around.
+    inflated: Vec<Aabb>,
+    /// Triangles of the cells that lie in these, but not in the node.
+    around: Vec<u64>,
+}
+
+#[derive(Debug)]
+struct Cached {
+    picture: Picture,
+    /// Where the images that it was made from are right.
+    parts: Aabb,
+    /// Its safety zone, within that.
+    zone: Aabb,
+    /// Frame in which it was last shown.
+    used: u64,
+}
+
+/// What a frame looks at.
+struct Look<'a> {
+    index: &'a Index,
+    resident: &'a dyn Resident,
+    camera: &'a OutputCamera,
+    pose: &'a Pose,
+    frusta: DrawFrusta,
+    way: Way,
+    angle: f64,
+}
+
+/// What becomes of the nodes of a frame.
+#[derive(Debug, Default)]
+struct Plan {
+    /// Leaves that are drawn as geometry.
+    geometry: Vec<u32>,
+    /// Nodes whose images are.
+    images: Vec<u32>,
+    /// Images worth making.
+    candidates: Vec<Candidate>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Candidate {
+    node: u32,
+    framing: Framing,
+    /// Where its parts are right.
+    parts: Aabb,
+    /// Its safety zone, within that.
+    zone: Aabb,
+    /// Frames that it is expected to last.
+    life: f64,
+    /// Of making it.
+    ms: f64,
+    /// What it saves each frame.
+    saved_ms: f64,
+}
+
+impl Candidate {
+    /// What it saves in its life, made and all (the paper's amortized cost against that of what it holds).
+    fn gain_ms(&self) -> f64 {
+        self.saved_ms * self.life - self.ms
+    }
+}
+
+/// Everywhere.
+const ANYWHERE: Aabb = Aabb { min: DVec3::NEG_INFINITY, max: DVec3::INFINITY };
+
+fn ms_since(start: Instant) -> f64 {
+    start.elapsed().as_secs_f64() * 1e3
+}
+
+impl Nodes {
+    fn new(index: &Index, settings: &Settings) -> Self {
+        let objects: Vec<Object> =
+            index.cells.iter().map(|c| Object { bounds: c.bounds, triangles: c.triangles.into() }).collect();
+        let tree = Bsp::new(&objects, settings.leaf_triangles);
+        let mut parents = vec![0; tree.nodes.len()];
+        for (number, node) in (0u32..).zip(&tree.nodes) {
+            if let Content::Inner(children) = node.content {
+                children.iter().for_each(|c| parents[*c as usize] = number);
+            }
+        }
+        let inflated = |b: &Aabb| {
+            let by = b.size() * settings.inflated;
+            Aabb { min: b.min - by, max: b.max + by }
+        };
+        let inflated: Vec<Aabb> = tree.nodes.iter().map(|n| inflated(&n.bounds)).collect();
+        let of = (index.cells.len(), index.scene.triangles);
+        let mut nodes = Self { of, tree, parents, inflated, around: Vec::new() };
+        let triangles = |cells: Vec<u32>| cells.iter().map(|c| u64::from(index.cells[*c as usize].triangles)).sum();
+        nodes.around = (0..nodes.inflated.len() as u32).map(|n| triangles(nodes.cells_around(index, n))).collect();
+        nodes
+    }
+
+    fn children(&self, node: u32) -> Option<[u32; 2]> {
+        match self.tree.nodes[node as usize].content {
+            Content::Inner(children) => Some(children),
+            Content::Leaf(_) => None,
+        }
+    }
+
+    /// Cells that touch a node's inflated box and are no part of it.
+    fn cells_around(&self, index: &Index, but: u32) -> Vec<u32> {
+        let bounds = &self.inflated[but as usize];
+        let mut found = Vec::new();
+        let mut open = vec![0];
+        while let Some(node) = open.pop() {
+            let n = &self.tree.nodes[node as usize];
+            if node == but || !n.bounds.intersects(bounds) {
+                continue;
+            }
+            match &n.content {
+                Content::Inner(children) => open.extend(children),
+                Content::Leaf(cells) => {
+                    found.extend(cells.iter().filter(|c| index.cells[**c as usize].bounds.intersects(bounds)));
+                }
+            }
+        }
+        found
+    }
+}
+
+impl Impostors {
+    /// Draws `index`'s cells that are in view into `frame`, which it resizes and clears first: as geometry, or from images. `may_make`: the frame before lacked nothing, so that what is drawn will hardly get
+    /// finer; images are made only then.
+    pub fn draw(
+        &mut self,
+        (index, resident): (&Index, &dyn Resident),
+        (camera, pose): (&OutputCamera, &Pose),
+        may_make: bool,
+        frame: &mut Frame,
+    ) -> (NearStats, Drawn) {
+        if self.nodes.of != (index.cells.len(), index.scene.triangles) {
+            (self.nodes, self.cached) = (Nodes::new(index, &self.settings), BTreeMap::new());
+        }
+        self.frame += 1;
+        self.way = self.way.then(pose.position);
+        let look = Look {
+            index,
+            resident,
+            camera,
+            pose,
+            frusta: DrawFrusta::new(&index.settings, pose, (camera.half_tan_x(), camera.half_tan_y())),
+            way: self.way,
+            angle: self.settings.error_px / camera.focal_px(),
+        };
+        let mut drawn = Drawn::default();
+        let start = Instant::now();
+        let mut plan = self.plan(&look, may_make);
+        if !plan.candidates.is_empty() {
+            drawn.made = self.make_best(std::mem::take(&mut plan.candidates), &look);
+            if drawn.made > 0 {
+                plan = self.plan(&look, false);
+            }
+        }
+        drawn.made_ms = ms_since(start);
+        let start = Instant::now();
+        let cells = self.cells_of(&plan.geometry, &look);
+        let stats = self.rasterizer.draw(index, resident, &cells, camera, pose, frame);
+        drawn.near_ms = ms_since(start);
+        self.costs.drew_geometry(drawn.near_ms, stats.triangles);
+        let start = Instant::now();
+        drawn.images = self.draw_images(&plan.images, &look, frame);
+        drawn.images_ms = ms_since(start);
+        drawn.bytes = self.evict();
+        (stats, drawn)
+    }
+
+    /// Whether a node's image is right for an eye.
+    fn is_valid(&self, node: u32, eye: DVec3, angle: f64) -> bool {
+        self.cached.get(&node).is_some_and(|c| {
+            let framing = &c.picture.framing;
+            let error = framing.plane.error(&self.nodes.inflated[node as usize], eye);
+            error.is_some_and(|e| e <= angle) && framing.is_sharp(eye) && c.parts.contains(eye)
+        })
+    }
+
+    /// The paper's first traversal.
+    fn plan(&self, look: &Look<'_>, may_make: bool) -> Plan {
+        let nodes = &self.nodes.tree.nodes;
+        let mut plan = Plan::default();
+        let eye = look.pose.position;
+        let valid: Vec<bool> = (0..nodes.len() as u32).map(|n| self.is_valid(n, eye, look.angle)).collect();
+        // Milliseconds of what is in a node, all of it and what is in view. Children come after their parents.
+        let mut contents = vec![[0.0; 2]; nodes.len()];
+        let mut as_drawn = contents.clone();
+        for (number, node) in nodes.iter().enumerate().rev().filter(|_| may_make) {
+            let seen = |ms: f64| [ms, if look.frusta.admit(&node.bounds) { ms } else { 0.0 }];
+            contents[number] = match node.content {
+                Content::Leaf(_) => seen(self.costs.geometry_ms(node.triangles)),
+                Content::Inner([a, b]) => [0, 1].map(|k| as_drawn[a as usize][k] + as_drawn[b as usize][k]),
+            };
+            let image = self.cached.get(&(number as u32)).filter(|_| valid[number]);
+            as_drawn[number] =
+                image.map_or(contents[number], |c| seen(self.costs.image_ms(c.picture.framing.pixels())));
+        }
+        let mut open = if nodes.is_empty() { Vec::new() } else { vec![0u32] };
+        while let Some(node) = open.pop() {
+            if !look.frusta.admit(&nodes[node as usize].bounds) {
+                continue;
+            }
+            if valid[node as usize] {
+                plan.images.push(node);
+                continue;
+            }
+            match self.nodes.children(node) {
+                Some(children) => open.extend(children),
+                None => plan.geometry.push(node),
+            }
+            if may_make && self.costs.are_known() {
+                plan.candidates.extend(self.candidate(node, look, contents[node as usize]));
+            }
+        }
+        plan
+    }
+
+    /// An image of a node, if it is worth making.
+    fn candidate(&self, node: u32, look: &Look<'_>, contents_ms: [f64; 2]) -> Option<Candidate> {
+        let bounds = &self.nodes.inflated[node as usize];
+        let framing = Framing::new(bounds, look.pose.position, look.camera)?;
+        let parts = self.parts_zone(node, look);
+        let zone = both(&framing.plane.safety_zone(bounds, look.angle)?, &parts);
+        let life = look.way.life_span(&zone);
+        let shown_ms = self.costs.image_ms(framing.pixels());
+        let [all_ms, seen_ms] = contents_ms;
+        let around_ms = self.costs.geometry_ms(self.nodes.around[node as usize]);
+        let ms = all_ms + around_ms + self.costs.making_ms(framing.pixels());
+        let saved_ms = seen_ms - shown_ms;
+        let candidate = Candidate { node, framing, parts, zone, life, ms, saved_ms };
+        (candidate.gain_ms() > 0.0).then_some(candidate)
+    }
+
+    /// Whether a node's image can be part of another: the eye is in its zone, which those that are merely right for the eye may have left.
+    fn is_part(&self, node: u32, look: &Look<'_>) -> bool {
+        let eye = look.pose.position;
+        self.cached.get(&node).is_some_and(|c| c.zone.contains(eye)) && self.is_valid(node, eye, look.angle)
+    }
+
+    /// Where all the images are right that an image of a node would be made from.
+    fn parts_zone(&self, node: u32, look: &Look<'_>) -> Aabb {
+        let mut zone = ANYWHERE;
+        self.parts_of(node, look, &mut |below, is_image| {
+            if let Some(cached) = self.cached.get(&below).filter(|_| is_image) {
+                zone = both(&zone, &cached.zone);
+            }
+        });
+        zone
+    }
+
+    /// What an image of a node is made from: images and leaves below it.
+    fn parts_of(&self, node: u32, look: &Look<'_>, visit: &mut impl FnMut(u32, bool)) {
+        match self.nodes.children(node) {
+            None => visit(node, false),
+            Some(children) => {
+                for child in children {
+                    if self.is_part(child, look) {
+                        visit(child, true);
+                    } else {
+                        self.parts_of(child, look, visit);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Cells of leaves that are in view, near to far.
+    fn cells_of(&self, leaves: &[u32], look: &Look<'_>) -> Vec<u32> {
+        let mut cells = Vec::new();
+        leaves.iter().for_each(|leaf| self.nodes.tree.objects_of(*leaf, &mut |cell| cells.push(cell)));
+        cells.retain(|c| look.frusta.admit(&look.index.cells[*c as usize].bounds));
+        near_to_far(look.index, &mut cells, look.pose.position);
+        cells
+    }
+
+    fn draw_images(&mut self, nodes: &[u32], look: &Look<'_>, frame: &mut Frame) -> u32 {
+        let start = Instant::now();
+        let mut images: Vec<&mut Cached> =
+            self.cached.iter_mut().filter(|(n, _)| nodes.contains(n)).map(|(_, cached)| cached).collect();
+        let apart = |c: &Cached| c.picture.framing.plane.distance;
+        images.sort_by(|a, b| apart(a).total_cmp(&apart(b)));
+        let mut pixels = 0;
+        for image in &mut images {
+            image.used = self.frame;
+            pixels += image.picture.draw(look.camera, look.pose, frame);
+        }
+        let count = images.len() as u32;
+        self.costs.drew_images(ms_since(start), pixels);
+        count
+    }
+
+    /// Makes images, those that save the most first, none of a node above or below another.
+    fn make_best(&mut self, mut candidates: Vec<Candidate>, look: &Look<'_>) -> u32 {
+        candidates.sort_by(|a, b| {
+            let gain = |c: &Candidate| c.gain_ms() / c.ms;
+            gain(b).total_cmp(&gain(a)).then(a.node.cmp(&b.node))
+        });
+        // What the frame takes longer, by what things cost.
+        let mut longer_ms = 0.0;
+        let mut made: Vec<u32> = Vec::new();
+        for candidate in candidates {
+            let more_ms = candidate.ms - candidate.saved_ms;
+            if longer_ms + more_ms > self.settings.spare_ms {
+                continue;
+            }
+            let related = |other: &u32| {
+                let is_above = |mut node: u32, other: u32| {
+                    while node > other {
+                        node = self.nodes.parents[node as usize];
+                    }
+                    node == other
+                };
+                is_above(candidate.node, *other) || is_above(*other, candidate.node)
+            };
+            if !made.iter().any(related)
+                && let Some(picture) = self.make(&candidate, look)
+            {
+                longer_ms += more_ms;
+                self.cached.insert(
+                    candidate.node,
+                    Cached { picture, parts: candidate.parts, zone: candidate.zone, used: self.frame },
+                );
+                made.push(candidate.node);
+            }
+        }
+        made.len() as u32
+    }
+
+    /// An image of all that is in a node, from images where there are some. None if something of it is not here.
+    fn make(&mut self, candidate: &Candidate, look: &Look<'_>) -> Option<Picture> {
+        let start = Instant::now();
+        let Candidate { node, framing, .. } = candidate;
+        let (mut own, mut images) = (Vec::new(), Vec::new());
+        self.parts_of(*node, look, &mut |below, is_image| match is_image {
+            true => images.push(below),
+            false => self.nodes.tree.objects_of(below, &mut |cell| own.push(cell)),
+        });
+        let inflated = self.nodes.inflated[*node as usize];
+        let mut around = self.nodes.cells_around(look.index, *node);
+
+        let is_here = |cell: &u32| {
+            let bundles = &look.index.cells[*cell as usize].bundles;
+            look.resident.cell(*cell).is_some() && bundles.iter().all(|b| look.resident.bundle(*b).is_some())
+        };
+        if !own.iter().chain(&around).all(is_here) {
+            return None;
+        }
+        let (camera, pose) = (&framing.camera, &framing.pose);
+        let mut triangles = 0;
+        let mut draw = |cells: &mut Vec<u32>, rasterizer: &mut Rasterizer, frame: &mut Frame| {
+            near_to_far(look.index, cells, look.pose.position);
+            let stats = rasterizer.draw(look.index, look.resident, cells, camera, pose, frame);
+            triangles += stats.triangles;
+            stats.missing_chunks.is_empty() && stats.missing_textures.is_empty()
+        };
+        let whole = draw(&mut own, &mut self.rasterizer, &mut self.drawing)
+            && draw(&mut around, &mut self.rasterizer, &mut self.neighbours);
+        if !whole {
+            return None;
+        }
+        framing.bring_in(&inflated, &self.neighbours, &mut self.drawing);
+        for image in images {
+            if let Some(cached) = self.cached.get(&image) {
+                cached.picture.draw(camera, pose, &mut self.drawing);
+            }
+        }
+        self.costs.made_image(ms_since(start), triangles, framing.pixels());
+        Some(Picture::new(*framing, &self.drawing))
+    }
+
+    /// Forgets images that were not shown for the longest, until the rest fits. Bytes of what is left.
+    fn evict(&mut self) -> usize {
+        let mut bytes: usize = self.cached.values().map(|c| c.picture.bytes()).sum();
+        while bytes > self.settings.bytes {
+            let Some((&oldest, cached)) = self.cached.iter().min_by_key(|(_, c)| c.used) else { break };
+            bytes -= cached.picture.bytes();
+            self.cached.remove(&oldest);
+        }
+        bytes
+    }
+}
+
+fn near_to_far(index: &Index, cells: &mut [u32], eye: DVec3) {
+    cells.sort_by_cached_key(|c| (index.cells[*c as usize].bounds.distance(eye).to_bits(), *c));
+}
+
+#[cfg(test)]
+mod tests;

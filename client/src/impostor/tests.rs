@@ -1,0 +1,174 @@
+//! Cached images against geometry drawn anew.
+
+use super::*;
+use crate::{
+    frame::Source,
+    test_support::{Memory, dataset, loose_cluster, plain_material},
+};
+use glam::Vec3;
+
+const CAMERA: OutputCamera = OutputCamera { width: 320, height: 240, fov_deg: 60.0 };
+
+/// Groups of small coloured triangles far off, one cell each, and some nearby.
+fn scene() -> (Index, Memory) {
+    let mut state = 3u64;
+    let mut unit = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f32 / (1u32 << 24) as f32
+    };
+    let mut clusters = Vec::new();
+    for i in 0..24 {
+        let distance = if i < 4 { 8.0 } else { 60.0 + 20.0 * (i / 6) as f32 };
+        let centre = Vec3::new((i % 6) as f32 * 9.0 - 22.0, 0.0, -distance);
+        let triangles: Vec<[Vec3; 3]> = (0..250)
+            .map(|_| {
+                let at = centre + Vec3::new(unit() * 4.0 - 2.0, unit() * 6.0 - 3.0, unit() * 4.0 - 2.0);
+                [at, at + Vec3::new(0.5 * unit() + 0.2, 0.2, 0.0), at + Vec3::new(0.1, 0.5 * unit() + 0.2, 0.2)]
+            })
+            .collect();
+        clusters.push(loose_cluster((i % 3) as u32, &triangles));
+    }
+    let coloured =
+        |c: [f32; 3]| ldi_protocol::mesh::Material { base_colour: [c[0], c[1], c[2], 1.0], ..plain_material() };
+    dataset(CAMERA, vec![coloured([0.8, 0.1, 0.1]), coloured([0.1, 0.7, 0.1]), coloured([0.1, 0.1, 0.9])], clusters)
+}
+
+fn at(x: f64) -> Pose {
+    Pose { position: DVec3::new(x, 0.5, 0.0), yaw_deg: 0.0, pitch_deg: 0.0 }
+}
+
+/// One that believes geometry to be dear, so that all that may be cached is.
+fn eager(error_px: f64) -> Impostors {
+    let mut impostors = Impostors::default();
+    impostors.settings = Settings { error_px, spare_ms: 1e6, leaf_triangles: 250, ..Settings::default() };
+    impostors.costs = Costs::fixed(1e-2);
+    impostors
+}
+
+fn draw(impostors: &mut Impostors, scene: &(Index, Memory), pose: &Pose) -> (Frame, NearStats, Drawn) {
+    let mut frame = Frame::default();
+    let (stats, drawn) = impostors.draw((&scene.0, &scene.1), (&CAMERA, pose), true, &mut frame);
+    (frame, stats, drawn)
+}
+
+fn anew(scene: &(Index, Memory), pose: &Pose) -> Frame {
+    let mut frame = Frame::default();
+    let cells: Vec<u32> = (0..scene.0.cells.len() as u32).collect();
+    Rasterizer::default().draw(&scene.0, &scene.1, &cells, &CAMERA, pose, &mut frame);
+    frame
+}
+
+/// Share of pixels that show something in one of both frames and nothing within `around` pixels in the other.
+fn strays(a: &Frame, b: &Frame, around: i64) -> f64 {
+    let shows = |f: &Frame, x: i64, y: i64| {
+        x >= 0
+            && y >= 0
+            && x < f.width.into()
+            && y < f.height.into()
+            && f.disparity[(y * i64::from(f.width) + x) as usize] > 0.0
+    };
+    let mut strays = 0;
+    for y in 0..i64::from(a.height) {
+        for x in 0..i64::from(a.width) {
+            let near = |f: &Frame| (-around..=around).any(|dy| (-around..=around).any(|dx| shows(f, x + dx, y + dy)));
+            strays += usize::from(shows(a, x, y) && !near(b) || shows(b, x, y) && !near(a));
+        }
+    }
+    strays as f64 / a.len() as f64
+}
+
+#[test]
+fn far_groups_come_from_images_and_stay_where_they_are() {
+    let scene = scene();
+    let mut impostors = eager(2.0);
+    let mut first = Frame::default();
+    let (stats, drawn) = impostors.draw((&scene.0, &scene.1), (&CAMERA, &at(0.0)), false, &mut first);
+    let all = stats.triangles;
+    assert_eq!((drawn.images, drawn.made), (0, 0), "while something is missing all is geometry");
+    assert_eq!(first, anew(&scene, &at(0.0)));
+    let mut shown = 0;
+    for step in 1..40 {
+        let pose = at(f64::from(step) * 0.02);
+        let (frame, stats, drawn) = draw(&mut impostors, &scene, &pose);
+        let truth = anew(&scene, &pose);
+        if step > 3 {
+            assert!(drawn.images > 0 && stats.triangles < all, "step {step}: {drawn:?}, {} triangles", stats.triangles);
+        }
+        shown += drawn.images;
+        // Where corners may be two pixels off, and images are filtered.
+        assert!(strays(&frame, &truth, 3) < 2e-4, "step {step}: {}", strays(&frame, &truth, 3));
+        let far = frame.source.iter().filter(|s| **s == Source::Far).count();
+        assert!(drawn.images == 0 || far > 300, "step {step}: {far} pixels of {} images", drawn.images);
+    }
+    assert!(shown > 40, "{shown}");
+}
+
+#[test]
+fn an_image_seen_from_its_own_eye_is_the_picture() {
+    let scene = scene();
+    let mut impostors = eager(2.0);
+    draw(&mut impostors, &scene, &at(0.0));
+    for _ in 0..6 {
+        draw(&mut impostors, &scene, &at(0.0));
+    }
+    for turn in [0.0, 7.0, -20.0] {
+        let pose = Pose { yaw_deg: turn, ..at(0.0) };
+        let (frame, stats, drawn) = draw(&mut impostors, &scene, &pose);
+        assert!(drawn.images > 0 && stats.triangles <= 4 * 250 + 250, "{turn}: {} triangles", stats.triangles);
+        let truth = anew(&scene, &pose);
+        assert!(strays(&frame, &truth, 1) < 2e-4, "{turn}: {}", strays(&frame, &truth, 1));
+        // Depths too: of pixels with the same in both and around them.
+        let both = frame.disparity.iter().zip(&truth.disparity).filter(|(a, b)| **a > 0.0 && **b > 0.0);
+        let off = both.clone().filter(|(a, b)| (*a - *b).abs() > 0.12 * *b).count();
+        assert!(off * 20 < both.count(), "{turn}: {off}");
+    }
+}
+
+#[test]
+fn a_smaller_error_costs_more_images() {
+    let scene = scene();
+    let made = |error_px: f64| {
+        let mut impostors = eager(error_px);
+        (0..60).map(|i| draw(&mut impostors, &scene, &at(f64::from(i) * 0.05)).2.made).sum::<u32>()
+    };
+    let (fine, coarse) = (made(0.5), made(8.0));
+    assert!(fine > coarse && coarse > 0, "{fine} and {coarse}");
+}
+
+#[test]
+fn nothing_is_made_of_what_is_not_here_and_memory_is_bounded() {
+    let mut scene = scene();
+    let settled = |scene: &(Index, Memory), pose: &Pose| {
+        let mut impostors = eager(8.0);
+        impostors.settings.leaf_triangles = 1500;
+        (0..8).for_each(|_| {
+            draw(&mut impostors, scene, pose);
+        });
+        impostors
+    };
+    let holds = |impostors: &Impostors, cell: u32| {
+        let of = |node: &u32| {
+            let mut found = false;
+            impostors.nodes.tree.objects_of(*node, &mut |c| found |= c == cell);
+            found
+        };
+        impostors.cached.keys().any(of)
+    };
+    // A cell that is out of view, but in an image with what is in view.
+    let (pose, cell) = (0..12)
+        .map(|i| Pose { yaw_deg: 5.0 * f64::from(i) - 30.0, ..at(0.0) })
+        .find_map(|pose| {
+            let impostors = settled(&scene, &pose);
+            let half_tan = (CAMERA.half_tan_x(), CAMERA.half_tan_y());
+            let frusta = DrawFrusta::new(&scene.0.settings, &pose, half_tan);
+            let is_out = |c: &u32| !frusta.admit(&scene.0.cells[*c as usize].bounds);
+            (0..24).filter(is_out).find(|c| holds(&impostors, *c)).map(|c| (pose, c))
+        })
+        .expect("images reach beyond the picture");
+    scene.1.cells.remove(&cell);
+    let mut impostors = settled(&scene, &pose);
+    assert!(!impostors.cached.is_empty() && !holds(&impostors, cell));
+    impostors.settings.bytes = 100_000;
+    let (_, _, drawn) = draw(&mut impostors, &scene, &pose);
+    assert!(drawn.bytes <= 100_000, "{}", drawn.bytes);
+}
