@@ -39,10 +39,8 @@ fn at(x: f64) -> Pose {
 
 /// One that believes geometry to be dear, so that all that may be cached is.
 fn eager(error_px: f64) -> Impostors {
-    let mut impostors = Impostors::default();
-    impostors.settings = Settings { error_px, spare_ms: 1e6, leaf_triangles: 250, ..Settings::default() };
-    impostors.costs = Costs::fixed(1e-2);
-    impostors
+    let settings = Settings { error_px, spare_ms: 1e6, leaf_triangles: 250, ..Settings::default() };
+    Impostors { settings, costs: Costs::fixed(1e-2), ..Impostors::default() }
 }
 
 fn draw(impostors: &mut Impostors, scene: &(Index, Memory), pose: &Pose) -> (Frame, NearStats, Drawn) {
