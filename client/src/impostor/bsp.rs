@@ -95,9 +95,13 @@ impl Bsp {
 
     /// Objects of a node and all below it.
     pub fn objects_of(&self, node: u32, visit: &mut impl FnMut(u32)) {
-        match &self.nodes[node as usize].content {
-            Content::Leaf(held) => held.iter().for_each(|o| visit(*o)),
-            Content::Inner(children) => children.iter().for_each(|c| self.objects_of(*c, visit)),
+        // No recursion: whoever makes up an index can make the tree as deep as it has cells.
+        let mut open = vec![node];
+        while let Some(node) = open.pop() {
+            match &self.nodes[node as usize].content {
+                Content::Leaf(held) => held.iter().for_each(|o| visit(*o)),
+                Content::Inner(children) => open.extend(children),
+            }
         }
     }
 }

@@ -1,19 +1,21 @@
 //! What drawing costs on the machine that it runs on, in milliseconds (Shade et al. 1996, section 2: costs are found by experiment).
 
-/// Weight of a new measurement.
+use super::picture::OVERSAMPLED;
+
+/// Weight of a new measurement: ten frames, as single ones are held up by other work.
 const NEW: f64 = 0.1;
 /// Fewer triangles say nothing: starting and clearing take as long.
 const FEW_TRIANGLES: u64 = 10_000;
 /// Fewer pixels say nothing.
 const FEW_PIXELS: u64 = 10_000;
-/// Pixels of an image along a pixel that it covers, squared.
-const SHRINKS: f64 = 1.0 / (1.25 * 1.25);
-
-/// Running means.
+/// Running means, milliseconds.
 #[derive(Debug, Clone, Copy)]
 pub struct Costs {
+    /// Of a triangle; None before any was drawn.
     triangle: Option<f64>,
+    /// Of a pixel of the picture that an image covers.
     image_pixel: f64,
+    /// Of a pixel of an image that is made.
     made_pixel: f64,
 }
 
@@ -55,17 +57,17 @@ impl Costs {
         self.made_pixel = mean(self.made_pixel, rest / pixels as f64);
     }
 
-    /// Drawing triangles.
+    /// Drawing triangles, milliseconds.
     pub fn geometry_ms(&self, triangles: u64) -> f64 {
         self.triangle.unwrap_or(0.0) * triangles as f64
     }
 
-    /// Drawing an image of so many pixels.
+    /// Drawing an image of so many pixels, milliseconds.
     pub fn image_ms(&self, pixels: u64) -> f64 {
-        self.image_pixel * pixels as f64 * SHRINKS
+        self.image_pixel * pixels as f64 / (OVERSAMPLED * OVERSAMPLED)
     }
 
-    /// Making one, beside drawing what it shows.
+    /// Making one, beside drawing what it shows, milliseconds.
     pub fn making_ms(&self, pixels: u64) -> f64 {
         self.made_pixel * pixels as f64
     }

@@ -31,11 +31,11 @@ use zone::{Way, both};
 pub struct Settings {
     /// How far off a corner of a node's box may be seen, pixels.
     pub error_px: f64,
-    /// Milliseconds that a frame may take longer for making images.
+    /// Milliseconds that a frame may take longer for making images: by default half of a frame at 60 per second.
     pub spare_ms: f64,
-    /// Most bytes of images.
+    /// Most bytes of images: by default half of what the cache of chunks may hold, room for some hundred images as large as the picture.
     pub bytes: usize,
-    /// A leaf holds one cell, or several with at most so many triangles: an image each would cost more than drawing them.
+    /// A leaf holds one cell, or several with at most so many triangles: an image each would cost more than drawing them. The default is 16 clusters or more, which take some milliseconds.
     pub leaf_triangles: u64,
     /// What of the neighbourhood an image holds beyond its node, as a share of the node's size to each side, so that no cracks open between nodes (the paper: 17 percent in all).
     pub inflated: f64,
@@ -71,7 +71,6 @@ pub struct Impostors {
     pub settings: Settings,
     nodes: Nodes,
     cached: BTreeMap<u32, Cached>,
-
     costs: Costs,
     way: Way,
     frame: u64,
@@ -113,6 +112,17 @@ struct Look<'a> {
     frusta: DrawFrusta,
     way: Way,
     angle: f64,
+}
+
+impl Look<'_> {
+    /// Whether a cell is here with all that it draws, be its textures as coarse as they may.
+    fn has(&self, cell: u32) -> bool {
+        let entry = &self.index.cells[cell as usize];
+        let texture = |material: &u32| self.index.materials.get(*material as usize)?.texture;
+        self.resident.cell(cell).is_some()
+            && entry.bundles.iter().all(|b| self.resident.bundle(*b).is_some())
+            && entry.materials.iter().filter_map(texture).all(|t| self.resident.texture(t).is_some())
+    }
 }
 
 /// What becomes of the nodes of a frame.
@@ -336,16 +346,12 @@ impl Impostors {
 
     /// What an image of a node is made from: images and leaves below it.
     fn parts_of(&self, node: u32, look: &Look<'_>, visit: &mut impl FnMut(u32, bool)) {
-        match self.nodes.children(node) {
-            None => visit(node, false),
-            Some(children) => {
-                for child in children {
-                    if self.is_part(child, look) {
-                        visit(child, true);
-                    } else {
-                        self.parts_of(child, look, visit);
-                    }
-                }
+        let mut open = vec![node];
+        while let Some(below) = open.pop() {
+            match self.nodes.children(below) {
+                _ if below != node && self.is_part(below, look) => visit(below, true),
+                Some(children) => open.extend(children),
+                None => visit(below, false),
             }
         }
     }
@@ -361,18 +367,15 @@ impl Impostors {
 
     fn draw_images(&mut self, nodes: &[u32], look: &Look<'_>, frame: &mut Frame) -> u32 {
         let start = Instant::now();
-        let mut images: Vec<&mut Cached> =
-            self.cached.iter_mut().filter(|(n, _)| nodes.contains(n)).map(|(_, cached)| cached).collect();
-        let apart = |c: &Cached| c.picture.framing.plane.distance;
-        images.sort_by(|a, b| apart(a).total_cmp(&apart(b)));
         let mut pixels = 0;
-        for image in &mut images {
-            image.used = self.frame;
-            pixels += image.picture.draw(look.camera, look.pose, frame);
+        for node in nodes {
+            if let Some(image) = self.cached.get_mut(node) {
+                image.used = self.frame;
+                pixels += image.picture.draw(look.camera, look.pose, frame);
+            }
         }
-        let count = images.len() as u32;
         self.costs.drew_images(ms_since(start), pixels);
-        count
+        nodes.len() as u32
     }
 
     /// Makes images, those that save the most first, none of a node above or below another.
@@ -422,27 +425,18 @@ impl Impostors {
             false => self.nodes.tree.objects_of(below, &mut |cell| own.push(cell)),
         });
         let inflated = self.nodes.inflated[*node as usize];
-        let mut around = self.nodes.cells_around(look.index, *node);
-
-        let is_here = |cell: &u32| {
-            let bundles = &look.index.cells[*cell as usize].bundles;
-            look.resident.cell(*cell).is_some() && bundles.iter().all(|b| look.resident.bundle(*b).is_some())
-        };
-        if !own.iter().chain(&around).all(is_here) {
+        if !own.iter().all(|cell| look.has(*cell)) {
             return None;
         }
+        // What of it is not here is not in view either, and no crack opens beside it.
+        let mut around = self.nodes.cells_around(look.index, *node);
+        around.retain(|cell| look.has(*cell));
         let (camera, pose) = (&framing.camera, &framing.pose);
         let mut triangles = 0;
-        let mut draw = |cells: &mut Vec<u32>, rasterizer: &mut Rasterizer, frame: &mut Frame| {
+        for (cells, frame) in [(&mut own, &mut self.drawing), (&mut around, &mut self.neighbours)] {
             near_to_far(look.index, cells, look.pose.position);
-            let stats = rasterizer.draw(look.index, look.resident, cells, camera, pose, frame);
+            let stats = self.rasterizer.draw(look.index, look.resident, cells, camera, pose, frame);
             triangles += stats.triangles;
-            stats.missing_chunks.is_empty() && stats.missing_textures.is_empty()
-        };
-        let whole = draw(&mut own, &mut self.rasterizer, &mut self.drawing)
-            && draw(&mut around, &mut self.rasterizer, &mut self.neighbours);
-        if !whole {
-            return None;
         }
         framing.bring_in(&inflated, &self.neighbours, &mut self.drawing);
         for image in images {

@@ -9,9 +9,9 @@ use glam::DVec3;
 use ldi_protocol::{Aabb, OutputCamera, Pose, ViewBasis};
 use rayon::prelude::*;
 
-/// Pixels of an image along a pixel of the picture, at its middle: the edges of the picture magnify.
-const OVERSAMPLED: f64 = 1.25;
-/// Rows that one task draws.
+/// Pixels of an image along a pixel of the picture, at its middle: an eye may come nearer by as much before the image is too coarse, and the edges of the picture magnify.
+pub const OVERSAMPLED: f64 = 1.25;
+/// Rows that one task draws: images are some tens of pixels high, and all threads should have a part.
 const TASK_ROWS: usize = 8;
 
 /// How a node is seen from an eye: a camera that just frames it.
@@ -118,7 +118,7 @@ impl Picture {
     }
 
     /// The part of a picture that its quadrilateral covers: columns and rows from, to.
-    pub fn covers(&self, camera: &OutputCamera, pose: &Pose) -> [u32; 4] {
+    fn covers(&self, camera: &OutputCamera, pose: &Pose) -> [u32; 4] {
         let (basis, focal) = (pose.basis(), camera.focal_px());
         let (width, height) = (f64::from(camera.width), f64::from(camera.height));
         let own = &self.framing.camera;
@@ -182,12 +182,7 @@ impl Picture {
                     if !(t > 0.0 && u >= 0.0 && v >= 0.0 && u < own.width as f32 && v < own.height as f32) {
                         continue;
                     }
-                    let own_disparity = self.disparity[v as usize * own.width as usize + u as usize];
-                    // Filtering reaches a pixel beyond what is there, but half of it at most is shown.
-                    if own_disparity <= 0.0 && !self.is_beside_something(u, v) {
-                        continue;
-                    }
-                    let Some((rgb, own_disparity)) = self.filtered(u, v, own_disparity) else { continue };
+                    let Some((rgb, own_disparity)) = self.filtered(u, v) else { continue };
                     let here = own_disparity / (back * own_disparity + depth[0] + depth[1] * u + depth[2] * v);
                     if here > disparity[column] {
                         (colour[column], disparity[column], source[column]) = (rgb, here, Source::Far);
@@ -207,27 +202,22 @@ impl Picture {
         ([j * w + i, j * w + right, below * w + i, below * w + right], [u - i as f32, v - j as f32])
     }
 
-    fn is_beside_something(&self, u: f32, v: f32) -> bool {
-        self.around(u, v).0.iter().any(|at| self.disparity[*at] > 0.0)
-    }
-
-    /// Colour and disparity at a place, if what is there weighs half or more.
-    fn filtered(&self, u: f32, v: f32, nearest: f32) -> Option<(u32, f32)> {
+    /// Colour and disparity at a place, if what is there weighs half or more: filtering reaches beyond what is there, by half a pixel. Disparities are not filtered, as between two surfaces there is none.
+    fn filtered(&self, u: f32, v: f32) -> Option<(u32, f32)> {
         let (at, [s, t]) = self.around(u, v);
         let weights = [(1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t];
-        let (mut sum, mut rgb, mut deepest) = (0.0, [0.0f32; 3], (0.0, 0.0));
+        let (mut sum, mut rgb, mut heaviest) = (0.0, [0.0f32; 3], (0.0, 0.0));
         for (at, weight) in at.into_iter().zip(weights) {
             if self.disparity[at] > 0.0 {
                 sum += weight;
                 let [r, g, b] = unpack_rgb(self.colour[at]).map(f32::from);
                 rgb = [rgb[0] + weight * r, rgb[1] + weight * g, rgb[2] + weight * b];
-                deepest = if weight > deepest.0 { (weight, self.disparity[at]) } else { deepest };
+                heaviest = if weight > heaviest.0 { (weight, self.disparity[at]) } else { heaviest };
             }
         }
         if sum < 0.5 {
             return None;
         }
-        let disparity = if nearest > 0.0 { nearest } else { deepest.1 };
-        Some((pack_rgb(rgb.map(|c| (c / sum + 0.5) as u8)), disparity))
+        Some((pack_rgb(rgb.map(|c| (c / sum + 0.5) as u8)), heaviest.1))
     }
 }
