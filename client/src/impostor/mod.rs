@@ -4,7 +4,7 @@
 //! boxes is made when the dataset is known, and a node of it that will look alike for a while is drawn into an [image](picture), which stands for it as long as no corner of its box is seen farther than some pixels from where the image shows it ([`zone`]).
 //!
 //! As in the paper each frame first decides for every node in view: draw its cached image, its geometry, or what is below it; then draws. Otherwise than in the paper:
-//! - of the images worth making those come first that save the most, and as many as take no more than [`Settings::spare_ms`] longer than drawing the same: no frame stalls, the first neither;
+//! - of the images worth making those come first that save the most, and as many as take no more than [`Settings::spare_ms`] or [`Settings::spare_share`] longer than drawing the same: no frame stalls, the first neither;
 //! - what is drawn is composited by depth, which images know by the pixel, instead of back to front: near geometry would else stand out of the images' planes;
 //! - planes of images face the eye instead of lying along the picture, so that turning the head costs nothing.
 
@@ -15,13 +15,17 @@ mod zone;
 
 use crate::{
     frame::Frame,
-    near::{NearStats, Rasterizer},
+    near::{NearStats, Rasterizer, gather::gather_within},
     resident::Resident,
 };
 use bsp::{Bsp, Content, Object};
 use costs::Costs;
 use glam::DVec3;
-use ldi_protocol::{Aabb, OutputCamera, Pose, index::Index, select::DrawFrusta};
+use ldi_protocol::{
+    Aabb, OutputCamera, Pose,
+    index::{CellEntry, Index},
+    select::DrawFrusta,
+};
 use picture::{Framing, Picture};
 use std::{collections::BTreeMap, time::Instant};
 use zone::{Way, both};
@@ -33,6 +37,8 @@ pub struct Settings {
     pub error_px: f64,
     /// Milliseconds that a frame may take longer for making images: by default half of a frame at 60 per second.
     pub spare_ms: f64,
+    /// The same as a share of what the frame before took to draw, where that is more: who waits half a second for a frame is not served by images that never get made.
+    pub spare_share: f64,
     /// Most bytes of images: by default half of what the cache of chunks may hold, room for some hundred images as large as the picture.
     pub bytes: usize,
     /// A leaf holds one cell, or several with at most so many triangles: an image each would cost more than drawing them. The default is 16 clusters or more, which take some milliseconds.
@@ -43,7 +49,14 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { error_px: 2.0, spare_ms: 8.0, bytes: 512 << 20, leaf_triangles: 4096, inflated: 0.085 }
+        Self {
+            error_px: 2.0,
+            spare_ms: 8.0,
+            spare_share: 0.25,
+            bytes: 512 << 20,
+            leaf_triangles: 4096,
+            inflated: 0.085,
+        }
     }
 }
 
@@ -74,6 +87,8 @@ pub struct Impostors {
     costs: Costs,
     way: Way,
     frame: u64,
+    /// What the frame before took to draw, without making images, milliseconds.
+    drew_ms: f64,
     rasterizer: Rasterizer,
     drawing: Frame,
     neighbours: Frame,
@@ -88,7 +103,7 @@ struct Nodes {
     parents: Vec<u32>,
     /// Boxes with some of what is around.
     inflated: Vec<Aabb>,
-    /// Triangles of the cells that lie in these, but not in the node.
+    /// About how many triangles of others lie in these.
     around: Vec<u64>,
 }
 
@@ -184,8 +199,7 @@ impl Nodes {
         let inflated: Vec<Aabb> = tree.nodes.iter().map(|n| inflated(&n.bounds)).collect();
         let of = (index.cells.len(), index.scene.triangles);
         let mut nodes = Self { of, tree, parents, inflated, around: Vec::new() };
-        let triangles = |cells: Vec<u32>| cells.iter().map(|c| u64::from(index.cells[*c as usize].triangles)).sum();
-        nodes.around = (0..nodes.inflated.len() as u32).map(|n| triangles(nodes.cells_around(index, n))).collect();
+        nodes.around = (0..nodes.inflated.len() as u32).map(|n| nodes.triangles_around(index, n)).collect();
         nodes
     }
 
@@ -194,6 +208,14 @@ impl Nodes {
             Content::Inner(children) => Some(children),
             Content::Leaf(_) => None,
         }
+    }
+
+    /// How many triangles of other nodes lie in a node's inflated box, if they lie evenly in the boxes of their cells.
+    fn triangles_around(&self, index: &Index, node: u32) -> u64 {
+        let bounds = &self.inflated[node as usize];
+        let cells = self.cells_around(index, node);
+        let within = |c: &CellEntry| f64::from(c.triangles) * share(&c.bounds, bounds);
+        cells.iter().map(|c| within(&index.cells[*c as usize])).sum::<f64>().ceil() as u64
     }
 
     /// Cells that touch a node's inflated box and are no part of it.
@@ -215,6 +237,12 @@ impl Nodes {
         }
         found
     }
+}
+
+/// Which share of a box lies in another, 0 to 1; of a flat one, of its area.
+fn share(of: &Aabb, within: &Aabb) -> f64 {
+    let (size, part) = (of.size(), both(of, within).size());
+    (0..3).map(|k| if size[k] > 0.0 { (part[k] / size[k]).max(0.0) } else { 1.0 }).product()
 }
 
 impl Impostors {
@@ -259,6 +287,7 @@ impl Impostors {
         let start = Instant::now();
         drawn.images = self.draw_images(&plan.images, &look, frame);
         drawn.images_ms = ms_since(start);
+        self.drew_ms = drawn.near_ms + drawn.images_ms;
         drawn.bytes = self.evict();
         (stats, drawn)
     }
@@ -384,12 +413,12 @@ impl Impostors {
             let gain = |c: &Candidate| c.gain_ms() / c.ms;
             gain(b).total_cmp(&gain(a)).then(a.node.cmp(&b.node))
         });
-        // What the frame takes longer, by what things cost.
+        // What the frame takes longer: what was made by the clock, what it saves by what things cost.
         let mut longer_ms = 0.0;
+        let spare_ms = self.settings.spare_ms.max(self.settings.spare_share * self.drew_ms);
         let mut made: Vec<u32> = Vec::new();
         for candidate in candidates {
-            let more_ms = candidate.ms - candidate.saved_ms;
-            if longer_ms + more_ms > self.settings.spare_ms {
+            if longer_ms + candidate.ms - candidate.saved_ms > spare_ms {
                 continue;
             }
             let related = |other: &u32| {
@@ -401,10 +430,11 @@ impl Impostors {
                 };
                 is_above(candidate.node, *other) || is_above(*other, candidate.node)
             };
+            let start = Instant::now();
             if !made.iter().any(related)
                 && let Some(picture) = self.make(&candidate, look)
             {
-                longer_ms += more_ms;
+                longer_ms += ms_since(start) - candidate.saved_ms;
                 self.cached.insert(
                     candidate.node,
                     Cached { picture, parts: candidate.parts, zone: candidate.zone, used: self.frame },
@@ -432,12 +462,12 @@ impl Impostors {
         let mut around = self.nodes.cells_around(look.index, *node);
         around.retain(|cell| look.has(*cell));
         let (camera, pose) = (&framing.camera, &framing.pose);
-        let mut triangles = 0;
-        for (cells, frame) in [(&mut own, &mut self.drawing), (&mut around, &mut self.neighbours)] {
-            near_to_far(look.index, cells, look.pose.position);
-            let stats = self.rasterizer.draw(look.index, look.resident, cells, camera, pose, frame);
-            triangles += stats.triangles;
-        }
+        [&mut own, &mut around].into_iter().for_each(|cells| near_to_far(look.index, cells, look.pose.position));
+        let (index, resident) = (look.index, look.resident);
+        let stats = self.rasterizer.draw(index, resident, &own, camera, pose, &mut self.drawing);
+        let gathered = gather_within(index, resident, &around, &inflated);
+        let neighbours = self.rasterizer.draw_gathered(gathered, (camera, pose), &mut self.neighbours);
+        let triangles = stats.triangles + neighbours.triangles;
         framing.bring_in(&inflated, &self.neighbours, &mut self.drawing);
         for image in images {
             if let Some(cached) = self.cached.get(&image) {

@@ -229,3 +229,25 @@ fn nothing_is_made_of_what_is_not_here_and_memory_is_bounded() {
     let (_, _, drawn) = draw(&mut impostors, &scene, &pose);
     assert!(drawn.bytes < before.bytes, "{} of {}", drawn.bytes, before.bytes);
 }
+
+#[test]
+fn images_wait_for_time_to_spare_which_grows_with_the_frame() {
+    let scene = scene();
+    let made = |spare_share: f64| {
+        let mut impostors = eager(2.0);
+        impostors.settings = Settings { spare_ms: 0.0, spare_share, ..impostors.settings };
+        (0..6).map(|_| draw(&mut impostors, &scene, &at(0.0)).2.made).sum::<u32>()
+    };
+    assert_eq!(made(0.0), 0);
+    // Of whatever a frame takes here.
+    assert!(made(1e9) > 0);
+}
+
+#[test]
+fn shares_of_boxes_multiply_and_flat_ones_count_by_area() {
+    let aabb = |min: [f64; 3], max: [f64; 3]| Aabb { min: DVec3::from(min), max: DVec3::from(max) };
+    let unit = aabb([0.0; 3], [1.0; 3]);
+    assert_eq!(share(&unit, &aabb([0.5, -1.0, 0.75], [3.0, 2.0, 3.0])), 0.125);
+    assert_eq!([share(&unit, &aabb([2.0; 3], [3.0; 3])), share(&unit, &aabb([-1.0; 3], [3.0; 3]))], [0.0, 1.0]);
+    assert_eq!(share(&aabb([0.0; 3], [1.0, 0.0, 1.0]), &aabb([0.5, -1.0, 0.0], [1.0, 1.0, 1.0])), 0.5);
+}

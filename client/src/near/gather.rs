@@ -2,8 +2,9 @@
 
 use super::{NearStats, alpha::AlphaBlocks};
 use crate::resident::Resident;
-use glam::DAffine3;
+use glam::{DAffine3, Vec3};
 use ldi_protocol::{
+    Aabb,
     index::Index,
     mesh::{Alpha, CellGeometry, Cluster, ClusterRef, MAX_CLUSTER_TRIANGLES, Material},
     texture::Texture,
@@ -48,6 +49,38 @@ pub(crate) struct Gathered<'a> {
 
 /// Collects the draws of `cells`.
 pub(crate) fn gather<'a>(index: &'a Index, resident: &dyn Resident, cells: &[u32]) -> Gathered<'a> {
+    gather_if(index, resident, cells, |_, _| true)
+}
+
+/// Collects those draws of `cells` whose clusters touch a box of the world.
+pub(crate) fn gather_within<'a>(
+    index: &'a Index,
+    resident: &dyn Resident,
+    cells: &[u32],
+    within: &Aabb,
+) -> Gathered<'a> {
+    gather_if(index, resident, cells, |cluster, world_from_mesh| bounds(cluster, world_from_mesh).intersects(within))
+}
+
+/// Around a cluster in the world; wider than need be where it is turned.
+fn bounds(cluster: &Cluster, world_from_mesh: &DAffine3) -> Aabb {
+    let points = || cluster.positions.iter();
+    let (min, max) = (points().copied().reduce(Vec3::min), points().copied().reduce(Vec3::max));
+    let (Some(min), Some(max)) = (min, max) else { return Aabb::EMPTY };
+    let (min, max) = (min.as_dvec3() + cluster.origin, max.as_dvec3() + cluster.origin);
+    let centre = world_from_mesh.transform_point3(0.5 * (min + max));
+    let axes = world_from_mesh.matrix3;
+    let half = 0.5 * (max - min);
+    let half = axes.x_axis.abs() * half.x + axes.y_axis.abs() * half.y + axes.z_axis.abs() * half.z;
+    Aabb { min: centre - half, max: centre + half }
+}
+
+fn gather_if<'a>(
+    index: &'a Index,
+    resident: &dyn Resident,
+    cells: &[u32],
+    wanted: impl Fn(&Cluster, &DAffine3) -> bool,
+) -> Gathered<'a> {
     let mut out = Gathered {
         materials: &index.materials,
         held: Vec::new(),
@@ -78,7 +111,7 @@ pub(crate) fn gather<'a>(index: &'a Index, resident: &dyn Resident, cells: &[u32
                 }
             };
             if let Some(held) = held {
-                out.add(held, cluster, instance.world_from_mesh, resident);
+                out.add((held, cluster), &instance.world_from_mesh, resident, &wanted);
             }
         }
     }
@@ -101,10 +134,16 @@ impl<'a> Gathered<'a> {
         self.held.len() as u32 - 1
     }
 
-    fn add(&mut self, geometry: u32, cluster: u32, world_from_mesh: DAffine3, resident: &dyn Resident) {
+    fn add(
+        &mut self,
+        (geometry, cluster): (u32, u32),
+        world_from_mesh: &DAffine3,
+        resident: &dyn Resident,
+        wanted: impl Fn(&Cluster, &DAffine3) -> bool,
+    ) {
         let Some(c) = self.held[geometry as usize].clusters.get(cluster as usize) else { return };
         let Some(material) = self.materials.get(c.material as usize) else { return };
-        if self.draws.len() >= MAX_DRAWS {
+        if self.draws.len() >= MAX_DRAWS || !wanted(c, world_from_mesh) {
             return;
         }
         self.stats.clusters += 1;
@@ -114,7 +153,7 @@ impl<'a> Gathered<'a> {
                 .entry(texture)
                 .or_insert_with(|| resident.texture(texture).map(|texture| Held { texture, blocks: None }));
         }
-        self.draws.push(Draw { geometry, cluster, world_from_mesh });
+        self.draws.push(Draw { geometry, cluster, world_from_mesh: *world_from_mesh });
     }
 
     /// Finds or makes the alpha blocks of masked textures, and forgets those of textures that are no longer drawn.

@@ -42,6 +42,7 @@ use crate::{
     frame::{Frame, Source},
     resident::Resident,
 };
+use gather::Gathered;
 use ldi_protocol::{OutputCamera, Pose, index::Index};
 use rayon::prelude::*;
 
@@ -97,10 +98,19 @@ impl Rasterizer {
         pose: &Pose,
         frame: &mut Frame,
     ) -> NearStats {
+        self.draw_gathered(gather::gather(index, resident, cells), (camera, pose), frame)
+    }
+
+    /// Draws what was gathered, as [`draw`](Self::draw).
+    pub(crate) fn draw_gathered(
+        &mut self,
+        mut scene: Gathered<'_>,
+        (camera, pose): (&OutputCamera, &Pose),
+        frame: &mut Frame,
+    ) -> NearStats {
         frame.reset(camera.width.min(MAX_SIDE_PX), camera.height.min(MAX_SIDE_PX));
         self.ids.clear();
         self.ids.resize(frame.len(), setup::NO_TRIANGLE);
-        let mut scene = gather::gather(index, resident, cells);
         scene.hold_blocks(&mut self.blocks);
         if frame.is_empty() {
             return scene.stats;

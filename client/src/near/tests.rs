@@ -4,6 +4,7 @@ use super::*;
 use crate::test_support::{Memory, dataset, loose_cluster, plain_material, quad_cluster};
 use glam::{DAffine3, DVec3, Vec3};
 use ldi_protocol::{
+    Aabb,
     index::{TextureChunk, TextureEntry},
     mesh::{Alpha, CellGeometry, ClusterInstance, ClusterRef, Material},
     need,
@@ -463,4 +464,40 @@ fn what_is_hidden_makes_no_difference() {
         .filter(|b| b.1 >> 8 >= (FIRST_BATCH_TRIANGLES / 200 + 2) as u32 && b.1 != setup::NO_TRIANGLE)
         .count();
     assert!(crowd > 200 && crowd < 6000, "{crowd}");
+}
+
+/// Against the corners of each cluster's box, turned and stretched.
+#[test]
+fn what_touches_a_box_is_gathered_and_nothing_else() {
+    let mut state = 11u64;
+    let mut unit = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f32 / (1u32 << 24) as f32
+    };
+    let mut point = |by: f32| Vec3::new(unit() - 0.5, unit() - 0.5, unit() - 0.5) * by;
+    let clusters: Vec<_> = (0..300)
+        .map(|_| {
+            let at = point(20.0);
+            loose_cluster(0, &[[at + point(4.0), at + point(4.0), at + point(4.0)]])
+        })
+        .collect();
+    let (index, mut memory) = dataset(CAMERA, vec![plain_material()], clusters);
+    let mut corners = Vec::new();
+    for number in 0..300 {
+        let mut cell = (*memory.cells[&number]).clone();
+        let (axis, shift) = (point(1.0).as_dvec3(), point(8.0).as_dvec3());
+        let turned = DAffine3::from_axis_angle(axis.normalize(), 6.0 * axis.x);
+        let placed = DAffine3::from_translation(shift) * turned * DAffine3::from_scale(axis + 0.7);
+        cell.instances[0].world_from_mesh = placed;
+        let own = Aabb::from_points(cell.clusters[0].positions.iter().map(|p| p.as_dvec3()));
+        corners.push(own.corners().map(|c| placed.transform_point3(c)));
+        memory.cells.insert(number, Arc::new(cell));
+    }
+    for _ in 0..20 {
+        let within = Aabb::from_points([point(20.0).as_dvec3(), point(20.0).as_dvec3()]);
+        let gathered = gather::gather_within(&index, &memory, &all_cells(&index), &within);
+        let expected = corners.iter().filter(|c| Aabb::from_points(**c).intersects(&within)).count();
+        assert_eq!(gathered.draws.len(), expected, "{within:?}");
+        assert!(expected < 300 && gathered.stats.clusters == expected as u64);
+    }
 }
