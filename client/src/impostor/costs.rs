@@ -8,6 +8,7 @@ const NEW: f64 = 0.1;
 const FEW_TRIANGLES: u64 = 10_000;
 /// Fewer pixels say nothing.
 const FEW_PIXELS: u64 = 10_000;
+
 /// Running means, milliseconds.
 #[derive(Debug, Clone, Copy)]
 pub struct Costs {

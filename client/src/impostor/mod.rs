@@ -37,7 +37,7 @@ pub struct Settings {
     pub error_px: f64,
     /// Milliseconds that a frame may take longer for making images: by default half of a frame at 60 per second.
     pub spare_ms: f64,
-    /// The same as a share of what the frame before took to draw, where that is more: who waits half a second for a frame is not served by images that never get made.
+    /// The same as a share of what the frame before took to draw, where that is more: who waits half a second for a frame is not served by images that never get made. The default, a quarter, is a guess; other shares were not tried.
     pub spare_share: f64,
     /// Most bytes of images: by default half of what the cache of chunks may hold, room for some hundred images as large as the picture.
     pub bytes: usize,
