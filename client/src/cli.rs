@@ -465,9 +465,11 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         s.bytes_total,
         args.report.display()
     );
-    if let Some(outside) = s.frames_outside_volume.filter(|n| *n > 0) {
+    if s.frames_unplanned > 0 {
         tracing::warn!(
-            "{outside} of the frames lie outside of the walk volume, where nothing is promised; are path and scene in the same unit and axes?"
+            "{} of {} frames are seen from places that no image was made for: what is far is softer there; `ldi-server inspect DATASET --plan plan.svg --path PATH.json` shows which, `ldi-server build --start X,Y,Z` or `--along PATH.json` makes images for them",
+            s.frames_unplanned,
+            s.frames
         );
     }
     if s.damaged_chunks > 0 {

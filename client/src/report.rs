@@ -70,6 +70,8 @@ pub struct FrameReport {
     pub missing_chunks: usize,
     /// Whether the pose lies in the walk volume; null when the dataset names none.
     pub in_volume: Option<bool>,
+    /// Whether no image was made for the eye although the dataset has images: geometry and the LDI tree are shown.
+    pub unplanned: bool,
     /// Share of pixels that nothing known reached.
     pub unpainted_fraction: f64,
     /// Share of pixels extrapolated from neighbours.
@@ -263,6 +265,8 @@ pub struct Summary {
     pub speedup: Option<f64>,
     pub all_geometry_bytes: Option<u64>,
     pub frames_outside_volume: Option<usize>,
+    /// Frames for whose eye no image was made although the dataset has images.
+    pub frames_unplanned: usize,
     pub frame_ms: FrameMs,
     pub stage_ms: StageSummary,
     pub samples_warped_mean: f64,
@@ -438,6 +442,7 @@ impl Summary {
             all_geometry_bytes: totals.all_geometry_bytes,
             frames_outside_volume: (!known_volume.is_empty())
                 .then(|| known_volume.iter().filter(|inside| !**inside).count()),
+            frames_unplanned: frames.iter().filter(|f| f.unplanned).count(),
             frame_ms: FrameMs {
                 p50: percentile(&times, 0.5),
                 p90: percentile(&times, 0.9),

@@ -34,7 +34,7 @@ use crate::{
 
 /// Version of root and pages. Raised with every change that an older reader would misunderstand.
 /// 10: sections of all chunks and pages may be coded by rANS.
-pub const VERSION: u8 = 13;
+pub const VERSION: u8 = 14;
 /// Largest root that a build writes.
 pub const MAX_ROOT_BYTES: usize = 256_000;
 

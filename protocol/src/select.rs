@@ -72,9 +72,10 @@ pub struct Show {
 /// What a pose sees.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Selection {
-    /// The closest grid point inside the reverse frustum. None: no grid, or the pose is outside the walk volume.
+    /// The closest grid point inside the reverse frustum; None without a grid.
     pub grid_point: Option<u32>,
-    /// The placement of the pose's angular range; None draws everything.
+    /// The placement of the pose's angular range, if its images were made for this eye. None draws geometry alone, as far as the
+    /// budget goes.
     pub placement: Option<u32>,
 }
 
@@ -132,7 +133,8 @@ fn images_within(index: &Index, placement: u32, pose: &Pose, normals: &[DVec3]) 
 /// Selects the grid point and the placement of a pose.
 ///
 /// The grid point is the closest P with `eye in P + forward square frustum(direction)`, or simply the closest one when the dataset was
-/// built with view cells; ties go to the smaller number.
+/// built with view cells; ties go to the smaller number. An eye that is not among a placement's users is not shown its images: they
+/// may lack what it sees.
 pub fn select(index: &Index, pose: &Pose) -> Selection {
     let basis = pose.basis();
     let t = index.settings.square_half_tan();
@@ -150,7 +152,27 @@ pub fn select(index: &Index, pose: &Pose) -> Selection {
         }
     }
     let grid_point = best.map(|b| b.1);
-    Selection { grid_point, placement: grid_point.and_then(|g| placement_of(index, g, pose)) }
+    let placement = grid_point.and_then(|g| placement_of(index, g, pose)).filter(|p| serves(index, *p, pose.position));
+    Selection { grid_point, placement }
+}
+
+/// Whether the images of a placement were made for an eye here.
+fn serves(index: &Index, placement: u32, eye: DVec3) -> bool {
+    let Some(entry) = index.placements.get(placement as usize) else { return false };
+    let made = !entry.images.is_empty() || entry.culled.is_empty();
+    made && entry.users.inflated(USERS_SLACK_M).contains(eye)
+}
+
+/// Whether an eye was planned for: it lies in the walk volume, or the images of its direction were made for it. Others see near
+/// geometry over the LDI tree.
+pub fn is_planned(index: &Index, pose: &Pose) -> bool {
+    let selection = select(index, pose);
+    let named = selection.grid_point.and_then(|g| placement_of(index, g, pose));
+    match &index.volume {
+        // A placement that was not made in time serves nobody.
+        Some(volume) if volume.contains(pose.position) => named == selection.placement,
+        _ => selection.placement.is_some(),
+    }
 }
 
 /// What to draw as geometry for a pose.
@@ -208,9 +230,7 @@ pub fn draw_list_of(
     // The grid, if it was made for this eye.
     let by_grid = || {
         let grid = grid_list(index, groups, select(index, pose), pose, picture_half_tan);
-        let users = grid.selection.placement.and_then(|p| index.placements.get(p as usize)).map(|p| &p.users);
-        let serves = grid.dropped == 0 && users.is_none_or(|u| u.inflated(USERS_SLACK_M).contains(pose.position));
-        serves.then_some(grid)
+        (grid.dropped == 0).then_some(grid)
     };
     let is_asked_for = show.portals == ShowPortals::default() && rooms.is_by_grid(pose.position);
     if is_asked_for && let Some(grid) = by_grid() {
@@ -495,7 +515,7 @@ mod tests {
                 cop: DVec3::ZERO,
                 culled: vec![5, 6, 7, 8, 9],
                 footprint_px: 1.5,
-                users: Aabb::EMPTY,
+                users: Aabb { min: DVec3::splat(-8.0), max: DVec3::splat(8.0) },
                 images: 0..3,
                 sky: Default::default(),
             }],
@@ -549,6 +569,25 @@ mod tests {
             Some(2),
             "turned round, the other one is behind"
         );
+    }
+
+    #[test]
+    fn nobody_is_shown_images_that_were_made_for_others() {
+        let mut index = index("paper", 300);
+        let planned = |index: &Index, z: f64| {
+            let eye = pose(z, 0.0);
+            (draw_list(index, &eye, (0.577, 0.32)).images.len(), is_planned(index, &eye))
+        };
+        assert_eq!(planned(&index, -0.5), (2, true));
+        index.placements[0].users = Aabb { min: DVec3::splat(-0.4), max: DVec3::splat(0.4) };
+        assert_eq!(planned(&index, -0.5), (0, false), "beyond the users");
+        let list = draw_list(&index, &pose(-0.5, 0.0), (0.577, 0.32));
+        assert_eq!((list.cells.as_slice(), list.triangles), (&[0, 1, 2][..], 300), "the nearest cells within the budget");
+        assert_eq!(planned(&index, -0.3), (2, true));
+        // Nothing was made of it in time.
+        index.placements[0].images = 0..0;
+        assert_eq!(planned(&index, -0.3), (0, false));
+        assert_eq!(draw_list(&index, &pose(-0.3, 0.0), (0.577, 0.32)).cells, [0, 1, 2]);
     }
 
     #[test]

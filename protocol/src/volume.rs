@@ -16,7 +16,8 @@ use crate::Aabb;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// Upright boxes that together hold every allowed eye. Serialized in a packed form (about two bytes per run).
+/// Upright boxes that together hold every allowed eye. Sparse: only columns with eyes are stored, row by row, so that a wide scene
+/// costs what its walkable places cost. Serialized in a packed form (about three bytes per column).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(into = "Packed", try_from = "Packed")]
 pub struct WalkVolume {
@@ -30,10 +31,23 @@ pub struct WalkVolume {
     layer_m: f64,
     /// Columns along x and z.
     columns: [u32; 2],
-    /// Per column the position of its first run, and one more: the number of runs.
+    /// Per row (along z) the position of its first stored column, and one more: the number of stored columns.
+    first_column: Vec<u32>,
+    /// Place of each stored column along x, ascending within a row.
+    column_x: Vec<u32>,
+    /// Per stored column the position of its first run, and one more: the number of runs.
     first_run: Vec<u32>,
     /// First layer and the one after the last; ascending and disjoint within a column.
     runs: Vec<[u16; 2]>,
+}
+
+/// The runs of one column of a [`WalkVolume`].
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ColumnRuns {
+    /// Place along x and z.
+    pub place: [u32; 2],
+    /// First layer and the one after the last; ascending and disjoint.
+    pub runs: Vec<[u16; 2]>,
 }
 
 /// Why a stored walk volume was refused.
@@ -42,8 +56,10 @@ pub struct WalkVolume {
 pub struct VolumeError(&'static str);
 
 impl WalkVolume {
-    /// Most columns a volume may have: bounds the memory that a manifest can ask for.
+    /// Most columns with eyes: bounds the memory that a manifest can ask for.
     pub const MAX_COLUMNS: u64 = 1 << 23;
+    /// Most columns along x and along z.
+    pub const MAX_SIDE: u32 = 1 << 20;
     /// Most runs of layers.
     pub const MAX_RUNS: u64 = 1 << 24;
 
@@ -56,17 +72,37 @@ impl WalkVolume {
         runs_of_column: &[Vec<[u16; 2]>],
         cut: &Aabb,
     ) -> Result<Self, VolumeError> {
-        let mut first_run = Vec::with_capacity(runs_of_column.len() + 1);
-        let mut runs = Vec::new();
-        for r in runs_of_column {
-            first_run.push(runs.len() as u32);
-            runs.extend_from_slice(r);
+        if runs_of_column.len() as u64 != u64::from(columns[0]) * u64::from(columns[1]) {
+            return Err(VolumeError("number of columns out of range"));
         }
+        let places = (0..columns[1]).flat_map(|k| (0..columns[0]).map(move |i| [i, k]));
+        let stored = places.zip(runs_of_column).map(|(place, runs)| ColumnRuns { place, runs: runs.clone() });
+        Self::of_columns(origin, pitch_m, layer_m, columns, stored, cut)
+    }
+
+    /// A volume from columns in the order of rows (z, then x), each at most once; those without runs are left out.
+    pub fn of_columns(
+        origin: DVec3,
+        pitch_m: f64,
+        layer_m: f64,
+        columns: [u32; 2],
+        stored: impl IntoIterator<Item = ColumnRuns>,
+        cut: &Aabb,
+    ) -> Result<Self, VolumeError> {
+        let mut rows = Rows::default();
+        for column in stored.into_iter().filter(|c| !c.runs.is_empty()) {
+            rows.push(column.place, &column.runs);
+        }
+        let Rows { mut first_column, column_x, mut first_run, runs, .. } = rows;
+        if first_column.len() > columns[1] as usize || columns.iter().any(|n| *n > Self::MAX_SIDE) {
+            return Err(VolumeError("number of columns out of range"));
+        }
+        first_column.resize(columns[1] as usize + 1, column_x.len() as u32);
         first_run.push(runs.len() as u32);
         let low = runs.iter().map(|r| r[0]).min().map_or(f64::INFINITY, |l| origin.y + f64::from(l) * layer_m);
         let high = runs.iter().map(|r| r[1]).max().map_or(f64::NEG_INFINITY, |l| origin.y + f64::from(l) * layer_m);
         let bounds = Aabb { min: DVec3::new(cut.min.x, low, cut.min.z), max: DVec3::new(cut.max.x, high, cut.max.z) };
-        Self { bounds, origin, pitch_m, layer_m, columns, first_run, runs }.checked()
+        Self { bounds, origin, pitch_m, layer_m, columns, first_column, column_x, first_run, runs }.checked()
     }
 
     /// The volume that is one box: flying.
@@ -130,42 +166,61 @@ impl WalkVolume {
 
     /// The runs of a column.
     fn runs_of(&self, i: u32, k: u32) -> &[[u16; 2]] {
-        let c = (k * self.columns[0] + i) as usize;
-        &self.runs[self.first_run[c] as usize..self.first_run[c + 1] as usize]
+        let row = self.first_column[k as usize] as usize..self.first_column[k as usize + 1] as usize;
+        match self.column_x[row.clone()].binary_search(&i) {
+            Ok(at) => self.runs_at(row.start + at),
+            Err(_) => &[],
+        }
     }
 
-    /// All boxes, column by column.
+    /// The runs of a stored column, by its position.
+    fn runs_at(&self, column: usize) -> &[[u16; 2]] {
+        &self.runs[self.first_run[column] as usize..self.first_run[column + 1] as usize]
+    }
+
+    /// Places of the stored columns along x and z, in order.
+    fn places(&self) -> impl Iterator<Item = [u32; 2]> + '_ {
+        self.first_column.windows(2).zip(0..).flat_map(|(row, k)| {
+            self.column_x[row[0] as usize..row[1] as usize].iter().map(move |i| [*i, k])
+        })
+    }
+
+    /// All boxes, column by column in the order of rows.
     pub fn boxes(&self) -> impl Iterator<Item = Aabb> + '_ {
-        (0..self.columns[1]).flat_map(move |k| {
-            (0..self.columns[0]).flat_map(move |i| {
-                let x = self.origin.x + f64::from(i) * self.pitch_m;
-                let z = self.origin.z + f64::from(k) * self.pitch_m;
-                self.runs_of(i, k).iter().map(move |r| Aabb {
-                    min: DVec3::new(
-                        x.max(self.bounds.min.x),
-                        self.origin.y + f64::from(r[0]) * self.layer_m,
-                        z.max(self.bounds.min.z),
-                    ),
-                    max: DVec3::new(
-                        (x + self.pitch_m).min(self.bounds.max.x),
-                        self.origin.y + f64::from(r[1]) * self.layer_m,
-                        (z + self.pitch_m).min(self.bounds.max.z),
-                    ),
-                })
+        self.places().zip(0..).flat_map(move |([i, k], column)| {
+            let x = self.origin.x + f64::from(i) * self.pitch_m;
+            let z = self.origin.z + f64::from(k) * self.pitch_m;
+            self.runs_at(column).iter().map(move |r| Aabb {
+                min: DVec3::new(
+                    x.max(self.bounds.min.x),
+                    self.origin.y + f64::from(r[0]) * self.layer_m,
+                    z.max(self.bounds.min.z),
+                ),
+                max: DVec3::new(
+                    (x + self.pitch_m).min(self.bounds.max.x),
+                    self.origin.y + f64::from(r[1]) * self.layer_m,
+                    (z + self.pitch_m).min(self.bounds.max.z),
+                ),
             })
         })
     }
 
     /// The same with some of its boxes only: those whose position among [`WalkVolume::boxes`] `keep` takes.
+    #[must_use]
     pub fn only(&self, keep: impl Fn(usize) -> bool) -> Self {
-        let (mut first_run, mut runs) = (Vec::with_capacity(self.first_run.len()), Vec::new());
-        for column in self.first_run.windows(2) {
-            first_run.push(runs.len() as u32);
-            let kept = (column[0] as usize..column[1] as usize).filter(|run| keep(*run));
-            runs.extend(kept.map(|run| self.runs[run]));
+        let mut rows = Rows::default();
+        for (place, column) in self.places().zip(0..) {
+            let first = self.first_run[column] as usize;
+            let of_column = self.runs_at(column).iter().enumerate();
+            let kept: Vec<[u16; 2]> = of_column.filter(|(n, _)| keep(first + n)).map(|(_, run)| *run).collect();
+            if !kept.is_empty() {
+                rows.push(place, &kept);
+            }
         }
+        let Rows { mut first_column, column_x, mut first_run, runs, .. } = rows;
+        first_column.resize(self.first_column.len(), column_x.len() as u32);
         first_run.push(runs.len() as u32);
-        Self { first_run, runs, ..self.clone() }
+        Self { first_column, column_x, first_run, runs, ..self.clone() }
     }
 
     /// Draws points uniformly over the volume.
@@ -182,9 +237,13 @@ impl WalkVolume {
 
     /// Checks what the rest of this file relies on.
     fn checked(self) -> Result<Self, VolumeError> {
-        let n = u64::from(self.columns[0]) * u64::from(self.columns[1]);
         let fail = |what| Err(VolumeError(what));
-        if n == 0 || n > Self::MAX_COLUMNS || self.first_run.len() as u64 != n + 1 {
+        if self.columns.iter().any(|n| !(1..=Self::MAX_SIDE).contains(n))
+            || self.column_x.len() as u64 > Self::MAX_COLUMNS
+            || self.first_column.len() != self.columns[1] as usize + 1
+            || self.first_column.last().copied() != Some(self.column_x.len() as u32)
+            || self.first_run.len() != self.column_x.len() + 1
+        {
             return fail("number of columns out of range");
         }
         if !(self.pitch_m > 0.0 && self.layer_m > 0.0 && self.pitch_m.is_finite() && self.layer_m.is_finite())
@@ -195,6 +254,14 @@ impl WalkVolume {
         if self.runs.len() as u64 > Self::MAX_RUNS || self.first_run.last().copied() != Some(self.runs.len() as u32) {
             return fail("number of runs out of range");
         }
+        if self.first_column.windows(2).any(|row| row[0] > row[1]) {
+            return fail("rows out of order");
+        }
+        let row = |w: &[u32]| &self.column_x[w[0] as usize..w[1] as usize];
+        let unsorted = |w: &[u32]| row(w).windows(2).any(|x| x[0] >= x[1]);
+        if self.first_column.windows(2).any(|w| unsorted(w) || row(w).last().is_some_and(|x| *x >= self.columns[0])) {
+            return fail("columns out of order");
+        }
         if self.first_run.windows(2).any(|w| w[0] > w[1]) || self.runs.iter().any(|r| r[0] >= r[1]) {
             return fail("runs out of order");
         }
@@ -202,6 +269,26 @@ impl WalkVolume {
             return fail("bounds not finite");
         }
         Ok(self)
+    }
+}
+
+/// Columns as they are stored, while they are gathered.
+#[derive(Default)]
+struct Rows {
+    first_column: Vec<u32>,
+    column_x: Vec<u32>,
+    first_run: Vec<u32>,
+    runs: Vec<[u16; 2]>,
+}
+
+impl Rows {
+    /// Adds the next column in the order of rows. One that is out of order is caught by [`WalkVolume::checked`].
+    fn push(&mut self, [i, k]: [u32; 2], runs: &[[u16; 2]]) {
+        let rows = (k.min(WalkVolume::MAX_SIDE) as usize + 1).max(self.first_column.len());
+        self.first_column.resize(rows, self.column_x.len() as u32);
+        self.column_x.push(i);
+        self.first_run.push(self.runs.len() as u32);
+        self.runs.extend_from_slice(runs);
     }
 }
 
@@ -222,7 +309,7 @@ impl VolumeSampler {
     }
 }
 
-/// The stored form: a header and one compressed stream of run-length tokens.
+/// The stored form: a header and one compressed stream of tokens.
 #[derive(Serialize, Deserialize)]
 struct Packed {
     bounds: Aabb,
@@ -230,8 +317,11 @@ struct Packed {
     pitch_m: f64,
     layer_m: f64,
     columns: [u32; 2],
+    /// Columns with eyes.
+    stored: u64,
     runs: u64,
-    /// zstd over: per column the number of runs, then per run the gap before it and its length, as LEB128 in three planes.
+    /// zstd over LEB128 numbers in five planes: per row its number of columns; per column the gap along x before it; per column its
+    /// number of runs; per run the gap before it; per run its length.
     tokens: Vec<u8>,
 }
 
@@ -258,7 +348,15 @@ fn take(bytes: &mut &[u8]) -> Option<u32> {
 
 impl From<WalkVolume> for Packed {
     fn from(v: WalkVolume) -> Self {
-        let (mut counts, mut gaps, mut lengths) = (Vec::new(), Vec::new(), Vec::new());
+        let [mut in_row, mut steps, mut counts, mut gaps, mut lengths] = [const { Vec::new() }; 5];
+        for row in v.first_column.windows(2) {
+            put(&mut in_row, row[1] - row[0]);
+            let mut at = 0u32;
+            for x in &v.column_x[row[0] as usize..row[1] as usize] {
+                put(&mut steps, x - at);
+                at = x + 1;
+            }
+        }
         for w in v.first_run.windows(2) {
             put(&mut counts, w[1] - w[0]);
             let mut at = 0u32;
@@ -268,9 +366,7 @@ impl From<WalkVolume> for Packed {
                 at = u32::from(r[1]);
             }
         }
-        let mut raw = counts;
-        raw.extend(gaps);
-        raw.extend(lengths);
+        let raw = [in_row, steps, counts, gaps, lengths].concat();
         // Compression into memory cannot fail for want of space; an empty stream is refused on the way back.
         let tokens = zstd::bulk::compress(&raw, 19).unwrap_or_default();
         Self {
@@ -279,6 +375,7 @@ impl From<WalkVolume> for Packed {
             pitch_m: v.pitch_m,
             layer_m: v.layer_m,
             columns: v.columns,
+            stored: v.column_x.len() as u64,
             runs: v.runs.len() as u64,
             tokens,
         }
@@ -288,38 +385,42 @@ impl From<WalkVolume> for Packed {
 impl TryFrom<Packed> for WalkVolume {
     type Error = VolumeError;
     fn try_from(p: Packed) -> Result<Self, VolumeError> {
-        let n = u64::from(p.columns[0]) * u64::from(p.columns[1]);
-        if n == 0 || n > Self::MAX_COLUMNS || p.runs > Self::MAX_RUNS {
+        let [_, rows] = p.columns;
+        if p.columns.iter().any(|n| !(1..=Self::MAX_SIDE).contains(n))
+            || p.stored > Self::MAX_COLUMNS
+            || p.runs > Self::MAX_RUNS
+        {
             return Err(VolumeError("number of columns or runs out of range"));
         }
-        // A count takes at most 5 bytes, a gap and a length at most 3 each.
-        let raw = zstd::bulk::decompress(&p.tokens, (n * 5 + p.runs * 6) as usize)
+        // A number takes at most 5 bytes; gaps and lengths of runs at most 3.
+        let most = u64::from(rows) * 5 + p.stored * 10 + p.runs * 6;
+        let raw = zstd::bulk::decompress(&p.tokens, most as usize)
             .map_err(|_| VolumeError("the token stream does not decompress"))?;
-        let short = VolumeError("the token stream ends too early");
         let mut rest = raw.as_slice();
-        let mut first_run = Vec::with_capacity(n as usize + 1);
-        let mut total = 0u64;
-        for _ in 0..n {
-            first_run.push(total as u32);
-            total += u64::from(take(&mut rest).ok_or(VolumeError("the token stream ends too early"))?);
-            if total > p.runs {
-                return Err(VolumeError("more runs than announced"));
+        let mut numbers = |n: u64| -> Result<Vec<u32>, VolumeError> {
+            (0..n).map(|_| take(&mut rest).ok_or(VolumeError("the token stream ends too early"))).collect()
+        };
+        let first_column = ends(&numbers(u64::from(rows))?, p.stored)?;
+        let steps = numbers(p.stored)?;
+        let first_run = ends(&numbers(p.stored)?, p.runs)?;
+        let (gaps, lengths) = (numbers(p.runs)?, numbers(p.runs)?);
+        if !rest.is_empty() {
+            return Err(VolumeError("the token stream is too long"));
+        }
+        let mut column_x = Vec::with_capacity(steps.len());
+        for row in first_column.windows(2) {
+            let mut at = 0u32;
+            for step in &steps[row[0] as usize..row[1] as usize] {
+                column_x.push(at.saturating_add(*step));
+                at = at.saturating_add(*step).saturating_add(1);
             }
         }
-        first_run.push(total as u32);
-        let mut numbers = Vec::with_capacity(2 * total as usize);
-        for _ in 0..2 * total {
-            numbers.push(take(&mut rest).ok_or(VolumeError("the token stream ends too early"))?);
-        }
-        if !rest.is_empty() || total != p.runs {
-            return Err(short);
-        }
-        let mut runs = Vec::with_capacity(total as usize);
+        let mut runs = Vec::with_capacity(gaps.len());
         for w in first_run.windows(2) {
             let mut at = 0u32;
-            for r in w[0]..w[1] {
-                let first = at.saturating_add(numbers[r as usize]);
-                let end = first.saturating_add(numbers[(u64::from(r) + total) as usize]);
+            for r in w[0] as usize..w[1] as usize {
+                let first = at.saturating_add(gaps[r]);
+                let end = first.saturating_add(lengths[r]);
                 let (Ok(first), Ok(end)) = (u16::try_from(first), u16::try_from(end)) else {
                     return Err(VolumeError("a run lies outside the layers"));
                 };
@@ -333,11 +434,28 @@ impl TryFrom<Packed> for WalkVolume {
             pitch_m: p.pitch_m,
             layer_m: p.layer_m,
             columns: p.columns,
+            first_column,
+            column_x,
             first_run,
             runs,
         }
         .checked()
     }
+}
+
+/// Positions where each of several parts begins, and the end of the last, which must be `total`.
+fn ends(counts: &[u32], total: u64) -> Result<Vec<u32>, VolumeError> {
+    let mut out = Vec::with_capacity(counts.len() + 1);
+    let mut at = 0u64;
+    out.push(0);
+    for n in counts {
+        at += u64::from(*n);
+        if at > total {
+            return Err(VolumeError("more columns or runs than announced"));
+        }
+        out.push(at as u32);
+    }
+    if at == total { Ok(out) } else { Err(VolumeError("fewer columns or runs than announced")) }
 }
 
 #[cfg(test)]
@@ -411,7 +529,7 @@ mod tests {
         #[test]
         fn damaged_tokens_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
             let packed = Packed {
-                bounds: Aabb::EMPTY, origin: DVec3::ZERO, pitch_m: 1.0, layer_m: 1.0, columns: [3, 3], runs: 4,
+                bounds: Aabb::EMPTY, origin: DVec3::ZERO, pitch_m: 1.0, layer_m: 1.0, columns: [3, 3], stored: 5, runs: 4,
                 tokens: zstd::bulk::compress(&bytes, 1).unwrap(),
             };
             let _ = WalkVolume::try_from(packed);

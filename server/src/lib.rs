@@ -1,7 +1,7 @@
 //! The server: builds datasets from scenes and serves them.
 //!
 //! Folders are stages; a module imports only from stages before it:
-//! [`scene`] -> [`octree`] -> [`render`] -> [`placement`] -> [`portal`] -> [`construct`] -> [`pack`] -> [`tree`] -> [`store`] -> [`serve`];
+//! [`scene`] -> [`octree`] -> [`render`] -> [`walk_volume`] -> [`placement`] -> [`portal`] -> [`construct`] -> [`pack`] -> [`tree`] -> [`store`] -> [`plan`] -> [`serve`];
 //! [`build`] joins them, [`cli`] is the command line.
 
 pub mod build;
@@ -10,9 +10,11 @@ pub mod construct;
 pub mod octree;
 pub mod pack;
 pub mod placement;
+pub mod plan;
 pub mod portal;
 pub mod render;
 pub mod scene;
 pub mod serve;
 pub mod store;
 pub mod tree;
+pub mod walk_volume;

@@ -31,6 +31,8 @@ pub struct Figures {
     pub needed_bytes: u64,
     /// Cells left out because the budget was used up.
     pub dropped_cells: u32,
+    /// Whether what is far is softer because no image was made for the place.
+    pub unplanned: bool,
     /// Samples per pixel along each side.
     pub supersample: u32,
     /// What it shows.

@@ -367,6 +367,7 @@ impl Draughtsman {
             missing_bytes: painted.missing_chunks.iter().map(stored).sum(),
             needed_bytes: needed.all().map(|c| stored(&c)).sum(),
             dropped_cells: view.dropped,
+            unplanned: view.dropped > 0 && view.is_unplanned(index, pose),
             supersample: options.supersample,
             shows: options.shows,
             card: self.painter.gpu().map(|g| (g.adapter().to_owned(), g.held_bytes())),

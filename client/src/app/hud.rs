@@ -45,6 +45,9 @@ impl Default for Hud {
     }
 }
 
+/// Said where no image was made for the place.
+const UNPLANNED: &str = "No images were made for this place: what is far away looks softer";
+
 impl Hud {
     /// A new picture is shown.
     pub fn picture(&mut self, p: &Picture) {
@@ -91,6 +94,10 @@ impl Hud {
         }
         if self.help || self.figures {
             centred(&painter, pos2(screen.center().x, screen.bottom() - 18.0), HELP, TEXT, 12.0, screen.width() - 24.0);
+        }
+        if shown.is_some_and(|(picture, _)| picture.figures.unplanned) {
+            let at = pos2(screen.center().x, screen.bottom() - 36.0);
+            centred(&painter, at, UNPLANNED, TEXT, 13.0, screen.width() * 0.8);
         }
         if let Some(text) = trouble(state) {
             centred(&painter, pos2(screen.center().x, screen.top() + 34.0), &text, BAD, 16.0, screen.width() * 0.7);

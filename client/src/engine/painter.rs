@@ -33,7 +33,7 @@ use ldi_protocol::{
     portal_view::Cone,
     room_index::PortalImages,
     rooms::{CellId, Portal},
-    select::{DrawFrusta, DrawList, FarBy, Selection, ShownPortal, draw_list_showing, select},
+    select::{DrawFrusta, DrawList, FarBy, Selection, ShownPortal, draw_list_showing, is_planned, select},
     shade::SKY_SRGB,
 };
 use std::{sync::Arc, time::Instant};
@@ -130,6 +130,13 @@ pub struct Painter {
 
 fn ms_since(start: Instant) -> f64 {
     start.elapsed().as_secs_f64() * 1e3
+}
+
+impl View {
+    /// Whether no image was made for the eye although the dataset has images: it sees geometry over the LDI tree.
+    pub fn is_unplanned(&self, index: &Index, pose: &Pose) -> bool {
+        !self.by_tree && !index.placements.is_empty() && !is_planned(index, pose)
+    }
 }
 
 /// Selects what a pose draws; times go to `ms`.
@@ -471,7 +478,8 @@ impl Painter {
             })
             .collect();
         let mut known = images.iter().any(|(.., l)| l.is_some());
-        let doubtful = gaps || ((view.by_tree || index.rooms.is_some()) && view.dropped > 0);
+        // Behind what the budget leaves out lies what images do not show either.
+        let doubtful = gaps || view.dropped > 0;
         // On the card if all is there that the picture wants, and nothing that only the processor does.
         let plain = options.shows == Shows::Scene && options.fill != Fill::Last && !options.smooth;
         let open = match plain && !doubtful && view.dropped == 0 {

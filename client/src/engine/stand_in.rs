@@ -40,7 +40,8 @@ impl StandIn {
         is_at_hand: &dyn Fn(u32) -> bool,
     ) -> Option<View> {
         let number = self.placement.filter(|p| view.selection.placement != Some(*p))?;
-        if view.by_tree || !view.portals.is_empty() {
+        // An eye that no image was made for is shown none.
+        if view.by_tree || !view.portals.is_empty() || view.is_unplanned(index, pose) {
             return None;
         }
         let is_whole =

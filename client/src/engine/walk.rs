@@ -384,6 +384,7 @@ impl Walker<'_> {
             bytes_received: traffic.bytes,
             missing_chunks: painted.missing_chunks.len(),
             in_volume: self.feed.index().volume.as_ref().map(|v| v.contains(pose.pose.position)),
+            unplanned: view.is_unplanned(self.feed.index(), &pose.pose),
             unpainted_fraction,
             filled_fraction: share(Source::Filled),
             far_fraction: share(Source::Far),

@@ -319,7 +319,7 @@ impl Ground<'_> {
         let Self { options, caster, scene, octree, settings, progress, .. } = *self;
         let nothing = PlacementResult { points: Vec::new(), plans: Vec::new(), ..plan.clone() };
         let draft = draft_index(options, scene, settings, &nothing, self.cells.to_vec(), None);
-        let grid = |volume| place(options, (scene, octree, settings), Some(caster), Some(volume), progress);
+        let grid = |volume| place((scene, octree, settings), caster, volume, progress);
         let share = rooms::Share { by_grid, before: Some(by_rooms) };
         let (mut mixed, found) = rooms::plan_rooms(caster, site, portals, draft, share, &grid, progress)?;
         mixed.statistics.skipped.clone_from(&plan.statistics.skipped);
@@ -371,6 +371,7 @@ mod tests {
     fn walks_need_geometry_and_images() {
         let options = BuildOptions {
             represent: crate::build::Represent::Grid,
+            starts: Vec::new(),
             along: None,
             // Of a budget that is told as a share the settings know nothing.
             budget_share: Some(0.3),
@@ -387,7 +388,7 @@ mod tests {
             chunks: geometry.chunks.iter().map(super::super::chunk_entry).collect(),
             ..draft_index(&options, &p.scene, &p.settings, plan, geometry.cells.clone(), None)
         };
-        let walks = Walks::take(p.caster.as_ref().unwrap(), &plan.volume);
+        let walks = Walks::take(&p.caster, &plan.volume);
         let bytes = |per_pixel| walks.needs(index.clone(), &plan.plans, per_pixel, None).all() / WALKS;
         let (without, with) = (bytes(0.0), bytes(1.0));
         let all: u64 = index.chunks.iter().map(|c| u64::from(c.stored_bytes)).sum();

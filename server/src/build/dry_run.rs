@@ -4,6 +4,7 @@ use super::{BuildError, BuildOptions, Clock, Planned, Progress, RoomFigures, dra
 use crate::octree;
 use crate::pack;
 use crate::placement::{self, AuditReport, AuditSize, ImagePlan, PlacementStatistics};
+use crate::walk_volume::WalkReport;
 use ldi_protocol::index::Index;
 use serde::Serialize;
 
@@ -18,6 +19,8 @@ pub struct Draft {
     pub counts: Vec<u64>,
     /// What placement found.
     pub statistics: PlacementStatistics,
+    /// Where people walk.
+    pub walk: WalkReport,
     /// Rooms; None without.
     pub rooms: Option<RoomFigures>,
     /// Seconds per stage.
@@ -54,24 +57,26 @@ pub struct DryRun {
     pub megapixels: f64,
     /// Rooms, and where the grid takes over; None without.
     pub rooms: Option<RoomFigures>,
+    /// Where people walk.
+    pub walk: WalkReport,
     /// Seconds per stage.
     pub seconds: Vec<(&'static str, f64)>,
     /// The audit of the plan: triangles counted over the scene, footprints of the images to be.
     pub audit: AuditReport,
 }
 
-/// Plans a build and audits the plan. Nothing is written.
+/// Plans a build and audits the plan; also the plan's index. Nothing is written.
 ///
 /// # Errors
 /// As [`draft`].
-pub fn dry_run(options: &BuildOptions, size: AuditSize, progress: &dyn Progress) -> Result<DryRun, BuildError> {
+pub fn dry_run(options: &BuildOptions, size: AuditSize, progress: &dyn Progress) -> Result<(DryRun, Index), BuildError> {
     let draft = draft(options, progress)?;
     progress.stage("audit", 0);
     let start = std::time::Instant::now();
     let audit = draft.audit(size);
     let mut seconds = draft.seconds.clone();
     seconds.push(("audit", start.elapsed().as_secs_f64()));
-    Ok(DryRun {
+    let figures = DryRun {
         triangles: draft.index.scene.triangles,
         budget: draft.index.settings.budget,
         points: draft.index.points.len(),
@@ -79,9 +84,11 @@ pub fn dry_run(options: &BuildOptions, size: AuditSize, progress: &dyn Progress)
         images: draft.images.len(),
         megapixels: draft.pixels() / 1e6,
         rooms: draft.rooms,
+        walk: draft.walk,
         seconds,
         audit,
-    })
+    };
+    Ok((figures, draft.index))
 }
 
 /// Plans a build.
@@ -90,7 +97,7 @@ pub fn dry_run(options: &BuildOptions, size: AuditSize, progress: &dyn Progress)
 /// As [`super::build`]; also if a triangle is in no cell, in two, or outside of its cell.
 pub fn draft(options: &BuildOptions, progress: &dyn Progress) -> Result<Draft, BuildError> {
     let mut clock = Clock::default();
-    let Planned { scene, clusters, octree, settings, plan, rooms, .. } = plan(options, &mut clock, progress)?;
+    let Planned { scene, clusters, octree, settings, plan, walk, rooms, .. } = plan(options, &mut clock, progress)?;
     let geometry = pack::pack_geometry(&scene, &clusters, &octree, 0)?;
     let ranges: Vec<_> = (0..octree.cells.len()).map(|c| octree.ranges(&scene, &clusters, c)).collect();
     let bounds: Vec<_> = geometry.cells.iter().map(|c| c.bounds).collect();
@@ -98,7 +105,8 @@ pub fn draft(options: &BuildOptions, progress: &dyn Progress) -> Result<Draft, B
     let images: Vec<ImagePlan> = plan.plans.iter().flat_map(|p| p.images.iter().cloned()).collect();
     let index = draft_index(options, &scene, &settings, &plan, geometry.cells, rooms.as_ref().map(|(r, _)| &r.index));
     let statistics = plan.statistics;
-    Ok(Draft { index, images, counts, statistics, rooms: rooms.map(|(r, _)| r.figures), seconds: clock.laps })
+    let rooms = rooms.map(|(r, _)| r.figures);
+    Ok(Draft { index, images, counts, statistics, walk, rooms, seconds: clock.laps })
 }
 
 #[cfg(test)]
@@ -112,7 +120,7 @@ mod tests {
         let mut index = d.index.clone();
         change(&mut index);
         let (images, counts) = (d.images.clone(), d.counts.clone());
-        let d = Draft { index, images, counts, statistics: d.statistics.clone(), rooms: None, seconds: vec![] };
+        let d = Draft { index, images, counts, statistics: d.statistics.clone(), walk: d.walk.clone(), rooms: None, seconds: vec![] };
         d.audit(AuditSize { random: 500, adversarial: 1_400 })
     }
 
@@ -120,6 +128,7 @@ mod tests {
     fn the_audit_passes_a_plan_and_finds_every_promise_that_is_broken() {
         let options = BuildOptions {
             represent: crate::build::Represent::Grid,
+            starts: Vec::new(),
             along: None,
             budget_share: None,
             scene: "builtin:house?triangles=20000".into(),

@@ -32,13 +32,14 @@ use crate::construct::ConstructError;
 use crate::octree::{Clusters, Octree, RecountError};
 use crate::pack::{self, PackError};
 use crate::placement::{
-    self, AuditReport, AuditSize, Corridor, Groupings, ImagePlan, PlacementError, PlacementResult, PlacementStatistics,
+    self, AuditReport, AuditSize, Groupings, ImagePlan, PlacementError, PlacementResult, PlacementStatistics,
     SearchCase, SearchComparison, Sees,
 };
 use crate::render::{Caster, CellSet, Ray};
 use crate::scene::{self, Note, Scene, SceneError};
 use crate::store::{Dataset, DatasetWriter, StoreError, Written};
 use crate::tree::{self, BuiltTree, Depth, TreeFigures};
+use crate::walk_volume::{self, Corridor, WalkError, WalkOptions, WalkReport};
 use glam::DVec3;
 use ldi_protocol::codec::ColourProfile;
 use ldi_protocol::index::{
@@ -70,6 +71,8 @@ pub struct BuildOptions {
     pub colour: ColourProfile,
     /// Images and a base layer, or the LDI tree alone.
     pub represent: Represent,
+    /// Places where people start: they walk wherever they get to from there. None given: found.
+    pub starts: Vec<DVec3>,
     /// Eyes are near this path only; None: wherever one can walk.
     pub along: Option<Corridor>,
 }
@@ -137,6 +140,9 @@ pub enum BuildError {
     /// The octree; of dry runs, which check it.
     #[error(transparent)]
     Cells(#[from] RecountError),
+    /// The walk volume.
+    #[error(transparent)]
+    Walk(#[from] WalkError),
     /// Placement.
     #[error(transparent)]
     Placement(#[from] PlacementError),
@@ -181,6 +187,8 @@ pub struct BuildFigures {
     pub index: Index,
     /// Cells, their depth, the largest.
     pub octree: BTreeMap<&'static str, u64>,
+    /// Where people walk.
+    pub walk: WalkReport,
     /// Placement.
     pub placement: PlacementStatistics,
     /// Random poses, after the fact.
@@ -220,8 +228,8 @@ struct Planned {
     /// With the optimization budget filled in.
     settings: BuildSettings,
     plan: PlacementResult,
-    /// None for a scene within its budget.
-    caster: Option<Caster>,
+    walk: WalkReport,
+    caster: Caster,
     rooms: Option<(RoomPlan, Site)>,
     /// The grid's alone, to be weighed against a plan by rooms.
     grid_alone: Option<PlacementResult>,
@@ -235,41 +243,43 @@ fn sees(caster: &Caster, from: DVec3, to: DVec3) -> bool {
     !caster.occluded(&ray, &CellSet::all())
 }
 
-/// Plans the grid for the eyes of a volume, or of all of the scene.
+/// Plans the grid for the eyes of a volume.
 fn place(
-    options: &BuildOptions,
     (scene, octree, settings): (&Scene, &Octree, &BuildSettings),
-    caster: Option<&Caster>,
-    volume: Option<WalkVolume>,
+    caster: &Caster,
+    volume: WalkVolume,
     progress: &dyn Progress,
 ) -> Result<PlacementResult, PlacementError> {
-    let in_sight = |a, b| caster.is_none_or(|c| sees(c, a, b));
-    let parameters = placement::Parameters { along: options.along.clone(), volume, ..Default::default() };
-    placement::plan_placements(scene, octree, settings, &parameters, Sees(&in_sight), &|what| progress.note(what))
+    let in_sight = |a, b| sees(caster, a, b);
+    let eyes = (&placement::Parameters::default(), volume);
+    placement::plan_placements(scene, octree, settings, eyes, Sees(&in_sight), &|what| progress.note(what))
 }
 
 fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> Result<Planned, BuildError> {
     let (scene, clusters, octree, settings) = read(options, clock, progress)?;
-    progress.stage("grid and placement", 0);
-    // A scene within its budget needs none.
-    let caster = (scene.triangles() > settings.budget).then(|| Caster::new(Arc::clone(&scene), &clusters, &octree));
+    let caster = Caster::new(Arc::clone(&scene), &clusters, &octree);
     clock.lap("caster");
-    let place = |budget: u64, volume: Option<WalkVolume>| {
+    let (volume, walk) = walked(options, &caster, &clusters, &octree, &settings, progress)?;
+    clock.lap("walk volume");
+    progress.stage("grid and placement", 0);
+    let place = |budget: u64, volume: WalkVolume| {
         let settings = BuildSettings { budget, ..settings.clone() };
-        place(options, (&scene, &octree, &settings), caster.as_ref(), volume, progress)
+        place((&scene, &octree, &settings), &caster, volume, progress)
     };
+    let within_budget = scene.triangles() <= settings.budget;
     // Nothing to place: what remains of a plan is the walk volume.
-    let ground = || place(settings.budget.max(scene.triangles()), None);
+    let ground = || place(settings.budget.max(scene.triangles()), volume.clone());
     let (mut rooms, mut grid_alone, mut no_rooms) = (None, None, None);
     let automatic = matches!(options.represent, Represent::Auto { .. });
-    let known = match (&options.represent, &caster) {
-        (Represent::Auto { rooms, .. }, Some(_)) if !rooms::are_given(&scene, rooms) => {
+    let known = match &options.represent {
+        _ if within_budget => None,
+        Represent::Auto { rooms, .. } if !rooms::are_given(&scene, rooms) => {
             no_rooms = Some(rooms::NONE_GIVEN.to_string());
             None
         }
-        (Represent::Portals { rooms, portals } | Represent::Auto { rooms, portals }, Some(caster)) => {
+        Represent::Portals { rooms, portals } | Represent::Auto { rooms, portals } => {
             progress.stage("rooms", 0);
-            let found = rooms::rooms_of(caster, rooms);
+            let found = rooms::rooms_of(&caster, rooms);
             clock.lap("rooms");
             match found {
                 Err(BuildError::NoRooms { why }) if automatic => {
@@ -277,17 +287,17 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
                     no_rooms = Some(why);
                     None
                 }
-                known => Some((known?, portals, caster)),
+                known => Some((known?, portals)),
             }
         }
         _ => None,
     };
     let plan = match known {
         _ if matches!(options.represent, Represent::Tree { .. } | Represent::Cache) => ground()?,
-        Some((known, portals, caster)) => {
+        Some((known, portals)) => {
             if automatic {
                 progress.stage("grid and placement", 0);
-                grid_alone = Some(place(settings.budget, None)?);
+                grid_alone = Some(place(settings.budget, volume.clone())?);
                 clock.lap("placement of the grid alone");
             }
             let entry = |c: &crate::octree::Cell| CellEntry {
@@ -300,23 +310,36 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
             };
             let cells = octree.cells.iter().map(entry).collect();
             let (parts, nothing) = ((cells, Vec::new()), (Vec::new(), Vec::new(), None));
-            let ground = ground()?;
-            let skipped = ground.statistics.skipped.clone();
-            let draft = index_of(options, &scene, settings.clone(), ground, parts, Vec::new(), nothing);
-            clock.lap("walk volume");
-            let grid = |volume| place(settings.budget, Some(volume));
-            let site = Site::of(caster, known, draft.cells.len(), progress);
-            let (mut plan, found) =
-                rooms::plan_rooms(caster, &site, portals, draft, rooms::Share::default(), &grid, progress)?;
-            // The grid was given its volume, so it left out nothing of it.
-            plan.statistics.skipped.extend(skipped);
+            let draft = index_of(options, &scene, settings.clone(), ground()?, parts, Vec::new(), nothing);
+            let grid = |volume| place(settings.budget, volume);
+            let site = Site::of(&caster, known, draft.cells.len(), progress);
+            let (plan, found) =
+                rooms::plan_rooms(&caster, &site, portals, draft, rooms::Share::default(), &grid, progress)?;
             rooms = Some((found, site));
             plan
         }
-        None => place(settings.budget, None)?,
+        None => place(settings.budget, volume.clone())?,
     };
     clock.lap("placement");
-    Ok(Planned { rooms, grid_alone, no_rooms, scene, clusters, octree, settings, plan, caster })
+    Ok(Planned { walk, rooms, grid_alone, no_rooms, scene, clusters, octree, settings, plan, caster })
+}
+
+/// Where people walk; what is told of it goes to `progress`.
+fn walked(
+    options: &BuildOptions,
+    caster: &Caster,
+    clusters: &Clusters,
+    octree: &Octree,
+    settings: &BuildSettings,
+    progress: &dyn Progress,
+) -> Result<(WalkVolume, WalkReport), WalkError> {
+    progress.stage("walk volume", 0);
+    let along = options.along.clone();
+    let walk = WalkOptions { eye_height_m: settings.eye_height_m, starts: options.starts.clone(), along };
+    let (volume, report) = walk_volume::walk_volume(caster, clusters, octree, &walk)?;
+    report.lines().iter().for_each(|line| progress.note(line));
+    report.warnings.iter().for_each(|warning| tracing::warn!("walk volume: {warning}"));
+    Ok((volume, report))
 }
 
 /// Compares ways to search for the near boxes of a build; nothing is written.
@@ -329,8 +352,9 @@ pub fn compare_searches(
 ) -> Result<(Vec<SearchCase>, Vec<Groupings>), BuildError> {
     let (scene, clusters, octree, settings) = read(options, &mut Clock::default(), &())?;
     let caster = Caster::new(Arc::clone(&scene), &clusters, &octree);
+    let (volume, _) = walked(options, &caster, &clusters, &octree, &settings, &())?;
     let in_sight = |a, b| sees(&caster, a, b);
-    Ok(placement::compare_searches(&scene, &octree, &settings, Sees(&in_sight), comparison)?)
+    Ok(placement::compare_searches(&scene, &octree, &settings, &volume, Sees(&in_sight), comparison)?)
 }
 
 /// A scene in clusters and cells, and the settings with the optimization budget filled in.
@@ -460,7 +484,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         );
     }
     let planned = plan(options, &mut clock, progress);
-    let Planned { scene, clusters, octree, settings, mut plan, caster, rooms, grid_alone, no_rooms } = match planned {
+    let Planned { scene, clusters, octree, settings, mut plan, walk, caster, rooms, grid_alone, no_rooms } = match planned {
         Ok(planned) => planned,
         Err(e) => {
             writer.give_up();
@@ -475,7 +499,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     chunks.extend(textures.chunks);
     clock.lap("pack");
 
-    let caster = caster.unwrap_or_else(|| Caster::new(Arc::clone(&scene), &clusters, &octree)).with_mips();
+    let caster = caster.with_mips();
     let scene_key = key::scene_key(&scene);
     let heard = |what: &str| progress.note(what);
     let mut room_weighing = None;
@@ -505,7 +529,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         (rooms, ..) => rooms.map(|(by_rooms, _)| by_rooms),
     };
     progress.stage("reference positions of the LDI tree", 0);
-    let places = tree::choose(&caster, &plan.volume);
+    let places = tree::choose(&caster, &plan.volume, &scene.bounds());
     heard(&format!("{} of {} candidates", places.positions.len(), places.candidates));
     let first_tree_chunk = chunks.len() as u32;
     let mut built = None;
@@ -625,6 +649,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     let figures = BuildFigures {
         index,
         octree: octree_figures,
+        walk,
         placement,
         audit,
         images: images.figures.clone(),

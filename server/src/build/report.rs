@@ -25,6 +25,7 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
         },
         "options": index.settings,
         "octree": f.octree,
+        "walk": f.walk,
         "grid": {
             "points": index.points.len(),
             "by_level": f.placement.by_level,

@@ -1,6 +1,7 @@
 //! The command line of `ldi-server`.
 
 use clap::{Args, Parser, Subcommand};
+use glam::DVec3;
 use std::net::{SocketAddr, ToSocketAddrs as _};
 use std::path::PathBuf;
 
@@ -98,6 +99,12 @@ pub struct BuildArgs {
     /// Plan and audit only: say what the build would take and whether its promises hold, as JSON; write nothing else.
     #[arg(long)]
     pub dry_run: bool,
+    /// With --dry-run: draw the plan, see `ldi-server inspect --help`.
+    #[arg(long, value_name = "FILE.svg|.png", requires = "dry_run")]
+    pub plan: Option<PathBuf>,
+    /// With --plan: draw this path over it, and say how much of it lies inside.
+    #[arg(long, value_name = "PATH.json", requires = "plan")]
+    pub path: Option<PathBuf>,
     /// Random poses of a dry run's audit.
     #[arg(long, default_value_t = 10_000, requires = "dry_run")]
     pub poses: u64,
@@ -137,6 +144,9 @@ pub struct BuildArgs {
     /// Walk volume: the whole box of the scene.
     #[arg(long)]
     pub fly: bool,
+    /// Walk volume: people start here and walk wherever they get to from there; a place on a floor or an eye above it, metres. May be given more than once [default: found].
+    #[arg(long, value_name = "X,Y,Z", conflicts_with_all = ["fly", "along"], value_parser = place, allow_hyphen_values = true)]
+    pub start: Vec<DVec3>,
     /// Walk volume: only near this path, for guided tours and for trying a large scene.
     #[arg(long, value_name = "PATH.json", conflicts_with = "fly")]
     pub along: Option<PathBuf>,
@@ -198,9 +208,12 @@ pub struct InspectArgs {
     /// JSON, with every cell's bounds, triangles and source ranges.
     #[arg(long)]
     pub json: bool,
-    /// Draw the floor plan of the dataset's rooms.json.
-    #[arg(long, value_name = "FILE.svg")]
+    /// Draw where people walk and where not, rooms and grid points, storey by storey, as SVG or PNG.
+    #[arg(long, value_name = "FILE.svg|.png")]
     pub plan: Option<PathBuf>,
+    /// With --plan: draw this path over it, and say how much of it lies inside.
+    #[arg(long, value_name = "PATH.json", requires = "plan")]
+    pub path: Option<PathBuf>,
 }
 
 /// `ldi-server rooms`.
@@ -345,6 +358,15 @@ fn address(s: &str) -> Result<SocketAddr, String> {
     found.into_iter().next().ok_or_else(|| "the name has no address".to_string())
 }
 
+/// A place in the world as X,Y,Z.
+fn place(s: &str) -> Result<DVec3, String> {
+    let numbers: Vec<f64> = s.split(',').filter_map(|n| n.trim().parse().ok()).filter(|n: &f64| n.is_finite()).collect();
+    match (numbers[..].try_into(), s.split(',').count()) {
+        (Ok(xyz), 3) => Ok(DVec3::from_array(xyz)),
+        _ => Err("three numbers of metres are needed, as 1.5,0,-3".into()),
+    }
+}
+
 fn positive(s: &str) -> Result<f64, String> {
     s.parse().ok().filter(|v: &f64| *v > 0.0 && v.is_finite()).ok_or_else(|| "a number above 0 is needed".to_string())
 }
@@ -387,6 +409,14 @@ mod tests {
         assert!(address("localhost:80").is_ok_and(|a| a.ip().is_loopback() && a.port() == 80));
         for wrong in ["4433", "0.0.0.0", "localhost", ""] {
             assert!(address(wrong).is_err_and(|e| e.contains("localhost:4433")), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn places_are_three_numbers() {
+        assert_eq!(place("1.5, 0,-3"), Ok(DVec3::new(1.5, 0.0, -3.0)));
+        for wrong in ["", "1,2", "1,2,3,4", "1,x,3", "1,nan,3", "1,,2,3"] {
+            assert!(place(wrong).is_err_and(|e| e.contains("1.5,0,-3")), "{wrong}");
         }
     }
 

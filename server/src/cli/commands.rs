@@ -5,17 +5,21 @@ use super::args::{Budget, BuildArgs, Command, InspectArgs, PlanArgs, RenderArgs,
 use super::progress::Stderr;
 use crate::build::{self, BuildError, BuildOptions, PortalOptions, Progress as _, Represent, RoomSource};
 use crate::octree;
-use crate::placement::{self, Corridor, PlacementError};
+use crate::placement::{self, PlacementError};
+use crate::plan as floor_plan;
 use crate::render::{self, Caster};
 use crate::scene::{self, builtin};
 use crate::serve::{self, ServeConfig, ServeError};
 use crate::store::{self, Dataset};
+use crate::walk_volume::{Corridor, WalkReport};
 use anyhow::{Context as _, anyhow};
+use glam::DVec3;
 use ldi_protocol::OutputCamera;
 use ldi_protocol::codec::ColourProfile;
-use ldi_protocol::index::BuildSettings;
+use ldi_protocol::index::{BuildSettings, Index};
 use ldi_protocol::path::{PathError, Walk};
 use ldi_protocol::room_index::BuiltImages;
+use ldi_protocol::rooms::Rooms;
 use ldi_protocol::said::is_lasting;
 use std::io::{BufWriter, Write as _};
 use std::path::Path;
@@ -124,6 +128,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         output: a.output.unwrap_or_default(),
         colour,
         represent,
+        starts: a.start,
         along: walk.map(|walk| Corridor::around(&walk, a.within)),
         budget_share,
         settings: BuildSettings {
@@ -154,8 +159,12 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         if only("auto") && !along {
             tracing::warn!("a dry run plans the grid; `build` may take rooms instead, if the scene has any");
         }
-        let found = build::dry_run(&options, audit_size(a.poses, a.adversarial), &progress).map_err(failed)?;
+        let (found, index) = build::dry_run(&options, audit_size(a.poses, a.adversarial), &progress).map_err(failed)?;
         progress.finish();
+        if let Some(file) = &a.plan {
+            let path = a.path.as_deref().map(read_walk).transpose()?;
+            draw_plan(file, &index, (Some(&found.walk), None, path.as_ref()))?;
+        }
         let json = serde_json::to_value(&found).map_err(Failure::permanent)?;
         match &a.report {
             Some(file) => write_json(file, &json)?,
@@ -223,12 +232,47 @@ fn portal_options(a: &BuildArgs, portals: bool) -> Result<PortalOptions, Failure
 }
 
 fn inspect(a: &InspectArgs) -> Result<(), Failure> {
-    if let Some(plan) = &a.plan {
-        open(&a.dataset)?;
-        return super::rooms::plan_of_dataset(&a.dataset, plan);
+    if let Some(file) = &a.plan {
+        let dataset = open(&a.dataset)?;
+        let path = a.path.as_deref().map(read_walk).transpose()?;
+        let rooms = super::rooms::rooms_of_dataset(&a.dataset, dataset.index())?;
+        let report = dataset.report().and_then(|r| serde_json::from_value(r["walk"].clone()).ok());
+        return draw_plan(file, dataset.index(), (report.as_ref(), rooms.as_ref(), path.as_ref()));
     }
     let value = store::inspect(&open(&a.dataset)?, a.json).map_err(|e| Failure::of(e.permanent(), e))?;
     print(&if a.json { format!("{value:#}") } else { store::inspect_text(&value) })
+}
+
+/// Draws the plan of an index, as PNG or SVG by the file's name, and says how much of a path lies inside.
+fn draw_plan(
+    file: &Path,
+    index: &Index,
+    (report, rooms, path): (Option<&WalkReport>, Option<&Rooms>, Option<&Walk>),
+) -> Result<(), Failure> {
+    let volume = index.volume.as_ref().ok_or_else(|| {
+        Failure::permanent(anyhow!("{}: the dataset holds no walk volume; build it again", index.scene.name))
+    })?;
+    let points: Vec<DVec3> = index.points.iter().map(|p| p.position).collect();
+    let subject = floor_plan::Subject {
+        title: &index.scene.name,
+        volume,
+        eye_height_m: index.settings.eye_height_m,
+        report,
+        rooms,
+        points: &points,
+        path,
+    };
+    let drawn = floor_plan::draw(&subject);
+    match file.extension().and_then(|e| e.to_str()) {
+        Some("png") => write_file(file, &drawn.png().map_err(Failure::permanent)?)?,
+        Some("svg") => write_file(file, drawn.svg().as_bytes())?,
+        _ => return Err(Failure::usage(anyhow!("--plan {}: the name must end in .svg or .png", file.display()))),
+    }
+    if let Some(path) = path {
+        let (share, of) = floor_plan::inside(volume, path);
+        print(&format!("{:.2}% of {of} poses of the path lie in the walk volume", share * 100.0))?;
+    }
+    Ok(())
 }
 
 fn verify(a: &VerifyArgs) -> Result<(), Failure> {

@@ -2,7 +2,7 @@
 
 use super::Failure;
 use super::args::RoomsArgs;
-use super::commands::{open, print, threads, write_file, write_json};
+use super::commands::{print, threads, write_file, write_json};
 use super::progress::Stderr;
 use crate::build::Progress as _;
 use crate::octree::{Clusters, Octree};
@@ -10,6 +10,7 @@ use crate::portal::{self, Statistics};
 use crate::render::Caster;
 use crate::scene::{self, Scene};
 use anyhow::{Context as _, anyhow};
+use ldi_protocol::index::Index;
 use ldi_protocol::rooms::{self, Rooms};
 use ldi_protocol::{Aabb, OutputCamera};
 use serde_json::json;
@@ -136,25 +137,19 @@ fn summary(scene: &str, rooms: &Rooms, statistics: Option<&Statistics>) -> Strin
     text
 }
 
-/// Writes the plan of a dataset's rooms: those of its file, where a person may have corrected them, or those that it is walked by.
-pub(super) fn plan_of_dataset(dataset: &Path, plan: &Path) -> Result<(), Failure> {
+/// The rooms of a dataset: those of its rooms.json, else those that it is walked by.
+pub(super) fn rooms_of_dataset(dataset: &Path, index: &Index) -> Result<Option<Rooms>, Failure> {
     let file = dataset.join(FILE);
-    if !file.exists()
-        && let Some(walked_by) = &open(dataset)?.index().rooms
-    {
-        let svg = portal::plan_svg(&walked_by.rooms, &dataset.display().to_string());
-        return write_file(plan, svg.as_bytes());
+    if !file.exists() {
+        return Ok(index.rooms.as_ref().map(|r| r.rooms.clone()));
     }
     let read = || -> anyhow::Result<Rooms> {
-        let length = std::fs::metadata(&file).with_context(|| {
-            format!("{} is missing; write it with `ldi-server rooms SCENE --json {}`", file.display(), file.display())
-        })?;
-        if length.len() > rooms::MAX_JSON_BYTES as u64 {
-            return Err(anyhow!("{}: {} bytes are too many", file.display(), length.len()));
+        let length = std::fs::metadata(&file).with_context(|| format!("cannot read {}", file.display()))?.len();
+        if length > rooms::MAX_JSON_BYTES as u64 {
+            return Err(anyhow!("{}: {length} bytes are too many", file.display()));
         }
         let text = std::fs::read(&file).with_context(|| format!("cannot read {}", file.display()))?;
         Rooms::from_json(&text).with_context(|| file.display().to_string())
     };
-    let rooms = read().map_err(Failure::permanent)?;
-    write_file(plan, portal::plan_svg(&rooms, &dataset.display().to_string()).as_bytes())
+    read().map(Some).map_err(Failure::permanent)
 }

@@ -23,26 +23,6 @@ pub enum PlacementError {
         /// What it must be.
         must: &'static str,
     },
-    /// Nobody can stand anywhere.
-    #[error(
-        "no eye position: no surface of {scene} lies below an eye at {eye_height_m} m; use --fly, or check the scene's scale and up axis"
-    )]
-    EmptyVolume {
-        /// Scene name.
-        scene: String,
-        /// Eye height.
-        eye_height_m: f64,
-    },
-    /// Nobody can stand near the path.
-    #[error(
-        "no eye position within {within_m} m of the path: no floor there lies below an eye at {eye_height_m} m; check that path and scene have the same unit and up axis, or give a larger --within"
-    )]
-    NowhereAlong {
-        /// Distance, metres.
-        within_m: f64,
-        /// Eye height.
-        eye_height_m: f64,
-    },
     /// No image can bring some view within the budget, however fine the grid.
     #[error(
         "budget {budget}: near ({x:.2}, {y:.2}, {z:.2}), yaw {yaw_deg:.0}, pitch {pitch_deg:.0}, {needed} triangles lie too near to be replaced by an image, however fine the grid; use a larger --budget ({}), a larger --max-footprint, or a larger --density",
@@ -77,7 +57,4 @@ pub enum PlacementError {
         /// Direction.
         pitch_deg: f64,
     },
-    /// The walk volume cannot be stored.
-    #[error(transparent)]
-    Volume(#[from] ldi_protocol::volume::VolumeError),
 }

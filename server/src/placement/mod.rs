@@ -1,11 +1,11 @@
 //! Stage 4: image placement (Aliaga and Lastra 1999, "Automatic Image Placement to Provide a Guaranteed Frame Rate", section 3; rows
 //! A2 to A9).
 //!
-//! In: a scene, its octree's cells, the build's settings. Out: a [`PlacementResult`]: the walk volume, the grid points that
+//! In: a scene, its octree's cells, its walk volume, the build's settings. Out: a [`PlacementResult`]: the grid points that
 //! `select` can return with their angular ranges, and [`PlacementPlan`]s with their images.
 //!
 //! ```text
-//!   scene -> columns -> walk -> eye_tree ─┐
+//!   walk volume -> eye_tree ──────────────┐
 //!   bounds -> lattice ────────────────────┼-> who may use which point: coverage (paper) or nearest (cells)
 //!                    ^                    v
 //!                    └── refine <── paper: point (arcs -> view: angular ranges; subset: 6-tuples)
@@ -27,12 +27,9 @@ mod audit;
 mod bands;
 mod bin_planes;
 mod cells;
-pub(crate) mod columns;
-mod corridor;
 mod coverage;
 mod error;
 mod eye_tree;
-pub(crate) mod floors;
 mod footprint;
 mod gaze;
 mod groups;
@@ -51,10 +48,8 @@ mod subset;
 #[cfg(test)]
 pub(crate) mod test_scenes;
 mod view;
-mod walk;
 
 pub use audit::{Adversary, AuditReport, AuditSize, AuditedPose, PlanRow, Tally, audit, plan_row};
-pub use corridor::Corridor;
 pub use error::PlacementError;
 pub(crate) use footprint::{Footprint, SCALES};
 pub use gaze::Gaze;

@@ -414,7 +414,7 @@ mod tests {
         CostBenefit, Parameters, PlacementError,
         cells::Cells,
         plan_placements,
-        test_scenes::{NOTHING_BETWEEN, settings, strewn},
+        test_scenes::{NOTHING_BETWEEN, settings, strewn, walked},
     };
     use ldi_protocol::{index::BuildSettings, volume::WalkVolume};
 
@@ -446,8 +446,8 @@ mod tests {
         let settings = BuildSettings { pitch_deg: 0.0, grid: "paper".into(), ..settings(budget) };
         let clusters = Clusters::build(&scene);
         let octree = Octree::build(&scene, &clusters, budget);
-        let result =
-            plan_placements(&scene, &octree, &settings, &Parameters::default(), NOTHING_BETWEEN, &|_| ()).unwrap();
+        let eyes = (&Parameters::default(), walked(&scene, &clusters, &octree));
+        let result = plan_placements(&scene, &octree, &settings, eyes, NOTHING_BETWEEN, &|_| ()).unwrap();
         assert!(result.statistics.coverage_certified && !result.plans.is_empty());
         assert!(result.statistics.max_triangles <= budget);
     }
@@ -460,7 +460,8 @@ mod tests {
             let octree = Octree::build(&scene, &clusters, 1_000);
             let settings = settings(budget);
             let no_grid = |what: &str| panic!("{what}");
-            match plan_placements(&scene, &octree, &settings, &Parameters::default(), NOTHING_BETWEEN, &no_grid) {
+            let eyes = (&Parameters::default(), walked(&scene, &clusters, &octree));
+            match plan_placements(&scene, &octree, &settings, eyes, NOTHING_BETWEEN, &no_grid) {
                 Err(PlacementError::Infeasible { budget: given, needed, .. }) => {
                     assert!(given == budget && needed > budget, "{needed} for {budget}");
                     needed

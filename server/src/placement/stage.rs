@@ -1,7 +1,7 @@
 //! The stage's door: checks the settings, runs the steps, gathers the statistics.
 
 use super::{
-    Corridor, PlacementError, PlacementResult, PlacementStatistics,
+    PlacementError, PlacementResult, PlacementStatistics,
     bands::Directions,
     cells::Cells,
     eye_tree::EyeTree,
@@ -12,7 +12,6 @@ use super::{
     refine::{Refined, refine, timed},
     search::{Found, Search, search},
     subset::CostBenefit,
-    walk::walk_volume,
 };
 use crate::{octree::Octree, scene::Scene};
 use ldi_protocol::{
@@ -31,25 +30,25 @@ pub struct Parameters {
     pub cost_benefit: CostBenefit,
     /// Spacing of the level-0 grid, metres; None: half the model's longest axis, the paper's 3 x 3 x 3.
     pub spacing_m: Option<f64>,
-    /// Eyes are near this path; None: anywhere. Not for flying.
-    pub along: Option<Corridor>,
-    /// Eyes are here; None: wherever one can walk or, for flying, be.
-    pub volume: Option<WalkVolume>,
 }
 
 /// Plans all images of a scene.
 ///
-/// The scene's bounds must be finite; cells come from its octree. Deterministic: the same input gives the same result whatever
-/// the number of threads. `sees` is asked about storeys; `heard` is told, in a few words, how far it is. Errors: settings out of range, no eye position, or a budget that no image can meet somewhere.
+/// The scene's bounds must be finite; cells come from its octree, eyes are in `volume`. Deterministic: the same input gives the same
+/// result whatever the number of threads. `sees` is asked about storeys; `heard` is told, in a few words, how far it is.
+///
+/// # Errors
+/// Settings out of range, or a budget that no image can meet somewhere.
 pub fn plan_placements(
     scene: &Scene,
     octree: &Octree,
     settings: &BuildSettings,
-    parameters: &Parameters,
+    (parameters, volume): (&Parameters, WalkVolume),
     sees: Sees<'_>,
     heard: &dyn Fn(&str),
 ) -> Result<PlacementResult, PlacementError> {
-    let Ground { volume, total, mut statistics } = Ground::of(scene, octree, settings, parameters)?;
+    check_settings(settings)?;
+    let (total, mut statistics) = (triangles(octree), PlacementStatistics::default());
     if total <= settings.budget {
         statistics.nothing_to_do = Some(format!(
             "the whole scene has {total} triangles, within the budget of {} from everywhere",
@@ -102,15 +101,17 @@ pub fn compare_searches(
     scene: &Scene,
     octree: &Octree,
     settings: &BuildSettings,
+    volume: &WalkVolume,
     sees: Sees<'_>,
     comparison: &SearchComparison,
 ) -> Result<(Vec<SearchCase>, Vec<Groupings>), PlacementError> {
     let parameters = Parameters::default();
-    let Ground { volume, total, mut statistics } = Ground::of(scene, octree, settings, &parameters)?;
-    if total <= settings.budget {
+    check_settings(settings)?;
+    let mut statistics = PlacementStatistics::default();
+    if triangles(octree) <= settings.budget {
         return Ok(Default::default());
     }
-    refined(scene, octree, settings, (&parameters, sees), &volume, (&mut statistics, &|_| ()), |ctx, refined, _| {
+    refined(scene, octree, settings, (&parameters, sees), volume, (&mut statistics, &|_| ()), |ctx, refined, _| {
         let mut groups = refined.groups;
         let members: Vec<&Member> = groups.iter().flatten().filter(|m| !m.units.is_empty()).collect();
         // The neighbours of view cells that are spread over the plan.
@@ -140,29 +141,9 @@ pub fn compare_searches(
     })
 }
 
-/// Where eyes can be, and how much there is to draw.
-struct Ground {
-    volume: WalkVolume,
-    total: u64,
-    statistics: PlacementStatistics,
-}
-
-impl Ground {
-    fn of(
-        scene: &Scene,
-        octree: &Octree,
-        settings: &BuildSettings,
-        parameters: &Parameters,
-    ) -> Result<Self, PlacementError> {
-        check_settings(settings)?;
-        let mut statistics = PlacementStatistics::default();
-        let (volume, skipped) = timed(&mut statistics, "walk volume", || match &parameters.volume {
-            Some(volume) => Ok((volume.clone(), Default::default())),
-            None => walk_volume(scene, &scene.bounds(), settings.eye_height_m, parameters.along.as_ref()),
-        })?;
-        statistics.skipped.extend(skipped);
-        Ok(Self { volume, total: octree.cells.iter().map(|c| u64::from(c.triangles)).sum(), statistics })
-    }
+/// Triangles of all cells.
+fn triangles(octree: &Octree) -> u64 {
+    octree.cells.iter().map(|c| u64::from(c.triangles)).sum()
 }
 
 /// Refines the grid of a scene that exceeds its budget, and hands it on.

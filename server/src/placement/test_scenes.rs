@@ -1,9 +1,13 @@
 //! Small scenes and random numbers for this stage's tests.
 
 use super::Sees;
+use crate::octree::{Clusters, Octree};
+use crate::render::Caster;
+use crate::walk_volume::{WalkOptions, walk_volume};
 use crate::scene::{Instance, Mesh, Primitive, Scene};
 use glam::{DAffine3, DVec3, Vec3};
-use ldi_protocol::{Aabb, OutputCamera, index::BuildSettings, select::CELLS};
+use ldi_protocol::{Aabb, OutputCamera, index::BuildSettings, select::CELLS, volume::WalkVolume};
+use std::sync::Arc;
 
 /// SplitMix64 (Steele, Lea and Flood 2014): the same numbers on every machine.
 pub(crate) struct Random(u64);
@@ -83,6 +87,13 @@ pub(crate) fn strewn(n: u32, seed: u64) -> (Vec<Aabb>, Vec<u32>) {
     // Neighbours beside each other, as Morton order gives them.
     bounds.sort_by_key(|b| ((b.min.x / 8.0) as i64, (b.min.z / 8.0) as i64));
     (bounds, (0..n).map(|i| 20 + i % 81).collect())
+}
+
+/// The walk volume of a scene for eyes at 1.6 m.
+pub(crate) fn walked(scene: &Scene, clusters: &Clusters, octree: &Octree) -> WalkVolume {
+    let caster = Caster::new(Arc::new(scene.clone()), clusters, octree);
+    let options = WalkOptions { eye_height_m: Some(1.6), ..WalkOptions::default() };
+    walk_volume(&caster, clusters, octree, &options).expect("a walk volume").0
 }
 
 /// Everything sees everything.

@@ -26,6 +26,7 @@ mod columns;
 mod compare;
 mod excess;
 mod find;
+mod floors;
 mod hull;
 mod images;
 mod joints;

@@ -2,16 +2,14 @@
 //!
 //! In: a scene and its caster. Out: [`Storey`]s, each a raster with a floor height per place and the open steps between neighbours.
 //!
-//! Floors come from the walk volume's vertical lines ([`columns`], [`floors`]). The heights with most floor, at
+//! Floors come from vertical lines ([`lines`], [`floors`]). The heights with most floor, at
 //! least [`STOREY_M`] apart, are the storeys' levels; what climbs from one to the next belongs to the lower one until it is nearly there. From even floors the raster spreads where nothing stands between
 //! two places at one of the heights [`SIGHT_M`]: over tables and beds, through windows, into the air around the house; so furniture
 //! makes no walls, and an open window is an opening like a door.
 
-use crate::placement::{
-    columns::{self, Raster},
-    floors,
-};
+use super::floors;
 use crate::render::{Caster, CellSet, Ray};
+use crate::walk_volume::lines::{self, Raster};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -82,12 +80,12 @@ impl Ground {
         let origin = DVec2::new(bounds.min.x, bounds.min.z) - BORDER_M - 0.0317;
         let count = |s: f64| (s / pitch_m).ceil() as u32 + 1;
         let raster = Raster { origin, pitch_m, size: [count(size.x), count(size.z)] };
-        let mesh_bounds = columns::mesh_bounds(scene);
+        let mesh_bounds = lines::mesh_bounds(scene);
         let strips: Vec<u32> = (0..raster.size[1]).step_by(64).collect();
         let hits: Vec<Vec<(u32, f32)>> = strips
             .par_iter()
             .map(|&k| {
-                let mut hits = columns::heights(scene, &mesh_bounds, &raster, k..(k + 64).min(raster.size[1]));
+                let mut hits = lines::heights(scene, &mesh_bounds, &raster, k..(k + 64).min(raster.size[1]));
                 hits.iter_mut().for_each(|h| h.0 += k * raster.size[0]);
                 hits
             })

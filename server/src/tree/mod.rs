@@ -65,6 +65,8 @@ pub enum Depth {
 pub struct TreeFigures {
     /// Reference positions.
     pub references: usize,
+    /// Coarse ones, for eyes outside of the walk volume.
+    pub references_outside: usize,
     /// Candidates among which they were chosen.
     pub candidates: usize,
     /// How much of what all candidates see the references see, 0 to 1.
@@ -134,12 +136,19 @@ pub fn build_tree(
         grower.add_together(caster, &places, side);
         heard(&format!("{} of {} references", (k * batch + positions.len()), chosen.positions.len()));
     }
+    // What only eyes outside of the walk volume see shows coarsely.
+    let coarse_side = (side / 2).max(REFERENCE_SIDES[0] as u32);
+    for positions in chosen.outside.chunks(4 * batch) {
+        let places: Vec<Vec<(DVec3, usize)>> = positions.iter().map(|p| (0..6).map(|f| (*p, f)).collect()).collect();
+        grower.add_together(caster, &places, coarse_side);
+    }
     if grower.reference_pixels == 0 {
         return Ok(None);
     }
     let mut built = grower.finish(first_chunk)?;
     built.figures = TreeFigures {
         references: chosen.positions.len(),
+        references_outside: chosen.outside.len(),
         candidates: chosen.candidates,
         coverage: chosen.coverage,
         reference_side: side,

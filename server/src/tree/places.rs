@@ -1,13 +1,14 @@
 //! Where reference images are taken: greedily, always where an eye sees the most that none of those before sees well.
 //!
-//! In: the walk volume. Out: positions. What is seen is counted in cubes by face: a cube of the scene and the direction its surface looks to. A reference near
+//! In: the walk volume, and the scene's box for eyes that nobody planned for. Out: positions. What is seen is counted in cubes by face: a cube of the scene and the direction its surface looks to. A reference near
 //! a surface sees it well, one far off in part ([`FAR_VALUE`]). The gain of a place only shrinks while others are chosen, so that a place whose old gain is beaten
 //! by another's need not be counted anew (lazy greedy); the greedy choice covers at least 63% of what the best choice of as many places could.
+//! Places all over the scene's box come after those of the walk volume, for what they see in addition: they are taken coarsely.
 
 use super::{probe::radical, reference::direction};
 use crate::render::{Caster, CellSet, Ray};
 use glam::{DVec3, IVec3};
-use ldi_protocol::volume::WalkVolume;
+use ldi_protocol::{Aabb, volume::WalkVolume};
 use rayon::prelude::*;
 use std::collections::{BinaryHeap, HashMap};
 
@@ -23,6 +24,10 @@ const CUBES: f64 = 0.25;
 const WELL: f64 = 2.0;
 /// What a surface that is seen from afar counts.
 const FAR_VALUE: f32 = 0.3;
+/// Candidates outside of the walk volume, all over the scene's box.
+const OUTSIDE_CANDIDATES: usize = 600;
+/// Most positions among them.
+const MAX_OUTSIDE: usize = 300;
 /// A position that adds less than this part of everything is not taken.
 const LEAST_GAIN: f64 = 2e-4;
 
@@ -31,6 +36,8 @@ const LEAST_GAIN: f64 = 2e-4;
 pub struct Places {
     /// Where to take references.
     pub positions: Vec<DVec3>,
+    /// Where to take coarse references, for eyes outside of the walk volume.
+    pub outside: Vec<DVec3>,
     /// Among how many they were chosen.
     pub candidates: usize,
     /// What they see over what all candidates see.
@@ -77,9 +84,17 @@ fn candidates(volume: &WalkVolume) -> Vec<DVec3> {
     }
 }
 
-/// Chooses positions.
-pub fn choose(caster: &Caster, volume: &WalkVolume) -> Places {
-    let candidates = candidates(volume);
+/// Points spread over the scene's box.
+fn outside(bounds: &Aabb) -> Vec<DVec3> {
+    let point = |k: usize| bounds.min + bounds.size() * DVec3::new(radical(k, 2), radical(k, 3), radical(k, 5));
+    if bounds.is_empty() { Vec::new() } else { (1..=OUTSIDE_CANDIDATES).map(point).collect() }
+}
+
+/// Chooses positions for the eyes of a volume, and for eyes anywhere in the scene's `bounds`.
+pub fn choose(caster: &Caster, volume: &WalkVolume, bounds: &Aabb) -> Places {
+    let mut candidates = candidates(volume);
+    let within = candidates.len();
+    candidates.extend(outside(bounds));
     let probe = |eye: &DVec3| -> Vec<(DVec3, DVec3, f64)> {
         let rays: Vec<Ray> = (0..6)
             .flat_map(|face| (0..PROBES * PROBES).map(move |k| (face, k % PROBES, k / PROBES)))
@@ -97,7 +112,7 @@ pub fn choose(caster: &Caster, volume: &WalkVolume) -> Places {
     };
     let views: Vec<Vec<(DVec3, DVec3, f64)>> = candidates.par_iter().map(probe).collect();
     let rays = candidates.len() as u64 * u64::from(6 * PROBES * PROBES);
-    let mut distances: Vec<f64> = views.iter().flatten().map(|v| v.2).collect();
+    let mut distances: Vec<f64> = views[..within].iter().flatten().map(|v| v.2).collect();
     let middle = distances.len() / 2;
     let median =
         if distances.is_empty() { 1.0 } else { distances.select_nth_unstable_by(middle, f64::total_cmp).1.max(1e-3) };
@@ -105,9 +120,11 @@ pub fn choose(caster: &Caster, volume: &WalkVolume) -> Places {
 
     let mut numbers: HashMap<(IVec3, usize), u32> = HashMap::new();
     let mut nearest_m: Vec<f32> = Vec::new();
+    let mut of_volume = 0;
     let seen: Vec<Seen> = views
         .into_iter()
-        .map(|view| {
+        .enumerate()
+        .map(|(candidate, view)| {
             let mut best: HashMap<u32, f32> = HashMap::new();
             for (at, normal, distance) in view {
                 let axis = normal.abs().max_position();
@@ -123,6 +140,9 @@ pub fn choose(caster: &Caster, volume: &WalkVolume) -> Places {
                 let b = best.entry(element).or_insert(0.0);
                 *b = b.max(value);
             }
+            if candidate < within {
+                of_volume = nearest_m.len();
+            }
             let mut list: Seen = best.into_iter().collect();
             list.sort_unstable_by_key(|e| e.0);
             list
@@ -132,40 +152,43 @@ pub fn choose(caster: &Caster, volume: &WalkVolume) -> Places {
     for (element, value) in seen.iter().flatten() {
         most[*element as usize] = most[*element as usize].max(*value);
     }
-    let everything: f64 = most.iter().map(|v| f64::from(*v)).sum();
-    let (chosen, covered) = greedy(&seen, most.len(), everything);
+    let everything: f64 = most[..of_volume].iter().map(|v| f64::from(*v)).sum();
+    let mut have = vec![0.0f32; most.len()];
+    let (chosen, covered) = greedy(&seen[..within], &mut have, everything, MAX_POSITIONS);
+    let (beyond, _) = greedy(&seen[within..], &mut have, everything, MAX_OUTSIDE);
+    nearest_m.truncate(of_volume);
     // A cube that a plane crosses holds about two thirds of its face's area.
     let part_m2 = edge * edge * 2.0 / 3.0;
     Places {
         positions: chosen.into_iter().map(|k| candidates[k]).collect(),
-        candidates: candidates.len(),
+        outside: beyond.into_iter().map(|k| candidates[within + k]).collect(),
+        candidates: within,
         coverage: if everything > 0.0 { covered / everything } else { 0.0 },
-        area_m2: numbers.len() as f64 * part_m2,
+        area_m2: of_volume as f64 * part_m2,
         nearest_m,
         part_m2,
         rays,
     }
 }
 
-/// Lazy greedy choice: candidates in order, and the value covered.
-fn greedy(seen: &[Seen], elements: usize, everything: f64) -> (Vec<usize>, f64) {
-    let mut have = vec![0.0f32; elements];
+/// Lazy greedy choice of at most so many candidates: in order, and the value that they add to what is covered already.
+fn greedy(seen: &[Seen], have: &mut [f32], everything: f64, at_most: usize) -> (Vec<usize>, f64) {
     let gain_of = |k: usize, have: &[f32]| -> f64 {
         seen[k].iter().map(|(e, v)| f64::from((v - have[*e as usize]).max(0.0))).sum()
     };
     // Gains in whole millionths, so that they have an order; of equal gains the first candidate.
     let key = |gain: f64, k: usize| ((gain * 1e6) as u64, usize::MAX - k);
-    let mut heap: BinaryHeap<(u64, usize)> = (0..seen.len()).map(|k| key(gain_of(k, &have), k)).collect();
+    let mut heap: BinaryHeap<(u64, usize)> = (0..seen.len()).map(|k| key(gain_of(k, have), k)).collect();
     let (mut chosen, mut covered) = (Vec::new(), 0.0);
     while let Some((_, k)) = heap.pop() {
         let k = usize::MAX - k;
-        let gain = gain_of(k, &have);
+        let gain = gain_of(k, have);
         let now = key(gain, k);
         if heap.peek().is_some_and(|next| *next > now) {
             heap.push(now);
             continue;
         }
-        if gain <= everything * LEAST_GAIN || chosen.len() == MAX_POSITIONS {
+        if gain <= everything * LEAST_GAIN || chosen.len() == at_most {
             break;
         }
         covered += gain;

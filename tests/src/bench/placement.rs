@@ -121,6 +121,7 @@ fn options(
 ) -> BuildOptions {
     BuildOptions {
         represent: Represent::Grid,
+        starts: Vec::new(),
         along: None,
         budget_share: None,
         scene: scene.into(),

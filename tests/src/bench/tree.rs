@@ -12,8 +12,7 @@ use ldi_client::{
     warp::FarFrame,
 };
 use ldi_protocol::{
-    OutputCamera, Pose,
-    index::BuildSettings,
+    Aabb, OutputCamera, Pose,
     ldi::Ldi,
     mesh::CellGeometry,
     path::{self, Walk},
@@ -22,10 +21,10 @@ use ldi_protocol::{
 };
 use ldi_server::{
     octree::{Clusters, Octree},
-    placement::{Parameters, Sees, plan_placements},
     render::{Caster, CellSet, Ray},
     scene,
     tree::{Grower, choose},
+    walk_volume::{WalkOptions, walk_volume},
 };
 use serde::Serialize;
 use std::{collections::BTreeMap, path::Path, sync::Arc, time::Instant};
@@ -164,26 +163,14 @@ pub fn run(study: &Study, mut heard: impl FnMut(&Row)) -> Result<Vec<Row>> {
     let clusters = Clusters::build(&scene);
     let octree = Octree::build(&scene, &clusters, scene.triangles());
     let camera = OutputCamera { width: study.size.0, height: study.size.1, fov_deg: 60.0 };
-    let settings = BuildSettings {
-        budget: scene.triangles(),
-        optimize_budget: scene.triangles(),
-        camera,
-        max_footprint_px: 2.0,
-        pitch_deg: 60.0,
-        density: 1.0,
-        colour: "high".into(),
-        grid: "cells".into(),
-        eye_height_m: Some(1.6),
-    };
-    let sees = |_, _| true;
-    let volume =
-        plan_placements(&scene, &octree, &settings, &Parameters::default(), Sees(&sees), &|_: &str| {})?.volume;
     let caster = Caster::new(Arc::clone(&scene), &clusters, &octree).with_mips();
+    let on_foot = WalkOptions { eye_height_m: Some(1.6), ..WalkOptions::default() };
+    let (volume, _) = walk_volume(&caster, &clusters, &octree, &on_foot)?;
     let walk = walk_of(&study.scene)?;
     let poses: Vec<Pose> = walk.evenly_spaced(study.frames).into_iter().map(|k| walk.poses[k].pose).collect();
     let truths: Vec<Truth> = poses.iter().map(|p| Truth::new(&caster, p, &camera)).collect();
     let places: Vec<(DVec3, usize)> =
-        choose(&caster, &volume).positions.into_iter().flat_map(|p| [0, 1, 4, 5].map(|face| (p, face))).collect();
+        choose(&caster, &volume, &Aabb::EMPTY).positions.into_iter().flat_map(|p| [0, 1, 4, 5].map(|face| (p, face))).collect();
     if places.len() < 4 {
         bail!("{}: there is no place for a reference image", study.scene);
     }

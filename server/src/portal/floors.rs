@@ -11,7 +11,7 @@
 //! Left out places cost no grid points and no images. An eye that gets there all the same lies outside the walk volume: frames keep
 //! their budget, but may miss what is far, and say so.
 
-use super::columns::Raster;
+use crate::walk_volume::lines::Raster;
 use std::collections::BTreeMap;
 
 /// Highest step that is climbed at once, metres: generous, as lines can miss a stair's tread.

@@ -21,7 +21,7 @@ pub(crate) struct Raster {
 
 impl Raster {
     /// Where the line of a cell stands: (x, z).
-    fn line(&self, i: u32, k: u32) -> DVec2 {
+    pub(crate) fn line(&self, i: u32, k: u32) -> DVec2 {
         let j = jitter(i, k);
         self.origin + (DVec2::new(f64::from(i), f64::from(k)) + j) * self.pitch_m
     }
@@ -41,7 +41,16 @@ fn jitter(i: u32, k: u32) -> DVec2 {
     DVec2::new(f64::from(a >> 8), f64::from(b >> 8)) / f64::from(1u32 << 24) * 0.9 + 0.05
 }
 
-/// Heights along the lines of raster rows `rows`: (cell within these rows, height), ascending.
+/// Lines of a raster: from and to along x and z.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Window {
+    /// First line along x and z.
+    pub from: [u32; 2],
+    /// The one after the last.
+    pub to: [u32; 2],
+}
+
+/// Heights along the lines of raster rows `rows`: (line within these rows, height), ascending.
 pub(crate) fn heights(
     scene: &Scene,
     mesh_bounds: &[Aabb],
@@ -52,6 +61,7 @@ pub(crate) fn heights(
     let z0 = raster.origin.y + f64::from(rows.start) * raster.pitch_m;
     let z1 = raster.origin.y + f64::from(rows.end) * raster.pitch_m;
     let mut world = Vec::new();
+    let window = Window { from: [0, rows.start], to: [raster.size[0], rows.end] };
     for instance in &scene.instances {
         let local = &mesh_bounds[instance.mesh as usize];
         let world_from_mesh = instance.world_from_mesh;
@@ -63,8 +73,7 @@ pub(crate) fn heights(
             world.clear();
             world.extend(primitive.positions.iter().map(|p| world_from_mesh.transform_point3(p.as_dvec3())));
             for t in &primitive.triangles {
-                let corners = t.map(|v| world[v as usize]);
-                triangle(corners, raster, &rows, &mut out);
+                triangle(t.map(|v| world[v as usize]), raster, &window, |line, y| out.push((line, y as f32)));
             }
         }
     }
@@ -80,28 +89,29 @@ pub(crate) fn mesh_bounds(scene: &Scene) -> Vec<Aabb> {
     scene.meshes.iter().map(of).collect()
 }
 
-/// Adds the heights at which one triangle meets the lines of `rows`.
-fn triangle(v: [DVec3; 3], raster: &Raster, rows: &std::ops::Range<u32>, out: &mut Vec<(u32, f32)>) {
+/// Meets one triangle with the lines of a window: `met` takes the line, row-major within the window, and the height, metres.
+pub(crate) fn triangle(v: [DVec3; 3], raster: &Raster, window: &Window, mut met: impl FnMut(u32, f64)) {
     let flat = v.map(|p| DVec2::new(p.x, p.z));
     let area = (flat[1] - flat[0]).perp_dot(flat[2] - flat[0]);
     if area == 0.0 {
         return;
     }
-    let low = flat[0].min(flat[1]).min(flat[2]) - raster.origin;
-    let high = flat[0].max(flat[1]).max(flat[2]) - raster.origin;
-    let cell = |x: f64, n: u32| (x / raster.pitch_m).floor().clamp(0.0, f64::from(n - 1)) as u32;
-    let (i0, i1) = (cell(low.x, raster.size[0]), cell(high.x, raster.size[0]));
-    let k0 = cell(low.y, raster.size[1]).max(rows.start);
-    let k1 = cell(high.y, raster.size[1]).min(rows.end - 1);
-    for k in k0..=k1 {
-        for i in i0..=i1 {
+    let low = (flat[0].min(flat[1]).min(flat[2]) - raster.origin) / raster.pitch_m;
+    let high = (flat[0].max(flat[1]).max(flat[2]) - raster.origin) / raster.pitch_m;
+    // Saturating conversions.
+    let lines = |axis: usize| {
+        let from = (low[axis].floor().max(0.0) as u32).max(window.from[axis]);
+        from..((high[axis].floor().max(-1.0) + 1.0) as u32).min(window.to[axis])
+    };
+    let width = window.to[0] - window.from[0];
+    for k in lines(1) {
+        for i in lines(0) {
             let p = raster.line(i, k);
             // Barycentric weights, all of the sign of the area inside and on the border.
             let w: [f64; 3] =
                 std::array::from_fn(|c| (flat[(c + 2) % 3] - flat[(c + 1) % 3]).perp_dot(p - flat[(c + 1) % 3]) / area);
             if w.iter().all(|w| *w >= 0.0) {
-                let y = w[0] * v[0].y + w[1] * v[1].y + w[2] * v[2].y;
-                out.push(((k - rows.start) * raster.size[0] + i, y as f32));
+                met((k - window.from[1]) * width + i - window.from[0], w[0] * v[0].y + w[1] * v[1].y + w[2] * v[2].y);
             }
         }
     }
@@ -117,12 +127,18 @@ mod tests {
         // y = 2 + x + 0.5 z over a large triangle that covers the raster.
         let at = |x: f64, z: f64| DVec3::new(x, 2.0 + x + 0.5 * z, z);
         let mut hits = Vec::new();
-        triangle([at(-9.0, -9.0), at(30.0, -9.0), at(-9.0, 30.0)], &raster, &(0..30), &mut hits);
+        let all = Window { from: [0, 0], to: [30, 30] };
+        let corners = [at(-9.0, -9.0), at(30.0, -9.0), at(-9.0, 30.0)];
+        triangle(corners, &raster, &all, |line, y| hits.push((line, y)));
         assert_eq!(hits.len(), 900, "each line meets it once");
-        for (cell, y) in hits {
-            let p = raster.line(cell % 30, cell / 30);
-            assert!((f64::from(y) - (2.0 + p.x + 0.5 * p.y)).abs() < 1e-5);
+        for (line, y) in hits {
+            let p = raster.line(line % 30, line / 30);
+            assert!((y - (2.0 + p.x + 0.5 * p.y)).abs() < 1e-5);
         }
+        let part = Window { from: [4, 6], to: [9, 8] };
+        let mut of_part = Vec::new();
+        triangle(corners, &raster, &part, |line, _| of_part.push(line));
+        assert_eq!(of_part, (0..10).collect::<Vec<_>>(), "the lines of a window, numbered within it");
     }
 
     #[test]
@@ -136,8 +152,8 @@ mod tests {
     #[test]
     fn a_vertical_triangle_meets_nothing() {
         let raster = Raster { origin: DVec2::ZERO, pitch_m: 0.1, size: [10, 10] };
-        let mut hits = Vec::new();
-        triangle([DVec3::ZERO, DVec3::new(1.0, 0.0, 1.0), DVec3::new(0.5, 3.0, 0.5)], &raster, &(0..10), &mut hits);
-        assert!(hits.is_empty());
+        let all = Window { from: [0, 0], to: [10, 10] };
+        let wall = [DVec3::ZERO, DVec3::new(1.0, 0.0, 1.0), DVec3::new(0.5, 3.0, 0.5)];
+        triangle(wall, &raster, &all, |line, y| panic!("line {line} at {y}"));
     }
 }

@@ -1,10 +1,10 @@
 //! Eyes near a path: a walk volume of no more than a walk needs (guided tours, inspections, what is looked at first).
 //!
-//! In: the runs of a walk volume. Out: those that an eye of the path may reach, and why the others were left out.
+//! In: the runs of a walk volume. Out: those that an eye of the path may reach.
 
 use glam::{DVec2, DVec3};
 use ldi_protocol::path::Walk;
-use std::collections::BTreeMap;
+use std::collections::HashMap;
 
 /// Poses nearer to the last one than this say nothing new, metres.
 const STEP_M: f64 = 0.05;
@@ -15,6 +15,9 @@ pub struct Corridor {
     eyes: Vec<DVec3>,
     within_m: f64,
 }
+
+/// Runs of layers per column (place along x and z), sorted and disjoint.
+pub(super) type Runs = HashMap<[u32; 2], Vec<[u16; 2]>>;
 
 /// How the columns of a walk volume lie; see [`WalkVolume::new`](ldi_protocol::volume::WalkVolume::new).
 #[derive(Debug, Clone, Copy)]
@@ -39,37 +42,37 @@ impl Corridor {
         self.within_m
     }
 
-    /// Leaves the runs that come within reach of the path. What is cut, by reason: runs too far away, and places of the path without any run.
-    pub(super) fn cut(&self, runs: &mut [Vec<[u16; 2]>], columns: &Columns) -> BTreeMap<String, u64> {
-        let all = runs.iter().map(Vec::len).sum::<usize>();
-        let mut kept: Vec<Vec<[u16; 2]>> = vec![Vec::new(); runs.len()];
-        let mut astray = 0;
+    /// Eyes of the path, thinned.
+    pub(super) fn eyes(&self) -> &[DVec3] {
+        &self.eyes
+    }
+
+    /// Leaves the runs that come within reach of the path, and returns how many do not.
+    pub(super) fn cut(&self, runs: &mut Runs, columns: &Columns) -> u64 {
+        let all = runs.values().map(Vec::len).sum::<usize>();
+        let mut kept = Runs::default();
         for eye in &self.eyes {
-            let mut near = false;
-            for column in self.columns_around(*eye, columns) {
-                for run in runs.get(column).into_iter().flatten() {
+            for place in self.columns_around(*eye, columns) {
+                for run in runs.get(&place).into_iter().flatten() {
                     let [low, high] = run.map(|l| columns.origin.y + f64::from(l) * columns.layer_m);
                     if eye.y < low - self.within_m || eye.y > high + self.within_m {
                         continue;
                     }
-                    near = true;
-                    if !kept[column].contains(run) {
-                        kept[column].push(*run);
+                    let there = kept.entry(place).or_default();
+                    if !there.contains(run) {
+                        there.push(*run);
                     }
                 }
             }
-            astray += u64::from(!near);
         }
-        kept.iter_mut().for_each(|column| column.sort_unstable());
-        let left_out = all - kept.iter().map(Vec::len).sum::<usize>();
-        runs.clone_from_slice(&kept);
-        let reasons =
-            [("eye positions too far from the path", left_out as u64), ("places of the path without a floor", astray)];
-        reasons.into_iter().filter(|(_, n)| *n > 0).map(|(why, n)| (why.into(), n)).collect()
+        kept.values_mut().for_each(|column| column.sort_unstable());
+        let left_out = all - kept.values().map(Vec::len).sum::<usize>();
+        *runs = kept;
+        left_out as u64
     }
 
     /// Columns whose squares come within reach of an eye, to the sides.
-    fn columns_around(&self, eye: DVec3, columns: &Columns) -> impl Iterator<Item = usize> {
+    fn columns_around(&self, eye: DVec3, columns: &Columns) -> impl Iterator<Item = [u32; 2]> {
         let &Columns { origin, pitch_m, count, .. } = columns;
         let place = DVec2::new(eye.x - origin.x, eye.z - origin.z);
         let within_m = self.within_m;
@@ -81,7 +84,7 @@ impl Corridor {
             move |[i, k]| {
                 let low = DVec2::new(f64::from(i), f64::from(k)) * pitch_m;
                 let nearest = place.clamp(low, low + pitch_m);
-                (place.distance(nearest) <= within_m).then_some((k * count[0] + i) as usize)
+                (place.distance(nearest) <= within_m).then_some([i, k])
             },
         )
     }
@@ -99,40 +102,37 @@ mod tests {
     }
 
     /// Two storeys everywhere: eyes at 1.1 to 2 m and at 4.1 to 5 m.
-    fn storeys() -> Vec<Vec<[u16; 2]>> {
-        vec![vec![[11, 20], [41, 50]]; 1600]
+    fn storeys() -> Runs {
+        (0..1600).map(|c| ([c % 40, c / 40], vec![[11, 20], [41, 50]])).collect()
     }
 
     #[test]
     fn runs_stay_where_brute_force_finds_the_path_near() {
         let (corridor, mut runs) = (around("[[-3, 1.6, -2], [4, 1.6, 5], [4, 4.6, 5]]", 1.3), storeys());
         let cut = corridor.cut(&mut runs, &COLUMNS);
-        for (column, kept) in runs.iter().enumerate() {
-            let low = DVec3::new((column % 40) as f64 * 0.5 - 10.0, 0.0, (column / 40) as f64 * 0.5 - 10.0);
+        for [i, k] in storeys().into_keys() {
+            let kept = runs.get(&[i, k]).cloned().unwrap_or_default();
+            let low = DVec3::new(f64::from(i) * 0.5 - 10.0, 0.0, f64::from(k) * 0.5 - 10.0);
             for run in [[11, 20], [41, 50]] {
                 let (y0, y1) = (f64::from(run[0]) * 0.1, f64::from(run[1]) * 0.1);
                 let near = corridor.eyes.iter().any(|e| {
                     let p = e.clamp(low.with_y(y0), (low + 0.5).with_y(y1));
                     (p.y - e.y).abs() <= 1.3 && DVec2::new(p.x - e.x, p.z - e.z).length() <= 1.3
                 });
-                assert_eq!(kept.contains(&run), near, "column {column}, run {run:?}");
+                assert_eq!(kept.contains(&run), near, "column {i} {k}, run {run:?}");
             }
         }
-        let left: usize = runs.iter().map(Vec::len).sum();
-        assert_eq!(cut.into_values().collect::<Vec<_>>(), [3200 - left as u64]);
+        let left: usize = runs.values().map(Vec::len).sum();
+        assert_eq!(cut, 3200 - left as u64);
         // Some of the upper storey: only where the path climbs.
-        let upper = runs.iter().filter(|r| r.contains(&[41, 50])).count();
+        let upper = runs.values().filter(|r| r.contains(&[41, 50])).count();
         assert!(upper > 10 && upper < 40 && left > 100, "{upper} of {left}");
     }
 
     #[test]
-    fn places_without_a_floor_are_counted() {
+    fn nothing_stays_of_what_the_path_does_not_reach() {
         let mut runs = storeys();
-        let cut = around("[[0, 1.6, 0], [0, 1.6, 0.01]]", 0.5).cut(&mut runs, &COLUMNS);
-        assert!(!cut.contains_key("places of the path without a floor"), "{cut:?}");
-        let mut runs = storeys();
-        let cut = around("[[0, 20, 0], [900, 1.6, 0]]", 0.5).cut(&mut runs, &COLUMNS);
-        assert!(cut["places of the path without a floor"] > 100, "{cut:?}");
-        assert!(runs.iter().all(Vec::is_empty));
+        assert_eq!(around("[[0, 20, 0], [900, 1.6, 0]]", 0.5).cut(&mut runs, &COLUMNS), 3200);
+        assert!(runs.is_empty());
     }
 }

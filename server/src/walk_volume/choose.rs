@@ -1,0 +1,206 @@
+//! Which regions people walk in.
+//!
+//! In: regions with their figures, what is seen from near each, and where people start. Out: per region why it is kept or left out.
+//!
+//! 1. Some are nowhere to walk in themselves: too small, tops of furniture, above ceilings, roofs, the inside of solids.
+//! 2. Walking begins where people start, or else in the region from which most detail is seen from near.
+//! 3. From there people get to what lies beyond a thin obstacle at the same level: a closed door, a threshold, a terrace.
+//! 4. Without given starts, walking begins again in the region that adds most to the detail seen, as long as that is
+//!    [`LEAST_GAIN`] of all: another building. Then in large regions that see detail too: another storey.
+
+use super::{lines::Raster, regions::Regions, survey::Seen};
+use std::collections::BTreeMap;
+
+/// Smallest region, m²: less is no place to walk about in.
+const LEAST_M2: f64 = 1.0;
+/// Smallest region that walking begins again in, m². Smaller: ducts and shelves with a view.
+const LEAST_BEGIN_M2: f64 = 4.0;
+/// A region below this with a border that falls to a floor just below is the top of furniture, m².
+const FURNITURE_M2: f64 = 8.0;
+/// Share of a border that falls, above which a region is a top: the rest may stand at a wall.
+const FALLING: f64 = 0.4;
+/// A region is a roof when this share of it lies under the sky and above another floor.
+const ROOF_SHARE: f64 = 0.7;
+/// A region is the upper side of a ceiling when this share of it is a thin sheet over a room, and a void when this share is low.
+const SHEET_SHARE: f64 = 0.8;
+/// Least share of all detail that a region must add for walking to begin in it again.
+const LEAST_GAIN: f64 = 0.01;
+/// Walking begins in a region of this share of the largest one's area even if it adds nothing to the detail seen.
+const LARGE: f64 = 0.25;
+/// An opening is at least so many lines wide: half a metre.
+const DOOR_LINES: u32 = 2;
+
+/// What becomes of a region.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(super) enum Verdict {
+    /// People start here.
+    Start,
+    /// Most detail is seen from here.
+    MostDetail,
+    /// Beyond a thin obstacle from a place where people walk.
+    Beyond,
+    /// Detail is seen from here that is seen from nowhere else.
+    MoreDetail,
+    /// As large as others where people walk.
+    Storey,
+    /// Too small.
+    Small,
+    /// The top of furniture.
+    Furniture,
+    /// Upper side of a ceiling, or a void.
+    Ceiling,
+    /// A roof.
+    Roof,
+    /// Inside of a solid.
+    Solid,
+    /// Nobody gets there, and it shows nothing more.
+    Apart,
+}
+
+impl Verdict {
+    /// Whether people walk there.
+    pub fn is_kept(self) -> bool {
+        matches!(self, Self::Start | Self::MostDetail | Self::Beyond | Self::MoreDetail | Self::Storey)
+    }
+
+    /// In words, for reports.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Start => "people start here",
+            Self::MostDetail => "most of the scene's detail is seen from here",
+            Self::Beyond => "beside a place where people walk",
+            Self::MoreDetail => "shows detail that no other place shows",
+            Self::Storey => "as large as other places where people walk",
+            Self::Small => "too small to walk on",
+            Self::Furniture => "top of furniture",
+            Self::Ceiling => "above a ceiling, or too low to walk upright",
+            Self::Roof => "roof",
+            Self::Solid => "inside of a solid",
+            Self::Apart => "not reached from where people walk, and shows nothing more",
+        }
+    }
+}
+
+/// Area of a number of lines, m².
+pub(super) fn area_m2(lines: u32, raster: &Raster) -> f64 {
+    f64::from(lines) * raster.pitch_m * raster.pitch_m
+}
+
+/// The first verdict, from a region's own figures; None: people may walk there.
+pub(super) fn unfit(all: &Regions, region: u32, raster: &Raster) -> Option<Verdict> {
+    let r = &all.regions[region as usize];
+    let (area, share) = (area_m2(r.lines, raster), |n: u32, of: u32| f64::from(n) / f64::from(of.max(1)));
+    if area < LEAST_M2 {
+        Some(Verdict::Small)
+    } else if area < FURNITURE_M2 && share(r.low_falls, r.border) > FALLING {
+        Some(Verdict::Furniture)
+    } else if share(r.sheets, r.lines) > SHEET_SHARE || share(r.low, r.lines) > SHEET_SHARE {
+        Some(Verdict::Ceiling)
+    } else if share(r.over_another, r.lines) > ROOF_SHARE {
+        Some(Verdict::Roof)
+    } else {
+        None
+    }
+}
+
+/// The verdict on every region. `seen`: of those that were surveyed; `starts`: regions where people start; `triangles`: of a cell.
+/// Also what is seen from the regions that are kept: cells, ascending.
+pub(super) fn choose(
+    all: &Regions,
+    seen: &BTreeMap<u32, Seen>,
+    starts: &[u32],
+    raster: &Raster,
+    triangles: &dyn Fn(u32) -> u64,
+) -> (Vec<Verdict>, Vec<u32>) {
+    let mut verdicts: Vec<Verdict> =
+        (0..all.regions.len() as u32).map(|r| unfit(all, r, raster).unwrap_or(Verdict::Apart)).collect();
+    let detail = |r: u32| seen.get(&r).map_or(0, |s| s.cells.iter().map(|c| triangles(*c)).sum::<u64>());
+    let mut order: Vec<u32> = (0..all.regions.len() as u32).filter(|r| seen.contains_key(r)).collect();
+    order.sort_by_key(|r| (std::cmp::Reverse(detail(*r)), *r));
+    // Where even the region with the most to see is surrounded by backs, the file's faces are turned.
+    let may_tell = order.iter().find(|r| verdicts[**r as usize] == Verdict::Apart);
+    let faces_are_turned = may_tell.is_some_and(|r| seen[r].is_inside_a_solid());
+    if !faces_are_turned {
+        for r in &order {
+            if verdicts[*r as usize] != Verdict::Small && seen[r].is_inside_a_solid() {
+                verdicts[*r as usize] = Verdict::Solid;
+            }
+        }
+    }
+    // A scene of nothing else keeps them.
+    if !verdicts.contains(&Verdict::Apart) {
+        verdicts.iter_mut().filter(|v| matches!(v, Verdict::Roof | Verdict::Ceiling)).for_each(|v| *v = Verdict::Apart);
+    }
+    let mut known: Vec<u32> = Vec::new();
+    let begin = |verdicts: &mut Vec<Verdict>, known: &mut Vec<u32>, region: u32, verdict: Verdict| {
+        verdicts[region as usize] = verdict;
+        let mut left = vec![region];
+        while let Some(r) = left.pop() {
+            known.extend(seen.get(&r).into_iter().flat_map(|s| &s.cells));
+            for other in beyond(all, r) {
+                let there = &mut verdicts[other as usize];
+                if matches!(there, Verdict::Apart | Verdict::Roof) {
+                    *there = Verdict::Beyond;
+                    left.push(other);
+                }
+            }
+        }
+        known.sort_unstable();
+        known.dedup();
+    };
+    for start in starts {
+        if !verdicts[*start as usize].is_kept() || verdicts[*start as usize] == Verdict::Beyond {
+            begin(&mut verdicts, &mut known, *start, Verdict::Start);
+        }
+    }
+    if !starts.is_empty() {
+        return (verdicts, known);
+    }
+    let everything: u64 = {
+        let mut cells: Vec<u32> = seen.values().flat_map(|s| s.cells.iter().copied()).collect();
+        cells.sort_unstable();
+        cells.dedup();
+        cells.into_iter().map(triangles).sum()
+    };
+    loop {
+        let first = known.is_empty();
+        let gain = |r: u32| -> u64 {
+            seen[&r].cells.iter().filter(|c| known.binary_search(c).is_err()).map(|c| triangles(*c)).sum()
+        };
+        let open = order.iter().copied().filter(|r| verdicts[*r as usize] == Verdict::Apart);
+        let large = open.filter(|r| first || area_m2(all.regions[*r as usize].lines, raster) >= LEAST_BEGIN_M2);
+        let best = large.map(|r| (gain(r), r)).max_by_key(|(gain, r)| (*gain, std::cmp::Reverse(*r)));
+        let least = |share: f64| (LEAST_GAIN * share).max(1.0);
+        match best {
+            Some((gain, r)) if first || gain as f64 >= least(everything as f64) => {
+                let verdict = if first { Verdict::MostDetail } else { Verdict::MoreDetail };
+                begin(&mut verdicts, &mut known, r, verdict);
+                if first && known.is_empty() {
+                    // Nothing is seen from near anywhere: all that is left is as good.
+                    verdicts.iter_mut().filter(|v| **v == Verdict::Apart).for_each(|v| *v = Verdict::MoreDetail);
+                    return (verdicts, known);
+                }
+            }
+            _ => break,
+        }
+    }
+    let largest = verdicts.iter().zip(&all.regions).filter(|(v, _)| v.is_kept()).map(|(_, r)| r.lines).max();
+    for r in order {
+        let is_large = f64::from(all.regions[r as usize].lines) >= LARGE * f64::from(largest.unwrap_or(0));
+        let sees = detail(r) as f64 >= LEAST_GAIN * everything as f64;
+        if verdicts[r as usize] == Verdict::Apart && is_large && sees {
+            begin(&mut verdicts, &mut known, r, Verdict::Storey);
+        }
+    }
+    (verdicts, known)
+}
+
+/// Regions beyond a thin obstacle.
+fn beyond(all: &Regions, region: u32) -> Vec<u32> {
+    let pair = |(&(a, b), lines): (&(u32, u32), &u32)| match (*lines >= DOOR_LINES, a == region, b == region) {
+        (true, true, _) => Some(b),
+        (true, _, true) => Some(a),
+        _ => None,
+    };
+    all.doors.iter().filter_map(pair).collect()
+}
