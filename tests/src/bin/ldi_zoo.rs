@@ -1,12 +1,12 @@
 //! `ldi_zoo`: writes the generated scenes of the zoo, with a path file of their walked places.
 
-use anyhow::{Context as _, Result, bail};
-use clap::Parser;
+use anyhow::{Context as _, Result};
+use clap::{Parser, builder::PossibleValuesParser};
 use ldi_tests::zoo;
 use std::path::PathBuf;
 
-/// Writes generated scenes that stand for what users bring: NAME.glb, and NAME.walked.json with a pose at each place
-/// where people walk.
+/// Writes generated scenes that stand for what users bring: NAME.glb, and NAME.walked.json with a
+/// pose at each place where people walk.
 #[derive(Debug, Parser)]
 #[command(
     name = "ldi_zoo",
@@ -18,7 +18,8 @@ Examples:
   ldi-server render zoo/mine.glb --path zoo/mine.walked.json --size 640x360 --samples 4 -o zoo/mine"
 )]
 struct Cli {
-    /// Names of scenes; all without any.
+    /// Scenes to write; all of them when none is named.
+    #[arg(value_name = "NAME", value_parser = PossibleValuesParser::new(zoo::names()))]
     names: Vec<String>,
     /// Folder for the files.
     #[arg(short, long)]
@@ -27,12 +28,8 @@ struct Cli {
 
 fn main() -> Result<()> {
     let cli = Cli::parse();
-    let known: Vec<&str> = zoo::names().collect();
-    if let Some(unknown) = cli.names.iter().find(|n| !known.contains(&n.as_str())) {
-        bail!("there is no scene '{unknown}'; there are {}", known.join(", "));
-    }
     std::fs::create_dir_all(&cli.output).with_context(|| format!("cannot make {}", cli.output.display()))?;
-    for name in known.into_iter().filter(|k| cli.names.is_empty() || cli.names.iter().any(|n| n == k)) {
+    for name in zoo::names().filter(|k| cli.names.is_empty() || cli.names.iter().any(|n| n == k)) {
         let Some(specimen) = zoo::specimen(name) else { continue };
         zoo::write_glb(&specimen, &cli.output.join(format!("{name}.glb")))?;
         let path = cli.output.join(format!("{name}.walked.json"));

@@ -1,4 +1,5 @@
-//! Pieces that stand in rooms and gardens; each is one mesh about the middle of its foot, its back toward -Z.
+//! Pieces that stand in rooms and gardens; each is one mesh about the middle of its foot, its back
+//! toward -Z.
 
 use super::kit::{Pattern, Shape, Shapes, Site, at};
 use glam::DVec3;

@@ -41,7 +41,8 @@ impl Finish {
     }
 }
 
-/// A gable roof over a rectangle about the origin: two slabs and two gables, all closed. Nobody can stand below it.
+/// A gable roof over a rectangle about the origin: two slabs and two gables, all closed. Nobody can
+/// stand below it.
 fn gable(roof: Shape, half_x: f64, half_z: f64, eaves_y: f64) -> Shape {
     let (over, rise, thick) = (0.5, half_z * 0.3, DVec3::Y * 0.15);
     let slope = rise / half_z;
@@ -167,7 +168,8 @@ pub(super) fn hill_house() -> Specimen {
     site.specimen("hill_house")
 }
 
-/// A house of four floors, each half a storey above the last, joined by short stairs; the highest is a mezzanine.
+/// A house of four floors, each half a storey above the last, joined by short stairs; the highest
+/// is a mezzanine.
 pub(super) fn split_level() -> Specimen {
     let mut site = Site::new();
     let f = Finish::new(&mut site);
@@ -250,7 +252,8 @@ pub(super) fn split_level() -> Specimen {
     site.specimen("split_level")
 }
 
-/// A small furnished house at coordinates of a national grid; vertices are local, nodes are translated.
+/// A small furnished house at coordinates of a national grid; vertices are local, nodes are
+/// translated.
 pub(super) fn far_origin() -> Specimen {
     let mut site = Site::new();
     let f = Finish::new(&mut site);

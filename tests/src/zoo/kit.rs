@@ -1,4 +1,5 @@
-//! What the generators share: a scene under construction, and closed shapes beyond those of the built-in scenes.
+//! What the generators share: a scene under construction, and closed shapes beyond those of the
+//! built-in scenes.
 //!
 //! Metres, Y up. Faces are counter-clockwise seen from outside.
 

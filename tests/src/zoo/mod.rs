@@ -1,12 +1,20 @@
-//! Generated scenes that stand for what users bring, each with places where people walk and places where nobody does.
+//! Generated scenes that stand for what users bring, each with places where people walk and places
+//! where nobody does.
 //!
-//! Scenes of 5,000 to 60,000 triangles with most detail where people are. Walked and unwalked places are written
-//! down by hand beside the geometry, so that they judge the walk volume independently of how it is found.
+//! Scenes of 5,000 to 60,000 triangles with most detail where people are. Walked and unwalked
+//! places are written down by hand beside the geometry, so that they judge the walk volume
+//! independently of how it is found.
 
 mod city;
 mod furniture;
+mod ground;
 mod houses;
 mod kit;
+mod mine;
+mod objects;
+mod office;
+mod scan;
+mod stadium;
 mod towers;
 
 use glam::DVec3;
@@ -30,12 +38,20 @@ pub struct Specimen {
 }
 
 /// Names and generators.
-const SPECIMENS: [(&str, fn() -> Specimen); 5] = [
+const SPECIMENS: [(&str, fn() -> Specimen); 13] = [
     ("hill_house", houses::hill_house),
     ("island_city", city::island_city),
     ("two_towers", towers::two_towers),
+    ("mine", mine::mine),
     ("split_level", houses::split_level),
+    ("stadium", stadium::stadium),
+    ("pit", ground::pit),
     ("far_origin", houses::far_origin),
+    ("spaceship", objects::spaceship),
+    ("terrain", ground::terrain),
+    ("statue", objects::statue),
+    ("scan", scan::scan),
+    ("closed_doors", office::closed_doors),
 ];
 
 /// The specimens' names.
@@ -63,7 +79,8 @@ pub fn write_glb(specimen: &Specimen, file: &Path) -> anyhow::Result<()> {
     std::fs::write(file, bytes).with_context(|| format!("cannot write {}", file.display()))
 }
 
-/// Path file with a pose at each walked place, looking where the nearest surface is about [`VIEW_M`] away.
+/// Path file with a pose at each walked place, looking where the nearest surface is about
+/// [`VIEW_M`] away.
 pub fn walked_path(specimen: &Specimen) -> serde_json::Value {
     let caster = Caster::of_scene(Arc::new(specimen.scene.clone()), false);
     let poses: Vec<serde_json::Value> = specimen

@@ -88,6 +88,39 @@ fn closed_shapes_face_outward() {
 }
 
 #[test]
+fn nothing_on_the_spaceship_can_be_stood_on() {
+    // Surfaces flatter than 50 degrees that face up, or down, summed over cubes of one metre.
+    let s = specimen("spaceship").expect("known");
+    let caster = Caster::of_scene(Arc::new(s.scene), false);
+    let mut flat: std::collections::BTreeMap<[i64; 4], f64> = Default::default();
+    for t in 0..caster.triangle_count() {
+        let [a, b, c] = caster.corners_world(t);
+        let n = (b - a).cross(c - a);
+        if n.y.abs() > n.length() * 50_f64.to_radians().cos() {
+            let cube = ((a + b + c) / 3.0).floor();
+            *flat.entry([cube.x as i64, cube.y as i64, cube.z as i64, n.y.signum() as i64]).or_default() +=
+                0.5 * n.y.abs();
+        }
+    }
+    let (place, area) = flat.iter().max_by(|a, b| a.1.total_cmp(b.1)).expect("small ones");
+    assert!(*area < 0.6, "{area:.2} square metres about {place:?}");
+}
+
+#[test]
+fn cliffs_and_faces_are_steep() {
+    for name in ["terrain", "pit"] {
+        let s = specimen(name).expect("known");
+        let caster = Caster::of_scene(Arc::new(s.scene), false);
+        for eye in &s.unwalked[..3] {
+            let hit = caster.trace(&Ray::new(*eye, DVec3::NEG_Y), &CellSet::all()).expect("a face below");
+            let [a, b, c] = caster.corners_world(hit.triangle);
+            let n = (b - a).cross(c - a).normalize();
+            assert!(n.y < 0.5, "{name}: the slope below {eye} is {:.0} degrees", n.y.acos().to_degrees());
+        }
+    }
+}
+
+#[test]
 fn generation_is_deterministic() {
     for (name, make) in SPECIMENS {
         let (a, b) = (make(), make());
