@@ -183,7 +183,7 @@ const EYE_OVER_PIT_M: f64 = 1.6;
 /// Height of the hills: slopes up to 35 degrees but for one cliff, 15 m high, which runs along x =
 /// 70.
 fn hills_m(x: f64, z: f64) -> f64 {
-    let rolling = 5.5 * (x / 15.0).sin() * (z / 17.0).cos() + 1.6 * ((x + z) / 9.0).sin();
+    let rolling = 4.5 * (x / 15.0).sin() * (z / 17.0).cos() + 1.33 * ((x + z) / 9.0).sin();
     let cliff = smoothstep(CLIFF_M[0], CLIFF_M[1], x - 6.0 * (z / 50.0).sin());
     // Gentle ground on both sides of the cliff, and a way up past its ends.
     let calm = 1.0 - 0.8 * (1.0 - smoothstep(8.0, 40.0, (x - 70.0).abs()));
