@@ -8,3 +8,4 @@ pub mod namespace;
 pub mod page;
 pub mod plot;
 pub mod run;
+pub mod zoo;

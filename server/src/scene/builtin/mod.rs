@@ -8,10 +8,10 @@
 //! count comes closest to the target. Meshes are instanced, so even 40 million triangles stay small in memory.
 
 mod church;
-mod draw;
+pub mod draw;
 mod house;
 mod island;
-mod paint;
+pub mod paint;
 mod pipes;
 mod plant;
 mod random;
