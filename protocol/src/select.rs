@@ -15,7 +15,7 @@ pub use portals::ShownPortal;
 use crate::{
     Aabb, Pose,
     camera::Frustum,
-    index::{AngularRange, BuildSettings, CellEntry, Index},
+    index::{AngularRange, BuildSettings, CellEntry, Index, Placement},
     room_index::ShowPortals,
     rooms::CellId,
     tree::{CutOptions, Lens, cut},
@@ -159,8 +159,12 @@ pub fn select(index: &Index, pose: &Pose) -> Selection {
 /// Whether the images of a placement were made for an eye here.
 fn serves(index: &Index, placement: u32, eye: DVec3) -> bool {
     let Some(entry) = index.placements.get(placement as usize) else { return false };
-    let made = !entry.images.is_empty() || entry.culled.is_empty();
-    made && entry.users.inflated(USERS_SLACK_M).contains(eye)
+    was_made(entry) && entry.users.inflated(USERS_SLACK_M).contains(eye)
+}
+
+/// Whether the images of a placement were made: one that a build had no time for names cells to replace and nothing to show instead.
+pub fn was_made(placement: &Placement) -> bool {
+    !placement.images.is_empty() || placement.culled.is_empty()
 }
 
 /// Whether an eye was planned for: it lies in the walk volume, or the images of its direction were made for it. Others see near
@@ -456,7 +460,7 @@ mod tests {
     use super::*;
     use crate::{
         OutputCamera, ViewBasis,
-        index::{BuildSettings, CellEntry, GridPoint, ImageEntry, Placement, SceneInfo},
+        index::{BuildSettings, CellEntry, GridPoint, ImageEntry, SceneInfo},
     };
 
     /// Ten cells of 100 triangles along -Z, one per metre from 2 m on; a grid point at the origin and one behind it; a placement that
@@ -582,7 +586,11 @@ mod tests {
         index.placements[0].users = Aabb { min: DVec3::splat(-0.4), max: DVec3::splat(0.4) };
         assert_eq!(planned(&index, -0.5), (0, false), "beyond the users");
         let list = draw_list(&index, &pose(-0.5, 0.0), (0.577, 0.32));
-        assert_eq!((list.cells.as_slice(), list.triangles), (&[0, 1, 2][..], 300), "the nearest cells within the budget");
+        assert_eq!(
+            (list.cells.as_slice(), list.triangles),
+            (&[0, 1, 2][..], 300),
+            "the nearest cells within the budget"
+        );
         assert_eq!(planned(&index, -0.3), (2, true));
         // Nothing was made of it in time.
         index.placements[0].images = 0..0;

@@ -180,9 +180,10 @@ impl WalkVolume {
 
     /// Places of the stored columns along x and z, in order.
     fn places(&self) -> impl Iterator<Item = [u32; 2]> + '_ {
-        self.first_column.windows(2).zip(0..).flat_map(|(row, k)| {
-            self.column_x[row[0] as usize..row[1] as usize].iter().map(move |i| [*i, k])
-        })
+        self.first_column
+            .windows(2)
+            .zip(0..)
+            .flat_map(|(row, k)| self.column_x[row[0] as usize..row[1] as usize].iter().map(move |i| [*i, k]))
     }
 
     /// All boxes, column by column in the order of rows.

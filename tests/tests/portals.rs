@@ -209,7 +209,11 @@ fn the_plan_of_a_dataset_needs_no_file_of_rooms() {
     c.arg(&plan).arg(&house().dataset);
     run::run(c).expect("draws");
     let svg = std::fs::read_to_string(&plan).expect("readable");
-    assert!(svg.starts_with("<svg") && svg.contains("#783ca0") && svg.contains("floors at"), "{}", &svg[..svg.len().min(300)]);
+    assert!(
+        svg.starts_with("<svg") && svg.contains("#783ca0") && svg.contains("floors at"),
+        "{}",
+        &svg[..svg.len().min(300)]
+    );
 }
 
 /// The server's planner wants for each method what the client's frames want.

@@ -98,7 +98,7 @@ impl ImageBytes {
         if sampled.is_empty() {
             return Ok(Self::default());
         }
-        let made = images::construct_all(caster, &sampled, settings, colour, scene_key, writer, &())?;
+        let made = images::construct_all(caster, &sampled, settings, colour, scene_key, writer, None, &())?;
         let bytes: u64 = made.entries().map(|e| u64::from(e.stored_bytes)).sum();
         let pixels = |plans: &[PlacementPlan]| plans.iter().flat_map(|p| &p.images).map(pixels_of).sum::<u64>();
         let per_pixel = bytes as f64 / pixels(&sampled).max(1) as f64;

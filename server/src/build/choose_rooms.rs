@@ -373,6 +373,7 @@ mod tests {
             represent: crate::build::Represent::Grid,
             starts: Vec::new(),
             along: None,
+            time_limit: None,
             // Of a budget that is told as a share the settings know nothing.
             budget_share: Some(0.3),
             scene: "builtin:house?triangles=20000".into(),

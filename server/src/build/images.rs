@@ -15,6 +15,7 @@ use ldi_protocol::room_index::SideImages;
 use ldi_protocol::sky::SkyMap;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::time::Instant;
 
 /// zstd level of images: beyond it, time grows faster than bytes shrink.
 pub const IMAGE_LEVEL: i32 = 6;
@@ -26,6 +27,8 @@ pub struct ImageFigures {
     pub images: u64,
     /// Images made in this run; the others were kept by one that was stopped.
     pub made: u64,
+    /// Placements whose images were not made, because the time was over.
+    pub unmade: u64,
     /// Samples per layer, over all images.
     pub samples_by_layer: Vec<u64>,
     /// Hits that no user can see.
@@ -106,9 +109,12 @@ pub(super) struct Piece {
     pub key: [u8; 32],
     /// Of all chunks.
     pub hashes: Vec<ChunkHash>,
+    /// The time was over before it was made.
+    pub unmade: bool,
 }
 
-/// Makes the images of every placement that are not kept yet.
+/// Makes the images of every placement that are not kept yet; after `deadline` none is begun any more.
+#[expect(clippy::too_many_arguments, reason = "each is another thing that images depend on")]
 pub fn construct_all(
     caster: &Caster,
     plans: &[PlacementPlan],
@@ -116,9 +122,10 @@ pub fn construct_all(
     colour: ColourProfile,
     scene_key: &[u8; 32],
     writer: &DatasetWriter,
+    deadline: Option<Instant>,
     progress: &dyn Progress,
 ) -> Result<Images, BuildError> {
-    let start = std::time::Instant::now();
+    let start = Instant::now();
     let options = ConstructOptions::new(settings.camera);
     // One image after the other leaves a core idle whenever one is encoded; rayon balances placements and their rows alike.
     let made: Vec<Result<(Piece, Option<[f64; STEPS.len()]>), BuildError>> = plans
@@ -133,6 +140,9 @@ pub fn construct_all(
                     progress.skip(1);
                     (found, None)
                 }
+                None if deadline.is_some_and(|d| Instant::now() >= d) => {
+                    return Ok((Piece { key, unmade: true, ..Piece::default() }, None));
+                }
                 None => {
                     let (made, seconds) = one(caster, plan, &options, colour, (number, plans.len()))?;
                     writer.store(&key, &pack(&made))?;
@@ -141,13 +151,14 @@ pub fn construct_all(
                 }
             };
             let hashes = chunks.iter().map(|bytes| ChunkHash(*blake3::hash(bytes).as_bytes())).collect();
-            Ok((Piece { kept, key, hashes }, seconds))
+            Ok((Piece { kept, key, hashes, unmade: false }, seconds))
         })
         .collect();
     let mut images = Images::default();
     for made in made {
         let (piece, seconds) = made?;
         images.figures.add(&piece.kept, seconds.as_ref());
+        images.figures.unmade += u64::from(piece.unmade);
         images.all.push(piece);
     }
     images.figures.seconds = start.elapsed().as_secs_f64();
@@ -197,7 +208,7 @@ fn one(
     let mut chunks = Vec::new();
     let holds_something = |ldi: &Ldi| ldi.samples() > 0 || !ldi.slivers.is_empty();
     for (planned, tiles) in made.images.iter().enumerate() {
-        let start = std::time::Instant::now();
+        let start = Instant::now();
         // Tiles of a face are granted their bytes together: a textured one is not coarser for being cut off from plain ones.
         let full: Vec<&Ldi> = tiles.iter().map(|t| &t.ldi).filter(|ldi| holds_something(ldi)).collect();
         let mut of_full = coded(&full, colour, &format!("an image of placement {number}"))?.into_iter();
@@ -317,10 +328,11 @@ impl Images {
     pub fn indexed<'a>(&self, plans: &'a [PlacementPlan], sides: &'a [SidePlan], first_chunk: u32) -> Indexed<'a> {
         let mut out = Indexed { placements: Vec::new(), images: Vec::new(), plans: Vec::new(), sides: Vec::new() };
         let mut next = first_chunk;
-        for (plan, Piece { kept, .. }) in plans.iter().zip(&self.all) {
+        for (plan, Piece { kept, unmade, .. }) in plans.iter().zip(&self.all) {
             let first_image = out.images.len() as u32;
             let mut tiles = kept.images.iter().peekable();
-            for (number, image) in plan.images.iter().enumerate() {
+            // One without entries of images was not made.
+            for (number, image) in plan.images.iter().enumerate().filter(|_| !unmade) {
                 let nothing = KeptImage { window: image.window, ..KeptImage::default() };
                 let mut of_image: Vec<&KeptImage> = Vec::new();
                 of_image.extend(std::iter::from_fn(|| tiles.next_if(|t| t.planned == number)));
@@ -382,7 +394,8 @@ impl Images {
 
     /// What was left out.
     pub fn notes(&self, plans: &[PlacementPlan]) -> Vec<Note> {
-        let planned: usize = plans.iter().map(|p| p.images.len()).sum();
+        let made = || plans.iter().zip(&self.all).filter(|(_, piece)| !piece.unmade);
+        let planned: usize = made().map(|(p, _)| p.images.len()).sum();
         let mut seen: Vec<(usize, usize)> = Vec::new();
         for (piece, number) in self.all.iter().zip(0..) {
             seen.extend(piece.kept.images.iter().filter(|i| !i.lengths.is_empty()).map(|i| (number, i.planned)));
@@ -390,6 +403,12 @@ impl Images {
         seen.dedup();
         let empty = planned - seen.len();
         let mut notes = Vec::new();
+        if self.figures.unmade > 0 {
+            notes.push(Note {
+                what: format!("the images of {} of {} placements", self.figures.unmade, plans.len()),
+                why: "the time was over; there what is far is softer. The same command goes on".into(),
+            });
+        }
         if empty > 0 {
             notes.push(Note {
                 what: format!("{empty} of {planned} planned images"),

@@ -11,6 +11,7 @@
 mod choose;
 mod choose_rooms;
 mod dry_run;
+mod forecast;
 mod images;
 mod key;
 mod references;
@@ -23,6 +24,7 @@ use rooms::{RoomPlan, Site};
 pub use choose::Weighing;
 pub use choose_rooms::{Mixed, RoomWeighing, Weight};
 pub use dry_run::{Draft, DryRun, draft, dry_run};
+pub use forecast::Forecast;
 pub use images::{IMAGE_LEVEL, ImageFigures};
 pub use references::ReferenceFigures;
 pub use report::{images_per_grid_point, report_json};
@@ -54,7 +56,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// What to build.
 #[derive(Debug, Clone)]
@@ -75,6 +77,8 @@ pub struct BuildOptions {
     pub starts: Vec<DVec3>,
     /// Eyes are near this path only; None: wherever one can walk.
     pub along: Option<Corridor>,
+    /// After this time no image is begun any more: what is not made is shown by geometry and the LDI tree, and the same build goes on with it later.
+    pub time_limit: Option<Duration>,
 }
 
 /// How what is far is represented.
@@ -195,6 +199,8 @@ pub struct BuildFigures {
     pub audit: AuditReport,
     /// Images.
     pub images: ImageFigures,
+    /// What they were expected to take; None without images, or where all were there already.
+    pub forecast: Option<Forecast>,
     /// The LDI tree; None without one.
     pub tree: Option<TreeFigures>,
     /// How images and tree compare; None if that was not asked for, or there is nothing to place.
@@ -484,13 +490,14 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         );
     }
     let planned = plan(options, &mut clock, progress);
-    let Planned { scene, clusters, octree, settings, mut plan, walk, caster, rooms, grid_alone, no_rooms } = match planned {
-        Ok(planned) => planned,
-        Err(e) => {
-            writer.give_up();
-            return Err(e);
-        }
-    };
+    let Planned { scene, clusters, octree, settings, mut plan, walk, caster, rooms, grid_alone, no_rooms } =
+        match planned {
+            Ok(planned) => planned,
+            Err(e) => {
+                writer.give_up();
+                return Err(e);
+            }
+        };
 
     progress.stage("near geometry and textures", 0);
     let geometry = pack::pack_geometry(&scene, &clusters, &octree, 0)?;
@@ -557,9 +564,40 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         clock.lap("weighing");
     }
 
+    let deadline = options.time_limit.map(|limit| clock.start + limit);
+    let forecast = match plan.plans.is_empty() {
+        false => {
+            progress.stage("what the images will take", 0);
+            let work = forecast::Work {
+                caster: &caster,
+                settings: &settings,
+                colour: options.colour,
+                scene_key: &scene_key,
+                writer: &writer,
+                deadline,
+            };
+            let found = Forecast::of(&work, &plan.plans)?;
+            if let Some(found) = &found {
+                heard(&found.said());
+                tracing::info!("{}", found.said());
+            }
+            found
+        }
+        true => None,
+    };
+    clock.lap("forecast");
     progress.stage("layered depth images, by placement", plan.plans.len() as u64);
     let mut images = match plan.plans.is_empty() {
-        false => images::construct_all(&caster, &plan.plans, &settings, options.colour, &scene_key, &writer, progress)?,
+        false => images::construct_all(
+            &caster,
+            &plan.plans,
+            &settings,
+            options.colour,
+            &scene_key,
+            &writer,
+            deadline,
+            progress,
+        )?,
         true => images::Images::default(),
     };
     clock.lap("images");
@@ -653,6 +691,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         placement,
         audit,
         images: images.figures.clone(),
+        forecast,
         tree: tree_figures,
         weighing,
         room_weighing,
@@ -661,7 +700,8 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         seconds,
     };
     let mut report = serde_json::Value::Null;
-    let written = writer.finish(&figures.index, bytes, &ranges, |written| {
+    let is_whole = figures.images.unmade == 0;
+    let written = writer.finish(&figures.index, bytes, &ranges, is_whole, |written| {
         report = report_json(&figures, written);
         report.clone()
     })?;
@@ -679,13 +719,15 @@ fn display_name(spec: &str) -> String {
 
 #[derive(Debug)]
 struct Clock {
+    start: Instant,
     last: Instant,
     laps: Vec<(&'static str, f64)>,
 }
 
 impl Default for Clock {
     fn default() -> Self {
-        Self { last: Instant::now(), laps: Vec::new() }
+        let now = Instant::now();
+        Self { start: now, last: now, laps: Vec::new() }
     }
 }
 

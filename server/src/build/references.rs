@@ -59,7 +59,7 @@ pub fn construct_references(
             };
             progress.advance(1);
             let hashes = chunks.iter().map(|bytes| ChunkHash(*blake3::hash(bytes).as_bytes())).collect();
-            Ok((Piece { kept, key, hashes }, new))
+            Ok((Piece { kept, key, hashes, unmade: false }, new))
         })
         .collect();
     let mut figures = ReferenceFigures::default();

@@ -37,6 +37,8 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
         },
         "placements": index.placements.len(),
         "ldis": f.images.images,
+        "placements_unmade": f.images.unmade,
+        "forecast": f.forecast,
         "images_per_grid_point": images_per_grid_point(index, |image| !image.chunks.is_empty()),
         "popt_closeness": {
             "optimize_budget": index.settings.optimize_budget,

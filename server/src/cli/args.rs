@@ -4,6 +4,7 @@ use clap::{Args, Parser, Subcommand};
 use glam::DVec3;
 use std::net::{SocketAddr, ToSocketAddrs as _};
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// Precomputes layered depth images of big 3D scenes and streams them to walkers on the LAN.
 #[derive(Debug, Parser)]
@@ -189,6 +190,9 @@ pub struct BuildArgs {
     /// Likewise: depths that differ by at most this share are one in merging [default: 0.02].
     #[arg(long, value_name = "SHARE")]
     pub portal_same_depth: Option<f64>,
+    /// After this time no image is begun any more: the dataset works, what is not made is softer, and the same command goes on with it. Seconds, or as 90s, 20m, 3h.
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    pub time_limit: Option<Duration>,
     /// Threads [default: all cores].
     #[arg(long)]
     pub threads: Option<usize>,
@@ -358,9 +362,24 @@ fn address(s: &str) -> Result<SocketAddr, String> {
     found.into_iter().next().ok_or_else(|| "the name has no address".to_string())
 }
 
+/// A time as 90, 90s, 20m or 3h.
+fn duration(s: &str) -> Result<Duration, String> {
+    let (number, unit) = match s.char_indices().next_back() {
+        Some((at, 's')) => (&s[..at], 1.0),
+        Some((at, 'm')) => (&s[..at], 60.0),
+        Some((at, 'h')) => (&s[..at], 3600.0),
+        _ => (s, 1.0),
+    };
+    let seconds = number.parse::<f64>().ok().map(|n| n * unit).filter(|n| *n >= 0.0);
+    seconds
+        .and_then(|s| Duration::try_from_secs_f64(s).ok())
+        .ok_or_else(|| "a time is needed, as 90s, 20m or 3h".into())
+}
+
 /// A place in the world as X,Y,Z.
 fn place(s: &str) -> Result<DVec3, String> {
-    let numbers: Vec<f64> = s.split(',').filter_map(|n| n.trim().parse().ok()).filter(|n: &f64| n.is_finite()).collect();
+    let numbers: Vec<f64> =
+        s.split(',').filter_map(|n| n.trim().parse().ok()).filter(|n: &f64| n.is_finite()).collect();
     match (numbers[..].try_into(), s.split(',').count()) {
         (Ok(xyz), 3) => Ok(DVec3::from_array(xyz)),
         _ => Err("three numbers of metres are needed, as 1.5,0,-3".into()),
@@ -409,6 +428,15 @@ mod tests {
         assert!(address("localhost:80").is_ok_and(|a| a.ip().is_loopback() && a.port() == 80));
         for wrong in ["4433", "0.0.0.0", "localhost", ""] {
             assert!(address(wrong).is_err_and(|e| e.contains("localhost:4433")), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn times_have_units() {
+        let seconds = |s: &str| duration(s).map(|d| d.as_secs_f64());
+        assert_eq!(["90", "90s", "1.5m", "2h"].map(seconds), [Ok(90.0), Ok(90.0), Ok(90.0), Ok(7200.0)]);
+        for wrong in ["", "m", "-1", "3d", "nan", "infs"] {
+            assert!(duration(wrong).is_err_and(|e| e.contains("20m")), "{wrong}");
         }
     }
 

@@ -129,6 +129,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         colour,
         represent,
         starts: a.start,
+        time_limit: a.time_limit,
         along: walk.map(|walk| Corridor::around(&walk, a.within)),
         budget_share,
         settings: BuildSettings {

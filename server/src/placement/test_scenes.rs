@@ -3,8 +3,8 @@
 use super::Sees;
 use crate::octree::{Clusters, Octree};
 use crate::render::Caster;
-use crate::walk_volume::{WalkOptions, walk_volume};
 use crate::scene::{Instance, Mesh, Primitive, Scene};
+use crate::walk_volume::{WalkOptions, walk_volume};
 use glam::{DAffine3, DVec3, Vec3};
 use ldi_protocol::{Aabb, OutputCamera, index::BuildSettings, select::CELLS, volume::WalkVolume};
 use std::sync::Arc;

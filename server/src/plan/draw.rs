@@ -8,11 +8,27 @@ use std::fmt::Write as _;
 pub(super) type Ink = [u8; 3];
 
 enum Shape {
-    Rectangle { low: DVec2, high: DVec2, ink: Ink },
-    Frame { low: DVec2, high: DVec2, ink: Ink },
-    Dot { at: DVec2, radius: f64, ink: Ink },
+    Rectangle {
+        low: DVec2,
+        high: DVec2,
+        ink: Ink,
+    },
+    Frame {
+        low: DVec2,
+        high: DVec2,
+        ink: Ink,
+    },
+    Dot {
+        at: DVec2,
+        radius: f64,
+        ink: Ink,
+    },
     /// Left end of the base line.
-    Text { at: DVec2, text: String, ink: Ink },
+    Text {
+        at: DVec2,
+        text: String,
+        ink: Ink,
+    },
 }
 
 /// A drawing; x to the right, y downward, pixels.
@@ -85,7 +101,13 @@ impl Drawing {
                     hex(*ink)
                 ),
                 Shape::Dot { at, radius, ink } => {
-                    writeln!(out, "<circle cx=\"{:.2}\" cy=\"{:.2}\" r=\"{radius}\" fill=\"{}\"/>", at.x, at.y, hex(*ink))
+                    writeln!(
+                        out,
+                        "<circle cx=\"{:.2}\" cy=\"{:.2}\" r=\"{radius}\" fill=\"{}\"/>",
+                        at.x,
+                        at.y,
+                        hex(*ink)
+                    )
                 }
                 Shape::Text { at, text, ink } => {
                     let text = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");

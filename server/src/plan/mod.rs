@@ -137,9 +137,7 @@ fn draw_sheet(
     place: &dyn Fn(f64, f64) -> DVec2,
 ) {
     let [low, high] = sheet.heights_m;
-    let belongs = |y: f64| {
-        (y >= low - BESIDE_M || is_lowest) && (y <= high + BESIDE_M || is_highest)
-    };
+    let belongs = |y: f64| (y >= low - BESIDE_M || is_lowest) && (y <= high + BESIDE_M || is_highest);
     for r in s.report.into_iter().flat_map(|r| &r.regions).filter(|r| !r.kept) {
         for [x0, x1, z0, z1, _] in r.patches.iter().filter(|p| belongs(f64::from(p[4]))).map(|p| p.map(f64::from)) {
             out.rectangle(place(x0, z0), place(x1, z1), ink_of(&r.why));

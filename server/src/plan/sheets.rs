@@ -40,7 +40,12 @@ pub(super) fn sheets(boxes: &[(Aabb, f64)], volume: &WalkVolume) -> Vec<Sheet> {
         if done[first] {
             continue;
         }
-        let mut sheet = Sheet { boxes: vec![], heights_m: [f64::INFINITY, f64::NEG_INFINITY], middle_m: 0.0, taken: HashSet::new() };
+        let mut sheet = Sheet {
+            boxes: vec![],
+            heights_m: [f64::INFINITY, f64::NEG_INFINITY],
+            middle_m: 0.0,
+            taken: HashSet::new(),
+        };
         let mut open = vec![first];
         while let Some(n) = open.pop() {
             let at = column(&boxes[n].0);
@@ -68,14 +73,14 @@ pub(super) fn sheets(boxes: &[(Aabb, f64)], volume: &WalkVolume) -> Vec<Sheet> {
             let near = patch.middle_m > low - STOREY_M && patch.middle_m < high + STOREY_M;
             near && patch.taken.is_disjoint(&s.taken)
         };
-        match out.iter_mut().filter(fits).min_by(|a, b| {
-            (a.middle_m - patch.middle_m).abs().total_cmp(&(b.middle_m - patch.middle_m).abs())
-        }) {
+        match out
+            .iter_mut()
+            .filter(fits)
+            .min_by(|a, b| (a.middle_m - patch.middle_m).abs().total_cmp(&(b.middle_m - patch.middle_m).abs()))
+        {
             Some(sheet) => {
-                sheet.heights_m = [
-                    sheet.heights_m[0].min(patch.heights_m[0]),
-                    sheet.heights_m[1].max(patch.heights_m[1]),
-                ];
+                sheet.heights_m =
+                    [sheet.heights_m[0].min(patch.heights_m[0]), sheet.heights_m[1].max(patch.heights_m[1])];
                 sheet.boxes.extend(patch.boxes);
                 sheet.taken.extend(patch.taken);
             }

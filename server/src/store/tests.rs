@@ -187,6 +187,7 @@ impl Sample {
             &self.index,
             |_, k| Ok(Cow::Borrowed(&self.chunks[k as usize][..])),
             &self.ranges,
+            true,
             |w| json!({ "bytes": { "manifest": w.manifest_bytes }, "skipped": [{ "what": "portals", "why": "no rooms" }] }),
         )
     }
@@ -384,6 +385,7 @@ fn a_stopped_build_goes_on_and_gives_the_same_bytes() {
                     Ok(Cow::Borrowed(&sample.chunks[k as usize][..]))
                 },
                 &sample.ranges,
+                true,
                 |_| json!({}),
             );
             assert_eq!(result.is_err(), fail_at < sample.chunks.len());

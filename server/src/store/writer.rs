@@ -88,7 +88,7 @@ impl DatasetWriter {
         let _ = fs::remove_dir(&self.path);
     }
 
-    /// Writes the dataset and removes the pieces. `chunk` gives the bytes of a chunk by number and is called once per different
+    /// Writes the dataset and, if it `is_whole`, removes the pieces: a build that goes on later needs them. `chunk` gives the bytes of a chunk by number and is called once per different
     /// content, in order, with the writer, as it may lie in a piece; `ranges` has one entry per cell; `report` makes `report.json` from what was written.
     ///
     /// The old manifest goes first and the new one comes last: a stop in between leaves no dataset, but all pieces.
@@ -100,6 +100,7 @@ impl DatasetWriter {
         index: &Index,
         mut chunk: impl FnMut(&Self, u32) -> Result<Cow<'a, [u8]>, StoreError>,
         ranges: &[Vec<SourceRange>],
+        is_whole: bool,
         report: impl FnOnce(&Written) -> serde_json::Value,
     ) -> Result<Written, StoreError> {
         let manifest_path = self.path.join(files::MANIFEST);
@@ -140,7 +141,9 @@ impl DatasetWriter {
         files::sync_directory(&self.path)?;
         files::write_file(&manifest_path, &encoded.root)?;
         files::sync_directory(&self.path)?;
-        self.work.remove()?;
+        if is_whole {
+            self.work.remove()?;
+        }
         Ok(written)
     }
 }

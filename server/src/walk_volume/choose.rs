@@ -27,6 +27,8 @@ const SHEET_SHARE: f64 = 0.8;
 const LEAST_GAIN: f64 = 0.01;
 /// Walking begins in a region of this share of the largest one's area even if it adds nothing to the detail seen.
 const LARGE: f64 = 0.25;
+/// A region with this share of its floor under the sky is no storey of a building.
+const OPEN: f64 = 0.5;
 /// An opening is at least so many lines wide: half a metre.
 const DOOR_LINES: u32 = 2;
 
@@ -117,19 +119,10 @@ pub(super) fn choose(
     let detail = |r: u32| seen.get(&r).map_or(0, |s| s.cells.iter().map(|c| triangles(*c)).sum::<u64>());
     let mut order: Vec<u32> = (0..all.regions.len() as u32).filter(|r| seen.contains_key(r)).collect();
     order.sort_by_key(|r| (std::cmp::Reverse(detail(*r)), *r));
-    // Where even the region with the most to see is surrounded by backs, the file's faces are turned.
-    let may_tell = order.iter().find(|r| verdicts[**r as usize] == Verdict::Apart);
-    let faces_are_turned = may_tell.is_some_and(|r| seen[r].is_inside_a_solid());
-    if !faces_are_turned {
-        for r in &order {
-            if verdicts[*r as usize] != Verdict::Small && seen[r].is_inside_a_solid() {
-                verdicts[*r as usize] = Verdict::Solid;
-            }
+    for r in &order {
+        if verdicts[*r as usize] != Verdict::Small && seen[r].is_inside_a_solid() {
+            verdicts[*r as usize] = Verdict::Solid;
         }
-    }
-    // A scene of nothing else keeps them.
-    if !verdicts.contains(&Verdict::Apart) {
-        verdicts.iter_mut().filter(|v| matches!(v, Verdict::Roof | Verdict::Ceiling)).for_each(|v| *v = Verdict::Apart);
     }
     let mut known: Vec<u32> = Vec::new();
     let begin = |verdicts: &mut Vec<Verdict>, known: &mut Vec<u32>, region: u32, verdict: Verdict| {
@@ -188,7 +181,10 @@ pub(super) fn choose(
     for r in order {
         let is_large = f64::from(all.regions[r as usize].lines) >= LARGE * f64::from(largest.unwrap_or(0));
         let sees = detail(r) as f64 >= LEAST_GAIN * everything as f64;
-        if verdicts[r as usize] == Verdict::Apart && is_large && sees {
+        // A canal or a sea beside a town is large, too.
+        let region = &all.regions[r as usize];
+        let is_covered = f64::from(region.sky) < OPEN * f64::from(region.lines);
+        if verdicts[r as usize] == Verdict::Apart && is_large && sees && is_covered {
             begin(&mut verdicts, &mut known, r, Verdict::Storey);
         }
     }

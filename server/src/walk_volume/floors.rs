@@ -40,6 +40,8 @@ pub(super) struct Floor {
     pub is_over_a_room: bool,
     /// Whether it is a thin sheet over a room, or the back of a ceiling.
     pub is_sheet: bool,
+    /// Whether the surface above shows its back: the roof of a hollow house, or a canopy.
+    pub is_under_back: bool,
 }
 
 /// The floors of a tile.
@@ -60,7 +62,10 @@ pub(super) struct TileFloors {
 impl TileFloors {
     /// Leaves out what lies inside of solids: a surface that looks down, below one that looks up. `turned`: fronts are backs.
     pub fn without_insides(mut self, turned: bool) -> Self {
-        self.floors.iter_mut().for_each(|f| f.is_sheet |= f.is_over_a_room && f.up == turned);
+        for f in &mut self.floors {
+            f.is_sheet |= f.is_over_a_room && f.up == turned;
+            f.is_under_back = f.above_m.is_finite() && f.above_up != turned;
+        }
         self.only(|f| !(f.above_m.is_finite() && f.up == turned && f.above_up != turned))
     }
 
@@ -163,8 +168,8 @@ pub(super) fn floors_of(
 /// Whether a triangle is steep and higher than a step.
 fn is_cliff(v: &[DVec3; 3]) -> bool {
     let normal = (v[1] - v[0]).cross(v[2] - v[0]);
-    let height = v.iter().map(|p| p.y).fold(f64::NEG_INFINITY, f64::max)
-        - v.iter().map(|p| p.y).fold(f64::INFINITY, f64::min);
+    let height =
+        v.iter().map(|p| p.y).fold(f64::NEG_INFINITY, f64::max) - v.iter().map(|p| p.y).fold(f64::INFINITY, f64::min);
     normal.y.abs() < LEAST_UP * normal.length() && height > STEP_M
 }
 
@@ -203,7 +208,8 @@ fn add_line(surfaces: &[Surface], head_room_m: f64, out: &mut TileFloors) {
             let below_m = foot.map_or(f32::NEG_INFINITY, |f| taken[f].y_m);
             let is_over_a_room = below_m.is_finite() && f64::from(s.y_m - below_m) >= head_room_m;
             let is_sheet = is_over_a_room && thin;
-            out.floors.push(Floor { line: s.line, y_m: s.y_m, above_m, up: s.up, above_up, is_over_a_room, is_sheet });
+            let (line, y_m, up, is_under_back) = (s.line, s.y_m, s.up, false);
+            out.floors.push(Floor { line, y_m, above_m, up, above_up, is_over_a_room, is_sheet, is_under_back });
         }
     }
 }

@@ -38,7 +38,7 @@ pub use report::{Patch, RegionReport, WalkReport};
 
 use crate::{
     octree::{Clusters, Octree},
-    render::Caster,
+    render::{Caster, CellSet, Ray},
 };
 use choose::{Verdict, area_m2};
 use corridor::{Columns, Runs};
@@ -217,7 +217,7 @@ impl Site<'_> {
             Some(path) => Wanted::Near { places: path.eyes(), within_m: path.within_m() + 2.0 },
             None => Wanted::Detail { starts: &options.starts },
         };
-        let (all, left_out_tiles) = self.regions(&raster, wanted, &rules);
+        let (all, left_out_tiles, turned) = self.regions(&raster, wanted, &rules);
         if all.regions.is_empty() && !masks_are_solid {
             // Some exporters call every material masked.
             return self.ground(options, true);
@@ -249,7 +249,7 @@ impl Site<'_> {
             starts.sort_unstable();
             starts.dedup();
         }
-        Ok(Ground { left_out_tiles, floating, ..self.chosen(raster, all, &starts, rules.foot_m) })
+        Ok(Ground { left_out_tiles, floating, ..self.chosen(raster, (all, turned), &starts, rules.foot_m) })
     }
 
     /// Finds where people walk around a scene without floors.
@@ -259,9 +259,9 @@ impl Site<'_> {
         let rules = self.rules(true, true);
         let corners = self.bounds.inflated(margin).corners();
         let wanted = Wanted::Near { places: &corners, within_m: self.bounds.size().max_element() + 2.0 * margin };
-        let (all, left_out_tiles) = self.regions(&raster, wanted, &rules);
+        let (all, left_out_tiles, turned) = self.regions(&raster, wanted, &rules);
         debug_assert!(options.starts.is_empty(), "people walk around it where nobody says otherwise");
-        Ok(Ground { left_out_tiles, is_around: true, ..self.chosen(raster, all, &[], rules.foot_m) })
+        Ok(Ground { left_out_tiles, is_around: true, ..self.chosen(raster, (all, turned), &[], rules.foot_m) })
     }
 
     fn rules(&self, masks_are_solid: bool, ground: bool) -> FloorRules {
@@ -269,7 +269,7 @@ impl Site<'_> {
         FloorRules { foot_m: self.bounds.min.y, head_room_m, masks_are_solid, ground }
     }
 
-    fn regions(&self, raster: &Raster, wanted: Wanted<'_>, rules: &FloorRules) -> (Regions, usize) {
+    fn regions(&self, raster: &Raster, wanted: Wanted<'_>, rules: &FloorRules) -> (Regions, usize, bool) {
         let scene = self.caster.scene();
         let (tiles, left_out) = tiles::tiles(scene, self.clusters, self.octree, raster, wanted);
         let floors: Vec<TileFloors> =
@@ -280,32 +280,34 @@ impl Site<'_> {
         };
         let ([fronts, backs], [rooms, solids]) = (sums(|t| t.tops), sums(|t| t.spaces));
         let turned = backs > fronts && solids > rooms;
-        (Regions::of(floors.into_iter().map(|t| t.without_insides(turned)).collect()), left_out)
+        let is_open = |from: [u32; 2], to: [u32; 2], y_m: f32| {
+            let at = |[i, k]: [u32; 2]| {
+                let line = raster.line(i, k);
+                DVec3::new(line.x, rules.foot_m + f64::from(y_m), line.y)
+            };
+            let ray = Ray { origin: at(from), direction: at(to) - at(from), t_min: 0.0, t_max: 1.0 };
+            !self.caster.occluded(&ray, &CellSet::all())
+        };
+        let floors = floors.into_iter().map(|t| t.without_insides(turned)).collect();
+        (Regions::of(floors, &is_open), left_out, turned)
     }
 
     /// Surveys regions and chooses among them.
-    fn chosen(&self, raster: Raster, all: Regions, starts: &[u32], foot_m: f64) -> Ground {
+    fn chosen(&self, raster: Raster, (all, turned): (Regions, bool), starts: &[u32], foot_m: f64) -> Ground {
         let eyes = self.eyes(&raster, &all, starts, foot_m);
-        let seen: BTreeMap<u32, Seen> = survey::survey(self.caster, &eyes).into_iter().collect();
+        let seen: BTreeMap<u32, Seen> = survey::survey(self.caster, &eyes, turned).into_iter().collect();
         let triangles = |cell: u32| u64::from(self.octree.cells[cell as usize].triangles);
         let (verdicts, known) = choose::choose(&all, &seen, starts, &raster, &triangles);
-        Ground {
-            raster,
-            all,
-            seen,
-            verdicts,
-            known,
-            foot_m,
-            left_out_tiles: 0,
-            floating: Vec::new(),
-            is_around: false,
-        }
+        Ground { raster, all, seen, verdicts, known, foot_m, left_out_tiles: 0, floating: Vec::new(), is_around: false }
     }
 
     /// Eyes spread over every region that people may walk in, by region.
     fn eyes(&self, raster: &Raster, all: &Regions, starts: &[u32], foot_m: f64) -> Vec<(u32, DVec3)> {
         let fit: Vec<bool> = (0..all.regions.len() as u32)
-            .map(|r| matches!(choose::unfit(all, r, raster), None | Some(Verdict::Roof | Verdict::Ceiling)) || starts.contains(&r))
+            .map(|r| {
+                matches!(choose::unfit(all, r, raster), None | Some(Verdict::Roof | Verdict::Ceiling))
+                    || starts.contains(&r)
+            })
             .collect();
         let lines: u32 = all.regions.iter().zip(&fit).filter(|(_, fit)| **fit).map(|(r, _)| r.lines).sum();
         let every = (lines / SURVEYED_EYES).max(1);
@@ -388,15 +390,16 @@ impl Ground {
         let mut runs = Runs::default();
         for (tile, floor, region) in self.all.floors() {
             if self.is_kept(region) {
-                self.add_floor(&mut runs, place_of(tile.place, floor), floor, site, count, |y| (y - origin.y) / layer_m);
+                self.add_floor(&mut runs, place_of(tile.place, floor), floor, site, count, |y| {
+                    (y - origin.y) / layer_m
+                });
             }
         }
         let mut cut = 0;
         if let Some(path) = &options.along {
             cut = path.cut(&mut runs, &Columns { origin, pitch_m: column_m, layer_m, count });
         }
-        let mut columns: Vec<ColumnRuns> =
-            runs.into_iter().map(|(place, runs)| ColumnRuns { place, runs }).collect();
+        let mut columns: Vec<ColumnRuns> = runs.into_iter().map(|(place, runs)| ColumnRuns { place, runs }).collect();
         columns.sort_unstable_by_key(|c| (c.place[1], c.place[0]));
         let mut limits = site.bounds;
         if self.is_around {
@@ -419,9 +422,8 @@ impl Ground {
         let low = self.foot_m + f64::from(floor.y_m) + site.eye_height_m - BELOW_M;
         let high = (low + BELOW_M + ABOVE_M).min(self.foot_m + f64::from(floor.above_m) - CLEAR_M);
         let run = [layer(low).floor() as u16, layer(high).ceil() as u16];
-        let around = |line: u32, n: u32| {
-            line.saturating_sub(1) / LINES_PER_COLUMN..=((line + 1) / LINES_PER_COLUMN).min(n - 1)
-        };
+        let around =
+            |line: u32, n: u32| line.saturating_sub(1) / LINES_PER_COLUMN..=((line + 1) / LINES_PER_COLUMN).min(n - 1);
         for k in around(k, count[1]) {
             for i in around(i, count[0]) {
                 add_run(runs.entry([i, k]).or_default(), run);
@@ -548,7 +550,11 @@ impl Ground {
         }
         if cut == 0 && report.floating_total == 0 && !self.is_around {
             if report.detail_from_anywhere - report.detail > MUCH_MORE {
-                let best = report.regions.iter().filter(|r| r.why == Verdict::Apart.words()).max_by(|a, b| a.detail.total_cmp(&b.detail));
+                let best = report
+                    .regions
+                    .iter()
+                    .filter(|r| r.why == Verdict::Apart.words())
+                    .max_by(|a, b| a.detail.total_cmp(&b.detail));
                 let place = best.map_or(String::new(), |r| {
                     let [x, y, z] = r.place;
                     format!("; the largest such place is {} at ({x:.1}, {y:.1}, {z:.1}): {}", m2(r.area_m2), r.why)

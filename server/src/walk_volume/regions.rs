@@ -7,10 +7,13 @@ use super::{
     floors::{Floor, STEP_M, TileFloors},
     tiles::LINES,
 };
+use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
 
 /// A border that falls by at most this is that of furniture or a platform, metres: one can climb or jump down.
 const LOW_FALL_M: f32 = 2.0;
+/// Height above a floor at which walls are looked for, metres: above sills and tables.
+const CHEST_M: f32 = 1.2;
 /// Head room of a place that people go to upright, metres: below it are voids above ceilings and crawl spaces.
 const DOOR_M: f64 = 2.0;
 /// Lines that a thin obstacle may hide: a wall with a door leaf of up to 0.75 m. Larger: rooms join across shafts.
@@ -21,7 +24,9 @@ const OBSTACLE_LINES: u32 = 3;
 pub(super) struct Region {
     /// Floors.
     pub lines: u32,
-    /// Floors under the open sky with another floor below.
+    /// Floors under the open sky.
+    pub sky: u32,
+    /// Of these, floors with another one below.
     pub over_another: u32,
     /// Floors that are thin sheets over a room.
     pub sheets: u32,
@@ -51,29 +56,21 @@ pub(super) struct Regions {
 }
 
 impl Regions {
-    /// Joins the floors of tiles.
-    pub fn of(tiles: Vec<TileFloors>) -> Self {
+    /// Joins the floors of tiles. `is_open` says whether nothing stands between two places, given by line (place along x and z) and height;
+    /// it is asked at the borders of what lies under the back of a roof: lines alone miss the walls of a hollow house.
+    pub fn of(tiles: Vec<TileFloors>, is_open: &(dyn Fn([u32; 2], [u32; 2], f32) -> bool + Sync)) -> Self {
         let mut first = vec![0u32];
         for t in &tiles {
             first.push(first.last().copied().unwrap_or(0) + t.floors.len() as u32);
         }
         let by_place = tiles.iter().map(|t| t.place).zip(0..).collect();
         let floors = *first.last().unwrap_or(&0);
-        let mut all = Self { tiles, first, by_place, region_of: Vec::new(), regions: Vec::new(), doors: BTreeMap::new() };
+        let mut all =
+            Self { tiles, first, by_place, region_of: Vec::new(), regions: Vec::new(), doors: BTreeMap::new() };
         let mut sets = Sets::new(floors);
-        for tile in 0..all.tiles.len() {
-            for (n, f) in all.tiles[tile].floors.iter().enumerate() {
-                let number = all.first[tile] + n as u32;
-                for side in [[1, 0], [0, 1]] {
-                    let Some((other, line)) = all.neighbour(tile, u32::from(f.line), side, 1) else { continue };
-                    for o in all.tiles[other].of_line(line) {
-                        if f64::from((all.tiles[other].floors[o].y_m - f.y_m).abs()) <= STEP_M {
-                            sets.join(number, all.first[other] + o as u32);
-                        }
-                    }
-                }
-            }
-        }
+        let steps: Vec<Vec<[u32; 2]>> =
+            (0..all.tiles.len()).into_par_iter().map(|t| all.steps_of(t, is_open)).collect();
+        steps.iter().flatten().for_each(|[a, b]| sets.join(*a, *b));
         let mut region_of_root: HashMap<u32, u32> = HashMap::new();
         all.region_of = (0..floors)
             .map(|n| {
@@ -88,6 +85,33 @@ impl Regions {
             }
         }
         all
+    }
+
+    /// Pairs of floors, by number, that a step joins: those of a tile with their neighbours toward larger x and z.
+    fn steps_of(&self, tile: usize, is_open: &(dyn Fn([u32; 2], [u32; 2], f32) -> bool + Sync)) -> Vec<[u32; 2]> {
+        let mut out = Vec::new();
+        let place = |tile: usize, line: u32| {
+            let [i, k] = self.tiles[tile].place;
+            [i * LINES + line % LINES, k * LINES + line / LINES]
+        };
+        for (n, f) in self.tiles[tile].floors.iter().enumerate() {
+            for side in [[1, 0], [0, 1]] {
+                let Some((other, line)) = self.neighbour(tile, u32::from(f.line), side, 1) else { continue };
+                for o in self.tiles[other].of_line(line) {
+                    let there = &self.tiles[other].floors[o];
+                    if f64::from((there.y_m - f.y_m).abs()) > STEP_M {
+                        continue;
+                    }
+                    let chest_m = f.y_m.max(there.y_m) + CHEST_M;
+                    let is_border = f.is_under_back != there.is_under_back;
+                    if is_border && !is_open(place(tile, u32::from(f.line)), place(other, line), chest_m) {
+                        continue;
+                    }
+                    out.push([self.first[tile] + n as u32, self.first[other] + o as u32]);
+                }
+            }
+        }
+        out
     }
 
     /// All floors with their region: (tile, floor, region).
@@ -115,7 +139,8 @@ impl Regions {
             return Some((tile, (k * edge + i) as u32));
         }
         let place = self.tiles[tile].place;
-        let there = [place[0].checked_add_signed(i.div_euclid(edge))?, place[1].checked_add_signed(k.div_euclid(edge))?];
+        let there =
+            [place[0].checked_add_signed(i.div_euclid(edge))?, place[1].checked_add_signed(k.div_euclid(edge))?];
         let other = *self.by_place.get(&there)?;
         Some((other as usize, (k.rem_euclid(edge) * edge + i.rem_euclid(edge)) as u32))
     }
@@ -131,7 +156,13 @@ impl Regions {
             let Some((other, there)) = self.neighbour(tile, line, side, 1) else { continue };
             let of = &self.tiles[other];
             let beside = || of.of_line(there).map(|o| of.floors[o]);
-            if beside().any(|o| f64::from((o.y_m - f.y_m).abs()) <= STEP_M) {
+            let level = of.of_line(there).find(|o| f64::from((of.floors[*o].y_m - f.y_m).abs()) <= STEP_M);
+            if let Some(level) = level {
+                // A wall between two lines.
+                let region = self.region_of[self.first[other] as usize + level];
+                if region != own && door.is_none() {
+                    door = Some(region);
+                }
                 continue;
             }
             sides[0] += 1;
@@ -146,6 +177,7 @@ impl Regions {
         }
         let region = &mut self.regions[own as usize];
         region.lines += 1;
+        region.sky += u32::from(f.above_m.is_infinite());
         region.over_another += u32::from(f.above_m.is_infinite() && n > self.tiles[tile].of_line(line).start);
         region.sheets += u32::from(f.is_sheet);
         region.low += u32::from(f64::from(f.above_m - f.y_m) < DOOR_M);
@@ -198,12 +230,21 @@ mod tests {
             for line in 0..LINES * LINES {
                 let (i, k) = (place[0] * LINES + line % LINES, place[1] * LINES + line / LINES);
                 let found = surfaces.iter().filter_map(|s| s(i, k));
-                t.floors.extend(found.map(|(y_m, above_m)| Floor { line: line as u16, y_m, above_m, up: true, above_up: false, is_over_a_room: false, is_sheet: false }));
+                t.floors.extend(found.map(|(y_m, above_m)| Floor {
+                    line: line as u16,
+                    y_m,
+                    above_m,
+                    up: true,
+                    above_up: false,
+                    is_over_a_room: false,
+                    is_sheet: false,
+                    is_under_back: false,
+                }));
                 t.first.push(t.floors.len() as u32);
             }
             t
         };
-        Regions::of([[3, 5], [4, 5], [3, 6], [4, 6]].map(tile).to_vec())
+        Regions::of([[3, 5], [4, 5], [3, 6], [4, 6]].map(tile).to_vec(), &|_, _, _| true)
     }
 
     fn shifted(f: impl Fn(u32, u32) -> Option<(f32, f32)>) -> impl Fn(u32, u32) -> Option<(f32, f32)> {
@@ -239,7 +280,8 @@ mod tests {
         assert_eq!((table.border, table.low_falls, table.deep_falls), (24, 24, 0));
         let roof = all.regions.iter().find(|r| r.over_another > 0).expect("a roof");
         assert_eq!(roof.over_another, roof.lines);
-        let places: u32 = all.at([3 * LINES + 11, 5 * LINES + 11]).map(|(_, region)| all.regions[region as usize].lines).sum();
+        let places: u32 =
+            all.at([3 * LINES + 11, 5 * LINES + 11]).map(|(_, region)| all.regions[region as usize].lines).sum();
         assert_eq!(places, 32 + 4 * LINES * LINES, "table and roof on one line");
     }
 }

@@ -35,11 +35,11 @@ impl Seen {
     }
 }
 
-/// What eyes see, region by region. `eyes`: (region, eye), regions ascending.
-pub(super) fn survey(caster: &Caster, eyes: &[(u32, DVec3)]) -> Vec<(u32, Seen)> {
+/// What eyes see, region by region. `eyes`: (region, eye), regions ascending; `turned`: the file's fronts are backs.
+pub(super) fn survey(caster: &Caster, eyes: &[(u32, DVec3)], turned: bool) -> Vec<(u32, Seen)> {
     let directions: Vec<DVec3> = (0..RAYS).map(direction).collect();
     let of_region = |eyes: &&[(u32, DVec3)]| {
-        let parts: Vec<Seen> = eyes.par_iter().map(|(_, eye)| from(caster, *eye, &directions)).collect();
+        let parts: Vec<Seen> = eyes.par_iter().map(|(_, eye)| from(caster, *eye, &directions, turned)).collect();
         let mut all = Seen::default();
         for part in parts {
             all.cells.extend(part.cells);
@@ -62,7 +62,7 @@ fn direction(n: u32) -> DVec3 {
     DVec3::new(r * turn.cos(), y, r * turn.sin())
 }
 
-fn from(caster: &Caster, eye: DVec3, directions: &[DVec3]) -> Seen {
+fn from(caster: &Caster, eye: DVec3, directions: &[DVec3], turned: bool) -> Seen {
     let ray = |d: &DVec3| Ray { origin: eye, direction: *d, t_min: 0.0, t_max: NEAR_M };
     let rays: Vec<Ray> = directions.iter().map(ray).collect();
     let mut hits = vec![None; rays.len()];
@@ -78,7 +78,7 @@ fn from(caster: &Caster, eye: DVec3, directions: &[DVec3]) -> Seen {
         if is_level && caster.scene().materials[surface.material as usize].alpha == Alpha::Opaque {
             let instance = &caster.scene().instances[surface.source.instance as usize];
             let mirrored = instance.world_from_mesh.matrix3.determinant() < 0.0;
-            let is_back = (surface.geometric_normal.dot(ray.direction) > 0.0) != mirrored;
+            let is_back = (surface.geometric_normal.dot(ray.direction) > 0.0) != (mirrored != turned);
             out.met = [out.met[0] + 1, out.met[1] + u32::from(is_back)];
         }
     }

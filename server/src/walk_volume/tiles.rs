@@ -2,10 +2,10 @@
 //!
 //! In: cluster instances. Out: square tiles of [`LINES`] x [`LINES`] lines, each with the cluster instances above and below it.
 //!
-//! Detail is counted in blocks, as large as a tile and [`BLOCK_M`] high. A block's detail is the square root of its triangles, so that
-//! one very fine object does not make the rest of the scene look empty. A block counts if its detail is at least [`LEAST_DETAIL`] of
-//! what the average piece of detail has around it: the large triangles of far hills and of a sea do not. Around a block that counts,
-//! [`AROUND`] blocks to each side and one above and below are taken: floors are looked for there.
+//! Detail is counted in blocks, as large as a tile and [`BLOCK_M`] high. A block counts if it holds at least [`LEAST_DETAIL`] of the
+//! triangles of the block that bounds the coarsest [`COARSE`] of all triangles: the large triangles of far hills and of a sea do not,
+//! and one very fine object does not make the rest of the scene look empty. Around a block that counts, [`AROUND`] blocks to each side
+//! and one above and below are taken: floors are looked for there.
 
 use super::lines::{Raster, Window};
 use crate::{
@@ -18,8 +18,11 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// Lines along a side of a tile: 16 m. Larger tiles bring more of a backdrop along; smaller ones cost more in bookkeeping.
 pub(super) const LINES: u32 = 64;
-/// Least detail of a tile, as a share of the detail-weighted mean. Larger: outskirts are lost; smaller: backdrops come in.
-const LEAST_DETAIL: f64 = 0.15;
+/// Share of the triangles, those of the emptiest blocks, that do not set the measure. Larger: one fine object empties the rest of the
+/// scene; smaller: a backdrop of many triangles counts as detail.
+const COARSE: f64 = 0.25;
+/// Least triangles of a block, as a share of the measure. Larger: outskirts are lost; smaller: backdrops come in.
+const LEAST_DETAIL: f64 = 1.0 / 16.0;
 /// Blocks around a block that counts, on each side: people step back from what they look at.
 const AROUND: i64 = 2;
 /// Height of a block, metres. Larger: a sea below a town comes in.
@@ -129,10 +132,8 @@ fn pieces(scene: &Scene, clusters: &Clusters, octree: &Octree, raster: &Raster, 
         let low = (DVec2::new(b.min.x, b.min.z) - raster.origin) / edge;
         let high = (DVec2::new(b.max.x, b.max.z) - raster.origin) / edge;
         let place = |x: f64, axis: usize| (x.floor().max(0.0) as u32).min(size[axis] - 1);
-        let window = Window {
-            from: [place(low.x, 0), place(low.y, 1)],
-            to: [place(high.x, 0) + 1, place(high.y, 1) + 1],
-        };
+        let window =
+            Window { from: [place(low.x, 0), place(low.y, 1)], to: [place(high.x, 0) + 1, place(high.y, 1) + 1] };
         let height = |y: f64| ((y - foot_m) / BLOCK_M).floor().max(0.0) as u32;
         let heights = [height(b.min.y), height(b.max.y) + 1];
         Piece { instance, cluster, triangles: of.triangles.len() as u32, window, heights }
@@ -154,10 +155,15 @@ fn detailed(pieces: &[Piece], size: [u32; 2]) -> (BTreeMap<[u32; 2], Vec<[f32; 2
         }
     }
     // In a fixed order, so that sums do not depend on the map's.
-    let mut blocks: Vec<([u32; 3], f64)> = triangles.into_iter().map(|(place, n)| (place, n.sqrt())).collect();
+    let mut blocks: Vec<([u32; 3], f64)> = triangles.into_iter().collect();
     blocks.sort_unstable_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
-    let (sum, squares) = blocks.iter().fold((0.0, 0.0), |(s, q), (_, d)| (s + d, q + d * d));
-    let least = LEAST_DETAIL * squares / sum.max(1e-9);
+    let mut left = (1.0 - COARSE) * blocks.iter().map(|b| b.1).sum::<f64>();
+    let measure = blocks.iter().find(|(_, n)| {
+        left -= n;
+        left <= 0.0
+    });
+    let least = LEAST_DETAIL * measure.map_or(0.0, |m| m.1);
+    tracing::debug!(blocks = blocks.len(), least, counting = blocks.partition_point(|b| b.1 >= least), "detail");
     let mut taken: BTreeMap<[u32; 2], BTreeSet<u32>> = BTreeMap::new();
     let mut left_out: BTreeSet<[u32; 2]> = BTreeSet::new();
     for ([k, i, j], _) in blocks.iter().take_while(|t| t.1 >= least) {

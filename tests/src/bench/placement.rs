@@ -123,6 +123,7 @@ fn options(
         represent: Represent::Grid,
         starts: Vec::new(),
         along: None,
+        time_limit: None,
         budget_share: None,
         scene: scene.into(),
         output: PathBuf::new(),

@@ -169,8 +169,11 @@ pub fn run(study: &Study, mut heard: impl FnMut(&Row)) -> Result<Vec<Row>> {
     let walk = walk_of(&study.scene)?;
     let poses: Vec<Pose> = walk.evenly_spaced(study.frames).into_iter().map(|k| walk.poses[k].pose).collect();
     let truths: Vec<Truth> = poses.iter().map(|p| Truth::new(&caster, p, &camera)).collect();
-    let places: Vec<(DVec3, usize)> =
-        choose(&caster, &volume, &Aabb::EMPTY).positions.into_iter().flat_map(|p| [0, 1, 4, 5].map(|face| (p, face))).collect();
+    let places: Vec<(DVec3, usize)> = choose(&caster, &volume, &Aabb::EMPTY)
+        .positions
+        .into_iter()
+        .flat_map(|p| [0, 1, 4, 5].map(|face| (p, face)))
+        .collect();
     if places.len() < 4 {
         bail!("{}: there is no place for a reference image", study.scene);
     }

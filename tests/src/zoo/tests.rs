@@ -1,4 +1,9 @@
 use super::*;
+use ldi_protocol::volume::WalkVolume;
+use ldi_server::{
+    octree::{Clusters, Octree},
+    walk_volume::{WalkOptions, WalkReport, walk_volume},
+};
 use std::{f64::consts::TAU, fmt::Write as _};
 
 /// Clearance of every walked place, metres.
@@ -141,4 +146,29 @@ fn written_files_load_again() {
         ldi_protocol::path::parse(&walked_path(&s).to_string()).expect("a path file");
     }
     std::fs::remove_dir_all(&dir).expect("removes");
+}
+
+/// Where people walk in a specimen, with default settings.
+fn walk(s: &Specimen) -> (WalkVolume, WalkReport) {
+    let clusters = Clusters::build(&s.scene);
+    let octree = Octree::build(&s.scene, &clusters, s.scene.triangles() / 10);
+    let caster = Caster::new(Arc::new(s.scene.clone()), &clusters, &octree);
+    let options = WalkOptions { eye_height_m: Some(s.eye_height_m), ..WalkOptions::default() };
+    walk_volume(&caster, &clusters, &octree, &options).expect("no scene is refused")
+}
+
+#[test]
+fn people_walk_where_they_should_and_nowhere_else() {
+    let mut wrong = Vec::new();
+    for s in all() {
+        let (volume, report) = walk(&s);
+        let missing = s.walked.iter().filter(|eye| !volume.contains(**eye));
+        wrong.extend(missing.map(|eye| format!("{}: nobody walks at {eye}", s.name)));
+        let more = s.unwalked.iter().filter(|eye| volume.contains(**eye));
+        wrong.extend(more.map(|eye| format!("{}: people walk at {eye}", s.name)));
+        if wrong.iter().any(|w| w.starts_with(s.name)) {
+            wrong.push(format!("{}: {:?}", s.name, report.area_m2));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
