@@ -10,7 +10,7 @@ use super::{
     bytes::{Reader, Writer},
     colour,
     residual::{Decoder, Encoder},
-    runs::{OccupancyWriter, read_occupancy, runs_of_layer, segments_of_runs},
+    runs::{OccupancyWriter, Run, read_occupancy, runs_of_layer, segments_of_runs},
     slivers, surface,
 };
 use crate::{
@@ -42,13 +42,20 @@ pub fn encode(ldi: &Ldi, profile: ColourProfile, level: i32) -> Result<Vec<Vec<u
 /// As [`encode_first`].
 pub fn encode_all(ldis: &[&Ldi], profile: ColourProfile, level: i32) -> Result<Vec<Vec<Vec<u8>>>, CodecError> {
     let granted = profile.bytes_per_sample() * ldis.iter().map(|ldi| ldi.samples()).sum::<usize>() as f64;
+    // All but the colours is the same in every mode.
+    let shapes: Vec<(Shape<'_>, Option<Shape<'_>>)> = ldis
+        .iter()
+        .map(|ldi| Ok((Shape::first(ldi, level)?, Shape::deeper(ldi, level)?)))
+        .collect::<Result<_, CodecError>>()?;
     let coded = |mode: ColourMode| -> Result<_, CodecError> {
-        let of_one = |ldi: &&Ldi| {
-            let mut chunks = vec![encode_first(ldi, mode, level)?];
-            chunks.extend(encode_deeper(ldi, mode, level)?);
+        let of_one = |(first, deeper): &(Shape<'_>, Option<Shape<'_>>)| {
+            let mut chunks = vec![first.coloured(mode, level)?];
+            if let Some(deeper) = deeper {
+                chunks.push(deeper.coloured(mode, level)?);
+            }
             Ok(chunks)
         };
-        let chunks: Vec<Vec<Vec<u8>>> = ldis.iter().map(of_one).collect::<Result<_, CodecError>>()?;
+        let chunks: Vec<Vec<Vec<u8>>> = shapes.iter().map(of_one).collect::<Result<_, CodecError>>()?;
         let fits = chunks.iter().flatten().map(Vec::len).sum::<usize>() as f64 <= granted;
         Ok((chunks, fits))
     };
@@ -71,29 +78,7 @@ pub fn encode_all(ldis: &[&Ldi], profile: ColourProfile, level: i32) -> Result<V
 /// # Errors
 /// If the LDI breaks its own rules or is larger than [`Ldi::MAX_SIDE`] or [`MAX_SAMPLES`].
 pub fn encode_first(ldi: &Ldi, mode: ColourMode, level: i32) -> Result<Vec<u8>, CodecError> {
-    let mut w = Writer::new(level)?;
-    w.raw(&FIRST);
-    w.u8(VERSION);
-    let c = &ldi.camera;
-    check_size(c.width, c.height)?;
-    for v in [c.cop, c.basis.right, c.basis.up, c.basis.forward] {
-        v.to_array().into_iter().for_each(|x| w.f64(x));
-    }
-    w.f64(c.pixels_per_unit);
-    w.i32(c.left);
-    w.i32(c.top);
-    w.u32(c.width);
-    w.u32(c.height);
-    w.f64(ldi.codes.smallest);
-    w.f64(ldi.codes.step);
-    w.u16(ldi.codes.largest_code);
-    let sky: Vec<u8> = ldi.sky.iter().flat_map(|word| word.to_le_bytes()).collect();
-    if ldi.sky.len() != ldi.sky_words_per_row() * c.height as usize {
-        return Err(CodecError::mismatch("sky bits", "not one bit per pixel"));
-    }
-    w.section("sky bits", &sky)?;
-    encode_layers(&mut w, ldi, ldi.layers.get(..1).unwrap_or_default(), mode)?;
-    Ok(w.bytes)
+    Shape::first(ldi, level)?.coloured(mode, level)
 }
 
 /// Encodes the layers behind layer 0, and the slivers; None when there are none of either. `level` is zstd's, 1 to 19.
@@ -101,18 +86,112 @@ pub fn encode_first(ldi: &Ldi, mode: ColourMode, level: i32) -> Result<Vec<u8>, 
 /// # Errors
 /// As [`encode_first`].
 pub fn encode_deeper(ldi: &Ldi, mode: ColourMode, level: i32) -> Result<Option<Vec<u8>>, CodecError> {
-    let layers = ldi.layers.get(1..).unwrap_or_default();
-    if layers.is_empty() && ldi.slivers.is_empty() {
-        return Ok(None);
+    Shape::deeper(ldi, level)?.map(|shape| shape.coloured(mode, level)).transpose()
+}
+
+/// A chunk without its colours.
+struct Shape<'a> {
+    layers: &'a [LdiLayer],
+    runs: Vec<Vec<Run>>,
+    width: u32,
+    /// What stands before the colour mode, between it and the colours, and after them.
+    before: Vec<u8>,
+    between: Vec<u8>,
+    after: Vec<u8>,
+}
+
+impl<'a> Shape<'a> {
+    /// Of a first chunk.
+    fn first(ldi: &'a Ldi, level: i32) -> Result<Self, CodecError> {
+        let mut w = Writer::new(level)?;
+        w.raw(&FIRST);
+        w.u8(VERSION);
+        let c = &ldi.camera;
+        check_size(c.width, c.height)?;
+        for v in [c.cop, c.basis.right, c.basis.up, c.basis.forward] {
+            v.to_array().into_iter().for_each(|x| w.f64(x));
+        }
+        w.f64(c.pixels_per_unit);
+        w.i32(c.left);
+        w.i32(c.top);
+        w.u32(c.width);
+        w.u32(c.height);
+        w.f64(ldi.codes.smallest);
+        w.f64(ldi.codes.step);
+        w.u16(ldi.codes.largest_code);
+        let sky: Vec<u8> = ldi.sky.iter().flat_map(|word| word.to_le_bytes()).collect();
+        if ldi.sky.len() != ldi.sky_words_per_row() * c.height as usize {
+            return Err(CodecError::mismatch("sky bits", "not one bit per pixel"));
+        }
+        w.section("sky bits", &sky)?;
+        Self::new(w, ldi, ldi.layers.get(..1).unwrap_or_default())
     }
-    let mut w = Writer::new(level)?;
-    w.raw(&DEEPER);
-    w.u8(VERSION);
-    w.u32(ldi.camera.width);
-    w.u32(ldi.camera.height);
-    encode_layers(&mut w, ldi, layers, mode)?;
-    slivers::encode(&mut w, &ldi.slivers)?;
-    Ok(Some(w.bytes))
+
+    /// Of a second chunk; None when there are neither deeper layers nor slivers.
+    fn deeper(ldi: &'a Ldi, level: i32) -> Result<Option<Self>, CodecError> {
+        let layers = ldi.layers.get(1..).unwrap_or_default();
+        if layers.is_empty() && ldi.slivers.is_empty() {
+            return Ok(None);
+        }
+        let mut w = Writer::new(level)?;
+        w.raw(&DEEPER);
+        w.u8(VERSION);
+        w.u32(ldi.camera.width);
+        w.u32(ldi.camera.height);
+        let mut after = Writer::new(level)?;
+        slivers::encode(&mut after, &ldi.slivers)?;
+        Ok(Some(Self { after: after.bytes, ..Self::new(w, ldi, layers)? }))
+    }
+
+    /// Of layers, after what was written.
+    fn new(mut w: Writer, ldi: &Ldi, layers: &'a [LdiLayer]) -> Result<Self, CodecError> {
+        let (width, height) = (ldi.camera.width, ldi.camera.height);
+        let total: usize = layers.iter().map(LdiLayer::len).sum();
+        if total > MAX_SAMPLES || layers.len() > Ldi::MAX_LAYERS {
+            return Err(CodecError::range("samples", total, "a chunk holds at most 2^24 samples in 32 layers"));
+        }
+        let before = std::mem::take(&mut w.bytes);
+        w.u8(layers.len() as u8);
+        layers.iter().for_each(|l| w.varint(l.len() as u64));
+
+        let runs: Vec<Vec<Run>> =
+            layers.iter().map(|layer| runs_of_layer(layer, width, height)).collect::<Result<_, CodecError>>()?;
+        let mut occupancy = OccupancyWriter::default();
+        let mut links = surface::LinkEncoder::default();
+        let mut ends = Encoder::new(surface::END_STREAMS);
+        let mut slopes = Encoder::new(surface::SLOPE_STREAMS);
+        let mut disparities = Encoder::new(surface::STREAMS);
+        for (layer, runs) in layers.iter().zip(&runs) {
+            occupancy.layer(runs, height);
+            let joined = surface::walk_links(runs, &mut layer.links.clone(), &mut links);
+            surface::walk_ends(runs, width, &joined, &layer.links, &mut layer.ends.clone(), &mut ends);
+            let open = (&layer.links[..], &layer.ends[..]);
+            surface::walk_slopes(runs, width, &joined, open, &mut layer.slopes.clone(), &mut slopes);
+            surface::walk_disparity(runs, width, &joined, &mut layer.disparity.clone(), &mut disparities);
+        }
+        occupancy.finish(&mut w)?;
+        links.finish(&mut w)?;
+        ends.finish(&mut w, "ends")?;
+        slopes.finish(&mut w, "slopes")?;
+        disparities.finish(&mut w, "disparities")?;
+        Ok(Self { layers, runs, width, before, between: w.bytes, after: Vec::new() })
+    }
+
+    /// The chunk.
+    fn coloured(&self, mode: ColourMode, level: i32) -> Result<Vec<u8>, CodecError> {
+        let mut w = Writer::new(level)?;
+        w.raw(&self.before);
+        w.raw(&mode.bytes()?);
+        w.raw(&self.between);
+        let walker = colour::Walker::new(mode);
+        let mut colours = Encoder::new(colour::STREAMS);
+        for (layer, runs) in self.layers.iter().zip(&self.runs) {
+            walker.walk(runs, self.width, &mut layer.rgb.clone(), &mut colours);
+        }
+        colours.finish(&mut w, "colours")?;
+        w.raw(&self.after);
+        Ok(w.bytes)
+    }
 }
 
 /// Decodes a first chunk: an LDI with at most one layer.
@@ -201,41 +280,6 @@ fn check_size(width: u32, height: u32) -> Result<(), CodecError> {
 
 fn check(ldi: &Ldi) -> Result<(), CodecError> {
     ldi.check().map_err(|fault| CodecError::mismatch("LDI", fault.to_string()))
-}
-
-fn encode_layers(w: &mut Writer, ldi: &Ldi, layers: &[LdiLayer], mode: ColourMode) -> Result<(), CodecError> {
-    let (width, height) = (ldi.camera.width, ldi.camera.height);
-    let total: usize = layers.iter().map(LdiLayer::len).sum();
-    if total > MAX_SAMPLES || layers.len() > Ldi::MAX_LAYERS {
-        return Err(CodecError::range("samples", total, "a chunk holds at most 2^24 samples in 32 layers"));
-    }
-    w.raw(&mode.bytes()?);
-    w.u8(layers.len() as u8);
-    layers.iter().for_each(|l| w.varint(l.len() as u64));
-
-    let walker = colour::Walker::new(mode);
-    let mut occupancy = OccupancyWriter::default();
-    let mut links = surface::LinkEncoder::default();
-    let mut ends = Encoder::new(surface::END_STREAMS);
-    let mut slopes = Encoder::new(surface::SLOPE_STREAMS);
-    let mut disparities = Encoder::new(surface::STREAMS);
-    let mut colours = Encoder::new(colour::STREAMS);
-    for layer in layers {
-        let runs = runs_of_layer(layer, width, height)?;
-        occupancy.layer(&runs, height);
-        let joined = surface::walk_links(&runs, &mut layer.links.clone(), &mut links);
-        surface::walk_ends(&runs, width, &joined, &layer.links, &mut layer.ends.clone(), &mut ends);
-        let open = (&layer.links[..], &layer.ends[..]);
-        surface::walk_slopes(&runs, width, &joined, open, &mut layer.slopes.clone(), &mut slopes);
-        surface::walk_disparity(&runs, width, &joined, &mut layer.disparity.clone(), &mut disparities);
-        walker.walk(&runs, width, &mut layer.rgb.clone(), &mut colours);
-    }
-    occupancy.finish(w)?;
-    links.finish(w)?;
-    ends.finish(w, "ends")?;
-    slopes.finish(w, "slopes")?;
-    disparities.finish(w, "disparities")?;
-    colours.finish(w, "colours")
 }
 
 fn decode_layers(r: &mut Reader<'_>, (width, height): (u32, u32), most: usize) -> Result<Vec<LdiLayer>, CodecError> {

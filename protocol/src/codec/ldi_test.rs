@@ -20,14 +20,14 @@ impl Random {
 
 /// A layer of the pixels that `code` gives a disparity for, with random links where they are allowed.
 fn layer(width: u32, height: u32, random: &mut Random, code: impl Fn(u32, u32) -> Option<u16>) -> LdiLayer {
-    let mut runs: Vec<crate::codec::runs::Run> = Vec::new();
+    let mut runs: Vec<Run> = Vec::new();
     let mut out = LdiLayer::default();
     for row in 0..height {
         for column in 0..width {
             let Some(d) = code(column, row) else { continue };
             match runs.last_mut() {
                 Some(r) if r.row == row && r.column + r.count == column => r.count += 1,
-                _ => runs.push(crate::codec::runs::Run { row, column, count: 1 }),
+                _ => runs.push(Run { row, column, count: 1 }),
             }
             out.disparity.push(d);
             let texture = ((column * 7 + row * 3) % 64) as u8;
