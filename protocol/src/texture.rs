@@ -130,12 +130,96 @@ pub fn sample_bilinear(texture: &Texture, uv: Vec2, wrap: [Wrap; 2]) -> ([f32; 3
 #[inline]
 pub fn sample_alpha(texture: &Texture, uv: Vec2, wrap: [Wrap; 2]) -> f32 {
     let Some(l) = texture.level_or_coarser(0) else { return 1.0 };
-    let (x, y) = (tap(uv.x, l.width, wrap[0]), tap(uv.y, l.height, wrap[1]));
+    bilinear_alpha(l, &tap(uv.x, l.width, wrap[0]), &tap(uv.y, l.height, wrap[1]))
+}
+
+#[inline]
+fn bilinear_alpha(l: &MipLevel, x: &Tap, y: &Tap) -> f32 {
     let w = l.width as usize;
     let alpha = |row: usize, column: usize| f32::from(l.rgba[row * w + column][3]);
     let top = alpha(y.first, x.first) * (1.0 - x.second_weight) + alpha(y.first, x.second) * x.second_weight;
     let bottom = alpha(y.second, x.first) * (1.0 - x.second_weight) + alpha(y.second, x.second) * x.second_weight;
     (top * (1.0 - y.second_weight) + bottom * y.second_weight) * (1.0 / 255.0)
+}
+
+/// The alpha test of one material on the finest level of its texture, with the answer known in advance wherever the four texels of a bilinear
+/// sample agree. Two bits per texel fit into a cache where the texture does not.
+#[derive(Debug, Clone)]
+pub struct AlphaTest {
+    wrap: [Wrap; 2],
+    factor: f32,
+    cutoff: f32,
+    size: [u32; 2],
+    /// Row-major, four to a byte; for the texel and the next ones to the right and below.
+    answers: Vec<u8>,
+}
+
+impl AlphaTest {
+    /// The answer depends on the weights of the texels.
+    const MIXED: u8 = 0;
+    /// Every sample passes.
+    const PASSES: u8 = 1;
+    /// No sample passes.
+    const FAILS: u8 = 2;
+
+    /// For the test `factor * alpha >= cutoff`; a texture without levels has alpha 1.
+    pub fn new(texture: &Texture, wrap: [Wrap; 2], factor: f32, cutoff: f32) -> Self {
+        let mut test = Self { wrap, factor, cutoff, size: [0; 2], answers: Vec::new() };
+        let Some(level) = texture.level_or_coarser(0) else { return test };
+        let (w, h) = (level.width as usize, level.height as usize);
+        test.size = [level.width, level.height];
+        test.answers = vec![0; (w * h).div_ceil(4)];
+        let next = |i: usize, n: usize, wrap: Wrap| match wrap {
+            Wrap::Repeat => (i + 1) % n,
+            Wrap::Mirror | Wrap::Clamp => (i + 1).min(n - 1),
+        };
+        for row in 0..h {
+            let below = next(row, h, wrap[1]);
+            for column in 0..w {
+                let right = next(column, w, wrap[0]);
+                let of = |row: usize, column: usize| level.rgba[row * w + column][3];
+                let four = [of(row, column), of(row, right), of(below, column), of(below, right)];
+                let (least, greatest) = four.iter().fold((u8::MAX, 0), |(l, g), a| (l.min(*a), g.max(*a)));
+                let at = row * w + column;
+                test.answers[at / 4] |= test.answer(least, greatest) << (at % 4 * 2);
+            }
+        }
+        test
+    }
+
+    /// The answer for every mixture of these alphas, however it is rounded.
+    fn answer(&self, least: u8, greatest: u8) -> u8 {
+        // Interpolation errs by some 3e-7 of the greatest.
+        const SLACK: f32 = 1e-5;
+        let of = |alpha: u8| f32::from(alpha) / 255.0 * self.factor;
+        if !(self.factor >= 0.0) {
+            Self::MIXED
+        } else if of(least) * (1.0 - SLACK) >= self.cutoff {
+            Self::PASSES
+        } else if of(greatest) * (1.0 + SLACK) < self.cutoff {
+            Self::FAILS
+        } else {
+            Self::MIXED
+        }
+    }
+
+    /// Whether `factor * sample_alpha(texture, uv, wrap) >= cutoff`; `texture` is the one that the test was made for.
+    #[inline]
+    pub fn passes(&self, texture: &Texture, uv: Vec2) -> bool {
+        let alpha = if self.answers.is_empty() {
+            1.0
+        } else {
+            let [w, h] = self.size;
+            let (x, y) = (tap(uv.x, w, self.wrap[0]), tap(uv.y, h, self.wrap[1]));
+            let at = y.first * w as usize + x.first;
+            match self.answers[at / 4] >> (at % 4 * 2) & 3 {
+                Self::PASSES => return true,
+                Self::FAILS => return false,
+                _ => texture.level_or_coarser(0).map_or(1.0, |l| bilinear_alpha(l, &x, &y)),
+            }
+        };
+        !(alpha * self.factor < self.cutoff)
+    }
 }
 
 /// Bilinear sample of one level, in linear light.

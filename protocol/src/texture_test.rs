@@ -56,6 +56,25 @@ proptest! {
     }
 
     #[test]
+    fn alpha_tests_say_what_the_sampler_says(
+        u in -3.0f32..3.0, v in -3.0f32..3.0, w in 1u32..9, h in 1u32..9, seed: u32, wraps in 0usize..9,
+        cutoff in 0.0f32..1.1, factor in -0.5f32..1.5, contrast in 0u8..3,
+    ) {
+        const ALL: [Wrap; 3] = [Wrap::Repeat, Wrap::Mirror, Wrap::Clamp];
+        let wrap = [ALL[wraps / 3], ALL[wraps % 3]];
+        let mut level = noise(w, h, seed);
+        // Leaves: mostly there or not there.
+        level.rgba.iter_mut().filter(|_| contrast > 0).for_each(|t| t[3] = if t[3] < 85 * contrast { 0 } else { 255 });
+        let texture = Texture { levels: vec![Some(level)] };
+        let test = AlphaTest::new(&texture, wrap, factor, cutoff);
+        // Also at the borders of texels, and on both sides of them.
+        for uv in [Vec2::new(u, v), Vec2::new((u * w as f32).round() / w as f32, ((v * h as f32).round() + 0.5) / h as f32)] {
+            let alpha = sample_alpha(&texture, uv, wrap) * factor;
+            prop_assert_eq!(test.passes(&texture, uv), !(alpha < cutoff), "{} at {:?}", alpha, uv);
+        }
+    }
+
+    #[test]
     fn every_level_keeps_the_mean_of_an_opaque_texture(w in 1u32..40, h in 1u32..40, seed: u32) {
         let mut base = noise(w, h, seed);
         base.rgba.iter_mut().for_each(|t| t[3] = 255);

@@ -19,8 +19,8 @@ pub(super) const EMPTY: u32 = u32::MAX;
 /// Triangle number of a lane that is not there.
 pub(super) const NO_TRIANGLE: u32 = u32::MAX;
 
-/// Up to eight boxes.
-#[repr(C, align(32))]
+/// Up to eight boxes; on as few cache lines as they fit on.
+#[repr(C, align(64))]
 pub(super) struct Node {
     /// min x, y, z, max x, y, z of every child; absent children have inverted infinite boxes.
     pub bounds: [[f32; 8]; 6],
@@ -28,8 +28,8 @@ pub(super) struct Node {
     pub children: [u32; 8],
 }
 
-/// Up to four triangles. Lanes that are not there have NaN corners, which nothing hits.
-#[repr(C, align(16))]
+/// Up to four triangles; on as few cache lines as they fit on. Lanes that are not there have NaN corners, which nothing hits.
+#[repr(C, align(64))]
 pub(super) struct Block {
     /// x, y, z of corner 0, 1, 2.
     pub corners: [[[f32; 4]; 3]; 3],
@@ -37,14 +37,16 @@ pub(super) struct Block {
     pub normal: [[f32; 4]; 3],
     /// Numbers of the triangles.
     pub triangles: [u32; 4],
+    /// Bits of the lanes whose hits an alpha mask may cut out.
+    pub masked: u8,
+    /// The alpha masks' entry of the first of these ([`AlphaMasks`](super::alpha::AlphaMasks)).
+    pub first_mask: u32,
 }
 
 /// The hierarchy. The root is node 0; children come after their parents.
 pub(super) struct Bvh {
     pub nodes: Vec<Node>,
     pub blocks: Vec<Block>,
-    /// Per block: bits of the lanes whose hits an alpha mask may cut out.
-    pub masked: Vec<u8>,
 }
 
 struct Boxed(obvhs::aabb::Aabb);
@@ -82,15 +84,25 @@ impl Bvh {
             let n = &binary.nodes[*leaf as usize];
             &binary.primitive_indices[n.first_index as usize..(n.first_index + n.prim_count) as usize]
         };
-        let blocks: Vec<Block> = leaves.par_iter().map(|l| Block::new(geometry, triangles_of(l))).collect();
-        let masked = blocks.par_iter().map(|b| b.lanes(&is_masked)).collect();
-        Self { nodes, blocks, masked }
+        let mut blocks: Vec<Block> = leaves.par_iter().map(|l| Block::new(geometry, triangles_of(l))).collect();
+        let mut masks = 0;
+        for block in &mut blocks {
+            (block.masked, block.first_mask) = (block.lanes(&is_masked), masks);
+            masks += block.masked.count_ones();
+        }
+        Self { nodes, blocks }
     }
 }
 
 impl Block {
     fn new(geometry: &Geometry, triangles: &[u32]) -> Self {
-        let mut block = Self { corners: [[[f32::NAN; 4]; 3]; 3], normal: [[0.0; 4]; 3], triangles: [NO_TRIANGLE; 4] };
+        let mut block = Self {
+            corners: [[[f32::NAN; 4]; 3]; 3],
+            normal: [[0.0; 4]; 3],
+            triangles: [NO_TRIANGLE; 4],
+            masked: 0,
+            first_mask: 0,
+        };
         for (lane, &t) in triangles.iter().enumerate() {
             block.triangles[lane] = t;
             let local = corners(geometry, t);

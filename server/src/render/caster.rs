@@ -73,7 +73,7 @@ impl Caster {
         let textures = Textures::new(&geometry, mips);
         let solid: Vec<bool> = geometry.scene.materials.iter().map(shading::is_solid).collect();
         let bvh = Bvh::new(&geometry, |t| !solid[geometry.primitive(&geometry.source(t)).material as usize]);
-        let masks = AlphaMasks::new(&geometry, &bvh);
+        let masks = AlphaMasks::new(&geometry, &textures, &bvh);
         Self { geometry, textures, bvh, masks, isa: Isa::detect() }
     }
 
@@ -87,6 +87,11 @@ impl Caster {
     /// A set of these cells for [`Caster::trace`] and its kin; see [`CellSet`].
     pub fn cell_set(&self, cells: &[u32]) -> CellSet {
         CellSet::of(cells, &self.geometry, &self.bvh)
+    }
+
+    /// All cells that are not in a set.
+    pub fn cells_besides(&self, cells: &CellSet) -> CellSet {
+        CellSet::besides(cells, &self.geometry, &self.bvh)
     }
 
     /// The closest hit among triangles of `cells`; of hits at the same t, the triangle with the smallest number. Alpha-masked texels
@@ -108,7 +113,18 @@ impl Caster {
     pub fn trace_batch(&self, rays: &[Ray], cells: &CellSet, hits: &mut [Option<Hit>]) {
         assert_eq!(rays.len(), hits.len(), "one hit per ray");
         for (rays, hits) in rays.chunks(PACKET).zip(hits.chunks_mut(PACKET)) {
-            self.trace_chunk(rays, cells, hits);
+            self.trace_chunk(rays, cells, hits, false);
+        }
+    }
+
+    /// Of every ray some hit if there is one, not always the nearest; faster than [`Caster::trace_batch`].
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn trace_any(&self, rays: &[Ray], cells: &CellSet, hits: &mut [Option<Hit>]) {
+        assert_eq!(rays.len(), hits.len(), "one hit per ray");
+        for (rays, hits) in rays.chunks(PACKET).zip(hits.chunks_mut(PACKET)) {
+            self.trace_chunk(rays, cells, hits, true);
         }
     }
 
@@ -168,12 +184,12 @@ impl Caster {
         nearest.map(|n| self.refined(ray, &n))
     }
 
-    fn trace_chunk(&self, rays: &[Ray], cells: &CellSet, hits: &mut [Option<Hit>]) {
+    fn trace_chunk(&self, rays: &[Ray], cells: &CellSet, hits: &mut [Option<Hit>], any: bool) {
         let done = match self.isa {
-            Isa::Portable => self.packet::<Array<8>, Array<4>>(rays, cells, hits),
+            Isa::Portable => self.packet::<Array<8>, Array<4>>(rays, cells, hits, any),
             // SAFETY: AVX2 was detected when the value was made.
             #[cfg(target_arch = "x86_64")]
-            Isa::Avx2 => unsafe { self.packet_avx2(rays, cells, hits) },
+            Isa::Avx2 => unsafe { self.packet_avx2(rays, cells, hits, any) },
         };
         if done {
             return;
@@ -182,11 +198,11 @@ impl Caster {
         if rays.len() >= 16 {
             let half = (rays.len() / 2).next_multiple_of(8);
             let (first, second) = hits.split_at_mut(half);
-            self.trace_chunk(&rays[..half], cells, first);
-            self.trace_chunk(&rays[half..], cells, second);
+            self.trace_chunk(&rays[..half], cells, first, any);
+            self.trace_chunk(&rays[half..], cells, second, any);
         } else {
             for (ray, hit) in rays.iter().zip(hits) {
-                *hit = self.trace(ray, cells);
+                *hit = self.trace_one(ray, cells, any);
             }
         }
     }
@@ -199,8 +215,8 @@ impl Caster {
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn packet_avx2(&self, rays: &[Ray], cells: &CellSet, hits: &mut [Option<Hit>]) -> bool {
-        self.packet::<super::lanes::x86::F8, super::lanes::x86::F4>(rays, cells, hits)
+    fn packet_avx2(&self, rays: &[Ray], cells: &CellSet, hits: &mut [Option<Hit>], any: bool) -> bool {
+        self.packet::<super::lanes::x86::F8, super::lanes::x86::F4>(rays, cells, hits, any)
     }
 
     #[inline(always)]
@@ -211,7 +227,13 @@ impl Caster {
 
     /// Traces up to 64 rays at once; false if they do not make a packet.
     #[inline(always)]
-    fn packet<F8: Lanes<8>, F4: Lanes<4>>(&self, rays: &[Ray], cells: &CellSet, hits: &mut [Option<Hit>]) -> bool {
+    fn packet<F8: Lanes<8>, F4: Lanes<4>>(
+        &self,
+        rays: &[Ray],
+        cells: &CellSet,
+        hits: &mut [Option<Hit>],
+        any: bool,
+    ) -> bool {
         let Some(first) = rays.first() else { return true };
         if rays.iter().any(|r| r.origin != first.origin) {
             return false;
@@ -221,7 +243,7 @@ impl Caster {
         for (s, r) in short.iter_mut().zip(rays) {
             *s = (r.direction.as_vec3().to_array(), r.t_min as f32, r.t_max as f32);
         }
-        let Some(mut packet) = Packet::new(self.short(first).origin, short) else { return false };
+        let Some(mut packet) = Packet::new(self.short(first).origin, short, any) else { return false };
         // Groups that are not full repeat the last ray.
         let is_there =
             |ray: usize, triangle: u32, slot: u32| self.is_there(&rays[ray.min(rays.len() - 1)], triangle, slot);
@@ -235,8 +257,8 @@ impl Caster {
     /// Whether a hit of an alpha-masked triangle counts.
     fn is_there(&self, ray: &Ray, triangle: u32, slot: u32) -> bool {
         let hit = self.refined(ray, &Nearest { t: 0.0, triangle, slot });
-        let masked = self.bvh.masked[slot as usize / 4];
-        !self.masks.is_cut_out(&self.textures, masked, slot, hit.u, hit.v)
+        let block = &self.bvh.blocks[slot as usize / 4];
+        !self.masks.is_cut_out(&self.textures, block, slot % 4, hit.u, hit.v)
     }
 
     /// The hit of a ray with a triangle's plane, in f64 (Moeller and Trumbore 1997), from the corners that the hierarchy stores.

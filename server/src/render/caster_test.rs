@@ -78,11 +78,19 @@ proptest! {
         rays.extend(limited);
         let mut hits = vec![None; rays.len()];
         c.trace_batch(&rays, &cells, &mut hits);
-        for (ray, hit) in rays.iter().zip(hits) {
+        for (ray, hit) in rays.iter().zip(hits.iter().copied()) {
             let verdict = is_nearest(&c, ray, &cells, hit);
             prop_assert!(verdict.is_ok(), "{ray:?}: {verdict:?}");
             prop_assert_eq!(c.occluded(ray, &cells), hit.is_some());
         }
+        let (nearest, mut some) = (hits, vec![None; rays.len()]);
+        c.trace_any(&rays, &cells, &mut some);
+        for ((ray, nearest), some) in rays.iter().zip(nearest).zip(some) {
+            prop_assert_eq!(nearest.is_some(), some.is_some(), "{:?}", ray);
+            prop_assert!(nearest.zip(some).is_none_or(|(n, s)| n.t <= s.t && cells.contains(c.cell_of(s.triangle))));
+        }
+        let others = c.cells_besides(&cells);
+        prop_assert!((0..count).all(|cell| others.contains(cell) != cells.contains(cell)));
     }
 
     #[test]
@@ -101,6 +109,15 @@ proptest! {
         let limited = fast.cell_set(&(0..fast.geometry.cell_count as u32).collect::<Vec<_>>());
         fast.trace_batch(&rays, &limited, &mut batch);
         prop_assert!(batch == single, "the set of all cells differs from no set");
+        // Short rays from one origin, each over another part of its way.
+        let short = |r: &Ray| {
+            let t_min = 4.0 * noise.next();
+            Ray { t_min, t_max: t_min + 2.0 * noise.next(), ..*r }
+        };
+        let rays: Vec<Ray> = rays.iter().map(short).collect();
+        let single: Vec<_> = rays.iter().map(|r| fast.trace(r, &all)).collect();
+        fast.trace_batch(&rays, &all, &mut batch);
+        prop_assert!(batch == single, "packets of short rays differ from single ones");
     }
 }
 

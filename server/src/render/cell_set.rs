@@ -43,6 +43,19 @@ impl CellSet {
         for &c in cells.iter().filter(|c| (**c as usize) < geometry.cell_count) {
             words[c as usize / 64] |= 1 << (c % 64);
         }
+        Self::prepared(words, geometry, bvh)
+    }
+
+    /// All cells that are not in another set.
+    pub(super) fn besides(other: &Self, geometry: &Geometry, bvh: &Bvh) -> Self {
+        let words = match &other.some {
+            Some(prepared) => prepared.words.iter().map(|w| !w).collect(),
+            None => vec![0; geometry.cell_count.div_ceil(64)],
+        };
+        Self::prepared(words, geometry, bvh)
+    }
+
+    fn prepared(words: Vec<u64>, geometry: &Geometry, bvh: &Bvh) -> Self {
         let lanes: Vec<u8> = bvh.blocks.par_iter().map(|b| b.lanes(|t| holds(&words, geometry.cell_of(t)))).collect();
         let mut children = vec![0; bvh.nodes.len()];
         // Children come after their parents.

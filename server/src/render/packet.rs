@@ -45,11 +45,17 @@ pub(super) struct Packet {
     nearest: [Nearest; PACKET],
     /// |direction| along the dominant axis: depth per t.
     depth_per_t: [[f32; 8]; GROUPS],
+    /// Of every group: least and greatest depth at which a hit matters to some of its rays, with room for rounding.
+    group_depths: [[f32; 8]; 2],
+    /// Least depth at which a hit matters to some ray, with room for rounding.
+    start: f32,
     /// Of every group: least u, greatest u, least v, greatest v, widened.
     group_slopes: [[f32; 8]; 4],
     /// The same of the whole packet.
     slopes: [f32; 4],
     count: usize,
+    /// Rays end at their first hit, nearest or not.
+    any: bool,
 }
 
 #[inline(always)]
@@ -74,9 +80,9 @@ struct Side {
 pub(super) type PacketRay = ([f32; 3], f32, f32);
 
 impl Packet {
-    /// A packet of these rays, or None if they are too few or too different to gain from it.
+    /// A packet of these rays, which look for their nearest hits or for `any`, or None if they are too few or too different to gain from it.
     #[inline(always)]
-    pub fn new(origin: [f32; 3], rays: &[PacketRay]) -> Option<Self> {
+    pub fn new(origin: [f32; 3], rays: &[PacketRay], any: bool) -> Option<Self> {
         if rays.len() < MIN_RAYS || rays.len() > PACKET {
             return None;
         }
@@ -100,9 +106,12 @@ impl Packet {
             nearest_t: [[0.0; 8]; GROUPS],
             nearest: [Nearest { t: 0.0, triangle: u32::MAX, slot: u32::MAX }; PACKET],
             depth_per_t: [[0.0; 8]; GROUPS],
+            group_depths: [[f32::INFINITY; 8], [f32::NEG_INFINITY; 8]],
+            start: f32::INFINITY,
             group_slopes: [[f32::INFINITY; 8], [f32::NEG_INFINITY; 8], [f32::INFINITY; 8], [f32::NEG_INFINITY; 8]],
             slopes: [f32::INFINITY, f32::NEG_INFINITY, f32::INFINITY, f32::NEG_INFINITY],
             count: rays.len(),
+            any,
         };
         for slot in 0..rays.len().next_multiple_of(8) {
             let (g, lane) = (slot / 8, slot % 8);
@@ -126,6 +135,9 @@ impl Packet {
             s[1][g] = s[1][g].max(u);
             s[2][g] = s[2][g].min(v);
             s[3][g] = s[3][g].max(v);
+            let start = t_min * depth * (1.0 - DISTANCE_SLACK);
+            packet.group_depths[0][g] = packet.group_depths[0][g].min(start);
+            packet.start = packet.start.min(start);
         }
         for (side, of_groups) in packet.group_slopes.iter_mut().enumerate() {
             for s in of_groups.iter_mut().filter(|s| s.is_finite()) {
@@ -165,19 +177,21 @@ impl Packet {
         self.count.div_ceil(8)
     }
 
-    /// Greatest depth at which a hit still matters to some ray, with room for rounding.
+    /// Greatest depth at which a hit still matters to some ray, with room for rounding; looks anew at some groups.
     #[inline(always)]
-    fn reach<F8: Lanes<8>>(&self) -> f32 {
-        let mut reach = F8::splat(0.0);
-        for g in 0..self.groups() {
-            reach = reach.max(F8::load(&self.nearest_t[g]).mul(F8::load(&self.depth_per_t[g])));
+    fn reach<F8: Lanes<8>>(&mut self, mut groups: u32) -> f32 {
+        while groups != 0 {
+            let g = groups.trailing_zeros() as usize & 7;
+            groups &= groups - 1;
+            let mut depths = [0.0; 8];
+            F8::load(&self.nearest_t[g]).mul(F8::load(&self.depth_per_t[g])).store(&mut depths);
+            let greatest = depths.into_iter().fold(f32::NEG_INFINITY, f32::max);
+            self.group_depths[1][g] = greatest * (1.0 + DISTANCE_SLACK);
         }
-        let mut lanes = [0.0; 8];
-        reach.store(&mut lanes);
-        lanes.into_iter().fold(0.0, f32::max) * (1.0 + DISTANCE_SLACK)
+        self.group_depths[1].into_iter().fold(0.0, f32::max)
     }
 
-    /// Finds the nearest hits; `is_there(ray, triangle, slot)` has the last word about triangles with a mask.
+    /// Finds the hits; `is_there(ray, triangle, slot)` has the last word about triangles with a mask.
     #[inline(always)]
     pub fn trace<F8: Lanes<8>, F4: Lanes<4>>(
         &mut self,
@@ -191,7 +205,8 @@ impl Packet {
         let origin: Vec3L<F8> = splat3(self.origin);
         let sides = self.sides();
         let (nearer, farther) = (F8::splat(1.0 - DISTANCE_SLACK), F8::splat(1.0 + DISTANCE_SLACK));
-        let mut reach = self.reach::<F8>();
+        let mut reach = self.reach::<F8>((1 << self.groups()) - 1);
+        let start = F8::splat(self.start.max(0.0));
         let mut stack = Stack::new();
         stack.push(0.0, 0);
         while let Some((distance, child)) = stack.pop() {
@@ -200,7 +215,7 @@ impl Packet {
             }
             if child & LEAF == 0 {
                 let node = &bvh.nodes[child as usize];
-                let (mut enter, mut leave) = (F8::splat(0.0), F8::splat(reach));
+                let (mut enter, mut leave) = (start, F8::splat(reach));
                 for side in &sides {
                     let depth = F8::load(&node.bounds[side.plane]).sub(origin[side.axis]).mul(F8::splat(side.inverse));
                     if side.is_entered {
@@ -222,36 +237,29 @@ impl Packet {
             } else if child != EMPTY {
                 let number = child & !LEAF;
                 let lanes = masks.map_or(0xf, |m| u32::from(m.lanes[number as usize]));
-                if self.block::<F8, F4>(
-                    &bvh.blocks[number as usize],
-                    number,
-                    bvh.masked[number as usize],
-                    lanes,
-                    reach,
-                    is_there,
-                ) {
-                    reach = self.reach::<F8>();
+                let improved = self.block::<F8, F4>(&bvh.blocks[number as usize], number, lanes, reach, is_there);
+                if improved != 0 {
+                    reach = self.reach::<F8>(improved);
                 }
             }
         }
     }
 
-    /// Tests a block's triangles in `lanes` against all rays; whether any ray now has a nearer hit.
+    /// Tests a block's triangles in `lanes` against all rays; bits of the groups with a nearer hit than before.
     #[inline(always)]
     fn block<F8: Lanes<8>, F4: Lanes<4>>(
         &mut self,
         block: &Block,
         number: u32,
-        masked: u8,
         lanes: u32,
         reach: f32,
         is_there: &impl Fn(usize, u32, u32) -> bool,
-    ) -> bool {
+    ) -> u32 {
         let corners: [Vec3L<F4>; 3] = relative_corners(block, self.origin);
-        let (mut bits, slopes) = self.cover(corners, reach);
+        let (mut bits, ranges) = self.cover(corners, reach);
         bits &= lanes;
         if bits == 0 {
-            return false;
+            return 0;
         }
         let four = Triangles::new(block, corners);
         let mut stored = [[0.0f32; 4]; 13];
@@ -262,7 +270,7 @@ impl Packet {
             four.normal[k].store(&mut stored[9 + k]);
         }
         four.distance.store(&mut stored[12]);
-        let mut improved = false;
+        let mut improved = 0;
         while bits != 0 {
             let lane = bits.trailing_zeros() as usize & 3;
             bits &= bits - 1;
@@ -273,8 +281,8 @@ impl Packet {
                 distance: F8::splat(stored[12][lane]),
             };
             let (triangle, slot) = (block.triangles[lane], number * 4 + lane as u32);
-            let is_masked = masked >> lane & 1 == 1;
-            let mut groups = self.groups_over::<F8>(&slopes, lane);
+            let is_masked = block.masked >> lane & 1 == 1;
+            let mut groups = self.groups_over::<F8>(&ranges, lane);
             while groups != 0 {
                 let g = groups.trailing_zeros() as usize & 7;
                 groups &= groups - 1;
@@ -298,9 +306,10 @@ impl Packet {
                     let t = ts[ray];
                     let is_nearer = t < *nearest_t || (t == *nearest_t && triangle < nearest.triangle);
                     if is_nearer && (!is_masked || is_there(g * 8 + ray, triangle, slot)) {
-                        *nearest_t = t;
+                        // Nothing is nearer than that.
+                        *nearest_t = if self.any { f32::NEG_INFINITY } else { t };
                         *nearest = Nearest { t, triangle, slot };
-                        improved = true;
+                        improved |= 1 << g;
                     }
                 }
             }
@@ -308,18 +317,20 @@ impl Packet {
         improved
     }
 
-    /// Bits of the groups whose slopes meet those of one lane.
+    /// Bits of the groups whose slopes and depths meet those of one lane.
     #[inline(always)]
-    fn groups_over<F8: Lanes<8>>(&self, slopes: &[[f32; 4]; 4], lane: usize) -> u32 {
+    fn groups_over<F8: Lanes<8>>(&self, ranges: &[[f32; 4]; 6], lane: usize) -> u32 {
         let [u_min, u_max, v_min, v_max] = &self.group_slopes;
-        let u = F8::and(F8::load(u_min).le(F8::splat(slopes[1][lane])), F8::splat(slopes[0][lane]).le(F8::load(u_max)));
-        let v = F8::and(F8::load(v_min).le(F8::splat(slopes[3][lane])), F8::splat(slopes[2][lane]).le(F8::load(v_max)));
-        F8::bits(F8::and(u, v))
+        let [from, to] = &self.group_depths;
+        let u = F8::and(F8::load(u_min).le(F8::splat(ranges[1][lane])), F8::splat(ranges[0][lane]).le(F8::load(u_max)));
+        let v = F8::and(F8::load(v_min).le(F8::splat(ranges[3][lane])), F8::splat(ranges[2][lane]).le(F8::load(v_max)));
+        let depth = F8::and(F8::load(from).le(F8::splat(ranges[5][lane])), F8::splat(ranges[4][lane]).le(F8::load(to)));
+        F8::bits(F8::and(F8::and(u, v), depth))
     }
 
-    /// Bits of the triangles that may touch the pyramid within reach, and their ranges of slopes.
+    /// Bits of the triangles that may touch the pyramid within reach, and their ranges of slopes and depths.
     #[inline(always)]
-    fn cover<F4: Lanes<4>>(&self, corners: [Vec3L<F4>; 3], reach: f32) -> (u32, [[f32; 4]; 4]) {
+    fn cover<F4: Lanes<4>>(&self, corners: [Vec3L<F4>; 3], reach: f32) -> (u32, [[f32; 4]; 6]) {
         let [k, i, j] = self.axes;
         let sign = F4::splat(self.sign);
         let depth = map3(corners, |p| p[k].mul(sign));
@@ -332,11 +343,13 @@ impl Packet {
         };
         let [u_min, u_max, v_min, v_max] = self.slopes;
         let near = least(depth);
-        let mut may = F4::and(zero.le(greatest(depth)), near.mul(F4::splat(1.0 - DISTANCE_SLACK)).le(F4::splat(reach)));
+        let (from, to) =
+            (near.mul(F4::splat(1.0 - DISTANCE_SLACK)), greatest(depth).mul(F4::splat(1.0 + DISTANCE_SLACK)));
+        let mut may = F4::and(F4::splat(self.start.max(0.0)).le(to), from.le(F4::splat(reach)));
         may = F4::and(may, F4::and(zero.le(greatest(beyond(p_i, u_min))), least(beyond(p_i, u_max)).le(zero)));
         may = F4::and(may, F4::and(zero.le(greatest(beyond(p_j, v_min))), least(beyond(p_j, v_max)).le(zero)));
         let bits = F4::bits(may);
-        let mut ranges = [[0.0; 4]; 4];
+        let mut ranges = [[0.0; 4]; 6];
         if bits != 0 {
             // Corners at or behind the origin have no slope: such triangles may cover every group.
             let mut nears = [0.0; 4];
@@ -347,10 +360,12 @@ impl Packet {
             greatest(u).store(&mut ranges[1]);
             least(v).store(&mut ranges[2]);
             greatest(v).store(&mut ranges[3]);
+            from.store(&mut ranges[4]);
+            to.store(&mut ranges[5]);
             for (lane, near) in nears.into_iter().enumerate() {
                 // Too near, a corner's slope is mostly rounding error.
                 const MIN_DEPTH_M: f32 = 1e-3;
-                for (side, range) in ranges.iter_mut().enumerate() {
+                for (side, range) in ranges[..4].iter_mut().enumerate() {
                     let slack = SLOPE_SLACK * (1.0 + range[lane].abs());
                     let outward = if side % 2 == 0 { -1.0 } else { 1.0 };
                     range[lane] =

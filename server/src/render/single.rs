@@ -178,7 +178,7 @@ pub(super) fn trace<F8: Lanes<8>, F4: Lanes<4>>(
             bits &= bits - 1;
             let (t, triangle, slot) = (ts[lane], block.triangles[lane], number * 4 + lane as u32);
             let is_nearer = t < nearest.t || (t == nearest.t && triangle < nearest.triangle);
-            if is_nearer && (bvh.masked[number as usize] >> lane & 1 == 0 || is_there(triangle, slot)) {
+            if is_nearer && (block.masked >> lane & 1 == 0 || is_there(triangle, slot)) {
                 nearest = Nearest { t, triangle, slot };
                 if any {
                     return Some(nearest);
