@@ -36,6 +36,12 @@ pub trait SubsetCaster: Sync {
     fn trace(&self, rays: &[Ray], hits: &mut [Option<Hit>]);
     /// What each ray meets first of everything, cells that stay too; both slices have one length.
     fn meet(&self, rays: &[Ray], met: &mut [Met]);
+    /// Whether the first that each ray meets of everything is a cell that stays; both slices have one length.
+    fn hide(&self, rays: &[Ray], hidden: &mut [bool]) {
+        let mut met = vec![Met::Nothing; rays.len()];
+        self.meet(rays, &mut met);
+        hidden.iter_mut().zip(met).for_each(|(hidden, met)| *hidden = met == Met::Stays);
+    }
     /// The plane and the surface at a hit.
     fn facet(&self, ray: &Ray, hit: &Hit) -> Facet;
     /// Colour at a hit in linear light, textures filtered over the footprint.
@@ -46,8 +52,18 @@ pub trait SubsetCaster: Sync {
 pub(super) struct Subset<'a> {
     pub caster: &'a Caster,
     pub cells: CellSet,
-    /// The same, ascending.
+    /// All others.
+    pub staying: CellSet,
+    /// The cells, ascending.
     pub culled: &'a [u32],
+}
+
+impl<'a> Subset<'a> {
+    /// Of some cells, ascending.
+    pub fn of(caster: &'a Caster, culled: &'a [u32]) -> Self {
+        let cells = caster.cell_set(culled);
+        Self { caster, staying: caster.cells_besides(&cells), cells, culled }
+    }
 }
 
 impl SubsetCaster for Subset<'_> {
@@ -65,6 +81,26 @@ impl SubsetCaster for Subset<'_> {
                 Some(h) if replaced(&h) => Met::Replaced(h.t),
                 Some(_) => Met::Stays,
             };
+        }
+    }
+
+    /// Some hit of what stays is found sooner than the nearest of all, and then it is a short way on which what is replaced may come first.
+    fn hide(&self, rays: &[Ray], hidden: &mut [bool]) {
+        // Depths of two hits are compared in f32.
+        const BEYOND: f64 = 1.0 + 1e-5;
+        let mut hits = vec![None; rays.len()];
+        self.caster.trace_any(rays, &self.staying, &mut hits);
+        hidden.iter_mut().zip(&hits).for_each(|(hidden, hit)| *hidden = hit.is_some());
+        let before = |(number, hit): (usize, &Option<Hit>)| {
+            hit.map(|h| (number, Ray { t_max: rays[number].t_max.min(h.t * BEYOND), ..rays[number] }))
+        };
+        let (numbers, before): (Vec<usize>, Vec<Ray>) = hits.iter().enumerate().filter_map(before).unzip();
+        let mut hits = vec![None; before.len()];
+        self.caster.trace_any(&before, &self.cells, &mut hits);
+        for (number, _) in numbers.into_iter().zip(hits).filter(|(_, hit)| hit.is_some()) {
+            let mut met = [Met::Nothing];
+            self.meet(&rays[number..=number], &mut met);
+            hidden[number] = met == [Met::Stays];
         }
     }
 

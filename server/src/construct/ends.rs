@@ -10,41 +10,68 @@ use super::{
     caster::SubsetCaster,
     central::{ray_beside, traced},
     layers::{RawLayer, open_sides},
-    sample::{Prediction, Tolerance},
+    sample::Tolerance,
     view::Rig,
 };
 use ldi_protocol::ldi::{END_BITS, END_PARTS, SIDES};
 
+/// How far a surface goes on from a sample.
+struct Reached {
+    /// Position among the layer's samples.
+    sample: usize,
+    side: usize,
+    /// Parts of a pixel in which rays met the surface, one after the other.
+    end: u16,
+    /// Disparity where the last of these rays met it.
+    last: f64,
+}
+
 /// Sets the ends and slopes of a layer; returns the number of rays.
 pub(super) fn measure<C: SubsetCaster>(caster: &C, rig: &Rig, layer: &mut RawLayer, tolerance: &Tolerance) -> u64 {
     let sides = open_sides(layer, rig.window.width);
-    let open =
-        || sides.iter().enumerate().flat_map(|(i, open)| (0..SIDES.len()).filter(|s| open[*s]).map(move |s| (i, s)));
     let samples = &layer.samples;
-    let probes: Vec<(&Prediction, usize, u16)> =
-        open().flat_map(|(i, side)| (0..END_PARTS).map(move |k| (&samples[i], side, k))).collect();
-    let ray_of = |(sample, side, k): &(&Prediction, usize, u16)| {
-        let beyond = (f64::from(*k) + 0.5) / f64::from(END_PARTS);
-        ray_beside(rig, sample, SIDES[*side].map(|x| f64::from(x) * beyond), tolerance)
-    };
-    let met = traced(caster, rig, &probes, ray_of, |surveyor, ((_, s), ..), ray, hit| {
-        hit.filter(|h| surveyor.facet(ray, h).surface == s.surface).map(|h| 1.0 / h.t)
-    });
+    let mut reached: Vec<Reached> = Vec::new();
+    for (sample, open) in sides.iter().enumerate() {
+        reached.extend((0..SIDES.len()).filter(|s| open[*s]).map(|side| Reached { sample, side, end: 0, last: 0.0 }));
+    }
+    let mut rays = 0;
+    // A part is asked for only where the surface goes on through the one before it.
+    let mut asked: Vec<u32> = (0..reached.len() as u32).collect();
+    for part in 0..END_PARTS {
+        let beyond = (f64::from(part) + 0.5) / f64::from(END_PARTS);
+        let ray_of = |number: &u32| {
+            let Reached { sample, side, .. } = reached[*number as usize];
+            ray_beside(rig, &samples[sample], SIDES[side].map(|x| f64::from(x) * beyond), tolerance)
+        };
+        let met = traced(caster, rig, &asked, ray_of, |surveyor, number, ray, hit| {
+            let surface = samples[reached[*number as usize].sample].1.surface;
+            hit.filter(|h| surveyor.facet(ray, h).surface == surface).map(|h| 1.0 / h.t)
+        });
+        rays += met.len() as u64;
+        let mut met = met.into_iter();
+        asked.retain(|number| {
+            let met = met.next().flatten();
+            if let Some(disparity) = met {
+                let reached = &mut reached[*number as usize];
+                (reached.end, reached.last) = (part + 1, disparity);
+            }
+            met.is_some()
+        });
+    }
     let mut ends = vec![0; samples.len()];
     // Per axis, from the last place met on one side to that on the other: pixels, and the change of disparity.
     let mut chords = vec![[[0.0; 2]; 2]; samples.len()];
-    for ((i, side), met) in open().zip(met.chunks_exact(usize::from(END_PARTS))) {
-        let end = met.iter().take_while(|d| d.is_some()).count();
-        ends[i] |= (end as u16) << (side * END_BITS);
-        if let Some(d) = end.checked_sub(1).and_then(|last| met[last]) {
+    for Reached { sample, side, end, last } in reached {
+        ends[sample] |= end << (side * END_BITS);
+        if end > 0 {
             let [across, down] = SIDES[side];
-            let chord = &mut chords[i][side / 2];
-            chord[0] += (end as f64 - 0.5) / f64::from(END_PARTS);
-            chord[1] += f64::from(across + down) * (d - f64::from(samples[i].1.disparity));
+            let chord = &mut chords[sample][side / 2];
+            chord[0] += (f64::from(end) - 0.5) / f64::from(END_PARTS);
+            chord[1] += f64::from(across + down) * (last - f64::from(samples[sample].1.disparity));
         }
     }
     layer.ends = ends;
     let slope = |[pixels, change]: [f64; 2]| if pixels > 0.0 { change / pixels } else { 0.0 };
     layer.slopes = chords.into_iter().map(|axes| axes.map(slope)).collect();
-    met.len() as u64
+    rays
 }

@@ -7,13 +7,12 @@
 //! In: a caster, what eyes see of a face, samples. Out: the samples that stay.
 
 use super::{
-    caster::{Met, SubsetCaster},
+    caster::SubsetCaster,
     central::BATCH,
     merge::Known,
     sample::UNSEEN,
     sight::{BLOCK, Face, blocks_of},
     slivers::Candidate,
-    sums::Sums,
     view::{ConstructionCamera, Rig},
 };
 use crate::{
@@ -22,6 +21,7 @@ use crate::{
 };
 use glam::DVec3;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// So many eyes look at the samples of [`ROWS`] rows of a block, others at the next rows. By judgement: a hundred and more look at what is around a sample, as a gap of a few centimetres is seen through from few places.
 const LOOKS: usize = 16;
@@ -33,6 +33,11 @@ const NEIGHBOURS: usize = 8;
 const OUTERMOST: f64 = 0.33;
 /// Samples stay that lie this many pixels from one that is seen: eyes between those tried see a little more, and surfaces are joined to what they go on to.
 pub(super) const AROUND: usize = 8;
+/// Samples of at most one in so many columns and rows are looked at first, then of more and more: only those around which there are samples that no seen one
+/// is close to. What stays is the same without.
+const APART: [usize; 4] = [8, 4, 2, 1];
+/// The eyes of a sample, asked together: few at first, as most samples that any eye sees the first ones see.
+const ROUNDS: [Range<usize>; 3] = [0..2, 2..6, 6..LOOKS];
 /// A cell that stays hides a sample if it is nearer by this share of the distance: disparities are f32, and where two cells join the one that stays must not hide the other's border.
 const NEARER: f64 = 1e-5;
 
@@ -113,54 +118,148 @@ impl Watchers {
 
     /// Which of some samples stay, at most one per pixel, in ascending order, each with its disparity; and the number of rays. Where samples lie side by side looking at every other one does (`thinned`); a
     /// deeper rank may have a single pixel at a place.
+    ///
+    /// A few samples are looked at first, then those between: most of these lie around one that is seen, and what is around them does, too.
     fn stay<C: SubsetCaster>(&self, caster: &C, rig: &Rig, samples: &[(u32, f32)], thinned: bool) -> (Vec<bool>, u64) {
         let width = rig.window.width as usize;
         let place = |pixel: u32| (pixel as usize % width, pixel as usize / width);
-        let mut of_block: Vec<Vec<(u32, DVec3)>> = vec![Vec::new(); self.blocks.len()];
-        for (pixel, disparity) in samples {
+        let is_asked = |(pixel, _): &&(u32, f32)| {
             let (column, row) = place(*pixel);
-            if !thinned || (column + row) % 2 == 0 {
-                let (u, v) = rig.window.centre(*pixel as usize);
-                let at = rig.cop + rig.lens.ray(u, v) / f64::from(*disparity);
-                of_block[row / BLOCK * self.columns + column / BLOCK].push((*pixel, at));
-            }
-        }
-        let look = |(mut hidden, eyes): (Vec<(u32, DVec3)>, &Vec<u16>)| {
-            let (mut seen, mut count) = (Vec::new(), 0);
-            for round in 0..LOOKS {
-                if hidden.is_empty() || eyes.is_empty() {
-                    break;
+            !thinned || (column + row) % 2 == 0
+        };
+        let mut asked: Vec<(u32, f32)> = samples.iter().filter(is_asked).copied().collect();
+        let mut stays = Around::new(width, rig.window.height as usize);
+        let mut rays = 0;
+        for apart in APART {
+            let mut taken = vec![false; width.div_ceil(apart) * (rig.window.height as usize).div_ceil(apart)];
+            let mut now = Vec::new();
+            asked.retain(|sample| {
+                let (column, row) = place(sample.0);
+                if stays.holds_all_around(column, row) {
+                    return false;
                 }
-                let ray = |(pixel, at): &(u32, DVec3)| {
-                    let (column, row) = place(*pixel);
-                    let eye = self.eye(eyes, (row / ROWS * self.columns + column / BLOCK) * LOOKS + round);
-                    Ray { origin: eye, direction: *at - eye, t_min: 1e-6, t_max: 1.0 - NEARER }
+                let cell = &mut taken[row / apart * width.div_ceil(apart) + column / apart];
+                let later = std::mem::replace(cell, true);
+                if !later {
+                    now.push(*sample);
+                }
+                later
+            });
+            // Of one eye, then along its rays: neighbours on them are neighbours in its picture.
+            let part = |pixel: u32| {
+                let (column, row) = place(pixel);
+                row / ROWS * self.columns + column / BLOCK
+            };
+            now.sort_by(|a, b| part(a.0).cmp(&part(b.0)).then(a.1.total_cmp(&b.1)).then(a.0.cmp(&b.0)));
+            for rounds in ROUNDS {
+                let look = |samples: &[(u32, f32)]| {
+                    let (column, row) = place(samples[0].0);
+                    let eyes = &self.blocks[row / BLOCK * self.columns + column / BLOCK];
+                    let number = part(samples[0].0) * LOOKS;
+                    self.seen(caster, rig, samples, eyes, rounds.clone().map(|round| number + round))
                 };
-                let rays: Vec<Ray> = hidden.iter().map(ray).collect();
-                let mut met = vec![Met::Nothing; rays.len()];
-                caster.meet(&rays, &mut met);
-                count += rays.len() as u64;
-                let mut met = met.iter();
-                hidden.retain(|(pixel, _)| {
-                    let stays = met.next() == Some(&Met::Stays);
-                    if !stays {
-                        seen.push(*pixel);
+                let parts: Vec<&[(u32, f32)]> = now.chunk_by(|a, b| part(a.0) == part(b.0)).collect();
+                let found: Vec<(Vec<bool>, u64)> = parts.into_par_iter().map(look).collect();
+                rays += found.iter().map(|f| f.1).sum::<u64>();
+                let mut seen = found.iter().flat_map(|f| &f.0);
+                now.retain(|(pixel, _)| {
+                    let seen = seen.next().is_some_and(|s| *s);
+                    if seen {
+                        let (column, row) = place(*pixel);
+                        stays.add(column, row);
                     }
-                    stays
+                    !seen
+                });
+                now.retain(|(pixel, _)| {
+                    let (column, row) = place(*pixel);
+                    !stays.holds_all_around(column, row)
                 });
             }
-            (seen, count)
-        };
-        let found: Vec<(Vec<u32>, u64)> = of_block.into_par_iter().zip(&self.blocks).map(look).collect();
-        let mut seen = vec![false; rig.window.pixels()];
-        found.iter().flat_map(|f| &f.0).for_each(|p| seen[*p as usize] = true);
-        let (seen, height) = (Sums::new(&seen, width), rig.window.height as usize);
-        let around = |at: usize, end: usize| at.saturating_sub(AROUND)..(at + AROUND + 1).min(end);
-        let stays = |(pixel, _): &(u32, f32)| {
+        }
+        let stay = |(pixel, _): &(u32, f32)| {
             let (column, row) = place(*pixel);
-            seen.count(around(column, width), around(row, height)) > 0
+            stays.holds(column, row)
         };
-        (samples.iter().map(stays).collect(), found.iter().map(|f| f.1).sum())
+        (samples.iter().map(stay).collect(), rays)
+    }
+
+    /// Which of some samples one of some eyes sees, one eye after the other; and the number of rays.
+    fn seen<C: SubsetCaster>(
+        &self,
+        caster: &C,
+        rig: &Rig,
+        samples: &[(u32, f32)],
+        eyes: &[u16],
+        numbers: impl Iterator<Item = usize>,
+    ) -> (Vec<bool>, u64) {
+        let (mut seen, mut count) = (vec![false; samples.len()], 0);
+        let at = |(pixel, disparity): &(u32, f32)| {
+            let (u, v) = rig.window.centre(*pixel as usize);
+            rig.cop + rig.lens.ray(u, v) / f64::from(*disparity)
+        };
+        let mut left: Vec<(usize, DVec3)> = samples.iter().map(at).enumerate().collect();
+        for number in numbers {
+            if left.is_empty() || eyes.is_empty() {
+                break;
+            }
+            let eye = self.eye(eyes, number);
+            let ray = |at: &DVec3| Ray { origin: eye, direction: *at - eye, t_min: 1e-6, t_max: 1.0 - NEARER };
+            let rays: Vec<Ray> = left.iter().map(|(_, at)| ray(at)).collect();
+            let mut hidden = vec![false; rays.len()];
+            caster.hide(&rays, &mut hidden);
+            count += rays.len() as u64;
+            let mut hidden = hidden.into_iter();
+            left.retain(|(sample, _)| {
+                let hidden = hidden.next() == Some(true);
+                seen[*sample] |= !hidden;
+                hidden
+            });
+        }
+        (seen, count)
+    }
+}
+
+/// The pixels around some, at most [`AROUND`] away along both axes: a bit for each.
+struct Around {
+    words: Vec<u64>,
+    /// Words of a row.
+    stride: usize,
+    width: usize,
+    height: usize,
+}
+
+impl Around {
+    fn new(width: usize, height: usize) -> Self {
+        // One more, so that a row's bits may be read as two words everywhere.
+        let stride = width / 64 + 2;
+        Self { words: vec![0; stride * height], stride, width, height }
+    }
+
+    /// For each row around a pixel its first word, and the bits in it and the next one.
+    fn rows(&self, column: usize, row: usize) -> impl Iterator<Item = (usize, [u64; 2])> + use<> {
+        let first = column.saturating_sub(AROUND);
+        let count = (column + AROUND + 1).min(self.width) - first;
+        let bits = u128::from((1u64 << count) - 1) << (first % 64);
+        let stride = self.stride;
+        (row.saturating_sub(AROUND)..(row + AROUND + 1).min(self.height))
+            .map(move |r| (r * stride + first / 64, [bits as u64, (bits >> 64) as u64]))
+    }
+
+    /// Adds what is around a pixel.
+    fn add(&mut self, column: usize, row: usize) {
+        for (at, [a, b]) in self.rows(column, row) {
+            self.words[at] |= a;
+            self.words[at + 1] |= b;
+        }
+    }
+
+    /// Whether adding what is around a pixel would change nothing.
+    fn holds_all_around(&self, column: usize, row: usize) -> bool {
+        self.rows(column, row).all(|(at, [a, b])| self.words[at] & a == a && self.words[at + 1] & b == b)
+    }
+
+    fn holds(&self, column: usize, row: usize) -> bool {
+        self.words[row * self.stride + column / 64] >> (column % 64) & 1 == 1
     }
 }
 
@@ -178,13 +277,38 @@ pub(super) fn drop_hidden<C: SubsetCaster>(
             Gaze::ray(camera.position, rig.lens.ray(u, v))
         };
         let rays: Vec<Ray> = batch.iter().map(ray).collect();
-        let mut met = vec![Met::Nothing; rays.len()];
-        caster.meet(&rays, &mut met);
-        met
+        let mut hidden = vec![false; rays.len()];
+        caster.hide(&rays, &mut hidden);
+        hidden
     };
-    let met: Vec<Met> = candidates.par_chunks(BATCH).flat_map_iter(hidden).collect();
-    let mut met = met.iter();
+    let hidden: Vec<bool> = candidates.par_chunks(BATCH).flat_map_iter(hidden).collect();
+    let mut hidden = hidden.into_iter();
     let rays = candidates.len() as u64;
-    candidates.retain(|_| met.next() != Some(&Met::Stays));
+    candidates.retain(|_| hidden.next() != Some(true));
     rays
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_around_is_within_reach_and_in_the_window() {
+        let (width, height) = (131, 40);
+        let mut around = Around::new(width, height);
+        let places = [(0, 0), (62, 20), (63, 3), (64, 39), (130, 39), (127, 12)];
+        for (column, row) in places {
+            assert!(!around.holds_all_around(column, row));
+            around.add(column, row);
+            assert!(around.holds_all_around(column, row));
+        }
+        let near = |a: (usize, usize), b: (usize, usize)| a.0.abs_diff(b.0).max(a.1.abs_diff(b.1)) <= AROUND;
+        let pixels = || (0..height).flat_map(|row| (0..width).map(move |column| (column, row)));
+        let wanted = |at: (usize, usize)| places.iter().any(|p| near(*p, at));
+        for at in pixels() {
+            assert_eq!(around.holds(at.0, at.1), wanted(at), "{at:?}");
+            let all = pixels().filter(|b| near(at, *b)).all(wanted);
+            assert_eq!(around.holds_all_around(at.0, at.1), all, "{at:?}");
+        }
+    }
 }

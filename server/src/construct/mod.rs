@@ -210,7 +210,7 @@ pub fn construct(
     plan: &PlacementPlan,
     options: &ConstructOptions,
 ) -> Result<Panorama, ConstructError> {
-    let subset = Subset { caster, cells: caster.cell_set(&plan.culled), culled: &plan.culled };
+    let subset = Subset::of(caster, &plan.culled);
     let start = Instant::now();
     let survey = Survey::of(&subset, &plan.eyes, &plan.gaze, &plan.through);
     let looked_for = |s: &Survey| s.sky(&subset, &plan.lookouts, &plan.through);

@@ -68,7 +68,12 @@ pub fn construct_side(
     options: &ConstructOptions,
     same_depth: f64,
 ) -> Result<SideImages, ConstructError> {
-    construct_side_of(&Subset { caster, cells: CellSet::all(), culled: &[] }, plan, options, same_depth)
+    construct_side_of(
+        &Subset { caster, cells: CellSet::all(), staying: CellSet::all(), culled: &[] },
+        plan,
+        options,
+        same_depth,
+    )
 }
 
 /// The same over anything that casts rays.
