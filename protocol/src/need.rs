@@ -14,7 +14,7 @@
 
 use crate::{
     OutputCamera, Pose,
-    index::{CellEntry, EVERY_LEVEL, Index, TextureEntry},
+    index::{CellEntry, ChunkKind, EVERY_LEVEL, Index, TextureEntry},
 };
 use glam::DVec3;
 
@@ -43,6 +43,44 @@ impl Needed {
     /// All numbers in the order of sending.
     pub fn all(&self) -> impl Iterator<Item = u32> + Clone + '_ {
         self.base.iter().chain(&self.now).chain(&self.fine).copied()
+    }
+}
+
+/// Share of a client's cache that the needs of one view may take, decoded. The rest is for what is being decoded, and for the last view.
+pub const VIEW_SHARE: f64 = 0.9;
+
+impl Needed {
+    /// The same without what a cache of `cap_bytes` cannot hold beside the rest: levels that only sharpen go first, the last ones first,
+    /// then images, whose place the LDI tree takes, then the farthest cells. Without this a view would push out its own chunks and fetch
+    /// them again in every frame.
+    #[must_use]
+    pub fn within(self, index: &Index, cap_bytes: u64) -> Self {
+        let bytes = |c: &u32| index.chunks.get(*c as usize).map_or(0, |e| u64::from(e.decoded_bytes));
+        let mut left = (cap_bytes as f64 * VIEW_SHARE) as u64;
+        if self.all().map(|c| bytes(&c)).sum::<u64>() <= left {
+            return self;
+        }
+        let is_image = |c: &u32| index.chunks.get(*c as usize).is_some_and(|e| e.kind == ChunkKind::Ldi);
+        let mut take = |c: &u32| match left.checked_sub(bytes(c)) {
+            Some(rest) => {
+                left = rest;
+                true
+            }
+            None => {
+                // What comes later matters less: it does not slip through where this does not fit.
+                left = 0;
+                false
+            }
+        };
+        let base: Vec<u32> = self.base.into_iter().filter(&mut take).collect();
+        let mut kept: Vec<bool> = vec![false; self.now.len()];
+        for images in [false, true] {
+            for (c, kept) in self.now.iter().zip(&mut kept).filter(|(c, _)| is_image(c) == images) {
+                *kept = take(c);
+            }
+        }
+        let now = self.now.into_iter().zip(kept).filter(|(_, kept)| *kept).map(|(c, _)| c).collect();
+        Self { base, now, fine: self.fine.into_iter().filter(take).collect() }
     }
 }
 

@@ -189,3 +189,24 @@ proptest! {
         prop_assert_eq!(unique.len(), all.len());
     }
 }
+
+#[test]
+fn what_a_cache_cannot_hold_is_left_out_least_important_first() {
+    let index = row_of_cells();
+    let whole = needed(&index, &[0], &[0, 1, 2, 3], &[], &anywhere());
+    let bytes = |n: &Needed| n.all().map(|c| u64::from(index.chunks[c as usize].decoded_bytes)).sum::<u64>();
+    assert_eq!(whole.clone().within(&index, u64::MAX), whole);
+    let mut last = whole.clone();
+    for cap in (0..2000).rev().step_by(20) {
+        let some = whole.clone().within(&index, cap);
+        assert!(bytes(&some) as f64 <= cap as f64 * VIEW_SHARE, "{cap}: {some:?}");
+        assert!(some.all().all(|c| last.all().any(|l| l == c)), "less fits into less: {some:?} of {last:?}");
+        // Nothing that only sharpens while something is missing, and no image while a cell is.
+        assert!(some.fine.is_empty() || some.now == whole.now);
+        let images = some.now.iter().any(|c| index.chunks[*c as usize].kind == ChunkKind::Ldi);
+        let of_cells = |n: &Needed| n.now.iter().filter(|c| index.chunks[**c as usize].kind != ChunkKind::Ldi).count();
+        assert!(!images || of_cells(&some) == of_cells(&whole));
+        last = some;
+    }
+    assert_eq!(last.all().count(), 0);
+}

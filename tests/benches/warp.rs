@@ -73,7 +73,9 @@ fn house() -> PathBuf {
         },
         colour: ColourProfile::High,
         represent: Represent::Grid,
+        starts: Vec::new(),
         along: None,
+        time_limit: None,
         budget_share: None,
     };
     build::build(&options, &()).expect("the house can be built");

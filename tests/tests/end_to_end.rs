@@ -247,6 +247,84 @@ fn a_build_that_is_killed_goes_on_and_gives_the_same_bytes() {
 }
 
 #[test]
+fn eyes_that_nobody_planned_for_see_geometry_over_the_tree() {
+    let f = fixture();
+    let out = folder("unplanned");
+    let poses = out.join("outside.json");
+    // Above the roof, far beside the house, and inside as planned.
+    let planned = json(&f.poses)["poses"][0].clone();
+    let places = [([3.0, 14.0, 3.0], -60.0), ([-26.0, 9.0, -19.0], -10.0)];
+    let mut all: Vec<Value> = (0..)
+        .zip(places)
+        .map(|(t, (position, pitch))| serde_json::json!({ "t": t, "position": position, "yaw": 200, "pitch": pitch }))
+        .collect();
+    all.push(serde_json::json!({ "t": 2, "position": planned["position"], "yaw": planned["yaw"], "pitch": planned["pitch"] }));
+    std::fs::write(&poses, serde_json::json!({ "fps": 1, "poses": all }).to_string()).expect("writable");
+    let served = Server::start(&f.dataset).expect("serves");
+    let mut c = run::command("ldi-client").expect("built");
+    c.args(["walk", &served.quic, "--fingerprint", &served.fingerprint, "--size", SIZE, "--pace", "wait"]);
+    c.arg("--path").arg(&poses).arg("-o").arg(out.join("frames")).arg("--report").arg(out.join("walk.json"));
+    let output = c.output().expect("runs");
+    let (code, said) = outcome(&output);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains("places that no image was made for"), "{said}");
+    let report = json(&out.join("walk.json"));
+    assert_eq!(report["summary"]["frames_unplanned"], 2);
+    assert_eq!(report["summary"]["budget_violations"], 0);
+    for (frame, unplanned) in report["frames"].as_array().expect("frames").iter().zip([true, true, false]) {
+        assert_eq!(frame["unplanned"], unplanned, "{frame}");
+        if unplanned {
+            assert_eq!((&frame["samples_warped"], &frame["placement"]), (&0.into(), &Value::Null), "{frame}");
+            assert!(frame["unpainted_fraction"].as_f64().expect("a number") < 0.005, "{frame}");
+        }
+    }
+}
+
+#[test]
+fn a_build_that_ran_out_of_time_works_and_goes_on_to_the_same_bytes() {
+    let f = fixture();
+    let out = folder("time-limit");
+    let dataset = out.join("dataset");
+    build(&f.scene, &dataset, &["--time-limit", "0"]);
+    let report = json(&dataset.join("report.json"));
+    let unmade = report["placements_unmade"].as_u64().expect("a number");
+    assert!(unmade > 0 && report["placements"] == unmade && report["guarantee"]["violations"] == 0, "{report}");
+    let walked = |name: &str| {
+        let served = Server::start(&dataset).expect("serves");
+        let mut c = run::command("ldi-client").expect("built");
+        c.args(["walk", &served.quic, "--fingerprint", &served.fingerprint, "--size", SIZE, "--pace", "wait"]);
+        let report = out.join(name);
+        c.arg("--path").arg(&f.poses).arg("-o").arg(out.join("frames")).arg("--report").arg(&report);
+        run::run(c).expect("walks");
+        json(&report)["summary"].clone()
+    };
+    let without = walked("without.json");
+    assert!(without["frames_unplanned"].as_u64() > Some(0) && without["budget_violations"] == 0, "{without}");
+    assert!(without["unpainted_fraction_max"].as_f64() < Some(0.005), "{without}");
+    build(&f.scene, &dataset, &[]);
+    assert_same_dataset(&dataset, &f.dataset);
+    assert_eq!(walked("whole.json")["frames_unplanned"], 0);
+    assert!(!dataset.join(".build").exists(), "pieces of images are kept only while some are missing");
+}
+
+#[test]
+fn a_scene_without_rooms_is_left_to_the_grid() {
+    let out = folder("no-rooms");
+    let scene = out.join("pipes.glb");
+    run::run({
+        let mut c = server(&["scene", "pipes", "--triangles", "4000", "-o"]);
+        c.arg(&scene);
+        c
+    })
+    .expect("writes a scene");
+    let mut c = server(&["build", "--budget", "50%", "--size", SIZE, "--represent", "portals", "--time-limit", "0"]);
+    c.arg(&scene).arg("-o").arg(out.join("dataset"));
+    let (code, said) = outcome(&c.output().expect("runs"));
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains("left to the grid"), "{said}");
+}
+
+#[test]
 fn a_flipped_byte_is_named_and_the_walk_goes_on() {
     let f = fixture();
     let out = folder("flip");

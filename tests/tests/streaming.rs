@@ -117,7 +117,9 @@ fn what_is_lacking_is_what_is_needed_and_absent() {
         },
         colour: ColourProfile::High,
         represent: Represent::Grid,
+        starts: Vec::new(),
         along: None,
+        time_limit: None,
         budget_share: None,
     };
     build::build(&options, &()).unwrap();

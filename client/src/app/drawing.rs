@@ -346,7 +346,8 @@ impl Draughtsman {
         let options = WalkOptions { width, height, ..options };
         let mut ms = StageMs::default();
         let view = view_of(index, pose, &camera, Method::Auto, &mut ms);
-        let needed = view.needed(index, &Sight::new(pose, &camera, options.supersample));
+        let sight = Sight::new(pose, &camera, options.supersample);
+        let needed = view.needed_within(index, &sight, scene.cache.usage().cap_bytes);
         self.link.look(pose, &needed);
         if options.beside {
             let ahead = self.ahead(scene, pose, &camera, &view);

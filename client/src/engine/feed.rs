@@ -65,6 +65,11 @@ pub trait Feed: Resident {
 
     /// Counters since the connection was opened.
     fn traffic(&self) -> Traffic;
+
+    /// Decoded bytes that are held at most.
+    fn cap_bytes(&self) -> u64 {
+        u64::MAX
+    }
 }
 
 impl Resident for Connection {
@@ -103,6 +108,9 @@ impl Feed for Connection {
     }
     fn holds(&self, chunk: u32) -> bool {
         self.cache().holds(chunk)
+    }
+    fn cap_bytes(&self) -> u64 {
+        self.cache().usage().cap_bytes
     }
     fn traffic(&self) -> Traffic {
         Traffic::of(&self.stats(), self.cache())

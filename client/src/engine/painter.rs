@@ -231,6 +231,11 @@ impl View {
         needed(index, &self.images, &self.cells, &self.tree, sight)
     }
 
+    /// The same as far as a cache of so many bytes holds it.
+    pub fn needed_within(&self, index: &Index, sight: &Sight, cap_bytes: u64) -> Needed {
+        self.needed(index, sight).within(index, cap_bytes)
+    }
+
     /// The portal that an image is painted onto.
     fn canvas<'a>(&self, index: &'a Index, image: u32) -> Option<&'a Portal> {
         let shown = self.portals.iter().find(|p| self.portal_images.is_texture() && p.images.contains(&image))?;

@@ -287,7 +287,7 @@ impl Walker<'_> {
         if let (Some(tree), Some(first)) = (&index.tree, self.job.path.poses.first()) {
             let view = view_of(index, &first.pose, &self.camera, self.job.options.method, &mut StageMs::default());
             let sight = Sight::new(&first.pose, &self.camera, self.job.options.supersample);
-            self.feed.look(&first.pose, &view.needed(index, &sight));
+            self.feed.look(&first.pose, &view.needed_within(index, &sight, self.feed.cap_bytes()));
             if let Err(e) = self.feed.wait_for(&[tree.root_chunk], PATIENCE) {
                 tracing::warn!("the first picture: {e}");
             }
@@ -297,7 +297,7 @@ impl Walker<'_> {
     /// Asks for what a view needs, and for `--pace wait` waits for it.
     fn ask(&mut self, index: &Index, view: &View, at: usize) -> Result<(), WalkError> {
         let sight = Sight::new(&self.job.path.poses[at].pose, &self.camera, self.job.options.supersample);
-        let view_needs = view.needed(index, &sight);
+        let view_needs = view.needed_within(index, &sight, self.feed.cap_bytes());
         let needed: Vec<u32> = view_needs.all().collect();
         for chunk in &needed {
             let absent = !self.feed.holds(*chunk);

@@ -285,11 +285,15 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
         }
         Represent::Portals { rooms, portals } | Represent::Auto { rooms, portals } => {
             progress.stage("rooms", 0);
-            let found = rooms::rooms_of(&caster, rooms);
+            let found = rooms::rooms_of(&caster, rooms, &walk_volume::surroundings(&volume, &scene.bounds()));
             clock.lap("rooms");
             match found {
-                Err(BuildError::NoRooms { why }) if automatic => {
+                // What no room holds is the grid's, and where there are none, that is everything.
+                Err(BuildError::NoRooms { why }) if automatic || !matches!(rooms, RoomSource::File(_)) => {
                     progress.note(&format!("grid: {why}"));
+                    if !automatic {
+                        tracing::warn!("all of the scene is left to the grid, as there are no rooms to walk by: {why}");
+                    }
                     no_rooms = Some(why);
                     None
                 }
@@ -343,7 +347,7 @@ fn walked(
     let along = options.along.clone();
     let walk = WalkOptions { eye_height_m: settings.eye_height_m, starts: options.starts.clone(), along };
     let (volume, report) = walk_volume::walk_volume(caster, clusters, octree, &walk)?;
-    report.lines().iter().for_each(|line| progress.note(line));
+    progress.note(&report.lines().join("; "));
     report.warnings.iter().for_each(|warning| tracing::warn!("walk volume: {warning}"));
     Ok((volume, report))
 }

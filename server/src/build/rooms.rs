@@ -289,11 +289,11 @@ pub(super) struct Known {
     seconds: f64,
 }
 
-/// Reads or finds rooms.
+/// Reads or finds rooms; they are looked for around where people walk.
 ///
 /// # Errors
 /// [`BuildError::NoRooms`] where there are none; [`BuildError::Rooms`] for faults of a file or an annotation.
-pub(super) fn rooms_of(caster: &Caster, source: &RoomSource) -> Result<Known, BuildError> {
+pub(super) fn rooms_of(caster: &Caster, source: &RoomSource, walked: &Aabb) -> Result<Known, BuildError> {
     let start = Instant::now();
     let fault = |why: String| BuildError::Rooms { why };
     let rooms = match source {
@@ -316,7 +316,7 @@ pub(super) fn rooms_of(caster: &Caster, source: &RoomSource) -> Result<Known, Bu
             match annotated {
                 Some(rooms) => rooms,
                 None => {
-                    let found = portal::find_rooms(caster).map_err(|e| fault(e.to_string()))?;
+                    let found = portal::find_rooms(caster, walked).map_err(|e| fault(e.to_string()))?;
                     if let Some(why) = found.statistics.no_cells {
                         return Err(BuildError::NoRooms { why });
                     }

@@ -9,6 +9,7 @@ use crate::octree::{Clusters, Octree};
 use crate::portal::{self, Statistics};
 use crate::render::Caster;
 use crate::scene::{self, Scene};
+use crate::walk_volume::{self, WalkOptions};
 use anyhow::{Context as _, anyhow};
 use ldi_protocol::index::Index;
 use ldi_protocol::rooms::{self, Rooms};
@@ -17,6 +18,8 @@ use serde_json::json;
 use std::path::Path;
 use std::sync::Arc;
 
+/// Eyes by which it is found where people walk, metres above the floor.
+const EYE_HEIGHT_M: f64 = 1.6;
 /// Name of the file of rooms beside a dataset's report.
 pub(super) const FILE: &str = "rooms.json";
 
@@ -31,13 +34,13 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
     if needs_rays {
         progress.stage("sorting triangles for rays", 0);
     }
-    let (caster, cells) = needs_rays.then(|| in_cells(&scene)).unzip();
-    let cells: Vec<Aabb> = cells.unwrap_or_default();
+    let (caster, found) = needs_rays.then(|| in_cells(&scene)).unzip();
+    let (cells, walked) = found.unwrap_or((Vec::new(), Aabb::EMPTY));
     let (mut rooms, statistics) = match (annotated, &caster) {
         (Some(rooms), _) if !a.auto => (rooms, None),
         (_, Some(caster)) => {
             progress.stage("looking for rooms", 0);
-            let found = portal::find_rooms(caster).map_err(Failure::permanent)?;
+            let found = portal::find_rooms(caster, &walked).map_err(Failure::permanent)?;
             (found.rooms, Some(found.statistics))
         }
         (_, None) => (Rooms::default(), None),
@@ -103,11 +106,17 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
 }
 
 /// Rays against a scene in the octree's cells of a build with a tenth of its triangles, and the bounds of these.
-fn in_cells(scene: &Arc<Scene>) -> (Caster, Vec<Aabb>) {
+fn in_cells(scene: &Arc<Scene>) -> (Caster, (Vec<Aabb>, Aabb)) {
     let clusters = Clusters::build(scene);
     let octree = Octree::build(scene, &clusters, scene.triangles() / 10);
     let bounds = octree.cells.iter().map(|c| c.bounds).collect();
-    (Caster::new(scene.clone(), &clusters, &octree), bounds)
+    let caster = Caster::new(scene.clone(), &clusters, &octree);
+    let options = WalkOptions { eye_height_m: Some(EYE_HEIGHT_M), ..WalkOptions::default() };
+    let walked = match walk_volume::walk_volume(&caster, &clusters, &octree, &options) {
+        Ok((volume, _)) => walk_volume::surroundings(&volume, &scene.bounds()),
+        Err(_) => scene.bounds(),
+    };
+    (caster, (bounds, walked))
 }
 
 fn summary(scene: &str, rooms: &Rooms, statistics: Option<&Statistics>) -> String {

@@ -386,18 +386,17 @@ fn check(
             triangles += triangles_in(index, recounted, &[cell]);
         }
     }
-    let by_tree = index.walks_by_tree();
+    // Where all else comes from the tree the nearest cells are drawn; what a build had no time for is promised no more than that.
+    let named = selection.grid_point.and_then(|g| placement_of(index, g, pose));
+    let unmade = named.and_then(|p| index.placements.get(p as usize)).is_some_and(|p| !was_made(p));
+    let by_tree = index.walks_by_tree() || unmade;
     if by_tree {
-        // The nearest cells are drawn, all else comes from the tree.
         triangles = triangles_in(index, recounted, &list.cells);
     }
     if triangles > index.settings.budget {
         faults.push(format!("{triangles} triangles, budget {}", index.settings.budget));
     }
-    // What a build had no time for is promised nothing but the budget.
-    let named = select(index, pose).grid_point.and_then(|g| placement_of(index, g, pose));
-    let unmade = named.and_then(|p| index.placements.get(p as usize)).is_some_and(|p| !was_made(p));
-    if list.dropped > 0 && !by_tree && !unmade {
+    if list.dropped > 0 && !by_tree {
         faults.push(format!("{} cells dropped", list.dropped));
     }
     let mut footprint_px = 0.0;

@@ -7,6 +7,7 @@ use super::storeys::{Ground, Storey};
 use super::volumes::{self, Labelled, OUTSIDE, UNKNOWN, Volumes, id};
 use crate::render::Caster;
 use glam::DVec2;
+use ldi_protocol::Aabb;
 use ldi_protocol::rooms::{Cell, CellId, Portal, PortalKind, Rooms, RoomsError};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -55,11 +56,12 @@ pub struct Statistics {
     pub seconds: Vec<(&'static str, f64)>,
 }
 
-/// Finds the rooms of a scene.
+/// Finds the rooms of a scene within `bounds`: those of the scene, or, where a backdrop surrounds it, of what people walk in. What lies
+/// beyond counts as outside.
 ///
 /// # Errors
 /// If what was found breaks a rule of [`Rooms::new`]: a fault of this program. A scene without rooms gives none, with the reason.
-pub fn find_rooms(caster: &Caster) -> Result<FoundRooms, RoomsError> {
+pub fn find_rooms(caster: &Caster, bounds: &Aabb) -> Result<FoundRooms, RoomsError> {
     let mut statistics = Statistics::default();
     let nothing = |why: String, mut statistics: Statistics| {
         statistics.no_cells = Some(why);
@@ -70,7 +72,7 @@ pub fn find_rooms(caster: &Caster) -> Result<FoundRooms, RoomsError> {
         statistics.seconds.push((what, start.elapsed().as_secs_f64()));
         start = Instant::now();
     };
-    let ground = match Ground::new(caster) {
+    let ground = match Ground::new(caster, bounds) {
         Ok(ground) => ground,
         Err(why) => return nothing(why, statistics),
     };
@@ -348,7 +350,7 @@ mod tests {
             add([x, 2.1, 1.5], [x + 0.2, 2.8, 2.5]);
         }
         let caster = Caster::of_scene(Arc::new(scene_of(&blocks)), false);
-        let ground = Ground::new(&caster).unwrap();
+        let ground = Ground::new(&caster, &caster.scene().bounds()).unwrap();
         row(&ground, &caster, |plan| {
             assert_eq!((plan.cells, plan.openings.len()), (3, 2));
             let label = |plan: &Plan, x: f64| plan.free[0][ground.place(DVec2::new(x, 2.0)).unwrap()];

@@ -11,6 +11,7 @@ use super::floors;
 use crate::render::{Caster, CellSet, Ray};
 use crate::walk_volume::lines::{self, Raster};
 use glam::{DVec2, DVec3};
+use ldi_protocol::Aabb;
 use rayon::prelude::*;
 
 /// Heights above the floor at which sight is tried, metres: above tables and sills, below lintels. One free height is enough, so that shelves
@@ -62,9 +63,8 @@ pub(super) struct Storey {
 }
 
 impl Ground {
-    pub(super) fn new(caster: &Caster) -> Result<Self, String> {
+    pub(super) fn new(caster: &Caster, bounds: &Aabb) -> Result<Self, String> {
         let scene = caster.scene();
-        let bounds = scene.bounds();
         if bounds.is_empty() || scene.triangles() == 0 {
             return Err("the scene is empty".into());
         }

@@ -69,7 +69,7 @@ impl Blocks {
 
     fn found(self) -> (Caster, FoundRooms) {
         let caster = Caster::of_scene(Arc::new(self.scene()), false);
-        let found = find_rooms(&caster).unwrap();
+        let found = find_rooms(&caster, &caster.scene().bounds()).unwrap();
         (caster, found)
     }
 }
@@ -377,7 +377,7 @@ fn open_terrain_has_no_rooms_and_says_so() {
 #[test]
 fn an_empty_scene_has_no_rooms_and_says_so() {
     let caster = Caster::of_scene(Arc::new(Scene::default()), false);
-    let found = find_rooms(&caster).unwrap();
+    let found = find_rooms(&caster, &caster.scene().bounds()).unwrap();
     assert!(found.rooms.cells().is_empty());
     assert_eq!(found.statistics.no_cells.as_deref(), Some("the scene is empty"));
 }
@@ -402,7 +402,7 @@ fn the_house_is_found_as_it_is_annotated() {
     let scene = Arc::new(scene::load("builtin:house?triangles=20000").unwrap());
     let annotated = annotated_rooms(&scene).unwrap().unwrap();
     let caster = Caster::of_scene(scene, false);
-    let found = find_rooms(&caster).unwrap();
+    let found = find_rooms(&caster, &caster.scene().bounds()).unwrap();
     let c = compare(&annotated, &found.rooms);
     println!("{c:?}\n{:?}", found.statistics);
     assert_eq!((c.cells_found.len(), c.cells_missed.len(), c.cells_invented.len()), (19, 0, 0), "{c:?}");

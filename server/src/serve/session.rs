@@ -189,7 +189,7 @@ impl Session {
         };
         let (groups, camera) = (shared.served.groups().clone(), hello.picture.camera(&index.settings));
         let show = Show { far: hello.far, portals: hello.portals };
-        let views = SelectViews::showing(index.clone(), groups, &camera, show);
+        let views = SelectViews::showing(index.clone(), groups, &camera, show).cached_in(hello.cache_bytes);
         let views = Arc::new(views);
         Self {
             planner: Planner::new(index, views.clone(), config),

@@ -37,6 +37,8 @@ pub struct SelectViews {
     picture: OutputCamera,
     picture_half_tan: (f64, f64),
     show: Show,
+    /// Decoded bytes that the client's cache holds.
+    cache_bytes: u64,
     /// A [`Known`]: the planner and its forecast share the views.
     known: AtomicU8,
 }
@@ -56,8 +58,15 @@ impl SelectViews {
             picture: *picture,
             picture_half_tan: (picture.half_tan_x(), picture.half_tan_y()),
             show,
+            cache_bytes: u64::MAX,
             known: AtomicU8::new(Known::Whole as u8),
         }
+    }
+
+    /// The same for a client whose cache holds so many decoded bytes.
+    #[must_use]
+    pub fn cached_in(self, cache_bytes: u64) -> Self {
+        Self { cache_bytes, ..self }
     }
 
     fn sight(&self, pose: &Pose) -> Sight {
@@ -83,7 +92,8 @@ impl Views for SelectViews {
             _ => {}
         }
         let list = draw_list_of(&self.index, &self.groups, pose, self.picture_half_tan, self.show);
-        needed(&self.index, &list.images, &list.cells, &list.tree, &self.sight(pose))
+        let needed = needed(&self.index, &list.images, &list.cells, &list.tree, &self.sight(pose));
+        needed.within(&self.index, self.cache_bytes)
     }
 
     /// Looks only at cells, images and nodes of the LDI tree that lack something: where most is there, a small part of the work. Where rooms decide what is drawn it looks at all.

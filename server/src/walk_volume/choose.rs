@@ -13,6 +13,9 @@ use std::collections::BTreeMap;
 
 /// Smallest region, m²: less is no place to walk about in.
 const LEAST_M2: f64 = 1.0;
+/// A region with more sides of its lines on its border than this, per line, is too rough: pipes, rubble, leaves. A passage of three
+/// lines has two thirds.
+const ROUGH: f64 = 1.0;
 /// Smallest region that walking begins again in, m². Smaller: ducts and shelves with a view.
 const LEAST_BEGIN_M2: f64 = 4.0;
 /// A region below this with a border that falls to a floor just below is the top of furniture, m².
@@ -25,6 +28,8 @@ const ROOF_SHARE: f64 = 0.7;
 const SHEET_SHARE: f64 = 0.8;
 /// Least share of all detail that a region must add for walking to begin in it again.
 const LEAST_GAIN: f64 = 0.01;
+/// The same for a region under the sky: a plain below a town is not walked on for the bridge above it.
+const LEAST_GAIN_OPEN: f64 = 0.1;
 /// Walking begins in a region of this share of the largest one's area even if it adds nothing to the detail seen.
 const LARGE: f64 = 0.25;
 /// A region with this share of its floor under the sky is no storey of a building.
@@ -45,7 +50,7 @@ pub(super) enum Verdict {
     MoreDetail,
     /// As large as others where people walk.
     Storey,
-    /// Too small.
+    /// Too small, or too rough.
     Small,
     /// The top of furniture.
     Furniture,
@@ -73,7 +78,7 @@ impl Verdict {
             Self::Beyond => "beside a place where people walk",
             Self::MoreDetail => "shows detail that no other place shows",
             Self::Storey => "as large as other places where people walk",
-            Self::Small => "too small to walk on",
+            Self::Small => "too small or rough to walk on",
             Self::Furniture => "top of furniture",
             Self::Ceiling => "above a ceiling, or too low to walk upright",
             Self::Roof => "roof",
@@ -92,7 +97,7 @@ pub(super) fn area_m2(lines: u32, raster: &Raster) -> f64 {
 pub(super) fn unfit(all: &Regions, region: u32, raster: &Raster) -> Option<Verdict> {
     let r = &all.regions[region as usize];
     let (area, share) = (area_m2(r.lines, raster), |n: u32, of: u32| f64::from(n) / f64::from(of.max(1)));
-    if area < LEAST_M2 {
+    if area < LEAST_M2 || share(r.border, r.lines) > ROUGH {
         Some(Verdict::Small)
     } else if area < FURNITURE_M2 && share(r.low_falls, r.border) > FALLING {
         Some(Verdict::Furniture)
@@ -120,7 +125,9 @@ pub(super) fn choose(
     let mut order: Vec<u32> = (0..all.regions.len() as u32).filter(|r| seen.contains_key(r)).collect();
     order.sort_by_key(|r| (std::cmp::Reverse(detail(*r)), *r));
     for r in &order {
-        if verdicts[*r as usize] != Verdict::Small && seen[r].is_inside_a_solid() {
+        let region = &all.regions[*r as usize];
+        let on_back = f64::from(region.backs) > 0.8 * f64::from(region.lines);
+        if verdicts[*r as usize] != Verdict::Small && !is_open(all, *r, 0.1) && seen[r].is_inside_a_solid(on_back) {
             verdicts[*r as usize] = Verdict::Solid;
         }
     }
@@ -162,10 +169,14 @@ pub(super) fn choose(
         };
         let open = order.iter().copied().filter(|r| verdicts[*r as usize] == Verdict::Apart);
         let large = open.filter(|r| first || area_m2(all.regions[*r as usize].lines, raster) >= LEAST_BEGIN_M2);
-        let best = large.map(|r| (gain(r), r)).max_by_key(|(gain, r)| (*gain, std::cmp::Reverse(*r)));
-        let least = |share: f64| (LEAST_GAIN * share).max(1.0);
+        let is_worth = |gain: u64, r: u32| {
+            let least = if is_open(all, r, OPEN) { LEAST_GAIN_OPEN } else { LEAST_GAIN };
+            first || gain as f64 >= (least * everything as f64).max(1.0)
+        };
+        let worth = large.map(|r| (gain(r), r)).filter(|(gain, r)| is_worth(*gain, *r));
+        let best = worth.max_by_key(|(gain, r)| (*gain, std::cmp::Reverse(*r)));
         match best {
-            Some((gain, r)) if first || gain as f64 >= least(everything as f64) => {
+            Some((_, r)) => {
                 let verdict = if first { Verdict::MostDetail } else { Verdict::MoreDetail };
                 begin(&mut verdicts, &mut known, r, verdict);
                 if first && known.is_empty() {
@@ -182,13 +193,18 @@ pub(super) fn choose(
         let is_large = f64::from(all.regions[r as usize].lines) >= LARGE * f64::from(largest.unwrap_or(0));
         let sees = detail(r) as f64 >= LEAST_GAIN * everything as f64;
         // A canal or a sea beside a town is large, too.
-        let region = &all.regions[r as usize];
-        let is_covered = f64::from(region.sky) < OPEN * f64::from(region.lines);
+        let is_covered = !is_open(all, r, OPEN);
         if verdicts[r as usize] == Verdict::Apart && is_large && sees && is_covered {
             begin(&mut verdicts, &mut known, r, Verdict::Storey);
         }
     }
     (verdicts, known)
+}
+
+/// Whether at least this share of a region lies under the sky.
+fn is_open(all: &Regions, region: u32, share: f64) -> bool {
+    let region = &all.regions[region as usize];
+    f64::from(region.sky) >= share * f64::from(region.lines)
 }
 
 /// Regions beyond a thin obstacle.

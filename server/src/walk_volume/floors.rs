@@ -16,8 +16,8 @@ use crate::{octree::Clusters, scene::Scene};
 use glam::DVec3;
 use ldi_protocol::mesh::Alpha;
 
-/// Highest step that is climbed at once, metres: generous, as lines can miss a stair's tread.
-pub(super) const STEP_M: f64 = 0.5;
+/// Highest step that is climbed at once, metres: two treads of a stair, as lines can miss one. Larger: chairs lead onto tables.
+pub(super) const STEP_M: f64 = 0.4;
 /// Thickness below which a floor may be the upper side of a ceiling, metres. Larger: slabs; smaller: ceilings of thick tiles.
 const SHEET_M: f64 = 0.07;
 /// Cosine of the steepest floor against the vertical: 48 degrees, so that slopes of 45 with some noise are walked on.
@@ -40,8 +40,8 @@ pub(super) struct Floor {
     pub is_over_a_room: bool,
     /// Whether it is a thin sheet over a room, or the back of a ceiling.
     pub is_sheet: bool,
-    /// Whether the surface above shows its back: the roof of a hollow house, or a canopy.
-    pub is_under_back: bool,
+    /// Whether it shows its own back: the inside of a hull.
+    pub is_back: bool,
 }
 
 /// The floors of a tile.
@@ -64,7 +64,7 @@ impl TileFloors {
     pub fn without_insides(mut self, turned: bool) -> Self {
         for f in &mut self.floors {
             f.is_sheet |= f.is_over_a_room && f.up == turned;
-            f.is_under_back = f.above_m.is_finite() && f.above_up != turned;
+            f.is_back = f.up == turned;
         }
         self.only(|f| !(f.above_m.is_finite() && f.up == turned && f.above_up != turned))
     }
@@ -208,8 +208,8 @@ fn add_line(surfaces: &[Surface], head_room_m: f64, out: &mut TileFloors) {
             let below_m = foot.map_or(f32::NEG_INFINITY, |f| taken[f].y_m);
             let is_over_a_room = below_m.is_finite() && f64::from(s.y_m - below_m) >= head_room_m;
             let is_sheet = is_over_a_room && thin;
-            let (line, y_m, up, is_under_back) = (s.line, s.y_m, s.up, false);
-            out.floors.push(Floor { line, y_m, above_m, up, above_up, is_over_a_room, is_sheet, is_under_back });
+            let (line, y_m, up, is_back) = (s.line, s.y_m, s.up, false);
+            out.floors.push(Floor { line, y_m, above_m, up, above_up, is_over_a_room, is_sheet, is_back });
         }
     }
 }

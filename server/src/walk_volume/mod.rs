@@ -172,6 +172,14 @@ pub fn walk_volume(
     Ok((volume, found.report(&site, cut)))
 }
 
+/// The part of a scene's box around where people walk, over all heights.
+pub fn surroundings(volume: &WalkVolume, scene: &Aabb) -> Aabb {
+    const AROUND_M: f64 = 3.0;
+    let walked = volume.boxes().fold(Aabb::EMPTY, |all, b| all.union(b)).inflated(AROUND_M);
+    let (low, high) = (walked.min.max(scene.min), walked.max.min(scene.max));
+    Aabb { min: low.with_y(scene.min.y), max: high.with_y(scene.max.y) }
+}
+
 /// What every step looks at.
 struct Site<'a> {
     caster: &'a Caster,
@@ -296,6 +304,9 @@ impl Site<'_> {
     fn chosen(&self, raster: Raster, (all, turned): (Regions, bool), starts: &[u32], foot_m: f64) -> Ground {
         let eyes = self.eyes(&raster, &all, starts, foot_m);
         let seen: BTreeMap<u32, Seen> = survey::survey(self.caster, &eyes, turned).into_iter().collect();
+        for (region, s) in &seen {
+            tracing::debug!(region, figures = ?all.regions[*region as usize], met = ?s.met, level = s.level, "region");
+        }
         let triangles = |cell: u32| u64::from(self.octree.cells[cell as usize].triangles);
         let (verdicts, known) = choose::choose(&all, &seen, starts, &raster, &triangles);
         Ground { raster, all, seen, verdicts, known, foot_m, left_out_tiles: 0, floating: Vec::new(), is_around: false }

@@ -32,6 +32,8 @@ pub(super) struct Region {
     pub sheets: u32,
     /// Floors with less head room than a door.
     pub low: u32,
+    /// Floors that show their back.
+    pub backs: u32,
     /// Sides of its floors where it ends.
     pub border: u32,
     /// Of these, sides with a lower floor beside them, at most [`LOW_FALL_M`] down.
@@ -57,7 +59,7 @@ pub(super) struct Regions {
 
 impl Regions {
     /// Joins the floors of tiles. `is_open` says whether nothing stands between two places, given by line (place along x and z) and height;
-    /// it is asked at the borders of what lies under the back of a roof: lines alone miss the walls of a hollow house.
+    /// it is asked under roofs: lines alone miss thin walls.
     pub fn of(tiles: Vec<TileFloors>, is_open: &(dyn Fn([u32; 2], [u32; 2], f32) -> bool + Sync)) -> Self {
         let mut first = vec![0u32];
         for t in &tiles {
@@ -103,8 +105,8 @@ impl Regions {
                         continue;
                     }
                     let chest_m = f.y_m.max(there.y_m) + CHEST_M;
-                    let is_border = f.is_under_back != there.is_under_back;
-                    if is_border && !is_open(place(tile, u32::from(f.line)), place(other, line), chest_m) {
+                    let is_covered = f.above_m.is_finite() || there.above_m.is_finite();
+                    if is_covered && !is_open(place(tile, u32::from(f.line)), place(other, line), chest_m) {
                         continue;
                     }
                     out.push([self.first[tile] + n as u32, self.first[other] + o as u32]);
@@ -180,6 +182,7 @@ impl Regions {
         region.sky += u32::from(f.above_m.is_infinite());
         region.over_another += u32::from(f.above_m.is_infinite() && n > self.tiles[tile].of_line(line).start);
         region.sheets += u32::from(f.is_sheet);
+        region.backs += u32::from(f.is_back);
         region.low += u32::from(f64::from(f.above_m - f.y_m) < DOOR_M);
         region.border += sides[0];
         region.low_falls += sides[1];
@@ -238,7 +241,7 @@ mod tests {
                     above_up: false,
                     is_over_a_room: false,
                     is_sheet: false,
-                    is_under_back: false,
+                    is_back: false,
                 }));
                 t.first.push(t.floors.len() as u32);
             }

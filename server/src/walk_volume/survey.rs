@@ -13,6 +13,10 @@ use std::f64::consts::PI;
 const NEAR_M: f64 = 24.0;
 /// Rays per eye, evenly over all directions.
 const RAYS: u32 = 192;
+/// Eyes are inside of a solid when this share of what surrounds them are backs. Smaller: rooms with some turned walls are lost.
+const BACKS: f64 = 0.65;
+/// The same where the floor is a back, too: the inside of a hull, with pipes in it.
+const BACKS_ON_BACK: f64 = 0.3;
 /// Rays that look down more steeply than this tell nothing of what is around an eye: the floor shows its face inside of a solid, too.
 const DOWN: f64 = -0.3;
 
@@ -28,10 +32,10 @@ pub(super) struct Seen {
 }
 
 impl Seen {
-    /// Whether most of what surrounds the eyes are backs.
-    pub fn is_inside_a_solid(&self) -> bool {
+    /// Whether most of what surrounds the eyes are backs; `on_back`: what they stand on is a back.
+    pub fn is_inside_a_solid(&self, on_back: bool) -> bool {
         let [met, backs] = self.met.map(f64::from);
-        met > 0.5 * f64::from(self.level) && backs > 0.65 * met
+        met > 0.5 * f64::from(self.level) && backs > if on_back { BACKS_ON_BACK } else { BACKS } * met
     }
 }
 

@@ -30,7 +30,7 @@ struct Options {
     #[arg(short, long, default_value = "out/demo")]
     output: PathBuf,
     /// Geometry budget as a share of the scene's triangles.
-    #[arg(long, default_value_t = 40.0, value_parser = percent)]
+    #[arg(long, default_value_t = 8.0, value_parser = percent)]
     budget_percent: f64,
     /// Frames, evenly spaced over the path.
     #[arg(long, default_value_t = 24, value_parser = clap::value_parser!(u64).range(1..=100_000))]
@@ -89,6 +89,8 @@ fn main() -> Result<()> {
     let mut c = run::command("ldi-server")?;
     c.arg("build").arg(&scene).arg("-o").arg(out("dataset"));
     c.args(["--budget", &budget.max(1).to_string(), "--size", &o.size, "--report"]).arg(out("build.json"));
+    // Images of what is far, and only those that the walk can meet.
+    c.args(["--represent", "grid", "--along"]).arg(&path);
     steps.run(c)?;
     for (samples, folder) in [("16", "truth"), ("1", "baseline")] {
         let mut c = run::command("ldi-server")?;
