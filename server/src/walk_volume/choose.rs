@@ -3,8 +3,9 @@
 //! In: regions with their figures, what is seen from near each, and where people start. Out: per region why it is kept or left out.
 //!
 //! 1. Some are nowhere to walk in themselves: too small, tops of furniture, above ceilings, roofs, the inside of solids.
-//! 2. Walking begins where people start, or else in the region from which most detail is seen from near.
-//! 3. From there people get to what lies beyond a thin obstacle at the same level: a closed door, a threshold, a terrace.
+//! 2. Walking begins where people start, or else in the region from which most detail is seen from near, amid it.
+//! 3. From there people get to what lies beyond a thin obstacle at the same level, a closed door, a threshold, a terrace, and up a long
+//!    ledge: a platform.
 //! 4. Without given starts, walking begins again in the region that adds most to the detail seen, as long as that is
 //!    [`LEAST_GAIN`] of all: another building. Then in large regions that see detail too: another storey.
 
@@ -36,6 +37,8 @@ const LARGE: f64 = 0.25;
 const OPEN: f64 = 0.5;
 /// An opening is at least so many lines wide: half a metre.
 const DOOR_LINES: u32 = 2;
+/// A ledge is at least so many sides of lines long, counted from above and from below: two metres. Less is a chair before a table.
+const LEDGE_SIDES: u32 = 16;
 
 /// What becomes of a region.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -123,7 +126,10 @@ pub(super) fn choose(
         (0..all.regions.len() as u32).map(|r| unfit(all, r, raster).unwrap_or(Verdict::Apart)).collect();
     let detail = |r: u32| seen.get(&r).map_or(0, |s| s.cells.iter().map(|c| triangles(*c)).sum::<u64>());
     let mut order: Vec<u32> = (0..all.regions.len() as u32).filter(|r| seen.contains_key(r)).collect();
-    order.sort_by_key(|r| (std::cmp::Reverse(detail(*r)), *r));
+    // Of regions that see as much, as a street and the plain around it, the one amid it first.
+    let amid = |r: u32| seen.get(&r).map_or(0.0, |s| s.sightings as f64 / f64::from(s.eyes.max(1)));
+    let rank = |r: u32| detail(r) as f64 * amid(r);
+    order.sort_by(|a, b| rank(*b).total_cmp(&rank(*a)).then(a.cmp(b)));
     for r in &order {
         let region = &all.regions[*r as usize];
         let on_back = f64::from(region.backs) > 0.8 * f64::from(region.lines);
@@ -174,7 +180,9 @@ pub(super) fn choose(
             first || gain as f64 >= (least * everything as f64).max(1.0)
         };
         let worth = large.map(|r| (gain(r), r)).filter(|(gain, r)| is_worth(*gain, *r));
-        let best = worth.max_by_key(|(gain, r)| (*gain, std::cmp::Reverse(*r)));
+        // The first one by rank.
+        let best =
+            if first { worth.min_by_key(|_| 0) } else { worth.max_by_key(|(gain, r)| (*gain, std::cmp::Reverse(*r))) };
         match best {
             Some((_, r)) => {
                 let verdict = if first { Verdict::MostDetail } else { Verdict::MoreDetail };
@@ -207,12 +215,15 @@ fn is_open(all: &Regions, region: u32, share: f64) -> bool {
     f64::from(region.sky) >= share * f64::from(region.lines)
 }
 
-/// Regions beyond a thin obstacle.
+/// Regions beyond a thin obstacle, or up or down a long ledge.
 fn beyond(all: &Regions, region: u32) -> Vec<u32> {
-    let pair = |(&(a, b), lines): (&(u32, u32), &u32)| match (*lines >= DOOR_LINES, a == region, b == region) {
-        (true, true, _) => Some(b),
-        (true, _, true) => Some(a),
+    let other = |&(a, b): &(u32, u32)| match (a == region, b == region) {
+        (true, _) => Some(b),
+        (_, true) => Some(a),
         _ => None,
     };
-    all.doors.iter().filter_map(pair).collect()
+    let long = |pairs: &BTreeMap<(u32, u32), u32>, least: u32| -> Vec<u32> {
+        pairs.iter().filter(|(_, lines)| **lines >= least).filter_map(|(pair, _)| other(pair)).collect()
+    };
+    [long(&all.doors, DOOR_LINES), long(&all.ledges, LEDGE_SIDES)].concat()
 }

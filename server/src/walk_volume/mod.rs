@@ -303,11 +303,11 @@ impl Site<'_> {
     /// Surveys regions and chooses among them.
     fn chosen(&self, raster: Raster, (all, turned): (Regions, bool), starts: &[u32], foot_m: f64) -> Ground {
         let eyes = self.eyes(&raster, &all, starts, foot_m);
-        let seen: BTreeMap<u32, Seen> = survey::survey(self.caster, &eyes, turned).into_iter().collect();
+        let triangles = |cell: u32| u64::from(self.octree.cells[cell as usize].triangles);
+        let seen: BTreeMap<u32, Seen> = survey::survey(self.caster, &eyes, turned, &triangles).into_iter().collect();
         for (region, s) in &seen {
             tracing::debug!(region, figures = ?all.regions[*region as usize], met = ?s.met, level = s.level, "region");
         }
-        let triangles = |cell: u32| u64::from(self.octree.cells[cell as usize].triangles);
         let (verdicts, known) = choose::choose(&all, &seen, starts, &raster, &triangles);
         Ground { raster, all, seen, verdicts, known, foot_m, left_out_tiles: 0, floating: Vec::new(), is_around: false }
     }

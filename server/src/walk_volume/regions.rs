@@ -12,10 +12,13 @@ use std::collections::{BTreeMap, HashMap};
 
 /// A border that falls by at most this is that of furniture or a platform, metres: one can climb or jump down.
 const LOW_FALL_M: f32 = 2.0;
-/// Height above a floor at which walls are looked for, metres: above sills and tables.
-const CHEST_M: f32 = 1.2;
+/// Heights above a floor at which walls are looked for, metres: above sills and tables, below lintels. What leaves one of them free is
+/// no wall.
+const CHEST_M: [f32; 3] = [0.9, 1.2, 1.55];
 /// Head room of a place that people go to upright, metres: below it are voids above ceilings and crawl spaces.
 const DOOR_M: f64 = 2.0;
+/// Highest ledge that people get up on where it is long, metres.
+const LEDGE_M: f64 = 0.6;
 /// Lines that a thin obstacle may hide: a wall with a door leaf of up to 0.75 m. Larger: rooms join across shafts.
 const OBSTACLE_LINES: u32 = 3;
 
@@ -55,6 +58,8 @@ pub(super) struct Regions {
     pub regions: Vec<Region>,
     /// Pairs of regions (smaller number first) beyond a thin obstacle at the same level, and on how many lines.
     pub doors: BTreeMap<(u32, u32), u32>,
+    /// Pairs of regions beside each other on two heights, [`STEP_M`] to [`LEDGE_M`] apart, and on how many sides of lines.
+    pub ledges: BTreeMap<(u32, u32), u32>,
 }
 
 impl Regions {
@@ -67,8 +72,15 @@ impl Regions {
         }
         let by_place = tiles.iter().map(|t| t.place).zip(0..).collect();
         let floors = *first.last().unwrap_or(&0);
-        let mut all =
-            Self { tiles, first, by_place, region_of: Vec::new(), regions: Vec::new(), doors: BTreeMap::new() };
+        let mut all = Self {
+            tiles,
+            first,
+            by_place,
+            region_of: Vec::new(),
+            regions: Vec::new(),
+            doors: BTreeMap::new(),
+            ledges: BTreeMap::new(),
+        };
         let mut sets = Sets::new(floors);
         let steps: Vec<Vec<[u32; 2]>> =
             (0..all.tiles.len()).into_par_iter().map(|t| all.steps_of(t, is_open)).collect();
@@ -104,9 +116,10 @@ impl Regions {
                     if f64::from((there.y_m - f.y_m).abs()) > STEP_M {
                         continue;
                     }
-                    let chest_m = f.y_m.max(there.y_m) + CHEST_M;
                     let is_covered = f.above_m.is_finite() || there.above_m.is_finite();
-                    if is_covered && !is_open(place(tile, u32::from(f.line)), place(other, line), chest_m) {
+                    let foot_m = f.y_m.max(there.y_m);
+                    let [from, to] = [place(tile, u32::from(f.line)), place(other, line)];
+                    if is_covered && !CHEST_M.iter().any(|chest_m| is_open(from, to, foot_m + chest_m)) {
                         continue;
                     }
                     out.push([self.first[tile] + n as u32, self.first[other] + o as u32]);
@@ -153,7 +166,7 @@ impl Regions {
         let own = self.region_of[self.first[tile] as usize + n];
         let line = u32::from(f.line);
         let mut sides = [0u32; 3];
-        let mut door = None;
+        let (mut door, mut ledges) = (None, Vec::new());
         for side in [[1, 0], [0, 1], [-1, 0], [0, -1]] {
             let Some((other, there)) = self.neighbour(tile, line, side, 1) else { continue };
             let of = &self.tiles[other];
@@ -168,6 +181,10 @@ impl Regions {
                 continue;
             }
             sides[0] += 1;
+            let ledge = of.of_line(there).find(|o| f64::from((of.floors[*o].y_m - f.y_m).abs()) <= LEDGE_M);
+            if let Some(o) = ledge {
+                ledges.push(self.region_of[self.first[other] as usize + o]);
+            }
             // The highest floor below, unless something stands above it that reaches higher than this floor.
             if let Some(below) = beside().filter(|o| o.y_m < f.y_m && o.above_m > f.y_m).last() {
                 sides[if f.y_m - below.y_m <= LOW_FALL_M { 1 } else { 2 }] += 1;
@@ -187,6 +204,9 @@ impl Regions {
         region.border += sides[0];
         region.low_falls += sides[1];
         region.deep_falls += sides[2];
+        for other in ledges.into_iter().filter(|other| *other != own) {
+            *self.ledges.entry((own.min(other), own.max(other))).or_default() += 1;
+        }
         if let Some(other) = door.filter(|other| *other != own) {
             *self.doors.entry((own.min(other), own.max(other))).or_default() += 1;
         }

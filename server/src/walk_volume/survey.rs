@@ -25,6 +25,10 @@ const DOWN: f64 = -0.3;
 pub(super) struct Seen {
     /// Cells of the octree, ascending.
     pub cells: Vec<u32>,
+    /// Triangles of the cells that an eye sees, summed over eyes.
+    pub sightings: u64,
+    /// Eyes.
+    pub eyes: u32,
     /// Rays that met something, and those that met its back; without those that look down.
     pub met: [u32; 2],
     /// Rays that do not look down.
@@ -39,15 +43,24 @@ impl Seen {
     }
 }
 
-/// What eyes see, region by region. `eyes`: (region, eye), regions ascending; `turned`: the file's fronts are backs.
-pub(super) fn survey(caster: &Caster, eyes: &[(u32, DVec3)], turned: bool) -> Vec<(u32, Seen)> {
+/// What eyes see, region by region. `eyes`: (region, eye), regions ascending; `turned`: the file's fronts are
+/// backs; `triangles`: of a cell.
+pub(super) fn survey(
+    caster: &Caster,
+    eyes: &[(u32, DVec3)],
+    turned: bool,
+    triangles: &(dyn Fn(u32) -> u64 + Sync),
+) -> Vec<(u32, Seen)> {
     let directions: Vec<DVec3> = (0..RAYS).map(direction).collect();
     let of_region = |eyes: &&[(u32, DVec3)]| {
         let parts: Vec<Seen> = eyes.par_iter().map(|(_, eye)| from(caster, *eye, &directions, turned)).collect();
         let mut all = Seen::default();
-        for part in parts {
+        for mut part in parts {
+            part.sightings = part.cells.iter().map(|c| triangles(*c)).sum();
             all.cells.extend(part.cells);
             all.level += part.level;
+            all.eyes += 1;
+            all.sightings += part.sightings;
             all.met = [all.met[0] + part.met[0], all.met[1] + part.met[1]];
         }
         all.cells.sort_unstable();
