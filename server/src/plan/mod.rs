@@ -97,7 +97,7 @@ pub fn draw(s: &Subject<'_>) -> Plan {
     };
     let boxes: Vec<(Aabb, f64)> = s.volume.boxes().map(|b| (b, floor_of(&b))).collect();
     let mut all = sheets(&boxes, s.volume);
-    all.sort_by(|a, b| b.boxes.len().cmp(&a.boxes.len()));
+    all.sort_by_key(|s| std::cmp::Reverse(s.boxes.len()));
     let left_out = all.len().saturating_sub(MOST_SHEETS);
     all.truncate(MOST_SHEETS);
     all.sort_by(|a, b| a.middle_m.total_cmp(&b.middle_m));

@@ -186,7 +186,7 @@ impl Regions {
                 ledges.push(self.region_of[self.first[other] as usize + o]);
             }
             // The highest floor below, unless something stands above it that reaches higher than this floor.
-            if let Some(below) = beside().filter(|o| o.y_m < f.y_m && o.above_m > f.y_m).last() {
+            if let Some(below) = beside().rfind(|o| o.y_m < f.y_m && o.above_m > f.y_m) {
                 sides[if f.y_m - below.y_m <= LOW_FALL_M { 1 } else { 2 }] += 1;
                 continue;
             }
