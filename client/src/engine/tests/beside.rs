@@ -165,13 +165,13 @@ fn two_view_cells() -> MemoryFeed {
     let mut feed = scene();
     let index = &mut feed.index;
     index.settings.grid = CELLS.into();
-    let users = |z: f64| Aabb { min: DVec3::new(-0.25, -0.25, z - 0.25), max: DVec3::new(0.25, 0.25, z + 0.25) };
+    let users = |z: [f64; 2]| Aabb { min: DVec3::new(-0.25, -0.25, z[0]), max: DVec3::new(0.25, 0.25, z[1]) };
     index.chunks.push(ChunkEntry { hash: ChunkHash([10; 32]), ..index.chunks[2] });
     index.images.push(ImageEntry { chunks: vec![3], ..index.images[0].clone() });
-    index.placements[0].users = users(0.0);
+    index.placements[0].users = users([-0.5, 0.5]);
     index.placements.push(Placement {
         grid_point: Some(1),
-        users: users(-1.0),
+        users: users([-2.5, -0.5]),
         images: 1..2,
         ..index.placements[0].clone()
     });
@@ -186,7 +186,7 @@ fn two_view_cells() -> MemoryFeed {
 #[test]
 fn the_placement_before_stands_in_near_its_users_and_within_the_budget() {
     let at = |z: f64| Pose { position: DVec3::new(0.05, 0.0, z), ..AHEAD };
-    let (begun, beyond, far_off) = (at(0.0), at(-0.6), at(-1.6));
+    let (begun, beyond, far_off) = (at(0.0), at(-0.6), at(-1.85));
     let mut feed = two_view_cells();
     feed.lost = BTreeSet::from([3]);
     let mut painter = Painter::default();

@@ -196,7 +196,7 @@ fn scene() -> MemoryFeed {
         cop: DVec3::new(0.0, 0.0, 0.5),
         culled: vec![1],
         footprint_px: 1.5,
-        users: index.cells[0].bounds,
+        users: Aabb { min: DVec3::splat(-2.5), max: DVec3::splat(2.5) },
         images: 0..1,
         sky: Default::default(),
     });
