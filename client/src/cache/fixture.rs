@@ -120,7 +120,7 @@ pub fn street(cells: u32, side: u32) -> Street {
             cop: DVec3::new(0.0, 0.0, 5.0),
             culled: (cells / 2..cells).collect(),
             footprint_px: 1.0,
-            users: Aabb { min: DVec3::new(-1.0, -1.0, -5.0), max: DVec3::ONE },
+            users: Aabb { min: DVec3::new(-1.0, -1.0, -5.0), max: DVec3::new(1.0, 1.0, 6.0) },
             images: 0..1,
             sky: Default::default(),
         }],
