@@ -26,6 +26,10 @@ use serde::{Deserialize, Serialize};
 /// Samples may lie before their image's plane by this share of its distance: depths are rounded.
 const PLANE_SLACK: f64 = 1e-3;
 
+/// Share of the budget for far cells that fill much of the picture, where not all cells in view fit into it. Larger: less of what is near
+/// is geometry; 0: hills behind a town are as soft as the town.
+const WIDE_SHARE: f64 = 0.1;
+
 /// So near is a direction beside another, degrees: less than a picture's pixel, more than rounding.
 const BESIDE_DEG: f64 = 1e-3;
 
@@ -193,6 +197,9 @@ pub struct DrawList {
     /// Cells in view that were left out, farthest first, because the budget was used up. Always 0 for eyes of the walk volume that look
     /// within the built range of pitch.
     pub dropped: u32,
+    /// What lies in view nearer than this is in `cells`, metres from the eye: infinite where nothing was left out, 0 where images show
+    /// some of it.
+    pub complete_m: f64,
     /// Chunks that refine the LDI tree to this view, coarse ones first; empty where the tree is only what lies under images.
     pub tree: Vec<u32>,
     /// Rooms whose cells are drawn, in the order in which they are seen; empty in a dataset without rooms.
@@ -270,7 +277,7 @@ fn grid_list(
     pose: &Pose,
     picture_half_tan: (f64, f64),
 ) -> DrawList {
-    within_budget(index, cells_in_view(index, groups, selection, pose, picture_half_tan))
+    within_budget(index, pose.position, cells_in_view(index, groups, selection, pose, picture_half_tan))
 }
 
 /// The same without the budget: all cells in view that the placement does not replace.
@@ -300,8 +307,9 @@ fn cells_in_view(
     }
     let cells = near_to_far(seen);
     let images = selection.placement.map_or_else(Vec::new, |p| frusta.images_in_view(index, p, pose));
+    let complete_m = if selection.placement.is_some() { 0.0 } else { f64::INFINITY };
     let (tree, rooms, portals) = (Vec::new(), Vec::new(), Vec::new());
-    DrawList { selection, cells, images, triangles, dropped: 0, tree, rooms, portals }
+    DrawList { selection, cells, images, triangles, dropped: 0, complete_m, tree, rooms, portals }
 }
 
 /// Cells that a pose draws where all else comes from the LDI tree, near to far, were the budget `share` times as large.
@@ -314,7 +322,7 @@ pub fn cells_before_tree(
 ) -> Vec<u32> {
     let nothing = Selection { grid_point: None, placement: None };
     let budget = (index.settings.budget as f64 * share) as u64;
-    within(index, budget, cells_in_view(index, groups, nothing, pose, picture_half_tan)).cells
+    within(index, budget, pose.position, cells_in_view(index, groups, nothing, pose, picture_half_tan)).cells
 }
 
 /// Of some cells and images, those that a pose draws, in no order. As [`draw_list_of`] finds them in a dataset with grid points, or where all that is far is geometry, but for
@@ -358,19 +366,46 @@ fn near_to_far(mut cells: Vec<(f64, u32)>) -> Vec<u32> {
     cells.into_iter().map(|c| c.1).collect()
 }
 
-/// The list without the farthest cells that exceed the budget.
-fn within_budget(index: &Index, list: DrawList) -> DrawList {
-    within(index, index.settings.budget, list)
+/// The list without cells that exceed the budget.
+fn within_budget(index: &Index, eye: DVec3, list: DrawList) -> DrawList {
+    within(index, index.settings.budget, eye, list)
 }
 
-/// The same for any budget.
-fn within(index: &Index, budget: u64, mut list: DrawList) -> DrawList {
-    while list.triangles > budget {
-        let Some(cell) = list.cells.pop() else { break };
-        list.triangles -= u64::from(index.cells[cell as usize].triangles);
-        list.dropped += 1;
+/// The same for any budget: the farthest cells go, but [`WIDE_SHARE`] of it is for those of them that fill most of the picture per
+/// triangle: hills, walls and seas behind a town.
+fn within(index: &Index, budget: u64, eye: DVec3, mut list: DrawList) -> DrawList {
+    if list.triangles <= budget {
+        return list;
     }
+    let for_near = budget - (budget as f64 * WIDE_SHARE) as u64;
+    let mut beyond: Vec<(f64, u32)> = Vec::new();
+    while list.triangles > for_near {
+        let Some(cell) = list.cells.pop() else { break };
+        let entry = &index.cells[cell as usize];
+        list.triangles -= u64::from(entry.triangles);
+        beyond.push((-picture_per_triangle(entry, eye), cell));
+    }
+    beyond.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    for (_, cell) in beyond {
+        let entry = &index.cells[cell as usize];
+        if list.triangles + u64::from(entry.triangles) <= budget {
+            list.triangles += u64::from(entry.triangles);
+            list.cells.push(cell);
+        } else {
+            list.complete_m = list.complete_m.min(entry.bounds.distance(eye));
+            list.dropped += 1;
+        }
+    }
+    list.cells = near_to_far(list.cells.iter().map(|c| (index.cells[*c as usize].bounds.distance(eye), *c)).collect());
     list
+}
+
+/// About how much of the picture a cell fills per triangle: the mean area of its box's outline over all directions, as seen from the
+/// eye. Only its order means something.
+fn picture_per_triangle(cell: &CellEntry, eye: DVec3) -> f64 {
+    let size = cell.bounds.size();
+    let outline = 0.5 * (size.x * size.y + size.y * size.z + size.z * size.x);
+    outline / (cell.bounds.centre().distance_squared(eye) * f64::from(cell.triangles.max(1))).max(1e-9)
 }
 
 /// The nearest cells in view that the budget allows: what is drawn as geometry where all else comes from the LDI tree.
@@ -656,6 +691,24 @@ mod tests {
     fn beyond_the_budget_the_farthest_cells_go() {
         let list = draw_list(&index("paper", 250), &pose(-0.5, 0.0), (0.577, 0.32));
         assert_eq!((list.cells.as_slice(), list.triangles, list.dropped), (&[0, 1][..], 200, 3));
+        assert_eq!(list.complete_m, 0.0, "images show some of it");
+        // Cell 2 is the nearest that goes.
+        let beside = draw_list(&index("paper", 250), &pose(-0.5, 20.0), (0.577, 0.32));
+        assert_eq!((beside.dropped, beside.selection.placement), (8, None));
+        assert!((beside.complete_m - 3.5).abs() < 0.1, "{} m", beside.complete_m);
+        let whole = draw_list(&index("paper", 1000), &pose(-0.5, 20.0), (0.577, 0.32));
+        assert_eq!((whole.dropped, whole.complete_m), (0, f64::INFINITY));
+    }
+
+    #[test]
+    fn wide_cells_in_the_background_stay_within_the_budget() {
+        let mut index = index("paper", 550);
+        // A hill behind all others.
+        let hill = Aabb { min: DVec3::new(-50.0, -10.0, -200.0), max: DVec3::new(50.0, 40.0, -150.0) };
+        index.cells.push(CellEntry { bounds: hill, triangles: 50, ..index.cells[0].clone() });
+        let list = draw_list(&index, &pose(-0.5, 20.0), (0.577, 0.32));
+        assert_eq!((list.cells.as_slice(), list.triangles, list.dropped), (&[0, 1, 2, 3, 4, 10][..], 550, 5));
+        assert!((list.complete_m - 6.5).abs() < 0.1, "{} m", list.complete_m);
     }
 
     #[test]

@@ -20,6 +20,8 @@ pub enum Doubt {
     Missing {
         /// Metres of depth, at least; and a tenth of the depth.
         margin_m: f32,
+        /// What lies nearer to the eye than this is painted: samples of it are left out. Metres.
+        complete_m: f32,
     },
 }
 
@@ -27,7 +29,11 @@ pub enum Doubt {
 pub fn wanted_under(frame: &Frame, doubt: Doubt) -> Wanted {
     let wants = |s: &Source| *s == Source::Unpainted || doubt != Doubt::None;
     // Behind what is painted nothing shows. Of sky that is doubted the disparity is 0.
-    Wanted::new(frame.width, frame.height, frame.source.iter().map(wants).collect(), &frame.disparity)
+    let wanted = Wanted::new(frame.width, frame.height, frame.source.iter().map(wants).collect(), &frame.disparity);
+    match doubt {
+        Doubt::Missing { complete_m, .. } => wanted.beyond(complete_m),
+        Doubt::None => wanted,
+    }
 }
 
 /// Lays the tree's picture under the frame; what neither shows becomes sky as long as something is missing, and else stays a hole. Returns the number of pixels that the tree gave.
@@ -39,7 +45,7 @@ pub fn lay_under(frame: &mut Frame, tree: &FarFrame, doubt: Doubt) -> u64 {
             continue;
         }
         let takes = |sample: f32| match doubt {
-            Doubt::Missing { margin_m } if !matches!(source, Source::Unpainted | Source::Sky) => {
+            Doubt::Missing { margin_m, .. } if !matches!(source, Source::Unpainted | Source::Sky) => {
                 let (painted, sample) = (1.0 / frame.disparity[at].max(1e-9), 1.0 / sample);
                 sample + margin_m.max(0.1 * painted) < painted
             }
@@ -95,7 +101,7 @@ mod tests {
     /// Of a hole that the tree leaves open: with everything there it is a gap in what is painted; else what is painted says nothing of it, and the tree knows of no surface.
     #[test]
     fn what_the_tree_leaves_open_is_sky_where_it_alone_knows() {
-        for (doubt, source) in [(Doubt::None, Source::Unpainted), (Doubt::Missing { margin_m: 0.3 }, Source::Sky)] {
+        for (doubt, source) in [(Doubt::None, Source::Unpainted), (Doubt::Missing { margin_m: 0.3, complete_m: 0.0 }, Source::Sky)] {
             let mut frame = beside_a_hole();
             let mut tree = FarFrame::new(8, 4);
             tree.clear();
@@ -106,7 +112,7 @@ mod tests {
 
     #[test]
     fn while_data_is_missing_the_tree_wins_where_it_is_clearly_nearer() {
-        let doubt = Doubt::Missing { margin_m: 0.3 };
+        let doubt = Doubt::Missing { margin_m: 0.3, complete_m: 0.0 };
         for (depth_m, source) in [(1.0, Source::Tree), (1.8, Source::Near), (2.2, Source::Near), (9.0, Source::Near)] {
             let frame = laid(depth_m, doubt);
             assert_eq!(frame.source[11], source, "at {depth_m} m");

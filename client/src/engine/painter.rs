@@ -49,6 +49,8 @@ pub struct View {
     pub images: Vec<u32>,
     /// Cells left out because the budget was used up: 0 wherever the build's promise holds.
     pub dropped: u32,
+    /// What lies in view nearer than this is in `cells`, metres; see [`DrawList::complete_m`].
+    pub complete_m: f64,
     /// Triangles of all cells in the frustum, drawn or culled.
     pub triangles_in_frustum: u64,
     /// What the cells leave comes from the LDI tree.
@@ -155,10 +157,10 @@ pub fn view_of(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method
     let list = draw_list_showing(index, pose, half_tan, show);
     ms.cull = (ms_since(start) - ms.select).max(0.0);
     let by_tree = show.far.is_tree(index);
-    let DrawList { selection, cells, images, dropped, tree, rooms, portals, .. } = list;
+    let DrawList { selection, cells, images, dropped, complete_m, tree, rooms, portals, .. } = list;
     let wanted = show.portals.images;
     let portal_images = index.rooms.as_ref().map_or(wanted, |r| r.resolve(wanted));
-    View { selection, cells, images, dropped, triangles_in_frustum, by_tree, tree, rooms, portals, portal_images }
+    View { selection, cells, images, dropped, complete_m, triangles_in_frustum, by_tree, tree, rooms, portals, portal_images }
 }
 
 /// The cells to draw, and the texture chunks for want of which the others are not: as long as the LDI tree shows a cell in its colours, bare geometry would be a
@@ -516,7 +518,10 @@ impl Painter {
         }
         if let Some(tree) = &index.tree {
             let doubt = match doubtful {
-                true => Doubt::Missing { margin_m: 2.0 * tree.pitch_of(tree.pinned_levels.saturating_sub(1)) as f32 },
+                true => Doubt::Missing {
+                    margin_m: 2.0 * tree.pitch_of(tree.pinned_levels.saturating_sub(1)) as f32,
+                    complete_m: if gaps { 0.0 } else { view.complete_m as f32 },
+                },
                 false => Doubt::None,
             };
             let start = Instant::now();

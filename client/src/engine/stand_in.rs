@@ -52,9 +52,9 @@ impl StandIn {
         if placement.users.distance(pose.position) > AWAY * plane_m || is_whole(view) {
             return None;
         }
-        let DrawList { selection, cells, images, dropped, tree, rooms, portals, .. } =
+        let DrawList { selection, cells, images, dropped, complete_m, tree, rooms, portals, .. } =
             draw_list_by(index, number, pose, half_tan);
-        let before = View { selection, cells, images, dropped, tree, rooms, portals, ..view.clone() };
+        let before = View { selection, cells, images, dropped, complete_m, tree, rooms, portals, ..view.clone() };
         (dropped == 0 && is_whole(&before)).then_some(before)
     }
 }

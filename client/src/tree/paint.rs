@@ -33,6 +33,8 @@ pub struct Wanted {
     /// Smallest disparity that a sample needs to show in some wanted pixel of each block; infinite in blocks without.
     floors: Vec<f32>,
     total: u64,
+    /// Samples of what lies nearer to the eye are not wanted, metres.
+    beyond_m: f32,
 }
 
 impl Wanted {
@@ -51,9 +53,20 @@ impl Wanted {
         let total = blocks.iter().map(|b| u64::from(*b)).sum();
         let place = |block: usize| [block % blocks_across, block / blocks_across].map(|v| v as u32);
         let listed = (0..blocks.len()).filter(|b| blocks[*b] > 0).map(place).collect();
-        let mut wanted = Self { width, blocks_across, pixels, blocks, listed, floors: Vec::new(), total };
+        let mut wanted = Self { width, blocks_across, pixels, blocks, listed, floors: Vec::new(), total, beyond_m: 0.0 };
         wanted.floors = wanted.floors_of(|at| hidden_below.get(at).copied().unwrap_or(0.0));
         wanted
+    }
+
+    /// The same without samples of what lies nearer to the eye than so many metres.
+    #[must_use]
+    pub fn beyond(self, metres: f32) -> Self {
+        Self { beyond_m: metres, ..self }
+    }
+
+    /// Whether a sample of this pitch is wanted at this distance from the eye, metres: it stands for what lies within half a pitch.
+    pub(super) fn reaches(&self, distance_m: f32, pitch: f32) -> bool {
+        distance_m + 0.5 * pitch >= self.beyond_m
     }
 
     /// The smallest of `hidden_below` over the wanted pixels of each block.
@@ -102,6 +115,7 @@ impl Wanted {
     pub(super) fn covers(&self, hidden_below: &[f32], other: &Self, other_hidden_below: &[f32]) -> bool {
         let hides = |of: &[f32], at: usize| of.get(at).copied().unwrap_or(0.0);
         self.pixels.len() == other.pixels.len()
+            && self.beyond_m == other.beyond_m
             && (0..self.pixels.len()).all(|at| {
                 !other.pixels[at] || self.pixels[at] && hides(hidden_below, at) <= hides(other_hidden_below, at)
             })

@@ -236,6 +236,17 @@ fn what_turns_away_or_is_not_wanted_is_not_drawn() {
         &mut out,
     );
     assert!(stats.painted > 0 && (0..out.packed.len()).all(|at| out.get(at).is_none() || at % 160 < 40));
+    // The wall fills the picture, 7 to 8.6 m away.
+    let painted_beyond = |metres: f32| {
+        let mut wanted = Wanted::all(160, 120).beyond(metres);
+        let none = |_: usize, _: usize| true;
+        let mut out = FarFrame::default();
+        let mut painter = TreePainter::default();
+        painter.draw(&made.tree, &made.memory, &ahead(7.0), &CAMERA, &ONCE, &mut wanted, &none, &mut out).painted
+    };
+    assert_eq!((painted_beyond(0.0), painted_beyond(6.5), painted_beyond(20.0)), (160 * 120, 160 * 120, 0));
+    let ring = painted_beyond(7.8);
+    assert!(ring > 0 && ring < 160 * 120, "{ring} pixels beyond 7.8 m");
     let nothing = Memory::default();
     let stats = TreePainter::default().draw(
         &made.tree,

@@ -95,7 +95,7 @@ impl Eye {
                     + row * (f32::from(s.row) + 0.5)
                     + depth * (f32::from(s.depth) + 0.5);
                 // Most samples are hidden or outside of what is wanted: that is found out before anything is made of them.
-                if !self.may_show(middle, pitch as f32, wanted) {
+                if !wanted.reaches(middle.length(), pitch as f32) || !self.may_show(middle, pitch as f32, wanted) {
                     continue;
                 }
                 let sides = [column + depth * f32::from(s.slope[0]), row + depth * f32::from(s.slope[1])];

@@ -88,8 +88,10 @@ pub(super) fn draw_list(
     let seen = view.cells.iter().map(|c| c.cell).collect();
     let selection = Selection { grid_point: None, placement: None };
     let (cells, tree) = (near_to_far(cells), Vec::new());
-    let list = DrawList { selection, cells, images, triangles, dropped: 0, tree, rooms: seen, portals };
-    let mut list = within_budget(index, list);
+    // Beyond portals it lies anywhere.
+    let complete_m = 0.0;
+    let list = DrawList { selection, cells, images, triangles, dropped: 0, complete_m, tree, rooms: seen, portals };
+    let mut list = within_budget(index, pose.position, list);
     if list.dropped > 0 {
         list.tree = tree_chunks(index, pose, half_tan);
     }
