@@ -101,7 +101,9 @@ mod tests {
     /// Of a hole that the tree leaves open: with everything there it is a gap in what is painted; else what is painted says nothing of it, and the tree knows of no surface.
     #[test]
     fn what_the_tree_leaves_open_is_sky_where_it_alone_knows() {
-        for (doubt, source) in [(Doubt::None, Source::Unpainted), (Doubt::Missing { margin_m: 0.3, complete_m: 0.0 }, Source::Sky)] {
+        for (doubt, source) in
+            [(Doubt::None, Source::Unpainted), (Doubt::Missing { margin_m: 0.3, complete_m: 0.0 }, Source::Sky)]
+        {
             let mut frame = beside_a_hole();
             let mut tree = FarFrame::new(8, 4);
             tree.clear();

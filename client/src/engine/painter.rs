@@ -160,7 +160,19 @@ pub fn view_of(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method
     let DrawList { selection, cells, images, dropped, complete_m, tree, rooms, portals, .. } = list;
     let wanted = show.portals.images;
     let portal_images = index.rooms.as_ref().map_or(wanted, |r| r.resolve(wanted));
-    View { selection, cells, images, dropped, complete_m, triangles_in_frustum, by_tree, tree, rooms, portals, portal_images }
+    View {
+        selection,
+        cells,
+        images,
+        dropped,
+        complete_m,
+        triangles_in_frustum,
+        by_tree,
+        tree,
+        rooms,
+        portals,
+        portal_images,
+    }
 }
 
 /// The cells to draw, and the texture chunks for want of which the others are not: as long as the LDI tree shows a cell in its colours, bare geometry would be a

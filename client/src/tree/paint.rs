@@ -53,7 +53,8 @@ impl Wanted {
         let total = blocks.iter().map(|b| u64::from(*b)).sum();
         let place = |block: usize| [block % blocks_across, block / blocks_across].map(|v| v as u32);
         let listed = (0..blocks.len()).filter(|b| blocks[*b] > 0).map(place).collect();
-        let mut wanted = Self { width, blocks_across, pixels, blocks, listed, floors: Vec::new(), total, beyond_m: 0.0 };
+        let mut wanted =
+            Self { width, blocks_across, pixels, blocks, listed, floors: Vec::new(), total, beyond_m: 0.0 };
         wanted.floors = wanted.floors_of(|at| hidden_below.get(at).copied().unwrap_or(0.0));
         wanted
     }

@@ -2,7 +2,7 @@
 
 use super::references::ReferenceFigures;
 use super::{BuildError, Progress};
-use crate::placement::{PlacementError, PlacementResult};
+use crate::placement::{self, PlacementError, PlacementResult};
 use crate::portal::{self, PortalPlans, PortalStatistics, Semicircle, SemicircleStatistics, SidePlan};
 use crate::render::Caster;
 use crate::scene::{Note, Scene};
@@ -255,13 +255,14 @@ fn joined(portals: &PortalPlans, grid: Option<PlacementResult>, volume: WalkVolu
         plans: Vec::new(),
         pitch_bands_deg: Vec::new(),
         volume: volume.clone(),
+        beyond_budget: Vec::new(),
         statistics: Default::default(),
     });
     for range in plan.points.iter_mut().flat_map(|p| p.bands.iter_mut().flatten()) {
         range.placement = range.placement.map(|p| p + first);
     }
     plan.plans = portals.plans.iter().cloned().chain(plan.plans).collect();
-    plan.volume = volume;
+    plan.volume = placement::without(&volume, &plan.beyond_budget);
     // Where the grid takes over is sampled.
     plan.statistics.coverage_certified = false;
     // Of images that keep the bound; those of 1998 promise none.

@@ -23,14 +23,10 @@ pub enum PlacementError {
         /// What it must be.
         must: &'static str,
     },
-    /// No image can bring some view within the budget, however fine the grid.
+    /// No image can bring the views of many places within the budget, however fine the grid.
     #[error(
-        "budget {budget}: near ({x:.2}, {y:.2}, {z:.2}), yaw {yaw_deg:.0}, pitch {pitch_deg:.0}, {needed} triangles lie too near to be replaced by an image, however fine the grid; use a larger --budget ({}), a larger --max-footprint, or a larger --density",
-        match is_most {
-            // The scene's cells are larger for larger budgets.
-            true => format!("no place needs more than these {needed} now, but cells grow with the budget: try {}", needed + needed / 2),
-            false => format!("at least {needed}; places that were not reached may need several times that"),
-        },
+        "budget {budget}: near ({x:.2}, {y:.2}, {z:.2}), yaw {yaw_deg:.0}, pitch {pitch_deg:.0}, {needed} triangles lie too near to be replaced by an image, however fine the grid, and so it is in much of the walk volume; use a larger --budget (at least {needed}; as cells grow with the budget, better {}), a larger --max-footprint, or a larger --density",
+        needed + needed / 2,
         x = position.x, y = position.y, z = position.z
     )]
     Infeasible {
@@ -38,8 +34,6 @@ pub enum PlacementError {
         budget: u64,
         /// Smallest budget that would do there.
         needed: u64,
-        /// Whether no other place needs more, for cells as small as this budget's.
-        is_most: bool,
         /// Eye or grid point.
         position: DVec3,
         /// Direction.

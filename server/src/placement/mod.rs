@@ -59,5 +59,5 @@ pub use model::{DirectionRange, ImagePlan, PlacementPlan, PlacementResult, Place
 pub(crate) use plan::spread;
 pub use point::Sees;
 pub use search::{Found, Search};
-pub use stage::{Parameters, SearchCase, SearchComparison, check_settings, compare_searches, plan_placements};
+pub use stage::{Parameters, SearchCase, SearchComparison, check_settings, compare_searches, plan_placements, without};
 pub use subset::CostBenefit;

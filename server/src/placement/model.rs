@@ -101,6 +101,8 @@ pub struct PlacementResult {
     pub pitch_bands_deg: Vec<f64>,
     /// Where eyes may be.
     pub volume: WalkVolume,
+    /// Around the eyes that were taken from it, as no image can serve them within the budget.
+    pub beyond_budget: Vec<Aabb>,
     /// Figures for the build report.
     pub statistics: PlacementStatistics,
 }
@@ -110,6 +112,12 @@ pub struct PlacementResult {
 pub struct PlacementStatistics {
     /// Why there are no points, if there are none.
     pub nothing_to_do: Option<String>,
+    /// Floor of the walk volume that was given up, as no image can serve its eyes within the budget, square metres.
+    #[serde(default)]
+    pub beyond_budget_m2: f64,
+    /// The smallest budget that would do there, triangles; 0 without such places.
+    #[serde(default)]
+    pub beyond_budget_needs: u64,
     /// Spacing of the level-0 grid, metres.
     pub spacing_m: f64,
     /// Grid points in use per level.

@@ -38,6 +38,16 @@ pub(super) struct Refined {
     pub max_triangles: u64,
     /// The view cells of each placement; none with the paper's grid.
     pub groups: Vec<Vec<Member>>,
+    /// Places whose eyes no image can serve within the budget: they belong to no point.
+    pub beyond: Vec<Beyond>,
+}
+
+/// A place whose eyes no image can serve within the budget.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Beyond {
+    /// Around its eyes.
+    pub eyes: Aabb,
+    pub too_near: TooNear,
 }
 
 /// A grid point in use.
@@ -60,11 +70,12 @@ pub(super) fn refine(
     statistics: &mut PlacementStatistics,
     heard: &dyn Fn(&str),
 ) -> Result<Refined, PlacementError> {
-    if let (Scheme::Cells, Some((eye, too_near))) = (ctx.scheme, hardest_eye(ctx, tree)) {
-        return Err(infeasible(ctx, eye, too_near, false));
+    if let (Scheme::Cells, Some(most)) = (ctx.scheme, hardest_eye(ctx, tree)) {
+        return Err(infeasible(ctx, most));
     }
-    // The place that needs most, once some cannot be served: from then on it is looked for what budget would do everywhere.
-    let mut hardest: Option<(DVec3, TooNear)> = None;
+    let mut beyond: Vec<Beyond> = Vec::new();
+    // By point: whether its eyes are among them.
+    let mut given_up: Vec<bool> = Vec::new();
     let mut cover = Cover::new(ctx, tree, directions);
     let mut solved: Vec<bool> = Vec::new();
     loop {
@@ -72,8 +83,8 @@ pub(super) fn refine(
         let positions: Vec<DVec3> = (0..lattice.points.len()).map(|i| lattice.position(i)).collect();
         let (uses, boxes) = timed(statistics, "coverage", || cover.certify(&positions))?;
         solved.resize(positions.len(), false);
+        given_up.resize(positions.len(), false);
         let open: Vec<usize> = (0..positions.len()).filter(|i| !solved[*i] && !uses[*i].units.is_empty()).collect();
-        let budget = hardest.map_or(ctx.budget, |h| h.1.needed);
         let evaluate = |i: &usize| match ctx.scheme {
             Scheme::Paper => solve(ctx, positions[*i], &uses[*i]).map(|_| ()).map_err(Some),
             Scheme::Cells => {
@@ -82,11 +93,11 @@ pub(super) fn refine(
                 // Below this spacing sharing is given up before the budget is.
                 let shared = lattice.spacing_of(lattice.points[*i].level) > FINEST_SHARED_M;
                 match shared {
-                    true => feasible(ctx, &member, extra_m, budget).map_err(Some)?,
+                    true => feasible(ctx, &member, extra_m, ctx.budget).map_err(Some)?,
                     // It may be the last word on this place.
-                    false => enough(ctx, &member, budget).map_or(Ok(()), |too_near| Err(Some(too_near)))?,
+                    false => enough(ctx, &member, ctx.budget).map_or(Ok(()), |too_near| Err(Some(too_near)))?,
                 }
-                if shared && hardest.is_none() && worth_subdividing(ctx, &member) { Err(None) } else { Ok(()) }
+                if shared && worth_subdividing(ctx, &member) { Err(None) } else { Ok(()) }
             }
         };
         // Err(None): within the budget, but dearer than its parts.
@@ -109,19 +120,19 @@ pub(super) fn refine(
             "grid refinement"
         );
         heard(&format!("round {}: {} cells, {} to subdivide", statistics.rounds, positions.len(), failed.len()));
-        if let (true, Some((position, too_near))) = (failed.is_empty(), hardest) {
-            return Err(infeasible(ctx, position, too_near, true));
-        }
+        let eyes: Vec<Option<Aabb>> = uses.iter().map(|u| u.units.first().map(|u| u.1.bounds())).collect();
         if failed.is_empty() {
+            let uses = uses.into_iter().enumerate().filter(|(i, _)| !given_up[*i]).collect();
             match finish(ctx, &lattice, uses, statistics) {
                 Ok(refined) => {
                     statistics.certified_boxes = boxes;
                     statistics.coverage_certified = true;
-                    return Ok(refined);
+                    return Ok(Refined { beyond, ..refined });
                 }
                 Err(again) => failed = again.into_iter().map(|(i, e)| (i, Some(e))).collect(),
             }
         }
+        let given_up_before = beyond.len();
         let levels: Vec<u8> = lattice.points.iter().map(|p| p.level).collect();
         for (i, too_near) in failed {
             let level = levels[i];
@@ -135,26 +146,43 @@ pub(super) fn refine(
                 (Scheme::Cells, Some(_)) => (false, MOST_VIEW_CELLS),
                 (Scheme::Cells, None) => (false, MOST_DEAR_CELLS),
             };
+            // Near what is dense, parts of a small cell fail as it did.
+            let hopeless = || {
+                ctx.scheme == Scheme::Cells && spacing_m < FINEST_SHARED_M * 0.5 && {
+                    let eye = tree.closest(lattice.position(i));
+                    eye.is_some_and(|eye| needed_at(ctx, eye).is_some())
+                }
+            };
             let too_fine = spacing_m < FINEST_SPACING_M || lattice.points.len() > most;
-            if too_fine || !lattice.subdivide(i as u32, graded) {
-                match too_near {
-                    Some(too_near) if ctx.scheme == Scheme::Paper => {
-                        return Err(infeasible(ctx, lattice.position(i), too_near, false));
+            if too_fine || too_near.is_some() && hopeless() || !lattice.subdivide(i as u32, graded) {
+                match (too_near, eyes[i]) {
+                    (Some(too_near), _) if ctx.scheme == Scheme::Paper => {
+                        return Err(infeasible(ctx, (lattice.position(i), too_near)));
                     }
-                    Some(too_near) if hardest.is_none_or(|h| h.1.needed < too_near.needed) => {
-                        let [x, y, z] = lattice.position(i).to_array().map(|m| format!("{m:.2}"));
-                        let needed = too_near.needed;
-                        heard(&format!(
-                            "the budget cannot be met: {needed} triangles near ({x}, {y}, {z}); looking for the place that needs most"
-                        ));
-                        hardest = Some((lattice.position(i), too_near));
+                    (Some(too_near), Some(eyes)) => {
+                        beyond.push(Beyond { eyes, too_near });
+                        given_up[i] = true;
                     }
                     _ => {}
                 }
                 solved[i] = true;
             }
         }
+        let most = beyond.iter().rev().max_by_key(|b| b.too_near.needed);
+        if let Some(most) = most.filter(|_| beyond.len() > given_up_before && lost_share(tree, &beyond) > MOST_LOST) {
+            return Err(infeasible(ctx, (most.eyes.centre(), most.too_near)));
+        }
     }
+}
+
+/// More than this share of the walk volume is not given up: the budget does not suit the scene.
+const MOST_LOST: f64 = 0.25;
+
+/// The share of the walk volume's floor where eyes lie in `beyond`.
+fn lost_share(tree: &EyeTree, beyond: &[Beyond]) -> f64 {
+    let area = |boxes: Vec<Aabb>| boxes.iter().map(|b| b.size().x * b.size().z).sum::<f64>();
+    let lost = area(tree.leaves_touching(|b| beyond.iter().any(|o| o.eyes.intersects(b))));
+    lost / area(tree.leaves_touching(|_| true)).max(f64::MIN_POSITIVE)
 }
 
 /// Who may use which point, by either scheme.
@@ -254,10 +282,10 @@ const FINEST_SPACING_M: f64 = 0.1;
 fn finish(
     ctx: &Context,
     lattice: &Lattice,
-    uses: Vec<PointUses>,
+    uses: Vec<(usize, PointUses)>,
     statistics: &mut PlacementStatistics,
 ) -> Result<Refined, Vec<(usize, TooNear)>> {
-    let mut used: Vec<(usize, PointUses)> = uses.into_iter().enumerate().filter(|(_, u)| !u.units.is_empty()).collect();
+    let mut used: Vec<(usize, PointUses)> = uses.into_iter().filter(|(_, u)| !u.units.is_empty()).collect();
     used.sort_by_key(|(i, _)| lattice.points[*i].place.to_array());
     let unused = (lattice.points.len() - used.len()) as u64;
     statistics.skipped.insert("no eye of the walk volume can select the point".into(), unused);
@@ -275,7 +303,7 @@ fn finish(
             bands,
         })
         .collect();
-    Ok(Refined { points, plans, left, max_triangles, groups })
+    Ok(Refined { points, plans, left, max_triangles, groups, beyond: Vec::new() })
 }
 
 /// All points solved.
@@ -290,11 +318,10 @@ struct Solved {
 }
 
 /// The error for a place that cannot be served.
-fn infeasible(ctx: &Context, position: DVec3, too_near: TooNear, is_most: bool) -> PlacementError {
+fn infeasible(ctx: &Context, (position, too_near): (DVec3, TooNear)) -> PlacementError {
     PlacementError::Infeasible {
         budget: ctx.budget,
         needed: too_near.needed,
-        is_most,
         position,
         yaw_deg: too_near.direction_deg[0],
         pitch_deg: too_near.direction_deg[1],
@@ -306,20 +333,29 @@ const PROBES: usize = 64;
 /// They stand in boxes of eyes of about this size, metres.
 const PROBED_M: f64 = 1.0;
 
-/// A quick proof that the budget cannot be met: of some eyes, spread over all, the one with the most triangles too near for an image that serves it alone,
-/// if they are more than the budget. A view cell that holds the eye needs as many or more.
+/// A quick proof that the budget suits few places: of some eyes, spread over all, the one with the most triangles too near for an image
+/// that serves it alone, if more than [`MOST_LOST`] of them have more than the budget. A view cell that holds the eye needs as many or
+/// more.
 fn hardest_eye(ctx: &Context, tree: &EyeTree) -> Option<(DVec3, TooNear)> {
     let blocks = tree.blocks(PROBED_M);
     let every = blocks.len().div_ceil(PROBES).max(1);
     let probes: Vec<u32> = blocks.into_iter().step_by(every).collect();
     let needs = |block: &u32| {
         let eye = tree.closest(tree.nodes[*block as usize].bounds.centre())?;
-        let mut hull = EyeHull::EMPTY;
-        hull.add(&Aabb { min: eye, max: eye });
-        Some((eye, needed(ctx, &Member::new(ctx, hull, false))?))
+        Some((eye, needed_at(ctx, eye)?))
     };
     let found: Vec<(DVec3, TooNear)> = probes.par_iter().filter_map(needs).collect();
+    if found.len() as f64 <= probes.len() as f64 * MOST_LOST {
+        return None;
+    }
     found.into_iter().rev().max_by_key(|f| f.1.needed)
+}
+
+/// The smallest budget that an image for a single eye could keep; None if the budget is as large.
+fn needed_at(ctx: &Context, eye: DVec3) -> Option<TooNear> {
+    let mut hull = EyeHull::EMPTY;
+    hull.add(&Aabb { min: eye, max: eye });
+    needed(ctx, &Member::new(ctx, hull, false))
 }
 
 /// Solves every point for itself.
@@ -469,40 +505,65 @@ mod tests {
                 other => panic!("{other:?}"),
             }
         };
-        let needed = refused(10);
         // The least that would do does not depend on how far the budget is off.
-        assert_eq!(refused(needed - 1), needed);
+        assert_eq!(refused(10), refused(20));
     }
 
     #[test]
-    fn a_budget_that_cannot_be_met_somewhere_is_refused_with_what_is_enough_everywhere() {
+    fn a_budget_that_cannot_be_met_anywhere_is_refused_with_one_that_is_nearer() {
         let (bounds, triangles) = strewn(4000, 33);
         let model = bounds.iter().fold(Aabb::EMPTY, |all, b| all.union(*b));
         let (cells, directions) = (Cells::new(bounds, triangles), Directions::new(0.0));
         let runs = [vec![[11, 20]]];
         let cut = Aabb { min: DVec3::new(-0.5, 0.0, -0.5), max: DVec3::new(0.5, 3.0, 0.5) };
         let volume = WalkVolume::new(cut.min, 1.0, 0.1, [1, 1], &runs, &cut).expect("a volume");
-        let tree = EyeTree::new(&volume);
-        let refused = |budget: u64| {
-            let settings = settings(budget);
-            let mut ctx = Context::new(&cells, &directions, &settings, 60.0, CostBenefit::default(), NOTHING_BETWEEN);
-            ctx.eyes = Some(&tree);
-            let statistics = &mut PlacementStatistics::default();
-            match refine(&ctx, &tree, &directions, Lattice::new(&model, 30.0), statistics, &|_| ()) {
-                Err(PlacementError::Infeasible { needed, is_most, .. }) => Some((needed, is_most)),
-                Err(other) => panic!("{other}"),
-                Ok(_) => None,
-            }
-        };
-        // What the eyes that are asked first need may be less than what some place needs.
         let mut budget = 10;
-        let enough = loop {
-            match refused(budget).expect("too small somewhere") {
-                (enough, true) => break enough,
-                (least, false) => budget = least,
-            }
+        while let Err(refused) = refined(&cells, &directions, &volume, &model, budget) {
+            let PlacementError::Infeasible { needed, .. } = refused else { panic!("{refused}") };
+            assert!(needed > budget, "{needed} for {budget}");
+            budget = needed;
+        }
+        assert!(budget > 10);
+    }
+
+    /// A grid for a volume.
+    fn refined(
+        cells: &Cells,
+        directions: &Directions,
+        volume: &WalkVolume,
+        model: &Aabb,
+        budget: u64,
+    ) -> Result<Refined, PlacementError> {
+        let (tree, settings) = (EyeTree::new(volume), settings(budget));
+        let mut ctx = Context::new(cells, directions, &settings, 60.0, CostBenefit::default(), NOTHING_BETWEEN);
+        ctx.eyes = Some(&tree);
+        refine(&ctx, &tree, directions, Lattice::new(model, 30.0), &mut PlacementStatistics::default(), &|_| ())
+    }
+
+    #[test]
+    fn eyes_beside_what_is_too_dense_for_the_budget_are_given_up_and_no_others() {
+        // Eyes are within the boxes of 400 cells in the middle of a yard of 24 m; as many are all over it.
+        let spread = |n: usize, side: f64, size: f64| {
+            (0..n * n).map(move |i| {
+                let at = |k: usize| (k as f64 / (n - 1) as f64 - 0.5) * side;
+                let middle = DVec3::new(at(i % n), 1.0 + 0.8 * ((i * 7) % n) as f64 / n as f64, at(i / n));
+                Aabb { min: middle - DVec3::splat(size), max: middle + DVec3::splat(size) }
+            })
         };
-        assert!(enough > budget, "{enough} {budget}");
-        assert_eq!(refused(enough), None);
+        let bounds: Vec<Aabb> = spread(20, 0.5, 0.4).chain(spread(20, 24.0, 0.2)).collect();
+        let model = bounds.iter().fold(Aabb::EMPTY, |all, b| all.union(*b));
+        let (triangles, directions) = (vec![100; bounds.len()], Directions::new(30.0));
+        let cells = Cells::new(bounds, triangles);
+        let cut = Aabb { min: DVec3::new(-12.0, 0.0, -12.0), max: DVec3::new(12.0, 3.0, 12.0) };
+        let runs: Vec<Vec<[u16; 2]>> = (0..48 * 48).map(|_| vec![[15, 17]]).collect();
+        let volume = WalkVolume::new(cut.min, 0.5, 0.1, [48, 48], &runs, &cut).expect("a volume");
+        let beyond = |budget: u64| refined(&cells, &directions, &volume, &model, budget).expect("some places").beyond;
+        let given_up = beyond(20_000);
+        assert!(!given_up.is_empty());
+        for place in &given_up {
+            assert!(place.too_near.needed > 20_000);
+            assert!(place.eyes.centre().with_y(0.0).length() < 4.0, "{:?}", place.eyes);
+        }
+        assert!(beyond(80_000).is_empty());
     }
 }

@@ -15,6 +15,7 @@ use super::{
 };
 use crate::{octree::Octree, scene::Scene};
 use ldi_protocol::{
+    Aabb,
     index::{AngularRange, BuildSettings, GridPoint},
     volume::WalkVolume,
 };
@@ -56,7 +57,14 @@ pub fn plan_placements(
         ));
         statistics.coverage_certified = true;
         statistics.max_triangles = total;
-        return Ok(PlacementResult { points: vec![], plans: vec![], pitch_bands_deg: vec![], volume, statistics });
+        return Ok(PlacementResult {
+            points: vec![],
+            plans: vec![],
+            pitch_bands_deg: vec![],
+            volume,
+            beyond_budget: vec![],
+            statistics,
+        });
     }
     refined(
         scene,
@@ -222,5 +230,34 @@ fn result(ctx: &Context, refined: Refined, volume: WalkVolume, mut statistics: P
     statistics.popt_closeness = closeness;
     let plans = refined.plans;
     statistics.max_footprint_px = plans.iter().map(|p| p.footprint_px).fold(0.0, f64::max);
-    PlacementResult { points, plans, pitch_bands_deg: ctx.directions.bands_deg.clone(), volume, statistics }
+    let beyond_budget: Vec<Aabb> = refined.beyond.iter().map(|b| b.eyes).collect();
+    let kept = without(&volume, &beyond_budget);
+    if let Some(most) = refined.beyond.iter().rev().max_by_key(|b| b.too_near.needed) {
+        statistics.beyond_budget_m2 = floor_m2(&volume) - floor_m2(&kept);
+        statistics.beyond_budget_needs = most.too_near.needed;
+        let ([x, y, z], needed) = (most.eyes.centre().to_array(), most.too_near.needed);
+        tracing::warn!(
+            "{:.0} m² of the walk volume, most near ({x:.2}, {y:.2}, {z:.2}), are left to coarse geometry, as up to {needed} triangles lie \
+             too near there for images within the budget of {}; a --budget of {} serves all",
+            statistics.beyond_budget_m2,
+            ctx.budget,
+            needed + needed / 2,
+        );
+    }
+    let pitch_bands_deg = ctx.directions.bands_deg.clone();
+    PlacementResult { points, plans, pitch_bands_deg, volume: kept, beyond_budget, statistics }
+}
+
+/// Floor of a walk volume, square metres.
+fn floor_m2(volume: &WalkVolume) -> f64 {
+    volume.boxes().map(|b| b.size().x * b.size().z).sum()
+}
+
+/// A walk volume without the boxes that touch one of `beyond`.
+pub fn without(volume: &WalkVolume, beyond: &[Aabb]) -> WalkVolume {
+    if beyond.is_empty() {
+        return volume.clone();
+    }
+    let kept: Vec<bool> = volume.boxes().map(|b| !beyond.iter().any(|o| o.intersects(&b))).collect();
+    volume.only(|number| kept[number])
 }
