@@ -105,7 +105,7 @@ fn view(dataset: &Dataset, pose: &Pose) -> View {
     let view = view_of(index, pose, &CAMERA, Method::Auto, &mut StageMs::default());
     let cache = Cache::new(Arc::clone(index), u64::MAX);
     for chunk in view.needed(index, &Sight::new(pose, &CAMERA, 1)).all() {
-        cache.insert(chunk, dataset.chunk(chunk).expect("readable")).expect("intact");
+        cache.insert(chunk, &dataset.chunk(chunk).expect("readable")).expect("intact");
     }
     let images = view.images.iter().filter_map(|i| cache.ldi(*i)).map(|ldi| PreparedLdi::new(&ldi)).collect();
     View { pose: *pose, images }

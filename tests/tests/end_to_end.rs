@@ -64,6 +64,17 @@ fn dataset_bytes(dataset: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     files
 }
 
+/// Copies every file of a dataset but the report; returns them.
+fn copy_dataset(from: &Path, to: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let files = dataset_bytes(from);
+    for (name, bytes) in &files {
+        let file = to.join(name);
+        std::fs::create_dir_all(file.parent().expect("has a folder")).expect("writable");
+        std::fs::write(file, bytes).expect("writable");
+    }
+    files
+}
+
 fn assert_same_dataset(a: &Path, b: &Path) {
     let (a, b) = (dataset_bytes(a), dataset_bytes(b));
     assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>());
@@ -307,6 +318,23 @@ fn a_build_that_ran_out_of_time_works_and_goes_on_to_the_same_bytes() {
     assert!(!dataset.join(".build").exists(), "pieces of images are kept only while some are missing");
 }
 
+/// Less memory than the scene takes: no abort, and no panic.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_build_without_memory_says_so() {
+    let out = folder("memory");
+    let build = run::show(server(&["build", "builtin:island?triangles=2000000", "--threads", "2"]).arg("-o"));
+    let program = run::bin_dir().expect("known").join("ldi-server");
+    let build = build.replacen("ldi-server", &program.display().to_string(), 1);
+    for kib in [300_000, 800_000] {
+        let mut c = Command::new("sh");
+        c.arg("-c").arg(format!("ulimit -v {kib}; exec {build} {}", out.join("dataset").display()));
+        let (code, said) = outcome(&c.output().expect("a shell"));
+        assert_eq!(code, Some(42), "{kib} KiB: {said}");
+        assert!(said.contains("out of memory") && said.contains("ulimit -v"), "{kib} KiB: {said}");
+    }
+}
+
 #[test]
 fn a_scene_without_rooms_is_left_to_the_grid() {
     let out = folder("no-rooms");
@@ -329,11 +357,7 @@ fn a_flipped_byte_is_named_and_the_walk_goes_on() {
     let f = fixture();
     let out = folder("flip");
     let damaged = out.join("dataset");
-    for (name, bytes) in dataset_bytes(&f.dataset) {
-        let to = damaged.join(name);
-        std::fs::create_dir_all(to.parent().expect("has a folder")).expect("writable");
-        std::fs::write(to, bytes).expect("writable");
-    }
+    copy_dataset(&f.dataset, &damaged);
     run::run(server(&["verify", damaged.to_str().expect("UTF-8")])).expect("a copy is whole");
     // A chunk that the walk needs: the first image of the placement that its first pose with images uses.
     let dataset = Dataset::open(&damaged).expect("opens");
@@ -369,6 +393,63 @@ fn a_flipped_byte_is_named_and_the_walk_goes_on() {
     assert_eq!((&report["summary"]["frames"], &report["summary"]["damaged_chunks"]), (&5.into(), &1.into()));
     assert!(report["summary"]["frames_incomplete"].as_u64() > Some(0), "{}", report["summary"]);
     assert!(report["summary"]["mean_triangles"].as_f64() > Some(0.0), "the rest is drawn");
+}
+
+/// Files of a dataset that is served are cut off and written again, as `cp` does it: what is in
+/// them is lacking until they are whole.
+#[test]
+fn a_server_outlives_a_pack_that_is_cut_off() {
+    let f = fixture();
+    let out = folder("cut-off");
+    let copy = out.join("dataset");
+    let whole = copy_dataset(&f.dataset, &copy);
+    let served = Server::start(&copy).expect("serves");
+    let packs = || whole.iter().filter(|(name, _)| name.to_string_lossy().ends_with(".bin"));
+    assert!(packs().count() > 0);
+    packs().for_each(|(name, bytes)| std::fs::write(copy.join(name), &bytes[..bytes.len() / 3]).expect("writable"));
+    // Ended before anybody waits for what does not come.
+    let mut c = run::command("ldi-client").expect("built");
+    c.args(["walk", &served.quic, "--fingerprint", &served.fingerprint, "--size", SIZE, "--path"]).arg(&f.poses);
+    c.arg("-o").arg(out.join("lacking")).arg("--report").arg(out.join("lacking.json")).output().expect("runs");
+    packs().for_each(|(name, bytes)| std::fs::write(copy.join(name), bytes).expect("writable"));
+    let report = walk(&served, f, &out, &[]);
+    assert_eq!((&report["summary"]["frames"], &report["summary"]["frames_incomplete"]), (&5.into(), &0.into()));
+}
+
+/// A server ends during a walk in real time, and another dataset comes at its address.
+#[test]
+fn a_walk_in_real_time_says_that_another_dataset_came() {
+    let f = fixture();
+    let out = folder("another");
+    let other = out.join("other");
+    let mut c = server(&["build", "--represent", "tree", "--budget", "50%"]);
+    run::run({
+        c.arg(&f.scene).arg("-o").arg(&other);
+        c
+    })
+    .expect("builds");
+    // The same places, slowly: there is time for a server to come and go.
+    let mut poses = json(&f.poses);
+    for (k, pose) in poses["poses"].as_array_mut().expect("poses").iter_mut().enumerate() {
+        pose["t"] = (20 * k).into();
+    }
+    let path = out.join("slow.json");
+    std::fs::write(&path, poses.to_string()).expect("writable");
+    let served = Server::start(&f.dataset).expect("serves");
+    let (at, fingerprint) = (served.quic.clone(), served.fingerprint.clone());
+    let mut c = run::command("ldi-client").expect("built");
+    c.args(["walk", &at, "--fingerprint", &fingerprint, "--size", SIZE, "--link", "rate=200kbit", "--path"]).arg(&path);
+    c.arg("-o").arg(out.join("frames")).arg("--report").arg(out.join("walk.json"));
+    let mut child = c.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
+    while !out.join("frames/frame_00000.png").exists() {
+        assert!(child.try_wait().expect("known").is_none(), "it ended before its first picture");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    drop(served);
+    let _other = Server::start_at(&other, &at).expect("serves at the same address");
+    assert_eq!(child.wait().expect("ends").code(), Some(1));
+    let lost = json(&out.join("walk.json"))["summary"]["lost"].clone();
+    assert!(lost.as_str().is_some_and(|l| l.contains("another dataset")), "{lost}");
 }
 
 #[test]

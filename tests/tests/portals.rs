@@ -357,7 +357,7 @@ fn the_audit_passes_the_dataset_and_finds_what_is_broken() {
     let counts: Vec<u64> = dataset.index().cells.iter().map(|c| u64::from(c.triangles)).collect();
     let camera_of = |image: u32| {
         let first = *dataset.index().images.get(image as usize)?.chunks.first()?;
-        ldi_protocol::codec::ldi::decode_first(dataset.chunk(first)?).ok().map(|ldi| ldi.camera)
+        ldi_protocol::codec::ldi::decode_first(&dataset.chunk(first).ok()?).ok().map(|ldi| ldi.camera)
     };
     let size = ldi_server::placement::AuditSize { random: 400, adversarial: 100 };
     let audit = |index: &ldi_protocol::index::Index| ldi_server::placement::audit(index, &counts, &camera_of, size, 3);

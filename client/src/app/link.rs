@@ -88,6 +88,8 @@ pub struct LinkFigures {
 
 struct Inner {
     state: LinkState,
+    /// Since when there has been no connection.
+    down_since: Option<Instant>,
     scene: Option<Scene>,
     connection: Option<Connection>,
     figures: LinkFigures,
@@ -143,6 +145,7 @@ impl Link {
     fn begin(first: Option<Connection>, config: ConnectConfig, changed: Box<dyn Fn() + Send>) -> std::io::Result<Self> {
         let inner = Arc::new(Mutex::new(Inner {
             state: if first.is_some() { LinkState::Up } else { LinkState::Connecting { attempt: 1, after: None } },
+            down_since: first.is_none().then(Instant::now),
             scene: first.as_ref().map(Scene::of),
             connection: None,
             figures: LinkFigures::default(),
@@ -159,6 +162,11 @@ impl Link {
     /// How the line is.
     pub fn state(&self) -> LinkState {
         lock(&self.inner).state.clone()
+    }
+
+    /// How long there has been no connection; None while there is one.
+    pub fn down_for(&self) -> Option<Duration> {
+        lock(&self.inner).down_since.map(|since| since.elapsed())
     }
 
     /// The dataset, once its index is here.
@@ -331,7 +339,12 @@ impl Keeper {
     }
 
     fn enter(&self, state: LinkState) {
-        lock(&self.inner).state = state;
+        {
+            let mut inner = lock(&self.inner);
+            let since = inner.down_since.unwrap_or_else(Instant::now);
+            inner.down_since = (state != LinkState::Up).then_some(since);
+            inner.state = state;
+        }
         (self.changed)();
     }
 

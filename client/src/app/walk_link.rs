@@ -3,7 +3,7 @@
 use super::link::{Link, LinkState, Scene};
 use crate::{
     cache::Incomplete,
-    engine::{Feed, Traffic},
+    engine::{Feed, LOST_FOR, Traffic},
     resident::Resident,
     stream::{ConnectConfig, Connection, Stats},
 };
@@ -18,8 +18,6 @@ use std::{
 
 /// What does not come for so long is asked for, unless the line is busy.
 const ASK_AFTER: Duration = Duration::from_millis(300);
-/// A line that is down for so long is not waited for any more: a server that is started again is up by then.
-const LOST_FOR: Duration = Duration::from_secs(30);
 /// Fewer bytes than these in that time are no progress: keep-alives and acknowledgements.
 const BUSY_BYTES: u64 = 4096;
 
@@ -93,23 +91,18 @@ impl Feed for WalkLink {
     fn wait_for(&self, chunks: &[u32], patience: Duration) -> Result<(), Incomplete> {
         let deadline = Instant::now() + patience;
         let mut received = self.link.stats().bytes_total;
-        let mut lost: Option<Instant> = None;
         loop {
             let stopped = self.stop.load(Ordering::Relaxed);
             let left = if stopped { Duration::ZERO } else { deadline.saturating_duration_since(Instant::now()) };
             match self.scene.cache.wait(chunks, left.min(ASK_AFTER)) {
                 Err(Incomplete::Timeout(missing)) if left > ASK_AFTER => {
-                    lost = None;
                     let before = std::mem::replace(&mut received, self.link.stats().bytes_total);
                     if received < before + BUSY_BYTES {
                         self.link.want(&missing);
                     }
                 }
-                Err(Incomplete::Disconnected(reason)) if left > ASK_AFTER => {
-                    if lost.get_or_insert_with(Instant::now).elapsed() > LOST_FOR {
-                        return Err(Incomplete::Disconnected(reason));
-                    }
-                    if let Some(reason) = self.in_vain() {
+                Err(Incomplete::Disconnected(_)) if left > ASK_AFTER => {
+                    if let Some(reason) = self.lost(LOST_FOR) {
                         return Err(Incomplete::Disconnected(reason));
                     }
                     std::thread::sleep(ASK_AFTER);
@@ -117,6 +110,11 @@ impl Feed for WalkLink {
                 end => return end,
             }
         }
+    }
+    fn lost(&self, patience: Duration) -> Option<String> {
+        let down_too_long = || self.link.down_for().is_some_and(|down| down > patience);
+        let reason = || self.scene.cache.disconnected().unwrap_or_else(|| "there is no connection".into());
+        self.in_vain().or_else(|| down_too_long().then(reason))
     }
     fn holds(&self, chunk: u32) -> bool {
         self.scene.cache.holds(chunk)

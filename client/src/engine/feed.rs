@@ -8,6 +8,10 @@ use crate::{
 use ldi_protocol::{Pose, index::Index, ldi::Ldi, mesh::CellGeometry, need::Needed, texture::Texture, tree::Brood};
 use std::{sync::Arc, time::Duration};
 
+/// A line that is down for so long is not waited for any more: a server that is started again is up
+/// by then.
+pub const LOST_FOR: Duration = Duration::from_secs(30);
+
 /// What came over the line so far.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Traffic {
@@ -23,6 +27,8 @@ pub struct Traffic {
     pub cache_peak_bytes: u64,
     /// Chunks that came damaged until they were given up.
     pub damaged_chunks: usize,
+    /// Chunks received, or read from the disk.
+    pub chunks: u64,
 }
 
 impl Traffic {
@@ -35,6 +41,7 @@ impl Traffic {
             mbit_per_s_p99_1s: stats.mbit_per_s_p99_1s,
             cache_peak_bytes: cache.usage().peak_bytes,
             damaged_chunks: cache.damaged(),
+            chunks: stats.chunks + stats.disk_chunks,
         }
     }
 }
@@ -59,6 +66,10 @@ pub trait Feed: Resident {
     ///
     /// What is missing and why. Unless the connection is gone, a frame can be drawn without it.
     fn wait_for(&self, chunks: &[u32], patience: Duration) -> Result<(), Incomplete>;
+
+    /// Why nothing comes any more: there has been no connection for `patience`, or connecting again
+    /// does not help.
+    fn lost(&self, patience: Duration) -> Option<String>;
 
     /// Whether a chunk is resident, decoded.
     fn holds(&self, chunk: u32) -> bool;
@@ -105,6 +116,9 @@ impl Feed for Connection {
     }
     fn wait_for(&self, chunks: &[u32], patience: Duration) -> Result<(), Incomplete> {
         self.wait_until_complete(chunks, patience)
+    }
+    fn lost(&self, _: Duration) -> Option<String> {
+        self.cache().disconnected()
     }
     fn holds(&self, chunk: u32) -> bool {
         self.cache().holds(chunk)

@@ -26,7 +26,7 @@ mod views;
 mod walk;
 mod workshop;
 
-pub use feed::{Feed, Traffic};
+pub use feed::{Feed, LOST_FOR, Traffic};
 pub use hand::{PaintError, Renderer};
 pub use judge::{JudgeError, Truth, Verdict, pictures_of};
 pub use landing::Ahead;

@@ -6,7 +6,7 @@
 
 use super::{
     baseline,
-    feed::{Feed, Traffic},
+    feed::{Feed, LOST_FOR, Traffic},
     hand::PaintError,
     judge::{JudgeError, Truth, Verdict},
     options::{Pace, WalkOptions},
@@ -30,7 +30,8 @@ use std::{
 };
 
 /// How long a frame of `--pace wait` waits before it is drawn without the rest: a view of some 20 MB over a slow line of
-/// 2 Mbit/s takes a minute and a half; after twice that something is wrong.
+/// 2 Mbit/s takes a minute and a half; after twice that something is wrong. Where no chunk at all
+/// comes in that time the walk ends.
 pub(super) const PATIENCE: Duration = Duration::from_secs(180);
 
 /// A hole share below this and a FLIP of at most [`USEFUL_FLIP`] make a frame useful.
@@ -139,6 +140,8 @@ struct Walker<'a> {
     totals: WalkTotals,
     /// Chunks that were resident for some frame that wanted them.
     held_before: Vec<bool>,
+    /// Chunks that had come, and when one came last or none was lacking.
+    came: (u64, Instant),
 }
 
 /// Walks, with whatever `painter` draws on. Returns the summary and the kept frames.
@@ -177,6 +180,7 @@ pub fn run(
             ..WalkTotals::default()
         },
         held_before: vec![false; index.chunks.len()],
+        came: (0, Instant::now()),
     };
     std::thread::scope(|scope| {
         // A few frames in flight: the disk may hiccup, memory must not grow.
@@ -232,8 +236,10 @@ impl Walker<'_> {
         let step = if options.pace == Pace::Wait { every } else { 1 };
         let poses = &self.job.path.poses;
         let total = poses.len().div_ceil(step);
-        self.wait_for_a_picture();
+        self.wait_for_a_picture()?;
         let start = Instant::now();
+        self.came.1 = start;
+        let mut lacks = false;
         let mut frame = Frame::default();
         for (done, at) in (0..poses.len()).step_by(step).enumerate() {
             let (t_s, pose) = (poses[at].t_s, poses[at].pose);
@@ -263,6 +269,7 @@ impl Walker<'_> {
             self.totals.unpainted_fraction_max = self.totals.unpainted_fraction_max.max(unpainted);
             let traffic = self.feed.traffic();
             let complete = painted.is_complete();
+            lacks = !complete;
             self.totals.ms_first_frame.get_or_insert(traffic.elapsed_s * 1e3);
             if complete && self.totals.ms_full_quality.is_none() {
                 self.totals.ms_full_quality = Some(traffic.elapsed_s * 1e3);
@@ -278,20 +285,42 @@ impl Walker<'_> {
                 }
             }
         }
+        // Nobody waits for a line at the end of a walk.
+        if lacks && options.pace == Pace::Realtime && self.totals.lost.is_none() && !self.job.stopped() {
+            let none = || (self.feed.traffic().chunks == 0).then(|| "no chunk has come".to_owned());
+            if let Some(reason) = self.feed.lost(Duration::ZERO).or_else(none) {
+                self.lose(poses.len() - 1, reason)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The walk ends at this pose, as nothing comes any more.
+    fn lose(&mut self, at: usize, reason: String) -> Result<(), WalkError> {
+        if self.kept.is_empty() {
+            // With nothing to report, that is all there is to say.
+            return Err(WalkError::Disconnected { pose: at, reason });
+        }
+        self.totals.lost = Some(format!("the connection was lost at pose {at}: {reason}"));
         Ok(())
     }
 
     /// A walk that does not wait for the network waits for its first picture: for the coarsest level of the LDI tree. Time counts from the connection on.
-    fn wait_for_a_picture(&mut self) {
+    fn wait_for_a_picture(&mut self) -> Result<(), WalkError> {
         let index = self.feed.index();
         if let (Some(tree), Some(first)) = (&index.tree, self.job.path.poses.first()) {
             let view = view_of(index, &first.pose, &self.camera, self.job.options.method, &mut StageMs::default());
             let sight = Sight::new(&first.pose, &self.camera, self.job.options.supersample);
             self.feed.look(&first.pose, &view.needed_within(index, &sight, self.feed.cap_bytes()));
-            if let Err(e) = self.feed.wait_for(&[tree.root_chunk], PATIENCE) {
-                tracing::warn!("the first picture: {e}");
+            match self.feed.wait_for(&[tree.root_chunk], PATIENCE) {
+                Err(Incomplete::Timeout(_)) if self.feed.traffic().chunks == 0 && !self.job.stopped() => {
+                    return Err(WalkError::Disconnected { pose: 0, reason: none_came() });
+                }
+                Err(e) => tracing::warn!("the first picture: {e}"),
+                Ok(()) => {}
             }
         }
+        Ok(())
     }
 
     /// Asks for what a view needs, and for `--pace wait` waits for it.
@@ -310,21 +339,10 @@ impl Walker<'_> {
             }
         }
         self.feed.look(&self.job.path.poses[at].pose, &view_needs);
-        if self.job.options.pace == Pace::Wait {
-            match self.feed.wait_for(&needed, PATIENCE) {
-                Ok(()) => {}
-                // What comes no more is no matter, nor is what did not come yet.
-                Err(_) if self.job.stopped() => {}
-                // With nothing to report, that is all there is to say.
-                Err(Incomplete::Disconnected(reason)) if self.kept.is_empty() => {
-                    return Err(WalkError::Disconnected { pose: at, reason });
-                }
-                Err(Incomplete::Disconnected(reason)) => {
-                    self.totals.lost = Some(format!("the connection was lost at pose {at}: {reason}"));
-                }
-                // The frame is drawn without it and the report says so.
-                Err(incomplete) => tracing::warn!("pose {at}: {incomplete}"),
-            }
+        if let Some(reason) = self.lost_while_waiting(&needed, at)
+            && !self.job.stopped()
+        {
+            self.lose(at, reason)?;
         }
         for chunk in &needed {
             if self.feed.holds(*chunk)
@@ -334,6 +352,31 @@ impl Walker<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Why nothing comes any more of what a frame lacks; for `--pace wait` after waiting for it.
+    fn lost_while_waiting(&mut self, needed: &[u32], at: usize) -> Option<String> {
+        let before = self.feed.traffic().chunks;
+        if self.job.options.pace == Pace::Wait {
+            return match self.feed.wait_for(needed, PATIENCE) {
+                Ok(()) => None,
+                Err(Incomplete::Disconnected(reason)) => Some(reason),
+                Err(Incomplete::Timeout(_)) if self.feed.traffic().chunks == before => Some(none_came()),
+                // The frame is drawn without it and the report says so; who stops waits for
+                // nothing.
+                Err(_) if self.job.stopped() => None,
+                Err(incomplete) => {
+                    tracing::warn!("pose {at}: {incomplete}");
+                    None
+                }
+            };
+        }
+        let lacks = needed.iter().any(|c| !self.feed.holds(*c));
+        if !lacks || before != self.came.0 {
+            self.came = (before, Instant::now());
+        }
+        let starved = || (lacks && self.came.1.elapsed() > PATIENCE).then(none_came);
+        self.feed.lost(LOST_FOR).filter(|_| lacks).or_else(starved)
     }
 
     fn keep(
@@ -442,6 +485,11 @@ impl Walker<'_> {
             self.totals.bytes_first_useful_frame = Some(first.report.bytes_received);
         }
     }
+}
+
+/// Why a walk ends over a line that is up.
+fn none_came() -> String {
+    format!("no chunk has come for {} s", PATIENCE.as_secs())
 }
 
 /// The name of a frame that shows these images of portals.

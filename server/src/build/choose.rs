@@ -5,15 +5,14 @@
 //! 3. The samples that a tree would need are estimated from how near eyes come to every part of the scene. If they take more bytes than the images, that is all.
 //! 4. Otherwise the tree is built, what samples it has at the probed points is looked up, and how many of them an eye draws is counted.
 
-use super::{BuildError, BuildOptions, images};
+use super::{BuildError, BuildOptions, images, kept_tree::Ground};
 use crate::pack::PackError;
 use crate::placement::{ImagePlan, PlacementPlan};
 use crate::render::Caster;
 use crate::scene::Note;
 use crate::store::DatasetWriter;
-use crate::tree::{self, BuiltTree, Depth, Places, Probes};
+use crate::tree::{BuiltTree, Depth, Probes};
 use ldi_protocol::{
-    Aabb,
     codec::ColourProfile,
     index::{BuildSettings, CellEntry},
     volume::WalkVolume,
@@ -119,15 +118,11 @@ pub(super) fn megabytes(bytes: u64) -> String {
 /// What there is to weigh.
 pub struct Candidates<'a> {
     pub caster: &'a Caster,
-    pub bounds: Aabb,
-    pub places: &'a Places,
+    pub ground: &'a Ground<'a>,
     pub volume: &'a WalkVolume,
     pub cells: &'a [CellEntry],
     pub plans: &'a [PlacementPlan],
     pub settings: &'a BuildSettings,
-    pub scene_key: &'a [u8; 32],
-    /// Number of the tree's first chunk.
-    pub first_chunk: u32,
 }
 
 /// Weighs images against a tree. The tree comes with it if it is chosen.
@@ -142,7 +137,7 @@ pub fn weigh(
     let probes = Probes::take(c.caster, c.volume, c.cells, c.settings);
     let needed = probes.needed_pitch_m(bound, focal_px, BEYOND);
     heard(&format!("images of some of {} placements, to tell what all take", c.plans.len()));
-    let images = ImageBytes::expected(c.caster, c.plans, c.settings, options.colour, c.scene_key, writer)?;
+    let images = ImageBytes::expected(c.caster, c.plans, c.settings, options.colour, c.ground.scene_key, writer)?;
     let images_bytes = images.all;
     let mut found = Weighing {
         chosen: "grid",
@@ -160,7 +155,7 @@ pub fn weigh(
         found.why = "no probed eye sees anything beyond the geometry that it draws".into();
         return Ok((found, None));
     };
-    let samples = c.places.samples_at(bound, focal_px, pitch_m);
+    let samples = c.ground.places.samples_at(bound, focal_px, pitch_m);
     found.tree_bytes_expected = (samples * BYTES_PER_SAMPLE) as u64;
     let images_take = megabytes(images_bytes);
     let expected = format!(
@@ -179,10 +174,10 @@ pub fn weigh(
         return Ok((found, None));
     }
     heard(&format!("{expected}: it is tried"));
-    let pixels_per_side = (MAX_PIXELS / (6 * c.places.positions.len().max(1)) as f64).sqrt();
+    let pixels_per_side = (MAX_PIXELS / (6 * c.ground.places.positions.len().max(1)) as f64).sqrt();
     let side = (2.0 * focal_px / bound).clamp(SIDES[0], SIDES[1]).min(pixels_per_side) as u32;
     let depth = Depth::Fine { pitch_m, side };
-    let Some(built) = tree::build_tree(c.caster, &c.bounds, c.places, depth, c.first_chunk, heard)? else {
+    let Some(built) = c.ground.tree(depth, writer, heard)? else {
         found.why = "no reference sees any surface".into();
         return Ok((found, None));
     };

@@ -1,6 +1,7 @@
 //! Names of unfinished work: what an image depends on, hashed, so that a resumed build takes only what is still right.
 
 use crate::scene::Scene;
+use crate::tree::Places;
 use ldi_protocol::index::BuildSettings;
 
 /// Raised whenever construction or coding gives other bytes for the same input.
@@ -41,6 +42,17 @@ pub fn scene_key(scene: &Scene) -> [u8; 32] {
         }
     }
     h.update(format!("{:?}", scene.materials).as_bytes());
+    *h.finalize().as_bytes()
+}
+
+/// Key of an LDI tree that depends on a scene, the places of its references and `how` alone.
+pub fn tree_key(scene: &[u8; 32], how: &dyn std::fmt::Debug, places: &Places) -> [u8; 32] {
+    let mut h = blake3::Hasher::new();
+    h.update(&VERSION.to_le_bytes());
+    h.update(scene);
+    let Places { positions, outside, candidates, coverage, area_m2, rays, .. } = places;
+    let places = (positions, outside, candidates, coverage, area_m2, rays);
+    h.update(format!("tree {how:?} {places:?}").as_bytes());
     *h.finalize().as_bytes()
 }
 

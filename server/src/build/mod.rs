@@ -13,6 +13,7 @@ mod choose_rooms;
 mod dry_run;
 mod forecast;
 mod images;
+mod kept_tree;
 mod key;
 mod references;
 mod report;
@@ -542,21 +543,25 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     progress.stage("reference positions of the LDI tree", 0);
     let places = tree::choose(&caster, &plan.volume, &scene.bounds());
     heard(&format!("{} of {} candidates", places.positions.len(), places.candidates));
-    let first_tree_chunk = chunks.len() as u32;
+    let bounds = scene.bounds();
+    let ground = kept_tree::Ground {
+        caster: &caster,
+        bounds: &bounds,
+        places: &places,
+        scene_key: &scene_key,
+        first_chunk: chunks.len() as u32,
+    };
     let mut built = None;
     let mut weighing = None;
     if options.represent == Represent::Smaller && !plan.plans.is_empty() {
         progress.stage("images or the LDI tree alone", 0);
         let candidates = choose::Candidates {
             caster: &caster,
-            bounds: scene.bounds(),
-            places: &places,
+            ground: &ground,
             volume: &plan.volume,
             cells: &geometry.cells,
             plans: &plan.plans,
             settings: &settings,
-            scene_key: &scene_key,
-            first_chunk: first_tree_chunk,
         };
         let (found, tree) = choose::weigh(&candidates, options, &writer, &heard)?;
         heard(&format!("{}: {}", found.chosen, found.why));
@@ -633,7 +638,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
             Represent::Tree { pitch_m, side } => Depth::Fine { pitch_m, side },
             _ => Depth::Base,
         };
-        built = tree::build_tree(&caster, &scene.bounds(), &places, depth, first_tree_chunk, &heard)?;
+        built = ground.tree(depth, &writer, &heard)?;
     }
     let (tree, tree_figures) = match built {
         Some(BuiltTree { tree, chunks: of_tree, figures }) => {

@@ -296,10 +296,7 @@ fn verify(a: &VerifyArgs) -> Result<(), Failure> {
         if !found.all_known {
             print("chunks were not looked at: their list lies in what is damaged")?;
         }
-        return Err(Failure::permanent(anyhow!(
-            "{} faults; build the dataset again, or copy the named files once more",
-            found.faults.len()
-        )));
+        return Err(Failure::permanent(anyhow!("{} faults; {}", found.faults.len(), store::REPLACE)));
     }
     let dataset = open(&a.dataset)?;
     let ranges = dataset.source_ranges().map_err(|e| Failure::of(e.permanent(), e))?;
@@ -324,7 +321,7 @@ fn verify(a: &VerifyArgs) -> Result<(), Failure> {
     };
     let camera_of = |image: u32| {
         let first = *index.images.get(image as usize)?.chunks.first()?;
-        ldi_protocol::codec::ldi::decode_first(dataset.chunk(first)?).ok().map(|ldi| ldi.camera)
+        ldi_protocol::codec::ldi::decode_first(&dataset.chunk(first).ok()?).ok().map(|ldi| ldi.camera)
     };
     let report = placement::audit(index, &counts, &camera_of, audit_size(a.poses, a.adversarial), a.seed);
     let json = serde_json::to_value(&report).map_err(Failure::permanent)?;

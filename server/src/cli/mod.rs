@@ -1,10 +1,12 @@
 //! The commands of `ldi-server`: from arguments to stages, from results to stdout, from errors to exit codes.
 
+mod allocator;
 mod args;
 mod commands;
 mod progress;
 mod rooms;
 
+pub use allocator::ExitingAllocator;
 pub use args::size;
 
 use clap::Parser as _;
@@ -45,6 +47,14 @@ impl Failure {
     }
 }
 
+/// Packs stay open as long as their dataset: a large one has more than the usual limit allows.
+fn raise_file_limit() {
+    use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+    let limit = getrlimit(Resource::Nofile);
+    // Without it an error says that there are too many open files.
+    let _ = setrlimit(Resource::Nofile, Rlimit { current: limit.maximum, ..limit });
+}
+
 /// Runs the command line; returns the exit code.
 pub fn main() -> ExitCode {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn".into());
@@ -54,6 +64,7 @@ pub fn main() -> ExitCode {
         .with_ansi(std::io::stderr().is_terminal())
         .init();
     let cli = args::Cli::parse();
+    raise_file_limit();
     match commands::run(cli.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(f) => {

@@ -425,7 +425,6 @@ impl Session {
 
     fn push_one(&mut self, order: Order) {
         let Some(bytes) = self.shared.served.chunk(order.chunk) else {
-            tracing::error!(chunk = order.chunk, "cannot be read; check the dataset with `ldi-server verify`");
             self.unreadable.push(order.chunk);
             return self.planner.sent(order.chunk);
         };

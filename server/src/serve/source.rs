@@ -1,14 +1,18 @@
 //! Where the server's bytes come from: the dataset on disk, or one in memory in tests.
 
+use crate::store::{Dataset, StoreError};
 use bytes::Bytes;
 use ldi_protocol::{
     index::{ChunkHash, Index},
     manifest,
     select::CellGroups,
 };
-use std::{collections::HashMap, sync::Arc};
+use std::{
+    collections::{BTreeSet, HashMap},
+    sync::{Arc, Mutex, PoisonError},
+};
 
-/// A dataset that can be served. All bytes are handed out as stored.
+/// A dataset that can be served. All bytes are handed out as stored, and only if they are intact.
 pub trait ChunkSource: Send + Sync + 'static {
     /// The decoded manifest.
     fn index(&self) -> &Arc<Index>;
@@ -16,13 +20,19 @@ pub trait ChunkSource: Send + Sync + 'static {
     fn root(&self) -> &[u8];
     /// Number of pages.
     fn pages(&self) -> u32;
-    /// A page; None beyond the last one or when it cannot be read.
-    fn page(&self, number: u32) -> Option<&[u8]>;
-    /// A chunk; None beyond the last one or when it cannot be read.
-    fn chunk(&self, number: u32) -> Option<&[u8]>;
+    /// A page.
+    ///
+    /// # Errors
+    /// If there is none of this number, or it cannot be read as it was written.
+    fn page(&self, number: u32) -> Result<Bytes, StoreError>;
+    /// A chunk.
+    ///
+    /// # Errors
+    /// If there is none of this number, or it cannot be read as it was written.
+    fn chunk(&self, number: u32) -> Result<Bytes, StoreError>;
 }
 
-impl ChunkSource for crate::store::Dataset {
+impl ChunkSource for Dataset {
     fn index(&self) -> &Arc<Index> {
         self.index()
     }
@@ -32,10 +42,10 @@ impl ChunkSource for crate::store::Dataset {
     fn pages(&self) -> u32 {
         self.pages()
     }
-    fn page(&self, number: u32) -> Option<&[u8]> {
+    fn page(&self, number: u32) -> Result<Bytes, StoreError> {
         self.page(number)
     }
-    fn chunk(&self, number: u32) -> Option<&[u8]> {
+    fn chunk(&self, number: u32) -> Result<Bytes, StoreError> {
         self.chunk(number)
     }
 }
@@ -48,20 +58,8 @@ pub struct Served {
     groups: Arc<CellGroups>,
     /// Pages in the order of sending, and how many of them are enough for a first picture.
     pages: (Vec<u32>, usize),
-}
-
-/// A slice of the source that keeps the source alive: sent without a copy.
-struct Slice {
-    source: Arc<dyn ChunkSource>,
-    number: u32,
-    page: bool,
-}
-
-impl AsRef<[u8]> for Slice {
-    fn as_ref(&self) -> &[u8] {
-        let bytes = if self.page { self.source.page(self.number) } else { self.source.chunk(self.number) };
-        bytes.unwrap_or_default()
-    }
+    /// Pages and chunks that could not be read, so that each is logged once.
+    unreadable: Mutex<BTreeSet<(bool, u32)>>,
 }
 
 impl Served {
@@ -73,7 +71,7 @@ impl Served {
         let tree = source.index().tree.as_ref();
         let pages = manifest::decode_root(source.root()).map_or_else(|_| all(), |root| root.sending_order(tree));
         let groups = Arc::new(CellGroups::of(&source.index().cells));
-        Self { source, hash, numbers, groups, pages }
+        Self { source, hash, numbers, groups, pages, unreadable: Mutex::default() }
     }
     /// BLAKE3 of the manifest's root.
     pub fn hash(&self) -> ChunkHash {
@@ -99,15 +97,24 @@ impl Served {
     pub fn number_of(&self, name: &ChunkHash) -> Option<u32> {
         self.numbers.get(name).copied()
     }
-    /// A chunk's bytes.
+    /// A chunk's bytes; None if there is none of this number, or it cannot be read, which is
+    /// logged.
     pub fn chunk(&self, number: u32) -> Option<Bytes> {
-        self.source.chunk(number)?;
-        Some(Bytes::from_owner(Slice { source: self.source.clone(), number, page: false }))
+        self.source.chunk(number).map_err(|e| self.log_unreadable((false, number), &e)).ok()
     }
-    /// A page's bytes.
+    /// A page's bytes; None as with chunks.
     pub fn page(&self, number: u32) -> Option<Bytes> {
-        self.source.page(number)?;
-        Some(Bytes::from_owner(Slice { source: self.source.clone(), number, page: true }))
+        self.source.page(number).map_err(|e| self.log_unreadable((true, number), &e)).ok()
+    }
+
+    fn log_unreadable(&self, which: (bool, u32), error: &StoreError) {
+        metrics::counter!("ldi_unreadable_total").increment(1);
+        // A client may ask for any number, which is no fault of the dataset.
+        let is_fault = !matches!(error, StoreError::NoSuch { .. });
+        let mut logged = self.unreadable.lock().unwrap_or_else(PoisonError::into_inner);
+        if is_fault && logged.insert(which) {
+            tracing::error!("{error}");
+        }
     }
 }
 

@@ -1,30 +1,37 @@
 //! A dataset opened for reading.
 
-use super::{StoreError, files, map::map_pack, source};
+use super::{
+    StoreError,
+    files::{self, DataFiles},
+    folder,
+    packs::{self, Pack},
+    report, source,
+};
 use crate::octree::SourceRange;
+use bytes::Bytes;
 use ldi_protocol::{
-    codec::CodecError,
     index::{ChunkHash, Index},
     manifest::{
         self, Root,
         layout::{Layout, Location},
     },
 };
-use memmap2::Mmap;
 use std::{
     path::{Path, PathBuf},
     sync::Arc,
 };
 
-/// A complete dataset: its manifest decoded and checked, its packs mapped. Chunk contents are not read until asked for; whether
-/// they are intact is for [`verify`](super::verify()) to say, and for the receiver, by their hashes.
+/// A complete dataset: its manifest decoded and checked, its packs opened. A page or a chunk is
+/// read and checked when it is asked for: whatever happens to the files, it is what the manifest
+/// names, or an error.
 #[derive(Debug)]
 pub struct Dataset {
     path: PathBuf,
     root_bytes: Vec<u8>,
     root: Root,
     index: Arc<Index>,
-    packs: Vec<Mmap>,
+    files: DataFiles,
+    packs: Vec<Pack>,
     layout: Layout,
     pages: Vec<Location>,
     chunks: Vec<Location>,
@@ -39,7 +46,7 @@ pub(super) fn read_root(path: &Path) -> Result<(Vec<u8>, PathBuf), StoreError> {
     let manifest = path.join(files::MANIFEST);
     match files::read_if_there(&manifest, manifest::MAX_ROOT_BYTES as u64)? {
         Some(bytes) => Ok((bytes, manifest)),
-        None if path.join(files::WORK).is_dir() => {
+        None if path.join(files::WORK).is_dir() || folder::is_marked(path)? => {
             Err(not("its build was not finished; run the same `ldi-server build` again, it goes on where it was"))
         }
         None => Err(not("it has no manifest; name a directory that `ldi-server build` made")),
@@ -54,19 +61,37 @@ impl Dataset {
     pub fn open(path: &Path) -> Result<Self, StoreError> {
         let (root_bytes, manifest_path) = read_root(path)?;
         let root = manifest::decode_root(&root_bytes).map_err(StoreError::format(&manifest_path))?;
+        let files = DataFiles::find(path, &root.hash);
+        let packs = packs::open_all(&files)?;
         let mut layout = Layout::default();
         let pages = layout.place_pages(&root.pages);
         // The chunk table, and with it the length of the packs, is known once the pages are read.
-        let page_bytes = pages.iter().map(|l| read_part(path, l)).collect::<Result<Vec<_>, _>>()?;
+        let read = |(number, (location, entry))| read((&files, &packs), ("page", number), location, entry);
+        let hashes = root.pages.iter().map(|p| &p.hash);
+        let page_bytes = (0..).zip(pages.iter().zip(hashes)).map(read).collect::<Result<Vec<_>, _>>()?;
         let index = manifest::assemble(&root, &page_bytes).map_err(StoreError::format(&manifest_path))?;
         let chunks = layout.place_chunks(&index.chunks);
-        let packs = layout
-            .pack_bytes()
-            .iter()
-            .enumerate()
-            .map(|(k, &bytes)| map_pack(&files::pack_path(path, k), bytes))
-            .collect::<Result<_, _>>()?;
-        Ok(Self { path: path.to_owned(), root_bytes, root, index: Arc::new(index), packs, layout, pages, chunks })
+        for (number, &expected) in layout.pack_bytes().iter().enumerate() {
+            match packs.get(number) {
+                None => return Err(StoreError::NoPack { path: files.pack(number) }),
+                Some(pack) if pack.bytes() != expected => {
+                    let (path, found) = (pack.path().to_owned(), pack.bytes());
+                    return Err(StoreError::PackLength { path, found, expected });
+                }
+                Some(_) => {}
+            }
+        }
+        Ok(Self {
+            path: path.to_owned(),
+            root_bytes,
+            root,
+            index: Arc::new(index),
+            files,
+            packs,
+            layout,
+            pages,
+            chunks,
+        })
     }
 
     /// Its directory.
@@ -98,49 +123,51 @@ impl Dataset {
         self.layout.pack_bytes()
     }
 
-    /// A page as stored and sent; None beyond the last.
-    pub fn page(&self, number: u32) -> Option<&[u8]> {
-        self.at(self.pages.get(number as usize)?)
+    /// A page as stored and sent.
+    ///
+    /// # Errors
+    /// If there is none of this number, or its file was damaged or changed.
+    pub fn page(&self, number: u32) -> Result<Bytes, StoreError> {
+        let at = self.pages.get(number as usize).zip(self.root.pages.get(number as usize));
+        let (location, entry) = at.ok_or(StoreError::NoSuch { what: "page", number })?;
+        self.read(("page", number), location, &entry.hash)
     }
-    /// A chunk as stored and sent; None beyond the last.
-    pub fn chunk(&self, number: u32) -> Option<&[u8]> {
-        self.at(self.chunks.get(number as usize)?)
-    }
-    /// A page or chunk by name.
-    pub fn by_hash(&self, hash: &ChunkHash) -> Option<&[u8]> {
-        self.at(&self.layout.find(hash)?)
+    /// A chunk as stored and sent.
+    ///
+    /// # Errors
+    /// If there is none of this number, or its file was damaged or changed.
+    pub fn chunk(&self, number: u32) -> Result<Bytes, StoreError> {
+        let at = self.chunks.get(number as usize).zip(self.index.chunks.get(number as usize));
+        let (location, entry) = at.ok_or(StoreError::NoSuch { what: "chunk", number })?;
+        self.read(("chunk", number), location, &entry.hash)
     }
     /// The triangles of the source scene in each cell; None when the dataset does not say.
     ///
     /// # Errors
     /// If the file is damaged.
     pub fn source_ranges(&self) -> Result<Option<Vec<Vec<SourceRange>>>, StoreError> {
-        source::read(&self.path)
+        source::read(self.files.source())
     }
-    /// The build's report; None when it is missing or no JSON.
+    /// The build's report; None when it is missing, damaged, or of another dataset.
     pub fn report(&self) -> Option<serde_json::Value> {
-        let bytes = files::read_if_there(&self.path.join(files::REPORT), 64 << 20).ok()??;
-        serde_json::from_slice(&bytes).ok()
+        let report = report::read(&self.path, !self.files.are_old()).ok()??;
+        report::is_of(&report, &self.root.hash).then_some(report)
     }
 
-    fn at(&self, l: &Location) -> Option<&[u8]> {
-        let start = usize::try_from(l.offset).ok()?;
-        self.packs.get(l.pack as usize)?.get(start..start.checked_add(l.bytes as usize)?)
+    fn read(&self, what: (&'static str, u32), at: &Location, hash: &ChunkHash) -> Result<Bytes, StoreError> {
+        read((&self.files, &self.packs), what, at, hash).map(Bytes::from)
     }
 }
 
-/// Reads a page before the packs are mapped.
-pub(super) fn read_part(dataset: &Path, l: &Location) -> Result<Vec<u8>, StoreError> {
-    use std::io::{Read, Seek, SeekFrom};
-    let path = files::pack_path(dataset, l.pack as usize);
-    let mut file = std::fs::File::open(&path).map_err(StoreError::io(&path, "open it"))?;
-    file.seek(SeekFrom::Start(l.offset)).map_err(StoreError::io(&path, "read it"))?;
-    let mut bytes = Vec::new();
-    file.take(l.bytes.into()).read_to_end(&mut bytes).map_err(StoreError::io(&path, "read it"))?;
-    if bytes.len() == l.bytes as usize {
-        Ok(bytes)
-    } else {
-        let source = CodecError::Truncated { field: "page", missing: l.bytes as usize - bytes.len() };
-        Err(StoreError::Format { path, source })
-    }
+/// Reads a page or a chunk and checks it.
+fn read(
+    (files, packs): (&DataFiles, &[Pack]),
+    (what, number): (&'static str, u32),
+    at: &Location,
+    hash: &ChunkHash,
+) -> Result<Vec<u8>, StoreError> {
+    let path = || files.pack(at.pack as usize);
+    let pack = packs.get(at.pack as usize).ok_or_else(|| StoreError::NoPack { path: path() })?;
+    let damaged = |why| StoreError::Damaged { path: path(), what, number, offset: at.offset, why };
+    pack.read(at, hash).map_err(damaged)
 }

@@ -3,6 +3,10 @@
 use ldi_protocol::codec::CodecError;
 use std::path::{Path, PathBuf};
 
+/// What to do about a damaged file. Files of a dataset that is served are not to be overwritten:
+/// walkers would lack what is in them.
+pub(crate) const REPLACE: &str = "build the dataset again, or copy all of it into a new folder and serve that";
+
 /// A failure to write, open or read a dataset. Every message names the file and the remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
@@ -14,6 +18,55 @@ pub enum StoreError {
         /// What is missing, and what to do.
         why: &'static str,
     },
+    /// A build does not write there.
+    #[error("{}: not written to: {why}", path.display())]
+    NotOurs {
+        /// The directory or file.
+        path: PathBuf,
+        /// Why not, and what to do.
+        why: String,
+    },
+    /// The disk has no room for the dataset.
+    #[error(
+        "{}: the disk has {free} bytes left, and the dataset takes up to {needed}; make room and run the same build again, it goes on \
+         where it was (what was there before stays until then)", path.display()
+    )]
+    NoSpace {
+        /// The directory.
+        path: PathBuf,
+        /// Bytes that the files take at most.
+        needed: u64,
+        /// Bytes that may be written.
+        free: u64,
+    },
+    /// A pack is missing.
+    #[error("{}: the file is missing: {REPLACE}", path.display())]
+    NoPack {
+        /// The pack.
+        path: PathBuf,
+    },
+    /// There is no page or chunk of this number.
+    #[error("there is no {what} {number}")]
+    NoSuch {
+        /// Page or chunk.
+        what: &'static str,
+        /// Its number.
+        number: u32,
+    },
+    /// A page or a chunk cannot be read as it was written.
+    #[error("{}: {what} {number} at byte {offset}: {why}; the file was damaged or changed: {REPLACE}", path.display())]
+    Damaged {
+        /// The pack.
+        path: PathBuf,
+        /// Page or chunk.
+        what: &'static str,
+        /// Its number.
+        number: u32,
+        /// First byte of it in the pack.
+        offset: u64,
+        /// What is wrong.
+        why: String,
+    },
     /// A file of the dataset cannot be decoded: damaged, or of another version.
     #[error("{}: {source}", path.display())]
     Format {
@@ -23,7 +76,7 @@ pub enum StoreError {
         source: CodecError,
     },
     /// A pack is not as long as the manifest says.
-    #[error("{}: {found} bytes, but the manifest says {expected}; the file was damaged or cut off: copy it again, or build the dataset again", path.display())]
+    #[error("{}: {found} bytes, but the manifest says {expected}; the file was damaged or cut off: {REPLACE}", path.display())]
     PackLength {
         /// The pack.
         path: PathBuf,
@@ -62,9 +115,15 @@ impl StoreError {
     /// Whether trying again cannot help: the dataset is damaged, not there, or of another version.
     pub fn permanent(&self) -> bool {
         match self {
-            Self::NotADataset { .. } | Self::Format { .. } | Self::PackLength { .. } => true,
+            Self::NotADataset { .. }
+            | Self::NotOurs { .. }
+            | Self::Format { .. }
+            | Self::NoPack { .. }
+            | Self::PackLength { .. }
+            | Self::NoSuch { .. }
+            | Self::Damaged { .. } => true,
             Self::Io { source, .. } => source.kind() == std::io::ErrorKind::NotFound,
-            Self::Locked { .. } | Self::Chunk { .. } => false,
+            Self::Locked { .. } | Self::NoSpace { .. } | Self::Chunk { .. } => false,
         }
     }
 

@@ -31,12 +31,11 @@ pub(super) fn encode(ranges: &[Vec<SourceRange>]) -> Result<Vec<u8>, std::io::Er
     Ok(out)
 }
 
-/// Reads the ranges of all cells; None when the dataset has no such file.
-pub(super) fn read(dataset: &Path) -> Result<Option<Vec<Vec<SourceRange>>>, StoreError> {
-    let path = dataset.join(files::SOURCE);
-    let Some(bytes) = files::read_if_there(&path, MAX_BYTES)? else { return Ok(None) };
+/// Reads the ranges of all cells; None when there is no such file.
+pub(super) fn read(path: &Path) -> Result<Option<Vec<Vec<SourceRange>>>, StoreError> {
+    let Some(bytes) = files::read_if_there(path, MAX_BYTES)? else { return Ok(None) };
     decode(&bytes).map(Some).map_err(|reason| StoreError::Format {
-        path,
+        path: path.to_owned(),
         source: CodecError::Mismatch { field: "source ranges", reason: format!("{reason}; build the dataset again") },
     })
 }

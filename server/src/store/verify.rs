@@ -5,7 +5,13 @@
 //! flipped byte anywhere gives one fault that names the file and the chunk, and checking goes on as far as what is left
 //! allows: without its pages nothing is known about chunks.
 
-use super::{StoreError, dataset::read_root, files, source};
+use super::{
+    StoreError,
+    dataset::read_root,
+    files::{self, DataFiles},
+    packs::{self, Pack},
+    report, source,
+};
 use ldi_protocol::{
     codec::{self, CodecError},
     index::{ChunkHash, ChunkKind, Index},
@@ -15,7 +21,6 @@ use ldi_protocol::{
     },
     mesh::CellGeometry,
 };
-use memmap2::Mmap;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::{collections::BTreeMap, ops::Range, path::Path};
@@ -85,15 +90,25 @@ pub fn verify(path: &Path) -> Result<Verification, StoreError> {
             return Ok(out);
         }
     };
-    match source::read(path) {
+    let files = DataFiles::find(path, &root.hash);
+    let source_name = name_in(path, files.source());
+    match source::read(files.source()) {
         Ok(Some(_)) => {}
-        Ok(None) => out.faults.push(fault_of_file(files::SOURCE, "source", "the file is missing".into())),
+        Ok(None) => out.faults.push(fault_of_file(&source_name, "source", "the file is missing".into())),
         Err(StoreError::Format { source, .. }) => {
-            out.faults.push(fault_of_file(files::SOURCE, "source", source.to_string()))
+            out.faults.push(fault_of_file(&source_name, "source", source.to_string()))
         }
         Err(other) => return Err(other),
     }
-    let packs = Packs::open(path)?;
+    match report::read(path, !files.are_old()) {
+        // A dataset is whole without it; `inspect` says that it is missing.
+        Ok(_) => {}
+        Err(StoreError::Format { source, .. }) => {
+            out.faults.push(fault_of_file(files::REPORT, "report", source.to_string()));
+        }
+        Err(other) => return Err(other),
+    }
+    let packs = Packs { opened: packs::open_all(&files)?, dataset: path, files };
     let mut layout = Layout::default();
     let Some(index) = check_pages(&root, &mut layout, &packs, &mut out) else { return Ok(out) };
     out.all_known = true;
@@ -101,9 +116,9 @@ pub fn verify(path: &Path) -> Result<Verification, StoreError> {
     packs.check_lengths(layout.pack_bytes(), &mut out);
     let places = Places { index: &index, packs: &packs, locations: &locations };
     let hashed: Vec<Option<Fault>> = (0..index.chunks.len()).into_par_iter().map(|k| places.check_hash(k)).collect();
-    let is_there = |l: &Location| packs.get(l).is_some();
-    out.chunks = locations.iter().filter(|l| is_there(l)).count();
-    out.bytes += locations.iter().filter(|l| is_there(l)).map(|l| u64::from(l.bytes)).sum::<u64>();
+    let read = || locations.iter().filter(|l| packs.reach(l));
+    out.chunks = read().count();
+    out.bytes += read().map(|l| u64::from(l.bytes)).sum::<u64>();
     let intact: Vec<bool> = hashed.iter().map(Option::is_none).collect();
     out.faults.extend(hashed.into_iter().flatten());
     places.check_contents(&intact, &mut out);
@@ -114,65 +129,56 @@ fn fault_of_file(file: &str, kind: &str, problem: String) -> Fault {
     Fault { file: file.into(), kind: kind.into(), number: None, hash: None, offset: None, problem }
 }
 
-fn pack_name(number: usize) -> String {
-    files::pack_path(Path::new(""), number).display().to_string()
+/// The name of a file as faults show it.
+fn name_in(dataset: &Path, file: &Path) -> String {
+    file.strip_prefix(dataset).unwrap_or(file).display().to_string()
 }
 
 /// All packs that are there, whatever their length.
-struct Packs(Vec<Mmap>);
+struct Packs<'a> {
+    dataset: &'a Path,
+    files: DataFiles,
+    opened: Vec<Pack>,
+}
 
-impl Packs {
-    fn open(dataset: &Path) -> Result<Self, StoreError> {
-        let mut packs = Vec::new();
-        loop {
-            let path = files::pack_path(dataset, packs.len());
-            match std::fs::metadata(&path) {
-                Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Self(packs)),
-                Err(e) => return Err(StoreError::io(&path, "open it")(e)),
-                Ok(m) => packs.push(super::map::map_pack(&path, m.len())?),
-            }
-        }
+impl Packs<'_> {
+    fn name(&self, number: usize) -> String {
+        name_in(self.dataset, &self.files.pack(number))
     }
 
-    /// Why [`Self::get`] gives nothing.
-    fn why_not(&self, l: &Location) -> String {
-        match self.0.get(l.pack as usize) {
-            Some(_) => "it lies beyond the end of its pack".into(),
-            None => "its pack is missing".into(),
-        }
+    /// Whether there are bytes to be hashed.
+    fn reach(&self, at: &Location) -> bool {
+        self.opened.get(at.pack as usize).is_some_and(|p| at.offset + u64::from(at.bytes) <= p.bytes())
     }
 
-    fn get(&self, l: &Location) -> Option<&[u8]> {
-        let start = usize::try_from(l.offset).ok()?;
-        self.0.get(l.pack as usize)?.get(start..start.checked_add(l.bytes as usize)?)
+    /// What lies somewhere, if it is intact; else what is wrong.
+    fn read(&self, at: &Location, hash: &ChunkHash) -> Result<Vec<u8>, String> {
+        let pack = self.opened.get(at.pack as usize).ok_or("its pack is missing")?;
+        pack.read(at, hash)
     }
 
     fn check_lengths(&self, expected: &[u64], out: &mut Verification) {
-        for number in 0..expected.len().max(self.0.len()) {
-            let problem = match (self.0.get(number).map(|p| p.len() as u64), expected.get(number)) {
+        for number in 0..expected.len().max(self.opened.len()) {
+            let problem = match (self.opened.get(number).map(Pack::bytes), expected.get(number)) {
                 (None, _) => "the file is missing".to_owned(),
                 (Some(_), None) => "no such pack belongs to the dataset".to_owned(),
                 (Some(found), Some(&wanted)) if found != wanted => format!("{found} bytes instead of {wanted}"),
                 _ => continue,
             };
-            out.faults.push(fault_of_file(&pack_name(number), "pack", problem));
+            out.faults.push(fault_of_file(&self.name(number), "pack", problem));
         }
     }
 }
 
 /// Checks the pages' hashes and joins them; None when that cannot be done.
-fn check_pages(root: &Root, layout: &mut Layout, packs: &Packs, out: &mut Verification) -> Option<Index> {
+fn check_pages(root: &Root, layout: &mut Layout, packs: &Packs<'_>, out: &mut Verification) -> Option<Index> {
     let before = out.faults.len();
     let mut pages = Vec::new();
     for (number, (entry, location)) in root.pages.iter().zip(layout.place_pages(&root.pages)).enumerate() {
-        let bytes = packs.get(&location);
-        match bytes
-            .ok_or_else(|| packs.why_not(&location))
-            .and_then(|b| manifest::check_page_hash(entry, b).map_err(|_| "its bytes have another hash".to_owned()))
-        {
-            Ok(()) => pages.extend(bytes),
+        match packs.read(&location, &entry.hash) {
+            Ok(bytes) => pages.push(bytes),
             Err(problem) => out.faults.push(Fault {
-                file: pack_name(location.pack as usize),
+                file: packs.name(location.pack as usize),
                 kind: "page".into(),
                 number: Some(number as u32),
                 hash: Some(entry.hash.to_string()),
@@ -194,7 +200,7 @@ fn check_pages(root: &Root, layout: &mut Layout, packs: &Packs, out: &mut Verifi
 /// Everything needed to look at chunks.
 struct Places<'a> {
     index: &'a Index,
-    packs: &'a Packs,
+    packs: &'a Packs<'a>,
     locations: &'a [Location],
 }
 
@@ -202,7 +208,7 @@ impl Places<'_> {
     fn fault(&self, chunk: usize, problem: String) -> Fault {
         let (entry, location) = (&self.index.chunks[chunk], &self.locations[chunk]);
         Fault {
-            file: pack_name(location.pack as usize),
+            file: self.packs.name(location.pack as usize),
             kind: format!("{:?}", entry.kind).to_lowercase(),
             number: Some(chunk as u32),
             hash: Some(entry.hash.to_string()),
@@ -211,16 +217,15 @@ impl Places<'_> {
         }
     }
 
-    fn bytes(&self, chunk: u32) -> &[u8] {
-        self.packs.get(&self.locations[chunk as usize]).unwrap_or_default()
+    /// A chunk that was intact when its hash was compared; else none, which no decoder takes.
+    fn bytes(&self, chunk: u32) -> Vec<u8> {
+        let (at, entry) = (&self.locations[chunk as usize], &self.index.chunks[chunk as usize]);
+        self.packs.read(at, &entry.hash).unwrap_or_default()
     }
 
     fn check_hash(&self, chunk: usize) -> Option<Fault> {
-        let Some(bytes) = self.packs.get(&self.locations[chunk]) else {
-            return Some(self.fault(chunk, self.packs.why_not(&self.locations[chunk])));
-        };
-        let same = ChunkHash(blake3::hash(bytes).into()) == self.index.chunks[chunk].hash;
-        (!same).then(|| self.fault(chunk, "its bytes have another hash".into()))
+        let read = self.packs.read(&self.locations[chunk], &self.index.chunks[chunk].hash);
+        read.err().map(|problem| self.fault(chunk, problem))
     }
 
     /// Decodes every intact chunk and compares it with the entries that use it.
@@ -266,7 +271,7 @@ impl Places<'_> {
             let broods: Vec<(u32, Range<u32>)> = tree.broods().filter(|(c, _)| is_intact(c)).collect();
             let results = broods.into_par_iter().map(|(chunk, nodes)| {
                 let decoded = tree
-                    .decode(nodes, self.bytes(chunk))
+                    .decode(nodes, &self.bytes(chunk))
                     .and_then(|brood| manifest::check_decoded_bytes(self.index, chunk, brood.decoded_bytes()));
                 decoded.map_err(|e| self.fault(chunk as usize, format!("LDI tree: {e}")))
             });
@@ -276,7 +281,7 @@ impl Places<'_> {
     }
 
     fn bundle(&self, chunk: u32) -> Result<CellGeometry, CodecError> {
-        let bundle = codec::cell::decode(self.bytes(chunk))?;
+        let bundle = codec::cell::decode(&self.bytes(chunk))?;
         manifest::check_bundle(self.index, &bundle)?;
         manifest::check_decoded_bytes(self.index, chunk, codec::cell::decoded_bytes(&bundle))?;
         Ok(bundle)
@@ -285,7 +290,7 @@ impl Places<'_> {
     fn check_cell(&self, cell: u32, bundles: &BTreeMap<u32, CellGeometry>) -> Result<(), Fault> {
         let chunk = self.index.cells[cell as usize].chunk;
         let check = || {
-            let geometry = codec::cell::decode(self.bytes(chunk))?;
+            let geometry = codec::cell::decode(&self.bytes(chunk))?;
             manifest::check_decoded_bytes(self.index, chunk, codec::cell::decoded_bytes(&geometry))?;
             manifest::check_cell_content(self.index, cell, &geometry, |b| bundles.get(&b))
         };
@@ -300,11 +305,11 @@ impl Places<'_> {
             [first, deeper, ..] => (first, Some(deeper)),
         };
         let wrap = |chunk: u32| move |e: CodecError| self.fault(chunk as usize, format!("image {image}: {e}"));
-        let mut ldi = codec::ldi::decode_first(self.bytes(first)).map_err(wrap(first))?;
+        let mut ldi = codec::ldi::decode_first(&self.bytes(first)).map_err(wrap(first))?;
         let first_bytes = codec::ldi::decoded_bytes(&ldi)[0];
         manifest::check_decoded_bytes(self.index, first, first_bytes).map_err(wrap(first))?;
         if let Some(deeper) = deeper {
-            codec::ldi::decode_deeper(self.bytes(deeper), &mut ldi).map_err(wrap(deeper))?;
+            codec::ldi::decode_deeper(&self.bytes(deeper), &mut ldi).map_err(wrap(deeper))?;
             manifest::check_decoded_bytes(self.index, deeper, codec::ldi::decoded_bytes(&ldi)[1])
                 .map_err(wrap(deeper))?;
         }
@@ -320,7 +325,7 @@ impl Places<'_> {
         let entry = &self.index.textures[texture];
         let listed = &entry.chunks[part];
         let check = || {
-            let levels = codec::texture::decode(self.bytes(listed.chunk))?;
+            let levels = codec::texture::decode(&self.bytes(listed.chunk))?;
             manifest::check_decoded_bytes(self.index, listed.chunk, codec::texture::decoded_bytes(&levels))?;
             manifest::check_texture(entry, listed, &levels)
         };

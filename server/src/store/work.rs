@@ -4,14 +4,20 @@
 //! is the hash of everything it was made from, so a changed scene or setting finds nothing. A file is
 //! `piece | length (u64) | BLAKE3 of piece and length`; one that a crash left torn fails that check and does not count.
 
-use super::{StoreError, files};
+use super::{
+    StoreError,
+    files::{self, change, is_hex, list, make_directory, remove_folder, without_part},
+};
 use std::{
-    fs::{self, File},
+    ffi::OsStr,
+    fs::{self, File, OpenOptions},
     path::{Path, PathBuf},
 };
 
 /// Longest piece that is read back: far above any real one.
 const MAX_PIECE: u64 = 1 << 32;
+/// Held while a build is under way.
+const LOCK: &str = "lock";
 
 /// `.build`, locked for one process.
 #[derive(Debug)]
@@ -25,9 +31,13 @@ impl WorkDirectory {
     /// Opens or creates the work directory of a dataset and locks it.
     pub fn open(dataset: &Path) -> Result<Self, StoreError> {
         let path = dataset.join(files::WORK);
-        fs::create_dir_all(&path).map_err(StoreError::io(&path, "create it"))?;
-        let lock_path = path.join("lock");
-        let lock = File::create(&lock_path).map_err(StoreError::io(&lock_path, "create it"))?;
+        make_directory(&path)?;
+        let lock_path = path.join(LOCK);
+        if files::kind_of(&lock_path)?.is_some_and(|kind| !kind.is_file()) {
+            files::remove_if_there(&lock_path)?;
+        }
+        let open = || OpenOptions::new().write(true).create(true).truncate(false).open(&lock_path);
+        let lock = change(&lock_path, "create it", open)?;
         match lock.try_lock() {
             Ok(()) => Ok(Self { path, _lock: lock }),
             Err(fs::TryLockError::WouldBlock) => Err(StoreError::Locked { path: dataset.to_owned() }),
@@ -57,7 +67,7 @@ impl WorkDirectory {
     pub fn store(&self, key: &[u8; 32], piece: &[u8]) -> Result<(), StoreError> {
         let path = self.piece_path(key);
         if let Some(folder) = path.parent() {
-            fs::create_dir_all(folder).map_err(StoreError::io(folder, "create it"))?;
+            make_directory(folder)?;
         }
         let length = (piece.len() as u64).to_le_bytes();
         let mut hasher = blake3::Hasher::new();
@@ -66,18 +76,29 @@ impl WorkDirectory {
         file.write(piece)?;
         file.write(&length)?;
         file.write(hasher.finalize().as_bytes())?;
-        file.publish()
+        file.sync()?.publish()
     }
 
     /// Removes the directory if it holds no piece.
     pub fn remove_if_empty(self) {
-        let _ = fs::remove_file(self.path.join("lock"));
+        let _ = fs::remove_file(self.path.join(LOCK));
         // Refused by the system while pieces are there.
         let _ = fs::remove_dir(&self.path);
     }
 
-    /// Removes the directory with all pieces.
+    /// Removes all pieces, and the directory if it holds nothing else.
     pub fn remove(self) -> Result<(), StoreError> {
-        fs::remove_dir_all(&self.path).map_err(StoreError::io(&self.path, "remove it"))
+        for folder in list(&self.path)? {
+            let is_prefix = folder.name.to_str().is_some_and(|n| n.len() == 2 && is_hex(n));
+            if is_prefix && folder.kind.is_dir() {
+                remove_folder(&self.path.join(&folder.name), is_piece)?;
+            }
+        }
+        remove_folder(&self.path, |name| name == LOCK)
     }
+}
+
+/// Whether a file in a folder of pieces has the name of one.
+fn is_piece(name: &OsStr) -> bool {
+    name.to_str().map(without_part).is_some_and(|n| n.len() == 62 && is_hex(n))
 }

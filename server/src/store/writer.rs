@@ -2,25 +2,26 @@
 
 use super::{
     StoreError,
-    files::{self, PendingFile},
-    source,
+    files::{self, DataFiles, PendingFile, SyncedFile},
+    folder::DatasetFolder,
+    report, source,
     work::WorkDirectory,
 };
 use crate::octree::SourceRange;
 use ldi_protocol::{
     index::{ChunkHash, Index},
-    manifest::{self, layout::Layout},
+    manifest::{self, Encoded, MAX_ROOT_BYTES, Root, layout::Layout},
 };
-use std::{
-    borrow::Cow,
-    fs,
-    path::{Path, PathBuf},
-};
+use std::{borrow::Cow, path::Path};
+
+/// What a report and the names of files may take beside the files that are counted: far above any
+/// real one.
+const OTHER_BYTES: u64 = 4 << 20;
 
 /// A dataset under construction: first a place for finished pieces, at the end the dataset itself.
 #[derive(Debug)]
 pub struct DatasetWriter {
-    path: PathBuf,
+    folder: DatasetFolder,
     work: WorkDirectory,
 }
 
@@ -46,26 +47,15 @@ impl Written {
 
 impl DatasetWriter {
     /// Starts a dataset, or goes on with one that was stopped. An existing dataset in `path` stays as it is until
-    /// [`DatasetWriter::finish`].
+    /// [`DatasetWriter::finish`] has written all of the new one.
     ///
     /// # Errors
-    /// If the directory holds anything else, another build is writing here, or it cannot be written.
+    /// If the directory holds anything but what a build put there, another build is writing here,
+    /// or it cannot be written.
     pub fn open(path: &Path) -> Result<Self, StoreError> {
-        fs::create_dir_all(path).map_err(StoreError::io(path, "create it"))?;
-        let mut foreign = false;
-        let mut ours = false;
-        for entry in fs::read_dir(path).map_err(StoreError::io(path, "list it"))? {
-            let name = entry.map_err(StoreError::io(path, "list it"))?.file_name();
-            ours |= [files::MANIFEST, files::PACKS, files::WORK].iter().any(|n| name == *n);
-            foreign = true;
-        }
-        if foreign && !ours {
-            return Err(StoreError::NotADataset {
-                path: path.to_owned(),
-                why: "the directory holds other files; name an empty or a new one",
-            });
-        }
-        Ok(Self { path: path.to_owned(), work: WorkDirectory::open(path)? })
+        let folder = DatasetFolder::claim(path)?;
+        let work = WorkDirectory::open(folder.path())?;
+        Ok(Self { folder, work })
     }
 
     /// The piece that was stored under this key by this or an earlier run; None if there is none or it is torn.
@@ -82,75 +72,119 @@ impl DatasetWriter {
         self.work.store(key, piece)
     }
 
-    /// Ends without a dataset; a directory that holds nothing is removed again.
+    /// Ends without a dataset; what this run made is removed again unless there is something in it.
     pub fn give_up(self) {
         self.work.remove_if_empty();
-        let _ = fs::remove_dir(&self.path);
+        self.folder.give_back();
     }
 
     /// Writes the dataset and, if it `is_whole`, removes the pieces: a build that goes on later needs them. `chunk` gives the bytes of a chunk by number and is called once per different
     /// content, in order, with the writer, as it may lie in a piece; `ranges` has one entry per cell; `report` makes `report.json` from what was written.
     ///
-    /// The old manifest goes first and the new one comes last: a stop in between leaves no dataset, but all pieces.
+    /// The new files lie beside the old ones, under names of their own, until the manifest is
+    /// renamed. That is the one step between the old dataset and the new one; what belongs to the
+    /// old one is removed after it.
     ///
     /// # Errors
-    /// If the index breaks a rule, a chunk's bytes are not those that the index lists, or a file cannot be written. The pieces are kept.
+    /// If the index breaks a rule, a chunk's bytes are not those that the index lists, or a file
+    /// cannot be written. The pieces and the old dataset are kept.
     pub fn finish<'a>(
         self,
         index: &Index,
-        mut chunk: impl FnMut(&Self, u32) -> Result<Cow<'a, [u8]>, StoreError>,
+        chunk: impl FnMut(&Self, u32) -> Result<Cow<'a, [u8]>, StoreError>,
         ranges: &[Vec<SourceRange>],
         is_whole: bool,
         report: impl FnOnce(&Written) -> serde_json::Value,
     ) -> Result<Written, StoreError> {
-        let manifest_path = self.path.join(files::MANIFEST);
+        let path = self.folder.path();
+        let manifest_path = path.join(files::MANIFEST);
         let encoded = manifest::encode(index).map_err(StoreError::format(&manifest_path))?;
         let root = manifest::decode_root(&encoded.root).map_err(StoreError::format(&manifest_path))?;
-        files::remove_if_there(&manifest_path)?;
-        files::sync_directory(&self.path)?;
+        let new = DataFiles::new(path, &root.hash);
+        let source = source::encode(ranges).map_err(StoreError::io(new.source(), "compress it"))?;
 
-        let folder = self.path.join(files::PACKS);
-        fs::create_dir_all(&folder).map_err(StoreError::io(&folder, "create it"))?;
-        let mut packs = PackWriter { dataset: &self.path, layout: Layout::default(), open: None };
+        let old = files::read_if_there(&manifest_path, MAX_ROOT_BYTES as u64)?;
+        let old = old.map(|bytes| DataFiles::new(path, &manifest::dataset_hash(&bytes)));
+        // With a damaged manifest nobody knows which files are the dataset's.
+        let knows_old = old.as_ref().is_none_or(|old| old.folder().is_dir());
+        if knows_old {
+            // What an earlier run left that was stopped here.
+            remove_other_data(path, old.as_slice())?;
+        }
+        check_space(path, &root, index, &source)?;
+        let written = self.write_data(&new, (&root, &encoded), (index, chunk), &source);
+        let written = written.inspect_err(|_| {
+            // The next run writes it anew, and needs the room.
+            if knows_old && old.as_ref() != Some(&new) {
+                let _ = files::remove_folder(new.folder(), files::is_data_file);
+            }
+        })?;
+
+        let report_path = path.join(files::REPORT);
+        let text = report::encode(report(&written), &root.hash)
+            .map_err(|e| StoreError::io(&report_path, "write it as JSON")(e.into()))?;
+        let report = files::write_file(&report_path, text.as_bytes())?;
+        let manifest = files::write_file(&manifest_path, &encoded.root)?;
+        files::sync_directory(path)?;
+        manifest.publish()?;
+        files::sync_directory(path)?;
+        report.publish()?;
+        // The new dataset is there: what cannot be removed is no reason to fail.
+        let removed = remove_other_data(path, &[new]);
+        let removed = removed.and_then(|()| if is_whole { self.work.remove() } else { Ok(()) });
+        if let Err(e) = removed.and_then(|()| files::sync_directory(path)) {
+            tracing::warn!("the dataset is complete, but something of an earlier one is left: {e}");
+        }
+        Ok(written)
+    }
+
+    /// Writes packs and source ranges.
+    fn write_data<'a>(
+        &self,
+        files: &DataFiles,
+        (root, encoded): (&Root, &Encoded),
+        (index, mut chunk): (&Index, impl FnMut(&Self, u32) -> Result<Cow<'a, [u8]>, StoreError>),
+        source: &[u8],
+    ) -> Result<Written, StoreError> {
+        files::make_directory(files.folder())?;
+        let mut packs = PackWriter { files, layout: Layout::default(), open: None };
         for (entry, page) in root.pages.iter().zip(&encoded.pages) {
             packs.append(entry.hash, entry.stored_bytes, || Ok(Cow::Borrowed(page)), None)?;
         }
         for (number, entry) in index.chunks.iter().enumerate() {
             let number = number as u32;
-            packs.append(entry.hash, entry.stored_bytes, || chunk(&self, number), Some(number))?;
+            packs.append(entry.hash, entry.stored_bytes, || chunk(self, number), Some(number))?;
         }
         let pack_bytes = packs.finish()?;
-        remove_other_packs(&folder, pack_bytes.len())?;
-        files::sync_directory(&folder)?;
-
-        let source_path = self.path.join(files::SOURCE);
-        let source = source::encode(ranges).map_err(StoreError::io(&source_path, "compress it"))?;
-        files::write_file(&source_path, &source)?;
+        files::write_file(files.source(), source)?.publish()?;
+        remove_other_packs(files, pack_bytes.len())?;
+        files::sync_directory(files.folder())?;
         let pages: u64 = encoded.pages.iter().map(|p| p.len() as u64).sum();
         let root_bytes = encoded.root.len() as u64;
-        let written = Written {
+        Ok(Written {
             hash: root.hash,
             manifest_bytes: root_bytes + pages,
             pack_bytes,
             other_bytes: root_bytes + source.len() as u64,
-        };
-        let report_path = self.path.join(files::REPORT);
-        let text = serde_json::to_vec_pretty(&report(&written))
-            .map_err(|e| StoreError::io(&report_path, "write it as JSON")(e.into()))?;
-        files::write_file(&report_path, &text)?;
-        files::sync_directory(&self.path)?;
-        files::write_file(&manifest_path, &encoded.root)?;
-        files::sync_directory(&self.path)?;
-        if is_whole {
-            self.work.remove()?;
-        }
-        Ok(written)
+        })
+    }
+}
+
+/// Asks the disk before anything is written whether there is room.
+fn check_space(dataset: &Path, root: &Root, index: &Index, source: &[u8]) -> Result<(), StoreError> {
+    let mut layout = Layout::default();
+    layout.place_pages(&root.pages);
+    layout.place_chunks(&index.chunks);
+    let needed = layout.pack_bytes().iter().sum::<u64>() + source.len() as u64 + OTHER_BYTES;
+    match files::free_bytes(dataset) {
+        Some(free) if free < needed => Err(StoreError::NoSpace { path: dataset.to_owned(), needed, free }),
+        _ => Ok(()),
     }
 }
 
 /// Writes packs one after the other.
 struct PackWriter<'a> {
-    dataset: &'a Path,
+    files: &'a DataFiles,
     layout: Layout,
     open: Option<(u32, PendingFile)>,
 }
@@ -175,32 +209,42 @@ impl PackWriter<'_> {
         let file = match &mut self.open {
             Some((pack, file)) if *pack == location.pack => file,
             _ => {
-                if let Some((_, full)) = self.open.take() {
-                    full.publish()?;
-                }
-                let file = PendingFile::create(&files::pack_path(self.dataset, location.pack as usize))?;
+                self.close()?;
+                let file = PendingFile::create(&self.files.pack(location.pack as usize))?;
                 &mut self.open.insert((location.pack, file)).1
             }
         };
         file.write(&bytes)
     }
 
-    fn finish(self) -> Result<Vec<u64>, StoreError> {
-        if let Some((_, last)) = self.open {
-            last.publish()?;
-        }
+    fn close(&mut self) -> Result<(), StoreError> {
+        self.open.take().map_or(Ok(()), |(_, full)| full.sync().and_then(SyncedFile::publish))
+    }
+
+    fn finish(mut self) -> Result<Vec<u64>, StoreError> {
+        self.close()?;
         Ok(self.layout.pack_bytes().to_vec())
     }
 }
 
-/// Removes packs of an earlier dataset and unfinished files.
-fn remove_other_packs(folder: &Path, keep: usize) -> Result<(), StoreError> {
-    let kept: Vec<_> = (0..keep).map(|k| files::pack_path(Path::new(""), k)).collect();
-    for entry in fs::read_dir(folder).map_err(StoreError::io(folder, "list it"))? {
-        let entry = entry.map_err(StoreError::io(folder, "list it"))?;
-        let name = entry.file_name();
-        if kept.iter().all(|k| k.file_name() != Some(&name)) {
-            files::remove_if_there(&entry.path())?;
+/// Removes packs beyond the last one, and unfinished files, that an earlier run left.
+fn remove_other_packs(files: &DataFiles, packs: usize) -> Result<(), StoreError> {
+    let kept: Vec<_> = (0..packs).map(|k| files.pack(k)).chain([files.source().to_owned()]).collect();
+    for entry in files::list(files.folder())? {
+        let path = files.folder().join(&entry.name);
+        if files::is_data_file(&entry.name) && entry.kind.is_file() && !kept.contains(&path) {
+            files::remove_if_there(&path)?;
+        }
+    }
+    Ok(())
+}
+
+/// Removes the folders of packs that belong to none of these.
+fn remove_other_data(dataset: &Path, kept: &[DataFiles]) -> Result<(), StoreError> {
+    for entry in files::list(dataset)? {
+        let path = dataset.join(&entry.name);
+        if files::is_data_folder(&entry.name) && entry.kind.is_dir() && kept.iter().all(|k| k.folder() != path) {
+            files::remove_folder(&path, files::is_data_file)?;
         }
     }
     Ok(())

@@ -61,7 +61,7 @@ pub enum Depth {
 }
 
 /// What the build of a tree found.
-#[derive(Debug, Clone, Default, serde::Serialize)]
+#[derive(Debug, Clone, Default, serde::Serialize, serde::Deserialize)]
 pub struct TreeFigures {
     /// Reference positions.
     pub references: usize,

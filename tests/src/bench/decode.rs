@@ -3,7 +3,7 @@
 //! In: a dataset. Out: a [`Kind`] for each kind of chunk, by the median of several passes over the same chunks.
 
 use super::speed_error::median;
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use ldi_client::cache::Cache;
 use ldi_protocol::{
     index::{ChunkKind, Index},
@@ -60,9 +60,9 @@ pub fn run(dataset: &Path, passes: u32) -> Result<Vec<Kind>> {
         let cache = Cache::new(index.clone(), u64::MAX);
         let mut pass: BTreeMap<&'static str, f64> = BTreeMap::new();
         for part in &parts {
-            let stored = dataset.chunk(part.chunk).with_context(|| format!("chunk {} cannot be read", part.chunk))?;
+            let stored = dataset.chunk(part.chunk)?;
             let begin = Instant::now();
-            cache.insert(part.chunk, stored)?;
+            cache.insert(part.chunk, &stored)?;
             *pass.entry(part.kind).or_default() += begin.elapsed().as_secs_f64();
         }
         pass.into_iter().for_each(|(kind, s)| seconds.entry(kind).or_default().push(s));

@@ -322,8 +322,8 @@ pub fn walk_by(
         let mut ms = StageMs::default();
         let view = view_of(index, &at.pose, camera, method, &mut ms);
         for chunk in cache.missing(view.needed(index, &Sight::new(&at.pose, camera, 1)).all()) {
-            let bytes = dataset.chunk(chunk).with_context(|| format!("chunk {chunk} is missing"))?;
-            cache.insert(chunk, bytes).with_context(|| format!("chunk {chunk}"))?;
+            let bytes = dataset.chunk(chunk)?;
+            cache.insert(chunk, &bytes).with_context(|| format!("chunk {chunk}"))?;
         }
         let painted = painter.paint(index, &cache, &view, &at.pose, camera, &options, ms, &mut picture)?;
         let verdict = match truth {

@@ -373,8 +373,8 @@ fn camera_of(job: &Job) -> OutputCamera {
 pub(super) fn resident(dataset: &Dataset, view: &View, sight: &Sight) -> Result<Cache> {
     let cache = Cache::new(Arc::clone(dataset.index()), u64::MAX);
     for chunk in view.needed(dataset.index(), sight).all() {
-        let bytes = dataset.chunk(chunk).with_context(|| format!("chunk {chunk} is missing"))?;
-        cache.insert(chunk, bytes).with_context(|| format!("chunk {chunk}"))?;
+        let bytes = dataset.chunk(chunk)?;
+        cache.insert(chunk, &bytes).with_context(|| format!("chunk {chunk}"))?;
     }
     Ok(cache)
 }

@@ -7,7 +7,7 @@ use crate::load::{
     eviction::{Eviction, replay},
     rehearsal::{Policy, Score, Script, Setting, rehearse},
 };
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use ldi_client::{cache::Cache, stream::LinkSpec};
 use ldi_protocol::{OutputCamera, index::Index, path::Walk};
 use ldi_server::{serve::SelectViews, store::Dataset};
@@ -183,9 +183,9 @@ fn decode_all(index: &Arc<Index>, dataset: &Dataset, script: &Script, decode: bo
     for chunk in (0..needed.len()).filter(|c| needed[*c]).map(|c| c as u32) {
         bytes += u64::from(index.chunks[chunk as usize].stored_bytes);
         if decode {
-            let stored = dataset.chunk(chunk).with_context(|| format!("chunk {chunk} cannot be read"))?;
+            let stored = dataset.chunk(chunk)?;
             let begin = Instant::now();
-            cache.insert(chunk, stored)?;
+            cache.insert(chunk, &stored)?;
             seconds += begin.elapsed().as_secs_f64();
         }
     }

@@ -1,9 +1,11 @@
 //! A server over a dataset in memory, on free ports, in the test's own process.
 
 use crate::fixture::Street;
+use bytes::Bytes;
 use ldi_client::stream::{ConnectConfig, Connection};
 use ldi_protocol::{index::Index, manifest, wire::Picture};
 use ldi_server::serve::{ChunkSource, ServeConfig, Server};
+use ldi_server::store::StoreError;
 use std::{
     io::{Read, Write},
     net::{SocketAddr, TcpStream},
@@ -19,14 +21,16 @@ pub const PICTURE: Picture = Picture { width: 64, height: 36, fov_deg: None };
 /// A dataset that lies nowhere but here.
 pub struct Memory {
     index: Arc<Index>,
-    encoded: manifest::Encoded,
-    chunks: Vec<Vec<u8>>,
+    root: Vec<u8>,
+    pages: Vec<Bytes>,
+    chunks: Vec<Bytes>,
 }
 
 impl Memory {
     pub fn new(street: Street) -> Self {
         let encoded = manifest::encode(&street.index).unwrap();
-        Self { index: Arc::new(street.index), encoded, chunks: street.chunks }
+        let [pages, chunks] = [encoded.pages, street.chunks].map(|list| list.into_iter().map(Bytes::from).collect());
+        Self { index: Arc::new(street.index), root: encoded.root, pages, chunks }
     }
 }
 
@@ -35,16 +39,16 @@ impl ChunkSource for Memory {
         &self.index
     }
     fn root(&self) -> &[u8] {
-        &self.encoded.root
+        &self.root
     }
     fn pages(&self) -> u32 {
-        self.encoded.pages.len() as u32
+        self.pages.len() as u32
     }
-    fn page(&self, number: u32) -> Option<&[u8]> {
-        self.encoded.pages.get(number as usize).map(Vec::as_slice)
+    fn page(&self, number: u32) -> Result<Bytes, StoreError> {
+        self.pages.get(number as usize).cloned().ok_or(StoreError::NoSuch { what: "page", number })
     }
-    fn chunk(&self, number: u32) -> Option<&[u8]> {
-        self.chunks.get(number as usize).map(Vec::as_slice)
+    fn chunk(&self, number: u32) -> Result<Bytes, StoreError> {
+        self.chunks.get(number as usize).cloned().ok_or(StoreError::NoSuch { what: "chunk", number })
     }
 }
 

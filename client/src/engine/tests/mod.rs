@@ -54,6 +54,12 @@ struct MemoryFeed {
     pushes: bool,
     /// Waits after which the server is gone.
     gone_after: Option<usize>,
+    /// Looks after which nothing is pushed any more, and how long the line is down then; None: it
+    /// is up.
+    dead_after: Option<(usize, Option<Duration>)>,
+    looks: Mutex<usize>,
+    /// Whether all waits are in vain though the line is up.
+    starves: bool,
     waits: Mutex<usize>,
     state: Mutex<(Vec<u32>, u64)>,
 }
@@ -67,9 +73,17 @@ impl MemoryFeed {
             room: 100,
             pushes: true,
             gone_after: None,
+            dead_after: None,
+            looks: Mutex::default(),
+            starves: false,
             waits: Mutex::default(),
             state: Mutex::default(),
         }
+    }
+    /// How long the line is down, if nothing is pushed any more.
+    fn dead(&self) -> Option<Option<Duration>> {
+        let (after, down) = self.dead_after?;
+        (*self.looks.lock().expect("no test panics while it holds the lock") > after).then_some(down)
     }
     fn state(&self) -> std::sync::MutexGuard<'_, (Vec<u32>, u64)> {
         self.state.lock().expect("no test panics while it holds the lock")
@@ -102,7 +116,8 @@ impl Feed for MemoryFeed {
         "00".repeat(32)
     }
     fn look(&self, _: &Pose, needed: &Needed) {
-        if self.pushes {
+        *self.looks.lock().expect("no test panics while it holds the lock") += 1;
+        if self.pushes && self.dead().is_none() {
             assert_eq!(self.wait_for(&needed.all().collect::<Vec<_>>(), Duration::ZERO), Ok(()));
         }
     }
@@ -112,6 +127,9 @@ impl Feed for MemoryFeed {
         *waits += 1;
         if self.gone_after.is_some_and(|n| *waits > n) {
             return Err(Incomplete::Disconnected("the server is gone".into()));
+        }
+        if self.starves {
+            return Err(Incomplete::Timeout(chunks.to_vec()));
         }
         let mut state = self.state();
         for chunk in chunks.iter().filter(|c| !self.lost.contains(c)) {
@@ -124,6 +142,9 @@ impl Feed for MemoryFeed {
         state.0.drain(..surplus);
         Ok(())
     }
+    fn lost(&self, patience: Duration) -> Option<String> {
+        self.dead()?.filter(|down| *down > patience).map(|_| "the server is gone".into())
+    }
     fn holds(&self, chunk: u32) -> bool {
         self.state().0.contains(&chunk)
     }
@@ -135,6 +156,7 @@ impl Feed for MemoryFeed {
             mbit_per_s_p99_1s: 1.0,
             cache_peak_bytes: 7,
             damaged_chunks: 0,
+            chunks: self.state().1 / CHUNK_BYTES,
         }
     }
 }
@@ -484,6 +506,54 @@ fn a_walk_whose_server_is_gone_reports_the_frames_so_far() {
     assert!(lost.contains("pose 4") && lost.contains("the server is gone"), "{lost}");
     assert_eq!((summary.frames, summary.all_geometry_bytes), (2, None));
     assert!(matches!(walked(0), Err(WalkError::Disconnected { pose: 0, .. })), "nothing to report");
+    std::fs::remove_dir_all(&folder).expect("removed");
+}
+
+/// A walk that does not wait keeps what one that waits promises: it says when nothing came any more
+/// of what frames lacked.
+#[test]
+fn a_walk_in_real_time_says_that_its_server_is_gone() {
+    let (path, folder) = (five_poses(), folder("gone-realtime"));
+    let options = WalkOptions { baseline_frames: 0, every: 1, ..options(Pace::Realtime) };
+    let job = WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None, stop: None };
+    let walked = |looks, down: Option<u64>| {
+        // Only the chunks of the last view have room, so that each frame lacks something when none
+        // comes.
+        let dead_after = Some((looks, down.map(Duration::from_secs)));
+        let feed = MemoryFeed { dead_after, ..scene() };
+        let forget = &mut |_| feed.state().0.clear();
+        run(&feed, &job, Painter::default(), forget)
+    };
+    let (summary, frames) = walked(2, Some(31)).expect("a report");
+    let lost = summary.lost.expect("it ended early");
+    assert!(lost.contains("pose 2") && lost.contains("the server is gone"), "{lost}");
+    assert_eq!(frames.len(), 2);
+    // A line that may come back is waited for, until the walk is over.
+    let (summary, frames) = walked(2, Some(29)).expect("a report");
+    let lost = summary.lost.expect("it did not come back");
+    assert!(lost.contains("pose 4") && lost.contains("the server is gone"), "{lost}");
+    assert_eq!((frames.len(), summary.frames_incomplete), (5, 3));
+    let (summary, _) = walked(5, Some(31)).expect("a report");
+    assert_eq!((summary.lost, summary.frames_incomplete), (None, 0));
+    // A line that is up, over which nothing comes.
+    let (summary, _) = walked(0, None).expect("a report");
+    assert!(summary.lost.expect("nothing came").contains("no chunk has come"));
+    assert!(matches!(walked(0, Some(31)), Err(WalkError::Disconnected { pose: 0, .. })), "nothing to report");
+    std::fs::remove_dir_all(&folder).expect("removed");
+}
+
+/// A server that keeps the line up and sends nothing is not waited for at every pose.
+#[test]
+fn a_walk_that_no_chunk_reaches_ends_at_its_first_pose() {
+    let (path, folder) = (five_poses(), folder("starved"));
+    let options = WalkOptions { baseline_frames: 0, ..options(Pace::Wait) };
+    let job = WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None, stop: None };
+    let feed = MemoryFeed { pushes: false, starves: true, ..scene() };
+    let ended = run(&feed, &job, Painter::default(), &mut |_| {});
+    assert!(
+        matches!(&ended, Err(WalkError::Disconnected { pose: 0, reason }) if reason.contains("no chunk has come")),
+        "{ended:?}"
+    );
     std::fs::remove_dir_all(&folder).expect("removed");
 }
 
