@@ -76,8 +76,9 @@ enum Command {
 struct WalkArgs {
     /// HOST or HOST:PORT of the server.
     server: String,
-    /// Fingerprint of the server's certificate, as the server prints it.
-    #[arg(long, value_name = "HEX")]
+    /// Fingerprint of the server's certificate, as the server prints it; two with a comma between
+    /// them while the certificate changes.
+    #[arg(long, value_name = "HEX[,HEX]")]
     fingerprint: Option<String>,
     /// Path file: waypoints or poses.
     #[arg(long, value_name = "PATH.json")]
@@ -361,7 +362,10 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     // As large as it is drawn: that decides which levels of textures show.
     let [width, height] = [args.size.0, args.size.1].map(|n| n.saturating_mul(args.supersample));
     let mut config = ConnectConfig::new(&args.server, Picture { width, height, fov_deg: None });
-    config.fingerprint = args.fingerprint.as_deref().map(str::parse::<Fingerprint>).transpose()?;
+    if let Some(hex) = &args.fingerprint {
+        let (now, next) = Fingerprint::pair(hex)?;
+        (config.fingerprint, config.next_fingerprint) = (Some(now), next);
+    }
     config.token = token;
     config.prefetch_m = prefetch_m(args);
     config.show = method_of(args).show();

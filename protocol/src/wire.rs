@@ -153,6 +153,10 @@ pub struct Welcome {
     /// Whether [`ClientMessage::Others`] will be answered. A server that does not know of it does not say so.
     #[serde(default)]
     pub others: bool,
+    /// Fingerprint of the certificate that will replace the server's: clients that remember servers
+    /// remember it too.
+    #[serde(default)]
+    pub next_certificate: Option<ChunkHash>,
 }
 
 /// Another walker, for the map.

@@ -140,8 +140,12 @@ fn whatever_the_link_does_every_chunk_arrives_or_an_error_says_why() {
     runtime.block_on(async {
         let any = SocketAddr::from(([127, 0, 0, 1], 0));
         let street = street(4, 64).with_tree();
-        let config =
-            ServeConfig { listen: any, http: any, identity: Some(folder.join("identity")), ..Default::default() };
+        let config = ServeConfig {
+            listen: any,
+            http: any.into(),
+            identity: Some(folder.join("identity")),
+            ..Default::default()
+        };
         let server = Server::start(Arc::new(Memory::new(street)), &config).await.unwrap();
         let mut connect = ConnectConfig::new(server.quic().to_string(), PICTURE);
         connect.fingerprint = Some(server.fingerprint().parse().unwrap());

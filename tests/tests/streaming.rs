@@ -3,6 +3,7 @@
 #[path = "../../client/src/cache/fixture.rs"]
 mod fixture;
 #[path = "streaming/host.rs"]
+#[allow(dead_code, reason = "shared with other tests, which use the rest")]
 mod host;
 #[path = "streaming/stranger.rs"]
 mod stranger;

@@ -7,6 +7,7 @@ use super::{
 };
 use crate::stream::Phase;
 use egui::{Align2, Color32, CornerRadius, FontId, Rect, pos2, vec2};
+use ldi_protocol::said::escaped;
 
 /// Size of the card, points.
 const CARD: egui::Vec2 = vec2(560.0, 250.0);
@@ -30,7 +31,7 @@ pub fn show(ctx: &egui::Context, server: &str, link: &Link, picture: Option<&Pic
         );
     };
     let scene = link.scene();
-    let title = scene.as_ref().map_or(server.to_owned(), |s| s.index.scene.name.clone());
+    let title = scene.as_ref().map_or(server.to_owned(), |s| escaped(&s.index.scene.name).into_owned());
     line(22.0, 24.0, Color32::WHITE, &title);
     let about = scene.as_ref().map_or_else(String::new, |s| {
         format!(

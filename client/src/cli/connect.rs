@@ -20,14 +20,16 @@ use ldi_protocol::{
 use std::{
     io::{BufRead as _, IsTerminal as _, Write as _},
     path::PathBuf,
+    sync::Arc,
 };
 
 #[derive(Args)]
 pub struct ConnectArgs {
     /// HOST or HOST:PORT of the server.
     server: String,
-    /// Fingerprint of the server's certificate, as the server prints it: trust this one, and look nothing up.
-    #[arg(long, value_name = "HEX")]
+    /// Fingerprint of the server's certificate, as the server prints it: trust this one, and look
+    /// nothing up. Two with a comma between them while the certificate changes.
+    #[arg(long, value_name = "HEX[,HEX]")]
     fingerprint: Option<String>,
     /// File of the servers that were trusted before [default: known_hosts in the user's configuration folder, ~/.config/ldi on Linux].
     #[arg(long, value_name = "FILE")]
@@ -118,7 +120,7 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
     if let Some(bytes) = args.cache_bytes {
         config.cache_bytes = bytes;
     }
-    config.fingerprint = Some(trusted(args, &config)?);
+    trust(args, &mut config)?;
     if args.disk_cache_bytes > 0 {
         // A folder that was asked for must work; without the usual one a walk goes on.
         config.disk = match (&args.disk_cache, DiskCache::default_folder()) {
@@ -155,10 +157,13 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The certificate to accept: the one given, or the one that the server shows if it is known or becomes so now.
-fn trusted(args: &ConnectArgs, config: &ConnectConfig) -> Result<Fingerprint, Failure> {
+/// Sets the certificate to accept: the one given, or the one that the server shows if it is known or
+/// becomes so now.
+fn trust(args: &ConnectArgs, config: &mut ConnectConfig) -> Result<(), Failure> {
     if let Some(hex) = &args.fingerprint {
-        return Ok(hex.parse()?);
+        let (now, next) = Fingerprint::pair(hex)?;
+        (config.fingerprint, config.next_fingerprint) = (Some(now), next);
+        return Ok(());
     }
     let path = args.known_hosts.clone().or_else(KnownHosts::default_path).ok_or_else(|| {
         Failure::usage("this user has no home folder: give --known-hosts FILE or the server's --fingerprint")
@@ -177,7 +182,9 @@ fn trusted(args: &ConnectArgs, config: &ConnectConfig) -> Result<Fingerprint, Fa
         known.remember(&args.server, found)?;
         eprintln!("ldi-client: {} is known from now on ({})", args.server, known.path().display());
     }
-    Ok(found)
+    (config.fingerprint, config.next_fingerprint) = (Some(found), known.other(&args.server, found));
+    config.known_hosts = Some(Arc::new(known));
+    Ok(())
 }
 
 /// Asks on the terminal whether to trust a server.

@@ -1,6 +1,6 @@
-//! Why there is no connection, or no longer one.
+//! Why there is no connection, or no longer one. Texts of the server are escaped where they are shown.
 
-use ldi_protocol::wire::RefusalCode;
+use ldi_protocol::{said::escaped, wire::RefusalCode};
 
 /// Errors of [`super::Connection`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -17,7 +17,7 @@ pub enum ConnectError {
     #[error("\"{0}\" is no fingerprint: 64 hexadecimal digits, as the server prints them")]
     FingerprintText(String),
     /// Nobody answers there.
-    #[error("{address} does not answer: {reason}; is the server running, and may UDP pass?")]
+    #[error("{address} does not answer: {}; is the server running, and may UDP pass?", escaped(reason))]
     Unreachable {
         /// Where.
         address: String,
@@ -39,7 +39,7 @@ pub enum ConnectError {
         found: String,
     },
     /// The server refuses this client.
-    #[error("the server refuses: {message}")]
+    #[error("the server refuses: {}", escaped(message))]
     Refused {
         /// Why.
         code: RefusalCode,
@@ -52,10 +52,10 @@ pub enum ConnectError {
     )]
     Busy,
     /// The server breaks the protocol or sends a manifest that cannot be used.
-    #[error("the server sends what cannot be used: {0}")]
+    #[error("the server sends what cannot be used: {}", escaped(.0))]
     Protocol(String),
     /// The connection ended.
-    #[error("the connection ended: {0}")]
+    #[error("the connection ended: {}", escaped(.0))]
     Lost(String),
     /// This machine cannot open a socket or a thread.
     #[error("cannot start: {0}")]
@@ -63,12 +63,20 @@ pub enum ConnectError {
 }
 
 impl ConnectError {
+    /// The server's refusal.
+    pub(super) fn refused(code: RefusalCode, message: String) -> Self {
+        match code {
+            RefusalCode::Busy => Self::Busy,
+            code => Self::Refused { code, message },
+        }
+    }
+
     /// The exit code of the command line: 2 for wrong usage, 1 when a retry may help, 42 when not.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Address { .. } | Self::FingerprintText(_) | Self::UnknownServer { .. } => 2,
             Self::Unreachable { .. } | Self::Busy | Self::Lost(_) | Self::Local(_) => 1,
-            Self::Refused { code: RefusalCode::Busy | RefusalCode::Rate, .. } => 1,
+            Self::Refused { code: RefusalCode::Rate, .. } => 1,
             Self::Fingerprint { .. } | Self::Refused { .. } | Self::Protocol(_) => 42,
         }
     }

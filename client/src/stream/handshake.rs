@@ -1,7 +1,7 @@
 //! From an address to a connection with a manifest.
 
 use super::{
-    ConnectConfig, ConnectError, Kept,
+    ConnectConfig, ConnectError, Fingerprint, Kept,
     link_socket::LinkSocket,
     pages::{Pages, is_listed},
     progress::Phase,
@@ -52,7 +52,7 @@ type Dialed = (Endpoint, Option<Arc<LinkSocket>>, Connection);
 
 async fn dial(config: &ConnectConfig, address: SocketAddr) -> Result<Dialed, ConnectError> {
     let provider = Arc::new(rustls::crypto::ring::default_provider());
-    let verifier = PinnedVerifier::new(config.fingerprint, provider);
+    let verifier = PinnedVerifier::new(config.fingerprint, config.next_fingerprint, provider);
     let (endpoint, link) = transport::open(address, verifier.clone(), config.link)?;
     let unreachable = |reason: String| ConnectError::Unreachable { address: address.to_string(), reason };
     let connecting = endpoint.connect(address, "ldi-server").map_err(|e| unreachable(e.to_string()))?;
@@ -103,11 +103,16 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
     let _ = send.write_all(&hello).await;
     let welcome = match step(config, read_message::<ServerMessage>(&mut recv, &connection)).await? {
         ServerMessage::Welcome(w) => w,
-        ServerMessage::Refused { code, message } => return Err(ConnectError::Refused { code, message }),
+        ServerMessage::Refused { code, message } => return Err(ConnectError::refused(code, message)),
         ServerMessage::Unavailable { .. } | ServerMessage::Others { .. } => {
             return Err(ConnectError::Protocol("no welcome".into()));
         }
     };
+    if let (Some(known), Some(next)) = (&config.known_hosts, welcome.next_certificate)
+        && let Err(e) = known.learn(&config.server, Fingerprint(next.0))
+    {
+        tracing::warn!("the server's next certificate is not remembered: {e}");
+    }
     let dataset = welcome.dataset;
     let (index, rest) = match welcome.root_bytes {
         0 => (named(resumed, &known, dataset)?, None),
@@ -209,7 +214,7 @@ pub(super) fn lost(e: &ConnectionError) -> ConnectError {
     let refusals =
         [RefusalCode::Token, RefusalCode::Version, RefusalCode::Busy, RefusalCode::Protocol, RefusalCode::Rate];
     match refusals.into_iter().find(|c| u64::from(*c as u32) == close.error_code.into_inner()) {
-        Some(code) => ConnectError::Refused { code, message },
+        Some(code) => ConnectError::refused(code, message),
         None => ConnectError::Lost(message),
     }
 }

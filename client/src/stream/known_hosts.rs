@@ -1,7 +1,8 @@
 //! Servers that were trusted before: trust on first use, as ssh has it.
 //!
 //! A text file, one server per line: `HOST:PORT FINGERPRINT`. Empty lines and lines that begin with `#` say nothing. Lines are only
-//! ever added by this program; to forget a server, remove its line.
+//! ever added by this program; to forget a server, remove its line. A server may have several lines:
+//! one that is about to change its certificate announces the next one, which is added.
 
 use super::Fingerprint;
 use ldi_protocol::wire::DEFAULT_PORT;
@@ -13,6 +14,8 @@ use std::{
 
 /// Largest file that is read: some ten thousand servers.
 const MAX_BYTES: u64 = 1 << 20;
+/// Certificates of one server beyond which none is learned from it: its lines must not fill the file.
+const MAX_LEARNED: usize = 16;
 
 /// The file cannot be used, or speaks against a server.
 #[derive(Debug, thiserror::Error)]
@@ -144,6 +147,27 @@ impl KnownHosts {
         add().map_err(|source| KnownHostsError::File { path: self.path.clone(), source })
     }
 
+    /// Remembers the certificate that will replace a known server's, unless it is known. Reads the
+    /// file again, as others may have written to it.
+    ///
+    /// # Errors
+    /// If the file cannot be read or written.
+    pub fn learn(&self, server: &str, next: Fingerprint) -> Result<(), KnownHostsError> {
+        let (now, host) = (Self::load(&self.path)?, name_of(server));
+        let mut of_host = now.entries.iter().filter(|e| e.1 == host);
+        let is_full = of_host.clone().count() >= MAX_LEARNED;
+        if is_full || of_host.any(|e| e.2 == next) {
+            return Ok(());
+        }
+        self.remember(server, next)
+    }
+
+    /// A certificate that is known for a server, other than this one: the latest.
+    pub fn other(&self, server: &str, than: Fingerprint) -> Option<Fingerprint> {
+        let host = name_of(server);
+        self.entries.iter().rev().find(|e| e.1 == host && e.2 != than).map(|e| e.2)
+    }
+
     /// The file.
     pub fn path(&self) -> &Path {
         &self.path
@@ -210,6 +234,20 @@ mod tests {
         let error = known.check("hall:1", Fingerprint([0; 32])).unwrap_err();
         assert!(matches!(error, KnownHostsError::Changed { line: 3, .. }), "{error}");
         assert!(fs::read_to_string(&path).unwrap().starts_with("# servers\n\n"));
+    }
+
+    #[test]
+    fn the_next_certificate_is_learned_once() {
+        let path = file("next", Some(&format!("hall:1 {A}\n")));
+        let known = KnownHosts::load(&path).unwrap();
+        assert_eq!(known.other("hall:1", A), None);
+        for _ in 0..2 {
+            known.learn("hall:1", B).unwrap();
+        }
+        assert_eq!(fs::read_to_string(&path).unwrap(), format!("hall:1 {A}\nhall:1 {B}\n"));
+        let known = KnownHosts::load(&path).unwrap();
+        assert_eq!((known.other("hall:1", A), known.other("hall:1", B)), (Some(B), Some(A)));
+        assert_eq!(known.check("hall:1", B).unwrap(), Acquaintance::Same);
     }
 
     #[test]

@@ -73,6 +73,10 @@ pub struct ConnectConfig {
     pub server: String,
     /// The certificate to expect. None ends in [`ConnectError::UnknownServer`], which names the one found.
     pub fingerprint: Option<Fingerprint>,
+    /// The certificate that may replace the expected one.
+    pub next_fingerprint: Option<Fingerprint>,
+    /// File of known servers that learns which certificate will replace the server's.
+    pub known_hosts: Option<Arc<KnownHosts>>,
     /// Shared secret, when the server asks for one.
     pub token: Option<String>,
     /// The picture that will be drawn.
@@ -119,6 +123,8 @@ impl ConnectConfig {
         Self {
             server: server.into(),
             fingerprint: None,
+            next_fingerprint: None,
+            known_hosts: None,
             token: None,
             picture,
             show: Show::default(),

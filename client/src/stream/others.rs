@@ -1,6 +1,6 @@
 //! Where other walkers are: wished for by whoever shows it, told by the server, kept through connections that come and go.
 
-use ldi_protocol::wire::Other;
+use ldi_protocol::{said::escaped, wire::Other};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// See the module.
@@ -39,7 +39,8 @@ impl Others {
         self.lock().wish
     }
 
-    pub(super) fn told(&self, walkers: Vec<Other>) {
+    pub(super) fn told(&self, mut walkers: Vec<Other>) {
+        walkers.iter_mut().for_each(|w| w.name = escaped(&w.name).into_owned());
         let mut known = self.lock();
         // What comes after the wish is gone is old by the time of the next one.
         if known.wish.wanted {

@@ -32,17 +32,31 @@ impl std::fmt::Display for Fingerprint {
     }
 }
 
-/// Accepts one certificate. The handshake's signature is checked as usual, so that the server must hold its key.
+impl Fingerprint {
+    /// One fingerprint, or two with a comma between them while a server's certificate changes.
+    ///
+    /// # Errors
+    /// A text that is none.
+    pub fn pair(text: &str) -> Result<(Self, Option<Self>), ConnectError> {
+        match text.split_once(',') {
+            Some((now, next)) => Ok((now.parse()?, Some(next.parse()?))),
+            None => Ok((text.parse()?, None)),
+        }
+    }
+}
+
+/// Accepts one certificate, or the one that will replace it. The handshake's signature is checked as usual, so that the server must hold its key.
 #[derive(Debug)]
 pub(super) struct PinnedVerifier {
     expected: Option<Fingerprint>,
+    next: Option<Fingerprint>,
     found: OnceLock<Fingerprint>,
     provider: Arc<CryptoProvider>,
 }
 
 impl PinnedVerifier {
-    pub fn new(expected: Option<Fingerprint>, provider: Arc<CryptoProvider>) -> Arc<Self> {
-        Arc::new(Self { expected, found: OnceLock::new(), provider })
+    pub fn new(expected: Option<Fingerprint>, next: Option<Fingerprint>, provider: Arc<CryptoProvider>) -> Arc<Self> {
+        Arc::new(Self { expected, next, found: OnceLock::new(), provider })
     }
 
     /// Why the certificate was refused, once one was shown.
@@ -50,11 +64,15 @@ impl PinnedVerifier {
         let found = *self.found.get()?;
         match self.expected {
             None => Some(ConnectError::UnknownServer { fingerprint: found.to_string() }),
-            Some(e) if e != found => {
+            Some(e) if !self.accepts(found) => {
                 Some(ConnectError::Fingerprint { expected: e.to_string(), found: found.to_string() })
             }
             Some(_) => None,
         }
+    }
+
+    fn accepts(&self, found: Fingerprint) -> bool {
+        self.expected == Some(found) || (self.expected.is_some() && self.next == Some(found))
     }
 }
 
@@ -69,7 +87,7 @@ impl ServerCertVerifier for PinnedVerifier {
     ) -> Result<ServerCertVerified, Error> {
         let found = Fingerprint(*blake3::hash(end_entity).as_bytes());
         let _ = self.found.set(found);
-        if self.expected == Some(found) {
+        if self.accepts(found) {
             return Ok(ServerCertVerified::assertion());
         }
         Err(Error::InvalidCertificate(CertificateError::ApplicationVerificationFailure))

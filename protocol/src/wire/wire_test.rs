@@ -52,6 +52,7 @@ fn messages_survive_the_trip() {
         pages: 3,
         walker: 1,
         others: true,
+        next_certificate: Some(ChunkHash([8; 32])),
     }));
     trip(ServerMessage::Refused { code: RefusalCode::Token, message: "no".into() });
     trip(Request::Name(ChunkHash([200; 32])));
@@ -116,8 +117,15 @@ fn a_map_full_of_walkers_fits_a_frame_and_walkers_nowhere_are_refused() {
 /// A server of before does not say whether it tells of others: then it does not.
 #[test]
 fn a_server_that_says_nothing_of_others_does_not_tell() {
-    let welcome =
-        Welcome { version: VERSION, dataset: ChunkHash([9; 32]), root_bytes: 5, pages: 3, walker: 1, others: true };
+    let welcome = Welcome {
+        version: VERSION,
+        dataset: ChunkHash([9; 32]),
+        root_bytes: 5,
+        pages: 3,
+        walker: 1,
+        others: true,
+        next_certificate: None,
+    };
     let bytes = encode(&ServerMessage::Welcome(welcome.clone())).unwrap();
     let mut absent = bytes[4..].to_vec();
     let at = absent.windows(6).position(|w| w == b"others").expect("it is in the message");

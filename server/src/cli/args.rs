@@ -1,5 +1,6 @@
 //! The command line of `ldi-server`.
 
+use crate::serve::HttpAt;
 use clap::{Args, Parser, Subcommand};
 use glam::DVec3;
 use std::net::{SocketAddr, ToSocketAddrs as _};
@@ -67,8 +68,19 @@ Examples:
 Example: ldi-server render clinic.glb --path clinic.path.json --size 1280x720 --samples 16 --depth --every 100 -o truth")]
     Render(RenderArgs),
     /// Serve a dataset over QUIC, and its plan over HTTP.
-    #[command(after_help = "Example: ldi-server serve clinic.ldi --listen 0.0.0.0:4433 --http 127.0.0.1:8080")]
+    #[command(after_help = "\
+Examples:
+  ldi-server serve clinic.ldi --listen 0.0.0.0:4433 --http 127.0.0.1:8080
+  ldi-server serve clinic.ldi --config serve.toml --check     is all as it should be?
+
+SIGHUP reloads the dataset, the token and the certificate; walkers inside stay.")]
     Serve(ServeArgs),
+    /// Show the server's identity, or replace it in two steps.
+    #[command(after_help = "\
+Examples:
+  ldi-server identity --prepare      makes the next certificate; running servers announce it after SIGHUP
+  ldi-server identity --switch       takes it, when all clients have met it; then SIGHUP")]
+    Identity(IdentityArgs),
 }
 
 /// `ldi-server scene`.
@@ -335,15 +347,49 @@ pub struct ServeArgs {
     /// QUIC address or name, with port [default: 127.0.0.1:4433]; port 0 picks a free one.
     #[arg(long, value_name = "HOST:PORT", value_parser = address)]
     pub listen: Option<SocketAddr>,
-    /// HTTP address or name, with port [default: 127.0.0.1:8080]; port 0 picks a free one.
-    #[arg(long, value_name = "HOST:PORT", value_parser = address)]
-    pub http: Option<SocketAddr>,
+    /// HTTP address or name, with port, or `off` [default: 127.0.0.1:8080]; port 0 picks a free one.
+    #[arg(long, value_name = "HOST:PORT", value_parser = http_address)]
+    pub http: Option<HttpAt>,
     /// TOML file with the same settings and the limits; options given here win.
     #[arg(long)]
     pub config: Option<PathBuf>,
     /// File with the token that clients must show.
     #[arg(long)]
     pub token_file: Option<PathBuf>,
+    /// PEM or DER file of your own certificate, instead of the one that the server makes.
+    #[arg(long, value_name = "FILE", requires = "key")]
+    pub certificate: Option<PathBuf>,
+    /// PEM or DER file of its private key.
+    #[arg(long, value_name = "FILE", requires = "certificate")]
+    pub key: Option<PathBuf>,
+    /// Check dataset, settings, token and certificate, and do not serve.
+    #[arg(long)]
+    pub check: bool,
+    /// Form of the log on standard error.
+    #[arg(long, value_enum, default_value = "plain")]
+    pub log: LogForm,
+}
+
+/// Form of the log.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum LogForm {
+    /// Lines for people.
+    Plain,
+    /// One JSON object per line.
+    Json,
+}
+
+/// `ldi-server identity`.
+#[derive(Debug, Args)]
+pub struct IdentityArgs {
+    /// Folder of the identity [default: $XDG_STATE_HOME/ldi-server, else ~/.local/state/ldi-server].
+    pub folder: Option<PathBuf>,
+    /// Make the identity that will replace this one, unless it is there.
+    #[arg(long, conflicts_with = "switch")]
+    pub prepare: bool,
+    /// Replace the identity by the next one.
+    #[arg(long)]
+    pub switch: bool,
 }
 
 /// A picture size like 1280x720, with sides from 16 to 8192.
@@ -360,6 +406,11 @@ fn address(s: &str) -> Result<SocketAddr, String> {
         .to_socket_addrs()
         .map_err(|e| format!("{e}; an address and a port are needed, as 0.0.0.0:4433 or localhost:4433"))?;
     found.into_iter().next().ok_or_else(|| "the name has no address".to_string())
+}
+
+/// An address or a name, or `off`.
+fn http_address(s: &str) -> Result<HttpAt, String> {
+    if s == "off" { Ok(HttpAt(None)) } else { address(s).map(HttpAt::from) }
 }
 
 /// A time as 90, 90s, 20m or 3h.
@@ -429,6 +480,13 @@ mod tests {
         for wrong in ["4433", "0.0.0.0", "localhost", ""] {
             assert!(address(wrong).is_err_and(|e| e.contains("localhost:4433")), "{wrong}");
         }
+    }
+
+    #[test]
+    fn http_is_answered_at_an_address_or_not() {
+        assert_eq!(http_address("off"), Ok(HttpAt(None)));
+        assert_eq!(http_address("[::1]:80").map(|a| a.0.is_some()), Ok(true));
+        assert!(http_address("on").is_err());
     }
 
     #[test]

@@ -1,7 +1,9 @@
 //! What each command does.
 
 use super::Failure;
-use super::args::{Budget, BuildArgs, Command, InspectArgs, PlanArgs, RenderArgs, SceneArgs, ServeArgs, VerifyArgs};
+use super::args::{
+    Budget, BuildArgs, Command, IdentityArgs, InspectArgs, PlanArgs, RenderArgs, SceneArgs, ServeArgs, VerifyArgs,
+};
 use super::progress::Stderr;
 use crate::build::{self, BuildError, BuildOptions, PortalOptions, Progress as _, Represent, RoomSource};
 use crate::octree;
@@ -9,7 +11,7 @@ use crate::placement::{self, PlacementError};
 use crate::plan as floor_plan;
 use crate::render::{self, Caster};
 use crate::scene::{self, builtin};
-use crate::serve::{self, ServeConfig, ServeError};
+use crate::serve::{self, ChunkSource, Identity, IdentityError, OpenDataset, ServeConfig, ServeError};
 use crate::store::{self, Dataset};
 use crate::walk_volume::{Corridor, WalkReport};
 use anyhow::{Context as _, anyhow};
@@ -20,10 +22,11 @@ use ldi_protocol::index::{BuildSettings, Index};
 use ldi_protocol::path::{PathError, Walk};
 use ldi_protocol::room_index::BuiltImages;
 use ldi_protocol::rooms::Rooms;
-use ldi_protocol::said::is_lasting;
+use ldi_protocol::said::{is_lasting, said};
 use std::io::{BufWriter, Write as _};
 use std::path::Path;
 use std::sync::Arc;
+use std::time::SystemTime;
 
 /// Runs a command.
 pub fn run(command: Command) -> Result<(), Failure> {
@@ -36,6 +39,7 @@ pub fn run(command: Command) -> Result<(), Failure> {
         Command::Plan(a) => plan(&a),
         Command::Render(a) => render(&a),
         Command::Serve(a) => serve(a),
+        Command::Identity(a) => identity(&a),
     }
 }
 
@@ -406,13 +410,41 @@ fn serve(a: ServeArgs) -> Result<(), Failure> {
     config.listen = a.listen.unwrap_or(config.listen);
     config.http = a.http.unwrap_or(config.http);
     config.token_file = a.token_file.or(config.token_file);
-    let dataset = open(&a.dataset)?;
+    if a.certificate.is_some() {
+        (config.certificate, config.key) = (a.certificate, a.key);
+    }
+    let failed = |e: ServeError| Failure::of(!matches!(e, ServeError::Bind { .. } | ServeError::Stdout(_)), e);
+    let dataset: Arc<dyn ChunkSource> = Arc::new(open(&a.dataset)?);
+    if a.check {
+        let fingerprint = serve::check(dataset, &config).map_err(failed)?;
+        println!("{}: can be served; fingerprint={fingerprint}", a.dataset.display());
+        return Ok(());
+    }
+    let reopen: OpenDataset = Arc::new(move || match Dataset::open(&a.dataset) {
+        Ok(dataset) => Ok(Arc::new(dataset) as Arc<dyn ChunkSource>),
+        Err(e) => Err(said(&e)),
+    });
     let runtime =
         tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(|e| Failure::of(false, e))?;
-    runtime.block_on(serve::serve(Arc::new(dataset), config)).map_err(|e| {
-        let retry = matches!(e, ServeError::Bind { .. } | ServeError::Stdout(_));
-        Failure::of(!retry, e)
-    })
+    runtime.block_on(serve::serve(dataset, reopen, config)).map_err(failed)
+}
+
+fn identity(a: &IdentityArgs) -> Result<(), Failure> {
+    let folder = a.folder.clone().or_else(serve::state_folder).ok_or(IdentityError::NoFolder);
+    let shown = folder.and_then(|folder| match (a.prepare, a.switch) {
+        (true, _) => Identity::prepare_next(&folder),
+        (_, true) => Identity::switch(&folder),
+        _ => Identity::in_folder(&folder),
+    });
+    let shown = shown.map_err(Failure::permanent)?;
+    println!("fingerprint={}", shown.fingerprint());
+    if let Some(days) = shown.days_left(SystemTime::now()) {
+        println!("days={days}");
+    }
+    if let Some(next) = shown.next {
+        println!("next={}", next.to_hex());
+    }
+    Ok(())
 }
 
 pub(super) fn open(path: &Path) -> Result<Dataset, Failure> {

@@ -57,19 +57,27 @@ fn raise_file_limit() {
 
 /// Runs the command line; returns the exit code.
 pub fn main() -> ExitCode {
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn".into());
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
-        .init();
     let cli = args::Cli::parse();
     raise_file_limit();
+    start_log(match &cli.command {
+        args::Command::Serve(a) => a.log,
+        _ => args::LogForm::Plain,
+    });
     match commands::run(cli.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(f) => {
             eprintln!("ldi-server: {}", said(f.error.as_ref()));
             ExitCode::from(f.kind as u8)
         }
+    }
+}
+
+/// Logs to standard error: warnings, and who comes and goes.
+fn start_log(form: args::LogForm) {
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn,access=info".into());
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    match form {
+        args::LogForm::Plain => log.with_ansi(std::io::stderr().is_terminal()).init(),
+        args::LogForm::Json => log.json().flatten_event(true).init(),
     }
 }

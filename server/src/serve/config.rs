@@ -12,18 +12,25 @@ use std::{
 pub struct ServeConfig {
     /// UDP address of QUIC; port 0 picks a free one.
     pub listen: SocketAddr,
-    /// TCP address of the HTTP page; port 0 picks a free one.
-    pub http: SocketAddr,
+    /// TCP address of the HTTP page, or `off`; port 0 picks a free one.
+    pub http: HttpAt,
+    /// Names by which browsers reach the page, beside `localhost` and addresses. Pages of other
+    /// names are not answered: their owners could have visitors' browsers read this one.
+    pub http_names: Vec<String>,
     /// File with the secret that clients must show, surrounding white space ignored. None: everyone may come in.
     pub token_file: Option<PathBuf>,
     /// Folder of the certificate and its key. None: `$XDG_STATE_HOME/ldi-server`, else `$HOME/.local/state/ldi-server`, else a
     /// new certificate per run.
     pub identity: Option<PathBuf>,
-    /// Connections in all. Each takes about 115 KiB while idle and up to `send_window` while it streams.
+    /// PEM or DER file of the operator's own certificate, instead of the one in `identity`; with `key`.
+    pub certificate: Option<PathBuf>,
+    /// PEM or DER file of its private key.
+    pub key: Option<PathBuf>,
+    /// Walkers in all. Each takes about 115 KiB while idle and up to `send_window` while it streams.
     pub max_connections: usize,
-    /// Connections from one address.
+    /// Walkers from one IPv4 address or one /64 network of IPv6.
     pub max_connections_per_address: usize,
-    /// Bytes of chunks per second that all connections from one address share; 0: no limit.
+    /// Bytes of chunks per second that all walkers from one address (IPv6: /64 network) share; 0: no limit.
     pub bytes_per_second_per_address: f64,
     /// Control messages and requests per second of one client; short bursts of four times as many pass.
     pub messages_per_second: f64,
@@ -53,13 +60,38 @@ pub enum Congestion {
     Bbr,
 }
 
+/// Where HTTP is answered; None: nowhere.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "String")]
+pub struct HttpAt(pub Option<SocketAddr>);
+
+impl From<SocketAddr> for HttpAt {
+    fn from(address: SocketAddr) -> Self {
+        Self(Some(address))
+    }
+}
+
+impl TryFrom<String> for HttpAt {
+    type Error = String;
+    fn try_from(text: String) -> Result<Self, String> {
+        if text == "off" {
+            return Ok(Self(None));
+        }
+        let wrong = |e| format!("{e}; an address and a port are needed, as 127.0.0.1:8080, or off");
+        text.parse().map(|address| Self(Some(address))).map_err(wrong)
+    }
+}
+
 impl Default for ServeConfig {
     fn default() -> Self {
         Self {
             listen: SocketAddr::from(([127, 0, 0, 1], ldi_protocol::wire::DEFAULT_PORT)),
-            http: SocketAddr::from(([127, 0, 0, 1], 8080)),
+            http: SocketAddr::from(([127, 0, 0, 1], 8080)).into(),
+            http_names: Vec::new(),
             token_file: None,
             identity: None,
+            certificate: None,
+            key: None,
             max_connections: 2_000,
             max_connections_per_address: 1_000,
             bytes_per_second_per_address: 0.0,
@@ -123,6 +155,9 @@ impl ServeConfig {
         if self.max_connections == 0 || self.max_connections_per_address == 0 {
             return value("max_connections", "0 lets nobody in; use 1 or more");
         }
+        if self.certificate.is_some() != self.key.is_some() {
+            return value("certificate", "a certificate and its key are given together");
+        }
         if self.messages_per_second.is_nan() || self.messages_per_second < 1.0 {
             return value("messages_per_second", "must be at least 1");
         }
@@ -142,6 +177,7 @@ impl ServeConfig {
     /// An unreadable or empty file, or a token longer than a message may carry.
     pub fn token(&self) -> Result<Option<String>, ConfigError> {
         let Some(path) = &self.token_file else { return Ok(None) };
+        warn_if_open_to_all(path);
         let token = read_small(path)?.trim().to_owned();
         if token.is_empty() || token.len() > ldi_protocol::wire::MAX_TEXT {
             let reason = format!("a token has 1 to {} bytes, this one {}", ldi_protocol::wire::MAX_TEXT, token.len());
@@ -149,6 +185,19 @@ impl ServeConfig {
         }
         Ok(Some(token))
     }
+}
+
+/// Warns of a secret that everybody on this machine can read.
+fn warn_if_open_to_all(path: &Path) {
+    #[cfg(unix)]
+    if let Ok(about) = std::fs::metadata(path)
+        && std::os::unix::fs::PermissionsExt::mode(&about.permissions()) & 0o007 != 0
+    {
+        let path = path.display();
+        tracing::warn!("{path}: everybody on this machine may read the token; run `chmod 600 {path}`");
+    }
+    #[cfg(not(unix))]
+    let _ = path;
 }
 
 fn read_small(path: &Path) -> Result<String, ConfigError> {
@@ -180,6 +229,10 @@ mod tests {
             assert_eq!(c.congestion, expected);
         }
         assert_eq!(c.http, ServeConfig::default().http);
+        let http = |text: &str| toml::from_str::<ServeConfig>(text).map(|c| c.http);
+        assert_eq!(http("http = 'off'").unwrap(), HttpAt(None));
+        assert_eq!(http("http = '[::1]:80'").unwrap(), HttpAt(Some("[::1]:80".parse().unwrap())));
+        assert!(http("http = 'on'").unwrap_err().to_string().contains("or off"));
         assert!(toml::from_str::<ServeConfig>("listne = '0.0.0.0:0'").is_err());
     }
 
@@ -191,6 +244,7 @@ mod tests {
             ServeConfig { messages_per_second: f64::NAN, ..Default::default() },
             ServeConfig { bytes_per_second_per_address: -1.0, ..Default::default() },
             ServeConfig { send_window: 1, ..Default::default() },
+            ServeConfig { key: Some("key.pem".into()), ..Default::default() },
         ] {
             assert!(c.validate().is_err(), "{c:?}");
         }

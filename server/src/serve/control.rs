@@ -2,7 +2,7 @@
 
 use super::{
     limits::{Allowance, TokenBucket},
-    session::Shared,
+    offer::Offer,
 };
 use ldi_protocol::wire::{self, ClientMessage, Hello, Message, RefusalCode, ServerMessage, WireError};
 use quinn::{RecvStream, SendStream};
@@ -35,7 +35,7 @@ impl From<WireError> for SessionError {
 }
 
 /// Checks version and token.
-pub(super) fn admit(shared: &Shared, first: ClientMessage) -> Result<Hello, SessionError> {
+pub(super) fn admit(offer: &Offer, first: ClientMessage) -> Result<Hello, SessionError> {
     let refused = |code, message: String| Err(SessionError::Refused { code, message });
     let ClientMessage::Hello(hello) = first else {
         return refused(RefusalCode::Protocol, "the first message must be Hello".into());
@@ -48,12 +48,8 @@ pub(super) fn admit(shared: &Shared, first: ClientMessage) -> Result<Hello, Sess
         );
         return refused(RefusalCode::Version, message);
     }
-    if let Some(expected) = &shared.token {
-        // Comparing hashes takes the same time wherever they differ.
-        let shown = hello.token.as_ref().map(|t| blake3::hash(t.as_bytes()));
-        if shown.as_ref() != Some(expected) {
-            return refused(RefusalCode::Token, "wrong or missing token; pass the server's with --token-file".into());
-        }
+    if !offer.admits(hello.token.as_ref().map(String::as_bytes)) {
+        return refused(RefusalCode::Token, "wrong or missing token; pass the server's with --token-file".into());
     }
     Ok(hello)
 }

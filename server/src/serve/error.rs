@@ -22,7 +22,7 @@ pub enum ServeError {
     #[error(transparent)]
     Identity(#[from] super::identity::IdentityError),
     /// TLS refuses the certificate or key.
-    #[error("TLS: {0}; remove the identity folder to have a new certificate made")]
+    #[error("TLS refuses the certificate or its key: {0}; the two must belong together")]
     Tls(String),
     /// The manifest's root does not fit the protocol.
     #[error("the dataset's manifest root has {bytes} bytes, at most {limit} can be sent; build the dataset again")]
@@ -32,6 +32,9 @@ pub enum ServeError {
         /// What the protocol allows.
         limit: usize,
     },
+    /// The dataset cannot be opened again.
+    #[error("{0}")]
+    Dataset(String),
     /// The ready line could not be written.
     #[error("standard output: {0}")]
     Stdout(std::io::Error),

@@ -1,20 +1,46 @@
 //! Health, metrics and the page. Self-contained: nothing is loaded from elsewhere.
+//!
+//! Browsers visit other pages too, and strangers reach the port where it is open to a network. So
+//! requests without a name of this server are not answered (DNS rebinding), no page may frame or
+//! read this one, the token is asked for where walking asks for it, requests carry no bodies, and
+//! every connection has a time to live and a place to take.
 
-use super::{plan, session::Shared};
+use super::{
+    admission::Peer,
+    offer::Offer,
+    session::{ACCESS, Shared, stopped},
+};
 use axum::{
     Json, Router,
-    extract::State,
-    http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE},
-    response::{Html, IntoResponse},
+    extract::{Request, State},
+    http::{
+        HeaderMap, HeaderValue, StatusCode,
+        header::{self, CACHE_CONTROL, CONTENT_TYPE},
+        uri::Authority,
+    },
+    middleware::{self, Next},
+    response::{Html, IntoResponse, Response},
     routing::get,
 };
-use bytes::Bytes;
+use base64::Engine as _;
+use hyper::server::conn::http1;
+use hyper_util::{
+    rt::{TokioIo, TokioTimer},
+    service::TowerToHyperService,
+};
 use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
 use std::{
-    sync::{Arc, OnceLock},
+    collections::HashMap,
+    net::IpAddr,
+    sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError},
     time::Duration,
 };
-use tokio::{net::TcpListener, sync::watch};
+use tokio::{
+    net::{TcpListener, TcpStream},
+    sync::watch,
+    task::JoinSet,
+    time::{sleep, timeout},
+};
 
 const PAGE: &str = include_str!("page.html");
 /// How often the recorder folds what it has gathered, so that it stays small while nobody asks.
@@ -22,9 +48,38 @@ const UPKEEP: Duration = Duration::from_secs(5);
 /// Borders of the planning time's histogram, seconds.
 const PLAN_BUCKETS: [f64; 8] = [0.000_01, 0.000_03, 0.000_1, 0.000_3, 0.001, 0.003, 0.01, 0.03];
 
+/// Time for the head of a request, and between two requests. Longer: idle connections hold places
+/// for longer; shorter: the page, which asks twice a second, connects anew.
+const HEAD: Duration = Duration::from_secs(5);
+/// Time to answer. Longer than a large scene's plan takes to make.
+const ANSWER: Duration = Duration::from_secs(60);
+/// Time after which a connection takes no more requests, and after that for its last answer.
+const LIFE: Duration = Duration::from_secs(60);
+/// Connections at a time, and those of one peer. More: slow peers hold more memory; fewer: people
+/// behind one address wait for each other.
+const CONNECTIONS: usize = 128;
+const CONNECTIONS_OF_PEER: usize = 32;
+/// A wrong token is answered after this time, so that guessing is slow.
+const WRONG_TOKEN_DELAY: Duration = Duration::from_millis(300);
+/// After an error of the listener, as when no descriptors are left.
+const PAUSE: Duration = Duration::from_millis(100);
+
+/// Sent with every answer.
+const HEADERS: [(header::HeaderName, &str); 5] = [
+    (
+        header::CONTENT_SECURITY_POLICY,
+        "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; \
+         base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    ),
+    (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    (header::X_FRAME_OPTIONS, "DENY"),
+    (header::REFERRER_POLICY, "no-referrer"),
+    (header::HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
+];
+
 struct Site {
     shared: Arc<Shared>,
-    plan: OnceLock<Bytes>,
+    names: Vec<String>,
     metrics: Option<PrometheusHandle>,
 }
 
@@ -65,54 +120,191 @@ fn describe() {
     describe_histogram!("ldi_plan_seconds", "Time to decide what to send next");
 }
 
-/// Answers until `stop` turns true.
-pub(super) async fn answer(listener: TcpListener, shared: Arc<Shared>, mut stop: watch::Receiver<bool>) {
-    let site = Arc::new(Site { shared, plan: OnceLock::new(), metrics: recorder() });
+/// Answers until `stop` turns true. `names`: those of the server, beside `localhost` and addresses.
+pub(super) async fn answer(
+    listener: TcpListener,
+    shared: Arc<Shared>,
+    names: Vec<String>,
+    mut stop: watch::Receiver<bool>,
+) {
+    let site = Arc::new(Site { shared, names, metrics: recorder() });
     let upkeep = site.metrics.clone().map(|m| {
         tokio::spawn(async move {
             loop {
-                tokio::time::sleep(UPKEEP).await;
+                sleep(UPKEEP).await;
                 m.run_upkeep();
             }
         })
     });
     let router = Router::new()
-        .route("/", get(page))
+        .route("/", get(|| async { Html(PAGE) }))
         .route("/plan.json", get(plan_json))
         .route("/walkers.json", get(walkers))
         .route("/healthz", get(|| async { "ok\n" }))
-        .route("/readyz", get(|| async { "ready\n" }))
+        .route("/readyz", get(ready))
         .route("/metrics", get(metrics_text))
+        .layer(middleware::from_fn_with_state(site.clone(), guard))
         .with_state(site);
-    let stopped = async move {
-        let _ = stop.wait_for(|s| *s).await;
-    };
-    if let Err(e) = axum::serve(listener, router).with_graceful_shutdown(stopped).await {
-        tracing::error!("HTTP ended: {e}");
+    let places = Arc::new(Places::default());
+    let mut connections = JoinSet::new();
+    loop {
+        tokio::select! {
+            accepted = listener.accept() => match accepted {
+                Ok((stream, from)) => {
+                    // Closed unanswered when there is no place.
+                    if let Some(place) = Places::take(&places, from.ip()) {
+                        connections.spawn(converse(stream, router.clone(), place, stop.clone()));
+                    }
+                }
+                Err(e) => {
+                    tracing::debug!("HTTP: {e}");
+                    sleep(PAUSE).await;
+                }
+            },
+            Some(_) = connections.join_next() => {}
+            () = stopped(&mut stop) => break,
+        }
     }
+    drop(listener);
+    while connections.join_next().await.is_some() {}
     if let Some(task) = upkeep {
         task.abort();
     }
 }
 
-async fn page() -> impl IntoResponse {
-    let policy = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'";
-    ([(CONTENT_SECURITY_POLICY, policy)], Html(PAGE))
+/// One connection, until it ends, is idle, or has lived long enough.
+async fn converse(stream: TcpStream, router: Router, _place: Place, mut stop: watch::Receiver<bool>) {
+    let service = TowerToHyperService::new(router);
+    let mut http = http1::Builder::new();
+    http.timer(TokioTimer::new()).header_read_timeout(HEAD);
+    let mut connection = std::pin::pin!(http.serve_connection(TokioIo::new(stream), service));
+    tokio::select! {
+        _ = connection.as_mut() => return,
+        () = sleep(LIFE) => {}
+        () = stopped(&mut stop) => {}
+    }
+    connection.as_mut().graceful_shutdown();
+    let _ = timeout(LIFE, connection).await;
+}
+
+/// Open connections by peer.
+#[derive(Debug, Default)]
+struct Places(Mutex<HashMap<Peer, usize>>);
+
+/// A connection's place; given back when dropped.
+struct Place {
+    places: Arc<Places>,
+    peer: Peer,
+}
+
+impl Places {
+    fn take(places: &Arc<Self>, address: IpAddr) -> Option<Place> {
+        let peer = Peer::from(address);
+        let mut taken = places.taken();
+        let all: usize = taken.values().sum();
+        let of_peer = taken.get(&peer).copied().unwrap_or(0);
+        if all >= CONNECTIONS || of_peer >= CONNECTIONS_OF_PEER {
+            return None;
+        }
+        taken.insert(peer, of_peer + 1);
+        Some(Place { places: places.clone(), peer })
+    }
+
+    fn taken(&self) -> MutexGuard<'_, HashMap<Peer, usize>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let mut taken = self.places.taken();
+        let left = taken.get(&self.peer).map_or(0, |n| n - 1);
+        match left {
+            0 => taken.remove(&self.peer),
+            left => taken.insert(self.peer, left),
+        };
+    }
+}
+
+/// Answers only what may be answered, within its time, and adds [`HEADERS`].
+async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
+    let mut response = match refusal(&site, request.uri().path(), request.headers()).await {
+        Some(refusal) => refusal,
+        None => match timeout(ANSWER, next.run(request)).await {
+            Ok(response) => response,
+            Err(_) => (StatusCode::SERVICE_UNAVAILABLE, "took too long; ask again\n").into_response(),
+        },
+    };
+    for (name, value) in HEADERS {
+        response.headers_mut().insert(name, HeaderValue::from_static(value));
+    }
+    response
+}
+
+async fn refusal(site: &Site, path: &str, headers: &HeaderMap) -> Option<Response> {
+    let has_body = headers.contains_key(header::TRANSFER_ENCODING)
+        || headers.get(header::CONTENT_LENGTH).is_some_and(|length| length != "0");
+    if has_body {
+        let close = [(header::CONNECTION, "close")];
+        return Some((StatusCode::PAYLOAD_TOO_LARGE, close, "requests have no body\n").into_response());
+    }
+    if !headers.get(header::HOST).is_none_or(|host| is_own_name(host, &site.names)) {
+        tracing::info!(target: ACCESS, host = ?headers.get(header::HOST), "HTTP: not a name of this server");
+        let text = "this server is not known by that name; add it to `http_names` in the --config file\n";
+        return Some((StatusCode::MISDIRECTED_REQUEST, text).into_response());
+    }
+    let is_for_all = matches!(path, "/healthz" | "/readyz");
+    let offer = site.shared.offer();
+    if is_for_all || is_admitted(&offer, headers) {
+        return None;
+    }
+    if headers.contains_key(header::AUTHORIZATION) {
+        tracing::info!(target: ACCESS, "HTTP: wrong token");
+        sleep(WRONG_TOKEN_DELAY).await;
+    }
+    let ask = [(header::WWW_AUTHENTICATE, "Basic realm=\"ldi-server: any user, the token as password\"")];
+    let text = "the server's token is needed, as the password of any user or as a bearer token\n";
+    Some((StatusCode::UNAUTHORIZED, ask, text).into_response())
+}
+
+/// Whether a Host header names this server: an address, `localhost`, or one of `names`. A name of
+/// somebody else that leads here comes from a page of theirs.
+fn is_own_name(host: &HeaderValue, names: &[String]) -> bool {
+    let Some(authority) = host.to_str().ok().and_then(|h| h.parse::<Authority>().ok()) else { return false };
+    let name = authority.host().trim_start_matches('[').trim_end_matches(']');
+    name.eq_ignore_ascii_case("localhost")
+        || name.parse::<IpAddr>().is_ok()
+        || names.iter().any(|n| n.eq_ignore_ascii_case(name))
+}
+
+/// Whether the token is shown: `Bearer TOKEN`, or `Basic` with any user and the token as password.
+fn is_admitted(offer: &Offer, headers: &HeaderMap) -> bool {
+    let shown = headers.get(header::AUTHORIZATION).and_then(|value| {
+        let (scheme, value) = value.to_str().ok()?.split_once(' ')?;
+        if scheme.eq_ignore_ascii_case("bearer") {
+            return Some(value.trim().as_bytes().to_vec());
+        }
+        let pair = base64::engine::general_purpose::STANDARD.decode(value.trim()).ok()?;
+        let colon = pair.iter().position(|b| *b == b':')?;
+        scheme.eq_ignore_ascii_case("basic").then(|| pair[colon + 1..].to_vec())
+    });
+    offer.admits(shown.as_deref())
+}
+
+/// The dataset that newcomers get, and since when.
+async fn ready(State(site): State<Arc<Site>>) -> impl IntoResponse {
+    let offer = site.shared.offer();
+    let ready = offer.is_readable();
+    let status = if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+    let dataset = offer.served.hash().to_string();
+    (status, Json(serde_json::json!({ "ready": ready, "dataset": dataset, "age_s": offer.age_s() })))
 }
 
 async fn plan_json(State(site): State<Arc<Site>>) -> impl IntoResponse {
-    let bytes = match site.plan.get() {
-        Some(b) => b.clone(),
-        None => {
-            let from = site.clone();
-            // Large scenes have thousands of placements: not on a thread that serves walkers.
-            let made = tokio::task::spawn_blocking(move || {
-                from.plan.get_or_init(|| plan::to_json(&from.shared.served).into()).clone()
-            });
-            made.await.unwrap_or_default()
-        }
-    };
-    ([(CONTENT_TYPE, "application/json")], bytes)
+    let offer = site.shared.offer();
+    // Large scenes have thousands of placements: not on a thread that serves walkers.
+    let made = tokio::task::spawn_blocking(move || offer.plan()).await;
+    ([(CONTENT_TYPE, "application/json")], made.unwrap_or_default())
 }
 
 async fn walkers(State(site): State<Arc<Site>>) -> impl IntoResponse {

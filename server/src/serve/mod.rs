@@ -5,12 +5,13 @@
 //!
 //! - [`planner`]: what to send next; pure, time comes in.
 //! - [`session`]: one connection; [`control`]: its messages; [`push`]: chunks on their way; [`requests`]: chunks by number or name.
-//! - [`source`]: where bytes come from; [`views`]: what a pose needs; [`walkers`]: who is connected.
-//! - [`transport`], [`identity`], [`limits`], [`config`]: the door. [`veno`]: congestion control; [`meter`]: what the link delivers.
+//! - [`source`]: where bytes come from; [`offer`]: what newcomers get; [`views`]: what a pose needs; [`walkers`]: who is connected.
+//! - [`admission`]: who is let in; [`transport`], [`identity`], [`limits`], [`config`]. [`veno`]: congestion control; [`meter`]: what the link delivers.
 //! - [`http`], [`plan`]: health, metrics and the page.
 //!
 //! `docs/protocol.md` describes what travels.
 
+mod admission;
 mod config;
 mod control;
 mod error;
@@ -18,6 +19,7 @@ mod http;
 mod identity;
 mod limits;
 mod meter;
+mod offer;
 mod plan;
 pub mod planner;
 mod push;
@@ -30,11 +32,11 @@ mod veno;
 mod views;
 mod walkers;
 
-pub use config::{ConfigError, Congestion, ServeConfig};
+pub use config::{ConfigError, Congestion, HttpAt, ServeConfig};
 pub use error::ServeError;
-pub use identity::{Identity, IdentityError};
+pub use identity::{Identity, IdentityError, state_folder};
 pub use meter::Meter;
 pub use push::{FINISH_BELOW, send_window};
-pub use server::{Server, serve};
+pub use server::{OpenDataset, Server, check, serve};
 pub use source::ChunkSource;
 pub use views::{GUESSED_FINER, SelectViews};

@@ -3,6 +3,7 @@
 use super::{
     control::{SessionReadError, read_message},
     limits::{Allowance, TokenBucket},
+    offer::Offer,
     push::Outlet,
     session::Shared,
 };
@@ -29,7 +30,13 @@ pub(super) const ANSWERS_BURST: Duration = Duration::from_millis(500);
 
 /// Answers until the connection ends; tells the planner which chunks went out. How many are open at once is limited by
 /// the transport; faster ones than the rate wait.
-pub(super) async fn answer_all(shared: Arc<Shared>, outlet: Outlet, answered: mpsc::Sender<u32>, rate: f64) {
+pub(super) async fn answer_all(
+    shared: Arc<Shared>,
+    offer: Arc<Offer>,
+    outlet: Outlet,
+    answered: mpsc::Sender<u32>,
+    rate: f64,
+) {
     let started = Instant::now();
     let mut bucket = TokenBucket::new(rate, 4.0 * rate);
     let own = Arc::new(Allowance::new(OWN_PER_SECOND, ANSWERS_BURST));
@@ -39,9 +46,10 @@ pub(super) async fn answer_all(shared: Arc<Shared>, outlet: Outlet, answered: mp
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
         while open.try_join_next().is_some() {}
-        let (shared, outlet, answered, own) = (shared.clone(), outlet.clone(), answered.clone(), own.clone());
+        let (shared, offer) = (shared.clone(), offer.clone());
+        let (outlet, answered, own) = (outlet.clone(), answered.clone(), own.clone());
         open.spawn(async move {
-            if let Some(number) = answer(&shared, &outlet, &own, send, recv).await {
+            if let Some(number) = answer(&shared, &offer, &outlet, &own, send, recv).await {
                 let _ = answered.send(number).await;
             }
         });
@@ -51,6 +59,7 @@ pub(super) async fn answer_all(shared: Arc<Shared>, outlet: Outlet, answered: mp
 /// Answers one request. Returns the chunk that went out; whatever goes wrong ends this stream only.
 async fn answer(
     shared: &Shared,
+    offer: &Offer,
     outlet: &Outlet,
     own: &Allowance,
     mut send: SendStream,
@@ -63,9 +72,9 @@ async fn answer(
     };
     let number = match request {
         Request::Number(n) => Some(n),
-        Request::Name(name) => shared.served.number_of(&name),
+        Request::Name(name) => offer.served.number_of(&name),
     };
-    let Some((number, bytes)) = number.and_then(|n| Some((n, shared.served.chunk(n)?))) else {
+    let Some((number, bytes)) = number.and_then(|n| Some((n, offer.served.chunk(n)?))) else {
         return say(send, "there is no such chunk").await;
     };
     metrics::counter!("ldi_requests_total").increment(1);

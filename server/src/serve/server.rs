@@ -1,39 +1,77 @@
 //! Starts and stops a server: endpoint, accept loop, HTTP.
 
 use super::{
+    admission::{Admission, Peer},
     config::ServeConfig,
     error::ServeError,
     http,
     identity::Identity,
-    limits::{Allowance, Door},
+    limits::Allowance,
+    offer::Offer,
     requests::{ANSWERED_PER_SECOND, ANSWERS_BURST},
-    session::{self, Shared},
+    session::{self, ACCESS, Entrance, Shared},
     source::{ChunkSource, Served},
     transport,
 };
-use ldi_protocol::wire::MAX_ROOT_BYTES;
+use ldi_protocol::{index::ChunkHash, wire::MAX_ROOT_BYTES};
 use quinn::{Endpoint, VarInt};
 use std::{
     io::Write,
     net::SocketAddr,
-    sync::Arc,
-    time::{Duration, Instant},
+    sync::{Arc, RwLock},
+    time::{Duration, Instant, SystemTime},
 };
 use tokio::{sync::watch, task::JoinHandle};
 
 /// Time for clients to hear that the server stops.
 const GOODBYE: Duration = Duration::from_secs(2);
 
+/// All that a server needs before it opens a socket.
+struct Prepared {
+    offer: Offer,
+    settings: quinn::ServerConfig,
+    fingerprint: String,
+}
+
+impl Prepared {
+    fn new(dataset: Arc<dyn ChunkSource>, config: &ServeConfig) -> Result<Self, ServeError> {
+        config.validate()?;
+        let token = config.token()?;
+        let bytes = dataset.root().len();
+        if bytes > MAX_ROOT_BYTES {
+            return Err(ServeError::RootTooLong { bytes, limit: MAX_ROOT_BYTES });
+        }
+        let identity = match (&config.certificate, &config.key) {
+            (Some(certificate), Some(key)) => Identity::from_files(certificate, key)?,
+            _ => Identity::open(config.identity.as_deref())?,
+        };
+        identity.warn_of_its_end(SystemTime::now());
+        let settings = transport::settings(config, &identity)?;
+        let offer = Offer::new(Served::new(dataset), token.as_deref(), identity.next);
+        Ok(Self { offer, settings, fingerprint: identity.fingerprint() })
+    }
+}
+
+/// Checks everything that a start would, but for the addresses. Returns the certificate's
+/// fingerprint.
+///
+/// # Errors
+/// As [`Server::start`].
+pub fn check(dataset: Arc<dyn ChunkSource>, config: &ServeConfig) -> Result<String, ServeError> {
+    Ok(Prepared::new(dataset, config)?.fingerprint)
+}
+
 /// A running server. Dropping it without [`Server::shutdown`] stops it without a goodbye.
 #[derive(Debug)]
 pub struct Server {
     quic: SocketAddr,
-    http: SocketAddr,
+    http: Option<SocketAddr>,
     fingerprint: String,
     endpoint: Endpoint,
+    shared: Arc<Shared>,
     stop: watch::Sender<bool>,
     accepting: JoinHandle<()>,
-    answering: JoinHandle<()>,
+    answering: Option<JoinHandle<()>>,
 }
 
 impl Server {
@@ -42,26 +80,18 @@ impl Server {
     /// # Errors
     /// Settings, identity or addresses that cannot be used, or a manifest root longer than the protocol allows.
     pub async fn start(dataset: Arc<dyn ChunkSource>, config: &ServeConfig) -> Result<Self, ServeError> {
-        config.validate()?;
-        let token = config.token()?.map(|t| blake3::hash(t.as_bytes()));
-        let bytes = dataset.root().len();
-        if bytes > MAX_ROOT_BYTES {
-            return Err(ServeError::RootTooLong { bytes, limit: MAX_ROOT_BYTES });
-        }
-        let identity = Identity::open(config.identity.as_deref())?;
+        let Prepared { offer, settings, fingerprint } = Prepared::new(dataset, config)?;
         let (stop, stopping) = watch::channel(false);
         let shared = Arc::new(Shared {
-            served: Served::new(dataset),
+            offer: RwLock::new(Arc::new(offer)),
             walkers: Arc::default(),
-            token,
-            door: Door::new(
+            admission: Admission::new(
                 config.max_connections,
                 config.max_connections_per_address,
                 config.bytes_per_second_per_address,
             ),
             epoch: Instant::now(),
             answers: Allowance::new(ANSWERED_PER_SECOND, ANSWERS_BURST),
-            max_connections: config.max_connections,
             send_window: config.send_window,
             ahead_worth: config.ahead_worth,
             messages_per_second: config.messages_per_second,
@@ -69,26 +99,51 @@ impl Server {
             stop: stopping.clone(),
         });
         // HTTP first: when QUIC cannot be bound nothing has been accepted yet.
-        let bind = |source| ServeError::Bind { what: "HTTP", address: config.http, source };
-        let listener = tokio::net::TcpListener::bind(config.http).await.map_err(bind)?;
-        let http = listener.local_addr().map_err(bind)?;
-        let (endpoint, quic) = transport::open(config, &identity)?;
-        let answering = tokio::spawn(http::answer(listener, shared.clone(), stopping));
-        let accepting = tokio::spawn(accept(endpoint.clone(), shared));
-        Ok(Self { quic, http, fingerprint: identity.fingerprint(), endpoint, stop, accepting, answering })
+        let listener = match config.http.0 {
+            Some(address) => {
+                let bind = |source| ServeError::Bind { what: "HTTP", address, source };
+                let listener = tokio::net::TcpListener::bind(address).await.map_err(bind)?;
+                Some((listener.local_addr().map_err(bind)?, listener))
+            }
+            None => None,
+        };
+        let http = listener.as_ref().map(|(address, _)| *address);
+        let (endpoint, quic) = transport::open(config, settings)?;
+        let answering = listener.map(|(_, listener)| {
+            tokio::spawn(http::answer(listener, shared.clone(), config.http_names.clone(), stopping))
+        });
+        let accepting = tokio::spawn(accept(endpoint.clone(), shared.clone()));
+        Ok(Self { quic, http, fingerprint, endpoint, shared, stop, accepting, answering })
+    }
+
+    /// Offers newcomers a dataset, and the token and certificate as they lie on disk now. Walkers
+    /// inside keep theirs.
+    ///
+    /// # Errors
+    /// As [`Server::start`]; then everything stays as it was.
+    pub fn reload(&mut self, dataset: Arc<dyn ChunkSource>, config: &ServeConfig) -> Result<(), ServeError> {
+        let Prepared { offer, settings, fingerprint } = Prepared::new(dataset, config)?;
+        self.endpoint.set_server_config(Some(settings));
+        self.shared.set_offer(offer);
+        self.fingerprint = fingerprint;
+        Ok(())
     }
 
     /// UDP address of QUIC.
     pub fn quic(&self) -> SocketAddr {
         self.quic
     }
-    /// TCP address of HTTP.
-    pub fn http(&self) -> SocketAddr {
+    /// TCP address of HTTP; None when it is off.
+    pub fn http(&self) -> Option<SocketAddr> {
         self.http
     }
     /// BLAKE3 of the certificate, 64 hexadecimal digits.
     pub fn fingerprint(&self) -> &str {
         &self.fingerprint
+    }
+    /// Name of the dataset that newcomers are offered.
+    pub fn dataset(&self) -> ChunkHash {
+        self.shared.offer().served.hash()
     }
 
     /// Tells every client, then closes; takes at most a few seconds.
@@ -97,52 +152,113 @@ impl Server {
         self.accepting.abort();
         self.endpoint.close(VarInt::from_u32(ldi_protocol::wire::code::SHUTDOWN), b"the server stops");
         let _ = tokio::time::timeout(GOODBYE, self.endpoint.wait_idle()).await;
-        let _ = tokio::time::timeout(GOODBYE, self.answering).await;
+        if let Some(answering) = self.answering {
+            let _ = tokio::time::timeout(GOODBYE, answering).await;
+        }
     }
 }
 
 async fn accept(endpoint: Endpoint, shared: Arc<Shared>) {
     while let Some(incoming) = endpoint.accept().await {
         let address = incoming.remote_address();
-        let place = match shared.door.enter(address.ip().to_canonical(), shared.epoch.elapsed()) {
-            Ok(place) => place,
-            Err(refusal) => {
-                metrics::counter!("ldi_refused_total").increment(1);
-                if refusal.said {
-                    tracing::warn!(%address, "refused: {}", refusal.closed);
-                    incoming.refuse();
-                } else {
-                    incoming.ignore();
+        let (peer, now) = (Peer::from(address.ip()), shared.epoch.elapsed());
+        let entrance = if incoming.remote_address_validated() {
+            match shared.admission.candidate(peer, now) {
+                Ok(candidate) => Entrance::Proven(candidate),
+                Err(refusal) => {
+                    metrics::counter!("ldi_refused_total").increment(1);
+                    if refusal.said {
+                        tracing::info!(target: ACCESS, %address, reason = %refusal.closed, "not let in");
+                        incoming.refuse();
+                    } else {
+                        incoming.ignore();
+                    }
+                    continue;
                 }
-                continue;
             }
-        };
-        // Getting full: who comes in must first prove that the address is theirs, which costs them a round trip.
-        if 2 * shared.door.inside() > shared.max_connections && !incoming.remote_address_validated() {
+        } else if let Some(permit) = shared.admission.unproven(peer, now) {
+            Entrance::Unproven(permit)
+        } else {
+            // Costs the client a round trip, and the server no memory.
             let _ = incoming.retry();
             continue;
-        }
-        tokio::spawn(session::run(shared.clone(), incoming, place));
+        };
+        tokio::spawn(session::run(shared.clone(), incoming, entrance));
     }
 }
 
-/// Serves until SIGINT or SIGTERM. Prints `listening quic=ADDR http=ADDR fingerprint=HEX` to standard output when ready.
+/// Opens the dataset that is served, at the start and for each reload.
+pub type OpenDataset = Arc<dyn Fn() -> Result<Arc<dyn ChunkSource>, String> + Send + Sync>;
+
+/// Serves until SIGINT or SIGTERM; SIGHUP reloads dataset, token and certificate. Prints
+/// `listening quic=ADDR http=ADDR fingerprint=HEX` to standard output when ready.
 ///
 /// # Errors
 /// As [`Server::start`].
-pub async fn serve(dataset: Arc<dyn ChunkSource>, config: ServeConfig) -> Result<(), ServeError> {
+pub async fn serve(dataset: Arc<dyn ChunkSource>, open: OpenDataset, config: ServeConfig) -> Result<(), ServeError> {
     // Before the ready line: whoever reads it may send a signal at once.
     let asked_to_stop = stop_signal();
-    let server = Server::start(dataset, &config).await?;
-    let line =
-        format!("listening quic={} http={} fingerprint={}\n", server.quic(), server.http(), server.fingerprint());
-    let mut out = std::io::stdout().lock();
-    out.write_all(line.as_bytes()).and_then(|()| out.flush()).map_err(ServeError::Stdout)?;
-    drop(out);
-    asked_to_stop.await;
-    tracing::info!("stopping");
+    let mut hangup = Hangup::new();
+    let mut server = Server::start(dataset, &config).await?;
+    let http = server.http().map_or("off".into(), |a| a.to_string());
+    let (quic, fingerprint) = (server.quic(), server.fingerprint());
+    let line = format!("listening quic={quic} http={http} fingerprint={fingerprint}\n");
+    print_at_once(&line).map_err(ServeError::Stdout)?;
+    tracing::info!(target: ACCESS, dataset = %server.dataset(), "serving");
+    let mut asked_to_stop = std::pin::pin!(asked_to_stop);
+    loop {
+        tokio::select! {
+            () = &mut asked_to_stop => break,
+            () = hangup.next() => {
+                let open = open.clone();
+                let opened = tokio::task::spawn_blocking(move || open()).await;
+                let opened = opened.unwrap_or_else(|e| Err(e.to_string())).map_err(ServeError::Dataset);
+                match opened.and_then(|dataset| server.reload(dataset, &config)) {
+                    Ok(()) => {
+                        let (dataset, fingerprint) = (server.dataset(), server.fingerprint());
+                        tracing::info!(target: ACCESS, %dataset, %fingerprint, "reloaded");
+                    }
+                    Err(e) => tracing::error!("not reloaded, everything stays as it was: {e}"),
+                }
+            }
+        }
+    }
+    tracing::info!(target: ACCESS, "stopping");
     server.shutdown().await;
     Ok(())
+}
+
+fn print_at_once(line: &str) -> std::io::Result<()> {
+    let mut out = std::io::stdout().lock();
+    out.write_all(line.as_bytes())?;
+    out.flush()
+}
+
+/// SIGHUPs; there are none where the system has no such signal.
+struct Hangup {
+    #[cfg(unix)]
+    signals: Option<tokio::signal::unix::Signal>,
+}
+
+impl Hangup {
+    #[cfg(unix)]
+    fn new() -> Self {
+        Self { signals: tokio::signal::unix::signal(tokio::signal::unix::SignalKind::hangup()).ok() }
+    }
+    #[cfg(not(unix))]
+    fn new() -> Self {
+        Self {}
+    }
+
+    async fn next(&mut self) {
+        #[cfg(unix)]
+        if let Some(signals) = &mut self.signals
+            && signals.recv().await.is_some()
+        {
+            return;
+        }
+        std::future::pending().await
+    }
 }
 
 /// Completes on SIGINT or SIGTERM; listens from the moment it is called.

@@ -4,37 +4,40 @@
 //! chunks to the transport. A client that sends garbage ends its own connection and nobody else's.
 
 use super::{
+    admission::{Admission, Candidate, Peer, Place},
     control::{self, SessionError, admit, read_message, refuse, tell},
-    limits::{Allowance, Door, Place, TokenBucket},
+    limits::{Allowance, TokenBucket},
     meter::Metered,
+    offer::Offer,
     planner::{Capacity, Order, Planner, PlannerConfig, Turn},
     push::{Ended, Outlet, Task, carry, push_beside, push_through},
     requests,
-    source::Served,
     views::{Known, SelectViews},
     walkers::{Entry, Walkers},
 };
 use ldi_protocol::{
     index::ChunkHash,
+    said::escaped,
     select::Show,
     wire::{
         self, ClientMessage, Hello, Other, PoseDatagram, RefusalCode, ServerMessage, StreamHeader, StreamKind, Urgency,
         Welcome, code,
     },
 };
-use quinn::{RecvStream, SendStream, VarInt};
+use quinn::{Connection, RecvStream, SendStream, VarInt};
 use std::{
-    sync::Arc,
+    sync::{Arc, PoisonError, RwLock},
     time::{Duration, Instant},
 };
 use tokio::{
-    sync::{mpsc, watch},
+    sync::{OwnedSemaphorePermit, mpsc, watch},
     task::JoinSet,
-    time::{MissedTickBehavior, error::Elapsed, timeout},
+    time::{MissedTickBehavior, error::Elapsed, timeout, timeout_at},
 };
 
-/// Time for TLS and the first message. Longer: strangers hold places for nothing.
-const HANDSHAKE: Duration = Duration::from_secs(10);
+/// Time for TLS and the first message together. Longer: whoever proves nothing stays longer;
+/// shorter: slow links that lose packets do not get through.
+const INTRODUCTION: Duration = Duration::from_secs(6);
 /// Time for the manifest to reach the client: 256 kB of root and a few MB of pages on a slow link.
 const WELCOME: Duration = Duration::from_secs(120);
 /// How often the planner learns what the link delivers.
@@ -48,21 +51,20 @@ const OTHERS_EVERY: Duration = Duration::from_millis(500);
 /// Poses per second beyond which a client is thrown out: a client sends at most 100.
 const POSES_PER_SECOND: f64 = 250.0;
 
+/// Target of the access log: who came, left, or was not let in, and why. Shown by default.
+pub const ACCESS: &str = "access";
+
 /// What all sessions share.
 #[derive(Debug)]
 pub struct Shared {
-    /// What is served.
-    pub served: Served,
+    /// The offer to newcomers; replaced by a reload.
+    pub offer: RwLock<Arc<Offer>>,
     /// Who is connected.
     pub walkers: Arc<Walkers>,
-    /// Hash of the token that clients must show.
-    pub token: Option<blake3::Hash>,
-    /// Room for connections.
-    pub door: Arc<Door>,
+    /// Who is let in.
+    pub admission: Arc<Admission>,
     /// Bytes of all answers to requests.
     pub answers: Allowance,
-    /// See [`super::ServeConfig::max_connections`].
-    pub max_connections: usize,
     /// See [`super::ServeConfig::send_window`].
     pub send_window: u64,
     /// See [`super::ServeConfig::ahead_worth`].
@@ -77,74 +79,180 @@ pub struct Shared {
     pub stop: watch::Receiver<bool>,
 }
 
+impl Shared {
+    /// The offer to newcomers.
+    pub fn offer(&self) -> Arc<Offer> {
+        self.offer.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Replaces the offer to newcomers.
+    pub fn set_offer(&self, offer: Offer) {
+        *self.offer.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(offer);
+    }
+}
+
+/// What is known of a connection before its handshake.
+pub enum Entrance {
+    /// Nothing: the address may be forged.
+    Unproven(OwnedSemaphorePermit),
+    /// It comes from its address.
+    Proven(Candidate),
+}
+
 /// Serves one client until it leaves, breaks a rule, or the server stops.
-pub async fn run(shared: Arc<Shared>, incoming: quinn::Incoming, place: Place) {
+pub async fn run(shared: Arc<Shared>, incoming: quinn::Incoming, entrance: Entrance) {
     let address = incoming.remote_address();
-    let connection = match incoming.accept() {
-        Ok(connecting) => timeout(HANDSHAKE, connecting).await,
-        Err(e) => return tracing::debug!(%address, "not accepted: {e}"),
-    };
-    let connection = match connection {
-        Ok(Ok(c)) => c,
-        Ok(Err(e)) => return tracing::debug!(%address, "handshake failed: {e}"),
-        Err(_) => return tracing::debug!(%address, "handshake took too long"),
+    let deadline = tokio::time::Instant::now() + INTRODUCTION;
+    let (connection, candidate) = match shake_hands(&shared, incoming, entrance, deadline).await {
+        Ok(proven) => proven,
+        Err(reason) => return tracing::debug!(%address, "{}", escaped(&reason)),
     };
     metrics::counter!("ldi_connections_total").increment(1);
-    let outlet = Outlet { connection: connection.clone(), allowance: place.allowance.clone(), epoch: shared.epoch };
-    let end = converse(&shared, &outlet).await;
+    let end = match introduce(&shared, &connection, candidate, deadline).await {
+        Ok(introduced) => converse(&shared, &connection, introduced).await,
+        Err(e) => {
+            tracing::info!(target: ACCESS, %address, reason = &*escaped(&e.to_string()), "not let in");
+            Err(e)
+        }
+    };
     match &end {
         Ok(()) => connection.close(VarInt::from_u32(code::BYE), b"bye"),
         Err(SessionError::Refused { code, message }) => {
             metrics::counter!("ldi_refused_total").increment(1);
-            // An older program breaks no rule.
-            if *code != RefusalCode::Version && place.strike(shared.epoch.elapsed()) {
-                tracing::warn!(address = %address.ip(), "broke rules too often: few are let in from there for a while");
-            }
             connection.close(VarInt::from_u32(*code as u32), message.as_bytes());
         }
         Err(_) => connection.close(VarInt::from_u32(code::BYE), b""),
     }
-    match end {
-        Ok(()) => tracing::info!(%address, "left"),
-        Err(e) => tracing::info!(%address, "{e}"),
+}
+
+/// The handshake, which proves the address.
+async fn shake_hands(
+    shared: &Shared,
+    incoming: quinn::Incoming,
+    entrance: Entrance,
+    deadline: tokio::time::Instant,
+) -> Result<(Connection, Candidate), String> {
+    let peer = Peer::from(incoming.remote_address().ip());
+    let connecting = incoming.accept().map_err(|e| format!("not accepted: {e}"))?;
+    let connecting = async {
+        match timeout_at(deadline, connecting).await {
+            Ok(connection) => connection.map_err(|e| format!("handshake failed: {e}")),
+            Err(_) => Err("handshake took too long".into()),
+        }
+    };
+    match entrance {
+        Entrance::Proven(candidate) => {
+            let connection = tokio::select! {
+                connection = connecting => connection,
+                () = candidate.displaced() => Err("gave way to a newcomer".into()),
+            };
+            if connection.is_err() {
+                candidate.failed(shared.epoch.elapsed());
+            }
+            Ok((connection?, candidate))
+        }
+        Entrance::Unproven(permit) => {
+            let connection = connecting.await?;
+            drop(permit);
+            let candidate = shared.admission.candidate(peer, shared.epoch.elapsed()).map_err(|refusal| {
+                metrics::counter!("ldi_refused_total").increment(1);
+                connection.close(VarInt::from_u32(RefusalCode::Busy as u32), b"");
+                refusal.closed.to_string()
+            })?;
+            Ok((connection, candidate))
+        }
     }
 }
 
-async fn converse(shared: &Arc<Shared>, outlet: &Outlet) -> Result<(), SessionError> {
-    let connection = &outlet.connection;
+/// A walker that was let in, with its control stream.
+struct Introduced {
+    offer: Arc<Offer>,
+    hello: Hello,
+    place: Place,
+    send: SendStream,
+    recv: RecvStream,
+}
+
+/// Reads the first message and lets the candidate in, or says why not.
+async fn introduce(
+    shared: &Shared,
+    connection: &Connection,
+    candidate: Candidate,
+    deadline: tokio::time::Instant,
+) -> Result<Introduced, SessionError> {
+    let offer = shared.offer();
     let opening = async {
-        let (send, mut recv) = connection.accept_bi().await?;
+        let (mut send, mut recv) = connection.accept_bi().await?;
         let first = read_message::<ClientMessage>(&mut recv).await;
-        Ok::<_, SessionError>((send, recv, first))
-    };
-    let (mut send, recv, first) = timeout(HANDSHAKE, opening).await.map_err(|_| SessionError::Silent)??;
-    let hello = match first.map_err(SessionError::from).and_then(|m| admit(shared, m)) {
-        Ok(hello) => hello,
-        Err(SessionError::Refused { code, message }) => {
-            if code == RefusalCode::Token {
+        let hello = first.map_err(SessionError::from).and_then(|m| admit(&offer, m));
+        if let Err(SessionError::Refused { code, message }) = &hello {
+            if *code != RefusalCode::Version {
+                candidate.failed(shared.epoch.elapsed());
+            }
+            if *code == RefusalCode::Token {
                 tokio::time::sleep(WRONG_TOKEN_DELAY).await;
             }
-            refuse(&mut send, code, &message).await;
-            return Err(SessionError::Refused { code, message });
+            refuse(&mut send, *code, message).await;
         }
-        Err(e) => return Err(e),
+        Ok((hello?, send, recv))
     };
+    let opened = tokio::select! {
+        opened = timeout_at(deadline, opening) => opened.unwrap_or_else(|_| {
+            candidate.failed(shared.epoch.elapsed());
+            Err(SessionError::Silent)
+        }),
+        () = candidate.displaced() => Err(SessionError::Refused {
+            code: RefusalCode::Busy,
+            message: "gave way to a newcomer before the first message came".into(),
+        }),
+    };
+    let (hello, mut send, recv) = opened?;
+    match candidate.admit(shared.epoch.elapsed()) {
+        Ok(place) => Ok(Introduced { offer, hello, place, send, recv }),
+        Err(closed) => {
+            let (code, message) = (RefusalCode::Busy, closed.to_string());
+            refuse(&mut send, code, &message).await;
+            Err(SessionError::Refused { code, message })
+        }
+    }
+}
+
+/// A walk, from the welcome to its end.
+async fn converse(
+    shared: &Arc<Shared>,
+    connection: &Connection,
+    Introduced { offer, hello, place, mut send, recv }: Introduced,
+) -> Result<(), SessionError> {
+    let allowance = place.allowance.clone();
+    let outlet = Outlet { connection: connection.clone(), allowance, epoch: shared.epoch };
     let walker = shared.walkers.enter(&hello.name);
-    tracing::info!(address = %connection.remote_address(), walker = walker.id, name = %hello.name, "came in");
+    let (address, began) = (connection.remote_address(), Instant::now());
+    let (id, name, counters) = (walker.id, walker.name.clone(), walker.counters.clone());
+    tracing::info!(target: ACCESS, %address, walker = id, name = name.as_str(), "came in");
     let (tasks, given) = mpsc::unbounded_channel();
     let (ended, done) = mpsc::unbounded_channel();
     let mut carrier = JoinSet::new();
     carrier.spawn(carry(outlet.clone(), shared.send_window, given, ended, walker.counters.clone()));
-    let session = Session::new(shared.clone(), outlet.clone(), &hello, walker, tasks);
+    let session = Session::new(shared.clone(), offer, outlet, &hello, walker, tasks);
     let end = session.run(&mut send, recv, done).await;
     if let Err(SessionError::Refused { code, message }) = &end {
+        if place.strike(shared.epoch.elapsed()) {
+            tracing::warn!(target: ACCESS, %address, "broke rules too often: few are let in from there for a while");
+        }
         refuse(&mut send, *code, message).await;
     }
+    let reason = end.as_ref().map_or_else(ToString::to_string, |()| "goodbye".into());
+    let (seconds, (chunks, bytes)) = (began.elapsed().as_secs(), counters.sent());
+    tracing::info!(
+        target: ACCESS, %address, walker = id, name = name.as_str(), seconds, chunks, bytes, reason = &*escaped(&reason), "left"
+    );
     end
 }
 
 struct Session {
     shared: Arc<Shared>,
+    /// As it was when the walker came in.
+    offer: Arc<Offer>,
     outlet: Outlet,
     walker: Entry,
     planner: Planner,
@@ -175,19 +283,20 @@ struct Told {
 impl Session {
     fn new(
         shared: Arc<Shared>,
+        offer: Arc<Offer>,
         outlet: Outlet,
         hello: &Hello,
         walker: Entry,
         tasks: mpsc::UnboundedSender<Task>,
     ) -> Self {
-        let index = shared.served.index().clone();
+        let index = offer.served.index().clone();
         let config = PlannerConfig {
             cache_bytes: hello.cache_bytes,
             prefetch_m: hello.prefetch_m,
             ahead_worth: shared.ahead_worth,
             ..PlannerConfig::default()
         };
-        let (groups, camera) = (shared.served.groups().clone(), hello.picture.camera(&index.settings));
+        let (groups, camera) = (offer.served.groups().clone(), hello.picture.camera(&index.settings));
         let show = Show { far: hello.far, portals: hello.portals };
         let views = SelectViews::showing(index.clone(), groups, &camera, show).cached_in(hello.cache_bytes);
         let views = Arc::new(views);
@@ -196,6 +305,7 @@ impl Session {
             views,
             early: hello.early,
             shared,
+            offer,
             outlet,
             walker,
             started: Instant::now(),
@@ -223,7 +333,13 @@ impl Session {
         let mut helpers = JoinSet::new();
         let rate = self.shared.messages_per_second;
         helpers.spawn(control::read_all(recv, heard, rate));
-        helpers.spawn(requests::answer_all(self.shared.clone(), self.outlet.clone(), answered, rate));
+        helpers.spawn(requests::answer_all(
+            self.shared.clone(),
+            self.offer.clone(),
+            self.outlet.clone(),
+            answered,
+            rate,
+        ));
         let mut stop = self.shared.stop.clone();
         loop {
             self.push_next();
@@ -258,7 +374,7 @@ impl Session {
         send: &mut SendStream,
         pages: &mut JoinSet<Result<Result<(), SessionError>, Elapsed>>,
     ) -> Result<(), SessionError> {
-        let served = &self.shared.served;
+        let served = &self.offer.served;
         let known = self.manifests.contains(&served.hash());
         let root = if known { &[][..] } else { served.root() };
         let (first, rest) = if known { (&[][..], &[][..]) } else { served.pages() };
@@ -269,6 +385,7 @@ impl Session {
             pages: (first.len() + rest.len()) as u32,
             walker: self.walker.id,
             others: self.shared.show_walkers,
+            next_certificate: self.offer.next_certificate,
         });
         let mut opening = wire::encode(&welcome)?;
         if !known {
@@ -298,9 +415,9 @@ impl Session {
 
     /// The root of the LDI tree, which is a picture. The pages wait until it is there: they would fill the link's queues, and what is lost there comes late.
     fn push_first_picture(&mut self) -> impl Future<Output = ()> + Send + use<> {
-        let root = self.shared.served.index().tree.as_ref().map(|t| t.root_chunk);
+        let root = self.offer.served.index().tree.as_ref().map(|t| t.root_chunk);
         root.into_iter().for_each(|c| self.planner.sent_elsewhere(c));
-        let bytes = root.and_then(|c| Some((c, self.shared.served.chunk(c)?)));
+        let bytes = root.and_then(|c| Some((c, self.offer.served.chunk(c)?)));
         let (outlet, counters) = (self.outlet.clone(), self.walker.counters.clone());
         async move {
             let Some((number, bytes)) = bytes else { return };
@@ -312,10 +429,10 @@ impl Session {
 
     /// Pages one after another, as the client can do nothing with a part of them.
     fn push_pages(&self, numbers: Vec<u32>) -> impl Future<Output = Result<(), SessionError>> + Send + use<> {
-        let (shared, outlet, counters) = (self.shared.clone(), self.outlet.clone(), self.walker.counters.clone());
+        let (offer, outlet, counters) = (self.offer.clone(), self.outlet.clone(), self.walker.counters.clone());
         async move {
             for number in numbers {
-                let Some(bytes) = shared.served.page(number) else {
+                let Some(bytes) = offer.served.page(number) else {
                     return Err(SessionError::Control(format!("page {number} of the manifest cannot be read")));
                 };
                 let header =
@@ -424,7 +541,7 @@ impl Session {
     }
 
     fn push_one(&mut self, order: Order) {
-        let Some(bytes) = self.shared.served.chunk(order.chunk) else {
+        let Some(bytes) = self.offer.served.chunk(order.chunk) else {
             self.unreadable.push(order.chunk);
             return self.planner.sent(order.chunk);
         };
@@ -446,7 +563,7 @@ impl Session {
 }
 
 /// The server stops, or is gone.
-async fn stopped(stop: &mut watch::Receiver<bool>) {
+pub(super) async fn stopped(stop: &mut watch::Receiver<bool>) {
     let _ = stop.wait_for(|s| *s).await;
 }
 

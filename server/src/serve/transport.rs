@@ -27,18 +27,18 @@ const CLIENT_STREAM_WINDOW: u32 = 256 * 1024;
 /// Poses that wait in the connection: 64 of 56 bytes; the oldest give way.
 const POSE_BUFFER_BYTES: usize = 64 * 56;
 
-/// Binds the socket and opens the endpoint.
+/// QUIC's settings with a certificate.
 ///
 /// # Errors
-/// An address that cannot be bound, or a certificate that TLS refuses.
-pub fn open(config: &ServeConfig, identity: &Identity) -> Result<(Endpoint, SocketAddr), ServeError> {
+/// A certificate or key that TLS refuses.
+pub fn settings(config: &ServeConfig, identity: &Identity) -> Result<ServerConfig, ServeError> {
     let tls = |e: &dyn std::fmt::Display| ServeError::Tls(e.to_string());
     let provider = Arc::new(rustls::crypto::ring::default_provider());
     let mut crypto = rustls::ServerConfig::builder_with_provider(provider)
         .with_protocol_versions(&[&rustls::version::TLS13])
         .map_err(|e| tls(&e))?
         .with_no_client_auth()
-        .with_single_cert(vec![identity.certificate.clone()], identity.key.clone_key())
+        .with_single_cert(identity.certificates.clone(), identity.key.clone_key())
         .map_err(|e| tls(&e))?;
     crypto.alpn_protocols = vec![ALPN.to_vec()];
     // Early data could be replayed; a saved round trip on a LAN is not worth the thought.
@@ -46,9 +46,16 @@ pub fn open(config: &ServeConfig, identity: &Identity) -> Result<(Endpoint, Sock
     let crypto = quinn::crypto::rustls::QuicServerConfig::try_from(crypto).map_err(|e| tls(&e))?;
     let mut server = ServerConfig::with_crypto(Arc::new(crypto));
     server.transport_config(Arc::new(transport(config)));
-    // Handshakes under way: each costs memory and a signature.
+    // First packets that wait for the accept loop; those beyond are sent again by their clients.
     server.max_incoming(config.max_connections.min(1 << 16));
+    Ok(server)
+}
 
+/// Binds the socket and opens the endpoint.
+///
+/// # Errors
+/// An address that cannot be bound.
+pub fn open(config: &ServeConfig, server: ServerConfig) -> Result<(Endpoint, SocketAddr), ServeError> {
     let bind = |source| ServeError::Bind { what: "QUIC", address: config.listen, source };
     let socket = UdpSocket::bind(config.listen).map_err(bind)?;
     let address = socket.local_addr().map_err(bind)?;

@@ -2,6 +2,7 @@
 
 use ldi_protocol::{
     Pose,
+    said::escaped,
     wire::{MAX_NAME_CHARS, MAX_OTHERS, Other},
 };
 use serde::Serialize;
@@ -32,6 +33,10 @@ impl Counters {
         self.chunks.fetch_add(1, Relaxed);
         metrics::counter!("ldi_chunks_total").increment(1);
     }
+    /// Chunks and bytes sent so far.
+    pub fn sent(&self) -> (u64, u64) {
+        (self.chunks.load(Relaxed), self.bytes.load(Relaxed))
+    }
     /// A chunk was given up because the walker moved on.
     pub fn stale(&self) {
         self.stale.fetch_add(1, Relaxed);
@@ -44,7 +49,7 @@ impl Counters {
 pub struct WalkerView {
     /// Its number.
     pub id: u64,
-    /// What it calls itself.
+    /// The name that it gave, escaped and cut.
     pub name: String,
     /// World position, metres; None before the first pose.
     pub position: Option<[f64; 3]>,
@@ -83,6 +88,8 @@ pub struct Entry {
     walkers: Arc<Walkers>,
     /// Its number, from 1.
     pub id: u64,
+    /// Its name as it is shown.
+    pub name: String,
     /// What it was sent.
     pub counters: Arc<Counters>,
 }
@@ -92,11 +99,11 @@ impl Walkers {
     pub fn enter(self: &Arc<Self>, name: &str) -> Entry {
         let id = self.next.fetch_add(1, Relaxed) + 1;
         let counters = Arc::<Counters>::default();
-        let name = name.chars().filter(|c| !c.is_control()).take(MAX_NAME_CHARS).collect();
-        let walker = Walker { name, pose: None, rtt_ms: 0.0, counters: counters.clone() };
+        let name: String = escaped(name).chars().take(MAX_NAME_CHARS).collect();
+        let walker = Walker { name: name.clone(), pose: None, rtt_ms: 0.0, counters: counters.clone() };
         self.connected.lock().unwrap_or_else(PoisonError::into_inner).insert(id, walker);
         metrics::gauge!("ldi_walkers").increment(1.0);
-        Entry { walkers: self.clone(), id, counters }
+        Entry { walkers: self.clone(), id, name, counters }
     }
     /// Everyone, by number.
     pub fn views(&self) -> Vec<WalkerView> {
@@ -176,7 +183,7 @@ mod tests {
         let numbers: Vec<u64> = told.iter().map(|o| o.walker).collect();
         let expected: Vec<u64> = entries[2..entries.len() - 1].iter().map(|e| e.id).collect();
         assert_eq!((numbers.len(), numbers), (MAX_OTHERS, expected), "all but the farthest");
-        assert_eq!((told[0].name.as_str(), told[0].position, told[0].yaw_deg), ("2", [63.0, 0.0, 0.0], 10.0));
+        assert_eq!((told[0].name.as_str(), told[0].position, told[0].yaw_deg), (r"2\n", [63.0, 0.0, 0.0], 10.0));
         // Whatever finite pose and name somebody has, the others' message can be sent.
         entries[5].moved(Pose { yaw_deg: -1e300, ..at(0.5) }, 1.0);
         let long = all.enter(&"\u{10348}".repeat(1_000));

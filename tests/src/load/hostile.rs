@@ -3,7 +3,7 @@
 //! Each behaves in one [`Manner`] until the end of the run; thrown out, it comes again.
 
 use super::{
-    stranger::{self, Nonsense},
+    stranger::{self, Initials, Nonsense},
     track::Track,
 };
 use ldi_protocol::wire::{self, ClientMessage, MAX_LIST, Picture, PoseDatagram, Request};
@@ -13,7 +13,10 @@ use std::{
     sync::Arc,
     time::{Duration, Instant},
 };
-use tokio::time::{interval, sleep, timeout_at};
+use tokio::{
+    net::UdpSocket,
+    time::{interval, sleep, timeout_at},
+};
 
 /// Whoever is thrown out or refused comes again after this time.
 const AGAIN: Duration = Duration::from_millis(100);
@@ -28,6 +31,9 @@ const FLOOD_REQUESTS: u32 = 64;
 /// Between two bites of one who is slow, and their size.
 const SLOW_EVERY: Duration = Duration::from_millis(100);
 const SLOW_BYTES: usize = 1024;
+/// Between two bursts of one who finishes no handshake, and their packets.
+const UNFINISHED_EVERY: Duration = Duration::from_millis(100);
+const UNFINISHED: usize = 16;
 
 /// How a hostile connection behaves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -42,6 +48,8 @@ pub enum Manner {
     Greedy,
     /// Says what is no message.
     Malformed,
+    /// Sends the first packets of handshakes and never finishes one, from the walkers' address.
+    Unfinished,
 }
 
 /// What they know of the server.
@@ -94,6 +102,10 @@ impl Siege {
     /// One of them, until the end. `number`: tells it from the others.
     pub async fn send(self: Arc<Self>, endpoint: Endpoint, manner: Manner, number: usize, track: Track) -> Toll {
         let mut toll = Toll::default();
+        if manner == Manner::Unfinished {
+            toll.turned_away = self.leave_unfinished().await;
+            return toll;
+        }
         let mut visit = number;
         while Instant::now() < self.end {
             visit += 1;
@@ -114,6 +126,23 @@ impl Siege {
         toll
     }
 
+    /// Returns how many handshakes were begun.
+    async fn leave_unfinished(&self) -> u64 {
+        let any = if self.server.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" };
+        let (Ok(socket), Ok(mut initials)) = (UdpSocket::bind(any).await, Initials::new(self.server)) else {
+            return 0;
+        };
+        let mut begun = 0;
+        let mut due = interval(UNFINISHED_EVERY);
+        while timeout_at(self.end.into(), due.tick()).await.is_ok() {
+            for _ in 0..UNFINISHED {
+                let Ok(datagram) = initials.initial() else { continue };
+                begun += u64::from(socket.send_to(&datagram, self.server).await.is_ok());
+            }
+        }
+        begun
+    }
+
     /// Until the server ends it.
     async fn behave(
         &self,
@@ -127,7 +156,7 @@ impl Siege {
         let hello = |version| stranger::hello(version, self.token.clone(), self.picture);
         let doing = async {
             match manner {
-                Manner::Silent => std::future::pending().await,
+                Manner::Silent | Manner::Unfinished => std::future::pending().await,
                 Manner::Malformed => {
                     if let Ok(bytes) = Nonsense::ALL[visit % Nonsense::ALL.len()].bytes(hello) {
                         let _ = send.write_all(&bytes).await;

@@ -29,6 +29,12 @@ const KEEP_ALIVE: Duration = Duration::from_secs(8);
 /// # Errors
 /// An address that is not this machine's, or no socket left.
 pub fn endpoint(from: IpAddr) -> io::Result<Endpoint> {
+    let mut endpoint = Endpoint::client(SocketAddr::from((from, 0)))?;
+    endpoint.set_default_client_config(client_config()?);
+    Ok(endpoint)
+}
+
+fn client_config() -> io::Result<ClientConfig> {
     let provider = Arc::new(rustls::crypto::ring::default_provider());
     let mut tls = rustls::ClientConfig::builder_with_provider(provider.clone())
         .with_protocol_versions(&[&rustls::version::TLS13])
@@ -42,9 +48,41 @@ pub fn endpoint(from: IpAddr) -> io::Result<Endpoint> {
     let mut transport = TransportConfig::default();
     transport.max_concurrent_uni_streams(VarInt::from_u32(STREAMS)).keep_alive_interval(Some(KEEP_ALIVE));
     config.transport_config(Arc::new(transport));
-    let mut endpoint = Endpoint::client(SocketAddr::from((from, 0)))?;
-    endpoint.set_default_client_config(config);
-    Ok(endpoint)
+    Ok(config)
+}
+
+/// First packets of handshakes that nobody finishes.
+pub struct Initials {
+    endpoint: quinn_proto::Endpoint,
+    config: ClientConfig,
+    server: SocketAddr,
+}
+
+impl Initials {
+    /// For a server.
+    ///
+    /// # Errors
+    /// None but those of TLS settings.
+    pub fn new(server: SocketAddr) -> io::Result<Self> {
+        let endpoint = quinn_proto::Endpoint::new(Arc::default(), None, true, None);
+        Ok(Self { endpoint, config: client_config()?, server })
+    }
+
+    /// A datagram with the Initial of one more connection, which is forgotten at once.
+    ///
+    /// # Errors
+    /// None for a server's address.
+    pub fn initial(&mut self) -> io::Result<Vec<u8>> {
+        let now = std::time::Instant::now();
+        let connect = self.endpoint.connect(now, self.config.clone(), self.server, "ldi-server");
+        let (handle, mut connection) = connect.map_err(io::Error::other)?;
+        let mut datagram = Vec::new();
+        if connection.poll_transmit(now, 1, &mut datagram).is_none() {
+            return Err(io::Error::other("the connection sends no Initial"));
+        }
+        self.endpoint.handle_event(handle, quinn_proto::EndpointEvent::drained());
+        Ok(datagram)
+    }
 }
 
 /// A connection with its control stream open. Nothing is said yet.

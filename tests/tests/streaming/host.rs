@@ -56,6 +56,7 @@ impl ChunkSource for Memory {
 pub struct Host {
     pub runtime: Runtime,
     server: Option<Server>,
+    settings: ServeConfig,
     folder: PathBuf,
 }
 
@@ -67,10 +68,21 @@ impl Host {
     pub fn start_with(name: &str, dataset: Memory, config: ServeConfig) -> Self {
         let folder = folder(name);
         let any = SocketAddr::from(([127, 0, 0, 1], 0));
-        let config = ServeConfig { listen: any, http: any, identity: Some(folder.join("identity")), ..config };
+        let config = ServeConfig { listen: any, http: any.into(), identity: Some(folder.join("identity")), ..config };
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
         let server = runtime.block_on(Server::start(Arc::new(dataset), &config)).unwrap();
-        Self { runtime, server: Some(server), folder }
+        Self { runtime, server: Some(server), settings: config, folder }
+    }
+
+    /// Offers newcomers another dataset, and token and certificate as they are on disk now.
+    pub fn reload(&mut self, dataset: Memory) {
+        let server = self.server.as_mut().unwrap();
+        server.reload(Arc::new(dataset), &self.settings).unwrap();
+    }
+
+    /// Folder of the server's identity.
+    pub fn identity(&self) -> PathBuf {
+        self.folder.join("identity")
     }
 
     pub fn server(&self) -> &Server {
@@ -89,8 +101,8 @@ impl Host {
     }
 
     pub fn get(&self, path: &str) -> (String, String) {
-        let mut stream = TcpStream::connect(self.server().http()).unwrap();
-        write!(stream, "GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").unwrap();
+        let mut stream = TcpStream::connect(self.server().http().expect("HTTP is on")).unwrap();
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").unwrap();
         let mut answer = String::new();
         stream.read_to_string(&mut answer).unwrap();
         let (head, body) = answer.split_once("\r\n\r\n").unwrap();

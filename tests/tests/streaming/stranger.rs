@@ -29,13 +29,14 @@ pub async fn sends(address: SocketAddr, what: Nonsense) -> bool {
     tokio::time::timeout(Duration::from_secs(20), connection.closed()).await.is_ok()
 }
 
-/// From an address of its own: sends nonsense and comes again until it is not let in. Returns how often it was.
+/// From an address of its own: comes in, breaks a rule, and comes again until it is not let in.
+/// Returns how often it was.
 pub async fn comes_again(address: SocketAddr) -> usize {
     let endpoint = endpoint(IpAddr::from([127, 0, 0, 2])).unwrap();
     let mut came_in = 0;
     while let Ok((connection, mut send, _recv)) = connect(&endpoint, address).await {
         came_in += 1;
-        let _ = send.write_all(&Nonsense::RandomBytes.bytes(hello).unwrap()).await;
+        let _ = send.write_all(&Nonsense::HelloTwice.bytes(hello).unwrap()).await;
         connection.closed().await;
     }
     came_in
