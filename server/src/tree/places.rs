@@ -20,6 +20,8 @@ const MAX_POSITIONS: usize = 800;
 const PROBES: u32 = 16;
 /// Edge of the cubes in which what is seen is counted, in parts of the median distance to what candidates see.
 const CUBES: f64 = 0.25;
+/// Those in which outside candidates' sights are counted are this much wider: their references are coarse.
+const OUTSIDE_CUBES: f64 = 4.0;
 /// Within so many median distances a surface is seen well.
 const WELL: f64 = 2.0;
 /// What a surface that is seen from afar counts.
@@ -117,45 +119,19 @@ pub fn choose(caster: &Caster, volume: &WalkVolume, bounds: &Aabb) -> Places {
     let median =
         if distances.is_empty() { 1.0 } else { distances.select_nth_unstable_by(middle, f64::total_cmp).1.max(1e-3) };
     let edge = median * CUBES;
-
-    let mut numbers: HashMap<(IVec3, usize), u32> = HashMap::new();
-    let mut nearest_m: Vec<f32> = Vec::new();
-    let mut of_volume = 0;
-    let seen: Vec<Seen> = views
-        .into_iter()
-        .enumerate()
-        .map(|(candidate, view)| {
-            let mut best: HashMap<u32, f32> = HashMap::new();
-            for (at, normal, distance) in view {
-                let axis = normal.abs().max_position();
-                let face = 2 * axis + usize::from(normal[axis] > 0.0);
-                let next = numbers.len() as u32;
-                let element = *numbers.entry(((at / edge).floor().as_ivec3(), face)).or_insert(next);
-                if element as usize == nearest_m.len() {
-                    nearest_m.push(f32::INFINITY);
-                }
-                let nearest = &mut nearest_m[element as usize];
-                *nearest = nearest.min(distance as f32);
-                let value = if distance <= WELL * median { 1.0 } else { FAR_VALUE };
-                let b = best.entry(element).or_insert(0.0);
-                *b = b.max(value);
-            }
-            if candidate < within {
-                of_volume = nearest_m.len();
-            }
-            let mut list: Seen = best.into_iter().collect();
-            list.sort_unstable_by_key(|e| e.0);
-            list
-        })
-        .collect();
-    let mut most = vec![0.0f32; numbers.len()];
-    for (element, value) in seen.iter().flatten() {
-        most[*element as usize] = most[*element as usize].max(*value);
-    }
+    let value = |distance: f64| if distance <= WELL * median { 1.0 } else { FAR_VALUE };
+    let Elements { seen, most, mut nearest_m, of_first: of_volume } = elements(&views, within, edge, value);
     let everything: f64 = most[..of_volume].iter().map(|v| f64::from(*v)).sum();
     let mut have = vec![0.0f32; most.len()];
     let (chosen, covered) = greedy(&seen[..within], &mut have, everything, MAX_POSITIONS);
-    let (beyond, _) = greedy(&seen[within..], &mut have, everything, MAX_OUTSIDE);
+    // What coarse references are to add: from afar one ray hits one of many small cubes.
+    let coarse = elements(&views, within, edge * OUTSIDE_CUBES, |_| 1.0);
+    let all: f64 = coarse.most.iter().map(|v| f64::from(*v)).sum();
+    let mut have = vec![0.0f32; coarse.most.len()];
+    for (element, value) in chosen.iter().flat_map(|k| &coarse.seen[*k]) {
+        have[*element as usize] = *value;
+    }
+    let (beyond, _) = greedy(&coarse.seen[within..], &mut have, all, MAX_OUTSIDE);
     nearest_m.truncate(of_volume);
     // A cube that a plane crosses holds about two thirds of its face's area.
     let part_m2 = edge * edge * 2.0 / 3.0;
@@ -169,6 +145,54 @@ pub fn choose(caster: &Caster, volume: &WalkVolume, bounds: &Aabb) -> Places {
         part_m2,
         rays,
     }
+}
+
+/// What candidates see, in cubes.
+struct Elements {
+    /// Per candidate.
+    seen: Vec<Seen>,
+    /// Per element: the largest value that it has for a candidate.
+    most: Vec<f32>,
+    /// Per element: how near the nearest candidate is, metres.
+    nearest_m: Vec<f32>,
+    /// Elements that the first candidates see; they come first.
+    of_first: usize,
+}
+
+/// The faces of cubes of this `edge`, metres, that hold what candidates see (place, normal towards them, distance in metres).
+/// `first`: candidates whose elements are counted apart. `value`: what an element counts at a distance.
+fn elements(views: &[Vec<(DVec3, DVec3, f64)>], first: usize, edge: f64, value: impl Fn(f64) -> f32) -> Elements {
+    let mut numbers: HashMap<(IVec3, usize), u32> = HashMap::new();
+    let mut nearest_m: Vec<f32> = Vec::new();
+    let mut of_first = 0;
+    let of_view = |(candidate, view): (usize, &Vec<(DVec3, DVec3, f64)>)| {
+        let mut best: HashMap<u32, f32> = HashMap::new();
+        for (at, normal, distance) in view {
+            let axis = normal.abs().max_position();
+            let face = 2 * axis + usize::from(normal[axis] > 0.0);
+            let next = numbers.len() as u32;
+            let element = *numbers.entry(((at / edge).floor().as_ivec3(), face)).or_insert(next);
+            if element as usize == nearest_m.len() {
+                nearest_m.push(f32::INFINITY);
+            }
+            let nearest = &mut nearest_m[element as usize];
+            *nearest = nearest.min(*distance as f32);
+            let b = best.entry(element).or_insert(0.0);
+            *b = b.max(value(*distance));
+        }
+        if candidate < first {
+            of_first = nearest_m.len();
+        }
+        let mut list: Seen = best.into_iter().collect();
+        list.sort_unstable_by_key(|e| e.0);
+        list
+    };
+    let seen: Vec<Seen> = views.iter().enumerate().map(of_view).collect();
+    let mut most = vec![0.0f32; nearest_m.len()];
+    for (element, value) in seen.iter().flatten() {
+        most[*element as usize] = most[*element as usize].max(*value);
+    }
+    Elements { seen, most, nearest_m, of_first }
 }
 
 /// Lazy greedy choice of at most so many candidates: in order, and the value that they add to what is covered already.

@@ -149,14 +149,15 @@ impl Feed for MemoryFeed {
         self.state().0.contains(&chunk)
     }
     fn traffic(&self) -> Traffic {
+        let bytes = self.state().1;
         Traffic {
             elapsed_s: 1.0,
-            bytes: self.state().1,
+            bytes,
             wasted_bytes: 0,
             mbit_per_s_p99_1s: 1.0,
             cache_peak_bytes: 7,
             damaged_chunks: 0,
-            chunks: self.state().1 / CHUNK_BYTES,
+            chunks: bytes / CHUNK_BYTES,
         }
     }
 }
