@@ -427,7 +427,7 @@ mod tests {
         let fail = |ms| admission.candidate(a(), at(ms)).map(|c| c.failed(at(ms)));
         assert_eq!((0..1000).filter(|_| fail(0).is_ok()).count(), FAILURES as usize);
         assert!(enter(&admission, b(), 0).is_ok(), "others are not concerned");
-        assert!(enter(&admission, a(), 21).is_ok(), "a fiftieth of a second later there is room");
+        assert!(enter(&admission, a(), 125).is_ok(), "an eighth of a second later there is room");
         assert_eq!((0..1000).filter(|_| fail(1_000).is_ok()).count(), FAILURES_PER_SECOND as usize);
     }
 

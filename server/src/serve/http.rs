@@ -11,7 +11,7 @@ use super::{
     session::{ACCESS, Shared, stopped},
 };
 use axum::{
-    Json, Router,
+    Extension, Json, Router,
     extract::{Request, State},
     http::{
         HeaderMap, HeaderValue, StatusCode,
@@ -31,7 +31,7 @@ use hyper_util::{
 use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
 use std::{
     collections::HashMap,
-    net::IpAddr,
+    net::{IpAddr, SocketAddr},
     sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError},
     time::Duration,
 };
@@ -153,7 +153,7 @@ pub(super) async fn answer(
                 Ok((stream, from)) => {
                     // Closed unanswered when there is no place.
                     if let Some(place) = Places::take(&places, from.ip()) {
-                        connections.spawn(converse(stream, router.clone(), place, stop.clone()));
+                        connections.spawn(converse(stream, router.clone().layer(Extension(from)), place, stop.clone()));
                     }
                 }
                 Err(e) => {
@@ -227,8 +227,13 @@ impl Drop for Place {
 }
 
 /// Answers only what may be answered, within its time, and adds [`HEADERS`].
-async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
-    let mut response = match refusal(&site, request.uri().path(), request.headers()).await {
+async fn guard(
+    State(site): State<Arc<Site>>,
+    Extension(from): Extension<SocketAddr>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let mut response = match refusal(&site, from, request.uri().path(), request.headers()).await {
         Some(refusal) => refusal,
         None => match timeout(ANSWER, next.run(request)).await {
             Ok(response) => response,
@@ -241,7 +246,7 @@ async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> R
     response
 }
 
-async fn refusal(site: &Site, path: &str, headers: &HeaderMap) -> Option<Response> {
+async fn refusal(site: &Site, address: SocketAddr, path: &str, headers: &HeaderMap) -> Option<Response> {
     let has_body = headers.contains_key(header::TRANSFER_ENCODING)
         || headers.get(header::CONTENT_LENGTH).is_some_and(|length| length != "0");
     if has_body {
@@ -249,7 +254,8 @@ async fn refusal(site: &Site, path: &str, headers: &HeaderMap) -> Option<Respons
         return Some((StatusCode::PAYLOAD_TOO_LARGE, close, "requests have no body\n").into_response());
     }
     if !headers.get(header::HOST).is_none_or(|host| is_own_name(host, &site.names)) {
-        tracing::info!(target: ACCESS, host = ?headers.get(header::HOST), "HTTP: not a name of this server");
+        let host = headers.get(header::HOST);
+        tracing::info!(target: ACCESS, %address, ?host, "HTTP: not a name of this server");
         let text = "this server is not known by that name; add it to `http_names` in the --config file\n";
         return Some((StatusCode::MISDIRECTED_REQUEST, text).into_response());
     }
@@ -259,7 +265,7 @@ async fn refusal(site: &Site, path: &str, headers: &HeaderMap) -> Option<Respons
         return None;
     }
     if headers.contains_key(header::AUTHORIZATION) {
-        tracing::info!(target: ACCESS, "HTTP: wrong token");
+        tracing::info!(target: ACCESS, %address, "HTTP: wrong token");
         sleep(WRONG_TOKEN_DELAY).await;
     }
     let ask = [(header::WWW_AUTHENTICATE, "Basic realm=\"ldi-server: any user, the token as password\"")];
