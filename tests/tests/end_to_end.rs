@@ -372,7 +372,7 @@ fn a_flipped_byte_is_named_and_the_walk_goes_on() {
     drop(dataset);
     let (pack, mut bytes, at) = dataset_bytes(&damaged)
         .into_iter()
-        .filter(|(name, _)| name.starts_with("packs"))
+        .filter(|(name, _)| name.to_string_lossy().starts_with("packs-"))
         .find_map(|(name, bytes)| {
             let at = bytes.windows(wanted.len()).position(|w| w == wanted)?;
             Some((name, bytes, at))
