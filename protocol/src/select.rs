@@ -372,30 +372,36 @@ fn within_budget(index: &Index, eye: DVec3, list: DrawList) -> DrawList {
 }
 
 /// The same for any budget: the farthest cells go, but [`WIDE_SHARE`] of it is for those of them that fill most of the picture per
-/// triangle: hills, walls and seas behind a town.
+/// triangle: hills, walls and seas behind a town. A larger budget draws all that a smaller one draws.
 fn within(index: &Index, budget: u64, eye: DVec3, mut list: DrawList) -> DrawList {
     if list.triangles <= budget {
         return list;
     }
-    let for_near = budget - (budget as f64 * WIDE_SHARE) as u64;
+    let share = |of: u64| (of as f64 * WIDE_SHARE) as u64;
+    let (for_wide, largest) = (share(budget), share(index.settings.budget));
     let mut beyond: Vec<(f64, u32)> = Vec::new();
-    while list.triangles > for_near {
+    while list.triangles > budget - for_wide {
         let Some(cell) = list.cells.pop() else { break };
         let entry = &index.cells[cell as usize];
         list.triangles -= u64::from(entry.triangles);
         beyond.push((-picture_per_triangle(entry, eye), cell));
     }
     beyond.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let (mut wide, mut is_full) = (0, false);
     for (_, cell) in beyond {
         let entry = &index.cells[cell as usize];
-        if list.triangles + u64::from(entry.triangles) <= budget {
-            list.triangles += u64::from(entry.triangles);
+        let triangles = u64::from(entry.triangles);
+        // What comes after the first that does not fit is left out, small or not: or else larger budgets would draw other cells.
+        is_full |= triangles <= largest && wide + triangles > for_wide;
+        if triangles <= largest && !is_full {
+            wide += triangles;
             list.cells.push(cell);
         } else {
             list.complete_m = list.complete_m.min(entry.bounds.distance(eye));
             list.dropped += 1;
         }
     }
+    list.triangles += wide;
     list.cells = near_to_far(list.cells.iter().map(|c| (index.cells[*c as usize].bounds.distance(eye), *c)).collect());
     list
 }
@@ -685,6 +691,15 @@ mod tests {
             dropped += plain.dropped;
         }
         assert!(seen > 20_000 && seen < 400_000 && dropped > 100, "{seen} cells seen, {dropped} dropped");
+        for cell in &mut index.cells {
+            cell.triangles = 20 + (unit() * unit() * 900.0) as u32;
+        }
+        for _ in 0..300 {
+            let position = DVec3::new(unit() - 0.5, unit() * 0.2, unit() - 0.5) * 40.0;
+            let pose = Pose { position, yaw_deg: unit() * 360.0, pitch_deg: (unit() - 0.5) * 60.0 };
+            let [few, more] = [1.0, 1.3].map(|share| cells_before_tree(&index, &groups, &pose, (0.5, 0.3), share));
+            assert!(few.iter().all(|c| more.contains(c)), "{few:?} within {more:?}");
+        }
     }
 
     #[test]
@@ -707,8 +722,8 @@ mod tests {
         let hill = Aabb { min: DVec3::new(-50.0, -10.0, -200.0), max: DVec3::new(50.0, 40.0, -150.0) };
         index.cells.push(CellEntry { bounds: hill, triangles: 50, ..index.cells[0].clone() });
         let list = draw_list(&index, &pose(-0.5, 20.0), (0.577, 0.32));
-        assert_eq!((list.cells.as_slice(), list.triangles, list.dropped), (&[0, 1, 2, 3, 4, 10][..], 550, 5));
-        assert!((list.complete_m - 6.5).abs() < 0.1, "{} m", list.complete_m);
+        assert_eq!((list.cells.as_slice(), list.triangles, list.dropped), (&[0, 1, 2, 3, 10][..], 450, 6));
+        assert!((list.complete_m - 5.5).abs() < 0.1, "{} m", list.complete_m);
     }
 
     #[test]
