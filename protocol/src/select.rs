@@ -618,7 +618,7 @@ mod tests {
 
     #[test]
     fn nobody_is_shown_images_that_were_made_for_others() {
-        let mut index = index("paper", 300);
+        let mut index = index("paper", 340);
         let planned = |index: &Index, z: f64| {
             let eye = pose(z, 0.0);
             (draw_list(index, &eye, (0.577, 0.32)).images.len(), is_planned(index, &eye))
@@ -739,7 +739,7 @@ mod tests {
 
     #[test]
     fn a_larger_share_of_the_budget_goes_on_farther() {
-        let index = index("paper", 250);
+        let index = index("paper", 260);
         let of =
             |share| cells_before_tree(&index, &CellGroups::of(&index.cells), &pose(-0.5, 0.0), (0.577, 0.32), share);
         assert_eq!(of(1.0), draw_list(&index, &pose(-0.5, 0.0), (0.577, 0.32)).cells);
