@@ -5,7 +5,7 @@
 //! 3. The samples that a tree would need are estimated from how near eyes come to every part of the scene. If they take more bytes than the images, that is all.
 //! 4. Otherwise the tree is built, what samples it has at the probed points is looked up, and how many of them an eye draws is counted.
 
-use super::{BuildError, BuildOptions, images, kept_tree::Ground};
+use super::{BuildError, BuildOptions, images, kept_tree::TreeInput};
 use crate::pack::PackError;
 use crate::placement::{ImagePlan, PlacementPlan};
 use crate::render::Caster;
@@ -118,7 +118,7 @@ pub(super) fn megabytes(bytes: u64) -> String {
 /// What there is to weigh.
 pub struct Candidates<'a> {
     pub caster: &'a Caster,
-    pub ground: &'a Ground<'a>,
+    pub tree_input: &'a TreeInput<'a>,
     pub volume: &'a WalkVolume,
     pub cells: &'a [CellEntry],
     pub plans: &'a [PlacementPlan],
@@ -137,7 +137,7 @@ pub fn weigh(
     let probes = Probes::take(c.caster, c.volume, c.cells, c.settings);
     let needed = probes.needed_pitch_m(bound, focal_px, BEYOND);
     heard(&format!("images of some of {} placements, to tell what all take", c.plans.len()));
-    let images = ImageBytes::expected(c.caster, c.plans, c.settings, options.colour, c.ground.scene_key, writer)?;
+    let images = ImageBytes::expected(c.caster, c.plans, c.settings, options.colour, c.tree_input.scene_key, writer)?;
     let images_bytes = images.all;
     let mut found = Weighing {
         chosen: "grid",
@@ -155,7 +155,7 @@ pub fn weigh(
         found.why = "no probed eye sees anything beyond the geometry that it draws".into();
         return Ok((found, None));
     };
-    let samples = c.ground.places.samples_at(bound, focal_px, pitch_m);
+    let samples = c.tree_input.places.samples_at(bound, focal_px, pitch_m);
     found.tree_bytes_expected = (samples * BYTES_PER_SAMPLE) as u64;
     let images_take = megabytes(images_bytes);
     let expected = format!(
@@ -174,10 +174,10 @@ pub fn weigh(
         return Ok((found, None));
     }
     heard(&format!("{expected}: it is tried"));
-    let pixels_per_side = (MAX_PIXELS / (6 * c.ground.places.positions.len().max(1)) as f64).sqrt();
+    let pixels_per_side = (MAX_PIXELS / (6 * c.tree_input.places.positions.len().max(1)) as f64).sqrt();
     let side = (2.0 * focal_px / bound).clamp(SIDES[0], SIDES[1]).min(pixels_per_side) as u32;
     let depth = Depth::Fine { pitch_m, side };
-    let Some(built) = c.ground.tree(depth, writer, heard)? else {
+    let Some(built) = c.tree_input.tree(depth, writer, heard)? else {
         found.why = "no reference sees any surface".into();
         return Ok((found, None));
     };

@@ -18,7 +18,7 @@ struct Kept {
 }
 
 /// What a tree is made from.
-pub(super) struct Ground<'a> {
+pub(super) struct TreeInput<'a> {
     pub caster: &'a Caster,
     pub bounds: &'a Aabb,
     pub places: &'a Places,
@@ -27,7 +27,7 @@ pub(super) struct Ground<'a> {
     pub first_chunk: u32,
 }
 
-impl Ground<'_> {
+impl TreeInput<'_> {
     /// Builds the tree unless an earlier run has. None: no eye sees any surface.
     pub fn tree(
         &self,

@@ -544,7 +544,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     let places = tree::choose(&caster, &plan.volume, &scene.bounds());
     heard(&format!("{} of {} candidates", places.positions.len(), places.candidates));
     let bounds = scene.bounds();
-    let ground = kept_tree::Ground {
+    let tree_input = kept_tree::TreeInput {
         caster: &caster,
         bounds: &bounds,
         places: &places,
@@ -557,7 +557,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         progress.stage("images or the LDI tree alone", 0);
         let candidates = choose::Candidates {
             caster: &caster,
-            ground: &ground,
+            tree_input: &tree_input,
             volume: &plan.volume,
             cells: &geometry.cells,
             plans: &plan.plans,
@@ -638,7 +638,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
             Represent::Tree { pitch_m, side } => Depth::Fine { pitch_m, side },
             _ => Depth::Base,
         };
-        built = ground.tree(depth, &writer, &heard)?;
+        built = tree_input.tree(depth, &writer, &heard)?;
     }
     let (tree, tree_figures) = match built {
         Some(BuiltTree { tree, chunks: of_tree, figures }) => {

@@ -148,7 +148,7 @@ pub(super) fn refine(
             };
             // Near what is dense, parts of a small cell fail as it did.
             let hopeless = || {
-                ctx.scheme == Scheme::Cells && spacing_m < FINEST_SHARED_M * 0.5 && {
+                ctx.scheme == Scheme::Cells && spacing_m < COARSEST_HOPELESS_M && {
                     let eye = tree.closest(lattice.position(i));
                     eye.is_some_and(|eye| needed_at(ctx, eye).is_some())
                 }
@@ -232,6 +232,11 @@ const SHARED_REACH: f64 = 1.5;
 
 /// Cells of this spacing and below need not be small enough for sharing, metres: their number would outgrow the images saved.
 const FINEST_SHARED_M: f64 = 1.3;
+
+/// Cells of this spacing and above are subdivided even where an eye amid them sees too much, metres:
+/// eyes that far apart may see less. Larger: more of the walk volume is given up; smaller: dense
+/// places take longer to plan.
+const COARSEST_HOPELESS_M: f64 = 0.65;
 
 /// A view cell whose own box is expected to hold more samples than this is subdivided if boxes for its halves or quarters hold fewer together.
 /// Less takes 2 to 17 times as long to plan for at most 3% fewer pixels of west_riverside_mep at a fiftieth (docs/decisions.md).

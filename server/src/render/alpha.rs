@@ -9,6 +9,7 @@ use super::{
     geometry::Geometry,
     shading::Textures,
 };
+use crate::scene::Primitive;
 use glam::Vec2;
 use ldi_protocol::{mesh::Alpha, texture::AlphaTest};
 use rayon::prelude::*;
@@ -37,16 +38,22 @@ impl AlphaMasks {
     /// Entries for all lanes that `bvh` marks as masked.
     pub fn new(geometry: &Geometry, textures: &Textures, bvh: &Bvh) -> Self {
         let mut entries = Vec::new();
-        for block in &bvh.blocks {
-            for (lane, &triangle) in block.triangles.iter().enumerate() {
-                if block.masked >> lane & 1 == 1 {
-                    let source = geometry.source(triangle);
-                    let primitive = geometry.primitive(&source);
-                    let uv = |v: u32| primitive.uvs.get(v as usize).copied().unwrap_or(Vec2::ZERO);
-                    let uvs = primitive.triangles[source.triangle as usize].map(uv);
-                    entries.push(Entry { uvs, material: primitive.material });
-                }
-            }
+        let entry = |primitive: &Primitive, triangle: u32| {
+            let uv = |v: u32| primitive.uvs.get(v as usize).copied().unwrap_or(Vec2::ZERO);
+            Entry { uvs: primitive.triangles[triangle as usize].map(uv), material: primitive.material }
+        };
+        let masked = |block: &Block| {
+            let lanes = (0..4).filter(|lane| block.masked >> lane & 1 == 1);
+            lanes.map(|lane| block.triangles[lane]).collect::<Vec<u32>>()
+        };
+        for triangle in bvh.world.blocks.iter().flat_map(masked) {
+            let source = geometry.source(triangle);
+            entries.push(entry(geometry.primitive(&source), source.triangle));
+        }
+        for part in &bvh.local_parts {
+            let primitive = &geometry.scene.meshes[part.mesh as usize].primitives[part.primitive as usize];
+            let blocks = &bvh.local.blocks[part.blocks.start as usize..part.blocks.end as usize];
+            entries.extend(blocks.iter().flat_map(masked).map(|triangle| entry(primitive, triangle)));
         }
         let materials = geometry.scene.materials.par_iter().map(|m| {
             let Alpha::Mask(cutoff) = m.alpha else { return MaskedMaterial { test: None } };

@@ -5,14 +5,14 @@
 
 use super::{
     alpha::AlphaMasks,
-    bvh::{Block, Bvh},
+    bvh::{Block, Bvh, MOST_EXPANDED},
     cell_set::CellSet,
     geometry::{Geometry, TriangleSource},
     lanes::{Array, Lanes},
     packet::{PACKET, Packet, PacketRay},
     ray::{Hit, Ray, RayFootprint},
     shading::{self, SurfacePoint, Textures},
-    single::{self, Nearest, ShortRay},
+    single::{self, NO_ITEM, Nearest, ShortRay},
 };
 use crate::{
     octree::{Clusters, Octree},
@@ -54,12 +54,13 @@ impl Isa {
 impl Caster {
     /// A caster whose rays can be limited to cells of the octree.
     pub fn new(scene: Arc<Scene>, clusters: &Clusters, octree: &Octree) -> Self {
-        Self::from_geometry(Geometry::new(scene, Some((clusters, octree))), false)
+        let geometry = Geometry::new(scene, Some((clusters, octree)));
+        Self::from_geometry(geometry, Some(clusters), false, MOST_EXPANDED)
     }
 
     /// A caster of the whole scene, in one cell with number 0; `mips` prepares textures for footprints.
     pub fn of_scene(scene: Arc<Scene>, mips: bool) -> Self {
-        Self::from_geometry(Geometry::new(scene, None), mips)
+        Self::from_geometry(Geometry::new(scene, None), None, mips, MOST_EXPANDED)
     }
 
     /// The same caster with all mip levels of its textures, for [`Caster::shade`] with footprints.
@@ -69,10 +70,10 @@ impl Caster {
         self
     }
 
-    fn from_geometry(geometry: Geometry, mips: bool) -> Self {
+    fn from_geometry(geometry: Geometry, clusters: Option<&Clusters>, mips: bool, most_expanded: u64) -> Self {
         let textures = Textures::new(&geometry, mips);
         let solid: Vec<bool> = geometry.scene.materials.iter().map(shading::is_solid).collect();
-        let bvh = Bvh::new(&geometry, |t| !solid[geometry.primitive(&geometry.source(t)).material as usize]);
+        let bvh = Bvh::new(&geometry, clusters, |p| !solid[p.material as usize], most_expanded);
         let masks = AlphaMasks::new(&geometry, &textures, &bvh);
         Self { geometry, textures, bvh, masks, isa: Isa::detect() }
     }
@@ -221,7 +222,7 @@ impl Caster {
 
     #[inline(always)]
     fn one<F8: Lanes<8>, F4: Lanes<4>>(&self, ray: &Ray, cells: &CellSet, any: bool) -> Option<Nearest> {
-        let is_there = |triangle: u32, slot: u32| self.is_there(ray, triangle, slot);
+        let is_there = |found: &Nearest| self.is_there(ray, found);
         single::trace::<F8, F4>(&self.bvh, &self.short(ray), cells.masks(), any, &is_there)
     }
 
@@ -245,8 +246,7 @@ impl Caster {
         }
         let Some(mut packet) = Packet::new(self.short(first).origin, short, any) else { return false };
         // Groups that are not full repeat the last ray.
-        let is_there =
-            |ray: usize, triangle: u32, slot: u32| self.is_there(&rays[ray.min(rays.len() - 1)], triangle, slot);
+        let is_there = |ray: usize, found: &Nearest| self.is_there(&rays[ray.min(rays.len() - 1)], found);
         packet.trace::<F8, F4>(&self.bvh, cells.masks(), &is_there);
         for (i, (ray, hit)) in rays.iter().zip(hits).enumerate() {
             *hit = packet.nearest(i).map(|n| self.refined(ray, &n));
@@ -254,17 +254,34 @@ impl Caster {
         true
     }
 
+    fn block(&self, found: &Nearest) -> &Block {
+        let branches = if found.item == NO_ITEM { &self.bvh.world } else { &self.bvh.local };
+        &branches.blocks[found.slot as usize / 4]
+    }
+
     /// Whether a hit of an alpha-masked triangle counts.
-    fn is_there(&self, ray: &Ray, triangle: u32, slot: u32) -> bool {
-        let hit = self.refined(ray, &Nearest { t: 0.0, triangle, slot });
-        let block = &self.bvh.blocks[slot as usize / 4];
-        !self.masks.is_cut_out(&self.textures, block, slot % 4, hit.u, hit.v)
+    fn is_there(&self, ray: &Ray, found: &Nearest) -> bool {
+        let hit = self.refined(ray, found);
+        !self.masks.is_cut_out(&self.textures, self.block(found), found.slot % 4, hit.u, hit.v)
+    }
+
+    /// Corners of a hit's triangle relative to the middle of the scene, as the hierarchy stores them.
+    fn corners_of(&self, found: &Nearest) -> [DVec3; 3] {
+        let corners = self.block(found).corners_of(found.slot as usize % 4);
+        match self.bvh.items.get(found.item as usize) {
+            Some(item) => {
+                let place = &self.bvh.places[item.place as usize];
+                let world_from_mesh = &self.scene().instances[place.instance as usize].world_from_mesh;
+                corners.map(|c| world_from_mesh.transform_point3(c) - self.geometry.origin)
+            }
+            None => corners,
+        }
     }
 
     /// The hit of a ray with a triangle's plane, in f64 (Moeller and Trumbore 1997), from the corners that the hierarchy stores.
     #[inline]
     fn refined(&self, ray: &Ray, nearest: &Nearest) -> Hit {
-        let [a, b, c] = self.bvh.blocks[nearest.slot as usize / 4].corners_of(nearest.slot as usize % 4);
+        let [a, b, c] = self.corners_of(nearest);
         let (ab, ac, ao) = (b - a, c - a, ray.origin - self.geometry.origin - a);
         let n = ab.cross(ac);
         let scale = -1.0 / n.dot(ray.direction);
@@ -279,7 +296,7 @@ impl Caster {
 }
 
 impl Block {
-    /// Corners of one triangle, relative to the scene's middle.
+    /// Corners of one triangle, in the space of the block.
     fn corners_of(&self, lane: usize) -> [DVec3; 3] {
         self.corners.each_ref().map(|c| DVec3::new(c[0][lane].into(), c[1][lane].into(), c[2][lane].into()))
     }

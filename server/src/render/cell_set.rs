@@ -1,7 +1,7 @@
 //! Which cells rays can see.
 
 use super::{
-    bvh::{Bvh, EMPTY, LEAF},
+    bvh::{Bvh, EMPTY, ITEM, LEAF},
     geometry::Geometry,
 };
 use rayon::prelude::*;
@@ -25,9 +25,9 @@ struct Prepared {
 /// What of the hierarchy rays can see.
 #[derive(Debug, Clone)]
 pub(super) struct Masks {
-    /// Per node: bits of the children with something to see.
+    /// Per node of the scene's own hierarchy: bits of the children with something to see.
     pub children: Vec<u8>,
-    /// Per block: bits of the triangles to be seen.
+    /// Per block in world space: bits of the triangles to be seen.
     pub lanes: Vec<u8>,
 }
 
@@ -56,16 +56,31 @@ impl CellSet {
     }
 
     fn prepared(words: Vec<u64>, geometry: &Geometry, bvh: &Bvh) -> Self {
-        let lanes: Vec<u8> = bvh.blocks.par_iter().map(|b| b.lanes(|t| holds(&words, geometry.cell_of(t)))).collect();
-        let mut children = vec![0; bvh.nodes.len()];
-        // Children come after their parents.
-        for (number, node) in bvh.nodes.iter().enumerate().rev() {
-            let is_seen = |child: u32| match child {
-                EMPTY => false,
-                leaf if leaf & LEAF != 0 => lanes[(leaf & !LEAF) as usize] != 0,
-                inner => children[inner as usize] != 0,
-            };
-            children[number] = node.children.iter().enumerate().fold(0, |b, (i, c)| b | u8::from(is_seen(*c)) << i);
+        let seen = |cells: &[u32; 4]| (0..4).fold(0, |bits, i| bits | u8::from(holds(&words, cells[i])) << i);
+        let lanes: Vec<u8> = match geometry.has_cells() {
+            true => bvh.cells.par_iter().map(seen).collect(),
+            false => vec![if holds(&words, 0) { 0xf } else { 0 }; bvh.world.blocks.len()],
+        };
+        let mut children = vec![0; bvh.world.nodes.len()];
+        let is_seen = |child: u32, children: &[u8]| match child {
+            EMPTY => false,
+            item if item & (LEAF | ITEM) == LEAF | ITEM => {
+                holds(&words, bvh.items[(item & !(LEAF | ITEM)) as usize].cell)
+            }
+            leaf if leaf & LEAF != 0 => lanes[(leaf & !LEAF) as usize] != 0,
+            inner => children[inner as usize] != 0,
+        };
+        let of_node = |number: usize, children: &[u8]| {
+            let node = &bvh.world.nodes[number];
+            node.children.iter().enumerate().fold(0, |b, (i, c)| b | u8::from(is_seen(*c, children)) << i)
+        };
+        // Children come after their parents, but for the root that joins two hierarchies.
+        let own = bvh.world.nodes.len() - usize::from(bvh.root_comes_last());
+        for number in (0..own).rev() {
+            children[number] = of_node(number, &children);
+        }
+        for number in own..children.len() {
+            children[number] = of_node(number, &children);
         }
         Self { some: Some(Prepared { words, masks: Masks { children, lanes } }) }
     }

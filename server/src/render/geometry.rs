@@ -1,4 +1,4 @@
-//! The expanded scene: every triangle of every instance has a number, a source and a cell.
+//! Numbers of the scene's triangles: every triangle of every instance has a number, a source and a cell.
 
 use crate::{
     octree::{Clusters, Octree},
@@ -24,10 +24,18 @@ pub struct TriangleSource {
 struct Piece {
     instance: u32,
     primitive: u32,
+    /// Number of its first triangle.
     first: u32,
+    /// Number of its first triangle among the unique ones, mesh after mesh.
+    first_unique: u32,
 }
 
-/// The expanded scene. Triangles are numbered instance after instance, primitive after primitive, in file order.
+/// Triangles per entry of [`Geometry::piece_at`]. Larger: pieces are searched longer; smaller: more
+/// memory.
+const STRIDE: usize = 16;
+
+/// The expanded scene. Triangles are numbered instance after instance, primitive after primitive, in
+/// file order. Nothing is stored per expanded triangle.
 pub(super) struct Geometry {
     pub scene: Arc<Scene>,
     /// Middle of the scene: f32 positions are relative to it.
@@ -37,9 +45,52 @@ pub(super) struct Geometry {
     /// Turns mesh normals to world normals (not yet unit), per instance.
     pub normal_matrices: Vec<Mat3>,
     pieces: Vec<Piece>,
-    piece_of: Vec<u32>,
-    /// Cell per triangle; empty without an octree.
-    cell_of: Vec<u32>,
+    /// Per instance its first piece.
+    first_piece: Vec<u32>,
+    /// The last piece that starts at or before every [`STRIDE`]th triangle.
+    piece_at: Vec<u32>,
+    /// None without an octree: all triangles are in cell 0.
+    cells: Option<CellTable>,
+}
+
+/// The cells of cluster instances.
+struct CellTable {
+    /// Cluster of each unique triangle.
+    cluster_of: Vec<u32>,
+    /// Per mesh its first cluster.
+    first_cluster: Vec<u32>,
+    /// Per instance the entry of its first cluster in `cells`.
+    first_cell: Vec<u32>,
+    cells: Vec<u32>,
+}
+
+impl CellTable {
+    /// `first_unique`: per mesh and primitive the number of the first unique triangle.
+    fn new(scene: &Scene, clusters: &Clusters, octree: &Octree, first_unique: &[Vec<u32>]) -> Self {
+        let mut cluster_of = vec![0; scene.unique_triangles() as usize];
+        for (number, cluster) in clusters.clusters.iter().enumerate() {
+            let first = first_unique[cluster.mesh as usize][cluster.primitive as usize];
+            for t in &cluster.triangles {
+                cluster_of[(first + t) as usize] = number as u32;
+            }
+        }
+        let mut count = 0;
+        let first_cell = scene.instances.iter().map(|i| {
+            let first = count;
+            count += clusters.of_mesh[i.mesh as usize].len() as u32;
+            first
+        });
+        let first_cell: Vec<u32> = first_cell.collect();
+        let first_cluster: Vec<u32> = clusters.of_mesh.iter().map(|c| c.start).collect();
+        let mut cells = vec![0; count as usize];
+        for (number, cell) in octree.cells.iter().enumerate() {
+            for &(instance, cluster) in &cell.content {
+                let mesh = scene.instances[instance as usize].mesh as usize;
+                cells[(first_cell[instance as usize] + cluster - first_cluster[mesh]) as usize] = number as u32;
+            }
+        }
+        Self { cluster_of, first_cluster, first_cell, cells }
+    }
 }
 
 impl Geometry {
@@ -49,50 +100,81 @@ impl Geometry {
     /// If the scene has more than 2^31 triangles: importers refuse such scenes.
     pub fn new(scene: Arc<Scene>, cells: Option<(&Clusters, &Octree)>) -> Self {
         assert!(scene.triangles() < 1 << 31, "importers refuse scenes of 2^31 triangles and more");
-        let mut pieces = Vec::new();
-        let mut piece_of = Vec::with_capacity(scene.triangles() as usize);
-        let mut first_piece_of_instance = Vec::with_capacity(scene.instances.len());
+        let mut unique = 0;
+        let mut numbered = |p: &Primitive| {
+            let first = unique;
+            unique += p.triangles.len() as u32;
+            first
+        };
+        let first_unique: Vec<Vec<u32>> =
+            scene.meshes.iter().map(|m| m.primitives.iter().map(&mut numbered).collect()).collect();
+        let (mut pieces, mut first_piece) = (Vec::new(), Vec::with_capacity(scene.instances.len()));
+        let mut triangle_count = 0u32;
         for (i, instance) in scene.instances.iter().enumerate() {
-            first_piece_of_instance.push(pieces.len());
+            first_piece.push(pieces.len() as u32);
             for (k, primitive) in scene.meshes[instance.mesh as usize].primitives.iter().enumerate() {
-                let first = piece_of.len() as u32;
-                piece_of.resize(piece_of.len() + primitive.triangles.len(), pieces.len() as u32);
-                pieces.push(Piece { instance: i as u32, primitive: k as u32, first });
+                let first_unique = first_unique[instance.mesh as usize][k];
+                pieces.push(Piece { instance: i as u32, primitive: k as u32, first: triangle_count, first_unique });
+                triangle_count += primitive.triangles.len() as u32;
             }
         }
-        let mut cell_of = Vec::new();
-        if let Some((clusters, octree)) = cells {
-            cell_of = vec![0; piece_of.len()];
-            for (number, cell) in octree.cells.iter().enumerate() {
-                for &(instance, cluster) in &cell.content {
-                    let cluster = &clusters.clusters[cluster as usize];
-                    let piece = first_piece_of_instance[instance as usize] + cluster.primitive as usize;
-                    for &t in &cluster.triangles {
-                        cell_of[(pieces[piece].first + t) as usize] = number as u32;
-                    }
-                }
+        let mut piece_at = Vec::with_capacity(triangle_count as usize / STRIDE + 1);
+        let mut piece = 0;
+        for triangle in (0..triangle_count).step_by(STRIDE) {
+            while pieces.get(piece + 1).is_some_and(|p: &Piece| p.first <= triangle) {
+                piece += 1;
             }
+            piece_at.push(piece as u32);
         }
         let bounds = scene.bounds();
         Self {
             origin: if bounds.is_empty() { DVec3::ZERO } else { bounds.centre() },
-            triangle_count: piece_of.len() as u32,
+            triangle_count,
             cell_count: cells.map_or(1, |c| c.1.cells.len()),
             normal_matrices: scene.instances.iter().map(normal_matrix).collect(),
             pieces,
-            piece_of,
-            cell_of,
+            first_piece,
+            piece_at,
+            cells: cells.map(|(clusters, octree)| CellTable::new(&scene, clusters, octree, &first_unique)),
             scene,
         }
     }
 
     #[inline]
+    fn piece_of(&self, triangle: u32) -> &Piece {
+        let mut piece = self.piece_at[triangle as usize / STRIDE] as usize;
+        while self.pieces.get(piece + 1).is_some_and(|p| p.first <= triangle) {
+            piece += 1;
+        }
+        &self.pieces[piece]
+    }
+
+    /// Whether triangles are in cells of an octree.
+    pub fn has_cells(&self) -> bool {
+        self.cells.is_some()
+    }
+
+    /// The octree cell of a triangle.
     pub fn cell_of(&self, triangle: u32) -> u32 {
-        self.cell_of.get(triangle as usize).copied().unwrap_or(0)
+        let Some(table) = &self.cells else { return 0 };
+        let piece = self.piece_of(triangle);
+        self.cell(piece.instance, table.cluster_of[(piece.first_unique + triangle - piece.first) as usize])
+    }
+
+    /// The octree cell of a cluster of an instance.
+    pub fn cell(&self, instance: u32, cluster: u32) -> u32 {
+        let Some(table) = &self.cells else { return 0 };
+        let mesh = self.scene.instances[instance as usize].mesh as usize;
+        table.cells[(table.first_cell[instance as usize] + cluster - table.first_cluster[mesh]) as usize]
+    }
+
+    /// Number of the first triangle of an instance's primitive.
+    pub fn first_triangle(&self, instance: u32, primitive: u32) -> u32 {
+        self.pieces[(self.first_piece[instance as usize] + primitive) as usize].first
     }
 
     pub fn source(&self, triangle: u32) -> TriangleSource {
-        let piece = &self.pieces[self.piece_of[triangle as usize] as usize];
+        let piece = self.piece_of(triangle);
         TriangleSource {
             instance: piece.instance,
             mesh: self.scene.instances[piece.instance as usize].mesh,

@@ -22,6 +22,7 @@ mod cell_set;
 mod geometry;
 mod lanes;
 mod packet;
+mod place;
 mod ray;
 mod shading;
 mod single;

@@ -12,10 +12,10 @@
 //! Slopes are widened by [`SLOPE_SLACK`] so that rounding never drops a box or triangle that a ray touches.
 
 use super::{
-    bvh::{Block, Bvh, EMPTY, LEAF},
+    bvh::{Bvh, EMPTY, ITEM, LEAF},
     cell_set::Masks,
     lanes::Lanes,
-    single::{DISTANCE_SLACK, Nearest, Stack},
+    single::{Branch, DISTANCE_SLACK, Nearest, Stack},
     triangles::{Rays, Triangles, Vec3L, axes_of, intersect, load3, map3, relative_corners, splat3},
 };
 
@@ -104,7 +104,7 @@ impl Packet {
             ray_slopes: [[[0.0; 8]; 2]; GROUPS],
             t_min: [[0.0; 8]; GROUPS],
             nearest_t: [[0.0; 8]; GROUPS],
-            nearest: [Nearest { t: 0.0, triangle: u32::MAX, slot: u32::MAX }; PACKET],
+            nearest: [Nearest::none(0.0); PACKET],
             depth_per_t: [[0.0; 8]; GROUPS],
             group_depths: [[f32::INFINITY; 8], [f32::NEG_INFINITY; 8]],
             start: f32::INFINITY,
@@ -159,7 +159,7 @@ impl Packet {
     /// What ray number `i` hit.
     #[inline(always)]
     pub fn nearest(&self, i: usize) -> Option<Nearest> {
-        (self.nearest[i].slot != u32::MAX).then_some(self.nearest[i])
+        self.nearest[i].is_some().then_some(self.nearest[i])
     }
 
     /// The six planes of a box as limits of depth. On the slope's axis a box from `low` to `high` needs
@@ -191,33 +191,44 @@ impl Packet {
         self.group_depths[1].into_iter().fold(0.0, f32::max)
     }
 
-    /// Finds the hits; `is_there(ray, triangle, slot)` has the last word about triangles with a mask.
+    /// Finds the hits; `is_there(ray, hit)` has the last word about triangles with a mask.
     #[inline(always)]
     pub fn trace<F8: Lanes<8>, F4: Lanes<4>>(
         &mut self,
         bvh: &Bvh,
         masks: Option<&Masks>,
-        is_there: &impl Fn(usize, u32, u32) -> bool,
+        is_there: &impl Fn(usize, &Nearest) -> bool,
     ) {
-        if bvh.nodes.is_empty() {
-            return;
-        }
+        let Some(branch) = Branch::world(bvh, masks) else { return };
+        let reach = self.reach::<F8>((1 << self.groups()) - 1);
+        self.descend::<F8, F4, true>(bvh, branch, reach, is_there);
+    }
+
+    /// Looks for nearer hits in a hierarchy, with `ITEMS` in the items that it holds, too; `reach` is the greatest depth at which one
+    /// matters, before and after.
+    #[inline(always)]
+    fn descend<F8: Lanes<8>, F4: Lanes<4>, const ITEMS: bool>(
+        &mut self,
+        bvh: &Bvh,
+        branch: Branch<'_>,
+        mut reach: f32,
+        is_there: &impl Fn(usize, &Nearest) -> bool,
+    ) -> f32 {
         let origin: Vec3L<F8> = splat3(self.origin);
         let sides = self.sides();
         let (nearer, farther) = (F8::splat(1.0 - DISTANCE_SLACK), F8::splat(1.0 + DISTANCE_SLACK));
-        let mut reach = self.reach::<F8>((1 << self.groups()) - 1);
         let start = F8::splat(self.start.max(0.0));
         let mut stack = Stack::new();
-        stack.push(0.0, 0);
+        stack.push(0.0, branch.root);
         while let Some((distance, child)) = stack.pop() {
             if distance > reach {
                 continue;
             }
             if child & LEAF == 0 {
-                let node = &bvh.nodes[child as usize];
+                let (boxes, present) = branch.boxes::<F8>(child);
                 let (mut enter, mut leave) = (start, F8::splat(reach));
                 for side in &sides {
-                    let depth = F8::load(&node.bounds[side.plane]).sub(origin[side.axis]).mul(F8::splat(side.inverse));
+                    let depth = boxes[side.plane].sub(origin[side.axis]).mul(F8::splat(side.inverse));
                     if side.is_entered {
                         // Of a NaN (a plane through the origin, a slope of 0) and a number, these keep the number.
                         enter = depth.mul(nearer).max(enter);
@@ -225,43 +236,43 @@ impl Packet {
                         leave = depth.mul(farther).min(leave);
                     }
                 }
-                let mut bits = F8::bits(enter.le(leave));
-                if let Some(m) = masks {
-                    bits &= u32::from(m.children[child as usize]);
-                }
+                let bits = F8::bits(enter.le(leave)) & present;
                 if bits != 0 {
                     let mut distances = [0.0; 8];
                     enter.store(&mut distances);
-                    stack.push_sorted(bits, &distances, &node.children);
+                    stack.push_sorted(bits, &distances, &branch.branches.nodes[child as usize].children);
                 }
-            } else if child != EMPTY {
-                let number = child & !LEAF;
-                let lanes = masks.map_or(0xf, |m| u32::from(m.lanes[number as usize]));
-                let improved = self.block::<F8, F4>(&bvh.blocks[number as usize], number, lanes, reach, is_there);
+            } else if child == EMPTY {
+            } else if ITEMS && child & ITEM != 0 {
+                let item = Branch::of_item(bvh, child & !(LEAF | ITEM));
+                reach = self.descend::<F8, F4, false>(bvh, item, reach, is_there);
+            } else {
+                let improved = self.block::<F8, F4>(&branch, child & !LEAF, reach, is_there);
                 if improved != 0 {
                     reach = self.reach::<F8>(improved);
                 }
             }
         }
+        reach
     }
 
-    /// Tests a block's triangles in `lanes` against all rays; bits of the groups with a nearer hit than before.
+    /// Tests a block's triangles against all rays; bits of the groups with a nearer hit than before.
     #[inline(always)]
     fn block<F8: Lanes<8>, F4: Lanes<4>>(
         &mut self,
-        block: &Block,
+        branch: &Branch<'_>,
         number: u32,
-        lanes: u32,
         reach: f32,
-        is_there: &impl Fn(usize, u32, u32) -> bool,
+        is_there: &impl Fn(usize, &Nearest) -> bool,
     ) -> u32 {
-        let corners: [Vec3L<F4>; 3] = relative_corners(block, self.origin);
+        let (block, lanes) = branch.block(number);
+        let corners: [Vec3L<F4>; 3] = relative_corners(block, branch.place, self.origin);
         let (mut bits, ranges) = self.cover(corners, reach);
         bits &= lanes;
         if bits == 0 {
             return 0;
         }
-        let four = Triangles::new(block, corners);
+        let four = Triangles::new(block, branch.place, corners);
         let mut stored = [[0.0f32; 4]; 13];
         for k in 0..3 {
             four.corners[0][k].store(&mut stored[k]);
@@ -280,7 +291,7 @@ impl Packet {
                 normal: of_lane(9),
                 distance: F8::splat(stored[12][lane]),
             };
-            let (triangle, slot) = (block.triangles[lane], number * 4 + lane as u32);
+            let (triangle, slot) = (branch.first.wrapping_add(block.triangles[lane]), number * 4 + lane as u32);
             let is_masked = block.masked >> lane & 1 == 1;
             let mut groups = self.groups_over::<F8>(&ranges, lane);
             while groups != 0 {
@@ -305,10 +316,11 @@ impl Packet {
                     let nearest_t = &mut self.nearest_t[g][ray];
                     let t = ts[ray];
                     let is_nearer = t < *nearest_t || (t == *nearest_t && triangle < nearest.triangle);
-                    if is_nearer && (!is_masked || is_there(g * 8 + ray, triangle, slot)) {
+                    let found = Nearest { t, triangle, slot, item: branch.item };
+                    if is_nearer && (!is_masked || is_there(g * 8 + ray, &found)) {
                         // Nothing is nearer than that.
                         *nearest_t = if self.any { f32::NEG_INFINITY } else { t };
-                        *nearest = Nearest { t, triangle, slot };
+                        *nearest = found;
                         improved |= 1 << g;
                     }
                 }

@@ -3,9 +3,10 @@
 //! Boxes are tested by slabs (Williams et al. 2005) with the planes chosen by the signs of the direction.
 
 use super::{
-    bvh::{Bvh, EMPTY, LEAF, Node},
+    bvh::{Block, Branches, Bvh, EMPTY, ITEM, LEAF},
     cell_set::Masks,
     lanes::Lanes,
+    place::Place,
     triangles::{Rays, Triangles, Vec3L, axes_of, intersect, relative_corners, splat3},
 };
 
@@ -26,8 +27,75 @@ pub(super) struct ShortRay {
 pub(super) struct Nearest {
     pub t: f32,
     pub triangle: u32,
-    /// Four times the block plus the lane.
+    /// Four times the block plus the lane; of the blocks in world space, or of an item's.
     pub slot: u32,
+    /// The item, or [`NO_ITEM`].
+    pub item: u32,
+}
+
+/// Item of a triangle in world space.
+pub(super) const NO_ITEM: u32 = u32::MAX;
+
+impl Nearest {
+    /// Nothing before `t`.
+    pub fn none(t: f32) -> Self {
+        Self { t, triangle: u32::MAX, slot: u32::MAX, item: NO_ITEM }
+    }
+
+    /// Whether it is a triangle.
+    pub fn is_some(&self) -> bool {
+        self.slot != u32::MAX
+    }
+}
+
+/// A hierarchy to traverse: the scene's own, or that of a cluster where an instance places it.
+#[derive(Clone, Copy)]
+pub(super) struct Branch<'a> {
+    pub branches: &'a Branches,
+    pub masks: Option<&'a Masks>,
+    /// A child as a node has it.
+    pub root: u32,
+    pub place: Option<&'a Place>,
+    pub item: u32,
+    /// Added to the numbers of its triangles.
+    pub first: u32,
+}
+
+impl<'a> Branch<'a> {
+    /// The scene's own hierarchy; None if it is empty.
+    #[inline(always)]
+    pub fn world(bvh: &'a Bvh, masks: Option<&'a Masks>) -> Option<Self> {
+        Some(Self { branches: &bvh.world, masks, root: bvh.root?, place: None, item: NO_ITEM, first: 0 })
+    }
+
+    /// The hierarchy of an item.
+    #[inline(always)]
+    pub fn of_item(bvh: &'a Bvh, number: u32) -> Self {
+        let item = &bvh.items[number as usize];
+        let place = Some(&bvh.places[item.place as usize]);
+        Self { branches: &bvh.local, masks: None, root: item.root, place, item: number, first: item.first }
+    }
+
+    /// The boxes of a node's children: min x, y, z, max x, y, z; and bits of the children that may be visited.
+    #[inline(always)]
+    pub fn boxes<F8: Lanes<8>>(&self, number: u32) -> ([F8; 6], u32) {
+        let node = &self.branches.nodes[number as usize];
+        match (self.place, self.masks) {
+            (Some(place), _) => (place.boxes(node), u32::from(node.used)),
+            (None, masks) => {
+                let side = |n: usize| F8::load(&node.bounds[n]);
+                let sides = [side(0), side(1), side(2), side(3), side(4), side(5)];
+                (sides, masks.map_or(0xff, |m| u32::from(m.children[number as usize])))
+            }
+        }
+    }
+
+    /// A block, and bits of its lanes to test.
+    #[inline(always)]
+    pub fn block(&self, number: u32) -> (&'a Block, u32) {
+        let lanes = self.masks.map_or(0xf, |m| u32::from(m.lanes[number as usize]));
+        (&self.branches.blocks[number as usize], lanes)
+    }
 }
 
 /// Stack entries on the way: distance in the upper half, so that integer order is distance order (distances are not negative).
@@ -91,17 +159,124 @@ impl Stack {
     }
 }
 
-/// t at which the ray crosses one plane of each slab, of eight boxes.
-#[inline(always)]
-fn slabs<F8: Lanes<8>>(node: &Node, planes: &[usize; 3], origin: Vec3L<F8>, inverse: Vec3L<F8>) -> Vec3L<F8> {
-    [
-        F8::load(&node.bounds[planes[0]]).sub(origin[0]).mul(inverse[0]),
-        F8::load(&node.bounds[planes[1]]).sub(origin[1]).mul(inverse[1]),
-        F8::load(&node.bounds[planes[2]]).sub(origin[2]).mul(inverse[2]),
-    ]
+/// What a ray needs at every box and triangle.
+struct Prepared<F8, F4> {
+    origin: Vec3L<F8>,
+    inverse: Vec3L<F8>,
+    /// Which side of each slab is entered first, and which last, of min x, y, z, max x, y, z.
+    planes: [[usize; 3]; 2],
+    axes: [usize; 3],
+    rays: Rays<F4>,
+    earliest: F8,
 }
 
-/// The nearest hit; of several at the same t, the one with the smallest number. `is_there(triangle, slot)` has the last word about triangles
+impl<F8: Lanes<8>, F4: Lanes<4>> Prepared<F8, F4> {
+    #[inline(always)]
+    fn new(ray: &ShortRay) -> Self {
+        // Infinite for components of zero: such a ray is in the slab for all t or for none, and 0 x infinity, on a border, is NaN and no limit.
+        let inverse = ray.direction.map(|d| 1.0 / d);
+        let side = |k: usize, is_far: bool| if (inverse[k] < 0.0) != is_far { k + 3 } else { k };
+        let axes = axes_of(ray.direction);
+        let [k, i, j] = axes;
+        let slopes = [ray.direction[i] / ray.direction[k], ray.direction[j] / ray.direction[k]];
+        Self {
+            origin: splat3(ray.origin),
+            inverse: splat3(inverse),
+            planes: [false, true].map(|is_far| [side(0, is_far), side(1, is_far), side(2, is_far)]),
+            axes,
+            rays: Rays {
+                direction: splat3(ray.direction),
+                slopes: [F4::splat(slopes[0]), F4::splat(slopes[1])],
+                t_min: F4::splat(ray.t_min),
+                t_max: F4::splat(ray.t_max),
+            },
+            earliest: F8::splat(ray.t_min * (1.0 - DISTANCE_SLACK)),
+        }
+    }
+
+    /// t at which the ray crosses one plane of each slab, of eight boxes.
+    #[inline(always)]
+    fn slabs(&self, boxes: &[F8; 6], planes: &[usize; 3]) -> Vec3L<F8> {
+        [
+            boxes[planes[0]].sub(self.origin[0]).mul(self.inverse[0]),
+            boxes[planes[1]].sub(self.origin[1]).mul(self.inverse[1]),
+            boxes[planes[2]].sub(self.origin[2]).mul(self.inverse[2]),
+        ]
+    }
+
+    /// Looks for nearer hits in a hierarchy; with `ITEMS` in the items that it holds, too.
+    #[inline(always)]
+    fn descend<const ITEMS: bool>(
+        &mut self,
+        bvh: &Bvh,
+        branch: Branch<'_>,
+        ray: &ShortRay,
+        nearest: &mut Nearest,
+        any: bool,
+        is_there: &impl Fn(&Nearest) -> bool,
+    ) {
+        let (nearer, farther) = (F8::splat(1.0 - DISTANCE_SLACK), F8::splat(1.0 + DISTANCE_SLACK));
+        let mut stack = Stack::new();
+        stack.push(0.0, branch.root);
+        while let Some((distance, child)) = stack.pop() {
+            if distance > nearest.t {
+                continue;
+            }
+            if child & LEAF == 0 {
+                let (boxes, present) = branch.boxes::<F8>(child);
+                let [x, y, z] = self.slabs(&boxes, &self.planes[0]);
+                // Of a NaN and a number, these keep the number on the right.
+                let enter = z.mul(nearer).max(y.mul(nearer).max(x.mul(nearer).max(self.earliest)));
+                let [x, y, z] = self.slabs(&boxes, &self.planes[1]);
+                let leave = z.mul(farther).min(y.mul(farther).min(x.mul(farther).min(F8::splat(nearest.t))));
+                let bits = F8::bits(enter.le(leave)) & present;
+                if bits != 0 {
+                    let mut distances = [0.0; 8];
+                    enter.store(&mut distances);
+                    stack.push_sorted(bits, &distances, &branch.branches.nodes[child as usize].children);
+                }
+                continue;
+            }
+            if child == EMPTY {
+                continue;
+            }
+            if ITEMS && child & ITEM != 0 {
+                let item = Branch::of_item(bvh, child & !(LEAF | ITEM));
+                self.descend::<false>(bvh, item, ray, nearest, any, is_there);
+                if any && nearest.is_some() {
+                    return;
+                }
+                continue;
+            }
+            let number = child & !LEAF;
+            let (block, lanes) = branch.block(number);
+            self.rays.t_max = F4::splat(nearest.t);
+            let triangles = Triangles::new(block, branch.place, relative_corners(block, branch.place, ray.origin));
+            let (bits, t) = intersect(self.axes, &triangles, &self.rays);
+            let mut bits = bits & lanes;
+            if bits == 0 {
+                continue;
+            }
+            let mut ts = [0.0; 4];
+            t.store(&mut ts);
+            while bits != 0 {
+                let lane = bits.trailing_zeros() as usize & 3;
+                bits &= bits - 1;
+                let (t, triangle) = (ts[lane], branch.first.wrapping_add(block.triangles[lane]));
+                let found = Nearest { t, triangle, slot: number * 4 + lane as u32, item: branch.item };
+                let is_nearer = t < nearest.t || (t == nearest.t && triangle < nearest.triangle);
+                if is_nearer && (block.masked >> lane & 1 == 0 || is_there(&found)) {
+                    *nearest = found;
+                    if any {
+                        return;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The nearest hit; of several at the same t, the one with the smallest number. `is_there` has the last word about triangles
 /// with a mask. With `any`, some hit.
 #[inline(always)]
 pub(super) fn trace<F8: Lanes<8>, F4: Lanes<4>>(
@@ -109,82 +284,10 @@ pub(super) fn trace<F8: Lanes<8>, F4: Lanes<4>>(
     ray: &ShortRay,
     masks: Option<&Masks>,
     any: bool,
-    is_there: &impl Fn(u32, u32) -> bool,
+    is_there: &impl Fn(&Nearest) -> bool,
 ) -> Option<Nearest> {
-    let mut nearest = Nearest { t: ray.t_max, triangle: u32::MAX, slot: u32::MAX };
-    if bvh.nodes.is_empty() {
-        return None;
-    }
-    // Infinite for components of zero: such a ray is in the slab for all t or for none, and 0 x infinity, on a border, is NaN and no limit.
-    let inverse = ray.direction.map(|d| 1.0 / d);
-    // Which plane of each slab is entered first.
-    let near_plane: [usize; 3] = std::array::from_fn(|k| if inverse[k] < 0.0 { k + 3 } else { k });
-    let far_plane: [usize; 3] = std::array::from_fn(|k| if inverse[k] < 0.0 { k } else { k + 3 });
-    let origin: Vec3L<F8> = splat3(ray.origin);
-    let inverse: Vec3L<F8> = splat3(inverse);
-    let axes = axes_of(ray.direction);
-    let [k, i, j] = axes;
-    let slopes = [ray.direction[i] / ray.direction[k], ray.direction[j] / ray.direction[k]];
-    let mut rays = Rays {
-        direction: splat3(ray.direction),
-        slopes: [F4::splat(slopes[0]), F4::splat(slopes[1])],
-        t_min: F4::splat(ray.t_min),
-        t_max: F4::splat(ray.t_max),
-    };
-    let (nearer, farther) = (F8::splat(1.0 - DISTANCE_SLACK), F8::splat(1.0 + DISTANCE_SLACK));
-    let earliest = F8::splat(ray.t_min * (1.0 - DISTANCE_SLACK));
-    let mut stack = Stack::new();
-    stack.push(0.0, 0);
-    while let Some((distance, child)) = stack.pop() {
-        if distance > nearest.t {
-            continue;
-        }
-        if child & LEAF == 0 {
-            let node = &bvh.nodes[child as usize];
-            let [x, y, z] = slabs(node, &near_plane, origin, inverse);
-            // Of a NaN and a number, these keep the number on the right.
-            let enter = z.mul(nearer).max(y.mul(nearer).max(x.mul(nearer).max(earliest)));
-            let [x, y, z] = slabs(node, &far_plane, origin, inverse);
-            let leave = z.mul(farther).min(y.mul(farther).min(x.mul(farther).min(F8::splat(nearest.t))));
-            let mut bits = F8::bits(enter.le(leave));
-            if let Some(m) = masks {
-                bits &= u32::from(m.children[child as usize]);
-            }
-            if bits != 0 {
-                let mut distances = [0.0; 8];
-                enter.store(&mut distances);
-                stack.push_sorted(bits, &distances, &node.children);
-            }
-            continue;
-        }
-        if child == EMPTY {
-            continue;
-        }
-        let number = child & !LEAF;
-        let block = &bvh.blocks[number as usize];
-        rays.t_max = F4::splat(nearest.t);
-        let triangles = Triangles::new(block, relative_corners(block, ray.origin));
-        let (mut bits, t) = intersect(axes, &triangles, &rays);
-        if let Some(m) = masks {
-            bits &= u32::from(m.lanes[number as usize]);
-        }
-        if bits == 0 {
-            continue;
-        }
-        let mut ts = [0.0; 4];
-        t.store(&mut ts);
-        while bits != 0 {
-            let lane = bits.trailing_zeros() as usize & 3;
-            bits &= bits - 1;
-            let (t, triangle, slot) = (ts[lane], block.triangles[lane], number * 4 + lane as u32);
-            let is_nearer = t < nearest.t || (t == nearest.t && triangle < nearest.triangle);
-            if is_nearer && (block.masked >> lane & 1 == 0 || is_there(triangle, slot)) {
-                nearest = Nearest { t, triangle, slot };
-                if any {
-                    return Some(nearest);
-                }
-            }
-        }
-    }
-    (nearest.slot != u32::MAX).then_some(nearest)
+    let branch = Branch::world(bvh, masks)?;
+    let mut nearest = Nearest::none(ray.t_max);
+    Prepared::<F8, F4>::new(ray).descend::<true>(bvh, branch, ray, &mut nearest, any, is_there);
+    nearest.is_some().then_some(nearest)
 }

@@ -18,7 +18,7 @@
 //!
 //! Single rays and packets run through the same arithmetic in the same order, so they see the same hits bit by bit.
 
-use super::{bvh::Block, lanes::Lanes};
+use super::{bvh::Block, lanes::Lanes, place::Place};
 
 /// Three coordinates.
 pub(super) type Vec3L<F> = [F; 3];
@@ -50,9 +50,12 @@ fn dot<const N: usize, F: Lanes<N>>(a: Vec3L<F>, b: Vec3L<F>) -> F {
     a[0].mul(b[0]).add(a[1].mul(b[1])).add(a[2].mul(b[2]))
 }
 
-/// Corners relative to a ray origin.
+/// Corners relative to a ray origin, of a block in world space or placed there.
 #[inline(always)]
-pub(super) fn relative_corners<F: Lanes<4>>(block: &Block, origin: [f32; 3]) -> [Vec3L<F>; 3] {
+pub(super) fn relative_corners<F: Lanes<4>>(block: &Block, place: Option<&Place>, origin: [f32; 3]) -> [Vec3L<F>; 3] {
+    if let Some(place) = place {
+        return place.relative_corners(block, origin);
+    }
     let o = splat3(origin);
     [sub(load3(&block.corners[0]), o), sub(load3(&block.corners[1]), o), sub(load3(&block.corners[2]), o)]
 }
@@ -68,8 +71,11 @@ pub(super) struct Triangles<F> {
 impl<F: Lanes<4>> Triangles<F> {
     /// The four of a block.
     #[inline(always)]
-    pub fn new(block: &Block, corners: [Vec3L<F>; 3]) -> Self {
-        let normal = load3(&block.normal);
+    pub fn new(block: &Block, place: Option<&Place>, corners: [Vec3L<F>; 3]) -> Self {
+        let normal = match place {
+            Some(place) => place.normals(block),
+            None => load3(&block.normal),
+        };
         Self { corners, normal, distance: dot(corners[0], normal) }
     }
 }

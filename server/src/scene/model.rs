@@ -20,6 +20,8 @@ pub struct Scene {
     pub rooms: Vec<RoomAnnotation>,
     /// Openings named by the file.
     pub portals: Vec<PortalAnnotation>,
+    /// World positions of the file's cameras and spawn points: where its author expects eyes.
+    pub viewpoints: Vec<DVec3>,
     /// What was left out or changed on the way in, for the build report.
     pub notes: Vec<Note>,
 }
@@ -123,7 +125,8 @@ impl Scene {
             let corners = [room.bounds.min, room.bounds.max];
             room.bounds = Aabb::from_points(corners.map(|c| world.transform_point3(c)));
         }
-        for corner in self.portals.iter_mut().flat_map(|p| &mut p.corners) {
+        let corners = self.portals.iter_mut().flat_map(|p| &mut p.corners);
+        for corner in corners.chain(&mut self.viewpoints) {
             *corner = world.transform_point3(*corner);
         }
     }

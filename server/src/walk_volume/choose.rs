@@ -8,6 +8,7 @@
 //!    ledge: a platform.
 //! 4. Without given starts, walking begins again in the region that adds most to the detail seen, as long as that is
 //!    [`LEAST_GAIN`] of all: another building. Then in large regions that see detail too: another storey.
+//!    Last where cameras and spawn points of the file stand.
 
 use super::{lines::Raster, regions::Regions, survey::Seen};
 use std::collections::BTreeMap;
@@ -45,6 +46,8 @@ const LEDGE_SIDES: u32 = 16;
 pub(super) enum Verdict {
     /// People start here.
     Start,
+    /// A camera or spawn point of the file stands here.
+    Viewpoint,
     /// Most detail is seen from here.
     MostDetail,
     /// Beyond a thin obstacle from a place where people walk.
@@ -70,13 +73,17 @@ pub(super) enum Verdict {
 impl Verdict {
     /// Whether people walk there.
     pub fn is_kept(self) -> bool {
-        matches!(self, Self::Start | Self::MostDetail | Self::Beyond | Self::MoreDetail | Self::Storey)
+        matches!(
+            self,
+            Self::Start | Self::Viewpoint | Self::MostDetail | Self::Beyond | Self::MoreDetail | Self::Storey
+        )
     }
 
     /// In words, for reports.
     pub fn words(self) -> &'static str {
         match self {
             Self::Start => "people start here",
+            Self::Viewpoint => "a camera or spawn point of the file stands here",
             Self::MostDetail => "most of the scene's detail is seen from here",
             Self::Beyond => "beside a place where people walk",
             Self::MoreDetail => "shows detail that no other place shows",
@@ -113,12 +120,13 @@ pub(super) fn unfit(all: &Regions, region: u32, raster: &Raster) -> Option<Verdi
     }
 }
 
-/// The verdict on every region. `seen`: of those that were surveyed; `starts`: regions where people start; `triangles`: of a cell.
+/// The verdict on every region. `seen`: of those that were surveyed; `starts`: regions where people
+/// start; `viewpoints`: regions where cameras of the file stand; `triangles`: of a cell.
 /// Also what is seen from the regions that are kept: cells, ascending.
 pub(super) fn choose(
     all: &Regions,
     seen: &BTreeMap<u32, Seen>,
-    starts: &[u32],
+    (starts, viewpoints): (&[u32], &[u32]),
     raster: &Raster,
     triangles: &dyn Fn(u32) -> u64,
 ) -> (Vec<Verdict>, Vec<u32>) {
@@ -204,6 +212,12 @@ pub(super) fn choose(
         let is_covered = !is_open(all, r, OPEN);
         if verdicts[r as usize] == Verdict::Apart && is_large && sees && is_covered {
             begin(&mut verdicts, &mut known, r, Verdict::Storey);
+        }
+    }
+    for r in viewpoints {
+        // A camera on a table or among pipes is for a picture, and names no place to walk.
+        if matches!(verdicts[*r as usize], Verdict::Apart | Verdict::Roof) {
+            begin(&mut verdicts, &mut known, *r, Verdict::Viewpoint);
         }
     }
     (verdicts, known)

@@ -221,9 +221,10 @@ impl Site<'_> {
     fn ground(&self, options: &WalkOptions, masks_are_solid: bool) -> Result<Ground, WalkError> {
         let raster = self.raster(0.0);
         let rules = self.rules(masks_are_solid, false);
+        let starts: Vec<DVec3> = options.starts.iter().chain(&self.caster.scene().viewpoints).copied().collect();
         let wanted = match &options.along {
             Some(path) => Wanted::Near { places: path.eyes(), within_m: path.within_m() + 2.0 },
-            None => Wanted::Detail { starts: &options.starts },
+            None => Wanted::Detail { starts: &starts },
         };
         let (all, left_out_tiles, turned) = self.regions(&raster, wanted, &rules);
         if all.regions.is_empty() && !masks_are_solid {
@@ -308,7 +309,10 @@ impl Site<'_> {
         for (region, s) in &seen {
             tracing::debug!(region, figures = ?all.regions[*region as usize], met = ?s.met, level = s.level, "region");
         }
-        let (verdicts, known) = choose::choose(&all, &seen, starts, &raster, &triangles);
+        let below_m = self.eye_height_m + START_SLACK_M;
+        let stands_in = |place: &DVec3| below(&all, &raster, place - DVec3::Y * foot_m, below_m);
+        let viewpoints: Vec<u32> = self.caster.scene().viewpoints.iter().filter_map(stands_in).collect();
+        let (verdicts, known) = choose::choose(&all, &seen, (starts, &viewpoints), &raster, &triangles);
         Ground { raster, all, seen, verdicts, known, foot_m, left_out_tiles: 0, floating: Vec::new(), is_around: false }
     }
 

@@ -7,7 +7,14 @@ use std::sync::Arc;
 /// The walk volume over boxes, given by two corners each.
 fn walked(boxes: &[([f64; 3], [f64; 3])], options: &WalkOptions) -> Result<(WalkVolume, WalkReport), WalkError> {
     let blocks = boxes.iter().map(|(min, max)| Aabb { min: (*min).into(), max: (*max).into() });
-    let scene = scene_of(&blocks.map(|b| block(&b)).collect::<Vec<_>>());
+    walked_with(boxes_scene(blocks), options)
+}
+
+fn boxes_scene(blocks: impl Iterator<Item = Aabb>) -> crate::scene::Scene {
+    scene_of(&blocks.map(|b| block(&b)).collect::<Vec<_>>())
+}
+
+fn walked_with(scene: crate::scene::Scene, options: &WalkOptions) -> Result<(WalkVolume, WalkReport), WalkError> {
     let clusters = Clusters::build(&scene);
     let octree = Octree::build(&scene, &clusters, 1000);
     let caster = Caster::new(Arc::new(scene), &clusters, &octree);
@@ -119,4 +126,24 @@ fn a_thing_without_floors_is_walked_around() {
 fn flying_eyes_are_anywhere() {
     let v = walked(&CLOSED_ROOM, &WalkOptions::default()).unwrap().0;
     assert!(v.contains(DVec3::new(1.0, 0.1, 1.0)) && v.contains(DVec3::new(1.0, 4.5, 1.0)));
+}
+
+#[test]
+fn people_walk_where_a_camera_stands() {
+    // A house of small things, and far from it a bare platform that nobody gets to.
+    let mut boxes = vec![([0.0, -0.1, 0.0], [16.0, 0.0, 16.0]), ([60.0, 6.0, 0.0], [64.0, 6.1, 4.0])];
+    boxes.extend((0..200).map(|n| {
+        let (x, z) = (f64::from(n % 20) * 0.8, f64::from(n / 20) * 0.2 + 14.0);
+        ([x, 0.0, z], [x + 0.1, 0.4, z + 0.1])
+    }));
+    let platform = |viewpoint: DVec3| {
+        let blocks = boxes.iter().map(|(min, max)| Aabb { min: (*min).into(), max: (*max).into() });
+        let mut scene = boxes_scene(blocks);
+        scene.viewpoints.push(viewpoint);
+        let (volume, report) = walked_with(scene, &on_foot()).unwrap();
+        assert!(volume.contains(DVec3::new(8.0, 1.6, 6.0)), "{report:?}");
+        volume.contains(DVec3::new(62.0, 7.7, 2.0))
+    };
+    assert!(platform(DVec3::new(62.0, 7.8, 2.0)));
+    assert!(!platform(DVec3::new(62.0, 30.0, 2.0)), "a camera in the air names no floor");
 }

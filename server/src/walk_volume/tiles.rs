@@ -46,7 +46,7 @@ pub(super) struct Tile {
 pub(super) enum Wanted<'a> {
     /// Those near detail, and those within a distance of some places.
     Detail {
-        /// Places where people start, world.
+        /// World positions where people start, and where cameras of the file stand.
         starts: &'a [DVec3],
     },
     /// Those within a distance of some places alone.

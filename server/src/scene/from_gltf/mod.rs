@@ -6,7 +6,7 @@
 //! value is checked here: [`container`] the file, [`accessors`] typed arrays, [`primitives`] triangles, [`materials`]
 //! looks, [`nodes`] placements.
 //!
-//! Left out with a note, since scenes are static and diffuse: skins, morphs, animations, cameras, lights, everything of
+//! Left out with a note, since scenes are static and diffuse: skins, morphs, animations, lights, everything of
 //! a material but its base colour, points and lines. An extension that the file requires and that is not read here is
 //! an error.
 
@@ -34,7 +34,7 @@ pub(super) fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limit
     let data = accessors::Data::load(&root, bin, files)?;
     let mut notes = Vec::new();
     let materials = materials::plan(&root, &mut notes)?;
-    let instances = nodes::instances(&root, &transforms, limits, &mut notes)?;
+    let (instances, viewpoints) = nodes::instances(&root, &transforms, limits, &mut notes)?;
     let mut changes = primitives::Changes::default();
     let plans = primitives::plan(&root, &data, &materials, limits, &mut changes)?;
     check_expanded(&instances, &plans.triangles, limits)?;
@@ -54,6 +54,7 @@ pub(super) fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limit
         textures,
         rooms,
         portals,
+        viewpoints,
         notes,
     })
 }
@@ -90,7 +91,7 @@ fn note_left_out(root: &Root, changes: &primitives::Changes, notes: &mut Vec<Not
     note(root.animations.len(), "animations", "scenes are static");
     note(root.skins.len(), "skins", "scenes are static; skinned meshes stand in their bind pose");
     note(changes.morphs, "primitives' morph targets", "scenes are static");
-    note(root.cameras.len(), "cameras", "walkers bring their own");
+    note(root.cameras.len(), "cameras", "only their positions are read, as places where people walk");
     note(changes.without_surface, "primitives of points or lines", "only triangles are drawn");
     note(changes.without_normals, "primitives without normals", "flat normals made, as glTF asks");
     note(changes.normals_repaired, "normals of no length", "replaced by the mean of their triangles'");

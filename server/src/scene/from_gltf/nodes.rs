@@ -24,16 +24,24 @@ const FLAT: f64 = 1.0e-9;
 /// How far a matrix's last row may be from (0, 0, 0, 1).
 const AFFINE: f64 = 1.0e-6;
 
-/// Instances of the shown scene.
+/// Names of empty nodes that engines and exporters give to places where players enter a scene, in
+/// lower case, as parts of the name.
+const SPAWN_NAMES: [&str; 3] = ["spawn", "playerstart", "player_start"];
+/// More viewpoints than this are left out: a camera animation baked to nodes names no place to start.
+const MOST_VIEWPOINTS: usize = 64;
+
+/// Instances of the shown scene in node order, and the world positions of its cameras and spawn
+/// points.
 pub(super) fn instances(
     root: &Root,
     transforms: &[NodeTransform],
     limits: &Limits,
     notes: &mut Vec<Note>,
-) -> Result<Vec<Instance>, Fault> {
+) -> Result<(Vec<Instance>, Vec<DVec3>), Fault> {
     let parents = parents(root)?;
     let shown = shown_roots(root, &parents, notes)?;
     let mut out = Vec::new();
+    let mut viewpoints = Vec::new();
     let mut flat = Vec::new();
     // One walk over everything: shown trees carry their placement, others None.
     let mut stack: Vec<(usize, u32, Option<DAffine3>)> = Vec::new();
@@ -58,6 +66,12 @@ pub(super) fn instances(
         for child in node.children.iter().flatten() {
             stack.push((child.value(), depth + 1, world_from_node));
         }
+        if let Some(world) = world_from_node
+            && is_viewpoint(node)
+            && viewpoints.len() < MOST_VIEWPOINTS
+        {
+            viewpoints.push(world.translation);
+        }
         let Some(mesh) = &node.mesh else { continue };
         if mesh.value() >= root.meshes.len() {
             return Err(Fault::broken(format!("node {n}"), format!("mesh {} does not exist", mesh.value())));
@@ -80,7 +94,16 @@ pub(super) fn instances(
         let what = format!("nodes whose placement has no inverse: {}", listed(&flat));
         notes.push(Note { what, why: "a mesh scaled to nothing has no surface".into() });
     }
-    Ok(out)
+    Ok((out, viewpoints))
+}
+
+/// Whether a node is a camera, or an empty node named as a spawn point.
+fn is_viewpoint(node: &gltf::json::Node) -> bool {
+    let is_spawn = |name: &String| {
+        let name = name.to_ascii_lowercase();
+        SPAWN_NAMES.iter().any(|part| name.contains(part))
+    };
+    node.camera.is_some() || node.mesh.is_none() && node.name.as_ref().is_some_and(is_spawn)
 }
 
 /// Parent of each node; at most one each.

@@ -89,6 +89,7 @@ pub(super) fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limit
         textures,
         rooms: Vec::new(),
         portals: Vec::new(),
+        viewpoints: Vec::new(),
         notes,
     })
 }

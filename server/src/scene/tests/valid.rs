@@ -17,6 +17,22 @@ fn loaded(file: &GltfFile) -> Scene {
     scene
 }
 
+#[test]
+fn cameras_and_spawn_points_are_viewpoints() {
+    let mut file = GltfFile::square();
+    file.json["cameras"] = json!([{"type": "perspective", "perspective": {"yfov": 1.0, "znear": 0.1}}]);
+    let nodes = file.json["nodes"].as_array_mut().unwrap();
+    let first = nodes.len();
+    nodes.push(json!({"camera": 0, "translation": [1.0, 2.0, 3.0]}));
+    nodes.push(json!({"name": "Info_PlayerStart.001", "translation": [4.0, 5.0, 6.0]}));
+    nodes.push(json!({"name": "empty", "translation": [7.0, 8.0, 9.0]}));
+    let shown = file.json["scenes"][0]["nodes"].as_array_mut().unwrap();
+    shown.extend((first..first + 3).map(|n| json!(n)));
+    let mut viewpoints = loaded(&file).viewpoints;
+    viewpoints.sort_by(|a, b| a.x.total_cmp(&b.x));
+    assert_eq!(viewpoints, [DVec3::new(1.0, 2.0, 3.0), DVec3::new(4.0, 5.0, 6.0)]);
+}
+
 /// World positions of all triangles, in order.
 fn world_triangles(scene: &Scene) -> Vec<[DVec3; 3]> {
     let mut out = Vec::new();
