@@ -98,9 +98,7 @@ pub fn generate(root: &Path) -> Result<BTreeMap<PathBuf, String>> {
 /// # Errors
 /// As [`generate`].
 pub fn stale(root: &Path) -> Result<Vec<PathBuf>> {
-    let differs =
-        |(file, text): &(PathBuf, String)| std::fs::read_to_string(root.join(file)).ok().as_ref() != Some(text);
-    Ok(generate(root)?.into_iter().filter(differs).map(|(file, _)| file).collect())
+    Ok(changed(root)?.into_keys().collect())
 }
 
 /// Writes the generated files that differ, and returns them.
@@ -108,12 +106,17 @@ pub fn stale(root: &Path) -> Result<Vec<PathBuf>> {
 /// # Errors
 /// As [`generate`], and files that cannot be written.
 pub fn write(root: &Path) -> Result<Vec<PathBuf>> {
-    let stale = stale(root)?;
-    let files = generate(root)?;
-    for file in &stale {
-        std::fs::write(root.join(file), &files[file]).with_context(|| format!("cannot write {}", file.display()))?;
+    let changed = changed(root)?;
+    for (file, text) in &changed {
+        std::fs::write(root.join(file), text).with_context(|| format!("cannot write {}", file.display()))?;
     }
-    Ok(stale)
+    Ok(changed.into_keys().collect())
+}
+
+fn changed(root: &Path) -> Result<BTreeMap<PathBuf, String>> {
+    let mut files = generate(root)?;
+    files.retain(|file, text| std::fs::read_to_string(root.join(file)).ok().as_ref() != Some(text));
+    Ok(files)
 }
 
 fn read_studies(folder: &Path) -> Result<Vec<Study>> {
@@ -130,7 +133,7 @@ fn read_studies(folder: &Path) -> Result<Vec<Study>> {
         ensure!(study.rows.iter().all(|r| r.len() == columns), "{}: each row has {columns} texts", file.display());
         studies.push(study);
     }
-    studies.sort_by_key(|s| s.order);
+    studies.sort_by(|a, b| (a.order, &a.title).cmp(&(b.order, &b.title)));
     Ok(studies)
 }
 
@@ -145,9 +148,9 @@ fn readme(root: &Path, studies: &[Study]) -> Result<String> {
 }
 
 fn commands() -> Result<String> {
-    let mut text = "# Commands\n\nThe text of `--help` of every program, written by `ldi-bench docs`. \
-                    The [guide](guide.md) says\nwhich to use for what.\n"
-        .to_owned();
+    let head = "The text of `--help` of every program, written by `ldi-bench docs`. \
+                The [guide](guide.md) says which to use for what.";
+    let mut text = format!("# Commands\n\n{}\n", wrapped(head));
     for program in PROGRAMS {
         let help = help_of(program, None)?;
         write!(text, "\n## {program}\n\n```text\n{help}\n```\n")?;
