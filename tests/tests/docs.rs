@@ -24,12 +24,31 @@ fn pages(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-#[test]
-fn links_of_pages_lead_somewhere() {
+/// All pages with their texts.
+fn all() -> Vec<(PathBuf, String)> {
     let mut found = vec![root().join("README.md"), root().join("CHANGELOG.md")];
     pages(&root().join("docs"), &mut found);
-    for page in found {
+    let read = |page: PathBuf| {
         let text = std::fs::read_to_string(&page).expect("readable");
+        (page, text)
+    };
+    found.into_iter().map(read).collect()
+}
+
+#[test]
+fn files_that_pages_name_exist() {
+    let folders = ["server/", "client/", "protocol/", "tests/", "deploy/", "docs/"];
+    for (page, text) in all() {
+        let names = text.split('`').filter(|n| folders.iter().any(|f| n.starts_with(f)));
+        for name in names.filter(|n| !n.contains([' ', '\n', '*']) && !n.contains("PAGE")) {
+            assert!(root().join(name).exists(), "{}: {name}", page.display());
+        }
+    }
+}
+
+#[test]
+fn links_of_pages_lead_somewhere() {
+    for (page, text) in all() {
         let links = text.split("](").skip(1).filter_map(|rest| rest.split(')').next());
         for link in links.filter(|l| !l.contains("://") && !l.starts_with('#')) {
             let file = link.split('#').next().unwrap_or_default();
