@@ -1,6 +1,6 @@
 //! Path files: what `ldi-client walk`, `ldi-server render` and `plan` walk along.
 //!
-//! In: the JSON text of a path file (`docs/guide.md`). Out: a [`Walk`], one pose per frame, the same on every machine.
+//! In: the JSON text of a path file (`docs/user/guide.md`). Out: a [`Walk`], one pose per frame, the same on every machine.
 //!
 //! A file holds `poses`, taken as they are, or `waypoints`, walked like this:
 //!

@@ -1,6 +1,6 @@
 //! `--events FILE`: what happens in the window, a JSON object per line, for tests and for tools that drive it.
 //!
-//! Every line has `t_ms`, milliseconds since the window was asked for, and `event`; docs/client.md lists them.
+//! Every line has `t_ms`, milliseconds since the window was asked for, and `event`; docs/user/client.md lists them.
 
 use serde_json::{Map, Value};
 use std::{

@@ -8,7 +8,7 @@
 //!   arrives: a frame keeps the one that it holds.
 //! - Accounts are in decoded bytes as the index states them, and never exceed the cap, not even for a moment. What is cheap to bring again for the memory that it
 //!   takes goes first, and what is used ages by what has gone (GreedyDual-Size, Cao and Irani 1997; measured against the least recently used of Aliaga and Lastra 1999, section 6, in
-//!   docs/streaming.md); what the current view needs is pinned and stays. What lies around the eye counts as used ([`Cache::touch`]), so that eviction does not undo the server's prefetching.
+//!   docs/benchmarks/streaming.md); what the current view needs is pinned and stays. What lies around the eye counts as used ([`Cache::touch`]), so that eviction does not undo the server's prefetching.
 //! - A chunk that does not fit beside the pinned ones is refused. The frame is drawn without it and says so.
 
 mod accounts;

@@ -7,7 +7,7 @@
 //! on one side, and images or near geometry on the opposite one, at about the same disparity, shows the farther of the two. Gaps between triangles alone are as the scene has them.
 //!
 //! What it costs are views of the sky through leaves: over 52 frames of black_forest 1,115 of 9,599 pixels that were brighter than all of the truth within a pixel are gone, and to the
-//! 8,295 that were darker 210 have come (`docs/warp.md`).
+//! 8,295 that were darker 210 have come (`docs/benchmarks/warp.md`).
 
 use crate::frame::{Frame, Source};
 use rayon::prelude::*;

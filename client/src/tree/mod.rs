@@ -35,7 +35,7 @@ pub use still::StillPainter;
 
 /// Stamps may be so many times larger in each pass of gap filling.
 const GAP_STEP: f64 = 4.0;
-/// Passes of gap filling. More: the sky between beams is filled with the beams' colours. Fewer: holes stay (docs/decisions.md has figures).
+/// Passes of gap filling. More: the sky between beams is filled with the beams' colours. Fewer: holes stay (docs/adr/0023-open-tree-pixels-are-sky.md).
 pub const GAP_PASSES: u32 = 2;
 /// The last of so many draws the root: the paper fills from all filtered samples.
 pub const ALL_GAP_PASSES: u32 = 5;

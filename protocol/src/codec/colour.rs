@@ -76,7 +76,7 @@ pub enum ColourProfile {
 impl ColourProfile {
     /// All profiles, the exact one first.
     pub const ALL: [Self; 3] = [Self::Lossless, Self::High, Self::Compact];
-    /// Ever fewer bytes and larger errors; by judgement (docs/decisions.md).
+    /// Ever fewer bytes and larger errors; by judgement (docs/adr/0015-bytes-per-sample-profiles.md).
     const LADDER: [ColourMode; 11] = [
         ColourMode::LOSSLESS,
         ColourMode::new(2, 2, 2),

@@ -1,7 +1,7 @@
 //! The one error of all chunk and manifest decoders.
 
 /// Why bytes could not be decoded (or, rarely, why a value cannot be encoded). `field` names the place in the format
-/// as `docs/format.md` calls it. The caller adds which chunk or file it was.
+/// as `docs/reference/format.md` calls it. The caller adds which chunk or file it was.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CodecError {
     /// The data stops before the field does.

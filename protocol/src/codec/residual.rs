@@ -10,7 +10,7 @@
 //!
 //! With a step q > 1 coding is near-lossless: the residual is divided by q, rounded toward zero, and the value *as decoded* becomes the
 //! neighbour of later ones, so that errors do not add up: each stays below q. JPEG-LS (section III-F) rounds to the nearest, with half the error for a
-//! step, but more bytes for an error (docs/decisions.md). With step 1 residuals wrap at 256, so that they fit a byte.
+//! step, but more bytes for an error (docs/adr/0015-bytes-per-sample-profiles.md). With step 1 residuals wrap at 256, so that they fit a byte.
 
 use super::{
     CodecError,

@@ -34,7 +34,7 @@ pub struct Cut {
     pub limited: bool,
 }
 
-/// Larger samples save no time: fewer of them cover the picture more often, as they hide each other later (docs/tree.md has figures).
+/// Larger samples save no time: fewer of them cover the picture more often, as they hide each other later (docs/benchmarks/tree.md has figures).
 pub const COARSEST_PX: f64 = 8.0;
 
 /// How far to refine.

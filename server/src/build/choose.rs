@@ -25,7 +25,7 @@ pub const BEYOND: f64 = 0.001;
 const SAMPLED: usize = 12;
 /// Samples that an eye may draw per pixel of the picture: more than images warp, but not so many that frames take several times as long.
 const DRAWN_PER_PIXEL: u64 = 3;
-/// Bytes of a tree's sample, as measured where they are fine (docs/tree.md); coarse ones take up to four.
+/// Bytes of a tree's sample, as measured where they are fine (docs/benchmarks/tree.md); coarse ones take up to four.
 const BYTES_PER_SAMPLE: f64 = 0.6;
 /// Samples that a tree can be grown with: some 100 bytes each while it grows.
 const MAX_SAMPLES: f64 = 30e6;

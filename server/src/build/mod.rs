@@ -394,7 +394,7 @@ fn read(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
     let clusters = Clusters::build(&scene);
     let octree = Octree::build(&scene, &clusters, settings.budget);
     if settings.optimize_budget == 0 && settings.grid == CELLS {
-        // A box takes what P allows, to the triangle; aiming lower costs pixels (docs/decisions.md).
+        // A box takes what P allows, to the triangle; aiming lower costs pixels (docs/adr/0008-near-boxes.md).
         settings.optimize_budget = settings.budget;
     } else if settings.optimize_budget == 0 {
         let slack = (settings.budget / 10).max(2 * u64::from(octree.largest_cell()));

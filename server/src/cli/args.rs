@@ -52,7 +52,7 @@ Examples:
   ldi-server rooms clinic.glb -o plan.svg
   ldi-server rooms clinic.glb --override corrections.toml -o plan.svg --json clinic.ldi/rooms.json
   ldi-server rooms builtin:house --auto --check 1000      found, compared with the scene's own rooms, and judged by rays
-The file of corrections is described in docs/portals.md.")]
+The file of corrections is described in docs/user/rooms.md.")]
     Rooms(RoomsArgs),
     /// Check every hash and every bound of a dataset; with --guarantee, audit both promises over many poses.
     #[command(after_help = "\

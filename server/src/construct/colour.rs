@@ -18,7 +18,7 @@ use ldi_protocol::shade::srgb8_from_linear;
 /// shading gradients, which a mean does not change; larger leaves visible steps.
 const VISIBLE: u8 = 4;
 
-/// Rays that are averaged, across a pixel and down it. One blurs textures (docs/decisions.md); more cost a build their square.
+/// Rays that are averaged, across a pixel and down it. One blurs textures; more cost a build their square.
 pub(super) const RAYS_ACROSS: u32 = 2;
 
 /// Averages the colours of the layers in place; returns the number of rays.

@@ -78,7 +78,7 @@ pub struct ConstructOptions {
     /// Largest number of pixels of an image; more is an error, as memory grows by 100 bytes each.
     pub max_pixels: u64,
     /// What is seen of a plan's window is cut into tiles of at most so many pixels: a client fetches, lays out and keeps what it looks at, and what is fetched for a turn that never
-    /// comes is small. Smaller: more images per frame (decisions.md).
+    /// comes is small. Smaller: more images per frame (docs/adr/0018-image-tiles.md).
     pub tile_pixels: usize,
     /// Repeat samples where a surface changes layer, so that it stays linked.
     pub bridges: bool,

@@ -13,7 +13,7 @@
 use serde::{Deserialize, Serialize};
 
 /// Two samples are at a similar depth if their depths differ by at most this share, unless told otherwise. Smaller: surfaces are held several times, as each image samples them at other places; larger: what stands
-/// before a wall is taken for the wall. By trial on the house (docs/portals.md).
+/// before a wall is taken for the wall. By trial on the house.
 pub const SAME_DEPTH: f64 = 0.02;
 
 /// What the rules look at.

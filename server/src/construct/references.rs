@@ -7,7 +7,7 @@
 //! 3. The k-th nearest of a place goes to layer k; neighbours that continue each other's surface are linked, as in our own images, because the warp draws linked samples as quads.
 //!
 //! As in the paper nothing is cast again (our own images do that: `merge`): a merged sample moves to the middle of its place. Its depth follows its plane there, unless that changes it by more than the rules take
-//! for the same depth, as on surfaces along the line of sight; with the depth kept everywhere slanted surfaces were rough, and errors larger than those of one image (docs/portals.md). Rays meet everything beyond the portal's plane,
+//! for the same depth, as on surfaces along the line of sight; with the depth kept everywhere slanted surfaces were rough, and errors larger than those of one image. Rays meet everything beyond the portal's plane,
 //! cells that are drawn with the room before it included: so one image serves as a texture too, and where both are there they agree in depth.
 
 use super::{

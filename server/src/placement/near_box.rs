@@ -41,7 +41,7 @@ pub(super) const STEP: f64 = 1.25;
 /// anyway (70 of the clinic's 71 boxes come within 1% of Popt).
 const FINER: [f64; 4] = [0.5, 0.25, 0.125, 0.05];
 /// Samples to expect of an image per pixel of its window, and per pixel that the bounds of a replaced cell cover, cells that overlap counted each. Half of
-/// what the clinic's images at a twentieth hold: of the two guesses neither alone gave the best plans (docs/decisions.md).
+/// what the clinic's images at a twentieth hold: of the two guesses neither alone gave the best plans.
 const SAMPLES_PER_PIXEL: [f64; 2] = [0.05, 0.008];
 /// What a placement costs besides its samples: the rays that find what eyes see, a switch for whoever walks past. In samples, by judgement.
 pub(super) const PLACEMENT_SAMPLES: f64 = 500_000.0;

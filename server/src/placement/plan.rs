@@ -53,7 +53,7 @@ pub(super) fn plan(ctx: &Context, image: &Image, grid_point: u32, grid_position:
 /// Faces reach over their borders by this many pixels, so that surfaces join across them.
 const FACE_OVERLAP_PIXELS: f64 = 2.0;
 
-/// Most places that images are made from. More: fewer holes, longer building; 32, 256 and 512 are compared in docs/decisions.md.
+/// Most places that images are made from. More: fewer holes, longer building (docs/adr/0009-images-hold-what-eyes-see.md).
 const MOST_EYES: usize = 256;
 
 /// The plan for a near box that `members` use.

@@ -239,7 +239,7 @@ const FINEST_SHARED_M: f64 = 1.3;
 const COARSEST_HOPELESS_M: f64 = 0.65;
 
 /// A view cell whose own box is expected to hold more samples than this is subdivided if boxes for its halves or quarters hold fewer together.
-/// Less takes 2 to 17 times as long to plan for at most 3% fewer pixels of west_riverside_mep at a fiftieth (docs/decisions.md).
+/// Less takes 2 to 17 times as long to plan for at most 3% fewer pixels of west_riverside_mep at a fiftieth (docs/adr/0017-groups-halved-then-joined.md).
 const DEAR_SAMPLES: f64 = 8_000_000.0;
 /// They must hold less than this share: a grid of more view cells takes longer to plan. By judgement.
 const WORTH_SUBDIVIDING: f64 = 0.8;

@@ -396,7 +396,7 @@ fn annotated_rooms_of_the_house_see_all_that_rays_see() {
     assert_nothing_missed(&caster, &rooms);
 }
 
-/// The figures of docs/portals.md. The bounds say that the search works, not how well.
+/// The figures of docs/benchmarks/rooms.md. The bounds say that the search works, not how well.
 #[test]
 fn the_house_is_found_as_it_is_annotated() {
     let scene = Arc::new(scene::load("builtin:house?triangles=20000").unwrap());

@@ -9,7 +9,7 @@
 //! - [`admission`]: who is let in; [`transport`], [`identity`], [`limits`], [`config`]. [`veno`]: congestion control; [`meter`]: what the link delivers.
 //! - [`http`], [`plan`]: health, metrics and the page.
 //!
-//! `docs/protocol.md` describes what travels.
+//! `docs/reference/protocol.md` describes what travels.
 
 mod admission;
 mod config;

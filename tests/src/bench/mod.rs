@@ -2,6 +2,7 @@
 
 pub mod colours;
 pub mod decode;
+pub mod docs;
 pub mod numerics;
 pub mod numerics_page;
 pub mod occlusion;

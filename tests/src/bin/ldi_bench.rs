@@ -11,7 +11,7 @@ use ldi_server::placement::AuditSize;
 use ldi_server::serve::planner::PlannerConfig;
 use ldi_tests::args::percent;
 use ldi_tests::bench::{
-    decode, numerics, numerics_page, occlusion, placement, placement_page, portals, portals_page, searches,
+    decode, docs, numerics, numerics_page, occlusion, placement, placement_page, portals, portals_page, searches,
     speed_error, speed_error_page, streaming, tree, video,
 };
 use std::path::{Path, PathBuf};
@@ -87,6 +87,22 @@ Examples:
   ldi-server render house.glb --path house.path.json --size 640x360 --samples 16 --every 60 -o truth
   ldi-bench video frames --truth truth --flip 0.03 -o out/video")]
     Video(VideoArgs),
+    /// Writes the generated documentation: benchmark pages from docs/benchmarks/data, and the command reference.
+    #[command(after_help = "\
+Examples:
+  ldi-bench docs
+  ldi-bench docs --check")]
+    Docs(DocsArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct DocsArgs {
+    /// Folder of the project.
+    #[arg(long, default_value = ".")]
+    root: PathBuf,
+    /// Write nothing; fail if a page is not up to date.
+    #[arg(long)]
+    check: bool,
 }
 
 #[derive(Debug, clap::Args)]
@@ -352,7 +368,17 @@ fn run(command: Command) -> Result<()> {
         Command::Portals(a) => portals_of(a),
         Command::Occlusion(a) => occlusion_of(&a),
         Command::Video(a) => video_of(a),
+        Command::Docs(a) => docs_of(&a),
     }
+}
+
+fn docs_of(a: &DocsArgs) -> Result<()> {
+    let changed = if a.check { docs::stale(&a.root)? } else { docs::write(&a.root)? };
+    changed.iter().for_each(|file| println!("{}", file.display()));
+    if a.check && !changed.is_empty() {
+        bail!("{} pages are not up to date: run `ldi-bench docs`", changed.len());
+    }
+    Ok(())
 }
 
 fn placement(a: PlacementArgs) -> Result<()> {

@@ -27,11 +27,11 @@ use ldi_protocol::{
 use std::{collections::HashMap, sync::Arc};
 
 /// How fast a head is believed to turn to look elsewhere, degrees per second. Path walkers of this project turn at 120, players faster, but few begin
-/// right now: faster beliefs send more directions ahead (docs/streaming.md).
+/// right now: faster beliefs send more directions ahead (docs/adr/0032-forecasts.md).
 pub const QUICK_TURN_DEG_S: f64 = 80.0;
 /// Walking speed of somebody who stands and will walk, m/s.
 const WALK_M_S: f64 = 1.4;
-/// Mean time for which a motion goes on, seconds: walking, and turning. These and the numbers below were chosen by walks in virtual time on two scenes (docs/streaming.md), not
+/// Mean time for which a motion goes on, seconds: walking, and turning. These and the numbers below were chosen by walks in virtual time on two scenes (docs/benchmarks/streaming.md), not
 /// measured on people. Larger: what lies far along the way is sent ahead more; smaller: less, and later.
 const KEEPS_WALKING_S: f64 = 1.0;
 /// See [`KEEPS_WALKING_S`].
