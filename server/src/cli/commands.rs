@@ -384,9 +384,10 @@ fn render(a: &RenderArgs) -> Result<(), Failure> {
     options.check().map_err(Failure::usage)?;
     let walk = read_walk(&a.path)?;
     let scene = scene::load(&a.scene).map_err(|e| Failure::of(e.is_permanent(), e))?;
-    let outside = walk.poses.iter().filter(|p| !scene.bounds().contains(p.pose.position)).count();
+    let bounds = scene.bounds();
+    let outside = walk.poses.iter().filter(|p| !bounds.contains(p.pose.position)).count();
     if outside > 0 {
-        let (of, bounds) = (walk.poses.len(), scene.bounds());
+        let of = walk.poses.len();
         let [from, to] = [bounds.min, bounds.max].map(|p| format!("{:.1}, {:.1}, {:.1}", p.x, p.y, p.z));
         tracing::warn!("{outside} of {of} poses lie outside of the scene, which reaches from ({from}) to ({to})");
     }

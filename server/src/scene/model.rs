@@ -2,6 +2,7 @@
 
 use glam::{DAffine3, DVec3, Vec2, Vec3};
 use ldi_protocol::{Aabb, mesh::Material};
+use rayon::prelude::*;
 
 /// A static, diffuse scene. Every number is in range and every value finite: importers check this.
 #[derive(Debug, Clone, Default)]
@@ -130,16 +131,46 @@ impl Scene {
             *corner = world.transform_point3(*corner);
         }
     }
-    /// World bounds of all instances.
+    /// World bounds of all instances, of every vertex. Takes a pass over the unique vertices and one
+    /// over the instances; placed vertex by vertex are only instances near the scene's border.
     pub fn bounds(&self) -> Aabb {
-        self.instances.iter().fold(Aabb::EMPTY, |b, i| {
-            self.meshes[i.mesh as usize]
-                .primitives
-                .iter()
-                .flat_map(|p| &p.positions)
-                .fold(b, |b, p| b.grown_to(i.world_from_mesh.transform_point3(p.as_dvec3())))
-        })
+        let of_meshes: Vec<Aabb> = self.meshes.par_iter().map(Mesh::bounds).collect();
+        // Contain the vertices, but reach farther where the placement turns.
+        let outer: Vec<Aabb> = self.instances.iter().map(|i| placed(&of_meshes[i.mesh as usize], i)).collect();
+        let mut bounds = Aabb::EMPTY;
+        let mut grow = |at: usize| {
+            let outer = &outer[at];
+            // Corners and vertices round differently by a hair.
+            let slack = outer.min.abs().max(outer.max.abs()).max_element() * 1e-12;
+            let inside = bounds.contains(outer.min - slack) && bounds.contains(outer.max + slack);
+            if !outer.is_empty() && !inside {
+                let i = &self.instances[at];
+                let vertices = self.meshes[i.mesh as usize].primitives.iter().flat_map(|p| &p.positions);
+                bounds = vertices.fold(bounds, |b, p| b.grown_to(i.world_from_mesh.transform_point3(p.as_dvec3())));
+            }
+        };
+        // Those that reach farthest first: most others lie within their bounds.
+        for axis in 0..3 {
+            (0..outer.len())
+                .max_by(|a, b| outer[*a].max[axis].total_cmp(&outer[*b].max[axis]))
+                .into_iter()
+                .for_each(&mut grow);
+            (0..outer.len())
+                .min_by(|a, b| outer[*a].min[axis].total_cmp(&outer[*b].min[axis]))
+                .into_iter()
+                .for_each(&mut grow);
+        }
+        (0..outer.len()).for_each(grow);
+        bounds
     }
+}
+
+/// The box of a placed box.
+fn placed(bounds: &Aabb, instance: &Instance) -> Aabb {
+    if bounds.is_empty() {
+        return Aabb::EMPTY;
+    }
+    Aabb::from_points(bounds.corners().map(|c| instance.world_from_mesh.transform_point3(c)))
 }
 
 impl Mesh {
@@ -150,5 +181,43 @@ impl Mesh {
     /// Triangles of all primitives.
     pub fn triangles(&self) -> u64 {
         self.primitives.iter().map(|p| p.triangles.len() as u64).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{DMat3, DQuat};
+
+    /// Against a pass over every vertex of every instance.
+    #[test]
+    fn bounds_are_those_of_every_vertex() {
+        let mut seed = 5u64;
+        let mut next = || {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (seed >> 40) as f64 / (1u64 << 24) as f64 - 0.5
+        };
+        for instances in [0, 1, 2, 7, 60] {
+            let mut scene = Scene::default();
+            for size in [0, 1, 5, 40] {
+                let positions = (0..size).map(|_| DVec3::new(next(), next(), next()).as_vec3()).collect();
+                let primitives = vec![Primitive { positions, ..Primitive::default() }];
+                scene.meshes.push(Mesh { primitives, ..Mesh::default() });
+            }
+            for node in 0..instances {
+                let turn = DQuat::from_rotation_y(next() * 6.0) * DQuat::from_rotation_x(next() * 6.0);
+                let matrix3 = DMat3::from_quat(turn) * DMat3::from_diagonal(DVec3::new(1.0, 3.0, next()));
+                let translation = DVec3::new(next(), next(), next()) * 20.0;
+                let world_from_mesh = DAffine3 { matrix3, translation };
+                scene.instances.push(Instance { node, mesh: node % 4, world_from_mesh });
+            }
+            let mut want = Aabb::EMPTY;
+            for i in &scene.instances {
+                for p in &scene.meshes[i.mesh as usize].primitives[0].positions {
+                    want = want.grown_to(i.world_from_mesh.transform_point3(p.as_dvec3()));
+                }
+            }
+            assert_eq!(scene.bounds(), want, "{instances} instances");
+        }
     }
 }
