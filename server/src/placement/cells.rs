@@ -4,6 +4,7 @@ use super::{
     arcs::{ArcSet, BandPlanes},
     bin_planes::{Behind, BinPlanes},
 };
+use glam::DVec3;
 use ldi_protocol::Aabb;
 
 /// Neighbouring cells that are tested as one first. Cells come in Morton order, so a run of them is compact.
@@ -20,8 +21,16 @@ pub(super) struct Cells {
     groups: Vec<Aabb>,
     /// Bounds of every [`GROUP`] groups.
     blocks: Vec<Aabb>,
+    /// Surface of the cells of each group and of each block, over that of its own bounds.
+    fill: [Vec<f64>; 2],
     /// Triangles of the cells before each cell, and of all.
     before: Vec<u64>,
+}
+
+/// Half the surface of a box.
+fn half_area(b: &Aabb) -> f64 {
+    let s = b.size();
+    s.x * s.y + s.y * s.z + s.z * s.x
 }
 
 impl Cells {
@@ -33,7 +42,13 @@ impl Cells {
         let blocks = join(&groups);
         let mut before = vec![0];
         triangles.iter().for_each(|t| before.push(before[before.len() - 1] + u64::from(*t)));
-        Self { bounds, triangles, groups, blocks, before }
+        let fill = [(&groups, GROUP), (&blocks, GROUP * GROUP)].map(|(of, cells)| {
+            let area = |(b, cells): (&Aabb, &[Aabb])| {
+                cells.iter().map(half_area).sum::<f64>() / half_area(b).max(f64::MIN_POSITIVE)
+            };
+            of.iter().zip(bounds.chunks(cells)).map(area).collect()
+        });
+        Self { bounds, triangles, groups, blocks, fill, before }
     }
 
     /// The cells that some eye in the box may draw in some direction of a bin, added to `out`; returns their triangles.
@@ -152,6 +167,37 @@ impl Cells {
         triangles
     }
 
+    /// Calls `found` with boxes around all cells `among` these, each with the surface of its cells over its own. Neighbouring cells come
+    /// in one box where that is at most `compact` times as large as it is distant from the eye.
+    pub fn compacted(&self, among: &CellMask, eye: DVec3, compact: f64, mut found: impl FnMut(&Aabb, f64)) {
+        let is_compact = |b: &Aabb| b.size().max_element() <= compact * b.distance(eye);
+        // The cells of a group or block that are not among these count as like those that are.
+        let share = |bits: u32, cells: usize| f64::from(bits) / cells as f64;
+        for (k, words) in among.words.chunks(GROUP * GROUP / 64).enumerate() {
+            let bits: u32 = words.iter().map(|w| w.count_ones()).sum();
+            if bits == 0 {
+                continue;
+            }
+            if is_compact(&self.blocks[k]) {
+                let cells = (self.bounds.len() - k * GROUP * GROUP).min(GROUP * GROUP);
+                found(&self.blocks[k], self.fill[1][k] * share(bits, cells));
+                continue;
+            }
+            for g in k * GROUP..((k + 1) * GROUP).min(self.groups.len()) {
+                let mut bits = words.get(g % GROUP / 4).map_or(0, |w| w >> (g % 4 * GROUP) & 0xffff);
+                if bits.count_ones() > 1 && is_compact(&self.groups[g]) {
+                    let cells = (self.bounds.len() - g * GROUP).min(GROUP);
+                    found(&self.groups[g], self.fill[0][g] * share(bits.count_ones(), cells));
+                    continue;
+                }
+                while bits != 0 {
+                    found(&self.bounds[g * GROUP + bits.trailing_zeros() as usize], 1.0);
+                    bits &= bits - 1;
+                }
+            }
+        }
+    }
+
     /// Calls `found` for every cell that some eye in the box may draw in the band, with its arcs of yaw, in ascending order.
     pub fn arcs(&self, planes: &BandPlanes, eyes: &Aabb, mut found: impl FnMut(u32, &ArcSet)) {
         for (g, group) in self.groups.iter().enumerate() {
@@ -217,6 +263,10 @@ impl CellMask {
     /// Takes out the cells of another set.
     pub fn remove(&mut self, other: &Self) {
         self.words.iter_mut().zip(&other.words).for_each(|(a, b)| *a &= !b);
+    }
+    /// Number of its cells.
+    pub fn count(&self) -> usize {
+        self.words.iter().map(|w| w.count_ones() as usize).sum()
     }
     /// Its cells, ascending.
     pub fn iter(&self) -> impl Iterator<Item = u32> + '_ {

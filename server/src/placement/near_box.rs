@@ -43,6 +43,11 @@ const FINER: [f64; 4] = [0.5, 0.25, 0.125, 0.05];
 /// Samples to expect of an image per pixel of its window, and per pixel that the bounds of a replaced cell cover, cells that overlap counted each. Half of
 /// what the clinic's images at a twentieth hold: of the two guesses neither alone gave the best plans.
 const SAMPLES_PER_PIXEL: [f64; 2] = [0.05, 0.008];
+/// Of so many replaced cells and fewer the images' windows are found cell by cell. More: planning of large scenes takes longer; fewer:
+/// windows and expected samples are rougher.
+const FEW_CELLS: usize = 16_384;
+/// Of more, neighbouring cells count as one where their bounds are at most this share of their distance in size. Larger: rougher windows.
+const COMPACT: f64 = 0.1;
 /// What a placement costs besides its samples: the rays that find what eyes see, a switch for whoever walks past. In samples, by judgement.
 pub(super) const PLACEMENT_SAMPLES: f64 = 500_000.0;
 /// Faces, by (axis, side).
@@ -298,23 +303,33 @@ impl<'a> Fit<'a> {
 
     /// The images of all faces.
     fn images(&self, distance: &[f64; 6], near: &CellMask) -> [Option<FaceImage>; 6] {
+        self.images_of(distance, near, FEW_CELLS)
+    }
+
+    /// [`Fit::images`], cell by cell where at most `few` are replaced.
+    fn images_of(&self, distance: &[f64; 6], near: &CellMask, few: usize) -> [Option<FaceImage>; 6] {
         let mut windows = [[f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY]; 6];
         let mut covered = [0.0; 6];
         let regions: [Region; 6] = std::array::from_fn(|f| Region::new(f, distance));
         let mut far = self.seen.clone();
         far.remove(near);
-        for cell in far.iter() {
-            let b = &self.ctx.cells.bounds[cell as usize];
+        let mut add = |b: &Aabb, fill: f64| {
             let (low, high) = (b.min - self.cop, b.max - self.cop);
             for ((region, w), covered) in regions.iter().zip(&mut windows).zip(&mut covered) {
                 // Most boxes are beyond few of the faces.
                 if region.is_beyond(low, high)
                     && let Some(t) = region.tangents_of(&region.local(low, high))
                 {
-                    *covered += (t[1] - t[0]) * (t[3] - t[2]);
+                    *covered += (t[1] - t[0]) * (t[3] - t[2]) * fill;
                     *w = [w[0].min(t[0]), w[1].max(t[1]), w[2].min(t[2]), w[3].max(t[3])];
                 }
             }
+        };
+        let cells = self.ctx.cells;
+        if far.count() <= few {
+            far.iter().for_each(|cell| add(&cells.bounds[cell as usize], 1.0));
+        } else {
+            cells.compacted(&far, self.cop, COMPACT, add);
         }
         std::array::from_fn(|f| {
             let window = windows[f];
@@ -516,6 +531,47 @@ mod tests {
         }
         assert!(replaced > 500 && shown > 5000, "{replaced} frames with images, {shown} points");
         assert!(groups.len() < 9, "some cells share a box: {} groups", groups.len());
+    }
+
+    #[test]
+    fn windows_of_many_cells_hold_those_of_each_and_are_hardly_larger() {
+        // Runs of 16 neighbours in a yard, as the octree's order gives them.
+        let mut random = Random::new(9);
+        let mut bounds = Vec::new();
+        for _ in 0..400 {
+            let middle = DVec3::new(random.unit() - 0.5, 0.04 * random.unit(), random.unit() - 0.5) * 400.0;
+            bounds.extend((0..16).map(|_| {
+                let min = middle + DVec3::new(random.unit(), random.unit(), random.unit()) * 3.0;
+                Aabb { min, max: min + DVec3::splat(0.2 + random.unit()) }
+            }));
+        }
+        let (cells, directions) = (Cells::new(bounds, vec![1; 6400]), Directions::new(60.0));
+        let ctx = Context::new(&cells, &directions, &settings(9_000), 400.0, CostBenefit::default(), NOTHING_BETWEEN);
+        let members = members(&ctx);
+        let member = [&members[4]];
+        let mut fit = Fit::new(&ctx, &member, 0.0);
+        (0..6400).for_each(|c| fit.seen.insert(c));
+        let distance = [8.0, 9.0, 5.0, 5.0, 8.0, 12.0];
+        let near = fit.near(&distance);
+        let (exact, joined) = (fit.images_of(&distance, &near, usize::MAX), fit.images_of(&distance, &near, 0));
+        let mut found = 0;
+        let far = (0..6400).filter(|c| !near.has(*c)).count();
+        let mut mask = fit.seen.clone();
+        mask.remove(&near);
+        cells.compacted(&mask, fit.cop, COMPACT, |_, _| found += 1);
+        assert!(found * 2 < far, "{found} boxes for {far} cells");
+        for (exact, joined) in exact.iter().zip(&joined) {
+            assert_eq!(exact.is_some(), joined.is_some());
+            let Some((e, j)) = exact.as_ref().zip(joined.as_ref()) else { continue };
+            for k in 0..2 {
+                let (low, high) = (2 * k, 2 * k + 1);
+                assert!(j.window[low] <= e.window[low] && j.window[high] >= e.window[high]);
+                let grown = (j.window[high] - j.window[low]) / (e.window[high] - e.window[low]);
+                assert!(grown < 1.1, "{grown} times as wide");
+            }
+            let ratio = j.covered / e.covered;
+            assert!((0.7..1.4).contains(&ratio), "{ratio} times as much covered");
+        }
     }
 
     #[test]
