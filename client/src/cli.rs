@@ -9,11 +9,11 @@ use anyhow::Context;
 use clap::{Args, Parser, Subcommand, ValueEnum as _};
 use indicatif::{ProgressBar, ProgressStyle};
 use ldi_client::{
-    app::WalkLink,
+    app::HeadlessConnection,
     composite::Fill,
     engine::{
-        Cull, Feed, Method, Pace, PaintError, Painter, Progress, Renderer, Shows, WalkError, WalkJob, WalkOptions,
-        pictures_of, run,
+        Cull, DataSource, DisplayMode, FrameRenderer, Method, Pace, Progress, RenderError, Renderer, WalkError,
+        WalkJob, WalkOptions, pictures_of, run,
     },
     gpu::{Gpu, GpuError, WarpOn},
     near::MAX_SIDE_PX,
@@ -196,8 +196,8 @@ impl From<WalkError> for Failure {
         let code = match &e {
             WalkError::Folder { source, .. } if is_lasting(source) => 42,
             WalkError::Disconnected { .. } | WalkError::Save(_) | WalkError::Folder { .. } => 1,
-            WalkError::Paint(PaintError::Warp(_)) => 2,
-            WalkError::Paint(PaintError::Gpu(e)) => gpu_exit_code(e),
+            WalkError::Paint(RenderError::Warp(_)) => 2,
+            WalkError::Paint(RenderError::Gpu(e)) => gpu_exit_code(e),
             WalkError::Judge(_) => 42,
         };
         Self { code, error: e.into() }
@@ -377,15 +377,15 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         config.cache_bytes = bytes;
     }
     // Found out before the walk, not after it.
-    let painter = args.renderer.painter(args.warp_on)?;
-    let drawn_by = drawn_by(&painter);
+    let renderer = args.renderer.renderer(args.warp_on)?;
+    let drawn_by = drawn_by(&renderer);
     let report_file = PendingReport::create(&args.report).map_err(Failure::permanent)?;
     let connection = Connection::connect(config.clone())?;
     check_offer(args.method, connection.index())?;
     let stop = signals::stop_at_signal("ending the walk; once more ends it without a report")
         .map_err(|e| Failure { code: 1, error: e.into() })?;
-    let link =
-        WalkLink::new(connection, config, Arc::clone(&stop)).map_err(|e| Failure { code: 1, error: e.into() })?;
+    let link = HeadlessConnection::new(connection, config, Arc::clone(&stop))
+        .map_err(|e| Failure { code: 1, error: e.into() })?;
     let options = WalkOptions {
         width: args.size.0,
         height: args.size.1,
@@ -402,8 +402,8 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         every: args.every as usize,
         cache_bytes: args.cache_bytes,
         debug_views: args.debug_views,
-        shows: Shows::Scene,
-        beside: false,
+        shows: DisplayMode::Scene,
+        background_layout: false,
         baseline_frames: args.baseline_frames as usize,
     };
     let job = WalkJob {
@@ -415,7 +415,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         stop: Some(&stop),
     };
     let mut show = Show::new();
-    let (summary, frames) = run(&link, &job, painter, &mut |p| show.frame(p))?;
+    let (summary, frames) = run(&link, &job, renderer, &mut |p| show.frame(p))?;
     show.done();
     let index = link.index();
     let scene = &index.scene;
@@ -489,8 +489,8 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
 }
 
 /// The card that draws, and what its calibration found; null where there is none.
-fn drawn_by(painter: &Painter) -> serde_json::Value {
-    let Some(gpu) = painter.gpu() else { return serde_json::Value::Null };
+fn drawn_by(renderer: &FrameRenderer) -> serde_json::Value {
+    let Some(gpu) = renderer.gpu() else { return serde_json::Value::Null };
     serde_json::json!({
         "adapter": gpu.adapter(),
         "software": gpu.is_software(),
@@ -539,30 +539,31 @@ fn read_token(path: &Path) -> anyhow::Result<String> {
 /// The report's file: written beside its place, then moved there. A report is whole or not there.
 struct PendingReport<'a> {
     path: &'a Path,
-    beside: PathBuf,
+    temporary: PathBuf,
 }
 
 impl<'a> PendingReport<'a> {
     fn create(path: &'a Path) -> anyhow::Result<Self> {
-        let beside = path.with_extension("tmp");
-        std::fs::write(&beside, "").with_context(|| {
+        let temporary = path.with_extension("tmp");
+        std::fs::write(&temporary, "").with_context(|| {
             format!("{}: cannot be written; give --report a file in a folder that can be", path.display())
         })?;
-        Ok(Self { path, beside })
+        Ok(Self { path, temporary })
     }
 
     fn publish(self, report: &Report) -> anyhow::Result<()> {
         let text = serde_json::to_string_pretty(report)?;
-        std::fs::write(&self.beside, text + "\n")
-            .with_context(|| format!("{}: cannot be written", self.beside.display()))?;
-        std::fs::rename(&self.beside, self.path).with_context(|| format!("{}: cannot be written", self.path.display()))
+        std::fs::write(&self.temporary, text + "\n")
+            .with_context(|| format!("{}: cannot be written", self.temporary.display()))?;
+        std::fs::rename(&self.temporary, self.path)
+            .with_context(|| format!("{}: cannot be written", self.path.display()))
     }
 }
 
 impl Drop for PendingReport<'_> {
     fn drop(&mut self) {
         // Gone already where the report was published.
-        let _ = std::fs::remove_file(&self.beside);
+        let _ = std::fs::remove_file(&self.temporary);
     }
 }
 

@@ -34,17 +34,17 @@ impl Bookmarks {
     /// # Errors
     /// If it is there and is no path file.
     pub fn load(file: PathBuf) -> Result<Self, String> {
-        let said = |e: &dyn std::fmt::Display| format!("{}: {e}; mend or remove it", file.display());
+        let described = |e: &dyn std::fmt::Display| format!("{}: {e}; mend or remove it", file.display());
         let mut text = String::new();
         match std::fs::File::open(&file) {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Self { file, places: BTreeMap::new() }),
-            Err(e) => return Err(said(&e)),
-            Ok(open) => open.take(MAX_BYTES + 1).read_to_string(&mut text).map_err(|e| said(&e))?,
+            Err(e) => return Err(described(&e)),
+            Ok(open) => open.take(MAX_BYTES + 1).read_to_string(&mut text).map_err(|e| described(&e))?,
         };
         if text.len() as u64 > MAX_BYTES {
-            return Err(said(&format!("more than {MAX_BYTES} bytes are too many for bookmarks")));
+            return Err(described(&format!("more than {MAX_BYTES} bytes are too many for bookmarks")));
         }
-        let walk = path::parse(&text).map_err(|e| said(&e))?;
+        let walk = path::parse(&text).map_err(|e| described(&e))?;
         let place = |p: &path::TimedPose| (1.0..=9.0).contains(&p.t_s).then_some((p.t_s as u8, p.pose));
         let places = walk.poses.iter().filter_map(place).collect();
         Ok(Self { file, places })
@@ -67,13 +67,13 @@ impl Bookmarks {
     }
 
     fn write(&self, text: &str) -> Result<(), String> {
-        let said = |path: &Path, e: std::io::Error| format!("the bookmark is not kept: {}: {e}", path.display());
+        let described = |path: &Path, e: std::io::Error| format!("the bookmark is not kept: {}: {e}", path.display());
         if let Some(folder) = self.file.parent() {
-            std::fs::create_dir_all(folder).map_err(|e| said(folder, e))?;
+            std::fs::create_dir_all(folder).map_err(|e| described(folder, e))?;
         }
         let beside = self.file.with_extension(format!("{}.tmp", std::process::id()));
-        std::fs::write(&beside, text).map_err(|e| said(&beside, e))?;
-        std::fs::rename(&beside, &self.file).map_err(|e| said(&self.file, e))
+        std::fs::write(&beside, text).map_err(|e| described(&beside, e))?;
+        std::fs::rename(&beside, &self.file).map_err(|e| described(&self.file, e))
     }
 }
 

@@ -28,7 +28,7 @@ impl Events {
     }
 
     /// Writes a line at once: whoever reads the file sees it.
-    pub fn tell(&mut self, event: &str, mut more: Map<String, Value>) {
+    pub fn write(&mut self, event: &str, mut more: Map<String, Value>) {
         let Some((file, path)) = &mut self.file else { return };
         more.insert("t_ms".into(), (self.start.elapsed().as_secs_f64() * 1e3).round().into());
         more.insert("event".into(), event.into());

@@ -5,7 +5,7 @@
 //!
 //! Which number is which axis differs in one thing: pads with analogue triggers have one between the sticks. It rests at its end, which no stick does.
 
-use super::motion::Intent;
+use super::walker::Intent;
 use std::{
     io::Read,
     path::{Path, PathBuf},

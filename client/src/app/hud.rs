@@ -1,10 +1,10 @@
 //! What is written over the picture: figures (F1), the line of help, messages.
 
 use super::{
-    desk::Picture,
-    link::{LinkFigures, LinkState},
+    render_mailbox::Picture,
+    server_connection::{ConnectionState, ConnectionSummary},
 };
-use crate::engine::Shows;
+use crate::engine::DisplayMode;
 use egui::{Align2, Color32, CornerRadius, FontId, Pos2, Rect, Stroke, pos2, vec2};
 use ldi_protocol::index::Index;
 use std::{
@@ -51,7 +51,7 @@ const UNPLANNED: &str = "No images were made for this place: what is far away lo
 impl Hud {
     /// A new picture is shown.
     pub fn picture(&mut self, p: &Picture) {
-        let ms = &p.figures.painted.ms;
+        let ms = &p.stats.frame_stats.ms;
         if self.pictures.len() == GRAPH {
             self.pictures.pop_front();
         }
@@ -59,7 +59,7 @@ impl Hud {
     }
 
     /// Says something for a few seconds.
-    pub fn say(&mut self, text: String, good: bool) {
+    pub fn show_message(&mut self, text: String, good: bool) {
         self.message = Some((text, good, Instant::now()));
     }
 
@@ -76,8 +76,8 @@ impl Hud {
         &mut self,
         ctx: &egui::Context,
         shown: Option<(&Picture, &Index)>,
-        line: &LinkFigures,
-        state: &LinkState,
+        line: &ConnectionSummary,
+        state: &ConnectionState,
         speed_m_per_s: f64,
     ) {
         let screen = ctx.content_rect();
@@ -95,7 +95,7 @@ impl Hud {
         if self.help || self.figures {
             centred(&painter, pos2(screen.center().x, screen.bottom() - 18.0), HELP, TEXT, 12.0, screen.width() - 24.0);
         }
-        if shown.is_some_and(|(picture, _)| picture.figures.unplanned) {
+        if shown.is_some_and(|(picture, _)| picture.stats.unplanned) {
             let at = pos2(screen.center().x, screen.bottom() - 36.0);
             centred(&painter, at, UNPLANNED, TEXT, 13.0, screen.width() * 0.8);
         }
@@ -113,17 +113,17 @@ impl Hud {
         }
     }
 
-    fn lines(&self, picture: &Picture, index: &Index, line: &LinkFigures, speed_m_per_s: f64) -> Vec<String> {
-        let f = &picture.figures;
-        let (ms, warp) = (&f.painted.ms, f.painted.warp.as_ref());
+    fn lines(&self, picture: &Picture, index: &Index, line: &ConnectionSummary, speed_m_per_s: f64) -> Vec<String> {
+        let f = &picture.stats;
+        let (ms, warp) = (&f.frame_stats.ms, f.frame_stats.warp.as_ref());
         let rate = self.per_second().map_or("resting".into(), |fps| format!("{fps:.0} fps"));
         let fine = if f.supersample > 1 { ", 4 samples per pixel" } else { "" };
-        let missing = match f.painted.missing_chunks.len() {
+        let missing = match f.frame_stats.missing_chunks.len() {
             0 => "nothing".to_owned(),
             n => format!("{n} chunks, {:.2} MB", f.missing_bytes as f64 * 1e-6),
         };
-        let waiting = if f.painted.waiting > 0 {
-            format!(", {} to be laid out or put onto the card", f.painted.waiting)
+        let waiting = if f.frame_stats.waiting > 0 {
+            format!(", {} to be laid out or put onto the card", f.frame_stats.waiting)
         } else {
             String::new()
         };
@@ -146,7 +146,7 @@ impl Hud {
                 Some((name, bytes)) => format!("drawn by   {name}, {:.0} MB on it", *bytes as f64 * 1e-6),
                 None => "drawn by   the processor".into(),
             },
-            format!("triangles  {} of {}{dropped}", grouped(f.painted.triangles), grouped(index.settings.budget)),
+            format!("triangles  {} of {}{dropped}", grouped(f.frame_stats.triangles), grouped(index.settings.budget)),
             format!("samples    {} warped", grouped(warp.map_or(0, |w| w.samples_warped))),
             format!(
                 "cache      {:.0} of {:.0} MB, {} objects",
@@ -167,7 +167,7 @@ impl Hud {
                 p.x, p.y, p.z, picture.pose.yaw_deg, picture.pose.pitch_deg
             ),
         ];
-        if f.shows != Shows::Scene {
+        if f.shows != DisplayMode::Scene {
             lines.push(format!("view       {}", f.shows.legend()));
         }
         lines
@@ -196,17 +196,17 @@ impl Hud {
 }
 
 /// What is wrong with the line, in words; None when nothing is.
-pub fn trouble(state: &LinkState) -> Option<String> {
+pub fn trouble(state: &ConnectionState) -> Option<String> {
     match state {
-        LinkState::Up | LinkState::Connecting { after: None, .. } => None,
-        LinkState::Connecting { after: Some(reason), .. } => {
+        ConnectionState::Up | ConnectionState::Connecting { after: None, .. } => None,
+        ConnectionState::Connecting { after: Some(reason), .. } => {
             Some(format!("{reason}; connecting again; you can go on where you have been"))
         }
-        LinkState::Waiting { reason, until } => {
+        ConnectionState::Waiting { reason, until } => {
             let seconds = until.saturating_duration_since(Instant::now()).as_secs_f64().ceil();
             Some(format!("{reason}; trying again in {seconds:.0} s; you can go on where you have been"))
         }
-        LinkState::Refused(e) => Some(format!("{e}. Trying again would not help; Ctrl+Q leaves")),
+        ConnectionState::Refused(e) => Some(format!("{e}. Trying again would not help; Ctrl+Q leaves")),
     }
 }
 
@@ -253,14 +253,15 @@ mod tests {
 
     #[test]
     fn trouble_is_said_with_what_follows() {
-        let connecting = |attempt, after: Option<&str>| LinkState::Connecting { attempt, after: after.map(Into::into) };
-        assert_eq!((trouble(&LinkState::Up), trouble(&connecting(1, None))), (None, None));
+        let connecting =
+            |attempt, after: Option<&str>| ConnectionState::Connecting { attempt, after: after.map(Into::into) };
+        assert_eq!((trouble(&ConnectionState::Up), trouble(&connecting(1, None))), (None, None));
         let text = trouble(&connecting(2, Some("the server stops"))).expect("trouble");
         assert!(text.contains("the server stops") && text.contains("again"), "{text}");
-        let waiting = LinkState::Waiting { reason: "the server stops".into(), until: Instant::now() };
+        let waiting = ConnectionState::Waiting { reason: "the server stops".into(), until: Instant::now() };
         let text = trouble(&waiting).expect("trouble");
         assert!(text.contains("the server stops") && text.contains("trying again"), "{text}");
-        let refused = LinkState::Refused(crate::stream::ConnectError::Busy);
+        let refused = ConnectionState::Refused(crate::stream::ConnectError::Busy);
         assert!(trouble(&refused).expect("trouble").contains("would not help"));
     }
 }

@@ -1,6 +1,6 @@
 //! Keys: which are down, and what that asks of the walker.
 
-use super::motion::Intent;
+use super::walker::Intent;
 use winit::keyboard::KeyCode;
 
 /// What a key does while it is down.

@@ -4,11 +4,11 @@
 //! choose another one.
 
 use super::{
-    desk::Picture,
+    floor_plan::{self, STOREY_M},
     hud::{SHADE, block, centred},
-    link::Scene,
-    motion,
-    plan::{self, STOREY_M},
+    render_mailbox::Picture,
+    server_connection::Scene,
+    walker,
 };
 use egui::{Color32, ColorImage, CornerRadius, Pos2, Rect, Shape, Stroke, TextureHandle, TextureOptions, pos2, vec2};
 use glam::DVec3;
@@ -30,7 +30,7 @@ const MOST_POINTS: usize = 20_000;
 
 /// Where on the display which part of the world is.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sheet {
+pub struct MapProjection {
     /// On the display, points.
     pub area: Rect,
     /// World x and z of its upper left corner, metres.
@@ -39,7 +39,7 @@ pub struct Sheet {
     pub per_metre: f64,
 }
 
-impl Sheet {
+impl MapProjection {
     /// As large as fits into `room`.
     fn fit(volume: &WalkVolume, room: Rect) -> Self {
         let (b, size) = (volume.bounds(), volume.bounds().size().max(DVec3::splat(0.1)));
@@ -69,12 +69,12 @@ pub struct Map {
     pub open: bool,
     /// Eye height of the storey that was chosen; None for the walker's.
     chosen_m: Option<f64>,
-    drawn: Option<Drawn>,
+    drawn_map: Option<DrawnMap>,
     /// Where it was drawn last.
-    pub sheet: Option<Sheet>,
+    pub sheet: Option<MapProjection>,
 }
 
-struct Drawn {
+struct DrawnMap {
     scene: Scene,
     storeys_m: Vec<f64>,
     storey_m: f64,
@@ -95,7 +95,7 @@ impl Map {
 
     /// A storey up or down.
     pub fn change_storey(&mut self, up: bool) {
-        let Some(d) = &self.drawn else { return };
+        let Some(d) = &self.drawn_map else { return };
         let mut next =
             d.storeys_m.iter().copied().filter(|s| if up { *s > d.storey_m + 0.1 } else { *s < d.storey_m - 0.1 });
         self.chosen_m = if up { next.next() } else { next.next_back() }.or(self.chosen_m);
@@ -109,7 +109,7 @@ impl Map {
         picture: &Picture,
         others: Option<&[Other]>,
     ) -> Option<DVec3> {
-        let (pose, selection) = (&picture.pose, &picture.figures.selection);
+        let (pose, selection) = (&picture.pose, &picture.stats.selection);
         let painter = ctx.layer_painter(egui::LayerId::new(egui::Order::Middle, egui::Id::unique("map")));
         let screen = ctx.content_rect();
         painter.rect_filled(screen, CornerRadius::ZERO, Color32::from_black_alpha(190));
@@ -117,20 +117,20 @@ impl Map {
             centred(&painter, screen.center(), "this dataset has no walk volume to show", Color32::WHITE, 16.0, 600.0);
             return None;
         };
-        let drawn = self.draw(ctx, scene, volume, pose);
-        let sheet = Sheet::fit(volume, screen.shrink2(vec2(40.0, 60.0)));
+        let drawn_map = self.draw(ctx, scene, volume, pose);
+        let sheet = MapProjection::fit(volume, screen.shrink2(vec2(40.0, 60.0)));
         let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
-        if let Some(texture) = &drawn.texture {
+        if let Some(texture) = &drawn_map.texture {
             painter.image(texture.id(), sheet.area, whole, Color32::WHITE);
         }
-        points(&painter, &sheet, &scene.index, drawn.storey_m, selection);
-        let storey_m = drawn.storey_m;
-        others.unwrap_or_default().iter().for_each(|o| other(&painter, &sheet, o, storey_m));
-        walker(&painter, &sheet, pose, picture.fov_deg);
-        let storeys = match drawn.storeys_m.len() {
+        draw_grid_points(&painter, &sheet, &scene.index, drawn_map.storey_m, selection);
+        let storey_m = drawn_map.storey_m;
+        others.unwrap_or_default().iter().for_each(|o| draw_other_walker(&painter, &sheet, o, storey_m));
+        draw_walker(&painter, &sheet, pose, picture.fov_deg);
+        let storeys = match drawn_map.storeys_m.len() {
             0 | 1 => String::new(),
             n => {
-                let number = drawn.storeys_m.iter().filter(|s| **s <= drawn.storey_m + 0.1).count();
+                let number = drawn_map.storeys_m.iter().filter(|s| **s <= drawn_map.storey_m + 0.1).count();
                 format!("  |  storey {number} of {n}: Page Up, Page Down")
             }
         };
@@ -146,12 +146,12 @@ impl Map {
         let clicked = ctx.input(|i| i.pointer.primary_clicked().then(|| i.pointer.interact_pos()).flatten())?;
         let [x, z] = sheet.area.contains(clicked).then(|| sheet.world(clicked))?;
         let level_m = if flying(scene) { pose.position.y } else { storey_m };
-        Some(place(volume, x, z, level_m, flying(scene)))
+        Some(standing_place(volume, x, z, level_m, flying(scene)))
     }
 
     /// What is drawn, brought up to date as far as it has come.
-    fn draw(&mut self, ctx: &egui::Context, scene: &Scene, volume: &WalkVolume, pose: &Pose) -> &Drawn {
-        let mut drawn = self.drawn.take().filter(|d| d.scene.is(scene)).unwrap_or_else(|| Drawn {
+    fn draw(&mut self, ctx: &egui::Context, scene: &Scene, volume: &WalkVolume, pose: &Pose) -> &DrawnMap {
+        let mut drawn_map = self.drawn_map.take().filter(|d| d.scene.is(scene)).unwrap_or_else(|| DrawnMap {
             scene: scene.clone(),
             storeys_m: storeys(volume),
             storey_m: f64::NAN,
@@ -162,24 +162,24 @@ impl Map {
         let height = self.chosen_m.unwrap_or(pose.position.y);
         if flying(scene) {
             // One level at every height; in steps, so that the plan is not drawn anew for every breath.
-            drawn.storeys_m = vec![(height * 2.0).round() * 0.5];
+            drawn_map.storeys_m = vec![(height * 2.0).round() * 0.5];
         }
-        let storeys = drawn.storeys_m.iter().copied();
+        let storeys = drawn_map.storeys_m.iter().copied();
         let storey_m = storeys.min_by(|a, b| (a - height).abs().total_cmp(&(b - height).abs())).unwrap_or(height);
-        if drawn.storey_m != storey_m {
-            (drawn.storey_m, drawn.texture, drawn.coming, drawn.asked) = (storey_m, None, None, None);
+        if drawn_map.storey_m != storey_m {
+            (drawn_map.storey_m, drawn_map.texture, drawn_map.coming, drawn_map.asked) = (storey_m, None, None, None);
         }
-        if let Some(picture) = drawn.coming.as_ref().and_then(|c| c.try_recv().ok()) {
-            drawn.texture = Some(ctx.load_texture("plan", picture, TextureOptions::LINEAR));
-            drawn.coming = None;
+        if let Some(picture) = drawn_map.coming.as_ref().and_then(|c| c.try_recv().ok()) {
+            drawn_map.texture = Some(ctx.load_texture("plan", picture, TextureOptions::LINEAR));
+            drawn_map.coming = None;
         }
         let bytes = scene.cache.usage().bytes;
-        let stale = drawn.asked.is_none_or(|(_, b, at)| b != bytes && at.elapsed() > AGAIN_AFTER);
-        if stale && drawn.coming.is_none() {
-            drawn.asked = Some((storey_m, bytes, Instant::now()));
-            drawn.coming = ask(scene, storey_m);
+        let stale = drawn_map.asked.is_none_or(|(_, b, at)| b != bytes && at.elapsed() > AGAIN_AFTER);
+        if stale && drawn_map.coming.is_none() {
+            drawn_map.asked = Some((storey_m, bytes, Instant::now()));
+            drawn_map.coming = ask(scene, storey_m);
         }
-        self.drawn.insert(drawn)
+        self.drawn_map.insert(drawn_map)
     }
 }
 
@@ -190,7 +190,7 @@ fn ask(scene: &Scene, storey_m: f64) -> Option<mpsc::Receiver<ColorImage>> {
     let work = move || {
         if let Some(volume) = &scene.index.volume {
             // The map may be closed by now.
-            let _ = sender.send(plan::draw(&scene, volume, storey_m));
+            let _ = sender.send(floor_plan::draw(&scene, volume, storey_m));
         }
     };
     std::thread::Builder::new().name("ldi-plan".into()).spawn(work).ok().map(|_| receiver)
@@ -202,11 +202,11 @@ fn flying(scene: &Scene) -> bool {
 }
 
 /// The place that a click means: on the storey that is shown, or as near as there is one.
-fn place(volume: &WalkVolume, x: f64, z: f64, storey_m: f64, flying: bool) -> DVec3 {
-    let here = if flying { Vec::new() } else { motion::storeys(volume, x, z) };
+fn standing_place(volume: &WalkVolume, x: f64, z: f64, storey_m: f64, flying: bool) -> DVec3 {
+    let here = if flying { Vec::new() } else { walker::storeys(volume, x, z) };
     let y = here.into_iter().min_by(|a, b| (a - storey_m).abs().total_cmp(&(b - storey_m).abs()));
     let p = DVec3::new(x, y.unwrap_or(storey_m), z);
-    motion::nearest(volume, p).unwrap_or(p)
+    walker::nearest(volume, p).unwrap_or(p)
 }
 
 /// Eye heights at which much of the volume lies, ascending.
@@ -214,7 +214,7 @@ fn storeys(volume: &WalkVolume) -> Vec<f64> {
     let mut area = BTreeMap::<i64, f64>::new();
     for b in volume.boxes() {
         let size = b.size();
-        *area.entry((motion::nominal([b.min.y, b.max.y]) * 5.0).round() as i64).or_default() += size.x * size.z;
+        *area.entry((walker::nominal([b.min.y, b.max.y]) * 5.0).round() as i64).or_default() += size.x * size.z;
     }
     let most = area.values().copied().fold(0.0, f64::max);
     let mut by_area: Vec<(f64, f64)> = area.into_iter().map(|(h, a)| (h as f64 * 0.2, a)).collect();
@@ -230,7 +230,13 @@ fn storeys(volume: &WalkVolume) -> Vec<f64> {
 }
 
 /// Grid points of the storey; the one in use, and the eyes that its images were made for.
-fn points(painter: &egui::Painter, sheet: &Sheet, index: &Index, storey_m: f64, selection: &Selection) {
+fn draw_grid_points(
+    painter: &egui::Painter,
+    sheet: &MapProjection,
+    index: &Index,
+    storey_m: f64,
+    selection: &Selection,
+) {
     let used = selection.grid_point;
     let near = index.points.iter().filter(|p| (p.position.y - storey_m).abs() <= STOREY_M);
     for p in near.take(MOST_POINTS) {
@@ -247,9 +253,9 @@ fn points(painter: &egui::Painter, sheet: &Sheet, index: &Index, storey_m: f64, 
 }
 
 /// The walker: what is in view, and an arrow.
-fn walker(painter: &egui::Painter, sheet: &Sheet, pose: &Pose, fov_deg: f64) {
+fn draw_walker(painter: &egui::Painter, sheet: &MapProjection, pose: &Pose, fov_deg: f64) {
     let at = sheet.show(pose.position);
-    let toward = |deg: f64, points: f32| toward(at, pose.yaw_deg + deg, points);
+    let toward = |deg: f64, draw_grid_points: f32| toward(at, pose.yaw_deg + deg, draw_grid_points);
     let red = Color32::from_rgb(213, 40, 40);
     let view = vec![at, toward(fov_deg / 2.0, 46.0), toward(-fov_deg / 2.0, 46.0)];
     painter.add(Shape::convex_polygon(view, Color32::from_rgba_unmultiplied(213, 40, 40, 60), Stroke::NONE));
@@ -257,7 +263,7 @@ fn walker(painter: &egui::Painter, sheet: &Sheet, pose: &Pose, fov_deg: f64) {
 }
 
 /// Another walker: a smaller arrow with number and name, dim on another storey.
-fn other(painter: &egui::Painter, sheet: &Sheet, o: &Other, storey_m: f64) {
+fn draw_other_walker(painter: &egui::Painter, sheet: &MapProjection, o: &Other, storey_m: f64) {
     let p = DVec3::from_array(o.position);
     let at = sheet.show(p);
     let dim = if (p.y - storey_m).abs() <= STOREY_M { 1.0 } else { 0.4 };
@@ -271,15 +277,15 @@ fn other(painter: &egui::Painter, sheet: &Sheet, o: &Other, storey_m: f64) {
 }
 
 /// So many points from a place on the map toward a yaw.
-fn toward(at: Pos2, yaw_deg: f64, points: f32) -> Pos2 {
+fn toward(at: Pos2, yaw_deg: f64, draw_grid_points: f32) -> Pos2 {
     let (sin, cos) = yaw_deg.to_radians().sin_cos();
-    at + vec2(-sin as f32, -cos as f32) * points
+    at + vec2(-sin as f32, -cos as f32) * draw_grid_points
 }
 
 /// Points where somebody looks.
 fn arrow(at: Pos2, yaw_deg: f64, size: f32, colour: Color32) -> Shape {
     let corners = [(0.0, 16.0), (140.0, 10.0), (-140.0, 10.0)];
-    let corners = corners.map(|(deg, points)| toward(at, yaw_deg + deg, points * size)).to_vec();
+    let corners = corners.map(|(deg, draw_grid_points)| toward(at, yaw_deg + deg, draw_grid_points * size)).to_vec();
     Shape::convex_polygon(corners, colour, Stroke::new(1.0, Color32::WHITE))
 }
 
@@ -302,17 +308,17 @@ mod tests {
         let found = storeys(&v);
         assert_eq!(found.len(), 2, "{found:?}");
         assert!((found[0] - 1.6).abs() < 0.11 && (found[1] - 4.6).abs() < 0.11, "{found:?}");
-        let up = place(&v, 1.0, 2.0, found[1], false);
+        let up = standing_place(&v, 1.0, 2.0, found[1], false);
         assert!((up.y - 4.6).abs() < 0.06 && up.x == 1.0 && v.contains(up), "{up}");
         // Above the right half there is only the lower one.
-        let down = place(&v, 3.0, 2.0, found[1], false);
+        let down = standing_place(&v, 3.0, 2.0, found[1], false);
         assert!((down.y - 1.6).abs() < 0.06 && down.x == 3.0 && v.contains(down), "{down}");
     }
 
     #[test]
     fn the_sheet_goes_there_and_back() {
         let room = Rect::from_min_size(pos2(10.0, 20.0), vec2(800.0, 400.0));
-        let sheet = Sheet::fit(&house(), room);
+        let sheet = MapProjection::fit(&house(), room);
         assert!(room.contains_rect(sheet.area) && (sheet.per_metre - 100.0).abs() < 1e-3);
         let p = DVec3::new(1.0, 1.6, 3.0);
         let [x, z] = sheet.world(sheet.show(p));

@@ -11,44 +11,44 @@
 //!   window   events, one texture to the display, interface      (the main thread: systems want it there)
 //! ```
 //!
-//! - `motion`: keys and time to poses within the walk volume; `solids`: what stands in the way; `scale`: milliseconds to sizes; `scout`: where a visit begins. All pure.
+//! - `motion`: keys and time to poses within the walk volume; `collision`: what stands in the way; `scale`: milliseconds to sizes; `start_search`: where a visit begins. All pure.
 //! - `screen`: wgpu; the only file here that knows it. Nothing of it is loaded before a window is asked for. What draws is the engine's painter, on the processor or a
 //!   graphics card (`client/src/gpu`), whose pictures come back to the processor before they are shown.
-//! - `hud`, `map` with its `plan`, `start`: what is drawn over the picture. `kept`: walks (`record`) and places (`bookmarks`) that are kept; `settings`: what can be chosen. `keys`, `gamepad`, `shot`, `numbered`, `events`, `pace`: small parts.
+//! - `hud`, `map` with its `plan`, `start`: what is drawn over the picture. `kept`: walks (`record`) and places (`bookmarks`) that are kept; `settings`: what can be chosen. `keys`, `gamepad`, `shot`, `numbered`, `events`, `frame_times`: small parts.
 //! - `walk_link`: the same line for a walk without a window.
 
 mod bookmarks;
-mod by_hand;
-mod desk;
-mod drawing;
+mod collision;
+mod dynamic_resolution;
 mod events;
+mod floor_plan;
+mod frame_times;
 mod gamepad;
+mod headless_connection;
 mod hud;
-mod kept;
 mod keys;
-mod link;
 mod map;
-mod motion;
-mod numbered;
 mod overlay;
-mod pace;
-mod plan;
-mod record;
-mod scale;
-mod scout;
+mod recording;
+mod recordings_and_bookmarks;
+mod render_loop;
+mod render_mailbox;
 mod screen;
+mod screenshot;
+mod server_connection;
 mod settings;
-mod shot;
-mod solids;
-mod start;
-mod stretch;
-mod visit;
-mod walk_link;
+mod software_present;
+mod software_upscale;
+mod start_pose;
+mod start_screen;
+mod unique_file;
+mod walker;
 mod window;
+mod window_state;
 
 pub use gamepad::GamepadAt;
+pub use headless_connection::HeadlessConnection;
 pub use screen::ScreenError;
-pub use walk_link::WalkLink;
 pub use window::run;
 
 use crate::stream::{ConnectConfig, ConnectError};
@@ -70,7 +70,7 @@ pub struct AppConfig {
     /// Where to begin; None for a place of the client's choice.
     pub begin: Option<Pose>,
     /// Folder of the screenshots.
-    pub shots: PathBuf,
+    pub screenshots: PathBuf,
     /// A walk to walk once the first view is complete, and again with P.
     pub replay: Option<Walk>,
     /// The gamepad to walk with, too.
@@ -112,8 +112,9 @@ impl AppError {
     /// What the window library said, without where in its source.
     fn no_display(e: &dyn std::fmt::Display) -> Self {
         let text = e.to_string();
-        let said = text.rsplit_once(".rs:").and_then(|(_, t)| t.split_once(": ")).map_or(text.as_str(), |(_, t)| t);
-        Self::NoDisplay(said.trim_end_matches('.').to_owned())
+        let described =
+            text.rsplit_once(".rs:").and_then(|(_, t)| t.split_once(": ")).map_or(text.as_str(), |(_, t)| t);
+        Self::NoDisplay(described.trim_end_matches('.').to_owned())
     }
 
     /// The exit code of the command line: 2 for wrong usage, 1 when a retry may help, 42 when not.

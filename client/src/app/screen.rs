@@ -1,9 +1,9 @@
 //! What shows pictures: a surface, a device, one pass with the picture stretched over the window and the interface above it.
 //!
 //! In: finished pictures and egui's shapes. Out: a frame on the display. Any adapter will do, a software one too: the work is one
-//! texture. The picture is filtered in linear light (`picture.wgsl`). With a software one the processor shows pictures itself ([`ByHand`]).
+//! texture. The picture is filtered in linear light (`picture.wgsl`). With a software one the processor shows pictures itself ([`SoftwarePresenter`]).
 
-use super::by_hand::ByHand;
+use super::software_present::SoftwarePresenter;
 use crate::frame::Frame;
 use std::sync::{Arc, Mutex, PoisonError};
 use winit::{event_loop::OwnedDisplayHandle, window::Window};
@@ -33,7 +33,7 @@ pub enum ScreenError {
 pub(super) const EMPTY: wgpu::Color = wgpu::Color { r: 0.17, g: 0.19, b: 0.22, a: 1.0 };
 
 /// A picture on the device.
-struct Shown {
+struct PictureTexture {
     texture: wgpu::Texture,
     group: wgpu::BindGroup,
     size: [u32; 2],
@@ -47,22 +47,22 @@ pub struct Screen {
     queue: wgpu::Queue,
     adapter: String,
     /// What the driver complained of and nobody asked about.
-    said: Arc<Mutex<Option<String>>>,
-    way: Way,
+    last_error: Arc<Mutex<Option<String>>>,
+    presenter: Presenter,
 }
 
 /// How pictures get there.
-enum Way {
+enum Presenter {
     /// A card stretches them and draws the interface over them.
-    Card(Box<Card>),
+    Gpu(Box<GpuPresenter>),
     /// The processor does all of it.
-    Hand(Box<ByHand>),
+    Software(Box<SoftwarePresenter>),
 }
 
 /// What a card needs.
-struct Card {
-    stretch: Stretch,
-    shown: Option<Shown>,
+struct GpuPresenter {
+    stretch: UpscalePass,
+    texture: Option<PictureTexture>,
     interface: egui_wgpu::Renderer,
 }
 
@@ -77,7 +77,7 @@ pub struct Interface {
 }
 
 /// Shapes, and for which screen.
-pub(super) struct Drawn {
+pub(super) struct PreparedInterface {
     pub primitives: Vec<egui::ClippedPrimitive>,
     pub descriptor: egui_wgpu::ScreenDescriptor,
 }
@@ -110,14 +110,14 @@ impl Screen {
         }))
         .map_err(|e| failed(e.to_string()))?;
         // Without these two a failing driver ends the process.
-        let said = Arc::new(Mutex::new(None));
-        let hear = |said: &Arc<Mutex<Option<String>>>| {
-            let said = said.clone();
+        let last_error = Arc::new(Mutex::new(None));
+        let record_error = |last_error: &Arc<Mutex<Option<String>>>| {
+            let last_error = last_error.clone();
             move |what: String| {
-                said.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(what);
+                last_error.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(what);
             }
         };
-        let (wrong, lost) = (hear(&said), hear(&said));
+        let (wrong, lost) = (record_error(&last_error), record_error(&last_error));
         device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| wrong(one_line(&e.to_string()))));
         device.set_device_lost_callback(move |_, reason| lost(format!("the device is lost: {}", one_line(&reason))));
         let mut config = surface
@@ -125,10 +125,11 @@ impl Screen {
             .ok_or_else(|| failed("it supports no surface of this window".into()))?;
         let able = surface.get_capabilities(&adapter);
         let software = info.device_type == wgpu::DeviceType::Cpu && cfg!(target_endian = "little");
-        let fillable = able.usages.contains(wgpu::TextureUsages::COPY_DST) && able.formats.contains(&ByHand::FORMAT);
-        let by_hand = software && fillable;
-        if by_hand {
-            config.format = ByHand::FORMAT;
+        let fillable =
+            able.usages.contains(wgpu::TextureUsages::COPY_DST) && able.formats.contains(&SoftwarePresenter::FORMAT);
+        let software = software && fillable;
+        if software {
+            config.format = SoftwarePresenter::FORMAT;
             config.usage |= wgpu::TextureUsages::COPY_DST;
         } else {
             let preferred = egui_wgpu::preferred_framebuffer_format(&able.formats);
@@ -138,22 +139,22 @@ impl Screen {
         // The shortest queue: what is seen follows the mouse closely.
         config.desired_maximum_frame_latency = 1;
         surface.configure(&device, &config);
-        let way = match by_hand {
-            true => Way::Hand(Box::new(ByHand::new(&device, [config.width, config.height]))),
+        let presenter = match software {
+            true => Presenter::Software(Box::new(SoftwarePresenter::new(&device, [config.width, config.height]))),
             false => {
-                let stretch = Stretch::new(&device, config.format);
+                let stretch = UpscalePass::new(&device, config.format);
                 let interface = egui_wgpu::Renderer::new(&device, config.format, egui_wgpu::RendererOptions::default());
-                Way::Card(Box::new(Card { stretch, shown: None, interface }))
+                Presenter::Gpu(Box::new(GpuPresenter { stretch, texture: None, interface }))
             }
         };
-        let screen = Self { surface, config, device, queue, adapter: name, said, way };
+        let screen = Self { surface, config, device, queue, adapter: name, last_error, presenter };
         screen.check()?;
         Ok(screen)
     }
 
     /// What the driver complained of since the last time, if anything.
     fn check(&self) -> Result<(), ScreenError> {
-        match self.said.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        match self.last_error.lock().unwrap_or_else(PoisonError::into_inner).take() {
             Some(reason) => Err(ScreenError::Driver { adapter: self.adapter.clone(), reason }),
             None => Ok(()),
         }
@@ -182,7 +183,7 @@ impl Screen {
     /// Takes a new picture, which is presented from now on.
     pub fn upload(&mut self, frame: &Frame) {
         let most = self.max_side_px();
-        if let Way::Card(card) = &mut self.way
+        if let Presenter::Gpu(card) = &mut self.presenter
             && [frame.width, frame.height].iter().all(|n| (1..=most).contains(n))
         {
             card.upload(&self.device, &self.queue, frame);
@@ -191,7 +192,7 @@ impl Screen {
 
     /// Whether the interface stays as it was drawn last until it is drawn anew.
     pub fn keeps_interface(&self) -> bool {
-        matches!(self.way, Way::Hand(_))
+        matches!(self.presenter, Presenter::Software(_))
     }
 
     /// Draws the picture, which was the last to be uploaded, and the interface, and shows them; without an interface the last one, where it is kept.
@@ -203,7 +204,7 @@ impl Screen {
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let (mut before, mut unused, mut drawn) = (Vec::new(), Vec::new(), None);
         if let Some(Interface { primitives, mut textures, scale }) = interface {
-            let renderer = self.way.renderer();
+            let renderer = self.presenter.renderer();
             for (id, deltas) in textures.set.drain() {
                 for delta in deltas {
                     renderer.update_texture(&self.device, &self.queue, id, &delta);
@@ -212,27 +213,27 @@ impl Screen {
             let descriptor = egui_wgpu::ScreenDescriptor { size_in_pixels: size, pixels_per_point: scale };
             before = renderer.update_buffers(&self.device, &self.queue, &mut encoder, &primitives, &descriptor);
             unused.extend(textures.free.drain());
-            drawn = Some(Drawn { primitives, descriptor });
+            drawn = Some(PreparedInterface { primitives, descriptor });
         }
         let target = self.acquire();
-        match &mut self.way {
-            Way::Card(card) => {
+        match &mut self.presenter {
+            Presenter::Gpu(card) => {
                 if let Some(target) = &target {
                     card.draw(&mut encoder, &target.texture, drawn.as_ref());
                 }
                 self.queue.submit(before.into_iter().chain([encoder.finish()]));
             }
-            Way::Hand(by_hand) => {
+            Presenter::Software(software) => {
                 if let Some(drawn) = &drawn {
-                    by_hand.draw_interface(&self.device, &self.queue, encoder, before, drawn);
+                    software.draw_interface(&self.device, &self.queue, encoder, before, drawn);
                 }
                 if let Some(target) = &target {
-                    write(&self.queue, &target.texture, by_hand.compose(picture, size));
+                    write(&self.queue, &target.texture, software.compose(picture, size));
                     self.queue.submit([]);
                 }
             }
         }
-        unused.iter().for_each(|id| self.way.renderer().free_texture(id));
+        unused.iter().for_each(|id| self.presenter.renderer().free_texture(id));
         target.into_iter().for_each(|t| self.queue.present(t));
         self.check()
     }
@@ -251,34 +252,34 @@ impl Screen {
     }
 }
 
-impl Way {
+impl Presenter {
     /// What draws the interface.
     fn renderer(&mut self) -> &mut egui_wgpu::Renderer {
         match self {
-            Self::Card(card) => &mut card.interface,
-            Self::Hand(by_hand) => by_hand.renderer(),
+            Self::Gpu(card) => &mut card.interface,
+            Self::Software(software) => software.renderer(),
         }
     }
 }
 
-impl Card {
+impl GpuPresenter {
     fn upload(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, frame: &Frame) {
         let size = [frame.width, frame.height];
-        if self.shown.as_ref().is_none_or(|s| s.size != size) {
-            self.shown = Some(self.stretch.picture(device, size));
+        if self.texture.as_ref().is_none_or(|s| s.size != size) {
+            self.texture = Some(self.stretch.picture(device, size));
         }
-        if let Some(shown) = &self.shown {
-            write(queue, &shown.texture, &frame.colour);
+        if let Some(texture) = &self.texture {
+            write(queue, &texture.texture, &frame.colour);
         }
     }
 
-    fn draw(&mut self, encoder: &mut wgpu::CommandEncoder, target: &wgpu::Texture, drawn: Option<&Drawn>) {
+    fn draw(&mut self, encoder: &mut wgpu::CommandEncoder, target: &wgpu::Texture, drawn: Option<&PreparedInterface>) {
         let view = target.create_view(&wgpu::TextureViewDescriptor::default());
         let mut pass = begin(encoder, &view, EMPTY).forget_lifetime();
-        if let Some(shown) = &self.shown {
-            self.stretch.draw(&mut pass, shown);
+        if let Some(texture) = &self.texture {
+            self.stretch.draw(&mut pass, texture);
         }
-        if let Some(Drawn { primitives, descriptor }) = drawn {
+        if let Some(PreparedInterface { primitives, descriptor }) = drawn {
             self.interface.render(&mut pass, primitives, descriptor);
         }
     }
@@ -325,13 +326,13 @@ fn write(queue: &wgpu::Queue, texture: &wgpu::Texture, codes: &[u32]) {
 }
 
 /// Stretches a picture over the target.
-struct Stretch {
+struct UpscalePass {
     pipeline: wgpu::RenderPipeline,
     layout: wgpu::BindGroupLayout,
     sampler: wgpu::Sampler,
 }
 
-impl Stretch {
+impl UpscalePass {
     fn new(device: &wgpu::Device, target: wgpu::TextureFormat) -> Self {
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("picture"),
@@ -393,7 +394,7 @@ impl Stretch {
     }
 
     /// Room for a picture.
-    fn picture(&self, device: &wgpu::Device, size: [u32; 2]) -> Shown {
+    fn picture(&self, device: &wgpu::Device, size: [u32; 2]) -> PictureTexture {
         let texture = device.create_texture(&wgpu::TextureDescriptor {
             label: Some("picture"),
             size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
@@ -413,12 +414,12 @@ impl Stretch {
                 wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(&self.sampler) },
             ],
         });
-        Shown { texture, group, size }
+        PictureTexture { texture, group, size }
     }
 
-    fn draw(&self, pass: &mut wgpu::RenderPass<'_>, shown: &Shown) {
+    fn draw(&self, pass: &mut wgpu::RenderPass<'_>, texture: &PictureTexture) {
         pass.set_pipeline(&self.pipeline);
-        pass.set_bind_group(0, &shown.group, &[]);
+        pass.set_bind_group(0, &texture.group, &[]);
         pass.draw(0..3, 0..1);
     }
 }

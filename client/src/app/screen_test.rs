@@ -27,7 +27,7 @@ fn device() -> Result<(wgpu::Device, wgpu::Queue), String> {
 /// What a target of this format holds after the picture was stretched over it: red, green, blue of each pixel.
 fn stretched(device: &wgpu::Device, queue: &wgpu::Queue, frame: &Frame, format: wgpu::TextureFormat) -> Vec<[u8; 3]> {
     let (width, height) = (64, 4);
-    let stretch = Stretch::new(device, format);
+    let stretch = UpscalePass::new(device, format);
     let shown = stretch.picture(device, [frame.width, frame.height]);
     write(queue, &shown.texture, &frame.colour);
     let target = device.create_texture(&wgpu::TextureDescriptor {

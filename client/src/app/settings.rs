@@ -9,7 +9,7 @@ const LOOK: std::ops::RangeInclusive<f64> = 0.2..=5.0;
 
 /// See the module.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Settings {
+pub struct UserSettings {
     /// Whether the panel is shown.
     pub open: bool,
     /// Time for a picture while moving, milliseconds.
@@ -22,7 +22,7 @@ pub struct Settings {
     pub inverted: bool,
 }
 
-impl Settings {
+impl UserSettings {
     /// As the command line has them.
     pub fn new(frame_ms: f64) -> Self {
         Self { open: false, frame_ms, fine: true, look: 1.0, inverted: false }
@@ -59,7 +59,7 @@ mod tests {
 
     #[test]
     fn the_mouse_turns_as_chosen() {
-        let mut s = Settings::new(20.0);
+        let mut s = UserSettings::new(20.0);
         assert_eq!(s.turn_deg((10.0, 5.0), 0.1), (-1.0, -0.5));
         (s.look, s.inverted) = (2.0, true);
         assert_eq!(s.turn_deg((10.0, 5.0), 0.1), (-2.0, 1.0));

@@ -135,14 +135,14 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
             (None, None) => None,
         };
     }
-    let painter = args.renderer.painter(args.warp_on)?;
+    let renderer = args.renderer.renderer(args.warp_on)?;
     let app = AppConfig {
         connect: config,
         size: args.size,
         frame_ms: args.frame_ms,
         // A walk that is walked at once begins at its own place.
         begin: args.start.or_else(|| replay.as_ref().and_then(|walk| walk.poses.first()).map(|p| p.pose)),
-        shots: args.shots.clone(),
+        screenshots: args.shots.clone(),
         replay,
         gamepad: match &args.gamepad {
             None => GamepadAt::Any,
@@ -153,7 +153,7 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
         events: args.events.clone(),
         stop: stop_at_signal("closing the window").map_err(|e| Failure { code: 1, error: e.into() })?,
     };
-    app::run(app, painter)?;
+    app::run(app, renderer)?;
     Ok(())
 }
 

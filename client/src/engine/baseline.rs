@@ -4,10 +4,10 @@
 //! connection, after the walk, and is counted apart.
 
 use super::{
-    feed::Feed,
+    data_source::DataSource,
+    frame_renderer::{FrameRenderer, view_of},
     options::{Method, WalkOptions},
-    painter::{Painter, view_of},
-    walk::{PATIENCE, WalkError},
+    walk_loop::{PATIENCE, WalkError},
 };
 use crate::{
     cache::Incomplete,
@@ -33,9 +33,9 @@ pub(super) struct Baseline {
 const LOST_FOR: Duration = Duration::from_secs(10);
 
 /// Waits for chunks, or until the line is lost: then why.
-fn lost_while_waiting(feed: &dyn Feed, needed: &[u32]) -> Option<String> {
+fn lost_while_waiting(data: &dyn DataSource, needed: &[u32]) -> Option<String> {
     for _ in 0..PATIENCE.as_secs() / LOST_FOR.as_secs() {
-        match feed.wait_for(needed, LOST_FOR) {
+        match data.wait_for(needed, LOST_FOR) {
             Err(Incomplete::Disconnected(reason)) => return Some(reason),
             Err(Incomplete::Timeout(_)) => {}
             _ => return None,
@@ -47,8 +47,8 @@ fn lost_while_waiting(feed: &dyn Feed, needed: &[u32]) -> Option<String> {
 /// Draws up to `options.baseline_frames` of the kept frames again with all geometry. Frames that stay incomplete (a cache too
 /// small for them) are left out: they would look fast.
 pub(super) fn measure(
-    feed: &dyn Feed,
-    painter: &mut Painter,
+    data: &dyn DataSource,
+    renderer: &mut FrameRenderer,
     kept: &[FrameReport],
     camera: &OutputCamera,
     options: &WalkOptions,
@@ -62,26 +62,26 @@ pub(super) fn measure(
         let pose =
             Pose { position: DVec3::from_array(frame.position), yaw_deg: frame.yaw_deg, pitch_deg: frame.pitch_deg };
         let mut ms = StageMs::default();
-        let view = view_of(feed.index(), &pose, camera, Method::Geometry, &mut ms);
-        let view_needs = view.needed(feed.index(), &Sight::new(&pose, camera, options.supersample));
+        let view = view_of(data.index(), &pose, camera, Method::Geometry, &mut ms);
+        let view_needs = view.needed(data.index(), &Sight::new(&pose, camera, options.supersample));
         let needed: Vec<u32> = view_needs.all().collect();
         chunks.extend(needed.iter().copied());
-        feed.look(&pose, &view_needs);
+        data.update_view(&pose, &view_needs);
         // The server knows nothing of this detour: it would push images.
-        let absent: Vec<u32> = needed.iter().copied().filter(|c| !feed.holds(*c)).collect();
-        feed.ask(&absent);
+        let absent: Vec<u32> = needed.iter().copied().filter(|c| !data.holds(*c)).collect();
+        data.request(&absent);
         // The walk itself is done, and its report is worth more than this comparison.
-        if let Some(reason) = lost_while_waiting(feed, &needed) {
+        if let Some(reason) = lost_while_waiting(data, &needed) {
             tracing::warn!("the comparison with all geometry ends early: {reason}");
             break;
         }
-        let painted = painter.paint(feed.index(), feed, &view, &pose, camera, options, ms, &mut picture)?;
-        if painted.missing_chunks.is_empty() {
-            out.all_geometry_ms.push(painted.ms.total);
+        let frame_stats = renderer.render(data.index(), data, &view, &pose, camera, options, ms, &mut picture)?;
+        if frame_stats.missing_chunks.is_empty() {
+            out.all_geometry_ms.push(frame_stats.ms.total);
             out.ours_ms.push(frame.ms.total);
         }
     }
     out.bytes =
-        chunks.iter().filter_map(|c| feed.index().chunks.get(*c as usize)).map(|c| u64::from(c.stored_bytes)).sum();
+        chunks.iter().filter_map(|c| data.index().chunks.get(*c as usize)).map(|c| u64::from(c.stored_bytes)).sum();
     Ok(out)
 }

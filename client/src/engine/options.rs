@@ -1,6 +1,6 @@
 //! What a walk is asked to do.
 
-use super::views::Shows;
+use super::display_mode::DisplayMode;
 use crate::{
     composite::Fill,
     warp::{Order, Stamp},
@@ -123,10 +123,11 @@ pub struct WalkOptions {
     /// Write pictures of the parts of each frame.
     pub debug_views: bool,
     /// What pictures show.
-    pub shows: Shows,
+    pub shows: DisplayMode,
     /// Images that have come are laid out on a thread of their own, and frames show them when they are ready; pictures of half the size that the dataset was made for, or smaller, show them at
     /// half their resolution, where samples cover no more pixels than was promised. Otherwise the frame that needs them lays them out as they are.
-    pub beside: bool,
+    #[serde(rename = "beside")]
+    pub background_layout: bool,
     /// Frames of the all-geometry comparison; 0 skips it.
     pub baseline_frames: usize,
 }

@@ -1,6 +1,6 @@
 //! Pictures on disk: frames, and what they are made of.
 
-use super::views::Shows;
+use super::display_mode::DisplayMode;
 use crate::frame::Frame;
 use image::{
     ExtendedColorType, ImageEncoder,
@@ -38,7 +38,7 @@ pub fn save_frame(folder: &Path, index: usize, frame: &Frame) -> Result<(), Save
 /// Writes `frame_NNNNN.near.png` (what was drawn as geometry), `.far.png` (what came from images) and `.source.png` (which is
 /// which: orange geometry, blue images, green the LDI tree, pink filled, red unpainted, sky as sky).
 pub fn save_debug_views(folder: &Path, index: usize, frame: &Frame) -> Result<(), SaveError> {
-    for (name, shows) in [("near", Shows::Near), ("far", Shows::Far), ("source", Shows::Sources)] {
+    for (name, shows) in [("near", DisplayMode::Near), ("far", DisplayMode::Far), ("source", DisplayMode::Sources)] {
         let mut view = frame.clone();
         shows.recolour(&mut view);
         save_rgb(&folder.join(format!("frame_{index:05}.{name}.png")), view.width, view.height, &view.to_rgb8())?;

@@ -208,7 +208,7 @@ pub fn run(study: &Study, mut heard: impl FnMut(&Row)) -> Result<Vec<Row>> {
             error: 0.0,
         };
         let held = hold(&built.tree, &built.chunks.iter().map(|c| &c.bytes[..]).collect::<Vec<_>>())?;
-        let mut painter = TreePainter::default();
+        let mut renderer = TreePainter::default();
         let mut picture = FarFrame::default();
         let n = poses.len() as f64;
         for (pose, truth) in poses.iter().zip(&truths) {
@@ -220,7 +220,7 @@ pub fn run(study: &Study, mut heard: impl FnMut(&Row)) -> Result<Vec<Row>> {
                 let start = Instant::now();
                 let tree = &built.tree;
                 let stats =
-                    painter.draw(tree, &held, pose, &camera, &options, &mut wanted, &|_, _| false, &mut picture);
+                    renderer.draw(tree, &held, pose, &camera, &options, &mut wanted, &|_, _| false, &mut picture);
                 let ms = start.elapsed().as_secs_f64() * 1e3;
                 let (holes, error) = truth.judge(&picture);
                 row.holes[usize::from(fill_gaps)] += holes / n;

@@ -9,8 +9,8 @@ use std::{
 /// Highest number of a file name: five digits.
 const MOST: u32 = 99_999;
 
-/// What is wrong with a file of `--shots`, and the remedy.
-pub fn said(path: &Path, e: &dyn std::fmt::Display) -> String {
+/// What is wrong with a file of `--screenshots`, and the remedy.
+pub fn describe_error(path: &Path, e: &dyn std::fmt::Display) -> String {
     format!("{}: {e}; give a folder that can be written with --shots", path.display())
 }
 
@@ -19,12 +19,12 @@ pub fn said(path: &Path, e: &dyn std::fmt::Display) -> String {
 /// # Errors
 /// If the folder cannot be written, or no number is left.
 pub fn first_free(folder: &Path, before: &str, after: &str) -> Result<(File, PathBuf), String> {
-    std::fs::create_dir_all(folder).map_err(|e| said(folder, &e))?;
+    std::fs::create_dir_all(folder).map_err(|e| describe_error(folder, &e))?;
     for number in 1..=MOST {
         let path = folder.join(format!("{before}{number:04}{after}"));
         match OpenOptions::new().write(true).create_new(true).open(&path) {
             Err(e) if e.kind() == ErrorKind::AlreadyExists => {}
-            Err(e) => return Err(said(&path, &e)),
+            Err(e) => return Err(describe_error(&path, &e)),
             Ok(file) => return Ok((file, path)),
         }
     }

@@ -1,9 +1,9 @@
 //! A walk without a window over a line that is kept up: after a loss it goes on with what the cache holds, and with the next connection.
 
-use super::link::{Link, LinkState, Scene};
+use super::server_connection::{ConnectionState, Scene, ServerConnection};
 use crate::{
     cache::Incomplete,
-    engine::{Feed, LOST_FOR, Traffic},
+    engine::{DataSource, LOST_FOR, Traffic},
     resident::Resident,
     stream::{ConnectConfig, Connection, Stats},
 };
@@ -22,34 +22,34 @@ const ASK_AFTER: Duration = Duration::from_millis(300);
 const BUSY_BYTES: u64 = 4096;
 
 /// A dataset over a line that is kept up.
-pub struct WalkLink {
-    link: Link,
+pub struct HeadlessConnection {
+    connection: ServerConnection,
     scene: Scene,
     dataset: String,
     stop: Arc<AtomicBool>,
 }
 
-impl WalkLink {
+impl HeadlessConnection {
     /// Goes on from a connection that was made with `config`. When `stop` becomes true nobody is kept waiting any more.
     ///
     /// # Errors
     /// If the system gives no thread.
     pub fn new(connection: Connection, config: ConnectConfig, stop: Arc<AtomicBool>) -> std::io::Result<Self> {
         let (scene, dataset) = (Scene::of(&connection), connection.dataset().to_string());
-        let link = Link::keep_up(connection, config, || {})?;
-        Ok(Self { link, scene, dataset, stop })
+        let connection = ServerConnection::keep_connected(connection, config, || {})?;
+        Ok(Self { connection, scene, dataset, stop })
     }
 
     /// The statistics of all connections.
     pub fn stats(&self) -> Stats {
-        self.link.stats()
+        self.connection.stats()
     }
 
     /// Why nothing will come any more, though a lost line is made again: None while that may help.
     fn in_vain(&self) -> Option<String> {
-        match self.link.state() {
-            LinkState::Refused(e) => Some(e.to_string()),
-            _ if self.link.scene().is_some_and(|s| !s.is(&self.scene)) => {
+        match self.connection.state() {
+            ConnectionState::Refused(e) => Some(e.to_string()),
+            _ if self.connection.scene().is_some_and(|s| !s.is(&self.scene)) => {
                 Some("the server came back with another dataset".into())
             }
             _ => None,
@@ -57,7 +57,7 @@ impl WalkLink {
     }
 }
 
-impl Resident for WalkLink {
+impl Resident for HeadlessConnection {
     fn cell(&self, cell: u32) -> Option<Arc<CellGeometry>> {
         self.scene.cache.cell(cell)
     }
@@ -75,34 +75,34 @@ impl Resident for WalkLink {
     }
 }
 
-impl Feed for WalkLink {
+impl DataSource for HeadlessConnection {
     fn index(&self) -> &Index {
         self.scene.cache.index()
     }
     fn dataset_hash(&self) -> String {
         self.dataset.clone()
     }
-    fn look(&self, pose: &Pose, needed: &Needed) {
-        self.link.look(pose, needed);
+    fn update_view(&self, pose: &Pose, needed: &Needed) {
+        self.connection.look(pose, needed);
     }
-    fn ask(&self, chunks: &[u32]) {
-        self.link.want(chunks);
+    fn request(&self, chunks: &[u32]) {
+        self.connection.want(chunks);
     }
     fn wait_for(&self, chunks: &[u32], patience: Duration) -> Result<(), Incomplete> {
         let deadline = Instant::now() + patience;
-        let mut received = self.link.stats().bytes_total;
+        let mut received = self.connection.stats().bytes_total;
         loop {
             let stopped = self.stop.load(Ordering::Relaxed);
             let left = if stopped { Duration::ZERO } else { deadline.saturating_duration_since(Instant::now()) };
             match self.scene.cache.wait(chunks, left.min(ASK_AFTER)) {
                 Err(Incomplete::Timeout(missing)) if left > ASK_AFTER => {
-                    let before = std::mem::replace(&mut received, self.link.stats().bytes_total);
+                    let before = std::mem::replace(&mut received, self.connection.stats().bytes_total);
                     if received < before + BUSY_BYTES {
-                        self.link.want(&missing);
+                        self.connection.want(&missing);
                     }
                 }
                 Err(Incomplete::Disconnected(_)) if left > ASK_AFTER => {
-                    if let Some(reason) = self.lost(LOST_FOR) {
+                    if let Some(reason) = self.lost_reason(LOST_FOR) {
                         return Err(Incomplete::Disconnected(reason));
                     }
                     std::thread::sleep(ASK_AFTER);
@@ -111,8 +111,8 @@ impl Feed for WalkLink {
             }
         }
     }
-    fn lost(&self, patience: Duration) -> Option<String> {
-        let down_too_long = || self.link.down_for().is_some_and(|down| down > patience);
+    fn lost_reason(&self, patience: Duration) -> Option<String> {
+        let down_too_long = || self.connection.down_for().is_some_and(|down| down > patience);
         let reason = || self.scene.cache.disconnected().unwrap_or_else(|| "there is no connection".into());
         self.in_vain().or_else(|| down_too_long().then(reason))
     }
@@ -120,6 +120,6 @@ impl Feed for WalkLink {
         self.scene.cache.holds(chunk)
     }
     fn traffic(&self) -> Traffic {
-        Traffic::of(&self.link.stats(), &self.scene.cache)
+        Traffic::of(&self.connection.stats(), &self.scene.cache)
     }
 }

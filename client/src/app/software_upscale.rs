@@ -12,7 +12,7 @@ const HALF: u64 = 0x0080_0080_0080_0080;
 
 /// Stretches; keeps memory from one picture to the next.
 #[derive(Debug, Default)]
-pub struct Stretcher {
+pub struct SoftwareUpscaler {
     /// Neighbours of each column, and the weight of the right one.
     columns: Vec<([u32; 2], u64)>,
     /// A row of the picture, in lanes.
@@ -21,7 +21,7 @@ pub struct Stretcher {
     rows: [(Option<usize>, Vec<u16>); 2],
 }
 
-impl Stretcher {
+impl SoftwareUpscaler {
     /// Stretches a picture of `from` columns and rows over `out`, of `to` columns and rows; none of them 0. Red and blue change places.
     pub fn stretch(&mut self, codes: &[u32], from: [u32; 2], out: &mut [u32], to: [u32; 2]) {
         if from == to {
@@ -102,7 +102,7 @@ mod tests {
         ) {
             let code = |i: u32| (seed ^ i).wrapping_mul(0x9e37_79b9) ^ (seed ^ i).wrapping_mul(0x85eb_ca6b) >> 13;
             let codes: Vec<u32> = (0..from[0] * from[1]).map(code).collect();
-            let mut stretcher = Stretcher::default();
+            let mut stretcher = SoftwareUpscaler::default();
             // What was there before does not show.
             stretcher.stretch(&codes, from, &mut [0; 35], [7, 5]);
             let mut pixels = vec![0; (to[0] * to[1]) as usize];
@@ -121,7 +121,7 @@ mod tests {
     #[test]
     fn pictures_as_large_as_the_window_keep_their_codes() {
         let mut pixels = [0; 2];
-        Stretcher::default().stretch(&[0xff01_0203, 0xff0a_0b0c], [2, 1], &mut pixels, [2, 1]);
+        SoftwareUpscaler::default().stretch(&[0xff01_0203, 0xff0a_0b0c], [2, 1], &mut pixels, [2, 1]);
         assert_eq!(pixels, [0xff03_0201, 0xff0c_0b0a]);
     }
 }

@@ -6,11 +6,11 @@
 
 use super::{
     baseline,
-    feed::{Feed, LOST_FOR, Traffic},
-    hand::PaintError,
-    judge::{JudgeError, Truth, Verdict},
+    data_source::{DataSource, LOST_FOR, Traffic},
+    evaluation::{EvaluationError, Scores, Truth},
+    frame_renderer::{FrameRenderer, FrameStats, View, view_of},
     options::{Pace, WalkOptions},
-    painter::{Painted, Painter, View, view_of},
+    render_backend::RenderError,
     save::{SaveError, save_debug_views, save_frame},
 };
 use crate::{
@@ -55,10 +55,10 @@ pub enum WalkError {
     Save(#[from] SaveError),
     /// The truth cannot be used.
     #[error(transparent)]
-    Judge(#[from] JudgeError),
+    Judge(#[from] EvaluationError),
     /// The options contradict each other, or the graphics card fails.
     #[error(transparent)]
-    Paint(#[from] PaintError),
+    Paint(#[from] RenderError),
     /// The folder of the frames could not be made.
     #[error("{path}: {source}; give -o a folder that can be written")]
     Folder {
@@ -92,11 +92,11 @@ impl WalkJob<'_> {
     }
 
     /// Judges the frame of a pose; `full` as in [`Truth::judge`].
-    fn judge(&self, pose: usize, frame: &Frame, full: &Frame) -> Result<Verdict, JudgeError> {
+    fn evaluate(&self, pose: usize, frame: &Frame, full: &Frame) -> Result<Scores, EvaluationError> {
         let load = |folder: Option<&Path>| folder.map_or(Ok(None), |f| Truth::load(f, pose));
         match load(self.truth)? {
-            Some(truth) => truth.judge(frame, full, load(self.baseline)?.as_ref()),
-            None => Ok(Verdict::default()),
+            Some(truth) => truth.evaluate(frame, full, load(self.baseline)?.as_ref()),
+            None => Ok(Scores::default()),
         }
     }
 }
@@ -131,28 +131,28 @@ struct Picture {
 
 /// Everything that accumulates while walking.
 struct Walker<'a> {
-    feed: &'a dyn Feed,
+    data: &'a dyn DataSource,
     job: &'a WalkJob<'a>,
     camera: OutputCamera,
-    painter: Painter,
+    renderer: FrameRenderer,
     kept: Vec<Kept>,
     warp_totals: WarpStats,
     totals: WalkTotals,
     /// Chunks that were resident for some frame that wanted them.
     held_before: Vec<bool>,
     /// Chunks that had come, and when one came last or none was lacking.
-    came: (u64, Instant),
+    last_arrival: (u64, Instant),
 }
 
-/// Walks, with whatever `painter` draws on. Returns the summary and the kept frames.
+/// Walks, with whatever `renderer` draws on. Returns the summary and the kept frames.
 ///
 /// # Errors
 ///
 /// When the connection is lost, a picture cannot be written, or the truth does not fit. Missing chunks are no error.
 pub fn run(
-    feed: &dyn Feed,
+    data: &dyn DataSource,
     job: &WalkJob<'_>,
-    painter: Painter,
+    renderer: FrameRenderer,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<(Summary, Vec<FrameReport>), WalkError> {
     let folder = job.folder;
@@ -161,16 +161,16 @@ pub fn run(
     if others > 0 {
         tracing::warn!("{} holds {others} frames of an earlier walk; those of other poses stay", folder.display());
     }
-    let index = feed.index();
+    let index = data.index();
     let mut walker = Walker {
-        feed,
+        data,
         job,
         camera: OutputCamera {
             width: job.options.width,
             height: job.options.height,
             fov_deg: index.settings.camera.fov_deg,
         },
-        painter,
+        renderer,
         kept: Vec::new(),
         warp_totals: WarpStats::default(),
         totals: WalkTotals {
@@ -180,7 +180,7 @@ pub fn run(
             ..WalkTotals::default()
         },
         held_before: vec![false; index.chunks.len()],
-        came: (0, Instant::now()),
+        last_arrival: (0, Instant::now()),
     };
     std::thread::scope(|scope| {
         // A few frames in flight: the disk may hiccup, memory must not grow.
@@ -191,7 +191,7 @@ pub fn run(
         // A failed write ends the walk too; the write is the reason then.
         writer.join().unwrap_or(Ok(())).and(walked)
     })?;
-    let traffic = feed.traffic();
+    let traffic = data.traffic();
     let totals = &mut walker.totals;
     totals.elapsed_s = traffic.elapsed_s;
     totals.bytes_total = traffic.bytes;
@@ -203,7 +203,7 @@ pub fn run(
     let stretch = walker.warp_totals.stretch.quantile_px(0.99);
     totals.stretch_p99_px =
         (walker.warp_totals.samples_warped > 0).then(|| f64::from(stretch) / f64::from(job.options.supersample));
-    walker.judge_rest();
+    walker.evaluate_rest();
     walker.first_useful();
     let frames: Vec<FrameReport> = walker.kept.into_iter().map(|k| k.report).collect();
     // Who ends a walk waits for no measurement.
@@ -211,7 +211,7 @@ pub fn run(
         baseline_frames: if job.stopped() || walker.totals.lost.is_some() { 0 } else { job.options.baseline_frames },
         ..job.options.clone()
     };
-    let baseline = baseline::measure(feed, &mut walker.painter, &frames, &walker.camera, &options)?;
+    let baseline = baseline::measure(data, &mut walker.renderer, &frames, &walker.camera, &options)?;
     let mut totals = walker.totals;
     totals.all_geometry_bytes = (options.baseline_frames > 0).then_some(baseline.bytes);
     (totals.all_geometry_ms, totals.ours_at_same_poses_ms) = (baseline.all_geometry_ms, baseline.ours_ms);
@@ -238,7 +238,7 @@ impl Walker<'_> {
         let total = poses.len().div_ceil(step);
         self.wait_for_a_picture()?;
         let start = Instant::now();
-        self.came.1 = start;
+        self.last_arrival.1 = start;
         let mut lacks = false;
         let mut frame = Frame::default();
         for (done, at) in (0..poses.len()).step_by(step).enumerate() {
@@ -248,9 +248,9 @@ impl Walker<'_> {
                 std::thread::sleep(due.saturating_sub(start.elapsed()));
             }
             let mut ms = StageMs::default();
-            let index = self.feed.index();
+            let index = self.data.index();
             let view = view_of(index, &pose, &self.camera, options.method, &mut ms);
-            self.ask(index, &view, at)?;
+            self.request(index, &view, at)?;
             if let Some(lost) = &self.totals.lost {
                 tracing::warn!("{lost}; the report covers the frames until then");
                 break;
@@ -259,25 +259,25 @@ impl Walker<'_> {
                 tracing::warn!("stopped before pose {at} of {}: the report covers the frames until then", poses.len());
                 break;
             }
-            let mut painted =
-                self.painter.paint(index, self.feed, &view, &pose, &self.camera, options, ms, &mut frame)?;
+            let mut frame_stats =
+                self.renderer.render(index, self.data, &view, &pose, &self.camera, options, ms, &mut frame)?;
             if options.pace == Pace::Realtime {
-                painted.ms.total += painted.ms.prepare;
+                frame_stats.ms.total += frame_stats.ms.prepare;
             }
-            self.totals.drawn.push((painted.triangles, painted.ms.total));
-            let (unpainted, _) = self.painter.unknown_fractions();
+            self.totals.drawn.push((frame_stats.triangles, frame_stats.ms.total));
+            let (unpainted, _) = self.renderer.unknown_fractions();
             self.totals.unpainted_fraction_max = self.totals.unpainted_fraction_max.max(unpainted);
-            let traffic = self.feed.traffic();
-            let complete = painted.is_complete();
+            let traffic = self.data.traffic();
+            let complete = frame_stats.is_complete();
             lacks = !complete;
             self.totals.ms_first_frame.get_or_insert(traffic.elapsed_s * 1e3);
             if complete && self.totals.ms_full_quality.is_none() {
                 self.totals.ms_full_quality = Some(traffic.elapsed_s * 1e3);
             }
             self.totals.frames_incomplete += usize::from(!complete);
-            progress(Progress { done: done + 1, total, bytes: traffic.bytes, frame_ms: painted.ms.total });
+            progress(Progress { done: done + 1, total, bytes: traffic.bytes, frame_ms: frame_stats.ms.total });
             if at % every == 0 {
-                self.keep(at, &view, &painted, &frame, traffic)?;
+                self.keep(at, &view, &frame_stats, &frame, traffic)?;
                 let picture = Picture { index: at, frame: frame.clone() };
                 if pictures.send(picture).is_err() {
                     // The writer has failed and says why.
@@ -287,16 +287,16 @@ impl Walker<'_> {
         }
         // Nobody waits for a line at the end of a walk.
         if lacks && options.pace == Pace::Realtime && self.totals.lost.is_none() && !self.job.stopped() {
-            let none = || (self.feed.traffic().chunks == 0).then(|| "no chunk has come".to_owned());
-            if let Some(reason) = self.feed.lost(Duration::ZERO).or_else(none) {
-                self.lose(poses.len() - 1, reason)?;
+            let none = || (self.data.traffic().chunks == 0).then(|| "no chunk has come".to_owned());
+            if let Some(reason) = self.data.lost_reason(Duration::ZERO).or_else(none) {
+                self.end_walk(poses.len() - 1, reason)?;
             }
         }
         Ok(())
     }
 
     /// The walk ends at this pose, as nothing comes any more.
-    fn lose(&mut self, at: usize, reason: String) -> Result<(), WalkError> {
+    fn end_walk(&mut self, at: usize, reason: String) -> Result<(), WalkError> {
         if self.kept.is_empty() {
             // With nothing to report, that is all there is to say.
             return Err(WalkError::Disconnected { pose: at, reason });
@@ -307,14 +307,14 @@ impl Walker<'_> {
 
     /// A walk that does not wait for the network waits for its first picture: for the coarsest level of the LDI tree. Time counts from the connection on.
     fn wait_for_a_picture(&mut self) -> Result<(), WalkError> {
-        let index = self.feed.index();
+        let index = self.data.index();
         if let (Some(tree), Some(first)) = (&index.tree, self.job.path.poses.first()) {
             let view = view_of(index, &first.pose, &self.camera, self.job.options.method, &mut StageMs::default());
             let sight = Sight::new(&first.pose, &self.camera, self.job.options.supersample);
-            self.feed.look(&first.pose, &view.needed_within(index, &sight, self.feed.cap_bytes()));
-            match self.feed.wait_for(&[tree.root_chunk], PATIENCE) {
-                Err(Incomplete::Timeout(_)) if self.feed.traffic().chunks == 0 && !self.job.stopped() => {
-                    return Err(WalkError::Disconnected { pose: 0, reason: none_came() });
+            self.data.update_view(&first.pose, &view.needed_within(index, &sight, self.data.cap_bytes()));
+            match self.data.wait_for(&[tree.root_chunk], PATIENCE) {
+                Err(Incomplete::Timeout(_)) if self.data.traffic().chunks == 0 && !self.job.stopped() => {
+                    return Err(WalkError::Disconnected { pose: 0, reason: no_chunk_reason() });
                 }
                 Err(e) => tracing::warn!("the first picture: {e}"),
                 Ok(()) => {}
@@ -324,12 +324,12 @@ impl Walker<'_> {
     }
 
     /// Asks for what a view needs, and for `--pace wait` waits for it.
-    fn ask(&mut self, index: &Index, view: &View, at: usize) -> Result<(), WalkError> {
+    fn request(&mut self, index: &Index, view: &View, at: usize) -> Result<(), WalkError> {
         let sight = Sight::new(&self.job.path.poses[at].pose, &self.camera, self.job.options.supersample);
-        let view_needs = view.needed_within(index, &sight, self.feed.cap_bytes());
+        let view_needs = view.needed_within(index, &sight, self.data.cap_bytes());
         let needed: Vec<u32> = view_needs.all().collect();
         for chunk in &needed {
-            let absent = !self.feed.holds(*chunk);
+            let absent = !self.data.holds(*chunk);
             if let (true, Some(true), Some(entry)) =
                 (absent, self.held_before.get(*chunk as usize), index.chunks.get(*chunk as usize))
             {
@@ -338,14 +338,14 @@ impl Walker<'_> {
                 self.held_before[*chunk as usize] = false;
             }
         }
-        self.feed.look(&self.job.path.poses[at].pose, &view_needs);
+        self.data.update_view(&self.job.path.poses[at].pose, &view_needs);
         if let Some(reason) = self.lost_while_waiting(&needed, at)
             && !self.job.stopped()
         {
-            self.lose(at, reason)?;
+            self.end_walk(at, reason)?;
         }
         for chunk in &needed {
-            if self.feed.holds(*chunk)
+            if self.data.holds(*chunk)
                 && let Some(held) = self.held_before.get_mut(*chunk as usize)
             {
                 *held = true;
@@ -356,12 +356,12 @@ impl Walker<'_> {
 
     /// Why nothing comes any more of what a frame lacks; for `--pace wait` after waiting for it.
     fn lost_while_waiting(&mut self, needed: &[u32], at: usize) -> Option<String> {
-        let before = self.feed.traffic().chunks;
+        let before = self.data.traffic().chunks;
         if self.job.options.pace == Pace::Wait {
-            return match self.feed.wait_for(needed, PATIENCE) {
+            return match self.data.wait_for(needed, PATIENCE) {
                 Ok(()) => None,
                 Err(Incomplete::Disconnected(reason)) => Some(reason),
-                Err(Incomplete::Timeout(_)) if self.feed.traffic().chunks == before => Some(none_came()),
+                Err(Incomplete::Timeout(_)) if self.data.traffic().chunks == before => Some(no_chunk_reason()),
                 // The frame is drawn without it and the report says so; who stops waits for
                 // nothing.
                 Err(_) if self.job.stopped() => None,
@@ -371,34 +371,34 @@ impl Walker<'_> {
                 }
             };
         }
-        let lacks = needed.iter().any(|c| !self.feed.holds(*c));
-        if !lacks || before != self.came.0 {
-            self.came = (before, Instant::now());
+        let lacks = needed.iter().any(|c| !self.data.holds(*c));
+        if !lacks || before != self.last_arrival.0 {
+            self.last_arrival = (before, Instant::now());
         }
-        let starved = || (lacks && self.came.1.elapsed() > PATIENCE).then(none_came);
-        self.feed.lost(LOST_FOR).filter(|_| lacks).or_else(starved)
+        let starved = || (lacks && self.last_arrival.1.elapsed() > PATIENCE).then(no_chunk_reason);
+        self.data.lost_reason(LOST_FOR).filter(|_| lacks).or_else(starved)
     }
 
     fn keep(
         &mut self,
         at: usize,
         view: &View,
-        painted: &Painted,
+        frame_stats: &FrameStats,
         frame: &Frame,
         traffic: Traffic,
     ) -> Result<(), WalkError> {
         let pose = &self.job.path.poses[at];
         let scale = f64::from(self.job.options.supersample);
-        let verdict = match self.job.options.pace {
-            Pace::Wait => self.job.judge(at, frame, self.painter.full())?,
-            Pace::Realtime => Verdict::default(),
+        let scores = match self.job.options.pace {
+            Pace::Wait => self.job.evaluate(at, frame, self.renderer.full())?,
+            Pace::Realtime => Scores::default(),
         };
-        if let Some(warp) = &painted.warp {
+        if let Some(warp) = &frame_stats.warp {
             self.warp_totals.add(warp);
         }
-        let (unpainted_fraction, _) = self.painter.unknown_fractions();
+        let (unpainted_fraction, _) = self.renderer.unknown_fractions();
         let share = |source| frame.count(source) as f64 / frame.len().max(1) as f64;
-        let warp = painted.warp.as_ref();
+        let warp = frame_stats.warp.as_ref();
         let mut report = FrameReport {
             index: at,
             t_s: pose.t_s,
@@ -406,15 +406,15 @@ impl Walker<'_> {
             yaw_deg: pose.pose.yaw_deg,
             pitch_deg: pose.pose.pitch_deg,
             method: match (view.by_tree, warp.is_some()) {
-                (true, _) if painted.tree.is_some() => "tree",
+                (true, _) if frame_stats.tree.is_some() => "tree",
                 (_, true) if !view.portals.is_empty() => portal_method(view.portal_images),
                 (_, true) => "grid",
-                _ if painted.cached.is_some_and(|c| c.images > 0) => "cache",
+                _ if frame_stats.cached.is_some_and(|c| c.images > 0) => "cache",
                 _ => "geometry",
             },
             grid_point: view.selection.grid_point,
-            placement: painted.stand_in.or(view.selection.placement),
-            triangles: painted.triangles,
+            placement: frame_stats.fallback.or(view.selection.placement),
+            triangles: frame_stats.triangles,
             dropped_cells: view.dropped,
             triangles_in_frustum: view.triangles_in_frustum,
             rooms: view.rooms.len(),
@@ -423,19 +423,19 @@ impl Walker<'_> {
             samples_culled: warp.map_or(0, |w| w.samples_culled),
             warp_primitives: warp.map_or(0, |w| w.primitives),
             footprint_max_px: warp.map(|w| f64::from(w.footprint_max_px) / scale),
-            ms: painted.ms,
+            ms: frame_stats.ms,
             bytes_received: traffic.bytes,
-            missing_chunks: painted.missing_chunks.len(),
-            in_volume: self.feed.index().volume.as_ref().map(|v| v.contains(pose.pose.position)),
-            unplanned: view.is_unplanned(self.feed.index(), &pose.pose),
+            missing_chunks: frame_stats.missing_chunks.len(),
+            in_volume: self.data.index().volume.as_ref().map(|v| v.contains(pose.pose.position)),
+            unplanned: view.is_unplanned(self.data.index(), &pose.pose),
             unpainted_fraction,
             filled_fraction: share(Source::Filled),
             far_fraction: share(Source::Far),
             tree_fraction: share(Source::Tree),
-            cached_images: painted.cached.map_or(0, |c| c.images),
-            cached_images_made: painted.cached.map_or(0, |c| c.made),
-            ms_cached_images_made: painted.cached.map_or(0.0, |c| c.made_ms),
-            tree_samples: painted.tree.as_ref().map_or(0, |t| t.samples),
+            cached_images: frame_stats.cached.map_or(0, |c| c.images),
+            cached_images_made: frame_stats.cached.map_or(0, |c| c.made),
+            ms_cached_images_made: frame_stats.cached.map_or(0.0, |c| c.made_ms),
+            tree_samples: frame_stats.tree.as_ref().map_or(0, |t| t.samples),
             hole_fraction: None,
             hole_before_fill: None,
             psnr_db: None,
@@ -445,11 +445,11 @@ impl Walker<'_> {
             flip_baseline: None,
             flip_baseline_far: None,
         };
-        report.judged(&verdict);
+        report.set_scores(&scores);
         let later = self.job.truth.is_some() && self.job.options.pace == Pace::Realtime;
         self.kept.push(Kept {
             report,
-            complete: painted.is_complete(),
+            complete: frame_stats.is_complete(),
             elapsed_ms: traffic.elapsed_s * 1e3,
             source: later.then(|| frame.source.clone()),
         });
@@ -457,18 +457,18 @@ impl Walker<'_> {
     }
 
     /// Judges the frames of a walk that did not wait, from the pictures it wrote. The walk is done: what cannot be judged stays null.
-    fn judge_rest(&mut self) {
+    fn evaluate_rest(&mut self) {
         for kept in &mut self.kept {
             let Some(source) = kept.source.take() else { continue };
             let index = kept.report.index;
-            let verdict = Truth::load(self.job.folder, index).and_then(|ours| {
-                ours.map_or(Ok(Verdict::default()), |ours| {
+            let scores = Truth::load(self.job.folder, index).and_then(|ours| {
+                ours.map_or(Ok(Scores::default()), |ours| {
                     let frame = ours.into_frame(source);
-                    self.job.judge(index, &frame, &frame)
+                    self.job.evaluate(index, &frame, &frame)
                 })
             });
-            match verdict {
-                Ok(verdict) => kept.report.judged(&verdict),
+            match scores {
+                Ok(scores) => kept.report.set_scores(&scores),
                 Err(e) => tracing::warn!("pose {index} is not judged: {e}"),
             }
         }
@@ -488,7 +488,7 @@ impl Walker<'_> {
 }
 
 /// Why a walk ends over a line that is up.
-fn none_came() -> String {
+fn no_chunk_reason() -> String {
     format!("no chunk has come for {} s", PATIENCE.as_secs())
 }
 
@@ -504,11 +504,11 @@ fn portal_method(images: PortalImages) -> &'static str {
 }
 
 impl FrameReport {
-    fn judged(&mut self, verdict: &Verdict) {
-        (self.psnr_db, self.ssim) = (verdict.psnr_db, verdict.ssim);
-        (self.flip, self.flip_far) = (verdict.flip, verdict.flip_far);
-        (self.flip_baseline, self.flip_baseline_far) = (verdict.flip_baseline, verdict.flip_baseline_far);
-        (self.hole_fraction, self.hole_before_fill) = (verdict.hole_fraction, verdict.hole_before_fill);
+    fn set_scores(&mut self, scores: &Scores) {
+        (self.psnr_db, self.ssim) = (scores.psnr_db, scores.ssim);
+        (self.flip, self.flip_far) = (scores.flip, scores.flip_far);
+        (self.flip_baseline, self.flip_baseline_far) = (scores.flip_baseline, scores.flip_baseline_far);
+        (self.hole_fraction, self.hole_before_fill) = (scores.hole_fraction, scores.hole_before_fill);
     }
 }
 

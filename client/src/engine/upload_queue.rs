@@ -3,8 +3,8 @@
 //! In: what is resident, laid out and wanted. Out: what is there. Where the processor draws, that is everything at once.
 
 use super::{
-    hand::{Hand, PaintError},
-    layouts::{Layout, Layouts, Wanted},
+    image_layouts::{ImageLayout, ImageLayouts, LayoutRequest},
+    render_backend::{RenderBackend, RenderError},
 };
 use crate::{
     gpu::{Arrived, PATIENCE},
@@ -20,8 +20,8 @@ const MOVING_BYTES: u64 = 4 << 20;
 const RESTING_BYTES: u64 = 32 << 20;
 
 /// Bytes that a picture may put onto the card.
-pub(super) fn allowed_bytes(beside: bool, moving: bool) -> u64 {
-    match (beside, moving) {
+pub(super) fn upload_budget_bytes(background_layout: bool, moving: bool) -> u64 {
+    match (background_layout, moving) {
         (false, _) => u64::MAX,
         (true, true) => MOVING_BYTES,
         (true, false) => RESTING_BYTES,
@@ -30,7 +30,7 @@ pub(super) fn allowed_bytes(beside: bool, moving: bool) -> u64 {
 
 /// What the next frames may show, likeliest first.
 #[derive(Debug, Clone, Default)]
-pub struct Ahead {
+pub struct Anticipated {
     /// Images.
     pub images: Vec<u32>,
     /// Cells.
@@ -39,7 +39,7 @@ pub struct Ahead {
 
 /// Chunks that are resident and not on the card yet.
 #[derive(Debug, Default)]
-pub(super) struct Late {
+pub(super) struct PendingUploads {
     /// They do not show.
     pub chunks: BTreeSet<u32>,
     /// Of so many textures coarse levels show.
@@ -47,13 +47,13 @@ pub(super) struct Late {
 }
 
 /// Decoded data that is where it is drawn from.
-pub(super) struct Landed<'a> {
+pub(super) struct UploadedOnly<'a> {
     pub resident: &'a dyn Resident,
     pub index: &'a Index,
     pub late: &'a BTreeSet<u32>,
 }
 
-impl Resident for Landed<'_> {
+impl Resident for UploadedOnly<'_> {
     fn cell(&self, cell: u32) -> Option<Arc<CellGeometry>> {
         let entry = self.index.cells.get(cell as usize)?;
         if self.late.contains(&entry.chunk) { None } else { self.resident.cell(cell) }
@@ -82,16 +82,16 @@ fn first_chunk(index: &Index, texture: u32) -> Option<u32> {
 }
 
 /// Brings what cells are drawn from; `ahead`: as far as there is room besides what the frame wants.
-pub(super) fn bring_cells(
-    hand: &mut Hand,
+pub(super) fn upload_cells(
+    backend: &mut RenderBackend,
     index: &Index,
     resident: &dyn Resident,
     cells: &[u32],
     camera: &OutputCamera,
     ahead: bool,
-) -> Result<Late, PaintError> {
-    let mut late = Late::default();
-    let Some(gpu) = hand.drawer(camera) else { return Ok(late) };
+) -> Result<PendingUploads, RenderError> {
+    let mut late = PendingUploads::default();
+    let Some(gpu) = backend.gpu_for(camera) else { return Ok(late) };
     let mut seen = BTreeSet::new();
     for (number, entry) in cells.iter().filter_map(|c| Some((*c, index.cells.get(*c as usize)?))) {
         let bundles = entry.bundles.iter().filter_map(|b| Some((*b, resident.bundle(*b)?)));
@@ -115,18 +115,18 @@ pub(super) fn bring_cells(
 
 /// Images that are laid out and on their way to the card, and for how many pictures nobody has wanted them.
 #[derive(Debug, Default)]
-pub(super) struct Landing(Vec<(Layout, u64)>);
+pub(super) struct UploadQueue(Vec<(ImageLayout, u64)>);
 
-impl Landing {
+impl UploadQueue {
     /// Takes in what was laid out beside.
-    pub fn put(&mut self, layout: Layout) {
-        let same = |l: &Layout| (l.of.number, l.of.half) == (layout.of.number, layout.of.half);
+    pub fn insert(&mut self, layout: ImageLayout) {
+        let same = |l: &ImageLayout| (l.of.number, l.of.half) == (layout.of.number, layout.of.half);
         self.0.retain(|(l, _)| !same(l));
         self.0.push((layout, 0));
     }
 
     /// Whether this is on its way.
-    pub fn holds(&self, wanted: &Wanted) -> bool {
+    pub fn holds(&self, wanted: &LayoutRequest) -> bool {
         self.0.iter().any(|(l, _)| l.of.is(wanted))
     }
 
@@ -136,27 +136,27 @@ impl Landing {
     }
 
     /// Brings images in this order, `ahead` after those that the view wants, and hands on those that are there; those that nobody has wanted for long are forgotten.
-    pub fn bring(
+    pub fn upload(
         &mut self,
-        hand: &mut Hand,
-        layouts: &mut Layouts,
+        backend: &mut RenderBackend,
+        layouts: &mut ImageLayouts,
         (wanted, ahead): (&[u32], &[u32]),
         camera: &OutputCamera,
         options: &WarpOptions,
-    ) -> Result<(), PaintError> {
+    ) -> Result<(), RenderError> {
         // What the card has let go of meanwhile is laid out anew: bringing it back at once might be too much for one picture.
-        layouts.retain(|l| hand.holds(&l.laid_out, camera, options));
+        layouts.retain(|l| backend.holds(&l.laid_out, camera, options));
         self.0.iter_mut().for_each(|(_, idle)| *idle += 1);
         for (number, ahead) in wanted.iter().map(|n| (*n, false)).chain(ahead.iter().map(|n| (*n, true))) {
             for layout in layouts.of(number) {
-                hand.bring(&layout.laid_out, &mut None, ahead, camera, options)?;
+                backend.upload(&layout.laid_out, &mut None, ahead, camera, options)?;
             }
             for (mut layout, _) in self.0.extract_if(.., |(l, _)| l.of.number == number).collect::<Vec<_>>() {
-                let Layout { laid_out, packed, .. } = &mut layout;
-                match hand.bring(laid_out, packed, ahead, camera, options)? {
+                let ImageLayout { laid_out, packed, .. } = &mut layout;
+                match backend.upload(laid_out, packed, ahead, camera, options)? {
                     true => {
                         layout.packed = None;
-                        layouts.put(layout);
+                        layouts.insert(layout);
                     }
                     false => self.0.push((layout, 0)),
                 }

@@ -1,6 +1,6 @@
 //! The line to the server, kept up: connects, says why it cannot, connects again by itself.
 //!
-//! One thread of its own. The window asks for the [`LinkState`] and never waits; the drawing thread says where it looks. What was
+//! One thread of its own. The window asks for the [`ConnectionState`] and never waits; the drawing thread says where it looks. What was
 //! received stays: after a loss frames are drawn from the cache, and the next connection goes on with it.
 
 use crate::{
@@ -32,7 +32,7 @@ const RATE_OVER: Duration = Duration::from_secs(1);
 
 /// How the line is.
 #[derive(Debug, Clone, PartialEq)]
-pub enum LinkState {
+pub enum ConnectionState {
     /// Connecting.
     Connecting {
         /// 1 for the first time, 2 and so on after a failure or a loss.
@@ -75,7 +75,7 @@ impl Scene {
 
 /// What the line carried.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct LinkFigures {
+pub struct ConnectionSummary {
     /// Over the last second.
     pub mbit_per_s: f64,
     /// Of all connections.
@@ -87,12 +87,12 @@ pub struct LinkFigures {
 }
 
 struct Inner {
-    state: LinkState,
+    state: ConnectionState,
     /// Since when there has been no connection.
     down_since: Option<Instant>,
     scene: Option<Scene>,
     connection: Option<Connection>,
-    figures: LinkFigures,
+    summary: ConnectionSummary,
     /// Of the connections before this one.
     before: Stats,
     /// Where the eye looked last and what it needed: the next connection has to know at once.
@@ -108,7 +108,7 @@ impl Inner {
 }
 
 /// The line; stopped when dropped.
-pub struct Link {
+pub struct ServerConnection {
     inner: Arc<Mutex<Inner>>,
     progress: Arc<ConnectProgress>,
     others: Arc<Others>,
@@ -121,7 +121,7 @@ fn lock(inner: &Mutex<Inner>) -> MutexGuard<'_, Inner> {
     inner.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Link {
+impl ServerConnection {
     /// Begins to connect. `changed` is called, on the link's thread, after every change of state.
     ///
     /// # Errors
@@ -134,7 +134,7 @@ impl Link {
     ///
     /// # Errors
     /// If the system gives no thread.
-    pub fn keep_up(
+    pub fn keep_connected(
         connection: Connection,
         config: ConnectConfig,
         changed: impl Fn() + Send + 'static,
@@ -144,23 +144,27 @@ impl Link {
 
     fn begin(first: Option<Connection>, config: ConnectConfig, changed: Box<dyn Fn() + Send>) -> std::io::Result<Self> {
         let inner = Arc::new(Mutex::new(Inner {
-            state: if first.is_some() { LinkState::Up } else { LinkState::Connecting { attempt: 1, after: None } },
+            state: if first.is_some() {
+                ConnectionState::Up
+            } else {
+                ConnectionState::Connecting { attempt: 1, after: None }
+            },
             down_since: first.is_none().then(Instant::now),
             scene: first.as_ref().map(Scene::of),
             connection: None,
-            figures: LinkFigures::default(),
+            summary: ConnectionSummary::default(),
             before: Stats::default(),
             looked: None,
         }));
         let (progress, others) = (config.progress.clone(), config.others.clone());
         let (stop, stopped) = mpsc::channel();
-        let keeper = Keeper { config, inner: inner.clone(), stopped, changed };
+        let keeper = ConnectionKeeper { config, inner: inner.clone(), stopped, changed };
         let thread = std::thread::Builder::new().name("ldi-link".into()).spawn(move || keeper.run(first))?;
         Ok(Self { inner, progress, others, stop: Some(stop), thread: Some(thread) })
     }
 
     /// How the line is.
-    pub fn state(&self) -> LinkState {
+    pub fn state(&self) -> ConnectionState {
         lock(&self.inner).state.clone()
     }
 
@@ -175,8 +179,8 @@ impl Link {
     }
 
     /// What the line carried.
-    pub fn figures(&self) -> LinkFigures {
-        lock(&self.inner).figures
+    pub fn summary(&self) -> ConnectionSummary {
+        lock(&self.inner).summary
     }
 
     /// The statistics of all connections.
@@ -214,30 +218,31 @@ impl Link {
     }
 }
 
-impl Drop for Link {
+impl Drop for ServerConnection {
     fn drop(&mut self) {
         self.stop = None;
         // While connecting, the thread cannot be told; the process need not wait for a server that does not answer.
-        if let (Some(thread), false) = (self.thread.take(), matches!(self.state(), LinkState::Connecting { .. })) {
+        if let (Some(thread), false) = (self.thread.take(), matches!(self.state(), ConnectionState::Connecting { .. }))
+        {
             let _ = thread.join();
         }
     }
 }
 
 /// The thread.
-struct Keeper {
+struct ConnectionKeeper {
     config: ConnectConfig,
     inner: Arc<Mutex<Inner>>,
     stopped: mpsc::Receiver<()>,
     changed: Box<dyn Fn() + Send>,
 }
 
-impl Keeper {
+impl ConnectionKeeper {
     fn run(mut self, mut first: Option<Connection>) {
         let (mut attempt, mut after) = (1, None);
         loop {
             let connected = first.take().map(Ok).unwrap_or_else(|| {
-                self.enter(LinkState::Connecting { attempt, after: after.take() });
+                self.enter(ConnectionState::Connecting { attempt, after: after.take() });
                 Connection::connect(self.config.clone())
             });
             let ended = match connected {
@@ -250,7 +255,7 @@ impl Keeper {
             };
             match ended {
                 None => return,
-                Some(e) if e.exit_code() != 1 => return self.enter(LinkState::Refused(e)),
+                Some(e) if e.exit_code() != 1 => return self.enter(ConnectionState::Refused(e)),
                 Some(e) => {
                     if attempt == 1 {
                         tracing::warn!("{e}; trying again");
@@ -258,7 +263,7 @@ impl Keeper {
                     attempt += 1;
                     let pause = (FIRST_PAUSE * (1 << (attempt - 2).min(8))).min(LONGEST_PAUSE);
                     after = Some(e.to_string());
-                    self.enter(LinkState::Waiting { reason: e.to_string(), until: Instant::now() + pause });
+                    self.enter(ConnectionState::Waiting { reason: e.to_string(), until: Instant::now() + pause });
                     if self.stops_within(pause) {
                         return;
                     }
@@ -283,7 +288,7 @@ impl Keeper {
             }
             inner.connection = Some(connection);
         }
-        self.enter(LinkState::Up);
+        self.enter(ConnectionState::Up);
         let bytes_before = lock(&self.inner).before.bytes_total;
         let mut heard = (0, Instant::now());
         let mut samples = std::collections::VecDeque::new();
@@ -297,11 +302,11 @@ impl Keeper {
                 inner.scene = inner.connection.as_ref().map(Scene::of);
             }
             let now = Instant::now();
-            let figures = {
+            let stats = {
                 let inner = lock(&self.inner);
                 inner.connection.as_ref().map(|c| (c.received_bytes(), c.rtt_ms(), inner.looked.is_some()))
             };
-            let Some((received, rtt_ms, looked)) = figures else { break None };
+            let Some((received, rtt_ms, looked)) = stats else { break None };
             // Before the first look nothing needs to be said.
             if received != heard.0 || !looked {
                 heard = (received, now);
@@ -312,7 +317,7 @@ impl Keeper {
             }
             let (since, first) = samples.front().copied().unwrap_or((now, received));
             let seconds = (now - since).as_secs_f64().max(LOOK_EVERY.as_secs_f64());
-            lock(&self.inner).figures = LinkFigures {
+            lock(&self.inner).summary = ConnectionSummary {
                 mbit_per_s: (received - first) as f64 * 8e-6 / seconds,
                 bytes: bytes_before + received,
                 rtt_ms,
@@ -327,7 +332,7 @@ impl Keeper {
         };
         let connection = {
             let mut inner = lock(&self.inner);
-            inner.figures.mbit_per_s = 0.0;
+            inner.summary.mbit_per_s = 0.0;
             inner.before = inner.all_stats();
             inner.connection.take()
         };
@@ -338,11 +343,11 @@ impl Keeper {
         reason.map(|r| ConnectError::Lost(r.trim_start_matches("the connection ended: ").to_owned()))
     }
 
-    fn enter(&self, state: LinkState) {
+    fn enter(&self, state: ConnectionState) {
         {
             let mut inner = lock(&self.inner);
             let since = inner.down_since.unwrap_or_else(Instant::now);
-            inner.down_since = (state != LinkState::Up).then_some(since);
+            inner.down_since = (state != ConnectionState::Up).then_some(since);
             inner.state = state;
         }
         (self.changed)();

@@ -1,8 +1,8 @@
 use super::*;
-use crate::app::solids::tests as solids;
+use crate::app::collision::tests as collision;
+use collision::{plate, wall};
 use ldi_protocol::Aabb;
 use proptest::prelude::*;
-use solids::{plate, wall};
 
 const FOOT: f64 = 0.5;
 
@@ -193,15 +193,15 @@ fn a_visit_begins_where_the_view_is_open() {
 
 #[test]
 fn a_visit_looks_away_from_the_walls_that_are_near() {
-    let (v, solids) = furnished();
+    let (v, collision) = furnished();
     // A metre before the diagonal wall, on its far side from the origin.
-    let yaw_deg = outlook_deg(&v, &solids, DVec3::new(4.3, 1.6, 4.3));
+    let yaw_deg = outlook_deg(&v, &collision, DVec3::new(4.3, 1.6, 4.3));
     let ahead = ViewBasis::from_yaw_pitch(yaw_deg, 0.0).forward;
     assert!(ahead.x + ahead.z > 1.0, "{yaw_deg}");
 }
 
 /// A volume without walls around a room: floor, a diagonal wall from border to border, a pillar, a step of 0.18 m.
-fn furnished() -> (WalkVolume, Solids) {
+fn furnished() -> (WalkVolume, CollisionGeometry) {
     let quads = [
         plate([0.0, 0.0], [12.0, 12.0], 0.0),
         wall([-0.5, 7.5], [7.5, -0.5], 0.0, 2.5),
@@ -211,13 +211,13 @@ fn furnished() -> (WalkVolume, Solids) {
         wall([2.0, 2.4], [2.0, 2.0], 0.0, 2.5),
     ];
     let v = volume([24, 24], |x, z| ((0.0..12.0).contains(&x) && (0.0..12.0).contains(&z)).then_some(0.0));
-    (v, solids::of(&quads, DVec3::new(3.0, 1.6, 3.0)))
+    (v, collision::of(&quads, DVec3::new(3.0, 1.6, 3.0)))
 }
 
 #[test]
 fn walls_that_the_volume_does_not_know_are_slid_along_at_any_angle() {
-    let (v, solids) = furnished();
-    let ground = Ground { volume: Some(&v), solids: Some(&solids), walls: true };
+    let (v, collision) = furnished();
+    let ground = WalkSpace { volume: Some(&v), collision: Some(&collision), walls: true };
     // From the origin's side toward the wall, 20 degrees off its normal (yaw -135 looks along +x +z).
     let mut w = walker(&v, 3.0, 3.0, -135.0 + 20.0);
     (0..120).for_each(|_| w.advance(ground, &AHEAD, 1.0 / 60.0));
@@ -229,7 +229,7 @@ fn walls_that_the_volume_does_not_know_are_slid_along_at_any_angle() {
     let expected = 2.0 * WALK_M_PER_S * 20f64.to_radians().sin();
     assert!((along - expected).abs() < 0.1, "{along} m along the wall instead of {expected}");
     // Ghosts pass.
-    let open = Ground { walls: false, ..ground };
+    let open = WalkSpace { walls: false, ..ground };
     (0..120).for_each(|_| w.advance(open, &AHEAD, 1.0 / 60.0));
     let p = w.pose().position;
     assert!(p.x + p.z > 7.5, "{p}");
@@ -242,9 +242,9 @@ fn floors_are_followed_within_the_heights_of_the_volume() {
     let v = volume([8, 8], |_, _| Some(0.0));
     let eye = DVec3::new(2.0, 1.6, 2.0);
     let on = |x: f64| {
-        let solids = solids::of(&quads, eye);
+        let collision = collision::of(&quads, eye);
         let mut w = walker(&v, x, 2.0, 0.0);
-        let ground = Ground { volume: Some(&v), solids: Some(&solids), walls: true };
+        let ground = WalkSpace { volume: Some(&v), collision: Some(&collision), walls: true };
         (0..240).for_each(|_| w.advance(ground, &Intent::default(), 1.0 / 60.0));
         w.pose().position.y
     };
@@ -258,15 +258,15 @@ proptest! {
     fn nobody_comes_nearer_to_a_wall_than_a_body(
         steps in prop::collection::vec((-180.0f64..180.0, -1.0f64..1.0, any::<bool>(), 0.0f64..0.2), 1..40),
     ) {
-        let (v, solids) = furnished();
-        let ground = Ground { volume: Some(&v), solids: Some(&solids), walls: true };
+        let (v, collision) = furnished();
+        let ground = WalkSpace { volume: Some(&v), collision: Some(&collision), walls: true };
         let mut w = walker(&v, 3.0, 3.0, 0.0);
         for (turn, right, run, dt) in steps {
             w.turn(turn, 0.0);
             w.advance(ground, &Intent { right, run, ..AHEAD }, dt);
             let p = w.pose().position;
             prop_assert!(v.contains(p) && p.x + p.z < 7.0, "{:?}", p);
-            prop_assert!(solids.clearance(p.x, p.z).0 >= BODY_M - 1e-6, "{:?} {:?}", p, solids.clearance(p.x, p.z));
+            prop_assert!(collision.clearance(p.x, p.z).0 >= BODY_M - 1e-6, "{:?} {:?}", p, collision.clearance(p.x, p.z));
         }
     }
 

@@ -16,7 +16,7 @@ const CALM: u32 = 12;
 
 /// Adapts the size.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Scale {
+pub struct DynamicResolution {
     goal_ms: f64,
     share: f64,
     calm: u32,
@@ -24,14 +24,14 @@ pub struct Scale {
     exhausted: bool,
 }
 
-impl Scale {
+impl DynamicResolution {
     /// Frames are to take `goal_ms`. Begins with half of the window's sides.
     pub fn new(goal_ms: f64) -> Self {
         Self { goal_ms, share: 0.5, calm: 0, slow: 0, exhausted: false }
     }
 
     /// A frame at the present size took so long.
-    pub fn after(&mut self, ms: f64) {
+    pub fn record_frame(&mut self, ms: f64) {
         let ratio = ms / self.goal_ms;
         if ratio > TOO_SLOW {
             self.calm = 0;
@@ -63,7 +63,7 @@ impl Scale {
     }
 
     /// Frames are to take another time from now on.
-    pub fn aim(&mut self, goal_ms: f64) {
+    pub fn set_goal(&mut self, goal_ms: f64) {
         self.goal_ms = goal_ms;
     }
 
@@ -88,9 +88,9 @@ mod tests {
     use super::*;
 
     /// Frames of a machine that takes `fixed` and, at the window's size, `pixels` milliseconds more.
-    fn settle(scale: &mut Scale, fixed: f64, pixels: f64, frames: u32) -> Vec<[u32; 2]> {
-        let frame = |s: &mut Scale| {
-            s.after(fixed + pixels * s.share() * s.share());
+    fn settle(scale: &mut DynamicResolution, fixed: f64, pixels: f64, frames: u32) -> Vec<[u32; 2]> {
+        let frame = |s: &mut DynamicResolution| {
+            s.record_frame(fixed + pixels * s.share() * s.share());
             s.size([1280, 720])
         };
         (0..frames).map(|_| frame(scale)).collect()
@@ -98,7 +98,7 @@ mod tests {
 
     #[test]
     fn fast_machines_fill_the_window_and_slow_ones_keep_the_time() {
-        let mut s = Scale::new(16.0);
+        let mut s = DynamicResolution::new(16.0);
         assert_eq!(settle(&mut s, 2.0, 6.0, 200).last(), Some(&[1280, 720]));
         settle(&mut s, 4.0, 40.0, 100);
         let ms = 4.0 + 40.0 * s.share() * s.share();
@@ -111,7 +111,7 @@ mod tests {
     #[test]
     fn sizes_do_not_swing() {
         for pixels in 5..120 {
-            let mut s = Scale::new(16.0);
+            let mut s = DynamicResolution::new(16.0);
             settle(&mut s, 3.0, f64::from(pixels), 400);
             let mut later = settle(&mut s, 3.0, f64::from(pixels), 400);
             later.dedup();
@@ -121,9 +121,9 @@ mod tests {
 
     #[test]
     fn one_slow_frame_is_no_reason() {
-        let mut s = Scale::new(16.0);
+        let mut s = DynamicResolution::new(16.0);
         settle(&mut s, 2.0, 6.0, 200);
-        s.after(120.0);
+        s.record_frame(120.0);
         settle(&mut s, 2.0, 6.0, 1);
         assert_eq!(s.share(), 1.0);
     }

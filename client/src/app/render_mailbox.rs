@@ -1,13 +1,13 @@
 //! The desk between the window and the drawing thread: what was pressed and turned lies on one side, finished pictures on the other.
 
 use super::{
-    drawing::Draughtsman,
-    link::Link,
-    motion::{self, Intent, Walker},
-    shot::Shots,
+    render_loop::RenderLoop,
+    screenshot::Screenshots,
+    server_connection::ServerConnection,
+    walker::{self, Intent, Walker},
 };
 use crate::{
-    engine::{Painted, Painter, Shows},
+    engine::{DisplayMode, FrameRenderer, FrameStats},
     frame::Frame,
 };
 use glam::DVec3;
@@ -20,9 +20,9 @@ use std::{
 
 /// What a picture took, showed and lacked.
 #[derive(Debug, Clone)]
-pub struct Figures {
+pub struct PictureStats {
     /// The engine's.
-    pub painted: Painted,
+    pub frame_stats: FrameStats,
     /// Grid point and placement.
     pub selection: Selection,
     /// Stored bytes of the missing chunks.
@@ -36,7 +36,7 @@ pub struct Figures {
     /// Samples per pixel along each side.
     pub supersample: u32,
     /// What it shows.
-    pub shows: Shows,
+    pub shows: DisplayMode,
     /// Name of the card that drew it, and bytes of the scene that lie on it; None for the processor.
     pub card: Option<(String, u64)>,
 }
@@ -51,15 +51,15 @@ pub struct Picture {
     /// Horizontal field of view.
     pub fov_deg: f64,
     /// What it took.
-    pub figures: Figures,
+    pub stats: PictureStats,
     /// The eye is not yet where the visit begins.
-    pub scouting: bool,
+    pub searching_start: bool,
     /// When it was finished.
     pub at: Instant,
 }
 
 /// What the two threads hand each other.
-pub(super) struct Desk {
+pub(super) struct RenderMailbox {
     pub walker: Option<Walker>,
     /// Where to begin, if somebody said so.
     pub begin: Option<Pose>,
@@ -72,7 +72,7 @@ pub(super) struct Desk {
     pub teleport: Option<DVec3>,
     pub window_px: [u32; 2],
     pub shot: bool,
-    pub shows: Shows,
+    pub shows: DisplayMode,
     pub place: Option<Pose>,
     /// A walk that is walked again, and since when.
     pub replay: Option<(Arc<Walk>, Option<Instant>)>,
@@ -87,14 +87,14 @@ pub(super) struct Desk {
 }
 
 /// The drawing thread; stopped when dropped.
-pub struct Drawing {
-    desk: Arc<(Mutex<Desk>, Condvar)>,
+pub struct RenderThread {
+    mailbox: Arc<(Mutex<RenderMailbox>, Condvar)>,
     thread: Option<JoinHandle<()>>,
 }
 
 /// How to draw.
 #[derive(Debug, Clone)]
-pub struct DrawingConfig {
+pub struct RenderConfig {
     /// Time for a frame while moving.
     pub frame_ms: f64,
     /// Where to begin; None for a place of its own choice.
@@ -108,24 +108,24 @@ pub struct DrawingConfig {
     pub even: bool,
 }
 
-pub(super) fn lock(desk: &Mutex<Desk>) -> MutexGuard<'_, Desk> {
+pub(super) fn lock(mailbox: &Mutex<RenderMailbox>) -> MutexGuard<'_, RenderMailbox> {
     // Every change is complete before anything can panic.
-    desk.lock().unwrap_or_else(PoisonError::into_inner)
+    mailbox.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Drawing {
-    /// Begins to draw what `link` brings. `done` is called after every picture, `shots` takes the screenshots.
+impl RenderThread {
+    /// Begins to draw what `connection` brings. `done` is called after every picture, `screenshots` takes the screenshots.
     ///
     /// # Errors
     /// If the system gives no thread.
     pub fn start(
-        config: DrawingConfig,
-        painter: Painter,
-        link: Arc<Link>,
-        shots: Shots,
+        config: RenderConfig,
+        renderer: FrameRenderer,
+        connection: Arc<ServerConnection>,
+        screenshots: Screenshots,
         done: impl Fn() + Send + 'static,
     ) -> std::io::Result<Self> {
-        let desk = Desk {
+        let mailbox = RenderMailbox {
             walker: None,
             begin: config.begin,
             intent: Intent::default(),
@@ -135,7 +135,7 @@ impl Drawing {
             teleport: None,
             window_px: config.window_px,
             shot: false,
-            shows: Shows::default(),
+            shows: DisplayMode::default(),
             place: None,
             replay: None,
             frame_ms: config.frame_ms,
@@ -145,25 +145,25 @@ impl Drawing {
             stop: false,
             moved: Instant::now(),
         };
-        let desk = Arc::new((Mutex::new(desk), Condvar::new()));
-        let draughtsman = Draughtsman::new(desk.clone(), painter, link, shots, Box::new(done), &config);
-        let thread = std::thread::Builder::new().name("ldi-draw".into()).spawn(move || draughtsman.run())?;
-        Ok(Self { desk, thread: Some(thread) })
+        let mailbox = Arc::new((Mutex::new(mailbox), Condvar::new()));
+        let render_loop = RenderLoop::new(mailbox.clone(), renderer, connection, screenshots, Box::new(done), &config);
+        let thread = std::thread::Builder::new().name("ldi-draw".into()).spawn(move || render_loop.run())?;
+        Ok(Self { mailbox, thread: Some(thread) })
     }
 
-    fn tell(&self, change: impl FnOnce(&mut Desk)) {
-        change(&mut lock(&self.desk.0));
-        self.desk.1.notify_all();
+    fn update(&self, change: impl FnOnce(&mut RenderMailbox)) {
+        change(&mut lock(&self.mailbox.0));
+        self.mailbox.1.notify_all();
     }
 
     /// What is pressed now.
-    pub fn press(&self, intent: Intent) {
-        self.tell(|d| d.intent = intent);
+    pub fn set_intent(&self, intent: Intent) {
+        self.update(|d| d.intent = intent);
     }
 
     /// The head turned, degrees: positive left and up.
     pub fn turn(&self, yaw_deg: f64, pitch_deg: f64) {
-        self.tell(|d| {
+        self.update(|d| {
             d.turned.0 += yaw_deg;
             d.turned.1 += pitch_deg;
         });
@@ -171,73 +171,73 @@ impl Drawing {
 
     /// The wheel turned.
     pub fn change_speed(&self, notches: f64) {
-        self.tell(|d| d.notches += notches);
+        self.update(|d| d.notches += notches);
     }
 
     /// Opens the walls or closes them. Whether they are closed now.
     pub fn toggle_walls(&self) -> bool {
-        let mut desk = lock(&self.desk.0);
-        desk.ghost = !desk.ghost;
-        !desk.ghost
+        let mut mailbox = lock(&self.mailbox.0);
+        mailbox.ghost = !mailbox.ghost;
+        !mailbox.ghost
     }
 
     /// To the place of the volume nearest to `p`.
     pub fn teleport(&self, p: DVec3) {
-        self.tell(|d| d.teleport = Some(p));
+        self.update(|d| d.teleport = Some(p));
     }
 
     /// To the place of the volume nearest to a pose, looking as it does.
     pub fn place(&self, pose: Pose) {
-        self.tell(|d| d.place = Some(pose));
+        self.update(|d| d.place = Some(pose));
     }
 
     /// What pictures show from now on.
-    pub fn show(&self, shows: Shows) {
-        self.tell(|d| d.shows = shows);
+    pub fn show(&self, shows: DisplayMode) {
+        self.update(|d| d.shows = shows);
     }
 
     /// Walks along a walk from its begin, or ends that. Whatever moves the walker ends it too.
     pub fn replay(&self, walk: Option<Arc<Walk>>) {
-        self.tell(|d| d.replay = walk.map(|w| (w, None)));
+        self.update(|d| d.replay = walk.map(|w| (w, None)));
     }
 
     /// Whether a walk is walked again.
     pub fn is_replaying(&self) -> bool {
-        lock(&self.desk.0).replay.is_some()
+        lock(&self.mailbox.0).replay.is_some()
     }
 
     /// Time for a picture while moving, milliseconds, and whether resting pictures get four samples per pixel.
-    pub fn settle(&self, frame_ms: f64, fine: bool) {
-        self.tell(|d| (d.frame_ms, d.fine) = (frame_ms, fine));
+    pub fn apply_settings(&self, frame_ms: f64, fine: bool) {
+        self.update(|d| (d.frame_ms, d.fine) = (frame_ms, fine));
     }
 
     /// The window has another size.
     pub fn resize(&self, window_px: [u32; 2]) {
-        self.tell(|d| d.window_px = window_px);
+        self.update(|d| d.window_px = window_px);
     }
 
     /// Draws a picture for the disk.
-    pub fn shoot(&self) {
-        self.tell(|d| d.shot = true);
+    pub fn take_screenshot(&self) {
+        self.update(|d| d.shot = true);
     }
 
     /// The newest picture that was not taken yet. `last` gives back the memory of the one before.
     pub fn take(&self, last: &mut Option<Picture>) -> bool {
-        let mut desk = lock(&self.desk.0);
-        let Some(new) = desk.done.take() else { return false };
-        desk.spare = last.replace(new).map(|p| p.frame);
+        let mut mailbox = lock(&self.mailbox.0);
+        let Some(new) = mailbox.done.take() else { return false };
+        mailbox.spare = last.replace(new).map(|p| p.frame);
         true
     }
 
     /// The speed that the wheel has chosen, m/s.
     pub fn speed_m_per_s(&self) -> f64 {
-        lock(&self.desk.0).walker.as_ref().map_or(motion::WALK_M_PER_S, Walker::speed_m_per_s)
+        lock(&self.mailbox.0).walker.as_ref().map_or(walker::WALK_M_PER_S, Walker::speed_m_per_s)
     }
 }
 
-impl Drop for Drawing {
+impl Drop for RenderThread {
     fn drop(&mut self) {
-        self.tell(|d| d.stop = true);
+        self.update(|d| d.stop = true);
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }

@@ -14,7 +14,7 @@ const MAX_PIXELS: u64 = 1 << 28;
 
 /// The truth cannot be used.
 #[derive(Debug, thiserror::Error)]
-pub enum JudgeError {
+pub enum EvaluationError {
     /// No such picture, or no PNG.
     #[error("{path}: {source}; render the truth with `ldi-server render --path` of the same path, --size and --every")]
     Picture {
@@ -72,7 +72,7 @@ pub struct Truth {
 
 /// What a frame scores.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Verdict {
+pub struct Scores {
     /// Decibels.
     pub psnr_db: Option<f64>,
     /// None for pictures smaller than its window.
@@ -93,12 +93,12 @@ pub struct Verdict {
 
 impl Truth {
     /// Reads the truth of pose `index`; None when the folder has no picture of it.
-    pub fn load(folder: &Path, index: usize) -> Result<Option<Self>, JudgeError> {
+    pub fn load(folder: &Path, index: usize) -> Result<Option<Self>, EvaluationError> {
         let path = picture_path(folder, index);
         if !path.exists() {
             return Ok(None);
         }
-        let failed = |source| JudgeError::Picture { path: path.clone(), source };
+        let failed = |source| EvaluationError::Picture { path: path.clone(), source };
         let mut reader = image::ImageReader::open(&path).map_err(|e| failed(e.into()))?;
         reader.limits({
             let mut limits = image::Limits::default();
@@ -107,7 +107,7 @@ impl Truth {
         });
         let rgb = reader.decode().map_err(failed)?.into_rgb8();
         let picture = Picture::new(rgb.width(), rgb.height(), rgb.into_raw())
-            .map_err(|source| JudgeError::Metric { path: path.clone(), source })?;
+            .map_err(|source| EvaluationError::Metric { path: path.clone(), source })?;
         let depth_m = read_depth(&path.with_extension("f32"), &picture)?;
         Ok(Some(Self { path, picture, depth_m }))
     }
@@ -126,17 +126,17 @@ impl Truth {
     }
 
     /// Compares a frame; `full` is the same before averaging, a whole multiple of its size; `baseline` is another renderer's picture.
-    pub fn judge(&self, frame: &Frame, full: &Frame, baseline: Option<&Self>) -> Result<Verdict, JudgeError> {
-        let failed = |source| JudgeError::Metric { path: self.path.clone(), source };
+    pub fn evaluate(&self, frame: &Frame, full: &Frame, baseline: Option<&Self>) -> Result<Scores, EvaluationError> {
+        let failed = |source| EvaluationError::Metric { path: self.path.clone(), source };
         let test = Picture::new(frame.width, frame.height, frame.to_rgb8()).map_err(failed)?;
         let flip = FlipMap::new(&self.picture, &test).map_err(failed)?;
         let far = |i: usize| matches!(frame.source[i], Source::Far | Source::Tree);
         let compared = |other: &Self| {
             FlipMap::new(&self.picture, &other.picture)
-                .map_err(|source| JudgeError::Metric { path: other.path.clone(), source })
+                .map_err(|source| EvaluationError::Metric { path: other.path.clone(), source })
         };
         let baseline = baseline.map(compared).transpose()?;
-        Ok(Verdict {
+        Ok(Scores {
             psnr_db: Some(psnr_db(&self.picture, &test).map_err(failed)?),
             ssim: ssim(&self.picture, &test).map_err(failed)?,
             flip: Some(flip.mean()),
@@ -149,15 +149,15 @@ impl Truth {
     }
 }
 
-fn read_depth(path: &Path, picture: &Picture) -> Result<Option<Vec<f32>>, JudgeError> {
+fn read_depth(path: &Path, picture: &Picture) -> Result<Option<Vec<f32>>, EvaluationError> {
     if !path.exists() {
         return Ok(None);
     }
-    let failed = |source| JudgeError::Depth { path: path.to_owned(), source };
+    let failed = |source| EvaluationError::Depth { path: path.to_owned(), source };
     let expected = 4 * u64::from(picture.size().0) * u64::from(picture.size().1);
     let found = std::fs::metadata(path).map_err(failed)?.len();
     if found != expected {
-        return Err(JudgeError::DepthLength { path: path.to_owned(), found, expected });
+        return Err(EvaluationError::DepthLength { path: path.to_owned(), found, expected });
     }
     let bytes = std::fs::read(path).map_err(failed)?;
     Ok(Some(bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()))
@@ -217,13 +217,13 @@ mod tests {
         let mut frame = picture(&|_| [90; 3])
             .into_frame((0..64 * 16).map(|i| if i % 64 < 16 { Source::Far } else { Source::Near }).collect());
         let full = frame.clone();
-        let left = truth.judge(&frame, &full, Some(&baseline)).expect("one size");
+        let left = truth.evaluate(&frame, &full, Some(&baseline)).expect("one size");
         assert_eq!((left.flip, left.flip_far), (Some(0.0), Some(0.0)));
         frame.source.reverse();
-        let right = truth.judge(&frame, &full, Some(&baseline)).expect("one size");
+        let right = truth.evaluate(&frame, &full, Some(&baseline)).expect("one size");
         let (all, left, right) = (left.flip_baseline, left.flip_baseline_far, right.flip_baseline_far);
         assert!(left < Some(0.01) && all > Some(0.1) && right > all, "{left:?} {all:?} {right:?}");
-        assert!(truth.judge(&frame, &full, None).expect("one size").flip_baseline_far.is_none());
+        assert!(truth.evaluate(&frame, &full, None).expect("one size").flip_baseline_far.is_none());
     }
 
     #[test]
@@ -234,13 +234,14 @@ mod tests {
         image::save_buffer(&png, &[9; 12 * 11 * 3], 12, 11, image::ColorType::Rgb8).expect("written");
         assert!(Truth::load(&folder, 2).expect("absent is no error").is_none());
         let truth = Truth::load(&folder, 3).expect("readable").expect("there");
-        let verdict = truth.judge(&Frame::new(12, 11), &Frame::new(12, 11), None).expect("same size");
-        assert!(verdict.psnr_db.is_some_and(|p| p < 10.0) && verdict.hole_fraction.is_none());
-        assert!(verdict.flip_baseline.is_none());
-        let other = truth.judge(&Frame::new(11, 12), &Frame::new(11, 12), None).expect_err("another size").to_string();
+        let scores = truth.evaluate(&Frame::new(12, 11), &Frame::new(12, 11), None).expect("same size");
+        assert!(scores.psnr_db.is_some_and(|p| p < 10.0) && scores.hole_fraction.is_none());
+        assert!(scores.flip_baseline.is_none());
+        let other =
+            truth.evaluate(&Frame::new(11, 12), &Frame::new(11, 12), None).expect_err("another size").to_string();
         assert!(other.contains("frame_00003.png") && other.contains("--size"), "{other}");
         std::fs::write(folder.join("frame_00003.f32"), [0; 8]).expect("written");
-        assert!(matches!(Truth::load(&folder, 3), Err(JudgeError::DepthLength { found: 8, expected: 528, .. })));
+        assert!(matches!(Truth::load(&folder, 3), Err(EvaluationError::DepthLength { found: 8, expected: 528, .. })));
         std::fs::remove_dir_all(&folder).expect("removed");
     }
 }

@@ -3,28 +3,28 @@
 //! In: finished pictures and egui's shapes. Out: a window's pixels. Mesa's software driver takes two thirds more than the drawing of the picture for stretching it and for the interface over
 //! it, as it does both in floating point with a power per pixel.
 
-use super::{overlay::Overlay, screen::Drawn, stretch::Stretcher};
+use super::{overlay::Overlay, screen::PreparedInterface, software_upscale::SoftwareUpscaler};
 use crate::frame::Frame;
 
 /// Where there is no picture yet: that of [`super::screen::EMPTY`].
 const EMPTY_CODE: u32 = 0xff2b_3038;
 
 /// The window's pixels and what they are made of.
-pub struct ByHand {
-    stretcher: Stretcher,
+pub struct SoftwarePresenter {
+    stretcher: SoftwareUpscaler,
     interface: Overlay,
     renderer: egui_wgpu::Renderer,
     pixels: Vec<u32>,
 }
 
-impl ByHand {
+impl SoftwarePresenter {
     /// What the window's pixels have to be: blue in the lowest byte, codes as they are.
     pub const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Bgra8Unorm;
 
     /// With the device that draws the interface, for a window of this size.
     pub fn new(device: &wgpu::Device, size: [u32; 2]) -> Self {
         Self {
-            stretcher: Stretcher::default(),
+            stretcher: SoftwareUpscaler::default(),
             interface: Overlay::new(device, Self::FORMAT, size),
             renderer: egui_wgpu::Renderer::new(device, Self::FORMAT, egui_wgpu::RendererOptions::default()),
             pixels: Vec::new(),
@@ -43,7 +43,7 @@ impl ByHand {
         queue: &wgpu::Queue,
         mut encoder: wgpu::CommandEncoder,
         before: Vec<wgpu::CommandBuffer>,
-        Drawn { primitives, descriptor }: &Drawn,
+        PreparedInterface { primitives, descriptor }: &PreparedInterface,
     ) {
         if self.interface.size() != descriptor.size_in_pixels {
             self.interface = Overlay::new(device, Self::FORMAT, descriptor.size_in_pixels);

@@ -6,11 +6,11 @@
 //!   often it is computed.
 //! - The eye never leaves the [`WalkVolume`]. At its border the walker goes as far as there is room, then along x and along z with
 //!   what is left: the columns of the volume are upright boxes, so that is sliding.
-//! - Walls are slid along too: the part of a step toward the nearest surface is left out ([`Solids`]).
+//! - Walls are slid along too: the part of a step toward the nearest surface is left out ([`CollisionGeometry`]).
 //! - On foot the eye follows the floor that is below it, within the heights of the volume. Where that floor has not arrived yet the
 //!   volume says enough: made for an eye height h, it spans h - 0.5 m to h + 0.4 m above each floor.
 
-use super::solids::{BODY_M, Solids};
+use super::collision::{BODY_M, CollisionGeometry};
 use glam::DVec3;
 use ldi_protocol::{Pose, ViewBasis, volume::WalkVolume};
 
@@ -84,26 +84,26 @@ impl Intent {
 
 /// What is known of the world around a walker.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Ground<'a> {
+pub struct WalkSpace<'a> {
     /// Where eyes may be.
     pub volume: Option<&'a WalkVolume>,
     /// Surfaces nearby.
-    pub solids: Option<&'a Solids>,
+    pub collision: Option<&'a CollisionGeometry>,
     /// Whether those that stand upright are walls, or can be walked through.
     pub walls: bool,
 }
 
-impl<'a> From<Option<&'a WalkVolume>> for Ground<'a> {
+impl<'a> From<Option<&'a WalkVolume>> for WalkSpace<'a> {
     fn from(volume: Option<&'a WalkVolume>) -> Self {
         Self { volume, ..Self::default() }
     }
 }
 
-impl Ground<'_> {
+impl WalkSpace<'_> {
     /// `to` at an allowed height, if a body may go there from `from`.
     fn admit(&self, from: DVec3, to: DVec3) -> Option<DVec3> {
         let there = self.volume.map_or(Some(to), |v| stand(v, to, STEP_OVER_M))?;
-        let free = self.solids.is_none_or(|s| !self.walls || s.lets(from, there));
+        let free = self.collision.is_none_or(|s| !self.walls || s.allows(from, there));
         free.then_some(there)
     }
 }
@@ -161,7 +161,7 @@ impl Walker {
         self.pose.position = volume.and_then(|v| nearest(v, p)).unwrap_or(p);
         if let (Some(v), false) = (volume, self.flying) {
             // At once at the height above the floor. Twice: which columns count depends on the height.
-            let ground = Ground::from(Some(v));
+            let ground = WalkSpace::from(Some(v));
             self.pose.position = settle(&ground, settle(&ground, self.pose.position, f64::INFINITY), f64::INFINITY);
         }
     }
@@ -180,7 +180,7 @@ impl Walker {
     }
 
     /// Moves on by `dt_s` seconds.
-    pub fn advance<'a>(&mut self, ground: impl Into<Ground<'a>>, intent: &Intent, dt_s: f64) {
+    pub fn advance<'a>(&mut self, ground: impl Into<WalkSpace<'a>>, intent: &Intent, dt_s: f64) {
         let ground = &ground.into();
         let dt_s = dt_s.clamp(0.0, LONGEST_TIME_S);
         let fastest = self.asked(intent).length().max(self.velocity.length());
@@ -233,7 +233,7 @@ fn stand(v: &WalkVolume, p: DVec3, reach_m: f64) -> Option<DVec3> {
 }
 
 /// As far along `delta` as there is room; also the share of it that was gone.
-fn go(ground: &Ground<'_>, from: DVec3, delta: DVec3) -> (DVec3, f64) {
+fn go(ground: &WalkSpace<'_>, from: DVec3, delta: DVec3) -> (DVec3, f64) {
     if delta == DVec3::ZERO {
         return (from, 1.0);
     }
@@ -253,7 +253,7 @@ fn go(ground: &Ground<'_>, from: DVec3, delta: DVec3) -> (DVec3, f64) {
 }
 
 /// A horizontal step that slides along walls and along the volume's border.
-fn slide(ground: &Ground<'_>, from: DVec3, delta: DVec3) -> DVec3 {
+fn slide(ground: &WalkSpace<'_>, from: DVec3, delta: DVec3) -> DVec3 {
     let (mut at, mut share) = go(ground, from, delta);
     let mut rest = delta;
     // Twice: in a corner the way along one wall meets the other.
@@ -262,8 +262,8 @@ fn slide(ground: &Ground<'_>, from: DVec3, delta: DVec3) -> DVec3 {
             return at;
         }
         rest *= 1.0 - share;
-        let Some(solids) = ground.solids.filter(|_| ground.walls) else { break };
-        let (distance, away) = solids.clearance(at.x, at.z);
+        let Some(collision) = ground.collision.filter(|_| ground.walls) else { break };
+        let (distance, away) = collision.clearance(at.x, at.z);
         let away = DVec3::new(away.x, 0.0, away.y);
         if distance > BODY_M + TOUCH_M || rest.dot(away) >= 0.0 {
             break;
@@ -308,8 +308,8 @@ fn own_run(v: &WalkVolume, x: f64, z: f64, y: f64) -> Option<[f64; 2]> {
 }
 
 /// Lets the eye's height approach the one above the floor.
-fn settle(ground: &Ground<'_>, p: DVec3, dt_s: f64) -> DVec3 {
-    let seen = ground.solids.and_then(|s| s.eye_above_floor(p));
+fn settle(ground: &WalkSpace<'_>, p: DVec3, dt_s: f64) -> DVec3 {
+    let seen = ground.collision.and_then(|s| s.eye_above_floor(p));
     let run = ground.volume.and_then(|v| own_run(v, p.x, p.z, p.y));
     let goal = match (seen, ground.volume, run) {
         (Some(goal), Some(_), Some([low, high])) => goal.clamp(low, high),
@@ -431,9 +431,9 @@ pub const OUTLOOK_M: f64 = 8.0;
 
 /// The direction to look in from a place, degrees: where it and those beside it are open farthest before a wall, at most [`OUTLOOK_M`] and as far as
 /// the volume goes.
-pub fn outlook_deg(v: &WalkVolume, solids: &Solids, place: DVec3) -> f64 {
+pub fn outlook_deg(v: &WalkVolume, collision: &CollisionGeometry, place: DVec3) -> f64 {
     const STEP_M: f64 = 0.25;
-    let ground = Ground { volume: Some(v), solids: Some(solids), walls: true };
+    let ground = WalkSpace { volume: Some(v), collision: Some(collision), walls: true };
     let open: Vec<usize> = (0..LOOKS)
         .map(|look| {
             let ahead = ViewBasis::from_yaw_pitch(yaw_of(look), 0.0).forward * STEP_M;
@@ -453,5 +453,5 @@ fn yaw_of(look: u16) -> f64 {
 }
 
 #[cfg(test)]
-#[path = "motion_test.rs"]
+#[path = "walker_test.rs"]
 mod tests;

@@ -1,6 +1,6 @@
 //! Screenshots: a picture as large as the window, without the interface, and its pose beside it as a path file.
 
-use super::numbered::{first_free, said};
+use super::unique_file::{describe_error, first_free};
 use crate::{engine::save_rgb, frame::Frame};
 use ldi_protocol::Pose;
 use std::{
@@ -13,13 +13,13 @@ pub type Outcome = Result<PathBuf, String>;
 
 /// Saves screenshots on threads of their own, so that neither drawing nor the window waits for the disk.
 #[derive(Clone)]
-pub struct Shots {
+pub struct Screenshots {
     folder: PathBuf,
     outcomes: mpsc::Sender<Outcome>,
     saved: Arc<dyn Fn() + Send + Sync>,
 }
 
-impl Shots {
+impl Screenshots {
     /// Into `folder`. Outcomes go to the receiver; `saved` is called after each.
     pub fn new(folder: &Path, saved: impl Fn() + Send + Sync + 'static) -> (Self, mpsc::Receiver<Outcome>) {
         let (outcomes, received) = mpsc::channel();
@@ -49,7 +49,7 @@ fn write(folder: &Path, frame: &Frame, pose: &Pose, fov_deg: f64) -> Outcome {
         "fov_deg": fov_deg,
         "poses": [{ "t": 0.0, "position": pose.position.to_array(), "yaw": pose.yaw_deg, "pitch": pose.pitch_deg }],
     });
-    std::fs::write(&beside, poses.to_string() + "\n").map_err(|e| said(&beside, &e))?;
+    std::fs::write(&beside, poses.to_string() + "\n").map_err(|e| describe_error(&beside, &e))?;
     Ok(path)
 }
 

@@ -2,7 +2,7 @@
 //!
 //! In: places, and what is drawn and known of walls there. Out: where to go next, until a view shows something. Pure.
 
-use super::motion;
+use super::walker;
 use crate::frame::Frame;
 use ldi_protocol::{Pose, volume::WalkVolume};
 
@@ -12,7 +12,7 @@ const ENOUGH: usize = 12;
 const SHARE: usize = 500;
 
 /// Places to look around at.
-pub(super) struct Scout {
+pub(super) struct StartPoseSearch {
     /// The next one last.
     left: Vec<Pose>,
     /// The way to look in from here has been chosen.
@@ -23,17 +23,17 @@ pub(super) struct Scout {
     done: bool,
 }
 
-impl Scout {
+impl StartPoseSearch {
     /// Begins; also where.
     pub fn new(volume: &WalkVolume) -> (Self, Option<Pose>) {
-        let mut left = motion::starts(volume);
+        let mut left = walker::starts(volume);
         left.reverse();
         let first = left.pop();
         (Self { left, turned: false, best: None, done: false }, first)
     }
 
     /// A picture of this pose is complete; `yaw_deg` tells the way to look in from there. Where to go; None: here the visit begins.
-    pub fn seen(&mut self, pose: &Pose, frame: &Frame, yaw_deg: impl FnOnce() -> f64) -> Option<Pose> {
+    pub fn on_picture(&mut self, pose: &Pose, frame: &Frame, yaw_deg: impl FnOnce() -> f64) -> Option<Pose> {
         if !std::mem::replace(&mut self.turned, true) {
             let turned = Pose { yaw_deg: yaw_deg(), ..*pose };
             if turned != *pose {
@@ -91,19 +91,24 @@ mod tests {
 
     #[test]
     fn places_are_tried_until_one_shows_something() {
-        let scout = || Scout { left: vec![at(3.0, 0.0), at(2.0, 0.0)], turned: false, best: None, done: false };
-        let mut s = scout();
-        assert_eq!(s.seen(&at(1.0, 0.0), &picture(1), || 90.0), Some(at(1.0, 90.0)), "turns first");
+        let start_search =
+            || StartPoseSearch { left: vec![at(3.0, 0.0), at(2.0, 0.0)], turned: false, best: None, done: false };
+        let mut s = start_search();
+        assert_eq!(s.on_picture(&at(1.0, 0.0), &picture(1), || 90.0), Some(at(1.0, 90.0)), "turns first");
         assert!(!s.is_done());
-        assert_eq!(s.seen(&at(1.0, 90.0), &picture(2), || panic!("once")), Some(at(2.0, 0.0)), "a wall");
-        assert_eq!(s.seen(&at(2.0, 0.0), &picture(15), || 0.0), None, "looks there already, and there is something");
+        assert_eq!(s.on_picture(&at(1.0, 90.0), &picture(2), || panic!("once")), Some(at(2.0, 0.0)), "a wall");
+        assert_eq!(
+            s.on_picture(&at(2.0, 0.0), &picture(15), || 0.0),
+            None,
+            "looks there already, and there is something"
+        );
         assert!(s.is_done());
         // Nothing but walls: the best of them.
-        let mut s = scout();
+        let mut s = start_search();
         let walls = [(1.0, 3, Some(at(2.0, 0.0))), (2.0, 4, Some(at(3.0, 0.0))), (3.0, 2, Some(at(2.0, 0.0)))];
         for (x, tones, next) in walls {
             assert!(!s.is_done());
-            assert_eq!(s.seen(&at(x, 0.0), &picture(tones), || 0.0), next);
+            assert_eq!(s.on_picture(&at(x, 0.0), &picture(tones), || 0.0), next);
         }
         assert!(s.is_done());
     }

@@ -1,24 +1,24 @@
 //! The drawing thread: pose in, picture out, as often as the display shows one, on the processor or a graphics card; on the processor, too, once a card has failed.
 //!
-//! The window's thread leaves on the [`desk`](super::desk) what was pressed and turned, and takes finished pictures from it; neither waits for
+//! The window's thread leaves on the [`mailbox`](super::render_mailbox) what was pressed and turned, and takes finished pictures from it; neither waits for
 //! the other. The walker moves when a frame begins, by the time since the last one, so that a picture shows the latest pose.
 //!
-//! While the eye moves, pictures are drawn as large as the time for a frame allows ([`Scale`]). Once it rests they become as large
+//! While the eye moves, pictures are drawn as large as the time for a frame allows ([`DynamicResolution`]). Once it rests they become as large
 //! as the window, and then with four samples per pixel. Where nothing changes nothing is drawn.
 
 use super::{
-    desk::{Desk, DrawingConfig, Figures, Picture, lock},
-    link::{Link, Scene},
-    motion::{self, Ground, Intent, Walker},
-    record::pose_at,
-    scale::Scale,
-    scout::Scout,
-    shot::Shots,
-    solids::{STRAY_M, Solids},
+    collision::{CollisionGeometry, STRAY_M},
+    dynamic_resolution::DynamicResolution,
+    recording::pose_at,
+    render_mailbox::{Picture, PictureStats, RenderConfig, RenderMailbox, lock},
+    screenshot::Screenshots,
+    server_connection::{Scene, ServerConnection},
+    start_pose::StartPoseSearch,
+    walker::{self, Intent, WalkSpace, Walker},
 };
 use crate::{
     composite::Fill,
-    engine::{Ahead, Cull, Method, Pace, PaintError, Painter, Shows, View, WalkOptions, view_of},
+    engine::{Anticipated, Cull, DisplayMode, FrameRenderer, Method, Pace, RenderError, View, WalkOptions, view_of},
     frame::Frame,
     near::MAX_SIDE_PX,
     report::StageMs,
@@ -50,11 +50,11 @@ const PROGRESS_BYTES: u64 = 4096;
 
 /// What a picture depends on: where nothing of it changed, none is drawn.
 #[derive(Debug, Clone, PartialEq)]
-struct Depends {
+struct PictureInputs {
     pose: Pose,
     size: [u32; 2],
     supersample: u32,
-    shows: Shows,
+    shows: DisplayMode,
 }
 
 /// How far ahead is looked for what will be seen, seconds: it is laid out and on the card by then. Larger: more that is never seen.
@@ -68,7 +68,7 @@ const FASTEST_M_PER_S: f64 = 50.0;
 
 /// The last picture.
 struct Last {
-    depends: Depends,
+    inputs: PictureInputs,
     /// What it lacked.
     missing: Vec<u32>,
     /// Bytes in the cache when it was drawn.
@@ -79,7 +79,7 @@ struct Last {
 
 /// A picture to draw.
 struct Job {
-    depends: Depends,
+    inputs: PictureInputs,
     cache_bytes: u64,
     moving: bool,
     /// For the disk as well.
@@ -88,15 +88,15 @@ struct Job {
 }
 
 /// The thread's state.
-pub(super) struct Draughtsman {
-    desk: Arc<(Mutex<Desk>, Condvar)>,
-    link: Arc<Link>,
-    shots: Shots,
+pub(super) struct RenderLoop {
+    mailbox: Arc<(Mutex<RenderMailbox>, Condvar)>,
+    connection: Arc<ServerConnection>,
+    screenshots: Screenshots,
     done: Box<dyn Fn() + Send>,
     interval: Duration,
     even: bool,
-    scale: Scale,
-    painter: Painter,
+    scale: DynamicResolution,
+    renderer: FrameRenderer,
     scene: Option<Scene>,
     last: Option<Last>,
     began: Option<Instant>,
@@ -104,9 +104,9 @@ pub(super) struct Draughtsman {
     /// Milliseconds of the last picture as large as the window, at one sample per pixel.
     large_ms: Option<f64>,
     progress: (u64, Instant),
-    solids: Option<Gathered>,
+    collision: Option<NearbyCollision>,
     /// Where the visit may begin, while that is being found out.
-    scout: Option<Scout>,
+    start_search: Option<StartPoseSearch>,
     /// Where that sends the eye.
     sent: Option<Pose>,
     /// The pose of the last picture, and when it was begun.
@@ -114,39 +114,39 @@ pub(super) struct Draughtsman {
 }
 
 /// Surfaces around the eye, and what they depend on.
-struct Gathered {
-    solids: Solids,
+struct NearbyCollision {
+    collision: CollisionGeometry,
     eye: DVec3,
     cache_bytes: u64,
     at: Instant,
 }
 
-impl Draughtsman {
+impl RenderLoop {
     pub fn new(
-        desk: Arc<(Mutex<Desk>, Condvar)>,
-        painter: Painter,
-        link: Arc<Link>,
-        shots: Shots,
+        mailbox: Arc<(Mutex<RenderMailbox>, Condvar)>,
+        renderer: FrameRenderer,
+        connection: Arc<ServerConnection>,
+        screenshots: Screenshots,
         done: Box<dyn Fn() + Send>,
-        config: &DrawingConfig,
+        config: &RenderConfig,
     ) -> Self {
         Self {
-            desk,
-            link,
-            shots,
+            mailbox,
+            connection,
+            screenshots,
             done,
             interval: config.interval,
             even: config.even,
-            scale: Scale::new(config.frame_ms),
-            painter,
+            scale: DynamicResolution::new(config.frame_ms),
+            renderer,
             scene: None,
             last: None,
             began: None,
             still_since: Instant::now(),
             large_ms: None,
             progress: (0, Instant::now()),
-            solids: None,
-            scout: None,
+            collision: None,
+            start_search: None,
             sent: None,
             before: None,
         }
@@ -161,46 +161,46 @@ impl Draughtsman {
 
     /// Waits until there is something to draw. None: stop.
     fn next(&mut self) -> Option<(Scene, Job)> {
-        let shared = self.desk.clone();
-        let mut desk = lock(&shared.0);
+        let shared = self.mailbox.clone();
+        let mut mailbox = lock(&shared.0);
         loop {
-            if desk.stop {
+            if mailbox.stop {
                 return None;
             }
             let due = self.began.map_or(Duration::ZERO, |b| self.interval.saturating_sub(b.elapsed()));
             if due > Duration::ZERO {
-                desk = shared.1.wait_timeout(desk, due).unwrap_or_else(PoisonError::into_inner).0;
+                mailbox = shared.1.wait_timeout(mailbox, due).unwrap_or_else(PoisonError::into_inner).0;
                 continue;
             }
-            if let Some(scene) = self.scene_now(&mut desk)
-                && let Some(job) = self.job(&mut desk, &scene)
+            if let Some(scene) = self.scene_now(&mut mailbox)
+                && let Some(job) = self.job(&mut mailbox, &scene)
             {
                 self.began = Some(Instant::now());
                 return Some((scene, job));
             }
-            self.ask_if_stuck();
-            desk = shared.1.wait_timeout(desk, LOOK_EVERY).unwrap_or_else(PoisonError::into_inner).0;
+            self.request_if_stuck();
+            mailbox = shared.1.wait_timeout(mailbox, LOOK_EVERY).unwrap_or_else(PoisonError::into_inner).0;
         }
     }
 
     /// The scene that the link has now. A new one puts the walker into its volume.
-    fn scene_now(&mut self, desk: &mut Desk) -> Option<Scene> {
-        let scene = self.link.scene()?;
+    fn scene_now(&mut self, mailbox: &mut RenderMailbox) -> Option<Scene> {
+        let scene = self.connection.scene()?;
         if !self.scene.as_ref().is_some_and(|s| s.is(&scene)) {
             let index = &scene.index;
             let (volume, flying) = (index.volume.as_ref(), index.settings.eye_height_m.is_none());
-            let begin = desk.walker.as_ref().map(Walker::pose).or(desk.begin).unwrap_or_else(|| {
+            let begin = mailbox.walker.as_ref().map(Walker::pose).or(mailbox.begin).unwrap_or_else(|| {
                 let bounds = volume.map_or(&index.scene.bounds, WalkVolume::bounds);
                 let centre = Pose { position: bounds.centre(), yaw_deg: 0.0, pitch_deg: 0.0 };
                 let Some(volume) = volume.filter(|v| !flying && !v.is_empty()) else { return centre };
-                let (scout, first) = Scout::new(volume);
-                self.scout = Some(scout);
+                let (start_search, first) = StartPoseSearch::new(volume);
+                self.start_search = Some(start_search);
                 first.unwrap_or(centre)
             });
-            desk.walker = Some(Walker::new(begin, volume, flying, index.settings.pitch_deg));
-            desk.moved = Instant::now();
-            self.painter.forget_scene();
-            (self.last, self.large_ms, self.solids) = (None, None, None);
+            mailbox.walker = Some(Walker::new(begin, volume, flying, index.settings.pitch_deg));
+            mailbox.moved = Instant::now();
+            self.renderer.forget_scene();
+            (self.last, self.large_ms, self.collision) = (None, None, None);
             self.scene = Some(scene.clone());
         } else if self.scene.as_ref().is_some_and(|s| !Arc::ptr_eq(&s.index, &scene.index)) {
             // The rest of the index is here: the same view needs more.
@@ -211,14 +211,14 @@ impl Draughtsman {
     }
 
     /// Moves the walker on; the picture that is to be drawn, if there is one.
-    fn job(&mut self, desk: &mut Desk, scene: &Scene) -> Option<Job> {
+    fn job(&mut self, mailbox: &mut RenderMailbox, scene: &Scene) -> Option<Job> {
         let now = Instant::now();
         let volume = scene.index.volume.as_ref();
-        let turned = std::mem::take(&mut desk.turned);
-        let (notches, teleport) = (std::mem::take(&mut desk.notches), desk.teleport.take());
-        let place = desk.place.take();
-        let (intent, dt) = (desk.intent, now - std::mem::replace(&mut desk.moved, now));
-        let walker = desk.walker.as_mut()?;
+        let turned = std::mem::take(&mut mailbox.turned);
+        let (notches, teleport) = (std::mem::take(&mut mailbox.notches), mailbox.teleport.take());
+        let place = mailbox.place.take();
+        let (intent, dt) = (mailbox.intent, now - std::mem::replace(&mut mailbox.moved, now));
+        let walker = mailbox.walker.as_mut()?;
         walker.change_speed(notches);
         if let Some(p) = teleport {
             walker.teleport(p, volume);
@@ -227,89 +227,89 @@ impl Draughtsman {
             walker.place(pose, volume);
         }
         let moved = intent != Intent::default() || turned != (0.0, 0.0) || teleport.is_some() || place.is_some();
-        if moved || desk.replay.is_some() {
-            (self.scout, self.sent) = (None, None);
+        if moved || mailbox.replay.is_some() {
+            (self.start_search, self.sent) = (None, None);
         }
         if let Some(pose) = self.sent.take() {
             walker.place(&pose, volume);
         }
-        let followed = desk.replay.take_if(|_| moved).is_none() && follow(&mut desk.replay, walker, now);
+        let followed = mailbox.replay.take_if(|_| moved).is_none() && follow(&mut mailbox.replay, walker, now);
         if !followed {
             walker.turn(turned.0, turned.1);
-            let solids = self.solids.as_ref().map(|s| &s.solids);
-            walker.advance(Ground { volume, solids, walls: !desk.ghost }, &intent, dt.as_secs_f64());
+            let collision = self.collision.as_ref().map(|s| &s.collision);
+            walker.advance(WalkSpace { volume, collision, walls: !mailbox.ghost }, &intent, dt.as_secs_f64());
         }
         let pose = walker.pose();
-        if self.last.as_ref().is_none_or(|l| l.depends.pose != pose) {
+        if self.last.as_ref().is_none_or(|l| l.inputs.pose != pose) {
             self.still_since = now;
         }
         let rest = now - self.still_since;
-        let window = desk.window_px.map(|n| n.clamp(1, MAX_SIDE_PX / 2));
+        let window = mailbox.window_px.map(|n| n.clamp(1, MAX_SIDE_PX / 2));
         // Where something is still coming, pictures follow each other and need not be fine.
         let complete = scene.index.is_whole() && self.last.as_ref().is_some_and(|l| l.missing.is_empty() && !l.waiting);
-        self.scale.aim(desk.frame_ms);
-        let fine = desk.fine && complete && self.large_ms.is_some_and(|ms| 4.0 * ms < FINE_MS);
+        self.scale.set_goal(mailbox.frame_ms);
+        let fine = mailbox.fine && complete && self.large_ms.is_some_and(|ms| 4.0 * ms < FINE_MS);
         // Images are laid out for small pictures or for large ones: what is under way is finished first.
-        let half_way = self.last.as_ref().is_some_and(|l| l.waiting && l.depends.size != window);
+        let half_way = self.last.as_ref().is_some_and(|l| l.waiting && l.inputs.size != window);
         let (size, supersample) = match rest {
             r if r < REST_LARGE || half_way => (self.scale.size(window), 1),
             r if r < REST_FINE || !fine => (window, 1),
             _ => (window, 2),
         };
         let cache_bytes = scene.cache.usage().bytes;
-        let depends = Depends { pose, size, supersample, shows: desk.shows };
-        let shot = std::mem::take(&mut desk.shot);
+        let inputs = PictureInputs { pose, size, supersample, shows: mailbox.shows };
+        let shot = std::mem::take(&mut mailbox.shot);
         // What a complete picture does not need may come without a new one.
         let changed = self.last.as_ref().is_none_or(|l| {
-            l.depends != depends
-                || (l.waiting && self.painter.has_news())
+            l.inputs != inputs
+                || (l.waiting && self.renderer.has_news())
                 || (!l.missing.is_empty() && l.cache_bytes != cache_bytes)
         });
-        (changed || shot).then_some(Job { depends, cache_bytes, moving: rest < REST_LARGE, shot, window_px: window })
+        (changed || shot).then_some(Job { inputs, cache_bytes, moving: rest < REST_LARGE, shot, window_px: window })
     }
 
     fn draw(&mut self, scene: &Scene, job: Job) {
-        let mut frame = lock(&self.desk.0).spare.take().unwrap_or_default();
-        let Depends { pose, size, supersample, shows } = job.depends;
-        let mut options = WalkOptions { beside: true, ..options(supersample, shows) };
+        let mut frame = lock(&self.mailbox.0).spare.take().unwrap_or_default();
+        let PictureInputs { pose, size, supersample, shows } = job.inputs;
+        let mut options = WalkOptions { background_layout: true, ..options(supersample, shows) };
         if job.moving {
             options.frame_ms = Some(self.scale.goal_ms());
             if self.scale.is_exhausted() {
                 options.stamp = Stamp::TwoByTwo;
             }
         }
-        let Some((camera, figures)) = self.paint(scene, &pose, size, options, &mut frame) else { return };
-        let ms = figures.painted.ms.total + figures.painted.ms.prepare;
+        let Some((camera, stats)) = self.render(scene, &pose, size, options, &mut frame) else { return };
+        let ms = stats.frame_stats.ms.total + stats.frame_stats.ms.prepare;
         if job.moving {
-            self.scale.after(ms);
+            self.scale.record_frame(ms);
         } else if supersample == 1 {
             self.large_ms = Some(ms);
         }
-        self.gather(scene, pose.position, job.cache_bytes);
-        if figures.painted.is_complete() && self.scout.is_some() {
-            self.look_around(scene, &pose, &frame);
+        self.update_collision(scene, pose.position, job.cache_bytes);
+        if stats.frame_stats.is_complete() && self.start_search.is_some() {
+            self.advance_start_search(scene, &pose, &frame);
         }
-        let scouting = self.scout.is_some() || self.sent.is_some();
-        let (missing, waiting) = (figures.painted.missing_chunks.clone(), figures.painted.waiting > 0);
+        let searching_start = self.start_search.is_some() || self.sent.is_some();
+        let (missing, waiting) = (stats.frame_stats.missing_chunks.clone(), stats.frame_stats.waiting > 0);
         if let (true, Some(began)) = (self.even && job.moving, self.began) {
             std::thread::sleep(self.interval.saturating_sub(began.elapsed()));
         }
-        let picture = Picture { frame, pose, fov_deg: camera.fov_deg, figures, scouting, at: Instant::now() };
+        let picture = Picture { frame, pose, fov_deg: camera.fov_deg, stats, searching_start, at: Instant::now() };
         if job.shot {
             let mut shot = Frame::default();
-            if let Some((camera, _)) = self.paint(scene, &pose, job.window_px, self::options(2, shows), &mut shot) {
-                self.shots.save(shot, pose, camera.fov_deg);
+            if let Some((camera, _)) = self.render(scene, &pose, job.window_px, self::options(2, shows), &mut shot) {
+                self.screenshots.save(shot, pose, camera.fov_deg);
             }
         }
-        lock(&self.desk.0).done = Some(picture);
-        self.last = Some(Last { depends: job.depends, missing, cache_bytes: job.cache_bytes, waiting });
-        self.ask_if_stuck();
+        lock(&self.mailbox.0).done = Some(picture);
+        self.last = Some(Last { inputs: job.inputs, missing, cache_bytes: job.cache_bytes, waiting });
+        self.request_if_stuck();
         (self.done)();
     }
 
     /// What is not seen yet and will be if the eye goes on as it does, soonest first.
-    fn ahead(&mut self, scene: &Scene, pose: &Pose, camera: &OutputCamera, seen: &View) -> Ahead {
-        let (now, mut ahead) = (Instant::now(), Ahead::default());
+    fn ahead(&mut self, scene: &Scene, pose: &Pose, camera: &OutputCamera, seen: &View) -> Anticipated {
+        let (now, mut ahead) = (Instant::now(), Anticipated::default());
         let Some((before, at)) = self.before.replace((*pose, now)) else { return ahead };
         let dt_s = (now - at).as_secs_f64();
         let step = pose.position - before.position;
@@ -333,14 +333,14 @@ impl Draughtsman {
     }
 
     /// One picture.
-    fn paint(
+    fn render(
         &mut self,
         scene: &Scene,
         pose: &Pose,
         [width, height]: [u32; 2],
         options: WalkOptions,
         out: &mut Frame,
-    ) -> Option<(OutputCamera, Figures)> {
+    ) -> Option<(OutputCamera, PictureStats)> {
         let index = &*scene.index;
         let camera = fit(&index.settings.camera, width, height);
         let options = WalkOptions { width, height, ..options };
@@ -348,73 +348,73 @@ impl Draughtsman {
         let view = view_of(index, pose, &camera, Method::Auto, &mut ms);
         let sight = Sight::new(pose, &camera, options.supersample);
         let needed = view.needed_within(index, &sight, scene.cache.usage().cap_bytes);
-        self.link.look(pose, &needed);
-        if options.beside {
+        self.connection.look(pose, &needed);
+        if options.background_layout {
             let ahead = self.ahead(scene, pose, &camera, &view);
-            self.painter.anticipate(ahead);
+            self.renderer.anticipate(ahead);
         }
-        let painted = match self.painter.paint(index, &*scene.cache, &view, pose, &camera, &options, ms, out) {
-            Err(PaintError::Gpu(e)) => {
+        let frame_stats = match self.renderer.render(index, &*scene.cache, &view, pose, &camera, &options, ms, out) {
+            Err(RenderError::Gpu(e)) => {
                 tracing::error!("{e}; going on without it");
-                self.painter = Painter::default();
-                self.painter.paint(index, &*scene.cache, &view, pose, &camera, &options, ms, out)
+                self.renderer = FrameRenderer::default();
+                self.renderer.render(index, &*scene.cache, &view, pose, &camera, &options, ms, out)
             }
-            painted => painted,
+            frame_stats => frame_stats,
         };
-        let painted = painted.map_err(|e| tracing::error!("{e}")).ok()?;
+        let frame_stats = frame_stats.map_err(|e| tracing::error!("{e}")).ok()?;
         let stored = |chunk: &u32| index.chunks.get(*chunk as usize).map_or(0, |c| u64::from(c.stored_bytes));
-        let figures = Figures {
+        let stats = PictureStats {
             selection: view.selection,
-            missing_bytes: painted.missing_chunks.iter().map(stored).sum(),
+            missing_bytes: frame_stats.missing_chunks.iter().map(stored).sum(),
             needed_bytes: needed.all().map(|c| stored(&c)).sum(),
             dropped_cells: view.dropped,
             unplanned: view.dropped > 0 && view.is_unplanned(index, pose),
             supersample: options.supersample,
             shows: options.shows,
-            card: self.painter.gpu().map(|g| (g.adapter().to_owned(), g.held_bytes())),
-            painted,
+            card: self.renderer.gpu().map(|g| (g.adapter().to_owned(), g.held_bytes())),
+            frame_stats,
         };
-        Some((camera, figures))
+        Some((camera, stats))
     }
 
     /// Keeps the surfaces around the eye at hand.
-    fn gather(&mut self, scene: &Scene, eye: DVec3, cache_bytes: u64) {
+    fn update_collision(&mut self, scene: &Scene, eye: DVec3, cache_bytes: u64) {
         let Some(eye_height_m) = scene.index.settings.eye_height_m else { return };
-        let good = self.solids.as_ref().is_some_and(|g| {
+        let good = self.collision.as_ref().is_some_and(|g| {
             let off = eye - g.eye;
             let fresh = g.cache_bytes == cache_bytes || g.at.elapsed() < GATHER_EVERY;
             fresh && off.x.hypot(off.z) < STRAY_M && off.y.abs() < CLIMB_M
         });
         if !good {
-            let solids = Solids::around(scene, eye, eye_height_m);
-            self.solids = Some(Gathered { solids, eye, cache_bytes, at: Instant::now() });
+            let collision = CollisionGeometry::around(scene, eye, eye_height_m);
+            self.collision = Some(NearbyCollision { collision, eye, cache_bytes, at: Instant::now() });
         }
     }
 
     /// Nobody has said where to begin: sends the eye to the next place until one shows something, or to the best.
-    fn look_around(&mut self, scene: &Scene, pose: &Pose, frame: &Frame) {
+    fn advance_start_search(&mut self, scene: &Scene, pose: &Pose, frame: &Frame) {
         let index = &scene.index;
-        let (Some(scout), Some(volume), Some(eye_height_m)) =
-            (&mut self.scout, &index.volume, index.settings.eye_height_m)
+        let (Some(start_search), Some(volume), Some(eye_height_m)) =
+            (&mut self.start_search, &index.volume, index.settings.eye_height_m)
         else {
             return;
         };
         let outlook_deg = || {
-            let solids = Solids::within(scene, pose.position, eye_height_m, motion::OUTLOOK_M);
-            motion::outlook_deg(volume, &solids, pose.position)
+            let collision = CollisionGeometry::within(scene, pose.position, eye_height_m, walker::OUTLOOK_M);
+            walker::outlook_deg(volume, &collision, pose.position)
         };
-        self.sent = scout.seen(pose, frame, outlook_deg);
-        self.scout.take_if(|s| s.is_done());
+        self.sent = start_search.on_picture(pose, frame, outlook_deg);
+        self.start_search.take_if(|s| s.is_done());
     }
 
     /// The server pushes what views need. Where nothing comes although something is missing, it is asked for.
-    fn ask_if_stuck(&mut self) {
+    fn request_if_stuck(&mut self) {
         let missing = self.last.as_ref().map_or(&[][..], |l| &l.missing);
-        let bytes = self.link.figures().bytes;
+        let bytes = self.connection.summary().bytes;
         if missing.is_empty() || bytes > self.progress.0 + PROGRESS_BYTES {
             self.progress = (bytes, Instant::now());
         } else if self.progress.1.elapsed() > ASK_AFTER {
-            self.link.want(missing);
+            self.connection.want(missing);
             self.progress = (bytes, Instant::now());
         }
     }
@@ -438,7 +438,7 @@ fn follow(replay: &mut Option<(Arc<Walk>, Option<Instant>)>, walker: &mut Walker
 }
 
 /// The engine's settings for a resting eye; the size is the camera's.
-fn options(supersample: u32, shows: Shows) -> WalkOptions {
+fn options(supersample: u32, shows: DisplayMode) -> WalkOptions {
     WalkOptions {
         width: 0,
         height: 0,
@@ -456,7 +456,7 @@ fn options(supersample: u32, shows: Shows) -> WalkOptions {
         cache_bytes: None,
         debug_views: false,
         shows,
-        beside: false,
+        background_layout: false,
         baseline_frames: 0,
     }
 }

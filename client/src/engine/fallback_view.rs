@@ -4,7 +4,7 @@
 //! The LDI tree would show there, too, but coarser and for longer: its pixels are those of a whole placement's images. Nothing is promised of a stand-in but the budget:
 //! footprints and what is uncovered grow with the way from the users, so that way is bounded.
 
-use super::painter::{View, drawable};
+use super::frame_renderer::{View, drawable};
 use crate::resident::Resident;
 use ldi_protocol::{
     Pose,
@@ -18,18 +18,18 @@ const AWAY: f64 = 0.25;
 
 /// See the module.
 #[derive(Debug, Default)]
-pub(super) struct StandIn {
+pub(super) struct FallbackView {
     /// The placement of the last view that had all it draws; None also where that was geometry alone.
     placement: Option<u32>,
 }
 
-impl StandIn {
+impl FallbackView {
     /// A view had all it draws.
-    pub fn remember(&mut self, view: &View) {
+    pub fn remember_complete(&mut self, view: &View) {
         self.placement = view.selection.placement;
     }
 
-    /// The placement before, for a view that lacks something. None where it would not do: too far away, itself not at hand, or above the budget. `is_at_hand`: whether an image can be
+    /// The placement before, for a view that lacks something. None where it would not do: too far away, itself not at hand, or above the budget. `is_ready`: whether an image can be
     /// warped now.
     pub fn view(
         &self,
@@ -37,7 +37,7 @@ impl StandIn {
         resident: &dyn Resident,
         view: &View,
         (pose, half_tan): (&Pose, (f64, f64)),
-        is_at_hand: &dyn Fn(u32) -> bool,
+        is_ready: &dyn Fn(u32) -> bool,
     ) -> Option<View> {
         let number = self.placement.filter(|p| view.selection.placement != Some(*p))?;
         // An eye that no image was made for is shown none.
@@ -45,7 +45,7 @@ impl StandIn {
             return None;
         }
         let is_whole =
-            |v: &View| v.images.iter().all(|i| is_at_hand(*i)) && absent_chunks(index, resident, &v.cells).is_empty();
+            |v: &View| v.images.iter().all(|i| is_ready(*i)) && absent_chunks(index, resident, &v.cells).is_empty();
         let placement = index.placements.get(number as usize)?;
         // Without images nothing bounds the way, and what is culled shows nowhere.
         let plane_m = index.images_of(number).map(|(_, i)| i.plane_distance).min_by(f64::total_cmp)?;

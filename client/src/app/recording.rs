@@ -3,7 +3,7 @@
 //! In: the poses of pictures and when they were drawn; later the time since the replay began. Out: a path file that `walk`, `render` and `plan` take; a pose for any time,
 //! interpolated between the recorded ones. What was recorded so far is saved every few seconds: a display that dies takes ten seconds of a walk with it, no more.
 
-use super::numbered::{first_free, said};
+use super::unique_file::{describe_error, first_free};
 use ldi_protocol::{
     Pose,
     path::{MAX_POSES, TimedPose, Walk},
@@ -95,7 +95,7 @@ impl Recording {
 fn write(path: &Path, walk: &Walk) -> Result<(), String> {
     let part = path.with_extension("part");
     let done = std::fs::write(&part, walk.to_json() + "\n").and_then(|()| std::fs::rename(&part, path));
-    done.map_err(|e| said(path, &e))
+    done.map_err(|e| describe_error(path, &e))
 }
 
 /// The pose at a time after the walk's begin; None once it is over.

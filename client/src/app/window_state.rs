@@ -2,22 +2,22 @@
 
 use super::{
     AppConfig, AppError,
-    desk::{Drawing, DrawingConfig, Picture},
     events::{Events, fields},
+    frame_times::FrameTimes,
     gamepad::{Gamepad, PadPress},
     hud::Hud,
-    kept::{Kept, Said},
     keys::Keys,
-    link::Link,
     map::Map,
-    motion::Intent,
-    pace::Pace,
+    recordings_and_bookmarks::{Announcement, RecordingsAndBookmarks},
+    render_mailbox::{Picture, RenderConfig, RenderThread},
     screen::{Interface, Screen, ScreenError},
-    settings::Settings,
-    shot::{Outcome, Shots},
-    start,
+    screenshot::{Outcome, Screenshots},
+    server_connection::ServerConnection,
+    settings::UserSettings,
+    start_screen,
+    walker::Intent,
 };
-use crate::engine::{Painter, Shows};
+use crate::engine::{DisplayMode, FrameRenderer};
 use ldi_protocol::{Pose, volume::WalkVolume};
 use std::{
     sync::{Arc, mpsc},
@@ -46,7 +46,7 @@ const DEFAULT_HZ: f64 = 60.0;
 
 /// Another thread has something new.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum News {
+pub(super) enum UserEvent {
     /// A picture.
     Picture,
     /// The gamepad.
@@ -56,8 +56,8 @@ pub(super) enum News {
 }
 
 /// What exists while there is a window.
-pub(super) struct Visit {
-    pub drawing: Drawing,
+pub(super) struct WindowState {
+    pub render_thread: RenderThread,
     /// None only while it is opened anew.
     screen: Option<Screen>,
     /// When it was opened anew, after its driver had failed.
@@ -65,7 +65,7 @@ pub(super) struct Visit {
     display: OwnedDisplayHandle,
     pub egui: egui_winit::State,
     pub window: Arc<Window>,
-    pub shots: mpsc::Receiver<Outcome>,
+    pub screenshots: mpsc::Receiver<Outcome>,
     pub picture: Option<Picture>,
     pub hud: Hud,
     pub map: Map,
@@ -80,13 +80,13 @@ pub(super) struct Visit {
     /// The start screen was left.
     pub started: bool,
     pub moved_pictures: u32,
-    pub pace: Pace,
+    pub frame_times: FrameTimes,
     /// Pictures that came, and how often the window was filled.
     pub counts: Counts,
-    pub told: Told,
-    pub settings: Settings,
-    shows: Shows,
-    kept: Kept,
+    pub last_reported: LastReported,
+    pub settings: UserSettings,
+    shows: DisplayMode,
+    kept: RecordingsAndBookmarks,
     /// A walk begins with the first complete picture.
     walk_at_once: bool,
     /// A walk is walked by itself.
@@ -110,7 +110,7 @@ pub(super) struct Counts {
 
 /// What the events have said already.
 #[derive(Default)]
-pub(super) struct Told {
+pub(super) struct LastReported {
     picture: bool,
     complete: bool,
     pose: Option<(Pose, Instant)>,
@@ -118,17 +118,17 @@ pub(super) struct Told {
     others: Option<usize>,
 }
 
-impl Visit {
+impl WindowState {
     /// A window with all that belongs to it.
     ///
     /// # Errors
     /// If there is no display, no driver or no thread.
     pub fn open(
         config: &AppConfig,
-        painter: Painter,
+        renderer: FrameRenderer,
         event_loop: &ActiveEventLoop,
-        link: Arc<Link>,
-        news: &EventLoopProxy<News>,
+        connection: Arc<ServerConnection>,
+        proxy: &EventLoopProxy<UserEvent>,
     ) -> Result<Self, AppError> {
         let (width, height) = config.size;
         let attributes = Window::default_attributes()
@@ -145,48 +145,50 @@ impl Visit {
             .map_or(DEFAULT_HZ, |mhz| f64::from(mhz) * 1e-3);
         let hz = if hz > 1.0 { hz } else { DEFAULT_HZ };
         let size = window.inner_size();
-        let tell = |what: News| {
-            let news = news.clone();
+        let notify = |what: UserEvent| {
+            let proxy = proxy.clone();
             move || {
                 // The window may be closed already.
-                let _ = news.send_event(what);
+                let _ = proxy.send_event(what);
             }
         };
-        let (shots, outcomes) = Shots::new(&config.shots, tell(News::Other));
-        let drawing = DrawingConfig {
+        let (screenshots, outcomes) = Screenshots::new(&config.screenshots, notify(UserEvent::Other));
+        let render_config = RenderConfig {
             frame_ms: config.frame_ms,
             begin: config.begin,
             window_px: [size.width, size.height],
             interval: Duration::from_secs_f64(1.0 / hz),
             even: screen.keeps_interface(),
         };
-        let drawing = Drawing::start(drawing, painter, link, shots, tell(News::Picture)).map_err(AppError::Thread)?;
+        let render_thread =
+            RenderThread::start(render_config, renderer, connection, screenshots, notify(UserEvent::Picture))
+                .map_err(AppError::Thread)?;
         let egui = interface_of(&window, &display, &screen);
         Ok(Self {
-            drawing,
+            render_thread,
             screen: Some(screen),
             reopened: None,
             display,
             egui,
             window,
-            shots: outcomes,
+            screenshots: outcomes,
             picture: None,
             hud: Hud::default(),
             map: Map::default(),
             keys: Keys::default(),
-            pad: Gamepad::look(config.gamepad.clone(), tell(News::Pad)),
+            pad: Gamepad::look(config.gamepad.clone(), notify(UserEvent::Pad)),
             focused: true,
             modifiers: ModifiersState::empty(),
             captured: false,
             capture_again: false,
             started: false,
             moved_pictures: 0,
-            pace: Pace::default(),
+            frame_times: FrameTimes::default(),
             counts: Counts::default(),
-            told: Told::default(),
-            settings: Settings::new(config.frame_ms),
-            shows: Shows::default(),
-            kept: Kept::new(config),
+            last_reported: LastReported::default(),
+            settings: UserSettings::new(config.frame_ms),
+            shows: DisplayMode::default(),
+            kept: RecordingsAndBookmarks::new(config),
             walk_at_once: config.replay.is_some(),
             replaying: false,
             repaint_at: Instant::now(),
@@ -196,7 +198,7 @@ impl Visit {
 
     /// Takes the newest picture in.
     pub fn take(&mut self, events: &mut Events) {
-        if !self.drawing.take(&mut self.picture) {
+        if !self.render_thread.take(&mut self.picture) {
             return;
         }
         let Some(picture) = &self.picture else { return };
@@ -204,43 +206,43 @@ impl Visit {
             screen.upload(&picture.frame);
         }
         self.counts.pictures += 1;
-        let on_card = picture.figures.card.as_ref().map_or(0, |(_, bytes)| *bytes);
+        let on_card = picture.stats.card.as_ref().map_or(0, |(_, bytes)| *bytes);
         self.counts.card_bytes_most = self.counts.card_bytes_most.max(on_card);
-        let brought = picture.figures.painted.brought_bytes;
+        let brought = picture.stats.frame_stats.uploaded_bytes;
         self.counts.brought_bytes_most = self.counts.brought_bytes_most.max(brought);
         self.hud.picture(picture);
-        let ms = &picture.figures.painted.ms;
-        self.pace.picture(&picture.pose, ms.total + ms.prepare, picture.at);
-        let whole = picture.figures.painted.is_complete();
+        let ms = &picture.stats.frame_stats.ms;
+        self.frame_times.picture(&picture.pose, ms.total + ms.prepare, picture.at);
+        let whole = picture.stats.frame_stats.is_complete();
         self.counts.incomplete += u64::from(!whole);
-        let complete = whole && !picture.scouting;
+        let complete = whole && !picture.searching_start;
         self.started |= complete;
         let about = || {
             fields! {
                 "width": picture.frame.width, "height": picture.frame.height,
-                "triangles": picture.figures.painted.triangles, "missing": picture.figures.painted.missing_chunks.len(),
+                "triangles": picture.stats.frame_stats.triangles, "missing": picture.stats.frame_stats.missing_chunks.len(),
             }
         };
-        if !std::mem::replace(&mut self.told.picture, true) {
-            events.tell("first_picture", about());
+        if !std::mem::replace(&mut self.last_reported.picture, true) {
+            events.write("first_picture", about());
         }
-        if complete && !std::mem::replace(&mut self.told.complete, true) {
-            events.tell("first_complete_picture", about());
+        if complete && !std::mem::replace(&mut self.last_reported.complete, true) {
+            events.write("first_complete_picture", about());
             if std::mem::take(&mut self.walk_at_once) {
-                self.drawing.replay(self.kept.walk());
+                self.render_thread.replay(self.kept.walk());
                 self.started = true;
             }
         }
         self.kept.pose(picture.pose, picture.at);
-        let told = self.told.pose;
-        if told.is_none_or(|(pose, _)| pose != picture.pose) {
+        let last_reported = self.last_reported.pose;
+        if last_reported.is_none_or(|(pose, _)| pose != picture.pose) {
             self.moved_pictures += 1;
             if self.moved_pictures == HELP_FOR {
                 self.hud.help = false;
             }
-            if told.is_none_or(|(_, at)| at.elapsed() >= POSE_EVERY) {
-                self.told.pose = Some((picture.pose, Instant::now()));
-                events.tell("pose", pose_fields(&picture.pose));
+            if last_reported.is_none_or(|(_, at)| at.elapsed() >= POSE_EVERY) {
+                self.last_reported.pose = Some((picture.pose, Instant::now()));
+                events.write("pose", pose_fields(&picture.pose));
             }
         }
     }
@@ -252,13 +254,13 @@ impl Visit {
             Ok(path) => {
                 let path = std::path::absolute(&path).unwrap_or(path);
                 println!("{}", path.display());
-                self.hud.say(format!("saved {}", path.display()), true);
-                events.tell("screenshot", fields! { "path": path.display().to_string() });
+                self.hud.show_message(format!("saved {}", path.display()), true);
+                events.write("screenshot", fields! { "path": path.display().to_string() });
             }
             Err(e) => {
                 tracing::warn!("{e}");
-                events.tell("screenshot_failed", fields! { "reason": &e });
-                self.hud.say(e, false);
+                events.write("screenshot_failed", fields! { "reason": &e });
+                self.hud.show_message(e, false);
             }
         }
     }
@@ -270,7 +272,7 @@ impl Visit {
         }
         // Nothing can be seen of a window without area; the last size stays.
         if size.width > 0 && size.height > 0 {
-            self.drawing.resize([size.width, size.height]);
+            self.render_thread.resize([size.width, size.height]);
         }
         self.window.request_redraw();
     }
@@ -293,7 +295,7 @@ impl Visit {
         }
         self.window.set_cursor_visible(!capture);
         self.captured = capture;
-        events.tell(if capture { "captured" } else { "released" }, fields! {});
+        events.write(if capture { "captured" } else { "released" }, fields! {});
     }
 
     /// The mouse was pressed: on the map that is the map's, elsewhere it captures the pointer.
@@ -307,18 +309,18 @@ impl Visit {
     }
 
     /// A key. Whether it asks to leave.
-    pub fn key(&mut self, event: &KeyEvent, link: &Link, events: &mut Events) -> bool {
+    pub fn key(&mut self, event: &KeyEvent, connection: &ServerConnection, events: &mut Events) -> bool {
         let pressed = event.state == ElementState::Pressed;
         // Held keys repeat thirty times per second, and change nothing that is written.
         self.written = self.written.filter(|_| event.repeat || !pressed);
-        if pressed && !event.repeat && self.command(event, link, events) {
+        if pressed && !event.repeat && self.command(event, connection, events) {
             return true;
         }
         if let PhysicalKey::Code(code) = event.physical_key {
             let control = self.modifiers.control_key() || self.modifiers.super_key();
             if self.keys.set(code, pressed && !control) {
                 self.started |= pressed;
-                self.drawing.press(self.intent());
+                self.render_thread.set_intent(self.intent());
             }
         }
         false
@@ -339,11 +341,11 @@ impl Visit {
             self.keys.release();
             self.capture(false, events);
         }
-        self.drawing.press(self.intent());
+        self.render_thread.set_intent(self.intent());
     }
 
     /// The gamepad moved.
-    pub fn pad(&mut self, link: &Link, events: &mut Events) {
+    pub fn pad(&mut self, connection: &ServerConnection, events: &mut Events) {
         let presses = self.pad.pad().presses();
         self.written = self.written.filter(|_| presses.is_empty());
         if !self.focused {
@@ -351,22 +353,22 @@ impl Visit {
         }
         let intent = self.intent();
         self.started |= intent != Intent::default();
-        self.drawing.press(intent);
+        self.render_thread.set_intent(intent);
         for press in presses {
             match press {
-                PadPress::Shot => self.drawing.shoot(),
-                PadPress::Map => self.toggle_map(link, events),
+                PadPress::Shot => self.render_thread.take_screenshot(),
+                PadPress::Map => self.toggle_map(connection, events),
             }
             self.window.request_redraw();
         }
     }
 
     /// A key that does something once.
-    fn command(&mut self, event: &KeyEvent, link: &Link, events: &mut Events) -> bool {
+    fn command(&mut self, event: &KeyEvent, connection: &ServerConnection, events: &mut Events) -> bool {
         let letter = |wanted: &str| matches!(&event.logical_key, Key::Character(c) if c.eq_ignore_ascii_case(wanted));
         let control = self.modifiers.control_key() || self.modifiers.super_key();
         if let Some(digit) = digit(event) {
-            self.bookmark(digit, control, link, events);
+            self.bookmark(digit, control, connection, events);
         }
         if control {
             return letter("q") || letter("w");
@@ -374,50 +376,53 @@ impl Visit {
         match &event.logical_key {
             Key::Named(NamedKey::F2) => {
                 self.shows = self.shows.next(self.modifiers.shift_key());
-                self.drawing.show(self.shows);
-                self.hud.say(self.shows.legend().into(), true);
-                events.tell("view", fields! { "shows": self.shows });
+                self.render_thread.show(self.shows);
+                self.hud.show_message(self.shows.legend().into(), true);
+                events.write("view", fields! { "shows": self.shows });
             }
             Key::Named(NamedKey::F3) => {
                 if self.map.open {
                     // The map would cover them.
-                    self.toggle_map(link, events);
+                    self.toggle_map(connection, events);
                 }
                 self.settings.open = !self.settings.open;
                 if self.settings.open {
                     self.capture(false, events);
                 }
-                events.tell("settings", fields! { "open": self.settings.open });
+                events.write("settings", fields! { "open": self.settings.open });
             }
             _ if letter("r") => {
-                let said = self.kept.record(self.drawing.speed_m_per_s());
-                self.said(said, events);
+                let described = self.kept.record(self.render_thread.speed_m_per_s());
+                self.announce(described, events);
             }
             _ if letter("p") => match self.kept.walk() {
-                _ if self.replaying => self.drawing.replay(None),
-                Some(walk) => self.drawing.replay(Some(walk)),
-                None => self.hud.say("nothing to walk again yet: R records a walk".into(), false),
+                _ if self.replaying => self.render_thread.replay(None),
+                Some(walk) => self.render_thread.replay(Some(walk)),
+                None => self.hud.show_message("nothing to walk again yet: R records a walk".into(), false),
             },
-            Key::Named(NamedKey::Escape) if self.map.open => self.toggle_map(link, events),
+            Key::Named(NamedKey::Escape) if self.map.open => self.toggle_map(connection, events),
             Key::Named(NamedKey::Escape) if self.settings.open => {
                 self.settings.open = false;
-                events.tell("settings", fields! { "open": false });
+                events.write("settings", fields! { "open": false });
             }
             Key::Named(NamedKey::Escape) => self.capture(false, events),
             Key::Named(NamedKey::F1) => {
                 self.hud.figures = !self.hud.figures;
                 self.hud.help = self.hud.figures;
-                events.tell("figures", fields! { "shown": self.hud.figures });
+                events.write("figures", fields! { "shown": self.hud.figures });
             }
-            Key::Named(NamedKey::F12) => self.drawing.shoot(),
+            Key::Named(NamedKey::F12) => self.render_thread.take_screenshot(),
             _ if letter("g") => {
-                let closed = self.drawing.toggle_walls();
-                self.hud.say(if closed { "walls are closed" } else { "walls are open: G closes them" }.into(), true);
-                events.tell("walls", fields! { "closed": closed });
+                let closed = self.render_thread.toggle_walls();
+                self.hud.show_message(
+                    if closed { "walls are closed" } else { "walls are open: G closes them" }.into(),
+                    true,
+                );
+                events.write("walls", fields! { "closed": closed });
             }
             Key::Named(NamedKey::PageUp) if self.map.open => self.map.change_storey(true),
             Key::Named(NamedKey::PageDown) if self.map.open => self.map.change_storey(false),
-            _ if letter("m") => self.toggle_map(link, events),
+            _ if letter("m") => self.toggle_map(connection, events),
             _ => {}
         }
         self.window.request_redraw();
@@ -425,55 +430,55 @@ impl Visit {
     }
 
     /// Says it, and tells it.
-    fn said(&mut self, said: Said, events: &mut Events) {
-        self.hud.say(said.text, said.good);
-        if let Some((event, more)) = said.event {
-            events.tell(event, more);
+    fn announce(&mut self, described: Announcement, events: &mut Events) {
+        self.hud.show_message(described.text, described.good);
+        if let Some((event, more)) = described.event {
+            events.write(event, more);
         }
     }
 
     /// Keeps the present place under a digit, or goes to the one that is kept there.
-    fn bookmark(&mut self, digit: u8, keep: bool, link: &Link, events: &mut Events) {
-        let (Some(scene), Some(picture)) = (link.scene(), &self.picture) else { return };
-        let (there, said) = self.kept.bookmark(digit, keep.then_some(picture.pose), &scene.index.scene.name);
+    fn bookmark(&mut self, digit: u8, keep: bool, connection: &ServerConnection, events: &mut Events) {
+        let (Some(scene), Some(picture)) = (connection.scene(), &self.picture) else { return };
+        let (there, described) = self.kept.bookmark(digit, keep.then_some(picture.pose), &scene.index.scene.name);
         if let Some(pose) = there {
-            self.drawing.place(pose);
+            self.render_thread.place(pose);
         }
-        self.said(said, events);
+        self.announce(described, events);
     }
 
     /// Turns the head by what the mouse moved.
     pub fn look(&self, delta: (f64, f64), deg_per_count: f64) {
         let (yaw_deg, pitch_deg) = self.settings.turn_deg(delta, deg_per_count);
-        self.drawing.turn(yaw_deg, pitch_deg);
+        self.render_thread.turn(yaw_deg, pitch_deg);
     }
 
-    fn toggle_map(&mut self, link: &Link, events: &mut Events) {
+    fn toggle_map(&mut self, connection: &ServerConnection, events: &mut Events) {
         self.started = true;
         self.map.toggle();
-        link.others().want(self.map.open);
-        (self.told.map, self.told.others) = (false, None);
+        connection.others().want(self.map.open);
+        (self.last_reported.map, self.last_reported.others) = (false, None);
         if self.map.open {
             if std::mem::take(&mut self.settings.open) {
-                events.tell("settings", fields! { "open": false });
+                events.write("settings", fields! { "open": false });
             }
             self.capture_again = self.captured;
             self.capture(false, events);
         } else {
-            events.tell("map", fields! { "open": false });
+            events.write("map", fields! { "open": false });
             self.capture(self.capture_again, events);
         }
     }
 
     /// Says when a walk begins to be walked again, and when it is over: there may be no picture then.
-    fn tell_replay(&mut self, events: &mut Events) {
-        let replaying = self.drawing.is_replaying();
+    fn report_replay(&mut self, events: &mut Events) {
+        let replaying = self.render_thread.is_replaying();
         if std::mem::replace(&mut self.replaying, replaying) != replaying {
-            self.hud.say(
+            self.hud.show_message(
                 if replaying { "walking by itself: P or any step ends it" } else { "the walk is over" }.into(),
                 true,
             );
-            events.tell("replay", fields! { "running": replaying });
+            events.write("replay", fields! { "running": replaying });
         }
     }
 
@@ -503,7 +508,7 @@ impl Visit {
         // Its letters went with the old screen.
         self.egui = interface_of(&self.window, &self.display, &screen);
         (self.screen, self.reopened, self.written) = (Some(screen), Some(Instant::now()), None);
-        self.hud.say("the graphics driver failed and was started again".into(), false);
+        self.hud.show_message("the graphics driver failed and was started again".into(), false);
         self.window.request_redraw();
         Ok(())
     }
@@ -512,8 +517,13 @@ impl Visit {
     ///
     /// # Errors
     /// If the driver fails for good.
-    pub fn redraw(&mut self, server: &str, link: &Link, events: &mut Events) -> Result<(), ScreenError> {
-        self.tell_replay(events);
+    pub fn redraw(
+        &mut self,
+        server: &str,
+        connection: &ServerConnection,
+        events: &mut Events,
+    ) -> Result<(), ScreenError> {
+        self.report_replay(events);
         let to_read_alone = self.started && !self.map.open && !self.settings.open;
         let written = self.written.is_some_and(|at| at.elapsed() < WRITE_EVERY);
         if written && to_read_alone && self.screen.as_ref().is_some_and(Screen::keeps_interface) {
@@ -522,14 +532,14 @@ impl Visit {
         self.written = Some(Instant::now());
         let input = self.egui.take_egui_input(&self.window);
         let ctx = self.egui.egui_ctx().clone();
-        let (scene, state, figures) = (link.scene(), link.state(), link.figures());
-        let others = link.others().list();
-        let speed = self.drawing.speed_m_per_s();
+        let (scene, state, stats) = (connection.scene(), connection.state(), connection.summary());
+        let others = connection.others().list();
+        let speed = self.render_thread.speed_m_per_s();
         let mut clicked = None;
         let output = ctx.run_pass(input, |ctx| {
             let shown = self.picture.as_ref();
             if !self.started {
-                start::show(ctx, server, link, shown);
+                start_screen::show(ctx, server, connection, shown);
                 return;
             }
             if let (true, Some(scene), Some(p)) = (self.map.open, &scene, shown) {
@@ -541,9 +551,9 @@ impl Visit {
                 // The map has the place of the figures; messages stay.
                 self.hud.figures = false;
             }
-            self.hud.show(ctx, shown, &figures, &state, speed);
+            self.hud.show(ctx, shown, &stats, &state, speed);
             if self.settings.open && self.settings.show(ctx) {
-                self.drawing.settle(self.settings.frame_ms, self.settings.fine);
+                self.render_thread.apply_settings(self.settings.frame_ms, self.settings.fine);
             }
             self.hud.figures |= hud_below_map;
         });
@@ -558,25 +568,25 @@ impl Visit {
         let scale = output.pixels_per_point;
         let interface = Interface { primitives, textures: output.textures_delta, scale };
         self.present(Some(interface))?;
-        if let (Some(sheet), false) = (self.map.sheet, self.told.map) {
-            self.told.map = true;
+        if let (Some(sheet), false) = (self.map.sheet, self.last_reported.map) {
+            self.last_reported.map = true;
             let a = sheet.area;
             let px = [a.min.x, a.min.y, a.max.x, a.max.y].map(|v| v * scale);
             let [x, z] = sheet.corner;
-            events.tell("map", fields! { "open": true, "area_px": px, "corner": [x, z], "px_per_m": sheet.per_metre * f64::from(scale) });
+            events.write("map", fields! { "open": true, "area_px": px, "corner": [x, z], "px_per_m": sheet.per_metre * f64::from(scale) });
         }
         let shown = others.filter(|_| self.map.open).map(|o| o.len());
-        if shown.is_some() && std::mem::replace(&mut self.told.others, shown) != shown {
-            events.tell("others", fields! { "shown": shown });
+        if shown.is_some() && std::mem::replace(&mut self.last_reported.others, shown) != shown {
+            events.write("others", fields! { "shown": shown });
         }
         if let Some(p) = clicked {
-            self.drawing.teleport(p);
-            events.tell("teleport", fields! { "position": p.to_array() });
+            self.render_thread.teleport(p);
+            events.write("teleport", fields! { "position": p.to_array() });
             let is_floor = |v: &WalkVolume| v.heights(p.x, p.z).next().is_some();
-            if link.scene().is_some_and(|s| s.index.volume.as_ref().is_some_and(|v| !is_floor(v))) {
-                self.hud.say("nobody can stand where you clicked: this is the nearest place".into(), true);
+            if connection.scene().is_some_and(|s| s.index.volume.as_ref().is_some_and(|v| !is_floor(v))) {
+                self.hud.show_message("nobody can stand where you clicked: this is the nearest place".into(), true);
             }
-            self.toggle_map(link, events);
+            self.toggle_map(connection, events);
         }
         Ok(())
     }
@@ -584,8 +594,8 @@ impl Visit {
     /// The window is closed: a walk that is being recorded is saved.
     pub fn close(&mut self, events: &mut Events) {
         if self.kept.is_recording() {
-            let said = self.kept.record(self.drawing.speed_m_per_s());
-            self.said(said, events);
+            let described = self.kept.record(self.render_thread.speed_m_per_s());
+            self.announce(described, events);
         }
     }
 }

@@ -4,13 +4,13 @@
 //! stage. Nothing here waits: absent data is left out and named.
 
 use super::{
-    hand::{Hand, PaintError},
-    landing::{Ahead, Landed, Landing, Late, allowed_bytes, bring_cells},
-    layouts::{Layout, Layouts, Wanted},
+    display_mode::DisplayMode,
+    fallback_view::{FallbackView, absent_chunks},
+    image_layouts::{ImageLayout, ImageLayouts, LayoutRequest},
+    layout_worker::LayoutWorker,
     options::{Cull, Method, WalkOptions},
-    stand_in::{StandIn, absent_chunks},
-    views::Shows,
-    workshop::Workshop,
+    render_backend::{RenderBackend, RenderError},
+    upload_queue::{Anticipated, PendingUploads, UploadQueue, UploadedOnly, upload_budget_bytes, upload_cells},
 };
 use crate::{
     composite::{
@@ -67,7 +67,7 @@ pub struct View {
 
 /// What a frame took and lacked.
 #[derive(Debug, Clone, Default)]
-pub struct Painted {
+pub struct FrameStats {
     /// Near triangles submitted.
     pub triangles: u64,
     /// The warp's figures; None when nothing was warped.
@@ -83,16 +83,16 @@ pub struct Painted {
     /// Images, chunks of geometry and textures that are resident and being laid out beside or on their way to the card; what is there of them is shown.
     pub waiting: usize,
     /// Bytes of the scene that this picture put onto a card.
-    pub brought_bytes: u64,
+    pub uploaded_bytes: u64,
     /// The placement that stands in for the view's own, which is not at hand yet.
-    pub stand_in: Option<u32>,
+    pub fallback: Option<u32>,
     /// Whether a graphics card joined near geometry and images.
     pub on_card: bool,
     /// Time by stage. `total` is without `prepare`.
     pub ms: StageMs,
 }
 
-impl Painted {
+impl FrameStats {
     /// Whether the picture lacks nothing.
     pub fn is_complete(&self) -> bool {
         self.whole && self.missing_chunks.is_empty() && self.waiting == 0
@@ -101,8 +101,8 @@ impl Painted {
 
 /// Draws frames; keeps memory between them.
 #[derive(Debug, Default)]
-pub struct Painter {
-    hand: Hand,
+pub struct FrameRenderer {
+    backend: RenderBackend,
     impostors: Impostors,
     /// Whether the last picture lacked nothing.
     was_complete: bool,
@@ -115,17 +115,17 @@ pub struct Painter {
     tree_rate: f64,
     /// Colours of the frame before, where holes are to show it.
     last: Vec<u32>,
-    layouts: Layouts,
-    stand_in: StandIn,
+    layouts: ImageLayouts,
+    fallback: FallbackView,
     /// Lays images out beside, once a frame asks for that; None also where the system gives no threads.
-    workshop: Option<Workshop>,
-    landing: Landing,
+    layout_worker: Option<LayoutWorker>,
+    uploads: UploadQueue,
     /// Geometry or textures of the last picture are on their way to the card.
     late: bool,
-    ahead: Ahead,
+    ahead: Anticipated,
     /// Bytes that a picture may put onto the card, in place of the usual ones.
     #[cfg(test)]
-    pub(super) allowed_bytes: Option<u64>,
+    pub(super) upload_budget_bytes: Option<u64>,
     /// They are painted onto their portals.
     textures: bool,
 }
@@ -190,15 +190,15 @@ pub(super) fn drawable(index: &Index, resident: &dyn Resident, cells: &[u32]) ->
         let textures = materials.iter().filter_map(|m| index.materials.get(*m as usize)?.texture);
         textures.filter_map(|t| *absent.get(t as usize)?).collect()
     };
-    let (mut drawn, mut bare) = (Vec::new(), Vec::new());
+    let (mut drawn, mut lacking_textures) = (Vec::new(), Vec::new());
     for cell in cells {
         let wanted = wants(cell);
         if wanted.is_empty() {
             drawn.push(*cell);
         }
-        bare.extend(wanted);
+        lacking_textures.extend(wanted);
     }
-    (drawn, bare)
+    (drawn, lacking_textures)
 }
 
 /// The chunks of an image that are not there.
@@ -257,42 +257,42 @@ impl View {
     }
 }
 
-impl Painter {
+impl FrameRenderer {
     /// One that draws on a graphics card.
     pub fn on(gpu: Gpu) -> Self {
-        Self { hand: Hand::on(gpu), ..Self::default() }
+        Self { backend: RenderBackend::on(gpu), ..Self::default() }
     }
 
     /// The card that it draws on, if any.
     pub fn gpu(&self) -> Option<&Gpu> {
-        self.hand.gpu()
+        self.backend.gpu()
     }
 
     /// What the next frames may show: it is laid out beside when nothing else is, and goes to the card after all that the frame itself wants.
-    pub fn anticipate(&mut self, ahead: Ahead) {
+    pub fn anticipate(&mut self, ahead: Anticipated) {
         self.ahead = ahead;
     }
 
     /// Whether another picture could show more, although nothing has come: images were laid out, or something is on its way to the card.
     pub fn has_news(&self) -> bool {
-        self.late || self.landing.is_under_way() || self.workshop.as_ref().is_some_and(Workshop::has_finished)
+        self.late || self.uploads.is_under_way() || self.layout_worker.as_ref().is_some_and(LayoutWorker::has_finished)
     }
 
     /// Opens the workshop when it is wanted for the first time.
-    fn workshop(&mut self) -> Option<&Workshop> {
-        if self.workshop.is_none() {
-            self.workshop = Workshop::open()
+    fn layout_worker(&mut self) -> Option<&LayoutWorker> {
+        if self.layout_worker.is_none() {
+            self.layout_worker = LayoutWorker::open()
                 .map_err(|e| tracing::warn!("images are laid out by the frames that show them: {e}"))
                 .ok();
         }
-        self.workshop.as_ref()
+        self.layout_worker.as_ref()
     }
 
     /// Forgets the scene, for another one.
     pub fn forget_scene(&mut self) {
-        let mut hand = std::mem::take(&mut self.hand);
-        hand.forget();
-        *self = Self { hand, ..Self::default() };
+        let mut backend = std::mem::take(&mut self.backend);
+        backend.forget();
+        *self = Self { backend, ..Self::default() };
     }
 
     /// Draws a view into `out`, at the camera's size; of a frame that a card joined it has no disparities. `holds` tells whether a chunk is resident, decoded.
@@ -301,7 +301,7 @@ impl Painter {
     ///
     /// When the options ask for an order that cannot draw the stamp, or the graphics card fails.
     #[expect(clippy::too_many_arguments, reason = "each is another thing that a frame depends on")]
-    pub fn paint(
+    pub fn render(
         &mut self,
         index: &Index,
         resident: &dyn Resident,
@@ -311,21 +311,21 @@ impl Painter {
         options: &WalkOptions,
         ms: StageMs,
         out: &mut Frame,
-    ) -> Result<Painted, PaintError> {
+    ) -> Result<FrameStats, RenderError> {
         let full_camera = supersampled(camera, options.supersample);
-        let mut painted = Painted { ms, whole: index.is_whole(), ..Painted::default() };
+        let mut frame_stats = FrameStats { ms, whole: index.is_whole(), ..FrameStats::default() };
 
         self.last.clear();
         if options.fill == Fill::Last {
             std::mem::swap(&mut self.last, &mut self.full.colour);
         }
         let start = Instant::now();
-        let beside = options.beside && self.workshop().is_some();
+        let background_layout = options.background_layout && self.layout_worker().is_some();
         // At half the size that the dataset was made for.
-        let half = beside && 2.0 * full_camera.focal_px() <= index.settings.camera.focal_px() * (1.0 + 1e-6);
+        let half = background_layout && 2.0 * full_camera.focal_px() <= index.settings.camera.focal_px() * (1.0 + 1e-6);
         if std::mem::replace(&mut self.textures, view.portal_images.is_texture()) != self.textures {
             // The same images, laid out otherwise.
-            (self.layouts, self.landing) = (Layouts::default(), Landing::default());
+            (self.layouts, self.uploads) = (ImageLayouts::default(), UploadQueue::default());
         }
         let warp_options = WarpOptions {
             stamp: options.stamp,
@@ -334,48 +334,48 @@ impl Painter {
             ..WarpOptions::default()
         };
         let ahead = std::mem::take(&mut self.ahead);
-        let allowed = allowed_bytes(beside, options.frame_ms.is_some());
+        let allowed = upload_budget_bytes(background_layout, options.frame_ms.is_some());
         #[cfg(test)]
-        let allowed = self.allowed_bytes.unwrap_or(allowed);
-        self.hand.begin_frame(allowed);
-        let late = match beside {
-            true => bring_cells(&mut self.hand, index, resident, &view.cells, &full_camera, false)?,
-            false => Late::default(),
+        let allowed = self.upload_budget_bytes.unwrap_or(allowed);
+        self.backend.begin_frame(allowed);
+        let late = match background_layout {
+            true => upload_cells(&mut self.backend, index, resident, &view.cells, &full_camera, false)?,
+            false => PendingUploads::default(),
         };
-        let landed = Landed { resident, index, late: &late.chunks };
-        let made = self.workshop.as_ref().map(Workshop::take);
-        made.into_iter().flatten().for_each(|layout| self.landing.put(layout));
-        if beside {
+        let uploaded = UploadedOnly { resident, index, late: &late.chunks };
+        let made = self.layout_worker.as_ref().map(LayoutWorker::take_finished);
+        made.into_iter().flatten().for_each(|layout| self.uploads.insert(layout));
+        if background_layout {
             let images = (&view.images[..], &ahead.images[..]);
-            self.landing.bring(&mut self.hand, &mut self.layouts, images, &full_camera, &warp_options)?;
-            bring_cells(&mut self.hand, index, resident, &ahead.cells, &full_camera, true)?;
+            self.uploads.upload(&mut self.backend, &mut self.layouts, images, &full_camera, &warp_options)?;
+            upload_cells(&mut self.backend, index, resident, &ahead.cells, &full_camera, true)?;
         }
-        let resident: &dyn Resident = &landed;
-        let is_at_hand = |image| match beside {
+        let resident: &dyn Resident = &uploaded;
+        let is_ready = |image| match background_layout {
             true => self.layouts.get(image, half).is_some(),
             false => resident.ldi(image).is_some(),
         };
         let looks = (pose, (camera.half_tan_x(), camera.half_tan_y()));
-        let stand_in = self.stand_in.view(index, resident, view, looks, &is_at_hand);
-        let (own, view) = (view, stand_in.as_ref().unwrap_or(view));
-        painted.stand_in = stand_in.as_ref().and_then(|v| v.selection.placement);
-        let (cells, bare) = drawable(index, resident, &view.cells);
-        let near = if options.method == Method::Cache && bare.is_empty() {
+        let fallback = self.fallback.view(index, resident, view, looks, &is_ready);
+        let (own, view) = (view, fallback.as_ref().unwrap_or(view));
+        frame_stats.fallback = fallback.as_ref().and_then(|v| v.selection.placement);
+        let (cells, lacking_textures) = drawable(index, resident, &view.cells);
+        let near = if options.method == Method::Cache && lacking_textures.is_empty() {
             self.impostors.settings.error_px = options.cache_error_px * f64::from(options.supersample);
             let (scene, view) = ((index, resident), (&full_camera, pose));
             let (near, drawn) = self.impostors.draw(scene, view, self.was_complete, &mut self.full);
-            (painted.ms.near, painted.ms.warp) = (drawn.near_ms, drawn.images_ms + drawn.made_ms);
-            painted.cached = Some(drawn);
+            (frame_stats.ms.near, frame_stats.ms.warp) = (drawn.near_ms, drawn.images_ms + drawn.made_ms);
+            frame_stats.cached = Some(drawn);
             near
         } else {
-            let near = self.hand.draw_near(index, resident, &cells, &full_camera, pose, &mut self.full)?;
-            painted.ms.near = ms_since(start);
+            let near = self.backend.draw_near(index, resident, &cells, &full_camera, pose, &mut self.full)?;
+            frame_stats.ms.near = ms_since(start);
             near
         };
-        painted.triangles = near.triangles;
-        let near_gaps = !near.missing_chunks.is_empty() || !bare.is_empty();
-        painted.missing_chunks = near.missing_chunks;
-        painted.missing_chunks.extend(bare);
+        frame_stats.triangles = near.triangles;
+        let near_gaps = !near.missing_chunks.is_empty() || !lacking_textures.is_empty();
+        frame_stats.missing_chunks = near.missing_chunks;
+        frame_stats.missing_chunks.extend(lacking_textures);
         let absent_levels = |textures: &[u32], first: usize| {
             let chunks = textures
                 .iter()
@@ -383,7 +383,7 @@ impl Painter {
                 .flat_map(move |t| t.chunks.iter().skip(first));
             chunks.map(|c| c.chunk).collect::<Vec<_>>()
         };
-        painted.missing_chunks.extend(absent_levels(&near.missing_textures, 0));
+        frame_stats.missing_chunks.extend(absent_levels(&near.missing_textures, 0));
         if !near.coarse_textures.is_empty() {
             let seen = view.needed(index, &Sight::new(pose, camera, options.supersample)).fine;
             let entries = near.coarse_textures.iter().filter_map(|t| Some((*t, index.textures.get(*t as usize)?)));
@@ -391,48 +391,48 @@ impl Painter {
                 let levels = resident.texture(number).map(|t| t.levels.iter().position(Option::is_some));
                 let finest = levels.flatten().unwrap_or(usize::MAX);
                 let absent = entry.chunks.iter().filter(|c| usize::from(c.last_level) < finest).map(|c| c.chunk);
-                painted.missing_chunks.extend(absent.filter(|c| seen.contains(c)));
+                frame_stats.missing_chunks.extend(absent.filter(|c| seen.contains(c)));
             }
         }
 
         let mut images: Vec<(u32, &ImageEntry, Option<Arc<Ldi>>)> =
             view.images.iter().filter_map(|i| Some((*i, index.images.get(*i as usize)?, resident.ldi(*i)))).collect();
         for (_, entry, ldi) in &images {
-            painted.missing_chunks.extend(absent_layers(entry, ldi.as_deref()));
+            frame_stats.missing_chunks.extend(absent_layers(entry, ldi.as_deref()));
         }
         // What the view itself waits for.
-        let mut wanted: Vec<Wanted> = Vec::new();
-        if stand_in.is_some() {
-            painted.missing_chunks.extend(absent_chunks(index, resident, &own.cells));
+        let mut wanted: Vec<LayoutRequest> = Vec::new();
+        if fallback.is_some() {
+            frame_stats.missing_chunks.extend(absent_chunks(index, resident, &own.cells));
             for (number, entry) in own.images.iter().filter_map(|i| Some((*i, index.images.get(*i as usize)?))) {
                 let ldi = resident.ldi(number);
-                painted.missing_chunks.extend(absent_layers(entry, ldi.as_deref()));
-                let want = ldi.map(|ldi| Wanted { number, half, ldi });
-                wanted.extend(want.filter(|w| beside && !self.layouts.holds(w)));
+                frame_stats.missing_chunks.extend(absent_layers(entry, ldi.as_deref()));
+                let want = ldi.map(|ldi| LayoutRequest { number, half, ldi });
+                wanted.extend(want.filter(|w| background_layout && !self.layouts.holds(w)));
             }
-            painted.waiting = wanted.len();
+            frame_stats.waiting = wanted.len();
         }
-        painted.missing_chunks.sort_unstable();
-        painted.missing_chunks.dedup();
+        frame_stats.missing_chunks.sort_unstable();
+        frame_stats.missing_chunks.dedup();
         // Those have come; they only do not show yet.
-        painted.missing_chunks.retain(|c| !late.chunks.contains(c));
+        frame_stats.missing_chunks.retain(|c| !late.chunks.contains(c));
         self.late = !late.chunks.is_empty() || late.coarse > 0;
-        painted.waiting += late.chunks.len() + late.coarse;
+        frame_stats.waiting += late.chunks.len() + late.coarse;
 
         self.layouts.forget_all_but(|number| {
             images.iter().any(|(n, ..)| *n == number) || own.images.contains(&number) || ahead.images.contains(&number)
         });
         for (number, _, held) in &mut images {
             let canvas = view.canvas(index, *number);
-            if beside && canvas.is_none() {
+            if background_layout && canvas.is_none() {
                 let Some(ldi) = held.take() else { continue };
-                let want = Wanted { number: *number, half, ldi };
+                let want = LayoutRequest { number: *number, half, ldi };
                 // Until it is ready, what was laid out when it had fewer layers or at the other resolution, if there is that.
                 let shown = self.layouts.get(*number, half);
                 *held = shown.map(|l| l.of.ldi.clone());
                 if !self.layouts.holds(&want) {
                     wanted.push(want);
-                    painted.waiting += 1;
+                    frame_stats.waiting += 1;
                 }
                 continue;
             }
@@ -441,26 +441,26 @@ impl Painter {
             let paint = |ldi: &Ldi| canvas.and_then(|p| painted_onto(ldi, p.normal(), p.centre(), SKY_SRGB));
             let new = self.layouts.lay_out(*number, ldi, paint);
             if let Some(l) = self.layouts.get(*number, false) {
-                self.hand.bring(&l.laid_out, &mut None, false, &full_camera, &warp_options)?;
+                self.backend.upload(&l.laid_out, &mut None, false, &full_camera, &warp_options)?;
             }
-            painted.ms.prepare += if new { ms_since(start) } else { 0.0 };
+            frame_stats.ms.prepare += if new { ms_since(start) } else { 0.0 };
         }
-        if let Some(workshop) = self.workshop.as_ref().filter(|_| beside) {
+        if let Some(layout_worker) = self.layout_worker.as_ref().filter(|_| background_layout) {
             let resident =
-                ahead.images.iter().filter_map(|n| Some(Wanted { number: *n, half, ldi: resident.ldi(*n)? }));
+                ahead.images.iter().filter_map(|n| Some(LayoutRequest { number: *n, half, ldi: resident.ldi(*n)? }));
             wanted.extend(resident.filter(|w| !self.layouts.holds(w)));
-            wanted.retain(|w| !self.landing.holds(w));
-            workshop.want(wanted, self.hand.warper(&full_camera, &warp_options).is_some());
+            wanted.retain(|w| !self.uploads.holds(w));
+            layout_worker.set_requests(wanted, self.backend.warping_gpu_for(&full_camera, &warp_options).is_some());
         }
-        let gaps = !painted.whole || near_gaps || images.iter().any(|(.., l)| l.is_none());
-        if stand_in.is_none() && !gaps {
-            self.stand_in.remember(view);
+        let gaps = !frame_stats.whole || near_gaps || images.iter().any(|(.., l)| l.is_none());
+        if fallback.is_none() && !gaps {
+            self.fallback.remember_complete(view);
         }
         self.far.reset(full_camera.width, full_camera.height);
         let here = || images.iter().filter(|i| i.2.is_some()).map(|i| i.0);
-        let tinted = self.layouts.tinted(here(), pose, &full_camera, options.shows);
-        let layouts = tinted.as_ref().unwrap_or(&self.layouts);
-        let here: Vec<&Layout> = here().filter_map(|number| layouts.get(number, half)).collect();
+        let recoloured = self.layouts.recoloured(here(), pose, &full_camera, options.shows);
+        let layouts = recoloured.as_ref().unwrap_or(&self.layouts);
+        let here: Vec<&ImageLayout> = here().filter_map(|number| layouts.get(number, half)).collect();
         if !here.is_empty() {
             let start = Instant::now();
             let mut shown: Vec<Shown<'_>> = Vec::with_capacity(here.len());
@@ -474,9 +474,9 @@ impl Painter {
             for portal in &view.portals {
                 show(&|n| portal.images.contains(&n), Some(rectangle(&portal.cones, pose, &full_camera)));
             }
-            let stats = self.hand.warp(&shown, &self.full, pose, &full_camera, &warp_options, &mut self.far)?;
-            painted.warp = Some(stats);
-            painted.ms.warp = ms_since(start);
+            let stats = self.backend.warp(&shown, &self.full, pose, &full_camera, &warp_options, &mut self.far)?;
+            frame_stats.warp = Some(stats);
+            frame_stats.ms.warp = ms_since(start);
         }
 
         let start = Instant::now();
@@ -500,15 +500,15 @@ impl Painter {
         // Behind what the budget leaves out lies what images do not show either.
         let doubtful = gaps || view.dropped > 0;
         // On the card if all is there that the picture wants, and nothing that only the processor does.
-        let plain = options.shows == Shows::Scene && options.fill != Fill::Last && !options.smooth;
+        let plain = options.shows == DisplayMode::Scene && options.fill != Fill::Last && !options.smooth;
         let open = match plain && !doubtful && view.dropped == 0 {
-            true => self.hand.merge(&code_steps(&shown, pose, &full_camera), &full_camera, &self.far)?,
+            true => self.backend.merge(&code_steps(&shown, pose, &full_camera), &full_camera, &self.far)?,
             false => None,
         };
-        painted.on_card = open.is_some();
+        frame_stats.on_card = open.is_some();
         match &open {
             Some(open) => self.full.reset_open(full_camera.width, full_camera.height, open),
-            None => self.hand.read_back(&full_camera, &mut self.full, &mut self.far)?,
+            None => self.backend.read_back(&full_camera, &mut self.full, &mut self.far)?,
         }
         let far = match shown[..] {
             _ if !portals.is_empty() => {
@@ -537,17 +537,17 @@ impl Painter {
                 false => Doubt::None,
             };
             let start = Instant::now();
-            painted.tree = self.lay_tree_under(index, resident, pose, &full_camera, options, doubt, start);
-            if let Some(t) = &painted.tree {
+            frame_stats.tree = self.lay_tree_under(index, resident, pose, &full_camera, options, doubt, start);
+            if let Some(t) = &frame_stats.tree {
                 (stats.tree, stats.unpainted) = (t.given, self.full.count(Source::Unpainted) as u64);
                 known = true;
-                painted.ms.warp += t.ms;
+                frame_stats.ms.warp += t.ms;
             }
         }
         self.filled_on_card = 0;
         if let Some(open) = open {
             let fill = options.fill == Fill::Surface && stats.is_worth_filling(known);
-            self.filled_on_card = self.hand.finish(&open, &self.full, fill, options.supersample, out)?;
+            self.filled_on_card = self.backend.finish(&open, &self.full, fill, options.supersample, out)?;
         } else {
             let composite_options = CompositeOptions { fill: options.fill, last: &self.last, smooth: options.smooth };
             finish(&mut self.full, known, &mut stats, &composite_options);
@@ -562,12 +562,12 @@ impl Painter {
                 out.clone_from(&self.full);
             }
         }
-        painted.brought_bytes = self.hand.brought_bytes();
-        painted.ms.composite = ms_since(start) - painted.tree.as_ref().map_or(0.0, |t| t.ms);
-        self.was_complete = painted.is_complete();
-        let m = &mut painted.ms;
+        frame_stats.uploaded_bytes = self.backend.uploaded_bytes();
+        frame_stats.ms.composite = ms_since(start) - frame_stats.tree.as_ref().map_or(0.0, |t| t.ms);
+        self.was_complete = frame_stats.is_complete();
+        let m = &mut frame_stats.ms;
         m.total = m.select + m.cull + m.near + m.warp + m.composite;
-        Ok(painted)
+        Ok(frame_stats)
     }
 
     /// Draws the LDI tree where it is wanted and lays it under the frame. None where nothing is.

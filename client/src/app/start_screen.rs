@@ -1,9 +1,9 @@
 //! The start screen: what is happening until the first view is there.
 
 use super::{
-    desk::Picture,
     hud::{self, HELP},
-    link::{Link, LinkState},
+    render_mailbox::Picture,
+    server_connection::{ConnectionState, ServerConnection},
 };
 use crate::stream::Phase;
 use egui::{Align2, Color32, CornerRadius, FontId, Rect, pos2, vec2};
@@ -15,7 +15,7 @@ const CARD_FILL: Color32 = Color32::from_rgba_unmultiplied_const(24, 28, 34, 235
 const BAR: Color32 = Color32::from_rgb(90, 160, 220);
 
 /// Draws the card. `server` is whom the window was asked to show.
-pub fn show(ctx: &egui::Context, server: &str, link: &Link, picture: Option<&Picture>) {
+pub fn show(ctx: &egui::Context, server: &str, connection: &ServerConnection, picture: Option<&Picture>) {
     let painter = ctx.layer_painter(egui::LayerId::new(egui::Order::Middle, egui::Id::unique("start")));
     let screen = ctx.content_rect();
     painter.rect_filled(screen, CornerRadius::ZERO, Color32::from_black_alpha(120));
@@ -30,7 +30,7 @@ pub fn show(ctx: &egui::Context, server: &str, link: &Link, picture: Option<&Pic
             colour,
         );
     };
-    let scene = link.scene();
+    let scene = connection.scene();
     let title = scene.as_ref().map_or(server.to_owned(), |s| escaped(&s.index.scene.name).into_owned());
     line(22.0, 24.0, Color32::WHITE, &title);
     let about = scene.as_ref().map_or_else(String::new, |s| {
@@ -41,7 +41,7 @@ pub fn show(ctx: &egui::Context, server: &str, link: &Link, picture: Option<&Pic
         )
     });
     line(56.0, 13.0, Color32::GRAY, &about);
-    let (text, share) = step(link, picture);
+    let (text, share) = step(connection, picture);
     line(104.0, 16.0, Color32::WHITE, &text);
     let bar = Rect::from_min_size(pos2(card.left() + 28.0, card.top() + 134.0), vec2(card.width() - 56.0, 10.0));
     painter.rect_filled(bar, CornerRadius::same(5), Color32::from_gray(60));
@@ -49,12 +49,12 @@ pub fn show(ctx: &egui::Context, server: &str, link: &Link, picture: Option<&Pic
         let done = Rect::from_min_size(bar.min, vec2(bar.width() * share.clamp(0.0, 1.0), bar.height()));
         painter.rect_filled(done, CornerRadius::same(5), BAR);
     }
-    let figures = link.figures();
-    if figures.bytes > 0 {
-        let carried = format!("{:.1} MB received, {:.1} Mbit/s", figures.bytes as f64 * 1e-6, figures.mbit_per_s);
+    let stats = connection.summary();
+    if stats.bytes > 0 {
+        let carried = format!("{:.1} MB received, {:.1} Mbit/s", stats.bytes as f64 * 1e-6, stats.mbit_per_s);
         line(152.0, 13.0, Color32::GRAY, &carried);
     }
-    if let Some(text) = hud::trouble(&link.state()) {
+    if let Some(text) = hud::trouble(&connection.state()) {
         hud::centred(
             &painter,
             card.center_bottom() + vec2(0.0, 30.0),
@@ -70,10 +70,10 @@ pub fn show(ctx: &egui::Context, server: &str, link: &Link, picture: Option<&Pic
 }
 
 /// What is being done, and how much of it is.
-fn step(link: &Link, picture: Option<&Picture>) -> (String, Option<f32>) {
+fn step(connection: &ServerConnection, picture: Option<&Picture>) -> (String, Option<f32>) {
     let share = |done: u64, all: u64| (all > 0).then(|| done as f32 / all as f32);
     let first_view = |p: &Picture| {
-        let f = &p.figures;
+        let f = &p.stats;
         let here = f.needed_bytes.saturating_sub(f.missing_bytes);
         (
             format!("the first view: {:.2} of {:.2} MB", here as f64 * 1e-6, f.needed_bytes as f64 * 1e-6),
@@ -81,16 +81,16 @@ fn step(link: &Link, picture: Option<&Picture>) -> (String, Option<f32>) {
         )
     };
     let index = || {
-        let (done, all) = link.progress().1;
+        let (done, all) = connection.progress().1;
         let text = format!("the dataset's index: {:.2} of {:.2} MB", done as f64 * 1e-6, all as f64 * 1e-6);
         (text, share(done, all))
     };
-    match link.state() {
-        LinkState::Up if picture.is_some_and(|p| !p.figures.painted.whole) => index(),
-        LinkState::Up => picture.map_or(("drawing the first view".into(), None), first_view),
-        LinkState::Waiting { .. } => ("no connection".into(), None),
-        LinkState::Refused(_) => ("the server does not let this client in".into(), None),
-        LinkState::Connecting { .. } => match link.progress().0 {
+    match connection.state() {
+        ConnectionState::Up if picture.is_some_and(|p| !p.stats.frame_stats.whole) => index(),
+        ConnectionState::Up => picture.map_or(("drawing the first view".into(), None), first_view),
+        ConnectionState::Waiting { .. } => ("no connection".into(), None),
+        ConnectionState::Refused(_) => ("the server does not let this client in".into(), None),
+        ConnectionState::Connecting { .. } => match connection.progress().0 {
             Phase::Idle | Phase::Dialling => ("looking for the server".into(), None),
             Phase::Asking => ("asking to be let in".into(), None),
             Phase::Index => index(),

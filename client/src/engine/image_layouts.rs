@@ -1,6 +1,6 @@
 //! Images laid out for the warp, kept from frame to frame.
 
-use super::views::Shows;
+use super::display_mode::DisplayMode;
 use crate::{
     gpu::Packed,
     warp::{PreparedLdi, halved},
@@ -14,7 +14,7 @@ const KEPT: usize = 32;
 
 /// What is laid out.
 #[derive(Debug, Clone)]
-pub struct Wanted {
+pub struct LayoutRequest {
     /// Position in the index's images.
     pub number: u32,
     /// At half the resolution.
@@ -23,7 +23,7 @@ pub struct Wanted {
     pub ldi: Arc<Ldi>,
 }
 
-impl Wanted {
+impl LayoutRequest {
     /// Whether both are the same layers of the same image at the same resolution.
     pub fn is(&self, other: &Self) -> bool {
         (self.number, self.half) == (other.number, other.half) && Arc::ptr_eq(&self.ldi, &other.ldi)
@@ -32,9 +32,9 @@ impl Wanted {
 
 /// An image, laid out.
 #[derive(Debug)]
-pub struct Layout {
+pub struct ImageLayout {
     /// What was laid out.
-    pub of: Wanted,
+    pub of: LayoutRequest,
     /// The layout.
     pub laid_out: PreparedLdi,
     /// The same as a card reads it, until it is there.
@@ -42,49 +42,49 @@ pub struct Layout {
     since: Instant,
 }
 
-impl Layout {
+impl ImageLayout {
     /// Lays out an image; `pack`: for a card.
-    pub fn new(of: Wanted, pack: bool) -> Self {
+    pub fn new(of: LayoutRequest, pack: bool) -> Self {
         let laid_out = if of.half { PreparedLdi::new(&halved(&of.ldi)) } else { PreparedLdi::new(&of.ldi) };
         let packed = pack.then(|| Packed::new(&laid_out));
         Self { of, laid_out, packed, since: Instant::now() }
     }
 
-    /// Lays out at full resolution what `painted` shows of an image.
-    fn painted(of: Wanted, painted: Option<Ldi>) -> Self {
-        let laid_out = PreparedLdi::new(painted.as_ref().unwrap_or(&of.ldi));
+    /// Lays out at full resolution what `frame_stats` shows of an image.
+    fn frame_stats(of: LayoutRequest, frame_stats: Option<Ldi>) -> Self {
+        let laid_out = PreparedLdi::new(frame_stats.as_ref().unwrap_or(&of.ldi));
         Self { of, laid_out, packed: None, since: Instant::now() }
     }
 }
 
 /// See the module. The newest is last, and what a frame laid out or found laid out by itself.
 #[derive(Debug, Default)]
-pub struct Layouts(Vec<Layout>);
+pub struct ImageLayouts(Vec<ImageLayout>);
 
-impl Layouts {
+impl ImageLayouts {
     /// The layout of an image, at the resolution that is wanted if there is that.
-    pub fn get(&self, number: u32, half: bool) -> Option<&Layout> {
+    pub fn get(&self, number: u32, half: bool) -> Option<&ImageLayout> {
         self.of(number).find(|l| l.of.half == half).or_else(|| self.of(number).next())
     }
 
     /// All layouts of an image.
-    pub fn of(&self, number: u32) -> impl Iterator<Item = &Layout> {
+    pub fn of(&self, number: u32) -> impl Iterator<Item = &ImageLayout> {
         self.0.iter().filter(move |l| l.of.number == number)
     }
 
     /// Forgets some.
-    pub fn retain(&mut self, keep: impl FnMut(&Layout) -> bool) {
+    pub fn retain(&mut self, keep: impl FnMut(&ImageLayout) -> bool) {
         self.0.retain(keep);
     }
 
     /// Whether this is laid out.
-    pub fn holds(&self, wanted: &Wanted) -> bool {
+    pub fn holds(&self, wanted: &LayoutRequest) -> bool {
         self.0.iter().any(|l| l.of.is(wanted))
     }
 
     /// Takes in a layout that was made elsewhere, unless there is one with more layers.
-    pub fn put(&mut self, layout: Layout) {
-        let same = |l: &Layout| (l.of.number, l.of.half) == (layout.of.number, layout.of.half);
+    pub fn insert(&mut self, layout: ImageLayout) {
+        let same = |l: &ImageLayout| (l.of.number, l.of.half) == (layout.of.number, layout.of.half);
         if !self.0.iter().any(|l| same(l) && l.of.ldi.layers.len() > layout.of.ldi.layers.len()) {
             self.0.retain(|l| !same(l));
             self.0.push(layout);
@@ -93,14 +93,14 @@ impl Layouts {
 
     /// Lays out an image, or what `paint` makes of it, at full resolution, unless it is laid out already, with the same layers. Returns whether it was new.
     pub fn lay_out(&mut self, number: u32, ldi: &Arc<Ldi>, paint: impl FnOnce(&Ldi) -> Option<Ldi>) -> bool {
-        let wanted = Wanted { number, half: false, ldi: ldi.clone() };
+        let wanted = LayoutRequest { number, half: false, ldi: ldi.clone() };
         let held = self.0.iter().position(|l| l.of.is(&wanted));
         match held {
             Some(at) => {
                 let layout = self.0.remove(at);
                 self.0.push(layout);
             }
-            None => self.put(Layout::painted(wanted, paint(ldi))),
+            None => self.insert(ImageLayout::frame_stats(wanted, paint(ldi))),
         }
         held.is_none()
     }
@@ -116,19 +116,19 @@ impl Layouts {
     }
 
     /// Images in the colours of a view; none where it shows them as they are.
-    pub fn tinted(
+    pub fn recoloured(
         &self,
         numbers: impl Iterator<Item = u32>,
         pose: &Pose,
         camera: &OutputCamera,
-        shows: Shows,
+        shows: DisplayMode,
     ) -> Option<Self> {
-        let tint = |l: &Layout| {
+        let tint = |l: &ImageLayout| {
             let ldi = shows.tint(&l.of.ldi, pose, camera, l.since.elapsed().as_secs_f64())?;
-            let of = Wanted { half: false, ldi: ldi.clone(), ..l.of };
-            Some(Layout { of, laid_out: PreparedLdi::new(&ldi), packed: None, since: l.since })
+            let of = LayoutRequest { half: false, ldi: ldi.clone(), ..l.of };
+            Some(ImageLayout { of, laid_out: PreparedLdi::new(&ldi), packed: None, since: l.since })
         };
-        let tinted: Vec<Layout> = numbers.filter_map(|n| self.get(n, false)).filter_map(tint).collect();
-        (!tinted.is_empty()).then_some(Self(tinted))
+        let recoloured: Vec<ImageLayout> = numbers.filter_map(|n| self.get(n, false)).filter_map(tint).collect();
+        (!recoloured.is_empty()).then_some(Self(recoloured))
     }
 }

@@ -1,18 +1,18 @@
 //! What a visitor keeps: recorded walks and places, and what is said about them.
 
-use super::{AppConfig, bookmarks::Bookmarks, events::fields, record::Recording};
+use super::{AppConfig, bookmarks::Bookmarks, events::fields, recording::Recording};
 use ldi_protocol::{Pose, path::Walk};
 use serde_json::{Map, Value};
 use std::{path::PathBuf, sync::Arc, time::Instant};
 
 /// A message for the visitor, and an event.
-pub(super) struct Said {
+pub(super) struct Announcement {
     pub text: String,
     pub good: bool,
     pub event: Option<(&'static str, Map<String, Value>)>,
 }
 
-impl Said {
+impl Announcement {
     fn bad(text: String) -> Self {
         tracing::warn!("{text}");
         Self { text, good: false, event: None }
@@ -20,7 +20,7 @@ impl Said {
 }
 
 /// See the module.
-pub(super) struct Kept {
+pub(super) struct RecordingsAndBookmarks {
     folder: PathBuf,
     recording: Option<Recording>,
     /// The walk that P walks again.
@@ -29,10 +29,10 @@ pub(super) struct Kept {
     bookmarks_file: Option<PathBuf>,
 }
 
-impl Kept {
+impl RecordingsAndBookmarks {
     pub fn new(config: &AppConfig) -> Self {
         Self {
-            folder: config.shots.clone(),
+            folder: config.screenshots.clone(),
             recording: None,
             walk: config.replay.clone().map(Arc::new),
             bookmarks: None,
@@ -58,35 +58,35 @@ impl Kept {
     }
 
     /// Begins to record a walk, or ends it and saves what was recorded.
-    pub fn record(&mut self, speed_m_per_s: f64) -> Said {
+    pub fn record(&mut self, speed_m_per_s: f64) -> Announcement {
         let Some(recording) = self.recording.take() else {
             let recording = self.recording.insert(Recording::new(&self.folder, speed_m_per_s));
             if let Some(e) = recording.trouble() {
-                return Said::bad(format!("the walk can be walked again, but not saved: {e}"));
+                return Announcement::bad(format!("the walk can be walked again, but not saved: {e}"));
             }
             let event = Some(("recording", fields! {}));
-            return Said { text: "recording the walk: R ends it".into(), good: true, event };
+            return Announcement { text: "recording the walk: R ends it".into(), good: true, event };
         };
-        let (Some(walk), saved) = recording.end() else { return Said::bad("nothing was recorded".into()) };
+        let (Some(walk), saved) = recording.end() else { return Announcement::bad("nothing was recorded".into()) };
         let poses = walk.poses.len();
         self.walk = Some(Arc::new(walk));
         match saved.map(|path| std::path::absolute(&path).unwrap_or(path).display().to_string()) {
             Ok(path) => {
                 println!("{path}");
                 let text = format!("saved {path}: P walks it again");
-                Said { text, good: true, event: Some(("recorded", fields! { "path": path, "poses": poses })) }
+                Announcement { text, good: true, event: Some(("recorded", fields! { "path": path, "poses": poses })) }
             }
-            Err(e) => Said::bad(e),
+            Err(e) => Announcement::bad(e),
         }
     }
 
     /// Keeps a place under a digit; or the pose that is kept there, to go to.
-    pub fn bookmark(&mut self, digit: u8, keep: Option<Pose>, scene: &str) -> (Option<Pose>, Said) {
+    pub fn bookmark(&mut self, digit: u8, keep: Option<Pose>, scene: &str) -> (Option<Pose>, Announcement) {
         if self.bookmarks.is_none() {
             let file = self.bookmarks_file.clone().or_else(|| Bookmarks::default_file(scene));
             match file.ok_or("this user has no home folder: give --bookmarks FILE".into()).and_then(Bookmarks::load) {
                 Ok(bookmarks) => self.bookmarks = Some(bookmarks),
-                Err(e) => return (None, Said::bad(e)),
+                Err(e) => return (None, Announcement::bad(e)),
             }
         }
         let bookmarks = self.bookmarks.as_mut();
@@ -94,13 +94,13 @@ impl Kept {
         let event = Some(("bookmark", fields! { "digit": digit, "kept": keep.is_some() }));
         match (keep, there) {
             (Some(pose), _) => match bookmarks.map_or(Ok(()), |b| b.set(digit, pose)) {
-                Ok(()) => (None, Said { text: format!("place {digit} is kept"), good: true, event }),
-                Err(e) => (None, Said::bad(e)),
+                Ok(()) => (None, Announcement { text: format!("place {digit} is kept"), good: true, event }),
+                Err(e) => (None, Announcement::bad(e)),
             },
-            (None, Some(pose)) => (Some(pose), Said { text: format!("place {digit}"), good: true, event }),
+            (None, Some(pose)) => (Some(pose), Announcement { text: format!("place {digit}"), good: true, event }),
             (None, None) => {
                 let text = format!("no place {digit} is kept: Ctrl+{digit} keeps this one");
-                (None, Said { text, good: false, event: None })
+                (None, Announcement { text, good: false, event: None })
             }
         }
     }

@@ -47,7 +47,7 @@ impl Traffic {
 }
 
 /// A source of chunks: a connection with its cache, or memory in tests.
-pub trait Feed: Resident {
+pub trait DataSource: Resident {
     /// The dataset's index, as far as it is here; a frame asks once.
     fn index(&self) -> &Index;
 
@@ -55,10 +55,10 @@ pub trait Feed: Resident {
     fn dataset_hash(&self) -> String;
 
     /// Says where the walker is and what the view needs, so that it stays or is sent; returns at once.
-    fn look(&self, pose: &Pose, needed: &Needed);
+    fn update_view(&self, pose: &Pose, needed: &Needed);
 
     /// Asks for chunks by number; returns at once.
-    fn ask(&self, chunks: &[u32]);
+    fn request(&self, chunks: &[u32]);
 
     /// Waits until all of `chunks` are resident, at most `patience`.
     ///
@@ -69,7 +69,7 @@ pub trait Feed: Resident {
 
     /// Why nothing comes any more: there has been no connection for `patience`, or connecting again
     /// does not help.
-    fn lost(&self, patience: Duration) -> Option<String>;
+    fn lost_reason(&self, patience: Duration) -> Option<String>;
 
     /// Whether a chunk is resident, decoded.
     fn holds(&self, chunk: u32) -> bool;
@@ -101,23 +101,23 @@ impl Resident for Connection {
     }
 }
 
-impl Feed for Connection {
+impl DataSource for Connection {
     fn index(&self) -> &Index {
         Self::index(self)
     }
     fn dataset_hash(&self) -> String {
         self.dataset().to_string()
     }
-    fn look(&self, pose: &Pose, needed: &Needed) {
+    fn update_view(&self, pose: &Pose, needed: &Needed) {
         Self::look(self, pose, needed);
     }
-    fn ask(&self, chunks: &[u32]) {
+    fn request(&self, chunks: &[u32]) {
         self.want(chunks);
     }
     fn wait_for(&self, chunks: &[u32], patience: Duration) -> Result<(), Incomplete> {
         self.wait_until_complete(chunks, patience)
     }
-    fn lost(&self, _: Duration) -> Option<String> {
+    fn lost_reason(&self, _: Duration) -> Option<String> {
         self.cache().disconnected()
     }
     fn holds(&self, chunk: u32) -> bool {

@@ -14,7 +14,7 @@ use std::sync::Arc;
 /// What a picture shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Shows {
+pub enum DisplayMode {
     /// The scene.
     #[default]
     Scene,
@@ -38,7 +38,7 @@ pub enum Shows {
     Depth,
 }
 
-impl Shows {
+impl DisplayMode {
     /// All, in the order in which a key goes through them.
     pub const ALL: [Self; 10] = [
         Self::Scene,
@@ -93,7 +93,7 @@ impl Shows {
             Self::Scene => return,
             Self::Near => |s, c, _| if s == Source::Near { unpack_rgb(c) } else { NOTHING },
             Self::Far => |s, c, _| if s == Source::Far { unpack_rgb(c) } else { NOTHING },
-            Self::Sources => |s, c, _| tinted(s, c),
+            Self::Sources => |s, c, _| recoloured(s, c),
             Self::Holes => |s, c, _| match s {
                 Source::Filled | Source::Unpainted => SOURCE_COLOURS[s as usize],
                 _ => unpack_rgb(c).map(|c| c / 3),
@@ -122,7 +122,7 @@ const SOURCE_COLOURS: [[u8; 3]; 6] =
     [[198, 214, 235], [230, 159, 0], [0, 114, 178], [0, 158, 115], [204, 121, 167], [213, 94, 0]];
 
 /// The colour of a source, a third of the way lightened or darkened by the picture, so that shapes stay visible.
-fn tinted(source: Source, colour: u32) -> [u8; 3] {
+fn recoloured(source: Source, colour: u32) -> [u8; 3] {
     let [r, g, b] = unpack_rgb(colour).map(u32::from);
     let grey = (r * 299 + g * 587 + b * 114) / 1000;
     SOURCE_COLOURS[source as usize].map(|c| ((u32::from(c) * 2 + grey) / 3) as u8)
@@ -134,13 +134,13 @@ mod tests {
 
     #[test]
     fn a_key_goes_through_all_views_and_back() {
-        let mut seen = vec![Shows::Scene];
-        for _ in 1..Shows::ALL.len() {
+        let mut seen = vec![DisplayMode::Scene];
+        for _ in 1..DisplayMode::ALL.len() {
             seen.push(seen[seen.len() - 1].next(false));
         }
-        assert_eq!(seen, Shows::ALL);
-        assert_eq!(seen[seen.len() - 1].next(false), Shows::Scene);
-        assert!(Shows::ALL.iter().all(|s| s.next(false).next(true) == *s));
+        assert_eq!(seen, DisplayMode::ALL);
+        assert_eq!(seen[seen.len() - 1].next(false), DisplayMode::Scene);
+        assert!(DisplayMode::ALL.iter().all(|s| s.next(false).next(true) == *s));
     }
 
     #[test]
@@ -149,18 +149,18 @@ mod tests {
         frame.colour = [[10, 20, 30], [200, 100, 50], [90, 90, 90]].map(pack_rgb).to_vec();
         frame.source = vec![Source::Near, Source::Far, Source::Filled];
         frame.disparity = vec![10.0, 0.1, 0.001];
-        let shown = |shows: Shows| {
+        let shown = |shows: DisplayMode| {
             let mut f = frame.clone();
             shows.recolour(&mut f);
             f.colour.iter().map(|c| unpack_rgb(*c)).collect::<Vec<_>>()
         };
-        assert_eq!(shown(Shows::Scene), [[10, 20, 30], [200, 100, 50], [90, 90, 90]]);
-        assert_eq!(shown(Shows::Near), [[10, 20, 30], NOTHING, NOTHING]);
-        assert_eq!(shown(Shows::Far), [NOTHING, [200, 100, 50], NOTHING]);
-        assert_eq!(shown(Shows::Holes), [[3, 6, 10], [66, 33, 16], SOURCE_COLOURS[Source::Filled as usize]]);
-        assert_eq!(shown(Shows::Layers), [[3, 6, 10], [200, 100, 50], [30; 3]]);
-        assert_eq!(shown(Shows::Depth), [[255; 3], [127; 3], [0; 3]]);
-        let sources = shown(Shows::Sources);
+        assert_eq!(shown(DisplayMode::Scene), [[10, 20, 30], [200, 100, 50], [90, 90, 90]]);
+        assert_eq!(shown(DisplayMode::Near), [[10, 20, 30], NOTHING, NOTHING]);
+        assert_eq!(shown(DisplayMode::Far), [NOTHING, [200, 100, 50], NOTHING]);
+        assert_eq!(shown(DisplayMode::Holes), [[3, 6, 10], [66, 33, 16], SOURCE_COLOURS[Source::Filled as usize]]);
+        assert_eq!(shown(DisplayMode::Layers), [[3, 6, 10], [200, 100, 50], [30; 3]]);
+        assert_eq!(shown(DisplayMode::Depth), [[255; 3], [127; 3], [0; 3]]);
+        let sources = shown(DisplayMode::Sources);
         assert!(sources[0][0] > sources[0][2] && sources[1][2] > sources[1][0], "orange and blue: {sources:?}");
     }
 }

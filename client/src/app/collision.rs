@@ -12,7 +12,7 @@
 //!      foot         =============   floor: the highest surface below the knee
 //! ```
 
-use super::link::Scene;
+use super::server_connection::Scene;
 use crate::resident::Resident;
 use glam::{DAffine3, DVec2, DVec3};
 use ldi_protocol::{
@@ -40,14 +40,14 @@ const FEET_M: [(f64, f64); 5] = [(0.0, 0.0), (0.08, 0.0), (-0.08, 0.0), (0.0, 0.
 
 /// Surfaces around an eye.
 #[derive(Debug, Clone, Default)]
-pub struct Solids {
+pub struct CollisionGeometry {
     /// Seen from above (x, z), counter-clockwise or clockwise.
     obstacles: Vec<Vec<DVec2>>,
     floors: Vec<[DVec3; 3]>,
     eye_height_m: f64,
 }
 
-impl Solids {
+impl CollisionGeometry {
     /// What the cache holds around `eye`, for a body whose eye is `eye_height_m` above its foot.
     pub fn around(scene: &Scene, eye: DVec3, eye_height_m: f64) -> Self {
         Self::within(scene, eye, eye_height_m, REACH_M)
@@ -55,10 +55,10 @@ impl Solids {
 
     /// The same within so many metres.
     pub fn within(scene: &Scene, eye: DVec3, eye_height_m: f64, reach_m: f64) -> Self {
-        Self::gather(&scene.index, &*scene.cache, eye, eye_height_m, reach_m)
+        Self::update_collision(&scene.index, &*scene.cache, eye, eye_height_m, reach_m)
     }
 
-    fn gather(index: &Index, resident: &dyn Resident, eye: DVec3, eye_height_m: f64, reach_m: f64) -> Self {
+    fn update_collision(index: &Index, resident: &dyn Resident, eye: DVec3, eye_height_m: f64, reach_m: f64) -> Self {
         let mut out = Self { eye_height_m, ..Self::default() };
         let foot = eye.y - eye_height_m;
         // Higher and lower by the steps that are climbed before it is gathered anew.
@@ -130,7 +130,7 @@ impl Solids {
     }
 
     /// Whether a body may go from one place to the next: it keeps its distance, or at least comes no nearer.
-    pub fn lets(&self, from: DVec3, to: DVec3) -> bool {
+    pub fn allows(&self, from: DVec3, to: DVec3) -> bool {
         let (there, _) = self.clearance(to.x, to.z);
         if there >= BODY_M {
             return true;
@@ -196,11 +196,11 @@ pub(super) mod tests {
     use ldi_protocol::OutputCamera;
 
     /// A room of the given quadrilaterals, for an eye at 1.6 m at (2, 2).
-    pub fn of(quads: &[[Vec3; 4]], eye: DVec3) -> Solids {
+    pub fn of(quads: &[[Vec3; 4]], eye: DVec3) -> CollisionGeometry {
         let clusters = quads.iter().map(|q| quad_cluster(0, *q)).collect();
         let camera = OutputCamera { width: 64, height: 36, fov_deg: 60.0 };
         let (index, memory) = dataset(camera, vec![plain_material()], clusters);
-        Solids::gather(&index, &memory, eye, 1.6, REACH_M)
+        CollisionGeometry::update_collision(&index, &memory, eye, 1.6, REACH_M)
     }
 
     /// A horizontal rectangle.
@@ -225,9 +225,9 @@ pub(super) mod tests {
         let s = of(&[plate([0.0, 0.0], [4.0, 4.0], 0.0), wall([3.0, 0.0], [3.0, 4.0], 0.0, 2.5)], EYE);
         let (distance, away) = s.clearance(2.4, 2.0);
         assert!((distance - 0.6).abs() < 1e-9 && (away - DVec2::new(-1.0, 0.0)).length() < 1e-9);
-        assert!(s.lets(EYE, DVec3::new(2.8, 1.6, 2.0)) && !s.lets(EYE, DVec3::new(2.9, 1.6, 2.0)));
+        assert!(s.allows(EYE, DVec3::new(2.8, 1.6, 2.0)) && !s.allows(EYE, DVec3::new(2.9, 1.6, 2.0)));
         // Away from the wall even when too near.
-        assert!(s.lets(DVec3::new(2.9, 1.6, 2.0), DVec3::new(2.88, 1.6, 2.0)));
+        assert!(s.allows(DVec3::new(2.9, 1.6, 2.0), DVec3::new(2.88, 1.6, 2.0)));
     }
 
     #[test]
@@ -262,6 +262,9 @@ pub(super) mod tests {
         let camera = OutputCamera { width: 64, height: 36, fov_deg: 60.0 };
         let (index, memory) =
             dataset(camera, vec![glass], vec![quad_cluster(0, wall([3.0, 0.0], [3.0, 4.0], 0.0, 2.5))]);
-        assert_eq!(Solids::gather(&index, &memory, EYE, 1.6, REACH_M).clearance(2.9, 2.0).0, REACH_M);
+        assert_eq!(
+            CollisionGeometry::update_collision(&index, &memory, EYE, 1.6, REACH_M).clearance(2.9, 2.0).0,
+            REACH_M
+        );
     }
 }

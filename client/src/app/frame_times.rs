@@ -8,7 +8,7 @@ const MOST: usize = 216_000;
 
 /// Collects.
 #[derive(Debug, Default)]
-pub struct Pace {
+pub struct FrameTimes {
     last: Option<(Pose, Instant)>,
     /// The picture before showed a new pose too.
     moving: bool,
@@ -27,7 +27,7 @@ pub struct Summary {
     pub between_ms: Option<[f64; 3]>,
 }
 
-impl Pace {
+impl FrameTimes {
     /// A picture of this pose took so long and was finished then.
     pub fn picture(&mut self, pose: &Pose, drawn_ms: f64, at: Instant) {
         let moved = self.last.is_some_and(|(last, _)| last != *pose);
@@ -64,7 +64,7 @@ mod tests {
 
     #[test]
     fn only_pictures_of_a_moving_eye_count() {
-        let (mut pace, start) = (Pace::default(), Instant::now());
+        let (mut frame_times, start) = (FrameTimes::default(), Instant::now());
         let pose = |x: f64| Pose { position: DVec3::new(x, 0.0, 0.0), yaw_deg: 0.0, pitch_deg: 0.0 };
         // At rest, a minute's pause, two steps 20 and 30 ms apart, rest.
         for (x, at_ms, drawn_ms) in [
@@ -75,12 +75,12 @@ mod tests {
             (3.0, 60_050, 7.0),
             (3.0, 61_000, 99.0),
         ] {
-            pace.picture(&pose(x), drawn_ms, start + Duration::from_millis(at_ms));
+            frame_times.picture(&pose(x), drawn_ms, start + Duration::from_millis(at_ms));
         }
-        let s = pace.summary();
+        let s = frame_times.summary();
         assert_eq!((s.pictures, s.drawn_ms), (2, Some([5.0, 7.0, 7.0])));
         let between = s.between_ms.unwrap();
         assert!((between[0] - 20.0).abs() < 1e-6 && (between[2] - 30.0).abs() < 1e-6, "{between:?}");
-        assert_eq!(Pace::default().summary(), Summary::default());
+        assert_eq!(FrameTimes::default().summary(), Summary::default());
     }
 }

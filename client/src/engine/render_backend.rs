@@ -1,6 +1,6 @@
 //! Who draws: the processor, or a graphics card and the processor where that is faster or alone can.
 
-use super::painter::Painter;
+use super::frame_renderer::FrameRenderer;
 use crate::{
     composite::CodeStep,
     frame::Frame,
@@ -29,9 +29,9 @@ impl Renderer {
     ///
     /// # Errors
     /// If a card is asked for, and there is none that can draw.
-    pub fn painter(self, on: WarpOn) -> Result<Painter, GpuError> {
+    pub fn renderer(self, on: WarpOn) -> Result<FrameRenderer, GpuError> {
         let opened = match self {
-            Self::Cpu => return Ok(Painter::default()),
+            Self::Cpu => return Ok(FrameRenderer::default()),
             Self::Gpu => Gpu::open(),
             Self::Auto => Gpu::open_real(),
         };
@@ -43,16 +43,16 @@ impl Renderer {
         match calibrated {
             Err(e) if self == Self::Auto => {
                 tracing::info!("drawing on the processor: {}", e.reason());
-                Ok(Painter::default())
+                Ok(FrameRenderer::default())
             }
-            calibrated => Ok(Painter::on(calibrated?)),
+            calibrated => Ok(FrameRenderer::on(calibrated?)),
         }
     }
 }
 
 /// A frame could not be drawn.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum PaintError {
+pub enum RenderError {
     /// The options ask for an order that cannot draw the stamp.
     #[error(transparent)]
     Warp(#[from] WarpError),
@@ -63,23 +63,23 @@ pub enum PaintError {
 
 /// See the module.
 #[derive(Debug, Default)]
-pub struct Hand {
+pub struct RenderBackend {
     rasterizer: Rasterizer,
     /// One image of several, where its order counts and must not mix with the others'.
     single: FarFrame,
     gpu: Option<Box<Gpu>>,
     /// What of the frame lies on the card and nowhere else.
-    on_card: OnCard,
+    on_card: OnGpu,
 }
 
 /// Pictures that were not read back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-struct OnCard {
+struct OnGpu {
     near: bool,
     warped: bool,
 }
 
-impl Hand {
+impl RenderBackend {
     /// A card's.
     pub fn on(gpu: Gpu) -> Self {
         Self { gpu: Some(Box::new(gpu)), ..Self::default() }
@@ -99,13 +99,13 @@ impl Hand {
     }
 
     /// The card, if it can draw pictures as large.
-    pub(super) fn drawer(&mut self, camera: &OutputCamera) -> Option<&mut Gpu> {
+    pub(super) fn gpu_for(&mut self, camera: &OutputCamera) -> Option<&mut Gpu> {
         self.gpu.as_deref_mut().filter(|gpu| gpu.fits(camera))
     }
 
     /// The card, if it is to warp so.
-    pub(super) fn warper(&mut self, camera: &OutputCamera, options: &WarpOptions) -> Option<&mut Gpu> {
-        self.drawer(camera).filter(|gpu| gpu.warps() && Gpu::can_warp(options).is_ok())
+    pub(super) fn warping_gpu_for(&mut self, camera: &OutputCamera, options: &WarpOptions) -> Option<&mut Gpu> {
+        self.gpu_for(camera).filter(|gpu| gpu.warps() && Gpu::can_warp(options).is_ok())
     }
 
     /// Near geometry, the first thing of a frame: into `frame`, which becomes as large as the camera, or onto the card.
@@ -117,9 +117,9 @@ impl Hand {
         camera: &OutputCamera,
         pose: &Pose,
         frame: &mut Frame,
-    ) -> Result<NearStats, PaintError> {
-        self.on_card = OnCard::default();
-        match self.drawer(camera) {
+    ) -> Result<NearStats, RenderError> {
+        self.on_card = OnGpu::default();
+        match self.gpu_for(camera) {
             Some(gpu) => {
                 let stats = gpu.draw(index, resident, cells, camera, pose)?;
                 self.on_card.near = true;
@@ -137,25 +137,30 @@ impl Hand {
     }
 
     /// Bytes that it has put there.
-    pub fn brought_bytes(&self) -> u64 {
+    pub fn uploaded_bytes(&self) -> u64 {
         self.gpu.as_ref().map_or(0, |gpu| gpu.brought_bytes())
     }
 
     /// The card, if it is to warp this image so.
-    fn warper_of(&mut self, laid_out: &PreparedLdi, camera: &OutputCamera, options: &WarpOptions) -> Option<&mut Gpu> {
-        self.warper(camera, options).filter(|gpu| gpu.fits_image(laid_out))
+    fn warping_gpu_for_image(
+        &mut self,
+        laid_out: &PreparedLdi,
+        camera: &OutputCamera,
+        options: &WarpOptions,
+    ) -> Option<&mut Gpu> {
+        self.warping_gpu_for(camera, options).filter(|gpu| gpu.fits_image(laid_out))
     }
 
     /// Brings an image to where it is warped from ([`Gpu::bring_image`]); returns whether it is there.
-    pub fn bring(
+    pub fn upload(
         &mut self,
         laid_out: &PreparedLdi,
         packed: &mut Option<Packed>,
         ahead: bool,
         camera: &OutputCamera,
         options: &WarpOptions,
-    ) -> Result<bool, PaintError> {
-        match self.warper_of(laid_out, camera, options) {
+    ) -> Result<bool, RenderError> {
+        match self.warping_gpu_for_image(laid_out, camera, options) {
             Some(gpu) => Ok(gpu.bring_image(laid_out, packed, ahead)?),
             None => Ok(true),
         }
@@ -163,7 +168,7 @@ impl Hand {
 
     /// Whether an image is where it is warped from.
     pub fn holds(&mut self, laid_out: &PreparedLdi, camera: &OutputCamera, options: &WarpOptions) -> bool {
-        self.warper_of(laid_out, camera, options).is_none_or(|gpu| gpu.holds(laid_out))
+        self.warping_gpu_for_image(laid_out, camera, options).is_none_or(|gpu| gpu.holds(laid_out))
     }
 
     /// Warps images to one picture, within an image by the given order, between images by depth: into `into`, or onto the card. `near` holds the near geometry, unless the card does.
@@ -175,10 +180,10 @@ impl Hand {
         camera: &OutputCamera,
         options: &WarpOptions,
         into: &mut FarFrame,
-    ) -> Result<WarpStats, PaintError> {
+    ) -> Result<WarpStats, RenderError> {
         // One picture is drawn by one of the two.
         let fit = |gpu: &&mut Gpu| images.iter().all(|i| gpu.fits_image(i.laid_out));
-        if let Some(gpu) = self.warper(camera, options).filter(fit) {
+        if let Some(gpu) = self.warping_gpu_for(camera, options).filter(fit) {
             let stats = gpu.warp_images(images, pose, camera, options)?;
             self.on_card.warped = true;
             return Ok(stats);
@@ -194,8 +199,8 @@ impl Hand {
         steps: &[CodeStep],
         camera: &OutputCamera,
         into: &FarFrame,
-    ) -> Result<Option<Vec<u32>>, PaintError> {
-        let OnCard { near, warped } = self.on_card;
+    ) -> Result<Option<Vec<u32>>, RenderError> {
+        let OnGpu { near, warped } = self.on_card;
         let all = near && (warped || into.is_untouched());
         let Some(gpu) = self.gpu.as_deref_mut().filter(|gpu| all && gpu.warps()) else { return Ok(None) };
         let mut open = Vec::new();
@@ -211,7 +216,7 @@ impl Hand {
         fill: bool,
         factor: u32,
         out: &mut Frame,
-    ) -> Result<u64, PaintError> {
+    ) -> Result<u64, RenderError> {
         match self.gpu.as_deref_mut() {
             Some(gpu) => Ok(gpu.finish(open, found, fill, factor, out)?),
             None => Ok(0),
@@ -224,7 +229,7 @@ impl Hand {
         camera: &OutputCamera,
         frame: &mut Frame,
         warped: &mut FarFrame,
-    ) -> Result<(), PaintError> {
+    ) -> Result<(), RenderError> {
         let on_card = std::mem::take(&mut self.on_card);
         let Some(gpu) = self.gpu.as_deref_mut() else { return Ok(()) };
         if on_card.near {
@@ -253,19 +258,19 @@ mod tests {
             PreparedLdi::new(&analytic::scene("sphere").ldi(analytic::ldi_camera(DVec3::ZERO, 64, 64, 80.0), 3));
         let camera = OutputCamera { width: 160, height: 100, fov_deg: 70.0 };
         let pose = Pose { position: DVec3::new(0.1, 0.05, -0.2), yaw_deg: 5.0, pitch_deg: 0.0 };
-        let mut small = Hand::on(gpu);
+        let mut small = RenderBackend::on(gpu);
         small.gpu.as_mut().expect("a card").shrink(1000);
         let options = WarpOptions::default();
-        let brought = small.bring(&laid_out, &mut None, false, &camera, &options);
+        let brought = small.upload(&laid_out, &mut None, false, &camera, &options);
         assert_eq!(brought, Ok(true), "left to the processor");
-        let drawn = |hand: &mut Hand| {
+        let drawn = |backend: &mut RenderBackend| {
             let mut far = FarFrame::new(camera.width, camera.height);
             let images = [Shown::from(&laid_out)];
-            hand.warp(&images, &Frame::default(), &pose, &camera, &options, &mut far).expect("warped");
-            hand.read_back(&camera, &mut Frame::default(), &mut far).expect("read back");
+            backend.warp(&images, &Frame::default(), &pose, &camera, &options, &mut far).expect("warped");
+            backend.read_back(&camera, &mut Frame::default(), &mut far).expect("read back");
             far.packed
         };
-        assert!(drawn(&mut small) == drawn(&mut Hand::default()), "bit by bit");
+        assert!(drawn(&mut small) == drawn(&mut RenderBackend::default()), "bit by bit");
         let gpu = small.gpu.as_mut().expect("a card");
         assert!(!gpu.holds(&laid_out));
     }

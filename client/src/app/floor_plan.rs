@@ -2,7 +2,7 @@
 //!
 //! In: a scene, an eye height. Out: a picture, north (-Z) up. It takes a fraction of a second and is made on a thread of its own.
 
-use super::{link::Scene, motion};
+use super::{server_connection::Scene, walker};
 use crate::resident::Resident;
 use egui::{Color32, ColorImage};
 use glam::{DVec2, DVec3, Vec3Swizzles as _};
@@ -52,7 +52,7 @@ fn floors(volume: &WalkVolume, storey_m: f64) -> ColorImage {
         let z = b.min.z + ((i / width) as f64 + 0.5) / height as f64 * size.z;
         let off = |h: [f64; 2]| {
             // The height itself is allowed there: flying.
-            if (h[0]..=h[1]).contains(&storey_m) { 0.0 } else { (motion::nominal(h) - storey_m).abs() }
+            if (h[0]..=h[1]).contains(&storey_m) { 0.0 } else { (walker::nominal(h) - storey_m).abs() }
         };
         let nearest = volume.heights(x, z).map(off).min_by(f64::total_cmp);
         match nearest {
@@ -123,7 +123,7 @@ fn line(picture: &mut ColorImage, from: DVec2, to: DVec2) {
 mod tests {
     use super::*;
     use crate::{
-        app::solids::tests::{plate, wall},
+        app::collision::tests::{plate, wall},
         test_support::{dataset, plain_material, quad_cluster},
     };
     use ldi_protocol::{Aabb, OutputCamera};
