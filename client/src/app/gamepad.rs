@@ -142,7 +142,7 @@ pub struct Gamepad {
 
 impl Gamepad {
     /// Begins to look; `changed` is called on another thread whenever something is pressed or moved. Without a thread there is no pad.
-    pub fn look(at: GamepadAt, changed: impl Fn() + Send + 'static) -> Self {
+    pub fn update_view(at: GamepadAt, changed: impl Fn() + Send + 'static) -> Self {
         let gamepad = Self::default();
         let pad = gamepad.pad.clone();
         if let GamepadAt::File(file) = &at

@@ -83,10 +83,10 @@ impl DataSource for HeadlessConnection {
         self.dataset.clone()
     }
     fn update_view(&self, pose: &Pose, needed: &Needed) {
-        self.connection.look(pose, needed);
+        self.connection.update_view(pose, needed);
     }
     fn request(&self, chunks: &[u32]) {
-        self.connection.want(chunks);
+        self.connection.request(chunks);
     }
     fn wait_for(&self, chunks: &[u32], patience: Duration) -> Result<(), Incomplete> {
         let deadline = Instant::now() + patience;
@@ -98,7 +98,7 @@ impl DataSource for HeadlessConnection {
                 Err(Incomplete::Timeout(missing)) if left > ASK_AFTER => {
                     let before = std::mem::replace(&mut received, self.connection.stats().bytes_total);
                     if received < before + BUSY_BYTES {
-                        self.connection.want(&missing);
+                        self.connection.request(&missing);
                     }
                 }
                 Err(Incomplete::Disconnected(_)) if left > ASK_AFTER => {

@@ -348,7 +348,7 @@ impl RenderLoop {
         let view = view_of(index, pose, &camera, Method::Auto, &mut ms);
         let sight = Sight::new(pose, &camera, options.supersample);
         let needed = view.needed_within(index, &sight, scene.cache.usage().cap_bytes);
-        self.connection.look(pose, &needed);
+        self.connection.update_view(pose, &needed);
         if options.background_layout {
             let ahead = self.ahead(scene, pose, &camera, &view);
             self.renderer.anticipate(ahead);
@@ -414,7 +414,7 @@ impl RenderLoop {
         if missing.is_empty() || bytes > self.progress.0 + PROGRESS_BYTES {
             self.progress = (bytes, Instant::now());
         } else if self.progress.1.elapsed() > ASK_AFTER {
-            self.connection.want(missing);
+            self.connection.request(missing);
             self.progress = (bytes, Instant::now());
         }
     }

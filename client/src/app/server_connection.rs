@@ -5,7 +5,7 @@
 
 use crate::{
     cache::{Cache, Usage},
-    stream::{ConnectConfig, ConnectError, ConnectProgress, Connection, Others, Phase, Stats},
+    stream::{ConnectConfig, ConnectError, ConnectProgress, Connection, OtherWalkers, Phase, Stats},
 };
 use ldi_protocol::{Pose, index::Index, need::Needed};
 use std::{
@@ -111,7 +111,7 @@ impl Inner {
 pub struct ServerConnection {
     inner: Arc<Mutex<Inner>>,
     progress: Arc<ConnectProgress>,
-    others: Arc<Others>,
+    others: Arc<OtherWalkers>,
     stop: Option<mpsc::Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -195,25 +195,25 @@ impl ServerConnection {
     }
 
     /// Where other walkers are, if that is wanted and the server tells.
-    pub fn others(&self) -> &Others {
+    pub fn others(&self) -> &OtherWalkers {
         &self.others
     }
 
     /// The eye is here and needs this: it is pinned in the cache, and sent if there is a line.
-    pub fn look(&self, pose: &Pose, needed: &Needed) {
+    pub fn update_view(&self, pose: &Pose, needed: &Needed) {
         let mut inner = lock(&self.inner);
         inner.looked = Some((*pose, needed.clone()));
         match (&inner.connection, &inner.scene) {
-            (Some(connection), _) => connection.look(pose, needed),
+            (Some(connection), _) => connection.update_view(pose, needed),
             (None, Some(scene)) => scene.cache.pin(needed.all()),
             (None, None) => {}
         }
     }
 
     /// Asks for chunks by number.
-    pub fn want(&self, chunks: &[u32]) {
+    pub fn request(&self, chunks: &[u32]) {
         if let Some(connection) = &lock(&self.inner).connection {
-            connection.want(chunks);
+            connection.request(chunks);
         }
     }
 }
@@ -284,7 +284,7 @@ impl ConnectionKeeper {
                 inner.looked = None;
             }
             if let Some((pose, needed)) = &inner.looked {
-                connection.look(pose, needed);
+                connection.update_view(pose, needed);
             }
             inner.connection = Some(connection);
         }

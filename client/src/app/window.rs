@@ -162,7 +162,7 @@ impl ApplicationHandler<UserEvent> for App {
         if let (Some(open), DeviceEvent::MouseMotion { delta: (dx, dy) }) = (&self.open, event)
             && open.captured
         {
-            open.look((dx, dy), DEG_PER_COUNT);
+            open.update_view((dx, dy), DEG_PER_COUNT);
         }
     }
 

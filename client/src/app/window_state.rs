@@ -176,7 +176,7 @@ impl WindowState {
             hud: Hud::default(),
             map: Map::default(),
             keys: Keys::default(),
-            pad: Gamepad::look(config.gamepad.clone(), notify(UserEvent::Pad)),
+            pad: Gamepad::update_view(config.gamepad.clone(), notify(UserEvent::Pad)),
             focused: true,
             modifiers: ModifiersState::empty(),
             captured: false,
@@ -448,7 +448,7 @@ impl WindowState {
     }
 
     /// Turns the head by what the mouse moved.
-    pub fn look(&self, delta: (f64, f64), deg_per_count: f64) {
+    pub fn update_view(&self, delta: (f64, f64), deg_per_count: f64) {
         let (yaw_deg, pitch_deg) = self.settings.turn_deg(delta, deg_per_count);
         self.render_thread.turn(yaw_deg, pitch_deg);
     }
@@ -456,7 +456,7 @@ impl WindowState {
     fn toggle_map(&mut self, connection: &ServerConnection, events: &mut Events) {
         self.started = true;
         self.map.toggle();
-        connection.others().want(self.map.open);
+        connection.others().set_wanted(self.map.open);
         (self.last_reported.map, self.last_reported.others) = (false, None);
         if self.map.open {
             if std::mem::take(&mut self.settings.open) {

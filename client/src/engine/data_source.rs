@@ -109,10 +109,10 @@ impl DataSource for Connection {
         self.dataset().to_string()
     }
     fn update_view(&self, pose: &Pose, needed: &Needed) {
-        Self::look(self, pose, needed);
+        Self::update_view(self, pose, needed);
     }
     fn request(&self, chunks: &[u32]) {
-        self.want(chunks);
+        self.request(chunks);
     }
     fn wait_for(&self, chunks: &[u32], patience: Duration) -> Result<(), Incomplete> {
         self.wait_until_complete(chunks, patience)

@@ -115,7 +115,7 @@ pub struct Progress {
 }
 
 /// A kept frame and what the totals need of it.
-struct Kept {
+struct ResumeState {
     report: FrameReport,
     complete: bool,
     elapsed_ms: f64,
@@ -135,7 +135,7 @@ struct Walker<'a> {
     job: &'a WalkJob<'a>,
     camera: OutputCamera,
     renderer: FrameRenderer,
-    kept: Vec<Kept>,
+    kept: Vec<ResumeState>,
     warp_totals: WarpStats,
     totals: WalkTotals,
     /// Chunks that were resident for some frame that wanted them.
@@ -447,7 +447,7 @@ impl Walker<'_> {
         };
         report.set_scores(&scores);
         let later = self.job.truth.is_some() && self.job.options.pace == Pace::Realtime;
-        self.kept.push(Kept {
+        self.kept.push(ResumeState {
             report,
             complete: frame_stats.is_complete(),
             elapsed_ms: traffic.elapsed_s * 1e3,
@@ -476,7 +476,7 @@ impl Walker<'_> {
 
     /// When the first useful frame stood, among the kept ones. Without truth: the first that lacked nothing.
     fn first_useful(&mut self) {
-        let useful = |k: &&Kept| match k.report.flip {
+        let useful = |k: &&ResumeState| match k.report.flip {
             Some(flip) => flip <= USEFUL_FLIP && k.report.hole_fraction.is_none_or(|h| h < USEFUL_HOLES),
             None => k.complete,
         };

@@ -1,11 +1,11 @@
 //! From an address to a connection with a manifest.
 
 use super::{
-    ConnectConfig, ConnectError, Fingerprint, Kept,
-    link_socket::LinkSocket,
-    pages::{Pages, is_listed},
+    ConnectConfig, ConnectError, Fingerprint, ResumeState,
+    chunk_stream::{self, StreamError},
+    index_pages::{IndexPages, is_listed},
     progress::Phase,
-    receive::{self, Broken},
+    simulated_socket::SimulatedSocket,
     transport,
     trust::PinnedVerifier,
 };
@@ -21,14 +21,14 @@ use tokio::time::timeout;
 /// An open connection whose manifest is here.
 pub(super) struct Opened {
     pub endpoint: Endpoint,
-    pub link: Option<Arc<LinkSocket>>,
+    pub link: Option<Arc<SimulatedSocket>>,
     pub connection: Connection,
     pub send: SendStream,
     pub recv: RecvStream,
     pub dataset: ChunkHash,
     pub index: Arc<Index>,
     /// The manifest as far as it is here, when the index is that of a first picture.
-    pub rest: Option<Pages>,
+    pub rest: Option<IndexPages>,
     /// Whether the server tells where other walkers are.
     pub tells_others: bool,
 }
@@ -48,7 +48,7 @@ pub(super) async fn open(config: &ConnectConfig) -> Result<Opened, ConnectError>
     Err(last.unwrap_or_else(|| ConnectError::Local("no address".into())))
 }
 
-type Dialed = (Endpoint, Option<Arc<LinkSocket>>, Connection);
+type Dialed = (Endpoint, Option<Arc<SimulatedSocket>>, Connection);
 
 async fn dial(config: &ConnectConfig, address: SocketAddr) -> Result<Dialed, ConnectError> {
     let provider = Arc::new(rustls::crypto::ring::default_provider());
@@ -126,7 +126,7 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
 
 /// The index of a dataset whose manifest was named in the hello.
 fn named(
-    resumed: Option<&Kept>,
+    resumed: Option<&ResumeState>,
     known: &[(Root, Vec<Vec<u8>>)],
     dataset: ChunkHash,
 ) -> Result<Arc<Index>, ConnectError> {
@@ -144,19 +144,19 @@ async fn fetch_manifest(
     welcome: &Welcome,
     recv: &mut RecvStream,
     connection: &Connection,
-) -> Result<(Index, Option<Pages>), ConnectError> {
+) -> Result<(Index, Option<IndexPages>), ConnectError> {
     let protocol = |reason: String| ConnectError::Protocol(reason);
-    let mut pages = Pages::new(step(config, read_frame(recv, connection, MAX_ROOT_BYTES)).await?, welcome)?;
+    let mut pages = IndexPages::new(step(config, read_frame(recv, connection, MAX_ROOT_BYTES)).await?, welcome)?;
     config.progress.pages(pages.stored_bytes());
     let listed = pages.listed();
     while !pages.are_whole() {
         let page = async {
-            let mut stream = connection.accept_uni().await.map_err(|_| Broken::Off { bytes: 0 })?;
-            let header = receive::header(&mut stream).await?;
+            let mut stream = connection.accept_uni().await.map_err(|_| StreamError::Off { bytes: 0 })?;
+            let header = chunk_stream::header(&mut stream).await?;
             if !is_listed(&listed, &header) {
-                return Err(Broken::Wrong("not a page of the manifest".into()));
+                return Err(StreamError::Wrong("not a page of the manifest".into()));
             }
-            Ok((header.number, receive::body(&mut stream, &header).await?))
+            Ok((header.number, chunk_stream::body(&mut stream, &header).await?))
         };
         let page = async {
             page.await.map_err(|e| match connection.close_reason() {

@@ -10,22 +10,22 @@
 //!
 //! A damaged chunk is asked for again [`MAX_RETRIES`] times, then given up; the walk goes on without it.
 
-mod behind;
+mod chunk_stream;
+mod decode_backlog;
 mod decoder;
 mod disk;
+mod disk_loader;
 mod error;
 mod handshake;
+mod index_pages;
 mod known_hosts;
-mod lane;
-mod link;
-mod link_socket;
-mod others;
-mod pages;
-mod poses;
+mod other_walkers;
+mod packet_queue;
+mod pose_updates;
 mod progress;
-mod receive;
 mod session;
-mod shelf;
+mod simulated_link;
+mod simulated_socket;
 mod stats;
 mod transport;
 mod trust;
@@ -34,17 +34,18 @@ pub use decoder::DecodePool;
 pub use disk::{DEFAULT_DISK_BYTES, DiskCache, DiskError};
 pub use error::ConnectError;
 pub use known_hosts::{Acquaintance, KnownHosts, KnownHostsError};
-pub use lane::Lane;
-pub use link::{Direction, Fate, HEADER_BYTES, Link, LinkCounts, LinkError, LinkSpec};
-pub use others::Others;
-pub use poses::PoseClock;
+pub use other_walkers::OtherWalkers;
+pub use packet_queue::PacketQueue;
+pub use pose_updates::PoseClock;
 pub use progress::{ConnectProgress, Phase};
 pub use session::MAX_RETRIES;
+pub use simulated_link::{Direction, Fate, HEADER_BYTES, LinkCounts, LinkError, LinkSpec, SimulatedLink};
 pub use stats::{Arrival, Stats};
 pub use transport::resolve;
 pub use trust::Fingerprint;
 
 use crate::cache::{Cache, Incomplete};
+use disk_loader::DiskLoader;
 use ldi_protocol::{
     Pose,
     index::{ChunkHash, Index},
@@ -52,9 +53,8 @@ use ldi_protocol::{
     select::Show,
     wire::{Picture, Request},
 };
-use poses::Poses;
-use session::{Command, Ready, SayReady};
-use shelf::Loader;
+use pose_updates::PoseUpdates;
+use session::{Command, Ready, ReadyCallback};
 use stats::Collector;
 use std::{
     sync::Arc,
@@ -91,7 +91,7 @@ pub struct ConnectConfig {
     /// Shown on the server's page.
     pub name: String,
     /// What an earlier connection left: what it holds of the same dataset is not sent again.
-    pub resume: Option<Kept>,
+    pub resume: Option<ResumeState>,
     /// Where chunks and manifests are kept between visits: what lies there is not sent again.
     pub disk: Option<Arc<DiskCache>>,
     /// Begin with what of the index is enough for a first picture, where there is an LDI tree; the rest follows ([`Index::is_whole`]).
@@ -113,7 +113,7 @@ pub struct ConnectConfig {
     /// Told how far connecting is, for whoever watches.
     pub progress: Arc<ConnectProgress>,
     /// Where other walkers are, for whoever shows it.
-    pub others: Arc<Others>,
+    pub others: Arc<OtherWalkers>,
 }
 
 impl ConnectConfig {
@@ -150,7 +150,7 @@ impl ConnectConfig {
 
 /// What a connection leaves for the next one.
 #[derive(Debug, Clone)]
-pub struct Kept {
+pub struct ResumeState {
     /// Name of the dataset.
     pub dataset: ChunkHash,
     /// What was received of it.
@@ -163,9 +163,9 @@ pub struct Connection {
     dataset: ChunkHash,
     cache: Arc<Cache>,
     stats: Arc<Collector>,
-    poses: Arc<Poses>,
+    poses: Arc<PoseUpdates>,
     commands: mpsc::UnboundedSender<Command>,
-    loader: Option<Loader>,
+    loader: Option<DiskLoader>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -176,12 +176,12 @@ impl Connection {
     /// See [`ConnectError`].
     pub fn connect(config: ConnectConfig) -> Result<Self, ConnectError> {
         let stats = Arc::new(Collector::new());
-        let poses = Arc::new(Poses::new());
+        let poses = Arc::new(PoseUpdates::new());
         let poses_seen = poses.clone();
         let (commands, commands_seen) = mpsc::unbounded_channel();
         let (ready, connected) = std::sync::mpsc::channel();
         let collector = stats.clone();
-        let say: SayReady = Box::new(move |r| drop(ready.send(r)));
+        let say: ReadyCallback = Box::new(move |r| drop(ready.send(r)));
         let thread = std::thread::Builder::new()
             .name("ldi-stream".into())
             .spawn(move || session::run(config, collector, poses_seen, commands_seen, say))
@@ -197,11 +197,11 @@ impl Connection {
     /// See [`ConnectError`].
     pub async fn open(config: ConnectConfig) -> Result<Self, ConnectError> {
         let stats = Arc::new(Collector::new());
-        let poses = Arc::new(Poses::new());
+        let poses = Arc::new(PoseUpdates::new());
         let poses_seen = poses.clone();
         let (commands, commands_seen) = mpsc::unbounded_channel();
         let (ready, connected) = oneshot::channel();
-        let say: SayReady = Box::new(move |r| drop(ready.send(r)));
+        let say: ReadyCallback = Box::new(move |r| drop(ready.send(r)));
         tokio::spawn(session::stream(config, stats.clone(), poses_seen, commands_seen, say));
         let ended = |_| Err(ConnectError::Local("the streaming task ended".into()));
         let Ready { dataset, cache, loader } = connected.await.unwrap_or_else(ended)?;
@@ -222,8 +222,8 @@ impl Connection {
         self.dataset
     }
     /// For the next connection to the same server.
-    pub fn kept(&self) -> Kept {
-        Kept { dataset: self.dataset, cache: self.cache.clone() }
+    pub fn kept(&self) -> ResumeState {
+        ResumeState { dataset: self.dataset, cache: self.cache.clone() }
     }
     /// Decoded objects; implements [`crate::resident::Resident`].
     pub fn cache(&self) -> &Arc<Cache> {
@@ -232,25 +232,25 @@ impl Connection {
 
     /// The eye is here now. The latest wins; a lost one is repeated.
     pub fn send_pose(&self, pose: &Pose) {
-        self.poses.look(pose);
+        self.poses.update_view(pose);
     }
 
     /// A new frame: pins what it needs, has it read where it lies on disk, and tells the server where the eye is.
-    pub fn look(&self, pose: &Pose, needed: &Needed) {
+    pub fn update_view(&self, pose: &Pose, needed: &Needed) {
         self.cache.pin(needed.all());
         if let Some(loader) = &self.loader {
-            loader.bring_needed(needed.all());
+            loader.load_needed(needed.all());
         }
         self.send_pose(pose);
     }
 
     /// Asks for chunks by number, before anything else.
-    pub fn want(&self, chunks: &[u32]) {
+    pub fn request(&self, chunks: &[u32]) {
         // The thread is gone when the connection is: `wait_until_complete` says so.
         let _ = self.commands.send(Command::Want(chunks.to_vec()));
     }
 
-    /// Waits until all of `needed` can be drawn. Call [`Connection::look`] first.
+    /// Waits until all of `needed` can be drawn. Call [`Connection::update_view`] first.
     ///
     /// # Errors
     /// What is missing and why; a frame can still be drawn without it.
@@ -263,7 +263,7 @@ impl Connection {
                 Err(Incomplete::Timeout(missing)) if left > ASK_AFTER => {
                     // Keep-alives and poses' acknowledgements are no progress.
                     if self.stats.received() < before + 4096 {
-                        self.want(&missing);
+                        self.request(&missing);
                     }
                 }
                 end => return end,

@@ -2,16 +2,16 @@
 
 use super::{
     ConnectConfig, ConnectError,
-    behind::Behind,
-    decoder::{DecodePool, Job, Target},
+    chunk_stream::{self, StreamError},
+    decode_backlog::DecodeBacklog,
+    decoder::{DecodeJob, DecodePool, DecodeTarget},
     disk::DiskCache,
+    disk_loader::{DiskChunks, DiskLoader},
     handshake::{self, Opened},
-    others::{Others, Wish},
-    pages::{Pages, is_listed},
-    poses::Poses,
+    index_pages::{IndexPages, is_listed},
+    other_walkers::{OtherWalkers, OthersRequest},
+    pose_updates::PoseUpdates,
     progress::ConnectProgress,
-    receive::{self, Broken},
-    shelf::{Loader, Shelf},
     stats::{Collector, SAMPLE_EVERY},
     transport::MAX_STREAMS,
 };
@@ -57,19 +57,19 @@ pub(super) struct Ready {
     pub dataset: ChunkHash,
     pub cache: Arc<Cache>,
     /// Where there is a disk cache.
-    pub loader: Option<Loader>,
+    pub loader: Option<DiskLoader>,
 }
 
 /// Says once how connecting went.
-pub(super) type SayReady = Box<dyn FnOnce(Result<Ready, ConnectError>) + Send>;
+pub(super) type ReadyCallback = Box<dyn FnOnce(Result<Ready, ConnectError>) + Send>;
 
 /// The body of a thread of its own: a small runtime with one connection.
 pub(super) fn run(
     config: ConnectConfig,
     stats: Arc<Collector>,
-    poses: Arc<Poses>,
+    poses: Arc<PoseUpdates>,
     commands: mpsc::UnboundedReceiver<Command>,
-    ready: SayReady,
+    ready: ReadyCallback,
 ) {
     match tokio::runtime::Builder::new_current_thread().enable_all().build() {
         Ok(runtime) => runtime.block_on(stream(config, stats, poses, commands, ready)),
@@ -81,9 +81,9 @@ pub(super) fn run(
 pub(super) async fn stream(
     config: ConnectConfig,
     stats: Arc<Collector>,
-    poses: Arc<Poses>,
+    poses: Arc<PoseUpdates>,
     commands: mpsc::UnboundedReceiver<Command>,
-    ready: SayReady,
+    ready: ReadyCallback,
 ) {
     let pool = match &config.decode_pool {
         Some(shared) => Ok(shared.clone()),
@@ -101,20 +101,20 @@ pub(super) async fn stream(
         opened.index = known.clone();
     }
     let cache = cache_for(&config, &opened);
-    let shelf = config.disk.as_ref().map(|d| Arc::new(Shelf::new(d.clone(), cache.clone())));
+    let disk_chunks = config.disk.as_ref().map(|d| Arc::new(DiskChunks::new(d.clone(), cache.clone())));
     let (damaged, damage) = mpsc::unbounded_channel();
-    let target = Arc::new(Target {
+    let target = Arc::new(DecodeTarget {
         cache: cache.clone(),
         stats: stats.clone(),
         damaged,
         arrivals: config.arrivals.clone(),
         ahead_bytes: AtomicUsize::new(0),
         waiting_bytes: AtomicUsize::new(0),
-        behind: Behind::default(),
-        shelf: shelf.clone(),
-        given_up: Mutex::default(),
+        backlog: DecodeBacklog::default(),
+        disk_chunks: disk_chunks.clone(),
+        abandoned: Mutex::default(),
     });
-    let loader = shelf.map(|shelf| Loader { shelf, target: target.clone(), pool: pool.clone() });
+    let loader = disk_chunks.map(|disk_chunks| DiskLoader { disk_chunks, target: target.clone(), pool: pool.clone() });
     stats.watch(opened.connection.clone(), opened.link.clone());
     cache.set_disconnected(None);
     ready(Ok(Ready { dataset: opened.dataset, cache: cache.clone(), loader: loader.clone() }));
@@ -138,7 +138,7 @@ pub(super) async fn stream(
         rest: opened.rest,
         assembling: None,
         others: config.others.clone(),
-        others_wish: opened.tells_others.then(Wish::default),
+        others_requested: opened.tells_others.then(OthersRequest::default),
     };
     let end = session.run(opened.recv, poses, commands, damage).await;
     let reason = end.map_or_else(|e| e.to_string(), |()| "the connection was closed".into());
@@ -171,50 +171,51 @@ struct Session {
     touched_at: Option<DVec3>,
     prefetch_m: f64,
     pool: Arc<DecodePool>,
-    target: Arc<Target>,
-    loader: Option<Loader>,
+    target: Arc<DecodeTarget>,
+    loader: Option<DiskLoader>,
     /// What lies around the eye, near to far, for the disk.
     around: Vec<u32>,
     disk: Option<Arc<DiskCache>>,
     progress: Arc<ConnectProgress>,
     /// The manifest, while pages of it are to come.
-    rest: Option<Pages>,
+    rest: Option<IndexPages>,
     /// The whole index is being put together.
     assembling: Option<JoinHandle<Result<Index, ConnectError>>>,
-    others: Arc<Others>,
+    others: Arc<OtherWalkers>,
     /// The wish that the server knows of; None for one that does not tell.
-    others_wish: Option<Wish>,
+    others_requested: Option<OthersRequest>,
 }
 
 impl Session {
     async fn run(
         mut self,
         recv: RecvStream,
-        poses: Arc<Poses>,
+        poses: Arc<PoseUpdates>,
         mut commands: mpsc::UnboundedReceiver<Command>,
         mut damage: mpsc::UnboundedReceiver<u32>,
     ) -> Result<(), ConnectError> {
         match self.rest {
-            None => self.tell_whole().await?,
-            Some(_) => self.tell_held().await?,
+            None => self.send_whole().await?,
+            Some(_) => self.send_held().await?,
         }
-        let (messages, mut heard) = mpsc::channel(16);
-        let (paged, mut pages) = mpsc::channel(MAX_STREAMS as usize);
-        let listed = self.rest.as_ref().map_or_else(Vec::new, Pages::listed);
-        let intake = Arc::new(Intake { target: self.target.clone(), pool: self.pool.clone(), listed, paged });
+        let (messages, mut received_messages) = mpsc::channel(16);
+        let (page_sender, mut pages) = mpsc::channel(MAX_STREAMS as usize);
+        let listed = self.rest.as_ref().map_or_else(Vec::new, IndexPages::listed);
+        let intake =
+            Arc::new(ChunkReceiver { target: self.target.clone(), pool: self.pool.clone(), listed, page_sender });
         let mut tasks = JoinSet::new();
-        tasks.spawn(listen(recv, self.connection.clone(), messages));
+        tasks.spawn(read_messages(recv, self.connection.clone(), messages));
         let mut tick = interval(SAMPLE_EVERY);
         loop {
             tokio::select! {
                 // A stream that was read to its end no longer counts for QUIC: chunks that wait for a decoder must count here.
                 stream = self.connection.accept_uni(), if tasks.len() <= MAX_STREAMS as usize && !self.target.is_full() => {
                     let stream = stream.map_err(|e| handshake::lost(&e))?;
-                    tasks.spawn(intake.clone().take_in(stream));
+                    tasks.spawn(intake.clone().receive_chunk(stream));
                 }
                 pose = poses.next() => self.send_pose(pose),
                 command = commands.recv() => match command {
-                    Some(Command::Want(chunks)) => self.tell(chunks, |chunks| ClientMessage::Want { chunks }).await?,
+                    Some(Command::Want(chunks)) => self.send_list(chunks, |chunks| ClientMessage::Want { chunks }).await?,
                     Some(Command::Fetch(request, answer)) => {
                         tasks.spawn(fetch(self.connection.clone(), request, answer));
                     }
@@ -225,29 +226,29 @@ impl Session {
                         return Ok(());
                     }
                 },
-                Some((number, bytes)) = pages.recv() => self.take_page(number, bytes),
-                index = assembled(&mut self.assembling) => self.become_whole(index?).await?,
-                Some(message) = heard.recv() => self.hear(message?),
-                Some(chunk) = damage.recv() => self.ask_again(chunk).await?,
-                _ = tick.tick() => self.tick(poses.newest()).await?,
+                Some((number, bytes)) = pages.recv() => self.on_page(number, bytes),
+                index = assembled(&mut self.assembling) => self.on_whole_index(index?).await?,
+                Some(message) = received_messages.recv() => self.on_message(message?),
+                Some(chunk) = damage.recv() => self.retry_damaged(chunk).await?,
+                _ = tick.tick() => self.sample(poses.newest()).await?,
                 Some(_) = tasks.join_next() => {}
             }
         }
     }
 
     /// Tells what is held from before.
-    async fn tell_held(&mut self) -> Result<(), ConnectError> {
+    async fn send_held(&mut self) -> Result<(), ConnectError> {
         let mut have = self.cache.held();
         if let Some(loader) = &self.loader {
-            have.extend(loader.shelf.numbers());
+            have.extend(loader.disk_chunks.chunk_numbers());
             have.sort_unstable();
             have.dedup();
         }
-        self.tell(have, |chunks| ClientMessage::Have { chunks }).await
+        self.send_list(have, |chunks| ClientMessage::Have { chunks }).await
     }
 
     /// A page after the walk has begun; with the last one the index is put together, which takes a moment and a thread.
-    fn take_page(&mut self, number: u32, bytes: Vec<u8>) {
+    fn on_page(&mut self, number: u32, bytes: Vec<u8>) {
         let Some(rest) = &mut self.rest else { return };
         self.progress.page(bytes.len() as u64);
         rest.take(number, bytes);
@@ -257,18 +258,18 @@ impl Session {
         }
     }
 
-    async fn become_whole(&mut self, index: Index) -> Result<(), ConnectError> {
+    async fn on_whole_index(&mut self, index: Index) -> Result<(), ConnectError> {
         self.cache.complete(Arc::new(index));
         if let Some(loader) = &self.loader {
-            loader.shelf.look();
+            loader.disk_chunks.refresh();
         }
-        self.tell_whole().await
+        self.send_whole().await
     }
 
     /// The server may send whatever views need, and knows before what is held.
-    async fn tell_whole(&mut self) -> Result<(), ConnectError> {
-        self.tell_held().await?;
-        self.say(&ClientMessage::Whole).await
+    async fn send_whole(&mut self) -> Result<(), ConnectError> {
+        self.send_held().await?;
+        self.ready_callback(&ClientMessage::Whole).await
     }
 
     fn send_pose(&mut self, pose: Pose) {
@@ -282,18 +283,18 @@ impl Session {
     }
 
     /// Sends lists in parts that fit a message.
-    async fn tell(
+    async fn send_list(
         &mut self,
         chunks: Vec<u32>,
         message: impl Fn(Vec<u32>) -> ClientMessage,
     ) -> Result<(), ConnectError> {
         for part in chunks.chunks(MAX_LIST) {
-            self.say(&message(part.to_vec())).await?;
+            self.ready_callback(&message(part.to_vec())).await?;
         }
         Ok(())
     }
 
-    async fn say(&mut self, message: &ClientMessage) -> Result<(), ConnectError> {
+    async fn ready_callback(&mut self, message: &ClientMessage) -> Result<(), ConnectError> {
         let frame = wire::encode(message).map_err(|e| ConnectError::Protocol(e.to_string()))?;
         self.send.write_all(&frame).await.map_err(|e| match self.connection.close_reason() {
             Some(reason) => handshake::lost(&reason),
@@ -301,19 +302,19 @@ impl Session {
         })
     }
 
-    fn hear(&mut self, message: ServerMessage) {
+    fn on_message(&mut self, message: ServerMessage) {
         match message {
             ServerMessage::Unavailable { chunks } => {
                 tracing::warn!("the server cannot read {} chunks, the first is {:?}", chunks.len(), chunks.first());
                 chunks.into_iter().for_each(|c| self.cache.mark_damaged(c));
             }
-            ServerMessage::Others { walkers } => self.others.told(walkers),
+            ServerMessage::Others { walkers } => self.others.set(walkers),
             // Of the handshake: they mean nothing now.
             ServerMessage::Welcome(_) | ServerMessage::Refused { .. } => {}
         }
     }
 
-    async fn ask_again(&mut self, chunk: u32) -> Result<(), ConnectError> {
+    async fn retry_damaged(&mut self, chunk: u32) -> Result<(), ConnectError> {
         let tries = self.tries.entry(chunk).or_default();
         *tries += 1;
         if *tries > MAX_RETRIES {
@@ -326,13 +327,13 @@ impl Session {
             );
             self.cache.mark_damaged(chunk);
             // Or it would come with every pose that needs it.
-            return self.tell(vec![chunk], |chunks| ClientMessage::Have { chunks }).await;
+            return self.send_list(vec![chunk], |chunks| ClientMessage::Have { chunks }).await;
         }
         tracing::info!(chunk, "arrived damaged, asked for again");
-        self.tell(vec![chunk], |chunks| ClientMessage::Want { chunks }).await
+        self.send_list(vec![chunk], |chunks| ClientMessage::Want { chunks }).await
     }
 
-    async fn tick(&mut self, pose: Option<Pose>) -> Result<(), ConnectError> {
+    async fn sample(&mut self, pose: Option<Pose>) -> Result<(), ConnectError> {
         self.stats.tick();
         if let Some(p) = pose
             && self.prefetch_m > 0.0
@@ -345,28 +346,32 @@ impl Session {
             self.cache.touch(self.around.iter().copied());
         }
         if let Some(loader) = &self.loader {
-            loader.bring_around(&self.around);
+            loader.load_around(&self.around);
         }
-        if let Some(news) = self.target.behind.news(self.pool.threads()) {
-            self.say(&news).await?;
+        if let Some(news) = self.target.backlog.update_message(self.pool.threads()) {
+            self.ready_callback(&news).await?;
         }
-        let wish = self.others.wish();
-        if self.others_wish.is_some_and(|said| said != wish) {
-            self.others_wish = Some(wish);
-            self.say(&ClientMessage::Others { shown: wish.wanted }).await?;
+        let request_state = self.others.request_state();
+        if self.others_requested.is_some_and(|said| said != request_state) {
+            self.others_requested = Some(request_state);
+            self.ready_callback(&ClientMessage::Others { shown: request_state.wanted }).await?;
         }
         let mut gone = self.cache.take_evicted(Instant::now());
         if let Some(loader) = &self.loader {
             // It leaves the memory, not this machine.
-            gone.retain(|c| !loader.shelf.holds(*c));
+            gone.retain(|c| !loader.disk_chunks.holds(*c));
         }
-        gone.extend(self.target.to_tell());
-        self.tell(gone, |chunks| ClientMessage::Drop { chunks }).await
+        gone.extend(self.target.take_abandoned());
+        self.send_list(gone, |chunks| ClientMessage::Drop { chunks }).await
     }
 }
 
 /// Reads the control stream until it ends.
-async fn listen(mut recv: RecvStream, connection: Connection, out: mpsc::Sender<Result<ServerMessage, ConnectError>>) {
+async fn read_messages(
+    mut recv: RecvStream,
+    connection: Connection,
+    out: mpsc::Sender<Result<ServerMessage, ConnectError>>,
+) {
     loop {
         let message = handshake::read_message(&mut recv, &connection).await;
         let last = message.is_err();
@@ -385,45 +390,48 @@ async fn assembled(assembling: &mut Option<JoinHandle<Result<Index, ConnectError
 }
 
 /// Where streams go.
-struct Intake {
-    target: Arc<Target>,
+struct ChunkReceiver {
+    target: Arc<DecodeTarget>,
     pool: Arc<DecodePool>,
     /// Pages that may come.
     listed: Vec<PageEntry>,
-    paged: mpsc::Sender<(u32, Vec<u8>)>,
+    page_sender: mpsc::Sender<(u32, Vec<u8>)>,
 }
 
-impl Intake {
+impl ChunkReceiver {
     /// Takes in one page, for the session, or one chunk, for the decoding threads.
-    async fn take_in(self: Arc<Self>, mut stream: RecvStream) {
+    async fn receive_chunk(self: Arc<Self>, mut stream: RecvStream) {
         match self.receive(&mut stream).await {
             Ok(()) => {}
-            Err(Broken::Off { bytes }) => self.target.stats.broken_off(bytes),
-            Err(e @ Broken::Wrong(_)) => tracing::warn!("a stream was refused: {e}"),
+            Err(StreamError::Off { bytes }) => self.target.stats.broken_off(bytes),
+            Err(e @ StreamError::Wrong(_)) => tracing::warn!("a stream was refused: {e}"),
         }
     }
 
-    async fn receive(&self, stream: &mut RecvStream) -> Result<(), Broken> {
-        let Target { cache, stats, .. } = &*self.target;
-        let header = receive::header(stream).await?;
+    async fn receive(&self, stream: &mut RecvStream) -> Result<(), StreamError> {
+        let DecodeTarget { cache, stats, .. } = &*self.target;
+        let header = chunk_stream::header(stream).await?;
         let entry = cache.index().chunks.get(header.number as usize).filter(|_| header.kind == StreamKind::Chunk);
         if entry.is_none_or(|e| e.stored_bytes != header.bytes) && !is_listed(&self.listed, &header) {
-            receive::refuse(stream, code::BAD_STREAM);
-            return Err(Broken::Wrong(format!("{:?} {} is not as the index lists it", header.kind, header.number)));
+            chunk_stream::refuse(stream, code::BAD_STREAM);
+            return Err(StreamError::Wrong(format!(
+                "{:?} {} is not as the index lists it",
+                header.kind, header.number
+            )));
         }
         if header.kind == StreamKind::Chunk && cache.holds(header.number) {
-            receive::refuse(stream, code::DUPLICATE);
+            chunk_stream::refuse(stream, code::DUPLICATE);
             stats.duplicate(0);
             return Ok(());
         }
-        let bytes = receive::body(stream, &header).await?;
+        let bytes = chunk_stream::body(stream, &header).await?;
         if header.kind == StreamKind::Page {
             // The session is gone when nobody takes it.
-            let _ = self.paged.send((header.number, bytes)).await;
+            let _ = self.page_sender.send((header.number, bytes)).await;
             return Ok(());
         }
         let target = self.target.clone();
-        self.pool.send(Job { chunk: header.number, urgency: header.urgency, bytes: Some(bytes), target }).await;
+        self.pool.send(DecodeJob { chunk: header.number, urgency: header.urgency, bytes: Some(bytes), target }).await;
         Ok(())
     }
 }

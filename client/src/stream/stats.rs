@@ -1,6 +1,6 @@
 //! What came over the wire and what it was good for.
 
-use super::{link::LinkCounts, link_socket::LinkSocket};
+use super::{simulated_link::LinkCounts, simulated_socket::SimulatedSocket};
 use std::{
     sync::{Arc, Mutex, OnceLock, PoisonError},
     time::{Duration, Instant},
@@ -48,7 +48,7 @@ pub struct Stats {
     /// Streams that the server gave up.
     pub broken_off: u64,
     /// Chunks sent ahead of need that the client gave up, because it was behind with decoding.
-    pub given_up: u64,
+    pub abandoned: u64,
     /// Chunks that were read from disk instead.
     pub disk_chunks: u64,
     /// Their stored bytes.
@@ -86,7 +86,7 @@ impl Stats {
             damaged: self.damaged + next.damaged,
             duplicates: self.duplicates + next.duplicates,
             broken_off: self.broken_off + next.broken_off,
-            given_up: self.given_up + next.given_up,
+            abandoned: self.abandoned + next.abandoned,
             disk_chunks: self.disk_chunks + next.disk_chunks,
             disk_bytes: self.disk_bytes + next.disk_bytes,
             wasted_bytes: chunk_bytes.saturating_sub(useful_bytes) + lost_bytes,
@@ -113,7 +113,7 @@ pub(super) struct Collector {
     start: Instant,
     /// Once it is open.
     wire: OnceLock<quinn::Connection>,
-    link: OnceLock<Arc<LinkSocket>>,
+    link: OnceLock<Arc<SimulatedSocket>>,
     inner: Mutex<Inner>,
 }
 
@@ -155,9 +155,9 @@ impl Collector {
             i.stats.lost_bytes += bytes;
         });
     }
-    pub fn given_up(&self, bytes: u64) {
+    pub fn abandoned(&self, bytes: u64) {
         self.with(|i| {
-            i.stats.given_up += 1;
+            i.stats.abandoned += 1;
             i.stats.lost_bytes += bytes;
         });
     }
@@ -182,7 +182,7 @@ impl Collector {
         });
     }
     /// The connection whose bytes are counted, and the link before it.
-    pub fn watch(&self, connection: quinn::Connection, link: Option<Arc<LinkSocket>>) {
+    pub fn watch(&self, connection: quinn::Connection, link: Option<Arc<SimulatedSocket>>) {
         let _ = self.wire.set(connection);
         if let Some(link) = link {
             let _ = self.link.set(link);

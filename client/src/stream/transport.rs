@@ -1,6 +1,6 @@
 //! The client's endpoint: a socket with large buffers, windows that bound memory, the pinned certificate.
 
-use super::{ConnectError, LinkSpec, link_socket::LinkSocket, trust::PinnedVerifier};
+use super::{ConnectError, LinkSpec, simulated_socket::SimulatedSocket, trust::PinnedVerifier};
 use ldi_protocol::wire::{ALPN, DEFAULT_PORT, PoseDatagram};
 use quinn::{ClientConfig, Endpoint, EndpointConfig, IdleTimeout, Runtime as _, TransportConfig, VarInt};
 use std::{
@@ -44,7 +44,7 @@ pub(super) fn open(
     remote: SocketAddr,
     verifier: Arc<PinnedVerifier>,
     link: Option<LinkSpec>,
-) -> Result<(Endpoint, Option<Arc<LinkSocket>>), ConnectError> {
+) -> Result<(Endpoint, Option<Arc<SimulatedSocket>>), ConnectError> {
     let local = |e: &dyn std::fmt::Display| ConnectError::Local(e.to_string());
     let provider = Arc::new(rustls::crypto::ring::default_provider());
     let mut crypto = rustls::ClientConfig::builder_with_provider(provider)
@@ -70,7 +70,7 @@ pub(super) fn open(
     }
     let runtime = Arc::new(quinn::TokioRuntime);
     let bare = runtime.wrap_udp_socket(socket).map_err(|e| local(&e))?;
-    let link = link.map(|spec| LinkSocket::new(bare.clone(), spec));
+    let link = link.map(|spec| SimulatedSocket::new(bare.clone(), spec));
     let socket = link.clone().map_or(bare, |l| l);
     let mut endpoint =
         Endpoint::new_with_abstract_socket(EndpointConfig::default(), None, socket, runtime).map_err(|e| local(&e))?;

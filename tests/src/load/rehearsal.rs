@@ -343,7 +343,7 @@ impl Rehearsal<'_> {
             self.score.settled_incomplete += usize::from(incomplete);
             self.score.settled_gaps += usize::from(gap);
         }
-        self.clock.look(&self.script.poses[frame].1, self.now);
+        self.clock.update_view(&self.script.poses[frame].1, self.now);
     }
 
     /// The newest pose, that of frame number `newest`, goes if its time has come.

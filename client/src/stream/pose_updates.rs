@@ -81,7 +81,7 @@ fn beyond((metres, degrees): (f64, f64), limit: (f64, f64)) -> bool {
 
 impl PoseClock {
     /// The eye is here now. Whether the newest pose goes sooner than was said before.
-    pub fn look(&mut self, pose: &Pose, now: Duration) -> bool {
+    pub fn update_view(&mut self, pose: &Pose, now: Duration) -> bool {
         self.newest = Some(*pose);
         let due = match &self.sent {
             None => now,
@@ -123,13 +123,13 @@ impl PoseClock {
 
 /// Poses on their way from the render thread to the one that sends.
 #[derive(Debug)]
-pub(super) struct Poses {
+pub(super) struct PoseUpdates {
     clock: Mutex<PoseClock>,
     began: Instant,
     sooner: Notify,
 }
 
-impl Poses {
+impl PoseUpdates {
     /// None yet.
     pub fn new() -> Self {
         Self { clock: Mutex::default(), began: Instant::now(), sooner: Notify::new() }
@@ -141,8 +141,8 @@ impl Poses {
     }
 
     /// The eye is here now.
-    pub fn look(&self, pose: &Pose) {
-        if self.with(|clock, now| clock.look(pose, now)) {
+    pub fn update_view(&self, pose: &Pose) {
+        if self.with(|clock, now| clock.update_view(pose, now)) {
             self.sooner.notify_one();
         }
     }
@@ -191,7 +191,7 @@ mod tests {
         for t in from_ms..to_ms {
             let frame = t * 60 / 1000;
             if frame != t.saturating_sub(1) * 60 / 1000 || t == 0 {
-                clock.look(&walk(frame as f64 / 60.0), ms(t));
+                clock.update_view(&walk(frame as f64 / 60.0), ms(t));
             }
             out.extend(clock.take(ms(t)).map(|_| t));
         }
@@ -222,10 +222,10 @@ mod tests {
     #[test]
     fn jumps_go_at_once_and_are_repeated_soon() {
         let mut clock = PoseClock::default();
-        assert!(clock.look(&pose(0.0, 0.0), ms(0)) && clock.take(ms(0)).is_some());
-        assert!(!clock.look(&pose(0.02, 0.0), ms(5)) && clock.take(ms(5)).is_none(), "a small step");
-        assert!(clock.look(&pose(0.02, 20.0), ms(12)) && clock.take(ms(12)).is_some(), "a turn");
-        assert!(clock.look(&pose(0.72, 20.0), ms(13)) && clock.take(ms(13)).is_none(), "a jump right after it");
+        assert!(clock.update_view(&pose(0.0, 0.0), ms(0)) && clock.take(ms(0)).is_some());
+        assert!(!clock.update_view(&pose(0.02, 0.0), ms(5)) && clock.take(ms(5)).is_none(), "a small step");
+        assert!(clock.update_view(&pose(0.02, 20.0), ms(12)) && clock.take(ms(12)).is_some(), "a turn");
+        assert!(clock.update_view(&pose(0.72, 20.0), ms(13)) && clock.take(ms(13)).is_none(), "a jump right after it");
         assert!(clock.take(ms(12) + JUMP_INTERVAL).is_some());
         assert_eq!(clock.due, Some(ms(12) + JUMP_INTERVAL + FIRST_REPEAT));
     }
@@ -233,33 +233,33 @@ mod tests {
     #[test]
     fn the_last_pose_goes_ever_more_seldom_until_there_is_another() {
         let mut clock = PoseClock::default();
-        clock.look(&pose(0.0, 0.0), ms(0));
+        clock.update_view(&pose(0.0, 0.0), ms(0));
         let mut at = vec![0];
         for _ in 0..9 {
             let now = clock.due.unwrap();
             at.push(now.as_millis() as u64);
             assert!(clock.take(now).is_some());
-            assert!(!clock.look(&pose(0.0, 0.0), now + ms(1)), "the same again is no news");
+            assert!(!clock.update_view(&pose(0.0, 0.0), now + ms(1)), "the same again is no news");
         }
         let waits: Vec<u64> = at.windows(2).map(|w| w[1] - w[0]).collect();
         assert_eq!(waits, [0, 50, 100, 200, 400, 800, 1600, 2000, 2000]);
         // A small step right after a repetition may not wait for the next one, two seconds later.
         let now = ms(at[9] + 10);
-        assert!(clock.look(&pose(0.02, 0.0), now));
+        assert!(clock.update_view(&pose(0.02, 0.0), now));
         assert_eq!(clock.due, Some(ms(at[9]) + MOST_INTERVAL));
     }
 
     #[tokio::test(start_paused = true)]
     async fn waiting_ends_when_a_pose_goes() {
-        let poses = Poses::new();
+        let poses = PoseUpdates::new();
         let nothing = tokio::time::timeout(ms(500), poses.next()).await;
         assert!(nothing.is_err());
-        let (first, ()) = tokio::join!(poses.next(), async { poses.look(&pose(1.0, 0.0)) });
+        let (first, ()) = tokio::join!(poses.next(), async { poses.update_view(&pose(1.0, 0.0)) });
         assert_eq!(first, pose(1.0, 0.0));
         let before = Instant::now();
         assert_eq!(poses.next().await, pose(1.0, 0.0));
         assert_eq!(before.elapsed().as_millis() / 10, 5, "repeated after 50 ms");
-        let (jumped, ()) = tokio::join!(poses.next(), async { poses.look(&pose(9.0, 0.0)) });
+        let (jumped, ()) = tokio::join!(poses.next(), async { poses.update_view(&pose(9.0, 0.0)) });
         assert_eq!((jumped, poses.newest()), (pose(9.0, 0.0), Some(pose(9.0, 0.0))));
     }
 }

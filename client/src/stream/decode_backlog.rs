@@ -20,30 +20,30 @@ struct Recent {
     bytes: f64,
     seconds: f64,
     /// Waiting bytes and rate as told last.
-    told: Option<(u32, u32)>,
+    last_sent: Option<(u32, u32)>,
 }
 
 /// The decoding of one connection's chunks. Counted by the threads that do it, told by the one that talks to the server.
 #[derive(Debug, Default)]
-pub(super) struct Behind {
+pub(super) struct DecodeBacklog {
     waiting: AtomicU64,
     recent: Mutex<Recent>,
 }
 
-impl Behind {
+impl DecodeBacklog {
     /// A chunk of so many stored bytes waits.
-    pub fn came(&self, bytes: usize) {
+    pub fn arrived(&self, bytes: usize) {
         self.waiting.fetch_add(bytes as u64, Relaxed);
     }
 
     /// It does no longer: it was given up.
-    pub fn left(&self, bytes: usize) {
+    pub fn remove(&self, bytes: usize) {
         self.waiting.fetch_sub(bytes as u64, Relaxed);
     }
 
     /// It does no longer: it was decoded in this time, on one thread.
-    pub fn done(&self, bytes: usize, took: Duration) {
-        self.left(bytes);
+    pub fn record_decoded(&self, bytes: usize, took: Duration) {
+        self.remove(bytes);
         let mut r = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
         let forget = (-(bytes as f64) / OVER_BYTES).exp();
         r.bytes = r.bytes * forget + bytes as f64;
@@ -51,7 +51,7 @@ impl Behind {
     }
 
     /// What the server should know, if it is news: of so many threads.
-    pub fn news(&self, threads: usize) -> Option<ClientMessage> {
+    pub fn update_message(&self, threads: usize) -> Option<ClientMessage> {
         let mut r = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
         let waiting_bytes = u32::try_from(self.waiting.load(Relaxed)).unwrap_or(u32::MAX);
         let rate = if r.seconds > 0.0 { r.bytes / r.seconds * threads as f64 } else { 0.0 };
@@ -60,10 +60,10 @@ impl Behind {
         let known = |(waiting, rate): (u32, u32)| {
             waiting.abs_diff(waiting_bytes) < TELL_BYTES && rate.abs_diff(bytes_per_s) <= rate / 8
         };
-        if r.told.is_some_and(known) || (r.told.is_none() && waiting_bytes == 0 && bytes_per_s == 0) {
+        if r.last_sent.is_some_and(known) || (r.last_sent.is_none() && waiting_bytes == 0 && bytes_per_s == 0) {
             return None;
         }
-        r.told = Some((waiting_bytes, bytes_per_s));
+        r.last_sent = Some((waiting_bytes, bytes_per_s));
         Some(ClientMessage::Decoding { waiting_bytes, bytes_per_s })
     }
 }
@@ -74,25 +74,25 @@ mod tests {
 
     #[test]
     fn what_waits_and_how_fast_it_goes_is_told_when_it_is_news() {
-        let b = Behind::default();
-        assert_eq!(b.news(1), None, "nothing came");
-        b.came(3_000_000);
-        b.came(1_000_000);
+        let b = DecodeBacklog::default();
+        assert_eq!(b.update_message(1), None, "nothing came");
+        b.arrived(3_000_000);
+        b.arrived(1_000_000);
         let news = |waiting_bytes, bytes_per_s| Some(ClientMessage::Decoding { waiting_bytes, bytes_per_s });
-        assert_eq!(b.news(1), news(4_000_000, 0));
-        b.done(3_000_000, Duration::from_millis(300));
-        assert_eq!(b.news(2), news(1_000_000, 20_000_000), "two threads of 10 MB/s");
-        assert_eq!(b.news(2), None, "told");
-        b.left(10_000);
-        assert_eq!(b.news(2), None, "hardly anything");
-        b.left(990_000);
-        assert_eq!(b.news(2), news(0, 20_000_000));
+        assert_eq!(b.update_message(1), news(4_000_000, 0));
+        b.record_decoded(3_000_000, Duration::from_millis(300));
+        assert_eq!(b.update_message(2), news(1_000_000, 20_000_000), "two threads of 10 MB/s");
+        assert_eq!(b.update_message(2), None, "told");
+        b.remove(10_000);
+        assert_eq!(b.update_message(2), None, "hardly anything");
+        b.remove(990_000);
+        assert_eq!(b.update_message(2), news(0, 20_000_000));
         // The machine gets busy: after a few megabytes most of the old rate is forgotten.
         (0..60).for_each(|_| {
-            b.came(100_000);
-            b.done(100_000, Duration::from_millis(100));
+            b.arrived(100_000);
+            b.record_decoded(100_000, Duration::from_millis(100));
         });
-        let Some(ClientMessage::Decoding { bytes_per_s, .. }) = b.news(1) else { panic!("news") };
+        let Some(ClientMessage::Decoding { bytes_per_s, .. }) = b.update_message(1) else { panic!("news") };
         assert!((900_000..1_400_000).contains(&bytes_per_s), "{bytes_per_s} of 1,000,000");
     }
 }

@@ -11,7 +11,7 @@ use ldi_protocol::{
 
 /// What there is of a manifest.
 #[derive(Debug)]
-pub(super) struct Pages {
+pub(super) struct IndexPages {
     root: Root,
     /// As it came, for the disk.
     root_bytes: Vec<u8>,
@@ -22,7 +22,7 @@ fn protocol(e: impl std::fmt::Display) -> ConnectError {
     ConnectError::Protocol(e.to_string())
 }
 
-impl Pages {
+impl IndexPages {
     /// None of those that this root lists.
     pub fn new(root_bytes: Vec<u8>, welcome: &Welcome) -> Result<Self, ConnectError> {
         let root = manifest::decode_root(&root_bytes).map_err(protocol)?;

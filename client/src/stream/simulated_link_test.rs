@@ -8,7 +8,7 @@ fn spec(text: &str) -> LinkSpec {
 const MS: Duration = Duration::from_millis(1);
 
 /// One packet of 1,222 bytes (10,000 bits with headers) every `every`, `n` of them.
-fn steady(link: &mut Link, every: Duration, n: u32) -> Vec<Fate> {
+fn steady(link: &mut SimulatedLink, every: Duration, n: u32) -> Vec<Fate> {
     (0..n).map(|i| link.send(every * i, 1222)).collect()
 }
 
@@ -67,7 +67,7 @@ fn what_is_wrong_is_named_with_an_example() {
 #[test]
 fn times_of_arrival_are_exact() {
     // 10 Mbit/s: a packet of 10,000 bits takes 1 ms.
-    let mut link = Link::new(spec("rate=10mbit,delay=20ms,queue=2ms"), Direction::Down);
+    let mut link = SimulatedLink::new(spec("rate=10mbit,delay=20ms,queue=2ms"), Direction::Down);
     let mut at = |ms: u32, bytes| link.send(MS * ms, bytes);
     assert_eq!(at(0, 1222), Fate::Arrives(MS * 21));
     assert_eq!(at(0, 1222), Fate::Arrives(MS * 22));
@@ -83,14 +83,14 @@ fn times_of_arrival_are_exact() {
 
 #[test]
 fn without_keys_nothing_happens_to_a_packet() {
-    let mut link = Link::new(LinkSpec::default(), Direction::Up);
+    let mut link = SimulatedLink::new(LinkSpec::default(), Direction::Up);
     assert!(steady(&mut link, MS, 50).iter().zip(0..).all(|(f, i)| *f == Fate::Arrives(MS * i)));
 }
 
 #[test]
 fn a_steady_excess_gets_the_rate_and_waits_as_long_as_the_queue() {
     // Twice what fits, for 10 s.
-    let mut link = Link::new(spec("rate=10mbit,queue=50ms"), Direction::Down);
+    let mut link = SimulatedLink::new(spec("rate=10mbit,queue=50ms"), Direction::Down);
     let fates = steady(&mut link, MS / 2, 20_000);
     let c = link.counts();
     assert!((10_000..=10_060).contains(&c.delivered), "{c:?}");
@@ -105,7 +105,7 @@ fn a_steady_excess_gets_the_rate_and_waits_as_long_as_the_queue() {
 #[test]
 fn loss_is_the_share_that_was_asked_for_and_independent_of_time() {
     let lost = |every: Duration, seed: u64, direction| {
-        let mut link = Link::new(LinkSpec { seed, ..spec("loss=2%,jitter=3ms") }, direction);
+        let mut link = SimulatedLink::new(LinkSpec { seed, ..spec("loss=2%,jitter=3ms") }, direction);
         let fates = steady(&mut link, every, 100_000);
         (0..).zip(fates).filter(|(_, f)| *f == Fate::Lost).map(|(i, _)| i).collect::<Vec<u32>>()
     };
@@ -118,13 +118,13 @@ fn loss_is_the_share_that_was_asked_for_and_independent_of_time() {
         // 40 expected of independent draws.
         assert!(both < 100, "{both}");
     }
-    assert_eq!(Link::new(spec("loss=100%"), Direction::Up).send(MS, 1), Fate::Lost);
+    assert_eq!(SimulatedLink::new(spec("loss=100%"), Direction::Up).send(MS, 1), Fate::Lost);
 }
 
 #[test]
 fn packets_overtake_each_other_only_by_jitter() {
     let arrivals = |text: &str| {
-        let fates = steady(&mut Link::new(spec(text), Direction::Down), MS, 2_000);
+        let fates = steady(&mut SimulatedLink::new(spec(text), Direction::Down), MS, 2_000);
         let at = fates.into_iter().filter_map(|f| if let Fate::Arrives(t) = f { Some(t) } else { None });
         at.collect::<Vec<_>>()
     };
@@ -138,7 +138,7 @@ fn packets_overtake_each_other_only_by_jitter() {
 
 #[test]
 fn in_a_black_out_everything_is_lost_and_nothing_else() {
-    let mut link = Link::new(spec("blackout=100ms:50ms"), Direction::Up);
+    let mut link = SimulatedLink::new(spec("blackout=100ms:50ms"), Direction::Up);
     let fates = steady(&mut link, MS, 300);
     assert!((0..).zip(&fates).all(|(i, f)| (*f == Fate::Lost) == (100..150).contains(&i)), "{fates:?}");
     assert_eq!(link.counts().lost, 50);
@@ -146,7 +146,7 @@ fn in_a_black_out_everything_is_lost_and_nothing_else() {
 
 #[test]
 fn some_packets_arrive_twice_and_count_once() {
-    let mut link = Link::new(spec("dup=10%,delay=20ms,jitter=5ms"), Direction::Down);
+    let mut link = SimulatedLink::new(spec("dup=10%,delay=20ms,jitter=5ms"), Direction::Down);
     let fates = steady(&mut link, MS, 10_000);
     let twice: Vec<_> = (0u32..).zip(&fates).filter(|(_, f)| matches!(f, Fate::ArrivesTwice(..))).collect();
     // 1,000 expected, standard deviation 30.
@@ -184,7 +184,7 @@ proptest! {
             ..LinkSpec::default()
         };
         let run = |spec| {
-            let mut link = Link::new(spec, Direction::Down);
+            let mut link = SimulatedLink::new(spec, Direction::Down);
             let mut now = Duration::ZERO;
             let fates: Vec<(Duration, usize, Fate)> = packets.iter().map(|(gap_ns, bytes)| {
                 now += Duration::from_nanos(*gap_ns);

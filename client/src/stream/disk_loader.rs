@@ -5,7 +5,7 @@
 //! damaged or gone is told to the server as dropped, and comes from there.
 
 use super::{
-    decoder::{DecodePool, Job, Target},
+    decoder::{DecodeJob, DecodePool, DecodeTarget},
     disk::DiskCache,
 };
 use crate::cache::Cache;
@@ -24,7 +24,7 @@ const BEING_READ: u8 = 2;
 
 /// Chunks of one index that lie on disk.
 #[derive(Debug)]
-pub(super) struct Shelf {
+pub(super) struct DiskChunks {
     disk: Arc<DiskCache>,
     /// Knows the index.
     cache: Arc<Cache>,
@@ -33,17 +33,17 @@ pub(super) struct Shelf {
     reading_ahead: AtomicUsize,
 }
 
-impl Shelf {
+impl DiskChunks {
     /// Looks what is there.
     pub fn new(disk: Arc<DiskCache>, cache: Arc<Cache>) -> Self {
         let states = cache.index().chunks.iter().map(|_| AtomicU8::new(ELSEWHERE)).collect();
-        let shelf = Self { disk, cache, states, reading_ahead: AtomicUsize::new(0) };
-        shelf.look();
-        shelf
+        let disk_chunks = Self { disk, cache, states, reading_ahead: AtomicUsize::new(0) };
+        disk_chunks.refresh();
+        disk_chunks
     }
 
     /// Looks for what was not there, or not known.
-    pub fn look(&self) {
+    pub fn refresh(&self) {
         for (entry, state) in self.cache.index().chunks.iter().zip(&self.states) {
             if state.load(Relaxed) == ELSEWHERE && self.disk.has(&entry.hash, entry.stored_bytes) {
                 state.store(HERE, Relaxed);
@@ -52,7 +52,7 @@ impl Shelf {
     }
 
     /// Numbers of the chunks that lie here, ascending.
-    pub fn numbers(&self) -> Vec<u32> {
+    pub fn chunk_numbers(&self) -> Vec<u32> {
         (0u32..).zip(&self.states).filter(|(_, s)| s.load(Relaxed) != ELSEWHERE).map(|(c, _)| c).collect()
     }
 
@@ -62,7 +62,7 @@ impl Shelf {
     }
 
     /// Takes a chunk for reading. False: it is not here, or somebody reads it already.
-    fn take(&self, chunk: u32) -> bool {
+    fn claim(&self, chunk: u32) -> bool {
         let Some(state) = self.states.get(chunk as usize) else { return false };
         state.compare_exchange(HERE, BEING_READ, Relaxed, Relaxed).is_ok()
     }
@@ -74,7 +74,7 @@ impl Shelf {
     }
 
     /// What was taken has been read, and decoded if it was sound.
-    pub fn put_back(&self, chunk: u32, urgency: Urgency, sound: bool) {
+    pub fn release(&self, chunk: u32, urgency: Urgency, sound: bool) {
         if let Some(state) = self.states.get(chunk as usize) {
             state.store(if sound { HERE } else { ELSEWHERE }, Relaxed);
         }
@@ -84,7 +84,7 @@ impl Shelf {
     }
 
     /// Keeps a chunk that came over the network.
-    pub fn keep(&self, chunk: u32, bytes: &[u8]) {
+    pub fn store(&self, chunk: u32, bytes: &[u8]) {
         let Some(entry) = self.cache.index().chunks.get(chunk as usize) else { return };
         self.disk.store(&entry.hash, bytes);
         if self.disk.has(&entry.hash, entry.stored_bytes) {
@@ -95,35 +95,35 @@ impl Shelf {
 
 /// Brings chunks from the shelf to the cache.
 #[derive(Debug, Clone)]
-pub(super) struct Loader {
-    pub shelf: Arc<Shelf>,
-    pub target: Arc<Target>,
+pub(super) struct DiskLoader {
+    pub disk_chunks: Arc<DiskChunks>,
+    pub target: Arc<DecodeTarget>,
     pub pool: Arc<DecodePool>,
 }
 
-impl Loader {
+impl DiskLoader {
     /// Brings what a view lacks.
-    pub fn bring_needed(&self, chunks: impl Iterator<Item = u32>) {
-        let lacking: Vec<u32> = chunks.filter(|c| self.shelf.holds(*c)).collect();
-        self.target.cache.missing(lacking).into_iter().for_each(|c| self.bring(c, Urgency::Now));
+    pub fn load_needed(&self, chunks: impl Iterator<Item = u32>) {
+        let lacking: Vec<u32> = chunks.filter(|c| self.disk_chunks.holds(*c)).collect();
+        self.target.cache.missing(lacking).into_iter().for_each(|c| self.load(c, Urgency::Now));
     }
 
     /// Brings what lies around, the first ones first, as far as the threads keep up.
-    pub fn bring_around(&self, chunks: &[u32]) {
-        let room = |s: &Shelf| AHEAD.saturating_sub(s.reading_ahead.load(Relaxed));
-        let here = chunks.iter().copied().filter(|c| self.shelf.holds(*c));
+    pub fn load_around(&self, chunks: &[u32]) {
+        let room = |s: &DiskChunks| AHEAD.saturating_sub(s.reading_ahead.load(Relaxed));
+        let here = chunks.iter().copied().filter(|c| self.disk_chunks.holds(*c));
         let lacking = self.target.cache.missing(here);
-        for chunk in lacking.into_iter().take(room(&self.shelf)) {
-            self.bring(chunk, Urgency::Around);
+        for chunk in lacking.into_iter().take(room(&self.disk_chunks)) {
+            self.load(chunk, Urgency::Around);
         }
     }
 
-    fn bring(&self, chunk: u32, urgency: Urgency) {
-        if self.shelf.take(chunk) {
+    fn load(&self, chunk: u32, urgency: Urgency) {
+        if self.disk_chunks.claim(chunk) {
             if !urgency.is_pressing() {
-                self.shelf.reading_ahead.fetch_add(1, Relaxed);
+                self.disk_chunks.reading_ahead.fetch_add(1, Relaxed);
             }
-            self.pool.read(Job { chunk, urgency, bytes: None, target: self.target.clone() });
+            self.pool.read(DecodeJob { chunk, urgency, bytes: None, target: self.target.clone() });
         }
     }
 }

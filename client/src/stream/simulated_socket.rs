@@ -6,11 +6,11 @@
 //! ```
 //!
 //! Segments of one transmit, and of one received buffer, are packets each. Time is that of the runtime, whose timers have steps of a millisecond: what is
-//! due within one arrives together, at most a millisecond late. Packets that wait lie in memory, a bounded number per direction ([`Lane`]).
+//! due within one arrives together, at most a millisecond late. Packets that wait lie in memory, a bounded number per direction ([`PacketQueue`]).
 
 use super::{
-    lane::Lane,
-    link::{Direction, LinkCounts, LinkSpec},
+    packet_queue::PacketQueue,
+    simulated_link::{Direction, LinkCounts, LinkSpec},
 };
 use quinn::{
     AsyncUdpSocket, UdpPoller,
@@ -56,7 +56,7 @@ struct Packet {
 /// What the sending task shares with the socket.
 #[derive(Debug)]
 struct Up {
-    lane: Mutex<Lane<Packet>>,
+    packets: Mutex<PacketQueue<Packet>>,
     /// A packet was put in, or the socket is gone.
     changed: Notify,
     gone: AtomicBool,
@@ -64,14 +64,14 @@ struct Up {
 
 #[derive(Debug)]
 struct Down {
-    lane: Lane<Packet>,
+    packets: PacketQueue<Packet>,
     timer: Pin<Box<Sleep>>,
     buffers: Vec<Vec<u8>>,
 }
 
 /// See the module.
 #[derive(Debug)]
-pub(super) struct LinkSocket {
+pub(super) struct SimulatedSocket {
     inner: Arc<dyn AsyncUdpSocket>,
     start: Instant,
     up: Arc<Up>,
@@ -82,17 +82,17 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl LinkSocket {
+impl SimulatedSocket {
     /// Puts a link before a socket. Call within a tokio runtime; the sending task ends when the socket is gone and all it sent has left.
     pub fn new(inner: Arc<dyn AsyncUdpSocket>, spec: LinkSpec) -> Arc<Self> {
         let start = Instant::now();
         let up = Arc::new(Up {
-            lane: Mutex::new(Lane::new(spec, Direction::Up)),
+            packets: Mutex::new(PacketQueue::new(spec, Direction::Up)),
             changed: Notify::new(),
             gone: AtomicBool::new(false),
         });
         let down = Down {
-            lane: Lane::new(spec, Direction::Down),
+            packets: PacketQueue::new(spec, Direction::Down),
             timer: Box::pin(sleep(Duration::ZERO)),
             buffers: vec![vec![0; BUFFER_BYTES]; BUFFERS],
         };
@@ -102,11 +102,11 @@ impl LinkSocket {
 
     /// What became of the packets, up and down.
     pub fn counts(&self) -> [LinkCounts; 2] {
-        [lock(&self.up.lane).counts(), lock(&self.down).lane.counts()]
+        [lock(&self.up.packets).counts(), lock(&self.down).packets.counts()]
     }
 }
 
-impl Drop for LinkSocket {
+impl Drop for SimulatedSocket {
     fn drop(&mut self) {
         self.up.gone.store(true, Release);
         self.up.changed.notify_one();
@@ -117,7 +117,7 @@ impl Drop for LinkSocket {
 async fn send_when_due(inner: Arc<dyn AsyncUdpSocket>, up: Arc<Up>, start: Instant) {
     let mut poller = inner.clone().create_io_poller();
     loop {
-        let next = lock(&up.lane).next_at();
+        let next = lock(&up.packets).next_at();
         match next {
             Some(at) => tokio::select! {
                 () = sleep_until(start + at) => {}
@@ -127,7 +127,7 @@ async fn send_when_due(inner: Arc<dyn AsyncUdpSocket>, up: Arc<Up>, start: Insta
             None => up.changed.notified().await,
         }
         loop {
-            let Some(packet) = lock(&up.lane).arrived(start.elapsed()) else { break };
+            let Some(packet) = lock(&up.packets).arrived(start.elapsed()) else { break };
             let transmit = Transmit {
                 destination: packet.remote,
                 ecn: packet.ecn,
@@ -159,14 +159,14 @@ impl UdpPoller for AlwaysWritable {
     }
 }
 
-impl AsyncUdpSocket for LinkSocket {
+impl AsyncUdpSocket for SimulatedSocket {
     fn create_io_poller(self: Arc<Self>) -> Pin<Box<dyn UdpPoller>> {
         Box::pin(AlwaysWritable)
     }
 
     fn try_send(&self, transmit: &Transmit<'_>) -> io::Result<()> {
         let now = self.start.elapsed();
-        let mut lane = lock(&self.up.lane);
+        let mut packets = lock(&self.up.packets);
         for segment in segments(transmit.contents, transmit.segment_size) {
             let packet = Packet {
                 bytes: segment.to_vec(),
@@ -174,9 +174,9 @@ impl AsyncUdpSocket for LinkSocket {
                 local: transmit.src_ip,
                 ecn: transmit.ecn,
             };
-            lane.send(now, segment.len(), packet);
+            packets.send(now, segment.len(), packet);
         }
-        drop(lane);
+        drop(packets);
         self.up.changed.notify_one();
         Ok(())
     }
@@ -194,7 +194,7 @@ impl AsyncUdpSocket for LinkSocket {
             let now = self.start.elapsed();
             let mut count = 0;
             for (buf, meta) in bufs.iter_mut().zip(meta.iter_mut()) {
-                let Some(packet) = down.lane.arrived(now) else { break };
+                let Some(packet) = down.packets.arrived(now) else { break };
                 let len = packet.bytes.len().min(buf.len());
                 buf[..len].copy_from_slice(&packet.bytes[..len]);
                 let mut m = RecvMeta::default();
@@ -206,7 +206,7 @@ impl AsyncUdpSocket for LinkSocket {
                 return Poll::Ready(Ok(count));
             }
             // Without a packet on its way the socket below wakes.
-            let Some(at) = down.lane.next_at() else { return Poll::Pending };
+            let Some(at) = down.packets.next_at() else { return Poll::Pending };
             down.timer.as_mut().reset(self.start + at);
             ready!(down.timer.as_mut().poll(cx));
         }
@@ -235,7 +235,7 @@ fn take_in(inner: &dyn AsyncUdpSocket, cx: &mut Context<'_>, down: &mut Down, st
         for (m, buffer) in metas[..count?].iter().zip(&down.buffers) {
             for segment in segments(&buffer[..m.len], Some(m.stride)) {
                 let packet = Packet { bytes: segment.to_vec(), remote: m.addr, local: m.dst_ip, ecn: m.ecn };
-                down.lane.send(now, segment.len(), packet);
+                down.packets.send(now, segment.len(), packet);
             }
         }
     }
@@ -251,7 +251,7 @@ fn segments(bytes: &[u8], size: Option<usize>) -> impl Iterator<Item = &[u8]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::link::{Fate, Link};
+    use crate::stream::simulated_link::{Fate, SimulatedLink};
 
     #[test]
     fn segments_of_a_buffer_are_packets_each() {
@@ -272,8 +272,8 @@ mod tests {
         let to = far.local_addr().expect("bound");
         let inner = quinn::Runtime::wrap_udp_socket(&runtime, socket()).expect("a socket");
         let spec = "delay=30ms,loss=50%,seed=3".parse().expect("a link");
-        let link = LinkSocket::new(inner, spec);
-        let mut expected = Link::new(spec, Direction::Up);
+        let link = SimulatedSocket::new(inner, spec);
+        let mut expected = SimulatedLink::new(spec, Direction::Up);
         let mut arrive = Vec::new();
         for i in 0..64u8 {
             let contents = [i; 100];

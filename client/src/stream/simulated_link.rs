@@ -1,7 +1,7 @@
 //! A network link as arithmetic: what becomes of each packet, given when it is sent. No sockets, no clock, no threads.
 //!
 //! In: `rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=10s:2s,queue=100ms,seed=1` ([`LinkSpec`]), and packets with their times. Out: per packet
-//! a time of arrival, or why it never arrives ([`Fate`]). [`super::link_socket`] puts two of these, one per direction, between QUIC and the wire.
+//! a time of arrival, or why it never arrives ([`Fate`]). [`super::simulated_socket`] puts two of these, one per direction, between QUIC and the wire.
 //!
 //! ```text
 //!            queue: drops what would wait too long      wire: loses at random, delays
@@ -209,7 +209,7 @@ impl std::ops::AddAssign for LinkCounts {
 
 /// One direction of a link. Time comes in and never goes back.
 #[derive(Debug)]
-pub struct Link {
+pub struct SimulatedLink {
     spec: LinkSpec,
     direction: Direction,
     /// When the last packet that was let in has passed.
@@ -217,7 +217,7 @@ pub struct Link {
     counts: LinkCounts,
 }
 
-impl Link {
+impl SimulatedLink {
     /// An idle link.
     pub fn new(spec: LinkSpec, direction: Direction) -> Self {
         Self { spec, direction, free_at: Duration::ZERO, counts: LinkCounts::default() }
@@ -282,5 +282,5 @@ fn uniform(seed: u64, direction: Direction, packet: u64, draw: u64) -> f64 {
 }
 
 #[cfg(test)]
-#[path = "link_test.rs"]
+#[path = "simulated_link_test.rs"]
 mod tests;

@@ -1,6 +1,6 @@
 //! One direction of a link, with what is on its way: packets go in when they are sent, and come out when they have arrived.
 
-use super::link::{Direction, Fate, Link, LinkCounts, LinkSpec};
+use super::simulated_link::{Direction, Fate, LinkCounts, LinkSpec, SimulatedLink};
 use std::{cmp::Reverse, collections::BinaryHeap, time::Duration};
 
 /// Packets on their way in one direction: 100 MB, a second at 800 Mbit/s. What comes beyond is dropped and counted.
@@ -31,18 +31,18 @@ impl<P> Ord for Waiting<P> {
     }
 }
 
-/// A [`Link`] and the packets that are on it, whatever they are made of. Time comes in and never goes back.
+/// A [`SimulatedLink`] and the packets that are on it, whatever they are made of. Time comes in and never goes back.
 #[derive(Debug)]
-pub struct Lane<P> {
-    link: Link,
+pub struct PacketQueue<P> {
+    link: SimulatedLink,
     waiting: BinaryHeap<Reverse<Waiting<P>>>,
     next: u64,
 }
 
-impl<P: Clone> Lane<P> {
+impl<P: Clone> PacketQueue<P> {
     /// An idle lane.
     pub fn new(spec: LinkSpec, direction: Direction) -> Self {
-        Self { link: Link::new(spec, direction), waiting: BinaryHeap::new(), next: 0 }
+        Self { link: SimulatedLink::new(spec, direction), waiting: BinaryHeap::new(), next: 0 }
     }
 
     /// Sends a packet of `bytes` (without [`HEADER_BYTES`](super::HEADER_BYTES)) at `now`.
@@ -92,24 +92,25 @@ mod tests {
     #[test]
     fn a_lane_gives_packets_out_in_the_order_of_arrival() {
         let spec = "rate=8mbit,delay=10ms".parse().expect("a link");
-        let mut lane = Lane::new(spec, Direction::Down);
+        let mut packets = PacketQueue::new(spec, Direction::Down);
         let ms = Duration::from_millis;
         // 972 bytes and 28 of headers take 1 ms.
-        (0..3).for_each(|i| lane.send(ms(0), 972, i));
-        assert_eq!(lane.next_at(), Some(ms(11)));
-        assert!(lane.arrived(ms(10)).is_none());
+        (0..3).for_each(|i| packets.send(ms(0), 972, i));
+        assert_eq!(packets.next_at(), Some(ms(11)));
+        assert!(packets.arrived(ms(10)).is_none());
         let mut out = Vec::new();
-        while let Some(p) = lane.arrived(ms(12)) {
+        while let Some(p) = packets.arrived(ms(12)) {
             out.push(p);
         }
-        assert_eq!((out, lane.next_at()), (vec![0, 1], Some(ms(13))));
+        assert_eq!((out, packets.next_at()), (vec![0, 1], Some(ms(13))));
     }
 
     #[test]
     fn what_cannot_be_held_is_dropped_and_counted() {
-        let mut lane = Lane::new(LinkSpec { delay: Duration::from_secs(1), ..LinkSpec::default() }, Direction::Up);
-        (0..MAX_WAITING + 3).for_each(|_| lane.send(Duration::ZERO, 10, ()));
-        let c = lane.counts();
+        let mut packets =
+            PacketQueue::new(LinkSpec { delay: Duration::from_secs(1), ..LinkSpec::default() }, Direction::Up);
+        (0..MAX_WAITING + 3).for_each(|_| packets.send(Duration::ZERO, 10, ()));
+        let c = packets.counts();
         assert_eq!((c.sent, c.delivered, c.dropped), (MAX_WAITING as u64 + 3, MAX_WAITING as u64, 3));
         assert_eq!(c.bytes, 10 * MAX_WAITING as u64);
     }

@@ -5,27 +5,27 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// See the module.
 #[derive(Debug, Default)]
-pub struct Others(Mutex<Known>);
+pub struct OtherWalkers(Mutex<Known>);
 
 #[derive(Debug, Default)]
 struct Known {
-    wish: Wish,
+    request_state: OthersRequest,
     walkers: Option<Vec<Other>>,
 }
 
 /// Whether somebody wants to know, and the how manieth wish this is: one that comes back before the server heard that it was gone is a new one, as what was known is forgotten.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(super) struct Wish {
+pub(super) struct OthersRequest {
     pub wanted: bool,
     number: u64,
 }
 
-impl Others {
+impl OtherWalkers {
     /// Asks the server to tell, or to stop.
-    pub fn want(&self, wanted: bool) {
+    pub fn set_wanted(&self, wanted: bool) {
         let mut known = self.lock();
-        if known.wish.wanted != wanted {
-            known.wish = Wish { wanted, number: known.wish.number + 1 };
+        if known.request_state.wanted != wanted {
+            known.request_state = OthersRequest { wanted, number: known.request_state.number + 1 };
             known.walkers = None;
         }
     }
@@ -35,15 +35,15 @@ impl Others {
         self.lock().walkers.clone()
     }
 
-    pub(super) fn wish(&self) -> Wish {
-        self.lock().wish
+    pub(super) fn request_state(&self) -> OthersRequest {
+        self.lock().request_state
     }
 
-    pub(super) fn told(&self, mut walkers: Vec<Other>) {
+    pub(super) fn set(&self, mut walkers: Vec<Other>) {
         walkers.iter_mut().for_each(|w| w.name = escaped(&w.name).into_owned());
         let mut known = self.lock();
         // What comes after the wish is gone is old by the time of the next one.
-        if known.wish.wanted {
+        if known.request_state.wanted {
             known.walkers = Some(walkers);
         }
     }

@@ -8,7 +8,7 @@ const FIRST_CAPACITY: usize = 256 * 1024;
 
 /// Why a stream brought nothing.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum Broken {
+pub(super) enum StreamError {
     /// The server gave it up, or the connection ended.
     #[error("broken off after {bytes} bytes")]
     Off {
@@ -21,17 +21,17 @@ pub(super) enum Broken {
 }
 
 /// The header.
-pub(super) async fn header(stream: &mut RecvStream) -> Result<StreamHeader, Broken> {
+pub(super) async fn header(stream: &mut RecvStream) -> Result<StreamHeader, StreamError> {
     let mut bytes = [0; StreamHeader::BYTES];
-    stream.read_exact(&mut bytes).await.map_err(|_| Broken::Off { bytes: 0 })?;
+    stream.read_exact(&mut bytes).await.map_err(|_| StreamError::Off { bytes: 0 })?;
     StreamHeader::decode(&bytes).map_err(|e| {
         refuse(stream, code::BAD_STREAM);
-        Broken::Wrong(e.to_string())
+        StreamError::Wrong(e.to_string())
     })
 }
 
 /// The body: exactly `header.bytes`.
-pub(super) async fn body(stream: &mut RecvStream, header: &StreamHeader) -> Result<Vec<u8>, Broken> {
+pub(super) async fn body(stream: &mut RecvStream, header: &StreamHeader) -> Result<Vec<u8>, StreamError> {
     let wanted = header.bytes as usize;
     let mut bytes = Vec::with_capacity(wanted.min(FIRST_CAPACITY));
     loop {
@@ -39,14 +39,14 @@ pub(super) async fn body(stream: &mut RecvStream, header: &StreamHeader) -> Resu
             Ok(Some(chunk)) if bytes.len() + chunk.bytes.len() <= wanted => bytes.extend_from_slice(&chunk.bytes),
             Ok(Some(_)) => {
                 refuse(stream, code::BAD_STREAM);
-                return Err(Broken::Wrong(format!("stream longer than the {wanted} bytes it announces")));
+                return Err(StreamError::Wrong(format!("stream longer than the {wanted} bytes it announces")));
             }
             Ok(None) if bytes.len() == wanted => return Ok(bytes),
-            Ok(None) => return Err(Broken::Wrong(format!("{} of {wanted} bytes", bytes.len()))),
+            Ok(None) => return Err(StreamError::Wrong(format!("{} of {wanted} bytes", bytes.len()))),
             Err(ReadError::Reset(_) | ReadError::ConnectionLost(_)) => {
-                return Err(Broken::Off { bytes: bytes.len() as u64 });
+                return Err(StreamError::Off { bytes: bytes.len() as u64 });
             }
-            Err(e) => return Err(Broken::Wrong(e.to_string())),
+            Err(e) => return Err(StreamError::Wrong(e.to_string())),
         }
     }
 }
