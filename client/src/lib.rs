@@ -7,11 +7,11 @@ pub mod engine;
 pub mod frame;
 pub mod gpu;
 pub mod impostor;
-mod lanes;
 pub mod metrics;
 pub mod near;
 pub mod report;
 pub mod resident;
+mod simd;
 pub mod stream;
 #[cfg(test)]
 mod test_support;

@@ -123,7 +123,7 @@ fn client_stages_import_backward_only() {
         "client/src",
         &[
             "resident",
-            "lanes",
+            "simd",
             "frame",
             "cache",
             "stream",

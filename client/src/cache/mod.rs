@@ -11,16 +11,16 @@
 //!   docs/streaming.md); what the current view needs is pinned and stays. What lies around the eye counts as used ([`Cache::touch`]), so that eviction does not undo the server's prefetching.
 //! - A chunk that does not fit beside the pinned ones is refused. The frame is drawn without it and says so.
 
-mod accounts;
 mod decode;
 #[cfg(test)]
 pub(crate) mod fixture;
-mod layout;
+mod object_table;
+mod state;
 
 use crate::resident::Resident;
-use accounts::{Inner, Value};
-use layout::{Layout, ObjectKind, Part};
 use ldi_protocol::{codec::CodecError, index::Index, ldi::Ldi, mesh::CellGeometry, texture::Texture, tree::Brood};
+use object_table::{ObjectKind, ObjectTable, Part};
+use state::{CacheState, Value};
 use std::{
     sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError},
     time::{Duration, Instant},
@@ -95,7 +95,7 @@ pub struct Cache {
     /// What follows if that is of a first picture only.
     whole: OnceLock<Scope>,
     decoding: bool,
-    inner: Mutex<Inner>,
+    inner: Mutex<CacheState>,
     changed: Condvar,
 }
 
@@ -103,12 +103,12 @@ pub struct Cache {
 #[derive(Debug)]
 struct Scope {
     index: Arc<Index>,
-    layout: Layout,
+    table: ObjectTable,
 }
 
 impl Scope {
     fn new(index: Arc<Index>) -> Self {
-        Self { layout: Layout::new(&index), index }
+        Self { table: ObjectTable::new(&index), index }
     }
 }
 
@@ -116,7 +116,7 @@ impl Cache {
     /// An empty cache of at most `cap_bytes` decoded bytes.
     pub fn new(index: Arc<Index>, cap_bytes: u64) -> Self {
         let first = Scope::new(index);
-        let inner = Inner::new(first.layout.objects.len(), first.index.chunks.len(), cap_bytes);
+        let inner = CacheState::new(first.table.objects.len(), first.index.chunks.len(), cap_bytes);
         Self { first, whole: OnceLock::new(), decoding: true, inner: Mutex::new(inner), changed: Condvar::new() }
     }
 
@@ -135,7 +135,7 @@ impl Cache {
         let scope = Scope::new(index);
         let mut inner = self.lock();
         // The tree's objects come first: those of both indices have the same numbers.
-        inner.grow(scope.layout.objects.len());
+        inner.extend(scope.table.objects.len());
         let _ = self.whole.set(scope);
     }
 
@@ -144,7 +144,7 @@ impl Cache {
         self.whole.get().unwrap_or(&self.first)
     }
 
-    fn lock(&self) -> MutexGuard<'_, Inner> {
+    fn lock(&self) -> MutexGuard<'_, CacheState> {
         // Every change is complete before anything can panic.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -154,7 +154,7 @@ impl Cache {
     /// # Errors
     /// If the bytes are not what the index says of this chunk.
     pub fn insert(&self, chunk: u32, bytes: &[u8]) -> Result<Inserted, DecodeError> {
-        let parts = self.scope().layout.parts(chunk);
+        let parts = self.scope().table.parts(chunk);
         if parts.is_empty() {
             return Err(DecodeError::Unreferenced);
         }
@@ -170,7 +170,7 @@ impl Cache {
     }
 
     fn insert_part(&self, part: Part, chunk: u32, bytes: &[u8]) -> Result<Inserted, DecodeError> {
-        let entry = &self.scope().layout.objects[part.object as usize];
+        let entry = &self.scope().table.objects[part.object as usize];
         let levels = match entry.kind {
             ObjectKind::Texture(t) if self.decoding => Some(decode::texture_levels(self.index(), t, part.part, bytes)?),
             _ => None,
@@ -208,13 +208,13 @@ impl Cache {
         }
         let entry = self.index().chunks[chunk as usize];
         let bytes = u64::from(entry.decoded_bytes);
-        if !inner.make_room(&self.scope().layout, bytes, part.object) {
+        if !inner.make_room(&self.scope().table, bytes, part.object) {
             let view = inner.view;
             inner.refused.insert(chunk, view);
             self.changed.notify_all();
             return Some(Inserted::NoRoom);
         }
-        inner.take_in(part.object, new, part.part, bytes, u64::from(entry.stored_bytes));
+        inner.store(part.object, new, part.part, bytes, u64::from(entry.stored_bytes));
         self.changed.notify_all();
         Some(Inserted::Held)
     }
@@ -222,20 +222,20 @@ impl Cache {
     /// Opens a new view: what it needs is pinned, what the last one needed no longer is.
     pub fn pin(&self, chunks: impl IntoIterator<Item = u32, IntoIter: Clone>) {
         let mut inner = self.lock();
-        inner.pin(&self.scope().layout, chunks.into_iter());
+        inner.pin(&self.scope().table, chunks.into_iter());
     }
 
     /// Whether the current view needs a chunk.
     pub fn is_pinned(&self, chunk: u32) -> bool {
         let inner = self.lock();
-        self.scope().layout.parts(chunk).iter().any(|p| inner.is_pinned(p.object))
+        self.scope().table.parts(chunk).iter().any(|p| inner.is_pinned(p.object))
     }
 
     /// Counts what is held of these as used now.
     pub fn touch(&self, chunks: impl IntoIterator<Item = u32>) {
         let mut inner = self.lock();
         for chunk in chunks {
-            for part in self.scope().layout.parts(chunk) {
+            for part in self.scope().table.parts(chunk) {
                 inner.use_now(part.object);
             }
         }
@@ -245,7 +245,7 @@ impl Cache {
     pub fn count_used(&self, chunks: impl IntoIterator<Item = u32>) {
         let mut inner = self.lock();
         for chunk in chunks {
-            for part in self.scope().layout.parts(chunk) {
+            for part in self.scope().table.parts(chunk) {
                 let object = &mut inner.objects[part.object as usize];
                 let fresh = object.present & !object.used & 1 << part.part;
                 object.used |= fresh;
@@ -259,7 +259,7 @@ impl Cache {
     /// A chunk did not come over the network: that frames use it is not counted among [`Usage::useful_bytes`].
     pub fn count_elsewhere(&self, chunk: u32) {
         let mut inner = self.lock();
-        for part in self.scope().layout.parts(chunk) {
+        for part in self.scope().table.parts(chunk) {
             let object = &mut inner.objects[part.object as usize];
             object.used |= object.present & 1 << part.part;
         }
@@ -267,19 +267,19 @@ impl Cache {
 
     /// Whether a chunk is at hand.
     pub fn holds(&self, chunk: u32) -> bool {
-        self.lock().holds(&self.scope().layout, chunk)
+        self.lock().holds(&self.scope().table, chunk)
     }
 
     /// All chunks at hand, ascending.
     pub fn held(&self) -> Vec<u32> {
         let inner = self.lock();
-        (0..self.index().chunks.len() as u32).filter(|c| inner.holds(&self.scope().layout, *c)).collect()
+        (0..self.index().chunks.len() as u32).filter(|c| inner.holds(&self.scope().table, *c)).collect()
     }
 
     /// Those of `chunks` that are not at hand, damaged ones included.
     pub fn missing(&self, chunks: impl IntoIterator<Item = u32>) -> Vec<u32> {
         let inner = self.lock();
-        chunks.into_iter().filter(|c| !inner.holds(&self.scope().layout, *c)).collect()
+        chunks.into_iter().filter(|c| !inner.holds(&self.scope().table, *c)).collect()
     }
 
     /// A chunk came damaged so often that it is given up.
@@ -319,7 +319,7 @@ impl Cache {
         let deadline = Instant::now() + timeout;
         let mut inner = self.lock();
         loop {
-            let missing: Vec<u32> = chunks.iter().copied().filter(|c| !inner.holds(&self.scope().layout, *c)).collect();
+            let missing: Vec<u32> = chunks.iter().copied().filter(|c| !inner.holds(&self.scope().table, *c)).collect();
             let (damaged, coming): (Vec<u32>, Vec<u32>) =
                 missing.into_iter().partition(|c| inner.damaged.get(*c as usize).copied().unwrap_or(true));
             if coming.is_empty() {
@@ -347,7 +347,7 @@ impl Cache {
             inner.refusals_told = Some(now);
             out.extend(std::mem::take(&mut inner.refused).into_keys());
         }
-        out.retain(|c| !inner.holds(&self.scope().layout, *c));
+        out.retain(|c| !inner.holds(&self.scope().table, *c));
         out.sort_unstable();
         out.dedup();
         out
@@ -364,7 +364,7 @@ impl Cache {
     /// # Errors
     /// The first account that is off.
     pub fn check(&self) -> Result<(), String> {
-        self.lock().check(&self.scope().layout, self.index())
+        self.lock().check(&self.scope().table, self.index())
     }
 
     fn object<T>(&self, number: Option<u32>, pick: impl Fn(&Value) -> Option<T>) -> Option<T> {
@@ -375,7 +375,7 @@ impl Cache {
         let fresh = object.present & !object.used;
         object.used |= fresh;
         if fresh != 0 {
-            let chunks = &self.scope().layout.objects[number as usize].chunks;
+            let chunks = &self.scope().table.objects[number as usize].chunks;
             inner.usage.useful_bytes += (0..chunks.len())
                 .filter(|p| fresh >> p & 1 == 1)
                 .map(|p| u64::from(self.index().chunks[chunks[p] as usize].stored_bytes))
@@ -391,19 +391,19 @@ impl Resident for Cache {
         self.bundle(self.index().cells.get(cell as usize)?.chunk)
     }
     fn bundle(&self, chunk: u32) -> Option<Arc<CellGeometry>> {
-        let number = *self.scope().layout.geometry_of_chunk.get(chunk as usize)?;
+        let number = *self.scope().table.geometry_of_chunk.get(chunk as usize)?;
         self.object(number, |v| if let Value::Geometry(g) = v { Some(g.clone()) } else { None })
     }
     fn texture(&self, texture: u32) -> Option<Arc<Texture>> {
-        let number = *self.scope().layout.of_texture.get(texture as usize)?;
+        let number = *self.scope().table.of_texture.get(texture as usize)?;
         self.object(number, |v| if let Value::Texture(t) = v { Some(t.clone()) } else { None })
     }
     fn ldi(&self, image: u32) -> Option<Arc<Ldi>> {
-        let number = *self.scope().layout.of_image.get(image as usize)?;
+        let number = *self.scope().table.of_image.get(image as usize)?;
         self.object(number, |v| if let Value::Ldi(l) = v { Some(l.clone()) } else { None })
     }
     fn brood(&self, chunk: u32) -> Option<Arc<Brood>> {
-        let number = *self.scope().layout.brood_of_chunk.get(chunk as usize)?;
+        let number = *self.scope().table.brood_of_chunk.get(chunk as usize)?;
         self.object(number, |v| if let Value::Brood(b) = v { Some(b.clone()) } else { None })
     }
 }

@@ -19,16 +19,16 @@
 //! All stages run on the current rayon pool by rows; their results do not depend on its size.
 
 mod downsample;
-mod fill;
-mod grow;
+mod hole_fill;
 mod seams;
+mod sky_fill;
 mod smooth;
-mod under;
+mod tree_underlay;
 
 pub use downsample::downsample;
-pub use fill::Fill;
-pub use grow::grow_sky;
-pub use under::{Doubt, lay_under, wanted_under};
+pub use hole_fill::Fill;
+pub use sky_fill::fill_sky;
+pub use tree_underlay::{ImageGaps, pixels_for_tree, underlay_tree};
 
 use crate::{
     frame::{Frame, SKY, Source},
@@ -233,8 +233,8 @@ fn by_rows<T: Send>(frame: &mut Frame, of_row: impl Fn(usize, Row<'_>) -> T + Sy
 pub fn finish(frame: &mut Frame, known: bool, stats: &mut CompositeStats, options: &CompositeOptions<'_>) {
     if stats.is_worth_filling(known) {
         stats.filled = match options.fill {
-            Fill::Surface => fill::fill(frame),
-            Fill::Last if options.last.len() == frame.len() => fill::from_last(frame, options.last),
+            Fill::Surface => hole_fill::fill(frame),
+            Fill::Last if options.last.len() == frame.len() => hole_fill::from_last(frame, options.last),
             Fill::Off | Fill::Last => 0,
         };
         stats.unpainted -= stats.filled;

@@ -194,13 +194,13 @@ fn holes_take_the_farther_neighbour() {
     put(3, 20, 0.1, Source::Far);
     put(6, 198, 0.0, Source::Sky);
     put(8, 30, 0.2, Source::Near);
-    assert_eq!(fill::fill(&mut frame), 5);
+    assert_eq!(hole_fill::fill(&mut frame), 5);
     let grey: Vec<u32> = frame.colour.iter().map(|c| c & 255).collect();
     // Between 0 and 3 the farther; between 3 and sky the surface; right of the sky the triangle.
     assert_eq!(grey, [10, 20, 20, 20, 20, 20, 198, 30, 30]);
     assert_eq!(frame.count(Source::Filled), 5);
     // Nothing to fill from.
-    assert_eq!(fill::fill(&mut Frame::new(3, 3)), 0);
+    assert_eq!(hole_fill::fill(&mut Frame::new(3, 3)), 0);
 }
 
 #[test]
@@ -213,7 +213,7 @@ fn a_hole_amid_sky_is_sky() {
         frame
             .source
             .copy_from_slice(&[[Source::Sky; 3], [Source::Near, Source::Unpainted, right], [Source::Near; 3]].concat());
-        assert_eq!(fill::fill(&mut frame), 1);
+        assert_eq!(hole_fill::fill(&mut frame), 1);
         assert_eq!((frame.colour[4], frame.source[4]), (expected, Source::Filled));
     }
 }

@@ -4,7 +4,7 @@
 
 use crate::{
     frame::{Frame, Source, pack_rgb, unpack_rgb},
-    warp::debug,
+    warp::debug_colours,
 };
 use ldi_protocol::{OutputCamera, Pose, ldi::Ldi};
 use rayon::prelude::*;
@@ -79,10 +79,10 @@ impl DisplayMode {
     /// The image in the colours of this view, where it is one that colours images before they are warped. `age_s`: since it was laid out.
     pub fn tint(self, ldi: &Arc<Ldi>, pose: &Pose, camera: &OutputCamera, age_s: f64) -> Option<Arc<Ldi>> {
         Some(Arc::new(match self {
-            Self::Layers => debug::coloured_by_layer(ldi),
-            Self::Footprints => debug::coloured_by_footprint(ldi, pose, camera),
-            Self::Ends => debug::coloured_by_links(ldi),
-            Self::Age => debug::coloured_by_age(ldi, age_s),
+            Self::Layers => debug_colours::coloured_by_layer(ldi),
+            Self::Footprints => debug_colours::coloured_by_footprint(ldi, pose, camera),
+            Self::Ends => debug_colours::coloured_by_links(ldi),
+            Self::Age => debug_colours::coloured_by_age(ldi, age_s),
             _ => return None,
         }))
     }

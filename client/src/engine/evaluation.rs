@@ -5,7 +5,7 @@
 
 use crate::{
     frame::{Frame, Source, pack_rgb},
-    metrics::{FlipMap, MetricError, Picture, psnr_db, ssim},
+    metrics::{FlipMap, MetricError, RgbImage, psnr_db, ssim},
 };
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,7 @@ const MAX_PIXELS: u64 = 1 << 28;
 pub enum EvaluationError {
     /// No such picture, or no PNG.
     #[error("{path}: {source}; render the truth with `ldi-server render --path` of the same path, --size and --every")]
-    Picture {
+    RgbImage {
         /// The file.
         path: PathBuf,
         /// What is wrong with it.
@@ -65,7 +65,7 @@ pub fn pictures_of(folder: &Path, poses: impl Iterator<Item = usize>) -> usize {
 #[derive(Debug)]
 pub struct Truth {
     path: PathBuf,
-    picture: Picture,
+    picture: RgbImage,
     /// Eye-space depth in metres, infinite for sky; None when it was rendered without `--depth`.
     depth_m: Option<Vec<f32>>,
 }
@@ -98,7 +98,7 @@ impl Truth {
         if !path.exists() {
             return Ok(None);
         }
-        let failed = |source| EvaluationError::Picture { path: path.clone(), source };
+        let failed = |source| EvaluationError::RgbImage { path: path.clone(), source };
         let mut reader = image::ImageReader::open(&path).map_err(|e| failed(e.into()))?;
         reader.limits({
             let mut limits = image::Limits::default();
@@ -106,7 +106,7 @@ impl Truth {
             limits
         });
         let rgb = reader.decode().map_err(failed)?.into_rgb8();
-        let picture = Picture::new(rgb.width(), rgb.height(), rgb.into_raw())
+        let picture = RgbImage::new(rgb.width(), rgb.height(), rgb.into_raw())
             .map_err(|source| EvaluationError::Metric { path: path.clone(), source })?;
         let depth_m = read_depth(&path.with_extension("f32"), &picture)?;
         Ok(Some(Self { path, picture, depth_m }))
@@ -128,7 +128,7 @@ impl Truth {
     /// Compares a frame; `full` is the same before averaging, a whole multiple of its size; `baseline` is another renderer's picture.
     pub fn evaluate(&self, frame: &Frame, full: &Frame, baseline: Option<&Self>) -> Result<Scores, EvaluationError> {
         let failed = |source| EvaluationError::Metric { path: self.path.clone(), source };
-        let test = Picture::new(frame.width, frame.height, frame.to_rgb8()).map_err(failed)?;
+        let test = RgbImage::new(frame.width, frame.height, frame.to_rgb8()).map_err(failed)?;
         let flip = FlipMap::new(&self.picture, &test).map_err(failed)?;
         let far = |i: usize| matches!(frame.source[i], Source::Far | Source::Tree);
         let compared = |other: &Self| {
@@ -149,7 +149,7 @@ impl Truth {
     }
 }
 
-fn read_depth(path: &Path, picture: &Picture) -> Result<Option<Vec<f32>>, EvaluationError> {
+fn read_depth(path: &Path, picture: &RgbImage) -> Result<Option<Vec<f32>>, EvaluationError> {
     if !path.exists() {
         return Ok(None);
     }
@@ -208,7 +208,7 @@ mod tests {
     fn the_baseline_is_judged_over_the_pixels_that_the_frame_warped() {
         let picture = |rgb: &dyn Fn(usize) -> [u8; 3]| Truth {
             path: PathBuf::from("frame_00000.png"),
-            picture: Picture::new(64, 16, (0..64 * 16).flat_map(rgb).collect()).expect("its size"),
+            picture: RgbImage::new(64, 16, (0..64 * 16).flat_map(rgb).collect()).expect("its size"),
             depth_m: None,
         };
         let truth = picture(&|_| [90; 3]);

@@ -14,16 +14,16 @@ use super::{
 };
 use crate::{
     composite::{
-        CompositeOptions, Doubt, Far, FarImage, FarPortal, Fill, code_steps, downsample, finish, grow_sky, lay_under,
-        merge, wanted_under,
+        CompositeOptions, Far, FarImage, FarPortal, Fill, ImageGaps, code_steps, downsample, fill_sky, finish, merge,
+        pixels_for_tree, underlay_tree,
     },
     frame::{Frame, Source, supersampled},
     gpu::Gpu,
-    impostor::{Drawn, Impostors},
+    impostor::{ImpostorStats, Impostors},
     report::StageMs,
     resident::Resident,
-    tree::{StillPainter, TreeStats},
-    warp::{FarFrame, Shown, WarpOptions, WarpStats, painted_onto},
+    tree::{ProgressivePainter, TreeStats},
+    warp::{FarFrame, ImageInView, WarpOptions, WarpStats, painted_onto},
 };
 use ldi_protocol::{
     OutputCamera, Pose,
@@ -75,7 +75,7 @@ pub struct FrameStats {
     /// What the LDI tree gave; None when it was not drawn.
     pub tree: Option<TreeStats>,
     /// What cached images did; None with other methods.
-    pub cached: Option<Drawn>,
+    pub cached: Option<ImpostorStats>,
     /// Chunks that the view needs and that were not resident, finer levels and deeper layers included; ascending.
     pub missing_chunks: Vec<u32>,
     /// Whether all of the index was known.
@@ -110,7 +110,7 @@ pub struct FrameRenderer {
     full: Frame,
     /// Pixels that were filled where `full` does not show it.
     filled_on_card: u64,
-    tree: StillPainter,
+    tree: ProgressivePainter,
     /// Samples of the tree per millisecond, as measured; 0 before the first.
     tree_rate: f64,
     /// Colours of the frame before, where holes are to show it.
@@ -463,10 +463,10 @@ impl FrameRenderer {
         let here: Vec<&ImageLayout> = here().filter_map(|number| layouts.get(number, half)).collect();
         if !here.is_empty() {
             let start = Instant::now();
-            let mut shown: Vec<Shown<'_>> = Vec::with_capacity(here.len());
+            let mut shown: Vec<ImageInView<'_>> = Vec::with_capacity(here.len());
             let mut show = |wanted: &dyn Fn(u32) -> bool, within| {
                 let wanted = here.iter().filter(|p| wanted(p.of.number));
-                shown.extend(wanted.map(|p| Shown { laid_out: &p.laid_out, within }));
+                shown.extend(wanted.map(|p| ImageInView { laid_out: &p.laid_out, within }));
             };
             if view.portals.is_empty() {
                 show(&|_| true, None);
@@ -526,18 +526,18 @@ impl FrameRenderer {
         let all_layers = images.iter().all(|(_, entry, ldi)| absent_layers(entry, ldi.as_deref()).is_empty());
         // Reference images of portals are not made from what eyes see: what they miss is no sky.
         if known && all_layers && !doubtful && !view.portal_images.is_paper() {
-            grow_sky(&mut self.full, &mut stats);
+            fill_sky(&mut self.full, &mut stats);
         }
         if let Some(tree) = &index.tree {
             let doubt = match doubtful {
-                true => Doubt::Missing {
+                true => ImageGaps::Missing {
                     margin_m: 2.0 * tree.pitch_of(tree.pinned_levels.saturating_sub(1)) as f32,
                     complete_m: if gaps { 0.0 } else { view.complete_m as f32 },
                 },
-                false => Doubt::None,
+                false => ImageGaps::None,
             };
             let start = Instant::now();
-            frame_stats.tree = self.lay_tree_under(index, resident, pose, &full_camera, options, doubt, start);
+            frame_stats.tree = self.draw_tree_underlay(index, resident, pose, &full_camera, options, doubt, start);
             if let Some(t) = &frame_stats.tree {
                 (stats.tree, stats.unpainted) = (t.given, self.full.count(Source::Unpainted) as u64);
                 known = true;
@@ -572,19 +572,19 @@ impl FrameRenderer {
 
     /// Draws the LDI tree where it is wanted and lays it under the frame. None where nothing is.
     #[expect(clippy::too_many_arguments, reason = "each is another thing that a frame depends on")]
-    fn lay_tree_under(
+    fn draw_tree_underlay(
         &mut self,
         index: &Index,
         resident: &dyn Resident,
         pose: &Pose,
         camera: &OutputCamera,
         options: &WalkOptions,
-        doubt: Doubt,
+        doubt: ImageGaps,
         start: Instant,
     ) -> Option<TreeStats> {
         // Without its root nothing is known.
         let tree = index.tree.as_ref().filter(|t| resident.brood(t.root_chunk).is_some())?;
-        let wanted = wanted_under(&self.full, doubt);
+        let wanted = pixels_for_tree(&self.full, doubt);
         if wanted.is_empty() {
             return None;
         }
@@ -596,7 +596,7 @@ impl FrameRenderer {
         let no_gap = |row: usize, column: usize| full.source[row * width + column] != Source::Unpainted;
         let hides = &full.disparity;
         let (mut stats, picture) = self.tree.frame(tree, resident, pose, camera, max_samples, wanted, hides, &no_gap);
-        stats.given = lay_under(&mut self.full, picture, doubt);
+        stats.given = underlay_tree(&mut self.full, picture, doubt);
         stats.ms = ms_since(start);
         if stats.samples > 10_000 {
             let rate = stats.samples as f64 / stats.ms.max(0.1);

@@ -7,7 +7,7 @@ use crate::{
     gpu::{Gpu, GpuError, Packed, WarpOn},
     near::{NearStats, Rasterizer},
     resident::Resident,
-    warp::{FarFrame, PreparedLdi, Shown, WarpError, WarpOptions, WarpStats, warp_images},
+    warp::{FarFrame, ImageInView, PreparedLdi, WarpError, WarpOptions, WarpStats, warp_images},
 };
 use ldi_protocol::{OutputCamera, Pose, index::Index};
 use serde::Serialize;
@@ -138,7 +138,7 @@ impl RenderBackend {
 
     /// Bytes that it has put there.
     pub fn uploaded_bytes(&self) -> u64 {
-        self.gpu.as_ref().map_or(0, |gpu| gpu.brought_bytes())
+        self.gpu.as_ref().map_or(0, |gpu| gpu.uploaded_bytes())
     }
 
     /// The card, if it is to warp this image so.
@@ -161,7 +161,7 @@ impl RenderBackend {
         options: &WarpOptions,
     ) -> Result<bool, RenderError> {
         match self.warping_gpu_for_image(laid_out, camera, options) {
-            Some(gpu) => Ok(gpu.bring_image(laid_out, packed, ahead)?),
+            Some(gpu) => Ok(gpu.upload_image(laid_out, packed, ahead)?),
             None => Ok(true),
         }
     }
@@ -174,7 +174,7 @@ impl RenderBackend {
     /// Warps images to one picture, within an image by the given order, between images by depth: into `into`, or onto the card. `near` holds the near geometry, unless the card does.
     pub fn warp(
         &mut self,
-        images: &[Shown<'_>],
+        images: &[ImageInView<'_>],
         near: &Frame,
         pose: &Pose,
         camera: &OutputCamera,
@@ -265,7 +265,7 @@ mod tests {
         assert_eq!(brought, Ok(true), "left to the processor");
         let drawn = |backend: &mut RenderBackend| {
             let mut far = FarFrame::new(camera.width, camera.height);
-            let images = [Shown::from(&laid_out)];
+            let images = [ImageInView::from(&laid_out)];
             backend.warp(&images, &Frame::default(), &pose, &camera, &options, &mut far).expect("warped");
             backend.read_back(&camera, &mut Frame::default(), &mut far).expect("read back");
             far.packed

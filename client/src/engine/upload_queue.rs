@@ -7,7 +7,7 @@ use super::{
     render_backend::{RenderBackend, RenderError},
 };
 use crate::{
-    gpu::{Arrived, PATIENCE},
+    gpu::{PATIENCE, TextureUpload},
     resident::Resident,
     warp::WarpOptions,
 };
@@ -96,17 +96,17 @@ pub(super) fn upload_cells(
     for (number, entry) in cells.iter().filter_map(|c| Some((*c, index.cells.get(*c as usize)?))) {
         let bundles = entry.bundles.iter().filter_map(|b| Some((*b, resident.bundle(*b)?)));
         for (chunk, geometry) in resident.cell(number).map(|g| (entry.chunk, g)).into_iter().chain(bundles) {
-            if seen.insert(chunk) && !gpu.bring_geometry(&geometry, ahead)? {
+            if seen.insert(chunk) && !gpu.upload_geometry(&geometry, ahead)? {
                 late.chunks.insert(chunk);
             }
         }
         let textures = entry.materials.iter().filter_map(|m| index.materials.get(*m as usize)?.texture);
         for (number, texture) in textures.filter_map(|t| Some((t, resident.texture(t)?))) {
             let Some(chunk) = first_chunk(index, number).filter(|c| seen.insert(*c)) else { continue };
-            match gpu.bring_texture(number, &texture)? {
-                Arrived::All => {}
-                Arrived::Coarse => late.coarse += 1,
-                Arrived::Nothing => drop(late.chunks.insert(chunk)),
+            match gpu.upload_texture(number, &texture)? {
+                TextureUpload::All => {}
+                TextureUpload::Coarse => late.coarse += 1,
+                TextureUpload::Nothing => drop(late.chunks.insert(chunk)),
             }
         }
     }

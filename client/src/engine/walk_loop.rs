@@ -124,13 +124,13 @@ struct ResumeState {
 }
 
 /// A picture on its way to the disk.
-struct Picture {
+struct PendingSave {
     index: usize,
     frame: Frame,
 }
 
 /// Everything that accumulates while walking.
-struct Walker<'a> {
+struct WalkRun<'a> {
     data: &'a dyn DataSource,
     job: &'a WalkJob<'a>,
     camera: OutputCamera,
@@ -162,7 +162,7 @@ pub fn run(
         tracing::warn!("{} holds {others} frames of an earlier walk; those of other poses stay", folder.display());
     }
     let index = data.index();
-    let mut walker = Walker {
+    let mut walker = WalkRun {
         data,
         job,
         camera: OutputCamera {
@@ -184,7 +184,7 @@ pub fn run(
     };
     std::thread::scope(|scope| {
         // A few frames in flight: the disk may hiccup, memory must not grow.
-        let (pictures, queue) = mpsc::sync_channel::<Picture>(4);
+        let (pictures, queue) = mpsc::sync_channel::<PendingSave>(4);
         let writer = scope.spawn(move || write_pictures(&queue, folder, job.options.debug_views));
         let walked = walker.walk(&pictures, progress);
         drop(pictures);
@@ -225,10 +225,10 @@ fn frames_in(folder: &Path) -> usize {
     names.filter(|name| name.to_str().is_some_and(is_frame)).count()
 }
 
-impl Walker<'_> {
+impl WalkRun<'_> {
     fn walk(
         &mut self,
-        pictures: &mpsc::SyncSender<Picture>,
+        pictures: &mpsc::SyncSender<PendingSave>,
         progress: &mut dyn FnMut(Progress),
     ) -> Result<(), WalkError> {
         let options = self.job.options;
@@ -278,7 +278,7 @@ impl Walker<'_> {
             progress(Progress { done: done + 1, total, bytes: traffic.bytes, frame_ms: frame_stats.ms.total });
             if at % every == 0 {
                 self.keep(at, &view, &frame_stats, &frame, traffic)?;
-                let picture = Picture { index: at, frame: frame.clone() };
+                let picture = PendingSave { index: at, frame: frame.clone() };
                 if pictures.send(picture).is_err() {
                     // The writer has failed and says why.
                     break;
@@ -513,8 +513,8 @@ impl FrameReport {
 }
 
 /// Writes pictures until the walk drops its end of the queue. The first failure ends it.
-fn write_pictures(queue: &mpsc::Receiver<Picture>, folder: &Path, debug_views: bool) -> Result<(), WalkError> {
-    for Picture { index, frame } in queue {
+fn write_pictures(queue: &mpsc::Receiver<PendingSave>, folder: &Path, debug_views: bool) -> Result<(), WalkError> {
+    for PendingSave { index, frame } in queue {
         save_frame(folder, index, &frame)?;
         if debug_views {
             save_debug_views(folder, index, &frame)?;

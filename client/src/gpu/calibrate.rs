@@ -1,7 +1,7 @@
 //! Which warps faster, the card or the processor? Decided once, by warping the same image on both.
 
 use super::{Gpu, GpuError};
-use crate::warp::{FarFrame, PreparedLdi, Shown, WarpError, WarpOptions, analytic, warp};
+use crate::warp::{FarFrame, ImageInView, PreparedLdi, WarpError, WarpOptions, analytic, warp};
 use glam::DVec3;
 use ldi_protocol::{OutputCamera, Pose, ldi::Ldi};
 use serde::Serialize;
@@ -55,7 +55,7 @@ pub fn calibrate(gpu: &mut Gpu, on: WarpOn) -> Result<Calibration, GpuError> {
         return Ok(Calibration { on_card: on == WarpOn::Gpu, card_ms: None, processor_ms: None });
     }
     let laid_out = PreparedLdi::new(&image());
-    let image = Shown::from(&laid_out);
+    let image = ImageInView::from(&laid_out);
     let pose = Pose { position: DVec3::new(0.1, 0.05, -0.1), yaw_deg: 3.0, pitch_deg: -2.0 };
     let options = WarpOptions::default();
     let mut far = FarFrame::default();

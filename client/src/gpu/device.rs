@@ -68,7 +68,7 @@ pub enum Software {
 }
 
 /// See the module.
-pub struct Card {
+pub struct GpuDevice {
     pub device: wgpu::Device,
     pub queue: wgpu::Queue,
     /// Name of the adapter and how it is driven.
@@ -77,13 +77,13 @@ pub struct Card {
     /// Never [`Atomics::Best`].
     pub atomics: Atomics,
     /// What the driver said last and nobody has heard yet.
-    said: Arc<Mutex<Option<String>>>,
+    last_error: Arc<Mutex<Option<String>>>,
 }
 
 /// What 64-bit atomics take.
 const WIDE: wgpu::Features = wgpu::Features::SHADER_INT64.union(wgpu::Features::SHADER_INT64_ATOMIC_MIN_MAX);
 
-impl Card {
+impl GpuDevice {
     /// Opens the fastest adapter there is; `WGPU_BACKEND`, `WGPU_POWER_PREF` and `WGPU_ADAPTER_NAME` as everywhere.
     pub fn open(atomics: Atomics, software: Software) -> Result<Self, GpuError> {
         let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
@@ -117,17 +117,17 @@ impl Card {
             ..Default::default()
         }))
         .map_err(|e| GpuError::Failed { adapter: name.clone(), reason: e.to_string() })?;
-        let said = Arc::new(Mutex::new(None));
-        let heard = said.clone();
+        let last_error = Arc::new(Mutex::new(None));
+        let heard = last_error.clone();
         device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| {
             heard.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(e.to_string());
         }));
-        Ok(Self { device, queue, name, software: is_software, atomics, said })
+        Ok(Self { device, queue, name, software: is_software, atomics, last_error })
     }
 
     /// What went wrong since the last time, if anything.
     pub fn check(&self) -> Result<(), GpuError> {
-        match self.said.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        match self.last_error.lock().unwrap_or_else(PoisonError::into_inner).take() {
             Some(reason) => Err(self.failed(reason)),
             None => Ok(()),
         }
@@ -139,13 +139,13 @@ impl Card {
 
     /// A small buffer with something in it, whole words.
     pub fn buffer(&self, label: &str, content: &[u8], usage: wgpu::BufferUsages) -> wgpu::Buffer {
-        let buffer = self.room(label, content.len() as u64, usage | wgpu::BufferUsages::COPY_DST);
+        let buffer = self.allocate(label, content.len() as u64, usage | wgpu::BufferUsages::COPY_DST);
         self.queue.write_buffer(&buffer, 0, content);
         buffer
     }
 
     /// An empty buffer.
-    pub fn room(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+    pub fn allocate(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
         self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
             size,
@@ -180,27 +180,27 @@ impl Card {
 }
 
 /// A buffer that grows as needed and is written anew each frame.
-pub struct Growing {
+pub struct GrowableBuffer {
     label: &'static str,
     usage: wgpu::BufferUsages,
     buffer: Option<wgpu::Buffer>,
 }
 
-impl Growing {
+impl GrowableBuffer {
     pub fn new(label: &'static str, usage: wgpu::BufferUsages) -> Self {
         Self { label, usage, buffer: None }
     }
 
     /// Room for `size` bytes.
-    pub fn room(&mut self, card: &Card, size: u64) -> &wgpu::Buffer {
+    pub fn allocate(&mut self, card: &GpuDevice, size: u64) -> &wgpu::Buffer {
         let size = size.max(256);
         let held = self.buffer.take().filter(|b| b.size() >= size);
-        self.buffer.insert(held.unwrap_or_else(|| card.room(self.label, size.next_power_of_two(), self.usage)))
+        self.buffer.insert(held.unwrap_or_else(|| card.allocate(self.label, size.next_power_of_two(), self.usage)))
     }
 
     /// The content, in room for it.
-    pub fn write(&mut self, card: &Card, content: &[u8]) -> &wgpu::Buffer {
-        let buffer = self.room(card, content.len() as u64);
+    pub fn write(&mut self, card: &GpuDevice, content: &[u8]) -> &wgpu::Buffer {
+        let buffer = self.allocate(card, content.len() as u64);
         if !content.is_empty() {
             card.queue.write_buffer(buffer, 0, content);
         }

@@ -3,9 +3,9 @@
 //! What is kept is bounded in bytes; the chunks that were drawn longest ago go first. A chunk that the cache has let go goes as well.
 
 use super::{
-    device::Card,
-    shelf::Shelf,
-    transfer::{Allowance, Transfer},
+    device::GpuDevice,
+    lru::GpuLru,
+    transfer::{Transfer, UploadBudget},
 };
 use bytemuck::{Pod, Zeroable};
 use ldi_protocol::mesh::{CellGeometry, Cluster, MAX_CLUSTER_TRIANGLES};
@@ -33,7 +33,7 @@ pub struct Span {
 }
 
 /// A chunk on the card.
-pub struct Uploaded {
+pub struct UploadedGeometry {
     pub corners: wgpu::Buffer,
     pub indices: wgpu::Buffer,
     /// By number of the cluster.
@@ -43,7 +43,7 @@ pub struct Uploaded {
 }
 
 /// See the module. By address.
-pub struct Geometry(Shelf<usize, Uploaded>);
+pub struct Geometry(GpuLru<usize, UploadedGeometry>);
 
 fn address(geometry: &Arc<CellGeometry>) -> usize {
     Arc::as_ptr(geometry) as usize
@@ -51,7 +51,7 @@ fn address(geometry: &Arc<CellGeometry>) -> usize {
 
 impl Geometry {
     pub fn new() -> Self {
-        Self(Shelf::new(KEPT_BYTES))
+        Self(GpuLru::new(KEPT_BYTES))
     }
 
     pub fn begin_frame(&mut self) {
@@ -59,8 +59,8 @@ impl Geometry {
     }
 
     /// Puts a chunk onto the card, as much of it as is allowed; returns whether all of it is there.
-    pub fn bring(&mut self, card: &Card, chunk: &Arc<CellGeometry>, allowance: &mut Allowance) -> bool {
-        self.0.bring(address(chunk), card, allowance, || Uploaded::new(card, chunk))
+    pub fn upload(&mut self, card: &GpuDevice, chunk: &Arc<CellGeometry>, budget: &mut UploadBudget) -> bool {
+        self.0.upload(address(chunk), card, budget, || UploadedGeometry::new(card, chunk))
     }
 
     /// Whether a chunk is there, on its way, or can stay besides what the frame has wanted so far.
@@ -69,7 +69,7 @@ impl Geometry {
     }
 
     /// A chunk that is there.
-    pub fn get(&self, chunk: &Arc<CellGeometry>) -> Option<&Uploaded> {
+    pub fn get(&self, chunk: &Arc<CellGeometry>) -> Option<&UploadedGeometry> {
         self.0.get(address(chunk))
     }
 
@@ -89,9 +89,9 @@ fn bytes(chunk: &CellGeometry) -> u64 {
     chunk.clusters.iter().map(|c| of(c) as u64).sum()
 }
 
-impl Uploaded {
+impl UploadedGeometry {
     /// Also its bytes, and what must be sent.
-    fn new(card: &Card, chunk: &Arc<CellGeometry>) -> (Self, u64, Transfer) {
+    fn new(card: &GpuDevice, chunk: &Arc<CellGeometry>) -> (Self, u64, Transfer) {
         let (mut corners, mut indices, mut spans) = (Vec::<Corner>::new(), Vec::<u16>::new(), Vec::new());
         for cluster in &chunk.clusters {
             let first_index = indices.len() as u32;

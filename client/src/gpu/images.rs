@@ -1,6 +1,6 @@
 //! Images on the card: the arrays of a [`PreparedLdi`], one buffer each over all of its tiles, put there once.
 
-use super::{device::Card, transfer::Transfer};
+use super::{device::GpuDevice, transfer::Transfer};
 use crate::warp::PreparedLdi;
 use bytemuck::{Pod, Zeroable};
 
@@ -33,7 +33,7 @@ const COUNTED: u32 = 1 << 31;
 const COUNTED_EVERY: u32 = 8;
 
 /// An image on the card.
-pub struct Uploaded {
+pub struct UploadedImage {
     pub tiles: wgpu::Buffer,
     pub samples: wgpu::Buffer,
     pub quads: wgpu::Buffer,
@@ -109,9 +109,9 @@ impl Packed {
     }
 }
 
-impl Uploaded {
+impl UploadedImage {
     /// Also its bytes, and what must be sent.
-    pub fn new(card: &Card, packed: Packed) -> (Self, u64, Transfer) {
+    pub fn new(card: &GpuDevice, packed: Packed) -> (Self, u64, Transfer) {
         let storage = wgpu::BufferUsages::STORAGE;
         let bytes = packed.bytes();
         let Packed { tiles, samples, quads, groups, first_tile } = packed;

@@ -1,6 +1,6 @@
 //! Drawing on a graphics card: the twin of `near` and `warp`, with their stages and names.
 //!
-//! In: what those take. Out: what those give, on the card: there both are joined and averaged ([`join`]), or they are read back, a [`Frame`] of the near geometry and a [`FarFrame`] of the
+//! In: what those take. Out: what those give, on the card: there both are joined and averaged ([`composite_pass`]), or they are read back, a [`Frame`] of the near geometry and a [`FarFrame`] of the
 //! warped images, which `composite` merges as it merges the processor's. The near geometry goes through the card's rasterizer ([`near`]), the micro-quads and the fixed stamps through compute shaders ([`warp`]),
 //! so that an adapter without a rasterizer could still warp.
 //!
@@ -14,13 +14,13 @@
 //! hold the depth) is that of Schütz, Kerbl and Wimmer ("Rendering Point Clouds with Compute Shaders", 2021), where 64-bit atomics, their other way, are missing.
 
 mod calibrate;
+mod composite;
 mod device;
 mod geometry;
 mod images;
-mod join;
+mod lru;
 mod near;
 mod read_back;
-mod shelf;
 #[cfg(test)]
 mod tests;
 mod textures;
@@ -30,31 +30,31 @@ mod warp;
 pub use calibrate::{Calibration, WarpOn};
 pub use device::{Atomics, GpuError};
 pub use images::Packed;
-pub use shelf::PATIENCE;
-pub use textures::Arrived;
+pub use lru::PATIENCE;
+pub use textures::TextureUpload;
 
 use crate::{
     composite::CodeStep,
     frame::Frame,
     near::NearStats,
     resident::Resident,
-    warp::{FarFrame, Order, PreparedLdi, Shown, WarpOptions, WarpStats},
+    warp::{FarFrame, ImageInView, Order, PreparedLdi, WarpOptions, WarpStats},
 };
-use device::{Card, Software};
+use device::{GpuDevice, Software};
 use ldi_protocol::{OutputCamera, Pose, index::Index, mesh::CellGeometry, texture::Texture};
 use std::sync::Arc;
-use transfer::Allowance;
+use transfer::UploadBudget;
 
 /// A graphics card, and what lies on it.
 pub struct Gpu {
-    card: Card,
-    near: near::Near,
-    warp: warp::Warp,
-    join: join::Join,
+    card: GpuDevice,
+    near: near::NearPass,
+    warp: warp::WarpPass,
+    composite_pass: composite::CompositePass,
     calibration: Option<Calibration>,
     /// Largest array that it can bind or hold, bytes.
     largest_bytes: u64,
-    allowance: Allowance,
+    budget: UploadBudget,
 }
 
 impl std::fmt::Debug for Gpu {
@@ -69,7 +69,7 @@ impl Gpu {
     /// # Errors
     /// If there is none that can do it.
     pub fn open() -> Result<Self, GpuError> {
-        Self::with(Card::open(Atomics::Best, Software::Too)?)
+        Self::with(GpuDevice::open(Atomics::Best, Software::Too)?)
     }
 
     /// The same, but none that is the processor in disguise; that is found out before anything is made.
@@ -77,7 +77,7 @@ impl Gpu {
     /// # Errors
     /// If there is none that can do it.
     pub fn open_real() -> Result<Self, GpuError> {
-        Self::with(Card::open(Atomics::Best, Software::No)?)
+        Self::with(GpuDevice::open(Atomics::Best, Software::No)?)
     }
 
     /// The same with a given way to keep the nearest sample: to compare them.
@@ -85,16 +85,17 @@ impl Gpu {
     /// # Errors
     /// If there is no adapter that can do it.
     pub fn open_with(atomics: Atomics) -> Result<Self, GpuError> {
-        Self::with(Card::open(atomics, Software::Too)?)
+        Self::with(GpuDevice::open(atomics, Software::Too)?)
     }
 
-    fn with(card: Card) -> Result<Self, GpuError> {
-        let (near, warp, join) = (near::Near::new(&card), warp::Warp::new(&card), join::Join::new(&card));
+    fn with(card: GpuDevice) -> Result<Self, GpuError> {
+        let (near, warp, composite_pass) =
+            (near::NearPass::new(&card), warp::WarpPass::new(&card), composite::CompositePass::new(&card));
         card.check()?;
         let limits = card.device.limits();
         let largest_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        let allowance = Allowance::new(u64::MAX);
-        Ok(Self { card, near, warp, join, calibration: None, largest_bytes, allowance })
+        let budget = UploadBudget::new(u64::MAX);
+        Ok(Self { card, near, warp, composite_pass, calibration: None, largest_bytes, budget })
     }
 
     /// Name of the adapter and how it is driven.
@@ -177,7 +178,7 @@ impl Gpu {
         camera: &OutputCamera,
         pose: &Pose,
     ) -> Result<NearStats, GpuError> {
-        self.near.draw(&self.card, &mut self.allowance, index, resident, cells, camera, pose)
+        self.near.draw(&self.card, &mut self.budget, index, resident, cells, camera, pose)
     }
 
     /// Reads back what [`Self::draw`] drew with the same camera; `frame` becomes as large.
@@ -190,14 +191,14 @@ impl Gpu {
 
     /// A frame begins that may put so many bytes of the scene onto the card; until one does there is no bound. What was not wanted for long makes room.
     pub fn begin_frame(&mut self, allowed: u64) {
-        self.allowance = Allowance::new(allowed);
+        self.budget = UploadBudget::new(allowed);
         self.near.begin_frame();
         self.warp.images.begin_frame(|_| true);
     }
 
     /// Bytes that this frame has put onto the card. They exceed what it may by the small levels of a texture at most, and by what it draws without having brought it.
-    pub fn brought_bytes(&self) -> u64 {
-        self.allowance.spent
+    pub fn uploaded_bytes(&self) -> u64 {
+        self.budget.spent
     }
 
     /// Puts an image that fits ([`Self::fits_image`]) onto the card, as much of it as this frame may; what was packed already need not be. `ahead`: only if there is room besides what this
@@ -205,13 +206,13 @@ impl Gpu {
     ///
     /// # Errors
     /// If the card fails.
-    pub fn bring_image(
+    pub fn upload_image(
         &mut self,
         laid_out: &PreparedLdi,
         packed: &mut Option<Packed>,
         ahead: bool,
     ) -> Result<bool, GpuError> {
-        let there = self.warp.bring(&self.card, laid_out, packed, ahead, &mut self.allowance);
+        let there = self.warp.upload(&self.card, laid_out, packed, ahead, &mut self.budget);
         self.card.check()?;
         Ok(there)
     }
@@ -225,9 +226,9 @@ impl Gpu {
     ///
     /// # Errors
     /// If the card fails.
-    pub fn bring_geometry(&mut self, chunk: &Arc<CellGeometry>, ahead: bool) -> Result<bool, GpuError> {
+    pub fn upload_geometry(&mut self, chunk: &Arc<CellGeometry>, ahead: bool) -> Result<bool, GpuError> {
         let geometry = &mut self.near.geometry;
-        let there = (!ahead || geometry.has_room(chunk)) && geometry.bring(&self.card, chunk, &mut self.allowance);
+        let there = (!ahead || geometry.has_room(chunk)) && geometry.upload(&self.card, chunk, &mut self.budget);
         self.card.check()?;
         Ok(there)
     }
@@ -236,8 +237,8 @@ impl Gpu {
     ///
     /// # Errors
     /// If the card fails.
-    pub fn bring_texture(&mut self, number: u32, texture: &Arc<Texture>) -> Result<Arrived, GpuError> {
-        let arrived = self.near.textures.bring(&self.card, number, texture, &mut self.allowance);
+    pub fn upload_texture(&mut self, number: u32, texture: &Arc<Texture>) -> Result<TextureUpload, GpuError> {
+        let arrived = self.near.textures.upload(&self.card, number, texture, &mut self.budget);
         self.card.check()?;
         Ok(arrived)
     }
@@ -248,12 +249,12 @@ impl Gpu {
     /// If the card fails, or cannot draw the stamp or the order.
     pub fn warp_images(
         &mut self,
-        images: &[Shown<'_>],
+        images: &[ImageInView<'_>],
         pose: &Pose,
         camera: &OutputCamera,
         options: &WarpOptions,
     ) -> Result<WarpStats, GpuError> {
-        self.warp.warp_images(&self.card, images, pose, camera, options, &mut self.allowance)
+        self.warp.warp_images(&self.card, images, pose, camera, options, &mut self.budget)
     }
 
     /// Reads back what [`Self::warp_images`] warped, into a picture of the same size.
@@ -278,7 +279,7 @@ impl Gpu {
     ) -> Result<(), GpuError> {
         let Some(near) = self.near.textures() else { return Err(self.card.failed("nothing was drawn")) };
         let far = warped.then(|| self.warp.planes(&self.card));
-        self.join.merge(&self.card, &join::Drawn { near, far }, steps, camera, open)
+        self.composite_pass.merge(&self.card, &composite::DrawnPlanes { near, far }, steps, camera, open)
     }
 
     /// Lays what was `found` where pixels are `open`, sky and samples of the LDI tree, into what [`Self::merge`] made, fills what is left if it is to be filled
@@ -294,7 +295,7 @@ impl Gpu {
         factor: u32,
         out: &mut Frame,
     ) -> Result<u64, GpuError> {
-        self.join.finish(&self.card, open, found, fill, factor, out)
+        self.composite_pass.finish(&self.card, open, found, fill, factor, out)
     }
 
     /// Forgets what lies on the card: numbers are about to mean something else.

@@ -1,9 +1,9 @@
 //! Textures on the card: the levels that are here, put there anew when finer ones have come.
 
 use super::{
-    device::Card,
-    shelf::PATIENCE,
-    transfer::{Allowance, Transfer},
+    device::GpuDevice,
+    lru::PATIENCE,
+    transfer::{Transfer, UploadBudget},
 };
 use bytemuck::{Pod, Zeroable};
 use ldi_protocol::texture::{MipLevel, Texture};
@@ -24,7 +24,7 @@ struct ImageInfo {
     unused: f32,
 }
 
-struct Uploaded {
+struct UploadedTexture {
     /// Held so that the address stays this texture's.
     source: Weak<Texture>,
     group: wgpu::BindGroup,
@@ -37,7 +37,7 @@ struct Uploaded {
 
 /// What of a texture is on the card.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Arrived {
+pub enum TextureUpload {
     /// It does not show.
     Nothing,
     /// Levels show that are coarser than what has come.
@@ -49,16 +49,16 @@ pub enum Arrived {
 /// See the module.
 pub struct Textures {
     pub layout: wgpu::BindGroupLayout,
-    held: HashMap<u32, Uploaded>,
+    held: HashMap<u32, UploadedTexture>,
     /// More of them, and what is still to be sent.
-    arriving: HashMap<u32, (Uploaded, Transfer)>,
+    arriving: HashMap<u32, (UploadedTexture, Transfer)>,
     frame: u64,
     /// For materials without a texture.
     none: wgpu::BindGroup,
 }
 
 impl Textures {
-    pub fn new(card: &Card) -> Self {
+    pub fn new(card: &GpuDevice) -> Self {
         let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
             binding,
             visibility: wgpu::ShaderStages::FRAGMENT,
@@ -93,36 +93,42 @@ impl Textures {
     }
 
     /// Puts a texture onto the card, as much of it as is allowed: small levels first, which show until all are there.
-    pub fn bring(&mut self, card: &Card, number: u32, texture: &Arc<Texture>, allowance: &mut Allowance) -> Arrived {
-        let is = |u: &Uploaded| u.source.as_ptr() == Arc::as_ptr(texture);
+    pub fn upload(
+        &mut self,
+        card: &GpuDevice,
+        number: u32,
+        texture: &Arc<Texture>,
+        budget: &mut UploadBudget,
+    ) -> TextureUpload {
+        let is = |u: &UploadedTexture| u.source.as_ptr() == Arc::as_ptr(texture);
         let held = self.held.get_mut(&number);
         let (any, all) = (held.is_some(), held.as_ref().is_some_and(|u| is(u) && u.whole));
         held.into_iter().for_each(|u| u.used = self.frame);
         if all {
-            return Arrived::All;
+            return TextureUpload::All;
         }
-        let Some(finest) = finest(card, texture) else { return Arrived::All };
-        if !any && allowance.left > 0 && bytes_from(texture, finest) > allowance.left {
+        let Some(finest) = finest(card, texture) else { return TextureUpload::All };
+        if !any && budget.left > 0 && bytes_from(texture, finest) > budget.left {
             let small = |l: &Option<MipLevel>| l.as_ref().is_some_and(|l| l.width.max(l.height) <= SMALL_PX);
             let first = texture.levels.iter().position(small).filter(|first| *first > finest);
             if let Some((uploaded, mut transfer)) = first.and_then(|first| self.begin(card, texture, first)) {
-                allowance.without_bound(|a| transfer.push(card, a));
-                self.held.insert(number, Uploaded { whole: false, ..uploaded });
+                budget.without_bound(|a| transfer.push(card, a));
+                self.held.insert(number, UploadedTexture { whole: false, ..uploaded });
             }
         }
         let mut arriving = self.arriving.remove(&number).filter(|(u, _)| is(u));
-        if arriving.is_none() && allowance.left > 0 {
+        if arriving.is_none() && budget.left > 0 {
             arriving = self.begin(card, texture, finest);
         }
         if let Some((mut uploaded, mut transfer)) = arriving {
-            if transfer.push(card, allowance) {
+            if transfer.push(card, budget) {
                 self.held.insert(number, uploaded);
-                return Arrived::All;
+                return TextureUpload::All;
             }
             uploaded.used = self.frame;
             self.arriving.insert(number, (uploaded, transfer));
         }
-        if self.held.contains_key(&number) { Arrived::Coarse } else { Arrived::Nothing }
+        if self.held.contains_key(&number) { TextureUpload::Coarse } else { TextureUpload::Nothing }
     }
 
     /// The texture of a material.
@@ -141,10 +147,10 @@ impl Textures {
     }
 
     /// The levels from `first` on, and what must be sent.
-    fn begin(&self, card: &Card, texture: &Arc<Texture>, first: usize) -> Option<(Uploaded, Transfer)> {
+    fn begin(&self, card: &GpuDevice, texture: &Arc<Texture>, first: usize) -> Option<(UploadedTexture, Transfer)> {
         let levels: Vec<_> = texture.levels[first..].iter().map_while(Option::as_ref).collect();
         let finest = levels.first()?;
-        let on_card = room(card, finest.width, finest.height, levels.len() as u32);
+        let on_card = allocate(card, finest.width, finest.height, levels.len() as u32);
         let mut transfer = Transfer::default();
         for number in 0..levels.len() {
             transfer.level(texture, first + number, &on_card, number as u32);
@@ -154,12 +160,12 @@ impl Textures {
         let group = group(card, &self.layout, &on_card, info);
         let bytes = bytes_from(texture, first);
         let source = Arc::downgrade(texture);
-        Some((Uploaded { source, group, bytes, whole: true, used: self.frame }, transfer))
+        Some((UploadedTexture { source, group, bytes, whole: true, used: self.frame }, transfer))
     }
 }
 
 /// The finest level that is here and that the card can take.
-fn finest(card: &Card, texture: &Texture) -> Option<usize> {
+fn finest(card: &GpuDevice, texture: &Texture) -> Option<usize> {
     let most = card.device.limits().max_texture_dimension_2d;
     texture.levels.iter().position(|l| l.as_ref().is_some_and(|l| l.width.max(l.height) <= most))
 }
@@ -169,14 +175,14 @@ fn bytes_from(texture: &Texture, first: usize) -> u64 {
     texture.levels[first..].iter().map_while(Option::as_ref).map(|l| size_of_val(&*l.rgba) as u64).sum()
 }
 
-fn white(card: &Card) -> wgpu::Texture {
-    let texture = room(card, 1, 1, 1);
+fn white(card: &GpuDevice) -> wgpu::Texture {
+    let texture = allocate(card, 1, 1, 1);
     let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4), rows_per_image: None };
     card.queue.write_texture(texture.as_image_copy(), &[255; 4], layout, texture.size());
     texture
 }
 
-fn room(card: &Card, width: u32, height: u32, levels: u32) -> wgpu::Texture {
+fn allocate(card: &GpuDevice, width: u32, height: u32, levels: u32) -> wgpu::Texture {
     card.device.create_texture(&wgpu::TextureDescriptor {
         label: Some("texels"),
         size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
@@ -189,7 +195,12 @@ fn room(card: &Card, width: u32, height: u32, levels: u32) -> wgpu::Texture {
     })
 }
 
-fn group(card: &Card, layout: &wgpu::BindGroupLayout, texture: &wgpu::Texture, info: ImageInfo) -> wgpu::BindGroup {
+fn group(
+    card: &GpuDevice,
+    layout: &wgpu::BindGroupLayout,
+    texture: &wgpu::Texture,
+    info: ImageInfo,
+) -> wgpu::BindGroup {
     let info = card.buffer("texture", bytemuck::bytes_of(&info), wgpu::BufferUsages::UNIFORM);
     let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
     card.device.create_bind_group(&wgpu::BindGroupDescriptor {

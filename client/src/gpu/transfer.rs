@@ -1,20 +1,20 @@
 //! Arrays on their way to the card, a slice with every picture: no picture waits for more than it may put there.
 
-use super::device::Card;
+use super::device::GpuDevice;
 use bytemuck::Pod;
 use ldi_protocol::texture::{MipLevel, Texture};
 use std::sync::Arc;
 
 /// What a frame may put onto the card.
 #[derive(Debug)]
-pub struct Allowance {
+pub struct UploadBudget {
     /// Bytes that are left.
     pub left: u64,
     /// Bytes that it has put there.
     pub spent: u64,
 }
 
-impl Allowance {
+impl UploadBudget {
     pub fn new(left: u64) -> Self {
         Self { left, spent: 0 }
     }
@@ -81,7 +81,7 @@ impl Transfer {
     /// An array, for the buffer that is returned; never empty, which bindings do not allow.
     pub fn array<T: Pod + Send + Sync>(
         &mut self,
-        card: &Card,
+        card: &GpuDevice,
         label: &str,
         mut content: Vec<T>,
         usage: wgpu::BufferUsages,
@@ -91,7 +91,7 @@ impl Transfer {
             content.push(T::zeroed());
         }
         let size = (content.len() * size_of::<T>()).max(16) as u64;
-        let buffer = card.room(label, size, usage | wgpu::BufferUsages::COPY_DST);
+        let buffer = card.allocate(label, size, usage | wgpu::BufferUsages::COPY_DST);
         self.parts.push(Part { to: To::Buffer(buffer.clone()), content: Box::new(content) });
         buffer
     }
@@ -105,7 +105,7 @@ impl Transfer {
     }
 
     /// Sends on, as much as is allowed, rounded up to words or rows. Returns whether all is there.
-    pub fn push(&mut self, card: &Card, allowance: &mut Allowance) -> bool {
+    pub fn push(&mut self, card: &GpuDevice, budget: &mut UploadBudget) -> bool {
         while let Some(part) = self.parts.last() {
             let rest = &part.content.bytes()[self.sent..];
             if rest.is_empty() {
@@ -113,14 +113,14 @@ impl Transfer {
                 self.sent = 0;
                 continue;
             }
-            if allowance.left == 0 {
+            if budget.left == 0 {
                 return false;
             }
             let unit = match &part.to {
                 To::Buffer(_) => 4,
                 To::Level { width, .. } => 4 * *width as usize,
             };
-            let most = usize::try_from(allowance.left).unwrap_or(usize::MAX).min(rest.len());
+            let most = usize::try_from(budget.left).unwrap_or(usize::MAX).min(rest.len());
             let slice = &rest[..most.next_multiple_of(unit).min(rest.len())];
             match &part.to {
                 To::Buffer(buffer) => card.queue.write_buffer(buffer, self.sent as u64, slice),
@@ -135,7 +135,7 @@ impl Transfer {
                 }
             }
             self.sent += slice.len();
-            allowance.spend(slice.len() as u64);
+            budget.spend(slice.len() as u64);
         }
         true
     }

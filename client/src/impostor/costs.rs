@@ -1,6 +1,6 @@
 //! What drawing costs on the machine that it runs on, in milliseconds (Shade et al. 1996, section 2: costs are found by experiment).
 
-use super::picture::OVERSAMPLED;
+use super::image::OVERSAMPLED;
 
 /// Weight of a new measurement: ten frames, as single ones are held up by other work.
 const NEW: f64 = 0.1;

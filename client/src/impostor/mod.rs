@@ -4,14 +4,14 @@
 //! boxes is made when the dataset is known, and a node of it that will look alike for a while is drawn into an [image](picture), which stands for it as long as no corner of its box is seen farther than some pixels from where the image shows it ([`zone`]).
 //!
 //! As in the paper each frame first decides for every node in view: draw its cached image, its geometry, or what is below it; then draws. Otherwise than in the paper:
-//! - of the images worth making those come first that save the most, and as many as take no more than [`Settings::spare_ms`] or [`Settings::spare_share`] longer than drawing the same: no frame stalls, the first neither;
+//! - of the images worth making those come first that save the most, and as many as take no more than [`ImpostorSettings::spare_ms`] or [`ImpostorSettings::spare_share`] longer than drawing the same: no frame stalls, the first neither;
 //! - what is drawn is composited by depth, which images know by the pixel, instead of back to front: near geometry would else stand out of the images' planes;
 //! - planes of images face the eye instead of lying along the picture, so that turning the head costs nothing.
 
 mod bsp;
 mod costs;
-mod picture;
-mod zone;
+mod image;
+mod safety_zone;
 
 use crate::{
     frame::Frame,
@@ -21,18 +21,18 @@ use crate::{
 use bsp::{Bsp, Content, Object};
 use costs::Costs;
 use glam::DVec3;
+use image::{Framing, ImpostorImage};
 use ldi_protocol::{
     Aabb, OutputCamera, Pose,
     index::{CellEntry, Index},
     select::DrawFrusta,
 };
-use picture::{Framing, Picture};
+use safety_zone::{EyeMotion, both};
 use std::{collections::BTreeMap, time::Instant};
-use zone::{Way, both};
 
 /// How images are cached.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
+pub struct ImpostorSettings {
     /// How far off a corner of a node's box may be seen, pixels.
     pub error_px: f64,
     /// Milliseconds that a frame may take longer for making images: by default half of a frame at 60 per second.
@@ -47,7 +47,7 @@ pub struct Settings {
     pub inflated: f64,
 }
 
-impl Default for Settings {
+impl Default for ImpostorSettings {
     fn default() -> Self {
         Self {
             error_px: 2.0,
@@ -62,7 +62,7 @@ impl Default for Settings {
 
 /// What a frame did with images.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Drawn {
+pub struct ImpostorStats {
     /// That it shows.
     pub images: u32,
     /// That it made.
@@ -81,11 +81,11 @@ pub struct Drawn {
 #[derive(Debug, Default)]
 pub struct Impostors {
     /// How images are cached.
-    pub settings: Settings,
+    pub settings: ImpostorSettings,
     nodes: Nodes,
     cached: BTreeMap<u32, Cached>,
     costs: Costs,
-    way: Way,
+    eye_motion: EyeMotion,
     frame: u64,
     /// What the frame before took to draw, without making images, milliseconds.
     drew_ms: f64,
@@ -109,7 +109,7 @@ struct Nodes {
 
 #[derive(Debug)]
 struct Cached {
-    picture: Picture,
+    picture: ImpostorImage,
     /// Where the images that it was made from are right.
     parts: Aabb,
     /// Its safety zone, within that.
@@ -119,17 +119,17 @@ struct Cached {
 }
 
 /// What a frame looks at.
-struct Look<'a> {
+struct FrameInputs<'a> {
     index: &'a Index,
     resident: &'a dyn Resident,
     camera: &'a OutputCamera,
     pose: &'a Pose,
     frusta: DrawFrusta,
-    way: Way,
+    eye_motion: EyeMotion,
     angle: f64,
 }
 
-impl Look<'_> {
+impl FrameInputs<'_> {
     /// Whether a cell is here with all that it draws, be its textures as coarse as they may.
     fn has(&self, cell: u32) -> bool {
         let entry = &self.index.cells[cell as usize];
@@ -142,7 +142,7 @@ impl Look<'_> {
 
 /// What becomes of the nodes of a frame.
 #[derive(Debug, Default)]
-struct Plan {
+struct DrawPlan {
     /// Leaves that are drawn as geometry.
     geometry: Vec<u32>,
     /// Nodes whose images are.
@@ -182,7 +182,7 @@ fn ms_since(start: Instant) -> f64 {
 }
 
 impl Nodes {
-    fn new(index: &Index, settings: &Settings) -> Self {
+    fn new(index: &Index, settings: &ImpostorSettings) -> Self {
         let objects: Vec<Object> =
             index.cells.iter().map(|c| Object { bounds: c.bounds, triangles: c.triangles.into() }).collect();
         let tree = Bsp::new(&objects, settings.leaf_triangles);
@@ -254,38 +254,38 @@ impl Impostors {
         (camera, pose): (&OutputCamera, &Pose),
         may_make: bool,
         frame: &mut Frame,
-    ) -> (NearStats, Drawn) {
+    ) -> (NearStats, ImpostorStats) {
         if self.nodes.of != (index.cells.len(), index.scene.triangles) {
             (self.nodes, self.cached) = (Nodes::new(index, &self.settings), BTreeMap::new());
         }
         self.frame += 1;
-        self.way = self.way.then(pose.position);
-        let look = Look {
+        self.eye_motion = self.eye_motion.then(pose.position);
+        let inputs = FrameInputs {
             index,
             resident,
             camera,
             pose,
             frusta: DrawFrusta::new(&index.settings, pose, (camera.half_tan_x(), camera.half_tan_y())),
-            way: self.way,
+            eye_motion: self.eye_motion,
             angle: self.settings.error_px / camera.focal_px(),
         };
-        let mut drawn = Drawn::default();
+        let mut drawn = ImpostorStats::default();
         let start = Instant::now();
-        let mut plan = self.plan(&look, may_make);
+        let mut plan = self.plan(&inputs, may_make);
         if !plan.candidates.is_empty() {
-            drawn.made = self.make_best(std::mem::take(&mut plan.candidates), &look);
+            drawn.made = self.make_best(std::mem::take(&mut plan.candidates), &inputs);
             if drawn.made > 0 {
-                plan = self.plan(&look, false);
+                plan = self.plan(&inputs, false);
             }
         }
         drawn.made_ms = ms_since(start);
         let start = Instant::now();
-        let cells = self.cells_of(&plan.geometry, &look);
+        let cells = self.cells_of(&plan.geometry, &inputs);
         let stats = self.rasterizer.draw(index, resident, &cells, camera, pose, frame);
         drawn.near_ms = ms_since(start);
         self.costs.drew_geometry(drawn.near_ms, stats.triangles);
         let start = Instant::now();
-        drawn.images = self.draw_images(&plan.images, &look, frame);
+        drawn.images = self.draw_images(&plan.images, &inputs, frame);
         drawn.images_ms = ms_since(start);
         self.drew_ms = drawn.near_ms + drawn.images_ms;
         drawn.bytes = self.evict();
@@ -302,16 +302,16 @@ impl Impostors {
     }
 
     /// The paper's first traversal.
-    fn plan(&self, look: &Look<'_>, may_make: bool) -> Plan {
+    fn plan(&self, inputs: &FrameInputs<'_>, may_make: bool) -> DrawPlan {
         let nodes = &self.nodes.tree.nodes;
-        let mut plan = Plan::default();
-        let eye = look.pose.position;
-        let valid: Vec<bool> = (0..nodes.len() as u32).map(|n| self.is_valid(n, eye, look.angle)).collect();
+        let mut plan = DrawPlan::default();
+        let eye = inputs.pose.position;
+        let valid: Vec<bool> = (0..nodes.len() as u32).map(|n| self.is_valid(n, eye, inputs.angle)).collect();
         // Milliseconds of what is in a node, all of it and what is in view. Children come after their parents.
         let mut contents = vec![[0.0; 2]; nodes.len()];
         let mut as_drawn = contents.clone();
         for (number, node) in nodes.iter().enumerate().rev().filter(|_| may_make) {
-            let seen = |ms: f64| [ms, if look.frusta.admit(&node.bounds) { ms } else { 0.0 }];
+            let seen = |ms: f64| [ms, if inputs.frusta.admit(&node.bounds) { ms } else { 0.0 }];
             contents[number] = match node.content {
                 Content::Leaf(_) => seen(self.costs.geometry_ms(node.triangles)),
                 Content::Inner([a, b]) => [0, 1].map(|k| as_drawn[a as usize][k] + as_drawn[b as usize][k]),
@@ -322,7 +322,7 @@ impl Impostors {
         }
         let mut open = if nodes.is_empty() { Vec::new() } else { vec![0u32] };
         while let Some(node) = open.pop() {
-            if !look.frusta.admit(&nodes[node as usize].bounds) {
+            if !inputs.frusta.admit(&nodes[node as usize].bounds) {
                 continue;
             }
             if valid[node as usize] {
@@ -334,19 +334,19 @@ impl Impostors {
                 None => plan.geometry.push(node),
             }
             if may_make && self.costs.are_known() {
-                plan.candidates.extend(self.candidate(node, look, contents[node as usize]));
+                plan.candidates.extend(self.candidate(node, inputs, contents[node as usize]));
             }
         }
         plan
     }
 
     /// An image of a node, if it is worth making.
-    fn candidate(&self, node: u32, look: &Look<'_>, contents_ms: [f64; 2]) -> Option<Candidate> {
+    fn candidate(&self, node: u32, inputs: &FrameInputs<'_>, contents_ms: [f64; 2]) -> Option<Candidate> {
         let bounds = &self.nodes.inflated[node as usize];
-        let framing = Framing::new(bounds, look.pose.position, look.camera)?;
-        let parts = self.parts_zone(node, look);
-        let zone = both(&framing.plane.safety_zone(bounds, look.angle)?, &parts);
-        let life = look.way.life_span(&zone);
+        let framing = Framing::new(bounds, inputs.pose.position, inputs.camera)?;
+        let parts = self.parts_zone(node, inputs);
+        let zone = both(&framing.plane.safety_zone(bounds, inputs.angle)?, &parts);
+        let life = inputs.eye_motion.life_span(&zone);
         let shown_ms = self.costs.image_ms(framing.pixels());
         let [all_ms, seen_ms] = contents_ms;
         let around_ms = self.costs.geometry_ms(self.nodes.around[node as usize]);
@@ -357,15 +357,15 @@ impl Impostors {
     }
 
     /// Whether a node's image can be part of another: the eye is in its zone, which those that are merely right for the eye may have left.
-    fn is_part(&self, node: u32, look: &Look<'_>) -> bool {
-        let eye = look.pose.position;
-        self.cached.get(&node).is_some_and(|c| c.zone.contains(eye)) && self.is_valid(node, eye, look.angle)
+    fn is_part(&self, node: u32, inputs: &FrameInputs<'_>) -> bool {
+        let eye = inputs.pose.position;
+        self.cached.get(&node).is_some_and(|c| c.zone.contains(eye)) && self.is_valid(node, eye, inputs.angle)
     }
 
     /// Where all the images are right that an image of a node would be made from.
-    fn parts_zone(&self, node: u32, look: &Look<'_>) -> Aabb {
+    fn parts_zone(&self, node: u32, inputs: &FrameInputs<'_>) -> Aabb {
         let mut zone = ANYWHERE;
-        self.parts_of(node, look, &mut |below, is_image| {
+        self.parts_of(node, inputs, &mut |below, is_image| {
             if let Some(cached) = self.cached.get(&below).filter(|_| is_image) {
                 zone = both(&zone, &cached.zone);
             }
@@ -374,11 +374,11 @@ impl Impostors {
     }
 
     /// What an image of a node is made from: images and leaves below it.
-    fn parts_of(&self, node: u32, look: &Look<'_>, visit: &mut impl FnMut(u32, bool)) {
+    fn parts_of(&self, node: u32, inputs: &FrameInputs<'_>, visit: &mut impl FnMut(u32, bool)) {
         let mut open = vec![node];
         while let Some(below) = open.pop() {
             match self.nodes.children(below) {
-                _ if below != node && self.is_part(below, look) => visit(below, true),
+                _ if below != node && self.is_part(below, inputs) => visit(below, true),
                 Some(children) => open.extend(children),
                 None => visit(below, false),
             }
@@ -386,21 +386,21 @@ impl Impostors {
     }
 
     /// Cells of leaves that are in view, near to far.
-    fn cells_of(&self, leaves: &[u32], look: &Look<'_>) -> Vec<u32> {
+    fn cells_of(&self, leaves: &[u32], inputs: &FrameInputs<'_>) -> Vec<u32> {
         let mut cells = Vec::new();
         leaves.iter().for_each(|leaf| self.nodes.tree.objects_of(*leaf, &mut |cell| cells.push(cell)));
-        cells.retain(|c| look.frusta.admit(&look.index.cells[*c as usize].bounds));
-        near_to_far(look.index, &mut cells, look.pose.position);
+        cells.retain(|c| inputs.frusta.admit(&inputs.index.cells[*c as usize].bounds));
+        near_to_far(inputs.index, &mut cells, inputs.pose.position);
         cells
     }
 
-    fn draw_images(&mut self, nodes: &[u32], look: &Look<'_>, frame: &mut Frame) -> u32 {
+    fn draw_images(&mut self, nodes: &[u32], inputs: &FrameInputs<'_>, frame: &mut Frame) -> u32 {
         let start = Instant::now();
         let mut pixels = 0;
         for node in nodes {
             if let Some(image) = self.cached.get_mut(node) {
                 image.used = self.frame;
-                pixels += image.picture.draw(look.camera, look.pose, frame);
+                pixels += image.picture.draw(inputs.camera, inputs.pose, frame);
             }
         }
         self.costs.drew_images(ms_since(start), pixels);
@@ -408,7 +408,7 @@ impl Impostors {
     }
 
     /// Makes images, those that save the most first, none of a node above or below another.
-    fn make_best(&mut self, mut candidates: Vec<Candidate>, look: &Look<'_>) -> u32 {
+    fn make_best(&mut self, mut candidates: Vec<Candidate>, inputs: &FrameInputs<'_>) -> u32 {
         candidates.sort_by(|a, b| {
             let gain = |c: &Candidate| c.gain_ms() / c.ms;
             gain(b).total_cmp(&gain(a)).then(a.node.cmp(&b.node))
@@ -432,7 +432,7 @@ impl Impostors {
             };
             let start = Instant::now();
             if !made.iter().any(related)
-                && let Some(picture) = self.make(&candidate, look)
+                && let Some(picture) = self.make(&candidate, inputs)
             {
                 longer_ms += ms_since(start) - candidate.saved_ms;
                 self.cached.insert(
@@ -446,24 +446,24 @@ impl Impostors {
     }
 
     /// An image of all that is in a node, from images where there are some. None if something of it is not here.
-    fn make(&mut self, candidate: &Candidate, look: &Look<'_>) -> Option<Picture> {
+    fn make(&mut self, candidate: &Candidate, inputs: &FrameInputs<'_>) -> Option<ImpostorImage> {
         let start = Instant::now();
         let Candidate { node, framing, .. } = candidate;
         let (mut own, mut images) = (Vec::new(), Vec::new());
-        self.parts_of(*node, look, &mut |below, is_image| match is_image {
+        self.parts_of(*node, inputs, &mut |below, is_image| match is_image {
             true => images.push(below),
             false => self.nodes.tree.objects_of(below, &mut |cell| own.push(cell)),
         });
         let inflated = self.nodes.inflated[*node as usize];
-        if !own.iter().all(|cell| look.has(*cell)) {
+        if !own.iter().all(|cell| inputs.has(*cell)) {
             return None;
         }
         // What of it is not here is not in view either, and no crack opens beside it.
-        let mut around = self.nodes.cells_around(look.index, *node);
-        around.retain(|cell| look.has(*cell));
+        let mut around = self.nodes.cells_around(inputs.index, *node);
+        around.retain(|cell| inputs.has(*cell));
         let (camera, pose) = (&framing.camera, &framing.pose);
-        [&mut own, &mut around].into_iter().for_each(|cells| near_to_far(look.index, cells, look.pose.position));
-        let (index, resident) = (look.index, look.resident);
+        [&mut own, &mut around].into_iter().for_each(|cells| near_to_far(inputs.index, cells, inputs.pose.position));
+        let (index, resident) = (inputs.index, inputs.resident);
         let stats = self.rasterizer.draw(index, resident, &own, camera, pose, &mut self.drawing);
         let gathered = gather_within(index, resident, &around, &inflated);
         let neighbours = self.rasterizer.draw_gathered(gathered, (camera, pose), &mut self.neighbours);
@@ -475,7 +475,7 @@ impl Impostors {
             }
         }
         self.costs.made_image(ms_since(start), triangles, framing.pixels());
-        Some(Picture::new(*framing, &self.drawing))
+        Some(ImpostorImage::new(*framing, &self.drawing))
     }
 
     /// Forgets images that were not shown for the longest, until the rest fits. Bytes of what is left.

@@ -1,7 +1,7 @@
 //! FLIP: how different two pictures look when one is flipped to the other on a screen (Andersson et al., "FLIP: A Difference
 //! Evaluator for Alternating Images", HPG 2020), by NVIDIA's implementation.
 
-use super::{MetricError, Picture};
+use super::{MetricError, RgbImage};
 use nv_flip::{FlipImageRgb8, flip};
 
 /// Pixels per degree of the viewer's field: 0.7 m from a 0.7 m wide screen of 3840 pixels, the authors' default.
@@ -15,9 +15,9 @@ pub struct FlipMap {
 
 impl FlipMap {
     /// Compares `test` with `truth`.
-    pub fn new(truth: &Picture, test: &Picture) -> Result<Self, MetricError> {
+    pub fn new(truth: &RgbImage, test: &RgbImage) -> Result<Self, MetricError> {
         truth.same_size(test)?;
-        let image = |p: &Picture| FlipImageRgb8::with_data(p.width, p.height, &p.rgb);
+        let image = |p: &RgbImage| FlipImageRgb8::with_data(p.width, p.height, &p.rgb);
         Ok(Self { errors: flip(image(truth), image(test), PIXELS_PER_DEGREE).to_vec() })
     }
 

@@ -13,7 +13,7 @@ pub use ssim::ssim;
 
 /// A picture of RGB bytes; the constructor is the only door and checks the length.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Picture {
+pub struct RgbImage {
     width: u32,
     height: u32,
     rgb: Vec<u8>,
@@ -37,7 +37,7 @@ pub enum MetricError {
     Size((u32, u32), (u32, u32)),
 }
 
-impl Picture {
+impl RgbImage {
     /// Takes `3 * width * height` bytes.
     pub fn new(width: u32, height: u32, rgb: Vec<u8>) -> Result<Self, MetricError> {
         if rgb.is_empty() || rgb.len() as u64 != 3 * u64::from(width) * u64::from(height) {

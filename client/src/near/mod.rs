@@ -30,11 +30,11 @@ mod alpha;
 pub(crate) mod gather;
 mod horizon;
 mod raster;
-mod setup;
 mod shade;
-mod shade8;
+mod shade_simd;
 #[cfg(test)]
 mod tests;
+mod triangle_setup;
 
 pub(crate) use shade::ABSENT_TEXEL;
 
@@ -79,7 +79,7 @@ pub struct NearStats {
 #[derive(Debug, Default)]
 pub struct Rasterizer {
     ids: Vec<u32>,
-    tasks: Vec<setup::Task>,
+    tasks: Vec<triangle_setup::Task>,
     horizon: horizon::Horizon,
     blocks: gather::BlockCache,
 }
@@ -110,22 +110,22 @@ impl Rasterizer {
     ) -> NearStats {
         frame.reset(camera.width.min(MAX_SIDE_PX), camera.height.min(MAX_SIDE_PX));
         self.ids.clear();
-        self.ids.resize(frame.len(), setup::NO_TRIANGLE);
+        self.ids.resize(frame.len(), triangle_setup::NO_TRIANGLE);
         scene.hold_blocks(&mut self.blocks);
         if frame.is_empty() {
             return scene.stats;
         }
-        let view = setup::View::new(camera, pose);
+        let projection = triangle_setup::Projection::new(camera, pose);
         let band_pixels = frame.width as usize * raster::BAND_ROWS;
-        self.horizon.reset(view.width, view.height);
+        self.horizon.reset(projection.width, projection.height);
         for batch in scene.batches(FIRST_BATCH_TRIANGLES, LARGEST_BATCH_TRIANGLES) {
             let tasks = scene.tasks(batch, TASK_TRIANGLES);
             if self.tasks.len() < tasks.len() {
-                self.tasks.resize_with(tasks.len(), setup::Task::default);
+                self.tasks.resize_with(tasks.len(), triangle_setup::Task::default);
             }
             let active = &mut self.tasks[..tasks.len()];
             let horizon = &self.horizon;
-            active.par_iter_mut().zip(tasks).for_each(|(task, range)| task.fill(&scene, range, &view, horizon));
+            active.par_iter_mut().zip(tasks).for_each(|(task, range)| task.fill(&scene, range, &projection, horizon));
             let active = &*active;
             frame
                 .disparity
@@ -134,14 +134,14 @@ impl Rasterizer {
                 .enumerate()
                 .with_max_len(1)
                 .for_each(|(band, (disparity, ids))| {
-                    let mut target = raster::Band::new(band, view.width, disparity, ids);
+                    let mut target = raster::Band::new(band, projection.width, disparity, ids);
                     for masked in [false, true] {
                         for task in active {
-                            target.draw(task, masked, &scene, &view);
+                            target.draw(task, masked, &scene, &projection);
                         }
                     }
                 });
-            self.horizon.update(&frame.disparity, view.width);
+            self.horizon.update(&frame.disparity, projection.width);
         }
         frame
             .colour
@@ -151,9 +151,9 @@ impl Rasterizer {
             .enumerate()
             .with_max_len(1)
             .for_each(|(band, ((colour, source), ids))| {
-                shade::shade_band(&scene, &view, band * raster::BAND_ROWS, ids, colour);
+                shade::shade_band(&scene, &projection, band * raster::BAND_ROWS, ids, colour);
                 for (s, id) in source.iter_mut().zip(ids) {
-                    if *id != setup::NO_TRIANGLE {
+                    if *id != triangle_setup::NO_TRIANGLE {
                         *s = Source::Near;
                     }
                 }

@@ -5,8 +5,8 @@
 
 use super::{
     gather::Gathered,
-    setup::{Task, Triangle, View},
     shade::Attributes,
+    triangle_setup::{Projection, Task, Triangle},
 };
 
 /// Rows of a band, the unit of parallel work. Fewer rows list triangles more often, more rows balance worse.
@@ -108,25 +108,25 @@ impl<'a> Band<'a> {
     }
 
     /// Draws a task's triangles of this band, those with an alpha test or those without.
-    pub fn draw(&mut self, task: &Task, masked: bool, scene: &Gathered<'_>, view: &View) {
+    pub fn draw(&mut self, task: &Task, masked: bool, scene: &Gathered<'_>, projection: &Projection) {
         if masked && !task.any_masked {
             return;
         }
         for &i in task.band(self.number) {
             let triangle = &task.triangles[i as usize];
             if (triangle.cutoff >= 0.0) == masked {
-                self.draw_triangle(triangle, scene, view);
+                self.draw_triangle(triangle, scene, projection);
             }
         }
     }
 
-    fn draw_triangle(&mut self, t: &Triangle, scene: &Gathered<'_>, view: &View) {
+    fn draw_triangle(&mut self, t: &Triangle, scene: &Gathered<'_>, projection: &Projection) {
         let rows = self.ids.len() / self.width;
         let first = (t.rows[0] as usize).max(self.first_row);
         let last = (t.rows[1] as usize).min(self.first_row + rows);
         let edges = Edges::new(t);
         // Attributes are wanted here only for the alpha test.
-        let masked = (t.cutoff >= 0.0).then(|| Attributes::new(scene, view, t.id)).flatten();
+        let masked = (t.cutoff >= 0.0).then(|| Attributes::new(scene, projection, t.id)).flatten();
         for y in first..last {
             let centre = y as f64 + 0.5;
             let (left, right) = edges.columns(centre, t.columns[0] as usize, t.columns[1] as usize);
@@ -144,7 +144,7 @@ impl<'a> Band<'a> {
             match &masked {
                 None => solid_row(&row, left, disparity, ids, t.id),
                 Some(attributes) => masked_row(&row, left, disparity, ids, t.id, |column| {
-                    attributes.passes(view, column as f32 + 0.5, centre as f32, t.cutoff)
+                    attributes.passes(projection, column as f32 + 0.5, centre as f32, t.cutoff)
                 }),
             }
         }

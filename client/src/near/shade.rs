@@ -8,12 +8,12 @@
 use super::{
     alpha::AlphaBlocks,
     gather::Gathered,
-    setup::{NO_TRIANGLE, View},
-    shade8::shade8,
+    shade_simd::shade8,
+    triangle_setup::{NO_TRIANGLE, Projection},
 };
 use crate::{
     frame::pack_rgb,
-    lanes::{LANES, Lanes, Portable},
+    simd::{LANES, Lanes, Portable},
 };
 use glam::{Mat3, Vec2, Vec3};
 use ldi_protocol::{
@@ -57,12 +57,12 @@ fn differences<T: Copy + std::ops::Sub<Output = T>>([p, q, r]: [T; 3]) -> [T; 3]
 
 impl<'a> Attributes<'a> {
     /// Attributes of a triangle by its number; None when the number names none.
-    pub fn new(scene: &'a Gathered<'_>, view: &View, id: u32) -> Option<Self> {
+    pub fn new(scene: &'a Gathered<'_>, projection: &Projection, id: u32) -> Option<Self> {
         let draw = scene.draws.get((id >> 8) as usize)?;
         let cluster = scene.cluster(draw);
         let material = scene.material(cluster);
         let corners = cluster.triangles.get((id & 255) as usize)?.map(usize::from);
-        let to_eye = view.eye_from_mesh(draw);
+        let to_eye = projection.eye_from_mesh(draw);
         let positions = match corners.map(|c| cluster.positions.get(c)) {
             [Some(p), Some(q), Some(r)] => [p, q, r].map(|p| to_eye.vertex(cluster.origin, *p)),
             _ => return None,
@@ -107,9 +107,9 @@ impl<'a> Attributes<'a> {
 
     /// The ray of a pixel centre, component 1 along forward.
     #[inline]
-    fn ray(view: &View, x: f32, y: f32) -> Vec3 {
-        let s = 1.0 / view.focal_px as f32;
-        Vec3::new((x - view.centre_px[0] as f32) * s, (view.centre_px[1] as f32 - y) * s, 1.0)
+    fn ray(projection: &Projection, x: f32, y: f32) -> Vec3 {
+        let s = 1.0 / projection.focal_px as f32;
+        Vec3::new((x - projection.centre_px[0] as f32) * s, (projection.centre_px[1] as f32 - y) * s, 1.0)
     }
 
     /// Second and third barycentric weight, and 1 / (D . ray). Held in [0, 1]: the centre may lie a hair outside.
@@ -122,16 +122,16 @@ impl<'a> Attributes<'a> {
     }
 
     /// Texture coordinates at a pixel centre.
-    pub fn uv_at(&self, view: &View, x: f32, y: f32) -> Vec2 {
-        let (u, v, _) = self.weights(Self::ray(view, x, y));
+    pub fn uv_at(&self, projection: &Projection, x: f32, y: f32) -> Vec2 {
+        let (u, v, _) = self.weights(Self::ray(projection, x, y));
         self.uv[0] + self.uv[1] * u + self.uv[2] * v
     }
 
     /// Whether texture alpha times factor at a pixel centre reaches the cutoff.
-    pub fn passes(&self, view: &View, x: f32, y: f32, cutoff: f32) -> bool {
+    pub fn passes(&self, projection: &Projection, x: f32, y: f32, cutoff: f32) -> bool {
         match (self.texture, self.blocks) {
             (Some(texture), Some(blocks)) => {
-                blocks.passes(texture, self.uv_at(view, x, y), self.wrap, self.alpha, cutoff)
+                blocks.passes(texture, self.uv_at(projection, x, y), self.wrap, self.alpha, cutoff)
             }
             _ => self.alpha >= cutoff,
         }
@@ -139,13 +139,13 @@ impl<'a> Attributes<'a> {
 
     /// The colour at a pixel centre.
     #[inline]
-    pub fn shade(&self, view: &View, x: f32, y: f32) -> u32 {
-        let (u, v, inverse) = self.weights(Self::ray(view, x, y));
+    pub fn shade(&self, projection: &Projection, x: f32, y: f32) -> u32 {
+        let (u, v, inverse) = self.weights(Self::ray(projection, x, y));
         let mut colour = self.colour[0] + self.colour[1] * u + self.colour[2] * v;
         if let Some(texture) = self.texture {
             let uv = self.uv[0] + self.uv[1] * u + self.uv[2] * v;
             // Derivatives of (A . r) / (D . r) by columns and rows.
-            let step = inverse / view.focal_px as f32;
+            let step = inverse / projection.focal_px as f32;
             let along = |i: usize, sign: f32| {
                 let (du, dv) = (self.a[i] - u * self.d[i], self.b[i] - v * self.d[i]);
                 (self.uv[1] * du + self.uv[2] * dv) * (step * sign)
@@ -164,19 +164,25 @@ impl<'a> Attributes<'a> {
 }
 
 /// Shades the covered pixels of a band that starts at `first_row`; leaves the others alone.
-pub(super) fn shade_band(scene: &Gathered<'_>, view: &View, first_row: usize, ids: &[u32], colour: &mut [u32]) {
+pub(super) fn shade_band(
+    scene: &Gathered<'_>,
+    projection: &Projection,
+    first_row: usize,
+    ids: &[u32],
+    colour: &mut [u32],
+) {
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") {
         // SAFETY: AVX2 was detected.
-        return unsafe { shade_band_avx2(scene, view, first_row, ids, colour) };
+        return unsafe { shade_band_avx2(scene, projection, first_row, ids, colour) };
     }
-    shade_band_with::<Portable>(scene, view, first_row, ids, colour);
+    shade_band_with::<Portable>(scene, projection, first_row, ids, colour);
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn shade_band_avx2(scene: &Gathered<'_>, view: &View, first_row: usize, ids: &[u32], colour: &mut [u32]) {
-    shade_band_with::<crate::lanes::Avx2>(scene, view, first_row, ids, colour);
+fn shade_band_avx2(scene: &Gathered<'_>, projection: &Projection, first_row: usize, ids: &[u32], colour: &mut [u32]) {
+    shade_band_with::<crate::simd::Avx2>(scene, projection, first_row, ids, colour);
 }
 
 /// Shorter runs of one triangle are shaded pixel by pixel: eight at a time cost as much as three or four alone.
@@ -185,13 +191,13 @@ const SHORTEST_RUN: usize = 3;
 #[inline(always)]
 pub(super) fn shade_band_with<L: Lanes>(
     scene: &Gathered<'_>,
-    view: &View,
+    projection: &Projection,
     first_row: usize,
     ids: &[u32],
     colour: &mut [u32],
 ) {
     let mut slots: Vec<Option<Attributes<'_>>> = vec![None; SLOTS];
-    for (row, (ids, colour)) in ids.chunks(view.width).zip(colour.chunks_mut(view.width)).enumerate() {
+    for (row, (ids, colour)) in ids.chunks(projection.width).zip(colour.chunks_mut(projection.width)).enumerate() {
         let y = (first_row + row) as f32 + 0.5;
         let mut column = 0;
         for run in ids.chunk_by(|a, b| a == b) {
@@ -202,7 +208,7 @@ pub(super) fn shade_band_with<L: Lanes>(
             }
             let slot = &mut slots[slot_of(id)];
             if slot.as_ref().is_none_or(|s| s.id != id) {
-                *slot = Attributes::new(scene, view, id);
+                *slot = Attributes::new(scene, projection, id);
             }
             let Some(attributes) = slot else { continue };
             let colour = &mut colour[first..column];
@@ -210,12 +216,12 @@ pub(super) fn shade_band_with<L: Lanes>(
                 Some(constant) => colour.fill(constant),
                 None if run.len() < SHORTEST_RUN => {
                     for (x, colour) in (first..).zip(colour) {
-                        *colour = attributes.shade(view, x as f32 + 0.5, y);
+                        *colour = attributes.shade(projection, x as f32 + 0.5, y);
                     }
                 }
                 None => {
                     for (x, colour) in (first..).step_by(LANES).zip(colour.chunks_mut(LANES)) {
-                        shade8::<L>(attributes, view, x, y, colour);
+                        shade8::<L>(attributes, projection, x, y, colour);
                     }
                 }
             }

@@ -71,7 +71,7 @@ fn compare(triangles: &[[Vec3; 3]], drawn: &[[Vec3; 3]], pose: &Pose) -> Result<
                 continue;
             }
             let i = (row * CAMERA.width + column) as usize;
-            let drawn = (ids[i] != setup::NO_TRIANGLE).then_some((ids[i] >> 8) as usize);
+            let drawn = (ids[i] != triangle_setup::NO_TRIANGLE).then_some((ids[i] >> 8) as usize);
             let drawn_disparity = f64::from(frame.disparity[i]);
             if let Some((_, nearest, second)) = answers[0] {
                 // Within f32 rounding of each other either may win.
@@ -220,11 +220,11 @@ fn texture_coordinates_are_perspective_correct() {
     let (index, mut memory) = dataset(camera, vec![material], vec![floor]);
     memory.textures.insert(0, Arc::new(gradient_texture(1)));
     let pose = Pose { position: DVec3::new(0.25, 0.1, 0.5), yaw_deg: 20.0, pitch_deg: -25.0 };
-    let view = setup::View::new(&camera, &pose);
+    let view = triangle_setup::Projection::new(&camera, &pose);
     let scene = gather::gather(&index, &memory, &all_cells(&index));
     let (_, ids, _) = draw(&index, &memory, &camera, &pose);
     let mut seen = 0;
-    for (i, id) in ids.iter().enumerate().filter(|(_, id)| **id != setup::NO_TRIANGLE) {
+    for (i, id) in ids.iter().enumerate().filter(|(_, id)| **id != triangle_setup::NO_TRIANGLE) {
         let (x, y) = ((i % 160) as f64 + 0.5, (i / 160) as f64 + 0.5);
         let ray = camera.ray(&pose.basis(), x, y);
         let hit = pose.position + ray * ((-1.0 - pose.position.y) / ray.y);
@@ -352,18 +352,18 @@ fn eight_pixels_at_a_time_are_shaded_as_one() {
         let pose = Pose { position: DVec3::new(0.2, 0.3, 0.4), yaw_deg: 4.0, pitch_deg: -6.0 };
         let (_, ids, _) = draw(&index, &memory, &camera, &pose);
         let scene = gather::gather(&index, &memory, &all_cells(&index));
-        let view = setup::View::new(&camera, &pose);
+        let view = triangle_setup::Projection::new(&camera, &pose);
         let mut alone = vec![0; ids.len()];
-        for (i, id) in ids.iter().enumerate().filter(|(_, id)| **id != setup::NO_TRIANGLE) {
+        for (i, id) in ids.iter().enumerate().filter(|(_, id)| **id != triangle_setup::NO_TRIANGLE) {
             let attributes = shade::Attributes::new(&scene, &view, *id).expect("a triangle");
             alone[i] = attributes.shade(&view, (i % 203) as f32 + 0.5, (i / 203) as f32 + 0.5);
         }
         let mut portable = vec![0; ids.len()];
-        shade::shade_band_with::<crate::lanes::Portable>(&scene, &view, 0, &ids, &mut portable);
+        shade::shade_band_with::<crate::simd::Portable>(&scene, &view, 0, &ids, &mut portable);
         let mut dispatched = vec![0; ids.len()];
         shade::shade_band(&scene, &view, 0, &ids, &mut dispatched);
         assert_eq!(portable, dispatched, "the picture does not depend on the machine");
-        let covered = ids.iter().filter(|id| **id != setup::NO_TRIANGLE).count();
+        let covered = ids.iter().filter(|id| **id != triangle_setup::NO_TRIANGLE).count();
         assert!(covered > ids.len() / 3, "{covered}");
         let off = |a: u32, b: u32| (0..3).map(|k| a.to_le_bytes()[k].abs_diff(b.to_le_bytes()[k])).max().unwrap_or(0);
         let worst = portable.iter().zip(&alone).map(|(a, b)| off(*a, *b)).max();
@@ -447,12 +447,12 @@ fn what_is_hidden_makes_no_difference() {
     let (index, memory) = dataset(CAMERA, vec![plain_material()], clusters);
     let (frame, ids, _) = draw(&index, &memory, &CAMERA, &AHEAD);
     // The reference: every cell alone, joined by depth in the same order.
-    let mut best = vec![(0.0f32, setup::NO_TRIANGLE); frame.len()];
+    let mut best = vec![(0.0f32, triangle_setup::NO_TRIANGLE); frame.len()];
     let (mut rasterizer, mut one) = (Rasterizer::default(), Frame::default());
     for cell in all_cells(&index) {
         rasterizer.draw(&index, &memory, &[cell], &CAMERA, &AHEAD, &mut one);
         for (best, (d, id)) in best.iter_mut().zip(one.disparity.iter().zip(&rasterizer.ids)) {
-            if *id != setup::NO_TRIANGLE && *d > best.0 {
+            if *id != triangle_setup::NO_TRIANGLE && *d > best.0 {
                 *best = (*d, cell << 8 | id & 255);
             }
         }
@@ -461,7 +461,7 @@ fn what_is_hidden_makes_no_difference() {
     // Both show: the wall, and those of the crowd that stand beside it.
     let crowd = best
         .iter()
-        .filter(|b| b.1 >> 8 >= (FIRST_BATCH_TRIANGLES / 200 + 2) as u32 && b.1 != setup::NO_TRIANGLE)
+        .filter(|b| b.1 >> 8 >= (FIRST_BATCH_TRIANGLES / 200 + 2) as u32 && b.1 != triangle_setup::NO_TRIANGLE)
         .count();
     assert!(crowd > 200 && crowd < 6000, "{crowd}");
 }

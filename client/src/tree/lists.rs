@@ -3,7 +3,7 @@
 //! Every tile adds an entry to the list of each pixel that its wide tile covers. A list is sorted by depth; entries within the coarser one's merge threshold of the
 //! first are one surface, their weights add up; surfaces are blended front to back. Slow, and no z-buffer decides anything.
 
-use super::{TreeOptions, paint::Wanted, tiles};
+use super::{TreeOptions, splat::PixelMask, splat_projection::SplatProjection};
 use crate::{frame::pack_rgb, resident::Resident, warp::FarFrame};
 use ldi_protocol::{
     OutputCamera, Pose,
@@ -28,25 +28,25 @@ pub fn draw(
     camera: &OutputCamera,
     options: &TreeOptions,
 ) -> (FarFrame, f64) {
-    let view = tiles::Eye::new(pose, camera);
+    let view = SplatProjection::new(pose, camera);
     let nodes = cut(tree, pose, &Lens::from(camera), &options.cut, |c| resident.brood(c).is_some());
-    let wanted = Wanted::all(camera.width, camera.height);
+    let wanted = PixelMask::all(camera.width, camera.height);
     let mut lists: Vec<Vec<Entry>> = vec![Vec::new(); camera.width as usize * camera.height as usize];
     let linear = linear_from_srgb8_table();
     for n in &nodes.nodes {
         let Some(brood) = resident.brood(n.home.0) else { continue };
         let mut found = Vec::new();
         let samples = &brood.nodes[usize::from(n.home.1)].samples;
-        view.tiles(tree, &tree.nodes[n.node as usize], n.filtered, samples, &wanted, &mut found);
-        for tile in &found {
-            for row in tile.rows[0]..=tile.rows[1] {
-                for column in tile.columns[0]..=tile.columns[1] {
-                    let Some((disparity, s, t)) = tile.at(column as f32 + 0.5, row as f32 + 0.5) else { continue };
+        view.splats(tree, &tree.nodes[n.node as usize], n.filtered, samples, &wanted, &mut found);
+        for splat in &found {
+            for row in splat.rows[0]..=splat.rows[1] {
+                for column in splat.columns[0]..=splat.columns[1] {
+                    let Some((disparity, s, t)) = splat.at(column as f32 + 0.5, row as f32 + 0.5) else { continue };
                     lists[row as usize * camera.width as usize + column as usize].push(Entry {
                         depth_m: 1.0 / disparity,
-                        merge_m: tile.merge_m,
-                        weight: (1.0 - s.abs()) * (1.0 - t.abs()) * tile.alpha,
-                        colour: tile.rgb.map(|c| linear[usize::from(c)]),
+                        merge_m: splat.merge_m,
+                        weight: (1.0 - s.abs()) * (1.0 - t.abs()) * splat.alpha,
+                        colour: splat.rgb.map(|c| linear[usize::from(c)]),
                     });
                 }
             }

@@ -2,7 +2,7 @@
 //!
 //! In: a [`Cut`], the nodes at hand, a pose, and which blocks of the picture want something. Out: a [`FarFrame`] of colours and disparities.
 //!
-//! 1. `tiles`: every sample is a parallelogram on its surface, one pitch wide, projected as a quadrilateral with the plane's own disparity at every pixel.
+//! 1. `splats`: every sample is a parallelogram on its surface, one pitch wide, projected as a quadrilateral with the plane's own disparity at every pixel.
 //! 2. `paint`: opaque tiles into a z-buffer; then all tiles once more, twice as wide and with bilinear weights, into what lies within a merge threshold
 //!    of the z-buffer: between samples colours run over smoothly, and what is partly covered mixes with what lies behind.
 //! 3. Gap filling (section 3.5): pixels that nothing reached are drawn again from coarser cuts, filtered samples included. What stays open then is wider than a few
@@ -14,24 +14,24 @@
 //! `lists` is the reference of steps 1 and 2: lists per pixel, sorted by depth, merged by the coarser level's threshold and blended front to back (section 3.3).
 
 pub mod lists;
-mod paint;
 mod pass;
-mod still;
+mod progressive;
 #[cfg(test)]
-mod still_test;
+mod progressive_test;
+mod splat;
+mod splat_projection;
 #[cfg(test)]
 mod tests;
-mod tiles;
 
 use crate::{resident::Resident, warp::FarFrame};
 use ldi_protocol::{
     OutputCamera, Pose,
     tree::{Cut, CutOptions, Lens, Tree, cut},
 };
-use paint::Painting;
-pub use paint::{BLOCK, Wanted};
 use pass::Pass;
-pub use still::StillPainter;
+pub use progressive::ProgressivePainter;
+use splat::SplatBuffers;
+pub use splat::{BLOCK, PixelMask};
 
 /// Stamps may be so many times larger in each pass of gap filling.
 const GAP_STEP: f64 = 4.0;
@@ -84,7 +84,7 @@ pub struct TreeStats {
     /// Whether a bound on samples kept it from being finer.
     pub limited: bool,
     /// Tiles in the picture.
-    pub tiles: u64,
+    pub splats: u64,
     /// Pixels that the first pass painted.
     pub painted: u64,
     /// Pixels that gap filling painted.
@@ -100,7 +100,7 @@ pub struct TreeStats {
 /// Draws trees; keeps memory between frames.
 #[derive(Debug, Default)]
 pub struct TreePainter {
-    painting: Painting,
+    painting: SplatBuffers,
     pass: Pass,
 }
 
@@ -115,7 +115,7 @@ impl TreePainter {
         pose: &Pose,
         camera: &OutputCamera,
         options: &TreeOptions,
-        wanted: &mut Wanted,
+        wanted: &mut PixelMask,
         no_gap: &(dyn Fn(usize, usize) -> bool + Sync),
         out: &mut FarFrame,
     ) -> TreeStats {
@@ -137,7 +137,7 @@ impl TreePainter {
         &mut self,
         view: &View<'_>,
         options: &TreeOptions,
-        wanted: &mut Wanted,
+        wanted: &mut PixelMask,
         no_gap: &(dyn Fn(usize, usize) -> bool + Sync),
         out: &mut FarFrame,
         stats: &mut TreeStats,

@@ -2,8 +2,8 @@
 
 use super::{
     View,
-    paint::{BLOCK, Painting, Wanted},
-    tiles::{Eye, Tile},
+    splat::{BLOCK, PixelMask, SplatBuffers},
+    splat_projection::{Splat, SplatProjection},
 };
 use crate::warp::FarFrame;
 use ldi_protocol::tree::Cut;
@@ -24,14 +24,14 @@ pub struct Pass {
     /// The first row whose colours are not mixed yet.
     next_row: usize,
     /// By node of the cut.
-    tiles: Vec<Vec<Tile>>,
+    splats: Vec<Vec<Splat>>,
 }
 
 impl Pass {
     /// Starts with a cut; the picture is the caller's to clear.
     pub fn begin(&mut self, cut: Cut) {
-        self.tiles.iter_mut().for_each(Vec::clear);
-        self.tiles.resize_with(cut.nodes.len().max(self.tiles.len()), Vec::new);
+        self.splats.iter_mut().for_each(Vec::clear);
+        self.splats.resize_with(cut.nodes.len().max(self.splats.len()), Vec::new);
         (self.cut, self.next_node, self.next_row) = (cut, 0, 0);
     }
 
@@ -40,12 +40,12 @@ impl Pass {
         &mut self,
         view: &View<'_>,
         max_samples: u64,
-        wanted: &mut Wanted,
+        wanted: &mut PixelMask,
         out: &mut FarFrame,
-        painting: &mut Painting,
+        painting: &mut SplatBuffers,
         stats: &mut super::TreeStats,
     ) -> bool {
-        let eye = Eye::new(view.pose, view.camera);
+        let eye = SplatProjection::new(view.pose, view.camera);
         let nodes = &self.cut.nodes;
         let mut looked_at = 0;
         while self.next_node < nodes.len() {
@@ -61,24 +61,24 @@ impl Pass {
             });
             let of_wave = self.next_node..self.next_node + wave.count();
             let seen = &*wanted;
-            let draw = |(list, n): (&mut Vec<Tile>, &ldi_protocol::tree::CutNode)| {
+            let draw = |(list, n): (&mut Vec<Splat>, &ldi_protocol::tree::CutNode)| {
                 list.clear();
                 let node = &view.tree.nodes[n.node as usize];
                 let brood = view.resident.brood(n.home.0);
                 match brood.as_ref().and_then(|b| b.nodes.get(usize::from(n.home.1))) {
                     Some(s) if eye.sees(&view.tree.bounds_of(node).inflated(view.tree.pitch_of(node.level)), seen) => {
-                        eye.tiles(view.tree, node, n.filtered, &s.samples, seen, list);
+                        eye.splats(view.tree, node, n.filtered, &s.samples, seen, list);
                         s.samples.len() as u64
                     }
                     _ => 0,
                 }
             };
-            let lists = self.tiles[of_wave.clone()].par_iter_mut().zip(&nodes[of_wave.clone()]);
+            let lists = self.splats[of_wave.clone()].par_iter_mut().zip(&nodes[of_wave.clone()]);
             let of_this_wave: u64 = lists.map(draw).sum();
             stats.samples += of_this_wave;
             // What is left out costs little, but not nothing.
             looked_at += of_this_wave + of_wave.len() as u64;
-            painting.cover(&self.tiles[of_wave.clone()], view.camera, wanted, out);
+            painting.cover(&self.splats[of_wave.clone()], view.camera, wanted, out);
             self.next_node = of_wave.end;
             if self.next_node < nodes.len() {
                 wanted.raise_floors(out, HIDDEN_MARGIN);
@@ -86,12 +86,12 @@ impl Pass {
         }
         let height = view.camera.height as usize;
         if self.next_row == 0 {
-            stats.tiles += self.tiles[..nodes.len()].iter().map(|l| l.len() as u64).sum::<u64>();
+            stats.splats += self.splats[..nodes.len()].iter().map(|l| l.len() as u64).sum::<u64>();
         }
         let left = max_samples.saturating_sub(looked_at) as f64 / self.cut.samples.max(1) as f64;
         let share = (left * height as f64).min(height as f64) as usize;
         let end = (self.next_row + share.max(BLOCK)).min(height);
-        let lists = &self.tiles[..nodes.len()];
+        let lists = &self.splats[..nodes.len()];
         painting.mix(lists, view.camera, self.next_row..end, wanted, out);
         self.next_row = end;
         end == height

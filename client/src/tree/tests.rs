@@ -28,7 +28,7 @@ impl Made {
 
     fn draw(&self, pose: &Pose, options: &TreeOptions) -> (FarFrame, TreeStats) {
         let mut out = FarFrame::default();
-        let mut wanted = Wanted::all(CAMERA.width, CAMERA.height);
+        let mut wanted = PixelMask::all(CAMERA.width, CAMERA.height);
         let stats = TreePainter::default().draw(
             &self.tree,
             &self.memory,
@@ -223,7 +223,7 @@ fn what_turns_away_or_is_not_wanted_is_not_drawn() {
     let made = Made::new(10.0, wall(2048.0, [0, 0], |_, _| [90, 120, 150]));
     let behind = Pose { position: DVec3::new(0.0, 0.0, -12.0), yaw_deg: 180.0, pitch_deg: 0.0 };
     assert_eq!(made.draw(&behind, &ONCE).1.painted, 0);
-    let mut wanted = Wanted::new(160, 120, (0..160 * 120).map(|at| at % 160 < 40).collect(), &[]);
+    let mut wanted = PixelMask::new(160, 120, (0..160 * 120).map(|at| at % 160 < 40).collect(), &[]);
     let mut out = FarFrame::default();
     let stats = TreePainter::default().draw(
         &made.tree,
@@ -238,7 +238,7 @@ fn what_turns_away_or_is_not_wanted_is_not_drawn() {
     assert!(stats.painted > 0 && (0..out.packed.len()).all(|at| out.get(at).is_none() || at % 160 < 40));
     // The wall fills the picture, 7 to 8.6 m away.
     let painted_beyond = |metres: f32| {
-        let mut wanted = Wanted::all(160, 120).beyond(metres);
+        let mut wanted = PixelMask::all(160, 120).beyond(metres);
         let none = |_: usize, _: usize| true;
         let mut out = FarFrame::default();
         let mut painter = TreePainter::default();
@@ -254,7 +254,7 @@ fn what_turns_away_or_is_not_wanted_is_not_drawn() {
         &ahead(14.0),
         &CAMERA,
         &ONCE,
-        &mut Wanted::all(160, 120),
+        &mut PixelMask::all(160, 120),
         &|_, _| false,
         &mut out,
     );
@@ -273,7 +273,7 @@ fn whether_something_shows_is_the_same_however_little_is_wanted() {
         let mut pixels = vec![false; width * height];
         (0..wanted_pixels).for_each(|_| pixels[random(width * height)] = true);
         let hidden_below: Vec<f32> = (0..width * height).map(|_| random(1000) as f32 * 1e-3).collect();
-        let wanted = Wanted::new(width as u32, height as u32, pixels.clone(), &hidden_below);
+        let wanted = PixelMask::new(width as u32, height as u32, pixels.clone(), &hidden_below);
         assert_eq!(wanted.count(), pixels.iter().filter(|w| **w).count() as u64);
         let mut shown = 0;
         for _ in 0..300 {

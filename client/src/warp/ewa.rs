@@ -10,7 +10,7 @@
 
 use super::{
     prepared::{Part, Tile},
-    quads::Target,
+    quad_raster::Target,
     stamps::{Splat, own_rows},
     transform::{Scratch, TileTransform},
 };

@@ -17,33 +17,33 @@
 //! keeps that for the stamps that are small. Micro-quads need depth: neighbouring quads overlap at folds.
 
 pub mod analytic;
-mod bands;
 mod cull;
-pub mod debug;
+pub mod debug_colours;
 mod ewa;
-mod halve;
-mod layout;
+mod half_resolution;
 mod matrix;
 mod occlusion;
+mod occlusion_order;
 #[cfg(test)]
 mod occlusion_tests;
 pub mod octree;
-mod order;
+mod portal_texture;
 mod prepared;
-mod quads;
+mod quad_raster;
 pub mod reference;
+mod row_bands;
 mod stamps;
 #[cfg(test)]
 mod tests;
-mod texture;
+mod tile_builder;
 mod transform;
 
-pub(crate) use bands::picture_bytes;
-pub use bands::{TileJob, tile_jobs, transform_only, transformed, warp, warp_images};
-pub use halve::halved;
+pub use half_resolution::halved;
 pub use matrix::{WarpMatrix, Warped};
+pub use portal_texture::painted_onto;
 pub use prepared::PreparedLdi;
-pub use texture::painted_onto;
+pub(crate) use row_bands::picture_bytes;
+pub use row_bands::{TileJob, tile_jobs, transform_only, transformed, warp, warp_images};
 pub use transform::Transformed;
 
 use std::{fmt, str::FromStr};
@@ -159,7 +159,7 @@ impl FromStr for Order {
 
 /// An image that takes part in a picture.
 #[derive(Debug, Clone, Copy)]
-pub struct Shown<'a> {
+pub struct ImageInView<'a> {
     /// The image.
     pub laid_out: &'a PreparedLdi,
     /// Nothing of it is wanted outside of this rectangle of the picture (from column, from row, to column, to row): samples that cannot reach it are left out, as they are outside of
@@ -167,7 +167,7 @@ pub struct Shown<'a> {
     pub within: Option<[u32; 4]>,
 }
 
-impl<'a> From<&'a PreparedLdi> for Shown<'a> {
+impl<'a> From<&'a PreparedLdi> for ImageInView<'a> {
     fn from(laid_out: &'a PreparedLdi) -> Self {
         Self { laid_out, within: None }
     }

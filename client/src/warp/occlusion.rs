@@ -11,7 +11,7 @@ use super::{
     Stamp,
     cull::{Silhouette, Within},
     ewa,
-    quads::Target,
+    quad_raster::Target,
 };
 use ldi_protocol::OutputCamera;
 use std::ops::Range;

@@ -25,7 +25,8 @@ fn near_geometry(rectangles: &[([f32; 4], [f32; 2])]) -> Vec<f32> {
 fn hidden(image: &PreparedLdi, near: &[f32], pose: &Pose, stamp: Stamp) -> f64 {
     let warped = |options: WarpOptions| {
         let (mut far, mut spare) = (FarFrame::new(CAMERA.width, CAMERA.height), FarFrame::default());
-        let stats = warp_images(&[Shown::from(image)], near, pose, &CAMERA, &options, &mut far, &mut spare).unwrap();
+        let stats =
+            warp_images(&[ImageInView::from(image)], near, pose, &CAMERA, &options, &mut far, &mut spare).unwrap();
         (far, stats)
     };
     let all = warped(WarpOptions { keep_hidden: true, ..with(stamp) });

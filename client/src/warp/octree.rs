@@ -10,7 +10,7 @@
 //! The text leaves open: sizes of splats (here a square as wide as a sample at its depth, weights falling linearly), how weights add (to at most 1), and where to stop.
 //! It accepts two faults: the order fails where a large node lies behind small ones, and skirts cover what they only touch. What frames use instead is `occlusion`, which has neither.
 
-use super::{cull::Bounds, matrix::WarpMatrix, order::Epipole};
+use super::{cull::Bounds, matrix::WarpMatrix, occlusion_order::Epipole};
 use ldi_protocol::{
     OutputCamera, Pose,
     ldi::{Ldi, LdiCamera},

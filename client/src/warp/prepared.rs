@@ -11,10 +11,10 @@
 use super::{
     Stamp,
     cull::{Blocks, Bounds},
-    layout::{Builder, Vertex, slivers},
-    order::Streams,
+    occlusion_order::Streams,
+    tile_builder::{Builder, Vertex, slivers},
 };
-use crate::lanes::LANES;
+use crate::simd::LANES;
 use ldi_protocol::ldi::{Ldi, LdiCamera};
 use rayon::prelude::*;
 use std::{

@@ -9,10 +9,10 @@ use super::{
     Stamp,
     matrix::WarpMatrix,
     prepared::{OVERLAP, Part, TILE_ROWS, Tile},
-    quads::Target,
+    quad_raster::Target,
     transform::{Inside, Largest, Scratch, Slopes, TileTransform, Window, first_lanes},
 };
-use crate::lanes::{LANES, Lanes};
+use crate::simd::{LANES, Lanes};
 use std::ops::Range;
 
 /// Largest side of a footprint stamp, pixels. The image guarantee keeps footprints at about 2, or 4 supersampled; beyond

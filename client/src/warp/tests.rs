@@ -7,7 +7,7 @@ use super::{
     *,
 };
 use crate::frame::{pack_rgb, unpack_rgb};
-use crate::lanes::Portable;
+use crate::simd::Portable;
 use glam::DVec3;
 use ldi_protocol::{
     OutputCamera, Pose,
@@ -530,7 +530,7 @@ fn occlusion_compatible_order_agrees_with_depth() {
         let z = render(&ldi, &eyes[1], &options(Stamp::OnePixel, Order::Z)).0;
         let mut wrong = FarFrame::new(CAMERA.width, CAMERA.height);
         let prepared = PreparedLdi::new(&ldi);
-        bands::warp_in_order(&prepared, &eyes[1], &mirrored, &CAMERA, &mut wrong);
+        row_bands::warp_in_order(&prepared, &eyes[1], &mirrored, &CAMERA, &mut wrong);
         let d = compare(pixels(&z), pixels(&wrong));
         assert!(d.other_surface > 200, "{name}: {d:?}");
     }
@@ -546,17 +546,18 @@ fn debug_views_colour_what_they_say() {
     let seen =
         |ldi: &Ldi, at: usize| render(ldi, &poses()[0], &WarpOptions::default()).0.get(at).map(|p| unpack_rgb(p.0));
     // From the image's own centre only the first layer is seen; from the side the wall behind bars as well.
-    let layers = debug::coloured_by_layer(&ldi);
-    assert!((0..19_200).step_by(777).all(|at| seen(&layers, at) == Some(debug::LAYER_COLOURS[0])));
+    let layers = debug_colours::coloured_by_layer(&ldi);
+    assert!((0..19_200).step_by(777).all(|at| seen(&layers, at) == Some(debug_colours::LAYER_COLOURS[0])));
     let side = render(&layers, &poses()[1], &WarpOptions::default()).0;
-    let second = pack_rgb(debug::LAYER_COLOURS[1]);
+    let second = pack_rgb(debug_colours::LAYER_COLOURS[1]);
     assert!(pixels(&side).flatten().any(|(c, _)| c == second));
     // A frontal wall at its own centre: footprint 0.87; halfway there 1.73.
     let wall = image("frontal");
-    let cold = seen(&debug::coloured_by_footprint(&wall, &poses()[0], &CAMERA), 9_600).unwrap();
-    let hot = seen(&debug::coloured_by_footprint(&wall, &pose(0.0, 0.0, -5.0, 0.0, 0.0), &CAMERA), 9_600).unwrap();
+    let cold = seen(&debug_colours::coloured_by_footprint(&wall, &poses()[0], &CAMERA), 9_600).unwrap();
+    let hot =
+        seen(&debug_colours::coloured_by_footprint(&wall, &pose(0.0, 0.0, -5.0, 0.0, 0.0), &CAMERA), 9_600).unwrap();
     assert!(cold[2] > cold[0] && hot[0] == 255 && hot[2] < 100, "{cold:?} {hot:?}");
-    let inner = seen(&debug::coloured_by_links(&wall), 9_600).unwrap();
+    let inner = seen(&debug_colours::coloured_by_links(&wall), 9_600).unwrap();
     assert_eq!(inner, [40; 3]);
 }
 

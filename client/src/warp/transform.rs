@@ -10,7 +10,7 @@ use super::{
     matrix::WarpMatrix,
     prepared::{Part, TILE_ROWS, TILE_SAMPLES, Tile},
 };
-use crate::lanes::{LANES, Lanes};
+use crate::simd::{LANES, Lanes};
 use std::ops::Range;
 
 /// Relative error of footprints, at most (`ldi-bench numerics`, footprints).
@@ -327,7 +327,7 @@ pub const LANE_NUMBERS: [u32; LANES] = [0, 1, 2, 3, 4, 5, 6, 7];
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lanes::Portable;
+    use crate::simd::Portable;
 
     #[test]
     fn the_largest_footprint_is_found_without_taking_every_root() {

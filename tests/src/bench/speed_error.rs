@@ -19,7 +19,7 @@ use ldi_client::{
     near::Rasterizer,
     report::StageMs,
     resident::Resident as _,
-    warp::{FarFrame, Order, PreparedLdi, Shown, Stamp, WarpOptions, WarpStats, transform_only, warp_images},
+    warp::{FarFrame, ImageInView, Order, PreparedLdi, Stamp, WarpOptions, WarpStats, transform_only, warp_images},
 };
 use ldi_protocol::{OutputCamera, Pose, codec::ColourProfile, need::Sight, path::Walk};
 use ldi_server::{
@@ -405,7 +405,7 @@ fn measure(
         if setting.stamp.is_some() {
             let images: Vec<PreparedLdi> =
                 view.images.iter().filter_map(|i| cache.ldi(*i)).map(|ldi| PreparedLdi::new(&ldi)).collect();
-            let images: Vec<Shown<'_>> = images.iter().map(Shown::from).collect();
+            let images: Vec<ImageInView<'_>> = images.iter().map(ImageInView::from).collect();
             let mut timed =
                 |f: &mut dyn FnMut(&mut FarFrame) -> Result<WarpStats>| timed(job.repeat, &full, &mut far, f);
             let transformed = |far: &mut FarFrame| {

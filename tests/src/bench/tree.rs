@@ -8,7 +8,7 @@ use anyhow::{Context as _, Result, bail};
 use glam::DVec3;
 use ldi_client::{
     resident::Resident,
-    tree::{ALL_GAP_PASSES, TreeOptions, TreePainter, Wanted},
+    tree::{ALL_GAP_PASSES, PixelMask, TreeOptions, TreePainter},
     warp::FarFrame,
 };
 use ldi_protocol::{
@@ -216,7 +216,7 @@ pub fn run(study: &Study, mut heard: impl FnMut(&Row)) -> Result<Vec<Row>> {
                 // As in the paper: until the root fills.
                 let gap_passes = if fill_gaps { ALL_GAP_PASSES } else { 0 };
                 let options = TreeOptions { gap_passes, ..TreeOptions::default() };
-                let mut wanted = Wanted::all(camera.width, camera.height);
+                let mut wanted = PixelMask::all(camera.width, camera.height);
                 let start = Instant::now();
                 let tree = &built.tree;
                 let stats =

@@ -411,7 +411,7 @@ fn views_show_images_in_other_colours() {
         [colour_at(&frame, 31, 24), colour_at(&frame, 18, 24)]
     };
     assert_eq!(shown(DisplayMode::Scene), [[255, 0, 0], [0, 0, 255]]);
-    assert_eq!(shown(DisplayMode::Layers), [[85, 0, 0], crate::warp::debug::LAYER_COLOURS[0]]);
+    assert_eq!(shown(DisplayMode::Layers), [[85, 0, 0], crate::warp::debug_colours::LAYER_COLOURS[0]]);
     let [_, footprint] = shown(DisplayMode::Footprints);
     assert!(footprint[2] > footprint[0], "below a pixel: {footprint:?}");
     assert!(shown(DisplayMode::Age)[1].iter().all(|c| *c > 240), "just laid out");

@@ -1,6 +1,6 @@
 //! Tiles into pixels: a z-buffer of opaque tiles, then weighted colours of what lies on it.
 
-use super::tiles::Tile;
+use super::splat_projection::Splat;
 use crate::{frame::pack_rgb, warp::FarFrame};
 use ldi_protocol::{
     OutputCamera,
@@ -22,7 +22,7 @@ const BANDS_PER_THREAD: usize = 4;
 
 /// The pixels of a picture that still want a colour.
 #[derive(Debug, Clone, Default)]
-pub struct Wanted {
+pub struct PixelMask {
     width: usize,
     blocks_across: usize,
     pixels: Vec<bool>,
@@ -37,7 +37,7 @@ pub struct Wanted {
     beyond_m: f32,
 }
 
-impl Wanted {
+impl PixelMask {
     /// From a flag per pixel, and what disparity hides samples in each (none where it is empty).
     pub fn new(width: u32, height: u32, pixels: Vec<bool>, hidden_below: &[f32]) -> Self {
         let (width, height) = (width as usize, height as usize);
@@ -178,31 +178,31 @@ impl Wanted {
 
 /// Memory of the second pass.
 #[derive(Debug, Default)]
-pub struct Painting {
+pub struct SplatBuffers {
     /// Sums of linear colour and weight.
     sums: Vec<[f32; 4]>,
 }
 
-impl Painting {
+impl SplatBuffers {
     /// First pass: the z-buffer of opaque tiles, in wanted pixels of `out` that show nothing yet.
-    pub fn cover(&mut self, tiles: &[Vec<Tile>], camera: &OutputCamera, wanted: &Wanted, out: &mut FarFrame) {
+    pub fn cover(&mut self, splats: &[Vec<Splat>], camera: &OutputCamera, wanted: &PixelMask, out: &mut FarFrame) {
         let rows = 0..camera.height as usize;
-        self.bands(camera, rows, wanted, out, |band| tiles.iter().flatten().for_each(|t| band.cover(t)));
+        self.bands(camera, rows, wanted, out, |band| splats.iter().flatten().for_each(|t| band.cover(t)));
     }
 
     /// Second pass: colours of what lies on it, in some rows.
     pub fn mix(
         &mut self,
-        tiles: &[Vec<Tile>],
+        splats: &[Vec<Splat>],
         camera: &OutputCamera,
         rows: Range<usize>,
-        wanted: &Wanted,
+        wanted: &PixelMask,
         out: &mut FarFrame,
     ) {
         self.bands(camera, rows, wanted, out, |band| {
             band.spans().for_each(|span| band.sums[span].fill([0.0; 4]));
-            tiles.iter().flatten().for_each(|t| band.cover_thinly(t));
-            tiles.iter().flatten().for_each(|t| band.mix(t));
+            splats.iter().flatten().for_each(|t| band.cover_thinly(t));
+            splats.iter().flatten().for_each(|t| band.mix(t));
             band.resolve();
         });
     }
@@ -212,7 +212,7 @@ impl Painting {
         &mut self,
         camera: &OutputCamera,
         rows: Range<usize>,
-        wanted: &Wanted,
+        wanted: &PixelMask,
         out: &mut FarFrame,
         f: impl Fn(&mut Band<'_>) + Sync,
     ) {
@@ -236,7 +236,7 @@ struct Band<'a> {
     width: usize,
     packed: &'a mut [u64],
     sums: &'a mut [[f32; 4]],
-    wanted: &'a Wanted,
+    wanted: &'a PixelMask,
 }
 
 impl<'a> Band<'a> {
@@ -249,15 +249,15 @@ impl<'a> Band<'a> {
     }
 
     /// Calls `f` with the pixels of a tile in this band: position in it, disparity, place on the tile.
-    fn each(&mut self, tile: &Tile, mut f: impl FnMut(&mut Self, usize, (f32, f32, f32))) {
+    fn each(&mut self, splat: &Splat, mut f: impl FnMut(&mut Self, usize, (f32, f32, f32))) {
         let last_row = self.first_row + (self.packed.len() / self.width) as i32 - 1;
-        for row in tile.rows[0].max(self.first_row)..=tile.rows[1].min(last_row) {
+        for row in splat.rows[0].max(self.first_row)..=splat.rows[1].min(last_row) {
             let first = (row - self.first_row) as usize * self.width;
-            for column in tile.columns[0]..=tile.columns[1] {
+            for column in splat.columns[0]..=splat.columns[1] {
                 if !self.wanted.holds(row as usize * self.width + column as usize) {
                     continue;
                 }
-                if let Some(place) = tile.at(column as f32 + 0.5, row as f32 + 0.5) {
+                if let Some(place) = splat.at(column as f32 + 0.5, row as f32 + 0.5) {
                     f(self, first + column as usize, place);
                 }
             }
@@ -265,13 +265,13 @@ impl<'a> Band<'a> {
     }
 
     /// First pass: opaque tiles by depth.
-    fn cover(&mut self, tile: &Tile) {
-        if tile.alpha < OPAQUE_FROM {
+    fn cover(&mut self, splat: &Splat) {
+        if splat.alpha < OPAQUE_FROM {
             return;
         }
-        let half = Tile::half_width();
-        let colour = pack_rgb(tile.rgb);
-        self.each(tile, |band, at, (disparity, s, t)| {
+        let half = Splat::half_width();
+        let colour = pack_rgb(splat.rgb);
+        self.each(splat, |band, at, (disparity, s, t)| {
             if s.abs() <= half && t.abs() <= half {
                 let packed = FarFrame::pack(disparity, colour);
                 band.packed[at] = band.packed[at].max(packed);
@@ -280,13 +280,13 @@ impl<'a> Band<'a> {
     }
 
     /// Between the passes: where nothing opaque is, the nearest of what covers a part.
-    fn cover_thinly(&mut self, tile: &Tile) {
-        if tile.alpha >= OPAQUE_FROM {
+    fn cover_thinly(&mut self, splat: &Splat) {
+        if splat.alpha >= OPAQUE_FROM {
             return;
         }
-        let half = Tile::half_width();
-        let colour = pack_rgb(tile.rgb) | THIN;
-        self.each(tile, |band, at, (disparity, s, t)| {
+        let half = Splat::half_width();
+        let colour = pack_rgb(splat.rgb) | THIN;
+        self.each(splat, |band, at, (disparity, s, t)| {
             let there = band.packed[at];
             if s.abs() <= half && t.abs() <= half && (there == 0 || there as u32 & THIN != 0) {
                 band.packed[at] = there.max(FarFrame::pack(disparity, colour));
@@ -295,17 +295,17 @@ impl<'a> Band<'a> {
     }
 
     /// Second pass: weighted colours of what is not hidden.
-    fn mix(&mut self, tile: &Tile) {
+    fn mix(&mut self, splat: &Splat) {
         let linear = linear_from_srgb8_table();
-        let colour = tile.rgb.map(|c| linear[usize::from(c)]);
-        self.each(tile, |band, at, (disparity, s, t)| {
+        let colour = splat.rgb.map(|c| linear[usize::from(c)]);
+        self.each(splat, |band, at, (disparity, s, t)| {
             if let Some((_, front)) = FarFrame::unpack(band.packed[at]) {
                 // Behind the front by more than a merge threshold.
-                if front > disparity && 1.0 / disparity - 1.0 / front > tile.merge_m {
+                if front > disparity && 1.0 / disparity - 1.0 / front > splat.merge_m {
                     return;
                 }
             }
-            let weight = (1.0 - s.abs()) * (1.0 - t.abs()) * tile.alpha;
+            let weight = (1.0 - s.abs()) * (1.0 - t.abs()) * splat.alpha;
             let sum = &mut band.sums[at];
             for (sum, c) in sum.iter_mut().zip(colour) {
                 *sum += c * weight;

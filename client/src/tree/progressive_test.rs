@@ -61,8 +61,14 @@ fn wall() -> (Tree, Memory) {
 const EYE: Pose = Pose { position: DVec3::new(0.3, -0.2, 30.0), yaw_deg: 3.0, pitch_deg: 1.0 };
 const STEP: u64 = 3_000;
 
-fn frame(painter: &mut StillPainter, tree: &Tree, memory: &Memory, pose: &Pose, step: u64) -> (TreeStats, FarFrame) {
-    let wanted = Wanted::all(CAMERA.width, CAMERA.height);
+fn frame(
+    painter: &mut ProgressivePainter,
+    tree: &Tree,
+    memory: &Memory,
+    pose: &Pose,
+    step: u64,
+) -> (TreeStats, FarFrame) {
+    let wanted = PixelMask::all(CAMERA.width, CAMERA.height);
     let (stats, picture) = painter.frame(tree, memory, pose, &CAMERA, step, wanted, &[], &|_, _| false);
     (stats, picture.clone())
 }
@@ -81,9 +87,9 @@ fn wrong(picture: &FarFrame, best: &FarFrame) -> usize {
 #[test]
 fn a_still_eye_sees_more_and_more_in_bounded_steps_until_it_sees_what_one_long_frame_shows() {
     let (tree, memory) = wall();
-    let (long, best) = frame(&mut StillPainter::default(), &tree, &memory, &EYE, u64::MAX);
+    let (long, best) = frame(&mut ProgressivePainter::default(), &tree, &memory, &EYE, u64::MAX);
     assert!(!long.limited && long.samples > 10 * STEP, "{long:?}");
-    let mut painter = StillPainter::default();
+    let mut painter = ProgressivePainter::default();
     let (mut before, mut shown, mut pictures) = (usize::MAX, 0, 1);
     for number in 0..200 {
         let (stats, picture) = frame(&mut painter, &tree, &memory, &EYE, STEP);
@@ -105,46 +111,46 @@ fn a_still_eye_sees_more_and_more_in_bounded_steps_until_it_sees_what_one_long_f
 #[test]
 fn an_eye_that_moves_starts_anew_and_data_that_arrives_sharpens_a_still_one() {
     let (tree, mut memory) = wall();
-    let mut painter = StillPainter::default();
+    let mut painter = ProgressivePainter::default();
     for _ in 0..30 {
         frame(&mut painter, &tree, &memory, &EYE, STEP);
     }
     let turned = Pose { yaw_deg: 20.0, ..EYE };
     let (stats, picture) = frame(&mut painter, &tree, &memory, &turned, STEP);
-    let (_, alone) = frame(&mut StillPainter::default(), &tree, &memory, &turned, STEP);
+    let (_, alone) = frame(&mut ProgressivePainter::default(), &tree, &memory, &turned, STEP);
     assert!(stats.limited && stats.samples > 0);
     assert_eq!(wrong(&picture, &alone), 0, "the picture of the new view, not of the old one");
 
     // Without the finest level, whatever the bound.
     let finest: Vec<u32> = tree.nodes.iter().filter(|n| n.level + 2 == LEVELS).map(|n| n.chunk).collect();
     let held: Vec<_> = finest.iter().map(|c| (*c, memory.broods.remove(c).expect("there"))).collect();
-    let mut painter = StillPainter::default();
+    let mut painter = ProgressivePainter::default();
     for _ in 0..3 {
         assert!(!frame(&mut painter, &tree, &memory, &EYE, u64::MAX).0.limited);
     }
     memory.broods.extend(held);
     let (_, picture) = frame(&mut painter, &tree, &memory, &EYE, u64::MAX);
-    let (_, best) = frame(&mut StillPainter::default(), &tree, &memory, &EYE, u64::MAX);
+    let (_, best) = frame(&mut ProgressivePainter::default(), &tree, &memory, &EYE, u64::MAX);
     assert_eq!(wrong(&picture, &best), 0);
 }
 
 #[test]
 fn pixels_that_were_not_wanted_before_are_drawn() {
     let (tree, memory) = wall();
-    let mut painter = StillPainter::default();
+    let mut painter = ProgressivePainter::default();
     let n = (CAMERA.width * CAMERA.height) as usize;
     let left = |at: &usize| at % (CAMERA.width as usize) < 100;
-    let some = || Wanted::new(CAMERA.width, CAMERA.height, (0..n).map(|at| left(&at)).collect(), &[]);
+    let some = || PixelMask::new(CAMERA.width, CAMERA.height, (0..n).map(|at| left(&at)).collect(), &[]);
     for _ in 0..3 {
         painter.frame(&tree, &memory, &EYE, &CAMERA, u64::MAX, some(), &[], &|_, _| false);
     }
     let (_, picture) = frame(&mut painter, &tree, &memory, &EYE, u64::MAX);
     assert!((0..n).all(|at| picture.get(at).is_some()), "all of the wall");
     // What hid samples is gone.
-    let mut painter = StillPainter::default();
+    let mut painter = ProgressivePainter::default();
     let hidden = vec![1.0; n];
     for _ in 0..3 {
-        let all = Wanted::new(CAMERA.width, CAMERA.height, vec![true; n], &hidden);
+        let all = PixelMask::new(CAMERA.width, CAMERA.height, vec![true; n], &hidden);
         let (_, picture) = painter.frame(&tree, &memory, &EYE, &CAMERA, u64::MAX, all, &hidden, &|_, _| true);
         assert!((0..n).all(|at| picture.get(at).is_none()), "hidden 1 m from the eye, the wall is 31 m off");
     }

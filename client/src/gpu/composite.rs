@@ -1,11 +1,11 @@
-//! Near geometry and warped images joined on the card (`join.wgsl`): the twins of the processor's `merge`, `fill` and `downsample`.
+//! Near geometry and warped images joined on the card (`composite.wgsl`): the twins of the processor's `merge`, `fill` and `downsample`.
 //!
 //! In: both pictures, where the card drew them. Out: the finished frame, averaged. Between the two halves lies what the card does not know, sky and the LDI tree: of the first half a bit per
-//! pixel comes back, those that nothing reached ([`Join::merge`]); what the processor finds there goes to the second ([`Join::finish`]). So a frame costs a 32nd of its pixels' bytes on the
+//! pixel comes back, those that nothing reached ([`CompositePass::merge`]); what the processor finds there goes to the second ([`CompositePass::finish`]). So a frame costs a 32nd of its pixels' bytes on the
 //! way back, and four bytes for each pixel of the output, where reading both pictures takes sixteen for each pixel of the frame.
 
 use super::{
-    device::{Card, GpuError, Growing},
+    device::{GpuDevice, GpuError, GrowableBuffer},
     near::COLOUR_CODES,
     read_back::ReadBack,
 };
@@ -25,10 +25,10 @@ const SENT_AT_ONCE: usize = 1 << 20;
 /// Pixels of a word of bits.
 const WORD: usize = 32;
 
-/// As `join.wgsl` reads it.
+/// As `composite.wgsl` reads it.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
-struct Settings {
+struct CompositeUniform {
     width: u32,
     height: u32,
     faces: u32,
@@ -58,26 +58,26 @@ struct Sample {
 }
 
 /// What is joined: the near picture's colours and depths; and the warped picture's colours, disparities, and words from pixel to pixel, if something was warped.
-pub struct Drawn<'a> {
+pub struct DrawnPlanes<'a> {
     pub near: [&'a wgpu::Texture; 2],
     pub far: Option<([&'a wgpu::Buffer; 2], u32)>,
 }
 
 /// See the module.
-pub struct Join {
+pub struct CompositePass {
     merge: wgpu::ComputePipeline,
     lay_sky: wgpu::ComputePipeline,
     lay_samples: wgpu::ComputePipeline,
     fill: wgpu::ComputePipeline,
     downsample: wgpu::ComputePipeline,
-    settings: Growing,
-    faces: Growing,
-    colours: Growing,
-    disparities: Growing,
-    open: Growing,
-    skies: Growing,
-    samples: Growing,
-    averaged: Growing,
+    uniform: GrowableBuffer,
+    faces: GrowableBuffer,
+    colours: GrowableBuffer,
+    disparities: GrowableBuffer,
+    open: GrowableBuffer,
+    skies: GrowableBuffer,
+    samples: GrowableBuffer,
+    averaged: GrowableBuffer,
     filled: wgpu::Buffer,
     read_back: ReadBack,
 }
@@ -89,7 +89,7 @@ const fn sourced(colour: u32, source: Source) -> u32 {
 
 /// Runs a pass over so many workgroups across and down.
 fn run(
-    card: &Card,
+    card: &GpuDevice,
     encoder: &mut wgpu::CommandEncoder,
     pipeline: &wgpu::ComputePipeline,
     resources: &[(u32, wgpu::BindingResource<'_>)],
@@ -109,9 +109,9 @@ fn run(
     pass.dispatch_workgroups(across, down, 1);
 }
 
-impl Join {
-    pub fn new(card: &Card) -> Self {
-        let module = card.shader("join", include_str!("join.wgsl"));
+impl CompositePass {
+    pub fn new(card: &GpuDevice) -> Self {
+        let module = card.shader("composite", include_str!("composite.wgsl"));
         let pipeline = |entry| {
             card.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(entry),
@@ -130,15 +130,15 @@ impl Join {
             lay_samples: pipeline("lay_samples"),
             fill: pipeline("fill"),
             downsample: pipeline("downsample"),
-            settings: Growing::new("join", wgpu::BufferUsages::UNIFORM | to),
-            faces: Growing::new("faces", storage | to),
-            colours: Growing::new("colours", storage),
-            disparities: Growing::new("disparities", storage),
-            open: Growing::new("open pixels", storage | to | from),
-            skies: Growing::new("sky", storage | to),
-            samples: Growing::new("samples of the tree", storage | to),
-            averaged: Growing::new("averaged", storage | from),
-            filled: card.room("filled", 4, storage | to | from),
+            uniform: GrowableBuffer::new("join", wgpu::BufferUsages::UNIFORM | to),
+            faces: GrowableBuffer::new("faces", storage | to),
+            colours: GrowableBuffer::new("colours", storage),
+            disparities: GrowableBuffer::new("disparities", storage),
+            open: GrowableBuffer::new("open pixels", storage | to | from),
+            skies: GrowableBuffer::new("sky", storage | to),
+            samples: GrowableBuffer::new("samples of the tree", storage | to),
+            averaged: GrowableBuffer::new("averaged", storage | from),
+            filled: card.allocate("filled", 4, storage | to | from),
             read_back: ReadBack::new(),
         }
     }
@@ -147,8 +147,8 @@ impl Join {
     /// bit of a word first, row by row.
     pub fn merge(
         &mut self,
-        card: &Card,
-        drawn: &Drawn<'_>,
+        card: &GpuDevice,
+        drawn: &DrawnPlanes<'_>,
         steps: &[CodeStep],
         camera: &OutputCamera,
         open: &mut Vec<u32>,
@@ -162,16 +162,17 @@ impl Join {
                 step: s.step as f32,
             })
             .collect();
-        let settings = Settings {
+        let uniform = CompositeUniform {
             far_stride: drawn.far.map_or(0, |(_, stride)| stride),
             faces: faces.len() as u32,
-            ..settings(camera)
+            ..uniform(camera)
         };
         let words = pixels.div_ceil(WORD as u64);
-        let settings = self.settings.write(card, bytemuck::bytes_of(&settings));
+        let uniform = self.uniform.write(card, bytemuck::bytes_of(&uniform));
         let faces = self.faces.write(card, bytemuck::cast_slice(&faces));
-        let (colours, disparities) = (self.colours.room(card, 4 * pixels), self.disparities.room(card, 4 * pixels));
-        let bits = self.open.room(card, 4 * words);
+        let (colours, disparities) =
+            (self.colours.allocate(card, 4 * pixels), self.disparities.allocate(card, 4 * pixels));
+        let bits = self.open.allocate(card, 4 * words);
         // Something must be bound where nothing was warped.
         let [far_colours, far_disparities] = drawn.far.map_or([faces, faces], |(planes, _)| planes);
         let codes = wgpu::TextureViewDescriptor { format: Some(COLOUR_CODES), ..Default::default() };
@@ -180,7 +181,7 @@ impl Join {
         let mut encoder = card.encoder();
         encoder.clear_buffer(bits, 0, None);
         let resources = [
-            (0, settings.as_entire_binding()),
+            (0, uniform.as_entire_binding()),
             (1, wgpu::BindingResource::TextureView(&colour)),
             (2, wgpu::BindingResource::TextureView(&depth)),
             (3, far_colours.as_entire_binding()),
@@ -204,7 +205,7 @@ impl Join {
     /// are 0. Returns the number of pixels that were filled.
     pub fn finish(
         &mut self,
-        card: &Card,
+        card: &GpuDevice,
         open: &[u32],
         found: &Frame,
         fill: bool,
@@ -220,35 +221,35 @@ impl Join {
         let camera = OutputCamera { width: found.width, height: found.height, fov_deg: 0.0 };
         let (skies, samples) = laid(open, found);
         let everywhere = [camera.width.div_ceil(ACROSS), camera.height];
-        let planes = [self.colours.room(card, 0), self.disparities.room(card, 0)];
+        let planes = [self.colours.allocate(card, 0), self.disparities.allocate(card, 0)];
         let [colours, disparities] = planes.map(wgpu::Buffer::as_entire_binding);
         for sent in samples.chunks(SENT_AT_ONCE) {
-            let settings = Settings { samples: sent.len() as u32, ..settings(&camera) };
-            let settings = self.settings.write(card, bytemuck::bytes_of(&settings)).as_entire_binding();
+            let uniform = CompositeUniform { samples: sent.len() as u32, ..uniform(&camera) };
+            let uniform = self.uniform.write(card, bytemuck::bytes_of(&uniform)).as_entire_binding();
             let sent_there = self.samples.write(card, bytemuck::cast_slice(sent)).as_entire_binding();
-            let resources = [(0, settings), (6, colours.clone()), (7, disparities.clone()), (10, sent_there)];
+            let resources = [(0, uniform), (6, colours.clone()), (7, disparities.clone()), (10, sent_there)];
             let mut encoder = card.encoder();
             run(card, &mut encoder, &self.lay_samples, &resources, [(sent.len() as u32).div_ceil(ACROSS), 1]);
             // Before the buffers take the next ones.
             card.queue.submit([encoder.finish()]);
         }
-        let settings = Settings { factor, ..settings(&camera) };
-        let settings = self.settings.write(card, bytemuck::bytes_of(&settings)).as_entire_binding();
+        let uniform = CompositeUniform { factor, ..uniform(&camera) };
+        let uniform = self.uniform.write(card, bytemuck::bytes_of(&uniform)).as_entire_binding();
         let mut encoder = card.encoder();
         if skies.iter().any(|w| *w != 0) {
             let skies = self.skies.write(card, bytemuck::cast_slice(&skies)).as_entire_binding();
-            let resources = [(0, settings.clone()), (6, colours.clone()), (9, skies)];
+            let resources = [(0, uniform.clone()), (6, colours.clone()), (9, skies)];
             run(card, &mut encoder, &self.lay_sky, &resources, everywhere);
         }
         encoder.clear_buffer(&self.filled, 0, None);
         if fill {
             let filled = self.filled.as_entire_binding();
-            let resources = [(0, settings.clone()), (6, colours.clone()), (7, disparities), (12, filled)];
+            let resources = [(0, uniform.clone()), (6, colours.clone()), (7, disparities), (12, filled)];
             run(card, &mut encoder, &self.fill, &resources, everywhere);
         }
         let size = 4 * u64::from(width) * u64::from(height);
-        let averaged = self.averaged.room(card, size);
-        let resources = [(0, settings), (6, colours), (11, averaged.as_entire_binding())];
+        let averaged = self.averaged.allocate(card, size);
+        let resources = [(0, uniform), (6, colours), (11, averaged.as_entire_binding())];
         run(card, &mut encoder, &self.downsample, &resources, [width.div_ceil(ACROSS), height]);
         let filled = &self.filled;
         let copy = |encoder: &mut wgpu::CommandEncoder, to: &wgpu::Buffer| {
@@ -269,8 +270,8 @@ impl Join {
     }
 }
 
-fn settings(camera: &OutputCamera) -> Settings {
-    Settings {
+fn uniform(camera: &OutputCamera) -> CompositeUniform {
+    CompositeUniform {
         width: camera.width,
         height: camera.height,
         faces: 0,

@@ -14,7 +14,7 @@ use std::ops::Range;
 pub(super) const NO_TRIANGLE: u32 = u32::MAX;
 
 /// The camera in the world, f64. Eye space here is (right, up, forward): depth is the third coordinate, positive ahead.
-pub(super) struct View {
+pub(super) struct Projection {
     eye: DVec3,
     /// Rows are right, up and forward.
     eye_from_world: DMat3,
@@ -40,7 +40,7 @@ impl EyeFromMesh {
     }
 }
 
-impl View {
+impl Projection {
     pub fn new(camera: &OutputCamera, pose: &Pose) -> Self {
         let b = pose.basis();
         Self {
@@ -140,21 +140,21 @@ impl Task {
     }
 
     /// Sets up the triangles of some draws.
-    pub fn fill(&mut self, scene: &Gathered<'_>, draws: Range<usize>, view: &View, horizon: &Horizon) {
+    pub fn fill(&mut self, scene: &Gathered<'_>, draws: Range<usize>, projection: &Projection, horizon: &Horizon) {
         self.triangles.clear();
         self.any_masked = false;
         let mut vertices = Vec::new();
         for number in draws {
-            self.add_draw(scene, number, view, horizon, &mut vertices);
+            self.add_draw(scene, number, projection, horizon, &mut vertices);
         }
-        self.list_by_band(view.height.div_ceil(BAND_ROWS));
+        self.list_by_band(projection.height.div_ceil(BAND_ROWS));
     }
 
     fn add_draw(
         &mut self,
         scene: &Gathered<'_>,
         number: usize,
-        view: &View,
+        projection: &Projection,
         horizon: &Horizon,
         vertices: &mut Vec<Vertex>,
     ) {
@@ -168,12 +168,12 @@ impl Task {
             }
             Mask::Nothing => return,
         };
-        let to_eye = view.eye_from_mesh(draw);
+        let to_eye = projection.eye_from_mesh(draw);
         let (mut all_out, mut any_out) = (u8::MAX, 0);
         vertices.clear();
         vertices.extend(cluster.positions.iter().map(|p| {
             let eye = to_eye.vertex(cluster.origin, *p);
-            let out = view.outcode(eye);
+            let out = projection.outcode(eye);
             all_out &= out;
             any_out |= out;
             Vertex { eye, screen: [0.0; 2], out }
@@ -183,10 +183,10 @@ impl Task {
         }
         for v in vertices.iter_mut() {
             if v.out & OUT_NEAR == 0 {
-                v.screen = view.project(v.eye);
+                v.screen = projection.project(v.eye);
             }
         }
-        if any_out & OUT_NEAR == 0 && hidden(vertices, view, horizon) {
+        if any_out & OUT_NEAR == 0 && hidden(vertices, projection, horizon) {
             return;
         }
         for (i, corners) in cluster.triangles.iter().take(MAX_CLUSTER_TRIANGLES).enumerate() {
@@ -196,16 +196,16 @@ impl Task {
             }
             let id = (number as u32) << 8 | i as u32;
             if (p.out | q.out | r.out) & OUT_NEAR == 0 {
-                self.add_triangle(view, horizon, [p, q, r], id, cutoff);
+                self.add_triangle(projection, horizon, [p, q, r], id, cutoff);
             } else {
-                self.add_clipped(view, horizon, [p, q, r], id, cutoff);
+                self.add_clipped(projection, horizon, [p, q, r], id, cutoff);
             }
         }
     }
 
     /// Cuts a triangle at the near plane. A cut point is computed from the inner to the outer end, so that
     /// the two triangles of an edge find the same one.
-    fn add_clipped(&mut self, view: &View, horizon: &Horizon, corners: [&Vertex; 3], id: u32, cutoff: f32) {
+    fn add_clipped(&mut self, projection: &Projection, horizon: &Horizon, corners: [&Vertex; 3], id: u32, cutoff: f32) {
         let mut polygon = [*corners[0]; 4];
         let mut n = 0;
         for i in 0..3 {
@@ -220,16 +220,23 @@ impl Task {
                 let t = (inner.z - NEAR_PLANE_M) / (inner.z - outer.z);
                 let mut eye = inner + (outer - inner) * t;
                 eye.z = NEAR_PLANE_M;
-                polygon[n] = Vertex { eye, screen: view.project(eye), out: 0 };
+                polygon[n] = Vertex { eye, screen: projection.project(eye), out: 0 };
                 n += 1;
             }
         }
         for i in 2..n {
-            self.add_triangle(view, horizon, [&polygon[0], &polygon[i - 1], &polygon[i]], id, cutoff);
+            self.add_triangle(projection, horizon, [&polygon[0], &polygon[i - 1], &polygon[i]], id, cutoff);
         }
     }
 
-    fn add_triangle(&mut self, view: &View, horizon: &Horizon, [p, q, r]: [&Vertex; 3], id: u32, cutoff: f32) {
+    fn add_triangle(
+        &mut self,
+        projection: &Projection,
+        horizon: &Horizon,
+        [p, q, r]: [&Vertex; 3],
+        id: u32,
+        cutoff: f32,
+    ) {
         let bounds = |axis: usize, size: usize| {
             let (s, t, u) = (p.screen[axis], q.screen[axis], r.screen[axis]);
             // First and one past the last whole number k with k + 0.5 in [low, high].
@@ -237,8 +244,8 @@ impl Task {
             let high = (s.max(t).max(u) - 0.5).floor().min(size as f64) + 1.0;
             (low, (high.max(0.0) as usize).min(size))
         };
-        let (left, right) = bounds(0, view.width);
-        let (top, bottom) = bounds(1, view.height);
+        let (left, right) = bounds(0, projection.width);
+        let (top, bottom) = bounds(1, projection.height);
         if left >= right || top >= bottom {
             return;
         }
@@ -268,9 +275,9 @@ impl Task {
         // The plane n . X = n . p seen along the ray (x, y, 1) has disparity (n . ray) / (n . p). Edges from p keep their
         // relative precision however far the triangle lies.
         let normal = (q.eye - p.eye).cross(r.eye - p.eye);
-        let scale = 1.0 / (normal.dot(p.eye) * view.focal_px);
+        let scale = 1.0 / (normal.dot(p.eye) * projection.focal_px);
         let (da, db) = (normal.x * scale, -normal.y * scale);
-        let dc = normal.z * scale * view.focal_px - da * view.centre_px[0] - db * view.centre_px[1];
+        let dc = normal.z * scale * projection.focal_px - da * projection.centre_px[0] - db * projection.centre_px[1];
         if !(da.is_finite() && db.is_finite() && dc.is_finite()) {
             return;
         }
@@ -315,7 +322,7 @@ impl Task {
 }
 
 /// Whether earlier batches hide everything between these vertices, all of which lie before the near plane.
-fn hidden(vertices: &[Vertex], view: &View, horizon: &Horizon) -> bool {
+fn hidden(vertices: &[Vertex], projection: &Projection, horizon: &Horizon) -> bool {
     let (mut low, mut high, mut nearest_m) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2], f64::INFINITY);
     for v in vertices {
         for axis in 0..2 {
@@ -326,5 +333,5 @@ fn hidden(vertices: &[Vertex], view: &View, horizon: &Horizon) -> bool {
     }
     // Saturating casts: left of and above the picture is 0.
     let range = |axis: usize, size: usize| [(low[axis] as usize).min(size), (high[axis] as usize + 1).min(size)];
-    horizon.hides(range(0, view.width), range(1, view.height), (1.0 / nearest_m) as f32)
+    horizon.hides(range(0, projection.width), range(1, projection.height), (1.0 / nearest_m) as f32)
 }

@@ -1,17 +1,17 @@
 //! The driver: cuts the output into bands, runs the kernels. Each band draws its share of all images, so that small ones leave no thread waiting.
 
 use super::{
-    FarFrame, Order, Shown, Stamp, WarpError, WarpMatrix, WarpOptions, WarpStats,
+    FarFrame, ImageInView, Order, Stamp, WarpError, WarpMatrix, WarpOptions, WarpStats,
     cull::Reach,
     ewa::Means,
     occlusion::Before,
-    order::{Epipole, Streams, paint_tile},
+    occlusion_order::{Epipole, Streams, paint_tile},
     prepared::{Part, PreparedLdi, Tile},
-    quads::{Target, draw_tile},
+    quad_raster::{Target, draw_tile},
     stamps::{own_rows, pixels_of_tile, stamp_tile},
     transform::{Largest, Scratch, TileTransform, Transformed, Wanted, Window, transform_tile},
 };
-use crate::lanes::{Lanes, Portable};
+use crate::simd::{Lanes, Portable};
 use ldi_protocol::{OutputCamera, Pose};
 use rayon::prelude::*;
 
@@ -52,7 +52,7 @@ pub fn warp(
     into: &mut FarFrame,
 ) -> Result<WarpStats, WarpError> {
     check(options)?;
-    Ok(run(&[Shown::from(ldi)], &[], pose, camera, options, (pose, true), into))
+    Ok(run(&[ImageInView::from(ldi)], &[], pose, camera, options, (pose, true), into))
 }
 
 /// Warps several images to one picture: within an image by the given order, between images by depth. `spare` is memory.
@@ -63,7 +63,7 @@ pub fn warp(
 ///
 /// When the order cannot draw the stamp.
 pub fn warp_images(
-    images: &[Shown<'_>],
+    images: &[ImageInView<'_>],
     near: &[f32],
     pose: &Pose,
     camera: &OutputCamera,
@@ -96,12 +96,12 @@ pub fn transform_only(
     into: &mut FarFrame,
 ) -> WarpStats {
     let options = WarpOptions { order: Order::Z, ..*options };
-    run(&[Shown::from(ldi)], &[], pose, camera, &options, (pose, false), into)
+    run(&[ImageInView::from(ldi)], &[], pose, camera, &options, (pose, false), into)
 }
 
 /// Warps images to a pose; with order epipole in that of the pose `order`, each over what is there. See [`check`].
 fn run(
-    images: &[Shown<'_>],
+    images: &[ImageInView<'_>],
     near: &[f32],
     pose: &Pose,
     camera: &OutputCamera,
@@ -114,7 +114,7 @@ fn run(
     }
     let may_hide = paint && !options.keep_hidden && options.order == Order::Z;
     let before = may_hide.then(|| Before::new(near, options.stamp, camera));
-    let reaching = images.par_iter().map(|Shown { laid_out: ldi, within }| {
+    let reaching = images.par_iter().map(|ImageInView { laid_out: ldi, within }| {
         let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
         let within = wanted(*within, camera);
         let in_order = (options.order == Order::Epipole).then(|| (Epipole::new(&ldi.camera, order), ldi.streams()));
@@ -196,7 +196,7 @@ pub struct TileJob {
 
 /// The tiles of an image that reach the picture, and what is known of the warp before it is done.
 pub fn tile_jobs(
-    Shown { laid_out: ldi, within }: &Shown<'_>,
+    ImageInView { laid_out: ldi, within }: &ImageInView<'_>,
     pose: &Pose,
     camera: &OutputCamera,
     options: &WarpOptions,
@@ -258,14 +258,14 @@ fn transform_dispatch(
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn transform_tile_avx2(matrix: &WarpMatrix, part: &Part, tile: &Tile, window: &Window, scratch: &mut Scratch) {
-    transform_tile::<crate::lanes::Avx2>(matrix, part, tile, (window, ALL_OWN), scratch, &mut Largest::none());
+    transform_tile::<crate::simd::Avx2>(matrix, part, tile, (window, ALL_OWN), scratch, &mut Largest::none());
 }
 
 /// Warps single pixels to one pose in the order of another: to show that the order matters.
 #[cfg(test)]
 pub fn warp_in_order(ldi: &PreparedLdi, pose: &Pose, order: &Pose, camera: &OutputCamera, into: &mut FarFrame) {
     let options = WarpOptions { stamp: Stamp::OnePixel, order: Order::Epipole, ..WarpOptions::default() };
-    run(&[Shown::from(ldi)], &[], pose, camera, &options, (order, true), into);
+    run(&[ImageInView::from(ldi)], &[], pose, camera, &options, (order, true), into);
 }
 
 /// Cuts the rows into bands (first row, rows) with about equal numbers of samples, one for each thread: tiles that straddle borders are done by both, and with two bands
@@ -318,7 +318,7 @@ fn dispatch(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn draw_band_avx2<const PIXELS: bool>(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
-    draw_band::<crate::lanes::Avx2, PIXELS>(job, target)
+    draw_band::<crate::simd::Avx2, PIXELS>(job, target)
 }
 
 /// `PIXELS`: single pixels are drawn, in depth order. Code of its own, so that no registers are kept for the rest.

@@ -4,7 +4,7 @@
 //! as many samples per frame as the bound allows, and takes its place when it is done; then the next. What is shown is exactly what one long frame would show, so it never gets coarser,
 //! and a still eye that shows all there is costs nothing.
 
-use super::{TreeOptions, TreePainter, TreeStats, View, Wanted, pass::Pass};
+use super::{PixelMask, TreeOptions, TreePainter, TreeStats, View, pass::Pass};
 use crate::{resident::Resident, warp::FarFrame};
 use ldi_protocol::{
     OutputCamera, Pose,
@@ -16,21 +16,21 @@ const FINER: u64 = 4;
 
 /// Draws the tree for one frame after the other.
 #[derive(Debug, Default)]
-pub struct StillPainter {
+pub struct ProgressivePainter {
     painter: TreePainter,
     /// View of the frame before.
     last: Option<(Pose, OutputCamera)>,
     /// The tree's picture.
     picture: FarFrame,
-    shown: Option<Shown>,
-    making: Option<Making>,
+    shown: Option<FinishedPicture>,
+    making: Option<Refinement>,
 }
 
 /// What the picture shows, once an eye stood still for two frames.
 #[derive(Debug)]
-struct Shown {
+struct FinishedPicture {
     /// Pixels that it was drawn for, and the disparity that hid samples in each.
-    wanted: Wanted,
+    wanted: PixelMask,
     hidden_below: Vec<f32>,
     samples: u64,
     limited: bool,
@@ -39,15 +39,15 @@ struct Shown {
 
 /// A finer picture.
 #[derive(Debug)]
-struct Making {
+struct Refinement {
     pass: Pass,
     options: CutOptions,
-    wanted: Wanted,
+    wanted: PixelMask,
     picture: FarFrame,
     stats: TreeStats,
 }
 
-impl StillPainter {
+impl ProgressivePainter {
     /// The picture for a frame whose pixels `wanted` want samples where nothing of a larger disparity than `hidden_below` hides them. At most about `max_samples` are looked at. `no_gap` as
     /// of [`TreePainter::draw`]. [`TreeStats::samples`] are those of this frame.
     #[expect(clippy::too_many_arguments, reason = "each is another thing that a picture depends on")]
@@ -58,13 +58,13 @@ impl StillPainter {
         pose: &Pose,
         camera: &OutputCamera,
         max_samples: u64,
-        wanted: Wanted,
+        wanted: PixelMask,
         hidden_below: &[f32],
         no_gap: &(dyn Fn(usize, usize) -> bool + Sync),
     ) -> (TreeStats, &FarFrame) {
         let view = View { tree, resident, pose, camera };
         let stands = self.last.replace((*pose, *camera)) == Some((*pose, *camera));
-        let serves = |s: &Shown| stands && s.wanted.covers(&s.hidden_below, &wanted, hidden_below);
+        let serves = |s: &FinishedPicture| stands && s.wanted.covers(&s.hidden_below, &wanted, hidden_below);
         if !self.shown.as_ref().is_some_and(serves) {
             let before = self.shown.take().filter(|_| stands).map_or(0, |s| s.samples);
             self.making = None;
@@ -78,7 +78,7 @@ impl StillPainter {
             if let Some(wanted) = kept {
                 let (missing, hidden_below) = (stats.missing.clone(), hidden_below.to_vec());
                 let (samples, limited) = (stats.shown, stats.limited);
-                self.shown = Some(Shown { wanted, hidden_below, samples, limited, missing });
+                self.shown = Some(FinishedPicture { wanted, hidden_below, samples, limited, missing });
             }
             return (stats, &self.picture);
         }
@@ -107,15 +107,15 @@ impl StillPainter {
             picture.reset(view.camera.width, view.camera.height);
             picture.clear();
             let stats = TreeStats::default();
-            self.making = Some(Making { pass, options, wanted: shown.wanted.clone(), picture, stats });
+            self.making = Some(Refinement { pass, options, wanted: shown.wanted.clone(), picture, stats });
         }
         let Some(making) = &mut self.making else { return same(0) };
         let before = making.stats.samples;
-        let Making { pass, wanted, picture, stats, .. } = making;
+        let Refinement { pass, wanted, picture, stats, .. } = making;
         if !pass.advance(view, max_samples.max(1), wanted, picture, &mut self.painter.painting, stats) {
             return same(stats.samples - before);
         }
-        let Some(Making { pass, options, mut wanted, mut picture, mut stats }) = self.making.take() else {
+        let Some(Refinement { pass, options, mut wanted, mut picture, mut stats }) = self.making.take() else {
             return same(0);
         };
         self.painter.pass = pass;

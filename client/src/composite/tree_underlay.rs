@@ -7,13 +7,13 @@
 
 use crate::{
     frame::{Frame, Source},
-    tree::Wanted,
+    tree::PixelMask,
     warp::FarFrame,
 };
 
 /// Whether painted pixels are to be believed.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Doubt {
+pub enum ImageGaps {
     /// Everything is there: only holes want samples.
     None,
     /// Something is missing. Samples nearer than what is painted by so many metres win.
@@ -26,26 +26,26 @@ pub enum Doubt {
 }
 
 /// The pixels that want a sample.
-pub fn wanted_under(frame: &Frame, doubt: Doubt) -> Wanted {
-    let wants = |s: &Source| *s == Source::Unpainted || doubt != Doubt::None;
+pub fn pixels_for_tree(frame: &Frame, doubt: ImageGaps) -> PixelMask {
+    let wants = |s: &Source| *s == Source::Unpainted || doubt != ImageGaps::None;
     // Behind what is painted nothing shows. Of sky that is doubted the disparity is 0.
-    let wanted = Wanted::new(frame.width, frame.height, frame.source.iter().map(wants).collect(), &frame.disparity);
+    let wanted = PixelMask::new(frame.width, frame.height, frame.source.iter().map(wants).collect(), &frame.disparity);
     match doubt {
-        Doubt::Missing { complete_m, .. } => wanted.beyond(complete_m),
-        Doubt::None => wanted,
+        ImageGaps::Missing { complete_m, .. } => wanted.beyond(complete_m),
+        ImageGaps::None => wanted,
     }
 }
 
 /// Lays the tree's picture under the frame; what neither shows becomes sky as long as something is missing, and else stays a hole. Returns the number of pixels that the tree gave.
-pub fn lay_under(frame: &mut Frame, tree: &FarFrame, doubt: Doubt) -> u64 {
+pub fn underlay_tree(frame: &mut Frame, tree: &FarFrame, doubt: ImageGaps) -> u64 {
     let mut given = 0;
     for at in 0..frame.len() {
         let source = frame.source[at];
-        if doubt == Doubt::None && source != Source::Unpainted {
+        if doubt == ImageGaps::None && source != Source::Unpainted {
             continue;
         }
         let takes = |sample: f32| match doubt {
-            Doubt::Missing { margin_m, .. } if !matches!(source, Source::Unpainted | Source::Sky) => {
+            ImageGaps::Missing { margin_m, .. } if !matches!(source, Source::Unpainted | Source::Sky) => {
                 let (painted, sample) = (1.0 / frame.disparity[at].max(1e-9), 1.0 / sample);
                 sample + margin_m.max(0.1 * painted) < painted
             }
@@ -56,7 +56,7 @@ pub fn lay_under(frame: &mut Frame, tree: &FarFrame, doubt: Doubt) -> u64 {
             given += 1;
         }
     }
-    if doubt != Doubt::None {
+    if doubt != ImageGaps::None {
         frame.paint_rest_as_sky();
     }
     given
@@ -80,19 +80,19 @@ mod tests {
     }
 
     /// Laid over a tree that shows something at `depth_m` everywhere.
-    fn laid(depth_m: f32, doubt: Doubt) -> Frame {
+    fn laid(depth_m: f32, doubt: ImageGaps) -> Frame {
         let mut frame = beside_a_hole();
         let mut tree = FarFrame::new(8, 4);
         tree.clear();
         tree.packed.fill(FarFrame::pack(1.0 / depth_m, SAMPLE));
-        lay_under(&mut frame, &tree, doubt);
+        underlay_tree(&mut frame, &tree, doubt);
         frame
     }
 
     #[test]
     fn where_nothing_is_missing_only_holes_take_samples() {
         for depth_m in [0.5, 2.0, 50.0] {
-            let frame = laid(depth_m, Doubt::None);
+            let frame = laid(depth_m, ImageGaps::None);
             assert_eq!((frame.colour[10], frame.source[10]), (SAMPLE, Source::Tree), "at {depth_m} m");
             assert_eq!((frame.colour[11], frame.source[11]), (BESIDE, Source::Near), "what is painted stays");
         }
@@ -102,19 +102,19 @@ mod tests {
     #[test]
     fn what_the_tree_leaves_open_is_sky_where_it_alone_knows() {
         for (doubt, source) in
-            [(Doubt::None, Source::Unpainted), (Doubt::Missing { margin_m: 0.3, complete_m: 0.0 }, Source::Sky)]
+            [(ImageGaps::None, Source::Unpainted), (ImageGaps::Missing { margin_m: 0.3, complete_m: 0.0 }, Source::Sky)]
         {
             let mut frame = beside_a_hole();
             let mut tree = FarFrame::new(8, 4);
             tree.clear();
-            assert_eq!(lay_under(&mut frame, &tree, doubt), 0);
+            assert_eq!(underlay_tree(&mut frame, &tree, doubt), 0);
             assert_eq!((frame.source[10], frame.source[11]), (source, Source::Near));
         }
     }
 
     #[test]
     fn while_data_is_missing_the_tree_wins_where_it_is_clearly_nearer() {
-        let doubt = Doubt::Missing { margin_m: 0.3, complete_m: 0.0 };
+        let doubt = ImageGaps::Missing { margin_m: 0.3, complete_m: 0.0 };
         for (depth_m, source) in [(1.0, Source::Tree), (1.8, Source::Near), (2.2, Source::Near), (9.0, Source::Near)] {
             let frame = laid(depth_m, doubt);
             assert_eq!(frame.source[11], source, "at {depth_m} m");

@@ -15,7 +15,7 @@ use super::{
     prepared::{Part, PieceGroup, Tile},
     transform::{LANE_NUMBERS, Scratch, TileTransform, Window, affine8, warp8},
 };
-use crate::lanes::{LANES, Lanes};
+use crate::simd::{LANES, Lanes};
 
 /// Slack of the inside test, in quads: f32 rounding of a shared edge seen from its two sides is below 1e-3 of a quad at
 /// the sizes that occur. Larger ones let surfaces grow (here by 1/512 of a sample), smaller ones show cracks.

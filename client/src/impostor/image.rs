@@ -3,7 +3,7 @@
 //! Its pixels that show nothing are transparent. Beyond the paper each pixel knows its own disparity: images are composited with geometry and each other by depth, as a plane through a node's middle
 //! lies before half of what it stands for and behind the other half.
 
-use super::zone::Plane;
+use super::safety_zone::Plane;
 use crate::frame::{Frame, Source, pack_rgb, unpack_rgb};
 use glam::DVec3;
 use ldi_protocol::{Aabb, OutputCamera, Pose, ViewBasis};
@@ -86,7 +86,7 @@ impl Framing {
 
 /// An image with its framing.
 #[derive(Debug, Clone)]
-pub struct Picture {
+pub struct ImpostorImage {
     /// How it was made.
     pub framing: Framing,
     basis: ViewBasis,
@@ -106,7 +106,7 @@ impl Affine {
     }
 }
 
-impl Picture {
+impl ImpostorImage {
     /// What a frame shows that was drawn with this framing.
     pub fn new(framing: Framing, frame: &Frame) -> Self {
         Self { framing, basis: framing.pose.basis(), colour: frame.colour.clone(), disparity: frame.disparity.clone() }

@@ -7,8 +7,8 @@
 //!
 //! The level of detail comes from a polynomial in place of the library's logarithm: off by at most 2e-5.
 
-use super::{setup::View, shade::Attributes};
-use crate::lanes::{LANES, Lanes};
+use super::{shade::Attributes, triangle_setup::Projection};
+use crate::simd::{LANES, Lanes};
 use glam::{Vec2, Vec3};
 use ldi_protocol::{
     mesh::Wrap,
@@ -52,13 +52,13 @@ fn hold<L: Lanes>(w: L::F) -> L::F {
 
 /// Shades the first `out.len()` of eight pixels from `column` on, in the row whose centre is at `y`.
 #[inline(always)]
-pub(super) fn shade8<L: Lanes>(t: &Attributes<'_>, view: &View, column: usize, y: f32, out: &mut [u32]) {
+pub(super) fn shade8<L: Lanes>(t: &Attributes<'_>, projection: &Projection, column: usize, y: f32, out: &mut [u32]) {
     let (zero, one) = (L::splat(0.0), L::splat(1.0));
-    let scale = 1.0 / view.focal_px as f32;
+    let scale = 1.0 / projection.focal_px as f32;
     let x = L::add(L::from_int(L::load_int(&LANE_NUMBERS)), L::splat(column as f32 + 0.5));
     let ray = [
-        L::mul(L::sub(x, L::splat(view.centre_px[0] as f32)), L::splat(scale)),
-        L::splat((view.centre_px[1] as f32 - y) * scale),
+        L::mul(L::sub(x, L::splat(projection.centre_px[0] as f32)), L::splat(scale)),
+        L::splat((projection.centre_px[1] as f32 - y) * scale),
         one,
     ];
     let inverse = L::div(one, dot::<L>(splat3::<L>(t.d), ray));

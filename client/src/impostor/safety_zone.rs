@@ -67,7 +67,7 @@ pub fn both(a: &Aabb, b: &Aabb) -> Aabb {
 
 /// An eye on its way, per frame.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Way {
+pub struct EyeMotion {
     /// Metres.
     pub eye: DVec3,
     /// Metres per frame.
@@ -79,7 +79,7 @@ pub struct Way {
 /// Most frames that are counted on, five seconds: who stands still may go on at any time.
 pub const LONGEST_LIFE: f64 = 300.0;
 
-impl Way {
+impl EyeMotion {
     /// The same eye a frame later. One that jumped has an odd velocity, for two frames.
     pub fn then(&self, eye: DVec3) -> Self {
         let velocity = eye - self.eye;
@@ -122,13 +122,13 @@ mod tests {
         /// Eyes anywhere in the zone see no corner farther from what stands for it than was allowed, and somewhere just beyond the sphere one does.
         #[test]
         fn zones_keep_their_promise(
-            centre in vector(-50.0..50.0), half in vector(0.1..5.0), way in vector(-1.0..1.0), far in 1.1f64..40.0, pixels in 0.5f64..8.0,
+            centre in vector(-50.0..50.0), half in vector(0.1..5.0), eye_motion in vector(-1.0..1.0), far in 1.1f64..40.0, pixels in 0.5f64..8.0,
             inside in prop::collection::vec(vector(-1.0..1.0), 20)
         ) {
             let bounds = Aabb { min: centre - half, max: centre + half };
-            prop_assume!(way.length() > 0.1);
-            let eye = centre - way.normalize() * (half.length() * far);
-            let plane = Plane { eye, normal: way.normalize(), distance: half.length() * far };
+            prop_assume!(eye_motion.length() > 0.1);
+            let eye = centre - eye_motion.normalize() * (half.length() * far);
+            let plane = Plane { eye, normal: eye_motion.normalize(), distance: half.length() * far };
             let angle = pixels / 900.0;
             let zone = plane.safety_zone(&bounds, angle).unwrap();
             for offset in inside {
@@ -158,10 +158,10 @@ mod tests {
             half in vector(0.01..3.0), velocity in vector(-0.1..0.1), acceleration in vector(-0.01..0.01), at in vector(-0.99..0.99)
         ) {
             let zone = Aabb { min: -half, max: half };
-            let way = Way { eye: at * half, velocity, acceleration };
-            let place = |n: f64| way.eye + way.velocity * n + 0.5 * way.acceleration * n * n;
+            let eye_motion = EyeMotion { eye: at * half, velocity, acceleration };
+            let place = |n: f64| eye_motion.eye + eye_motion.velocity * n + 0.5 * eye_motion.acceleration * n * n;
             let counted = (1..=300).map(f64::from).find(|n| !zone.contains(place(*n))).unwrap_or(LONGEST_LIFE + 1.0);
-            let found = way.life_span(&zone);
+            let found = eye_motion.life_span(&zone);
             // A way that leaves and comes back between two frames is not seen by counting.
             prop_assert!(found <= counted, "{found} against {counted}");
             for i in 0..100 {

@@ -1,6 +1,6 @@
 //! What is held, in what order it was used, and how many bytes that is. No locks, no decoding.
 
-use super::{Usage, layout::Layout};
+use super::{Usage, object_table::ObjectTable};
 use ldi_protocol::{
     index::{ChunkEntry, Index},
     ldi::Ldi,
@@ -62,9 +62,9 @@ impl Object {
 }
 
 #[derive(Debug)]
-pub(super) struct Inner {
+pub(super) struct CacheState {
     pub objects: Vec<Object>,
-    /// Per object [`Inner::pins`] when it was pinned last. By itself, as every frame goes over hundreds of them.
+    /// Per object [`CacheState::pins`] when it was pinned last. By itself, as every frame goes over hundreds of them.
     pinned_in: Vec<u64>,
     /// Objects that hold bytes and may go, the first to go first: by [`Object::rank`]. Pinned ones are not in it: they are used in every frame, and would be put elsewhere each time.
     order: BTreeSet<((u64, u64), u32)>,
@@ -86,7 +86,7 @@ pub(super) struct Inner {
     pub disconnected: Option<String>,
 }
 
-impl Inner {
+impl CacheState {
     /// Nothing is held of so many objects, in so many chunks.
     pub fn new(objects: usize, chunks: usize, cap_bytes: u64) -> Self {
         Self {
@@ -107,13 +107,13 @@ impl Inner {
         }
     }
 
-    pub fn holds(&self, layout: &Layout, chunk: u32) -> bool {
-        let parts = layout.parts(chunk);
+    pub fn holds(&self, table: &ObjectTable, chunk: u32) -> bool {
+        let parts = table.parts(chunk);
         !parts.is_empty() && parts.iter().all(|p| self.objects[p.object as usize].present >> p.part & 1 == 1)
     }
 
     /// A new view, which needs these chunks. Mostly those of the last one: then nothing is to be done.
-    pub fn pin(&mut self, layout: &Layout, chunks: impl Iterator<Item = u32> + Clone) {
+    pub fn pin(&mut self, table: &ObjectTable, chunks: impl Iterator<Item = u32> + Clone) {
         self.view += 1;
         if chunks.clone().eq(self.pinned_chunks.iter().copied()) {
             return;
@@ -123,7 +123,7 @@ impl Inner {
         let last = self.pins;
         self.pins += 1;
         let before = std::mem::take(&mut self.pinned);
-        for number in chunks.flat_map(|c| layout.parts(c)).map(|p| p.object) {
+        for number in chunks.flat_map(|c| table.parts(c)).map(|p| p.object) {
             let pinned_in = std::mem::replace(&mut self.pinned_in[number as usize], self.pins);
             if pinned_in == self.pins {
                 continue;
@@ -146,7 +146,7 @@ impl Inner {
     }
 
     /// There are so many objects from now on, and chunks may have others of them.
-    pub fn grow(&mut self, objects: usize) {
+    pub fn extend(&mut self, objects: usize) {
         self.objects.resize_with(objects, Object::default);
         self.pinned_in.resize(objects, 0);
         // No view needs this one.
@@ -178,7 +178,7 @@ impl Inner {
     }
 
     /// A part of an object came, of so many decoded and stored bytes. Room was made for it.
-    pub fn take_in(&mut self, number: u32, value: Value, part: u8, bytes: u64, stored: u64) {
+    pub fn store(&mut self, number: u32, value: Value, part: u8, bytes: u64, stored: u64) {
         let object = &mut self.objects[number as usize];
         self.usage.objects += usize::from(object.present == 0);
         object.value = value;
@@ -192,7 +192,7 @@ impl Inner {
     }
 
     /// Evicts the objects of least credit until `bytes` fit. False, and nothing evicted, when pinned ones and `keep` leave no room.
-    pub fn make_room(&mut self, layout: &Layout, bytes: u64, keep: u32) -> bool {
+    pub fn make_room(&mut self, table: &ObjectTable, bytes: u64, keep: u32) -> bool {
         let mut free = self.usage.cap_bytes - self.usage.bytes;
         let mut victims = Vec::new();
         for &(_, number) in &self.order {
@@ -209,27 +209,27 @@ impl Inner {
             return false;
         }
         for number in victims {
-            self.evict(layout, number);
+            self.evict(table, number);
         }
         true
     }
 
-    fn evict(&mut self, layout: &Layout, number: u32) {
+    fn evict(&mut self, table: &ObjectTable, number: u32) {
         let object = &mut self.objects[number as usize];
         self.order.remove(&(object.rank(), number));
         self.usage.objects -= 1;
         self.clock = self.clock.max(object.credit);
         self.usage.bytes -= object.bytes;
         self.usage.evictions += 1;
-        let chunks = &layout.objects[number as usize].chunks;
+        let chunks = &table.objects[number as usize].chunks;
         self.evicted.extend((0..chunks.len()).filter(|p| object.present >> p & 1 == 1).map(|p| chunks[p]));
         *object = Object { used_in: object.used_in, version: object.version + 1, ..Object::default() };
     }
 
     /// See [`super::Cache::check`].
-    pub fn check(&self, layout: &Layout, index: &Index) -> Result<(), String> {
+    pub fn check(&self, table: &ObjectTable, index: &Index) -> Result<(), String> {
         let mut sum = 0;
-        for (number, (object, entry)) in (0u32..).zip(self.objects.iter().zip(&layout.objects)) {
+        for (number, (object, entry)) in (0u32..).zip(self.objects.iter().zip(&table.objects)) {
             let sum_of = |size: fn(&ChunkEntry) -> u32| -> u64 {
                 let present = (0..entry.chunks.len()).filter(|p| object.present >> p & 1 == 1);
                 present.map(|p| u64::from(size(&index.chunks[entry.chunks[p] as usize]))).sum()

@@ -1,6 +1,6 @@
 //! From a sample to a quadrilateral of the picture.
 
-use super::paint::Wanted;
+use super::splat::PixelMask;
 use glam::{DVec3, Vec3};
 use ldi_protocol::{
     Aabb, OutputCamera, Pose,
@@ -22,7 +22,7 @@ const MERGE_PITCHES: f32 = 1.5;
 
 /// A tile in the picture. Pixel coordinates, centres at +0.5.
 #[derive(Debug, Clone, Copy)]
-pub struct Tile {
+pub struct Splat {
     /// Columns and rows that the wide tile (bilinear weights) may touch: first and last.
     pub columns: [i32; 2],
     pub rows: [i32; 2],
@@ -40,7 +40,7 @@ pub struct Tile {
 }
 
 /// The camera, ready for tiles.
-pub struct Eye {
+pub struct SplatProjection {
     position: DVec3,
     /// Right, down, forward.
     axes: [DVec3; 3],
@@ -49,7 +49,7 @@ pub struct Eye {
     size: [i32; 2],
 }
 
-impl Eye {
+impl SplatProjection {
     pub fn new(pose: &Pose, camera: &OutputCamera) -> Self {
         let basis = pose.basis();
         Self {
@@ -67,14 +67,14 @@ impl Eye {
     }
 
     /// The tiles of a node's samples that may paint a wanted pixel.
-    pub fn tiles(
+    pub fn splats(
         &self,
         tree: &Tree,
         node: &TreeNode,
         filtered: bool,
         samples: &[TreeSample],
-        wanted: &Wanted,
-        out: &mut Vec<Tile>,
+        wanted: &PixelMask,
+        out: &mut Vec<Splat>,
     ) {
         let pitch = tree.pitch_of(node.level);
         // Relative to the eye in f64, then f32: offsets of the world cost nothing.
@@ -99,17 +99,17 @@ impl Eye {
                     continue;
                 }
                 let sides = [column + depth * f32::from(s.slope[0]), row + depth * f32::from(s.slope[1])];
-                if let Some(tile) = self.tile(middle, sides, outward, pitch as f32, s)
-                    && wanted.any(tile.columns, tile.rows, tile.disparity[2])
+                if let Some(splat) = self.splat(middle, sides, outward, pitch as f32, s)
+                    && wanted.any(splat.columns, splat.rows, splat.disparity[2])
                 {
-                    out.push(tile);
+                    out.push(splat);
                 }
             }
         }
     }
 
     /// Whether something in a box shows in a wanted pixel.
-    pub fn sees(&self, bounds: &Aabb, wanted: &Wanted) -> bool {
+    pub fn sees(&self, bounds: &Aabb, wanted: &PixelMask) -> bool {
         let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
         let mut nearest = f32::MAX;
         for corner in bounds.corners() {
@@ -131,7 +131,7 @@ impl Eye {
     }
 
     /// False where no tile around `middle` can show: a ball that holds any wide tile of this pitch.
-    fn may_show(&self, middle: Vec3, pitch: f32, wanted: &Wanted) -> bool {
+    fn may_show(&self, middle: Vec3, pitch: f32, wanted: &PixelMask) -> bool {
         let reach = pitch * LARGEST_REACH;
         let nearest = middle.z - reach;
         if nearest < NEAR_M {
@@ -147,7 +147,7 @@ impl Eye {
     }
 
     /// The tile around `middle` with these sides (eye space, metres). None: behind the eye, turned away, or outside of the picture.
-    fn tile(&self, middle: Vec3, sides: [Vec3; 2], outward: Vec3, pitch: f32, s: &TreeSample) -> Option<Tile> {
+    fn splat(&self, middle: Vec3, sides: [Vec3; 2], outward: Vec3, pitch: f32, s: &TreeSample) -> Option<Splat> {
         if middle.z < NEAR_M {
             return None;
         }
@@ -193,7 +193,7 @@ impl Eye {
             let offset = dual[k].dot(middle);
             std::array::from_fn(|c| ray[c] - plane[c] * offset)
         });
-        Some(Tile {
+        Some(Splat {
             columns,
             rows,
             plane,
@@ -206,7 +206,7 @@ impl Eye {
     }
 }
 
-impl Tile {
+impl Splat {
     /// Disparity at a pixel's centre, and where that is on the tile in pitches from its middle; None beyond the wide tile.
     pub fn at(&self, u: f32, v: f32) -> Option<(f32, f32, f32)> {
         let of = |c: &[f32; 3]| c[0] * u + c[1] * v + c[2];

@@ -37,7 +37,7 @@ pub(super) struct Part {
 
 /// The objects of an index. Numbers are positions in `objects`.
 #[derive(Debug)]
-pub(super) struct Layout {
+pub(super) struct ObjectTable {
     pub objects: Vec<ObjectEntry>,
     /// Per chunk; equal bytes have one name, so a chunk may be part of several textures.
     pub parts_of_chunk: Vec<Vec<Part>>,
@@ -51,10 +51,10 @@ pub(super) struct Layout {
     pub brood_of_chunk: Vec<Option<u32>>,
 }
 
-impl Layout {
+impl ObjectTable {
     pub fn new(index: &Index) -> Self {
         let n = index.chunks.len();
-        let mut layout = Self {
+        let mut table = Self {
             objects: Vec::new(),
             parts_of_chunk: vec![Vec::new(); n],
             geometry_of_chunk: vec![None; n],
@@ -65,25 +65,25 @@ impl Layout {
         // First: an index of a first picture has these alone, under the same numbers.
         for (chunk, nodes) in index.tree.iter().flat_map(|t| t.broods()) {
             // Equal chunks are one: whichever nodes it was listed for, the samples are the same.
-            if layout.brood_of_chunk.get(chunk as usize) == Some(&None) {
-                layout.brood_of_chunk[chunk as usize] = layout.add(ObjectKind::Brood(nodes), vec![chunk]);
+            if table.brood_of_chunk.get(chunk as usize) == Some(&None) {
+                table.brood_of_chunk[chunk as usize] = table.add(ObjectKind::Brood(nodes), vec![chunk]);
             }
         }
         for (number, cell) in (0u32..).zip(&index.cells) {
-            let object = layout.add(ObjectKind::Cell(number), vec![cell.chunk]);
-            if let Some(slot) = layout.geometry_of_chunk.get_mut(cell.chunk as usize) {
+            let object = table.add(ObjectKind::Cell(number), vec![cell.chunk]);
+            if let Some(slot) = table.geometry_of_chunk.get_mut(cell.chunk as usize) {
                 *slot = object;
             }
         }
         for (chunk, entry) in (0u32..).zip(&index.chunks) {
             if entry.kind == ChunkKind::Bundle {
-                layout.geometry_of_chunk[chunk as usize] = layout.add(ObjectKind::Bundle, vec![chunk]);
+                table.geometry_of_chunk[chunk as usize] = table.add(ObjectKind::Bundle, vec![chunk]);
             }
         }
         for (number, texture) in (0u32..).zip(&index.textures) {
             let chunks = texture.chunks.iter().map(|c: &TextureChunk| c.chunk).collect();
-            let object = layout.add(ObjectKind::Texture(number), chunks);
-            layout.of_texture.push(object);
+            let object = table.add(ObjectKind::Texture(number), chunks);
+            table.of_texture.push(object);
         }
         // Images may be equal.
         let mut by_chunks = BTreeMap::<&[u32], Option<u32>>::new();
@@ -91,14 +91,14 @@ impl Layout {
             let object = match by_chunks.get(&image.chunks[..]) {
                 Some(known) => *known,
                 None => {
-                    let object = layout.add(ObjectKind::Ldi(number), image.chunks.clone());
+                    let object = table.add(ObjectKind::Ldi(number), image.chunks.clone());
                     by_chunks.insert(&image.chunks, object);
                     object
                 }
             };
-            layout.of_image.push(object);
+            table.of_image.push(object);
         }
-        layout
+        table
     }
 
     /// None without chunks, with too many, or with chunks that do not exist.

@@ -1,8 +1,8 @@
 //! What lies on the card, or is on its way there, by key. What was used longest ago leaves first.
 
 use super::{
-    device::Card,
-    transfer::{Allowance, Transfer},
+    device::GpuDevice,
+    transfer::{Transfer, UploadBudget},
 };
 use std::{collections::HashMap, hash::Hash};
 
@@ -19,14 +19,14 @@ struct Item<T> {
 }
 
 /// See the module.
-pub struct Shelf<K, T> {
+pub struct GpuLru<K, T> {
     held: HashMap<K, Item<T>>,
     frame: u64,
     /// Bytes that stay, or those of the frame if they are more.
     pub kept_bytes: u64,
 }
 
-impl<K: Copy + Eq + Hash, T> Shelf<K, T> {
+impl<K: Copy + Eq + Hash, T> GpuLru<K, T> {
     pub fn new(kept_bytes: u64) -> Self {
         Self { held: HashMap::new(), frame: 0, kept_bytes }
     }
@@ -52,11 +52,11 @@ impl<K: Copy + Eq + Hash, T> Shelf<K, T> {
     }
 
     /// The frame wants this: sends on what of it is not there, as much as is allowed. `make` gives what it is, its bytes and what must be sent. Returns whether all of it is there.
-    pub fn bring(
+    pub fn upload(
         &mut self,
         key: K,
-        card: &Card,
-        allowance: &mut Allowance,
+        card: &GpuDevice,
+        budget: &mut UploadBudget,
         make: impl FnOnce() -> (T, u64, Transfer),
     ) -> bool {
         let item = self.held.entry(key).or_insert_with(|| {
@@ -64,7 +64,7 @@ impl<K: Copy + Eq + Hash, T> Shelf<K, T> {
             Item { what, bytes, on_its_way: Some(transfer), used: 0 }
         });
         item.used = self.frame;
-        item.on_its_way.take_if(|t| t.push(card, allowance));
+        item.on_its_way.take_if(|t| t.push(card, budget));
         item.on_its_way.is_none()
     }
 

@@ -19,14 +19,14 @@
 use super::{
     Stamp,
     cull::{Blocks, Reach},
-    layout::pad,
     matrix::WarpMatrix,
     prepared::{Part, TILE_COLUMNS, TILE_ROWS, Tile},
-    quads::Target,
+    quad_raster::Target,
     stamps::own_rows,
+    tile_builder::pad,
     transform::{Inside, Largest, Points, Slopes, TileTransform, first_lanes},
 };
-use crate::lanes::{LANES, Lanes};
+use crate::simd::{LANES, Lanes};
 use ldi_protocol::{Pose, ldi::LdiCamera};
 use std::collections::BTreeMap;
 

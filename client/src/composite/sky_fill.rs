@@ -14,7 +14,7 @@ use crate::frame::{Frame, SKY, Source};
 const SKY_SHARE: f64 = 0.25;
 
 /// Turns openings into sky. `stats` are those of the merge; all that is far has to be there, or an opening may be what is missing.
-pub fn grow_sky(frame: &mut Frame, stats: &mut CompositeStats) {
+pub fn fill_sky(frame: &mut Frame, stats: &mut CompositeStats) {
     if stats.unpainted == 0 || stats.sky == 0 {
         return;
     }
@@ -89,7 +89,7 @@ mod tests {
         let (unpainted, sky) = (frame.count(Source::Unpainted) as u64, frame.count(Source::Sky) as u64);
         let before = CompositeStats { unpainted, hole_before_fill: unpainted, sky, ..CompositeStats::default() };
         let mut stats = before;
-        grow_sky(&mut frame, &mut stats);
+        fill_sky(&mut frame, &mut stats);
         let count = stats.sky - sky;
         let left = unpainted - count;
         assert_eq!(stats, CompositeStats { unpainted: left, hole_before_fill: left, sky: stats.sky, ..before });
