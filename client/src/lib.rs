@@ -1,4 +1,5 @@
-//! The client: streams a dataset, draws the near geometry, warps the layered depth images of the rest, and shows it in a window.
+//! The client: streams a dataset, draws the near geometry, warps the layered depth images of the
+//! rest, and shows it in a window.
 
 pub mod app;
 pub mod cache;

@@ -1,9 +1,10 @@
-//! Eight numbers at a time.
+//! SIMD: eight lanes at a time.
 //!
-//! The kernels of `near` and `warp` are written once, over the trait [`Lanes`], and compiled twice: over plain arrays, which runs
-//! everywhere, and over AVX2 registers, chosen at run time on x86-64 (`dispatch`). Both do the same IEEE operations in
-//! the same order (no fused multiply-add), so that pictures do not depend on the machine; a test compares
-//! them. A comparison yields a lane of all ones or all zeros; NaN compares false.
+//! The kernels of `near` and `warp` are written once, over the trait [`Lanes`], and compiled twice:
+//! for plain arrays, which run everywhere, and for AVX2 registers, chosen at run time on x86-64
+//! (`dispatch`). Both perform the same IEEE operations in the same order (no fused multiply-add),
+//! so that pictures do not depend on the machine; a test compares them. A comparison yields all
+//! ones or all zeros per lane; NaN compares false.
 
 /// Lanes in a group.
 pub const LANES: usize = 8;
@@ -43,7 +44,7 @@ pub trait Lanes: Copy {
     fn or(a: Self::I, b: Self::I) -> Self::I;
     /// mask ? a : b.
     fn select(mask: Self::I, a: Self::F, b: Self::F) -> Self::F;
-    /// Truncates; in range by the caller's care.
+    /// Truncates. The caller ensures the range.
     fn to_int(a: Self::F) -> Self::I;
     /// Below 2^24, exact.
     fn from_int(a: Self::I) -> Self::F;
@@ -59,9 +60,10 @@ pub trait Lanes: Copy {
     fn from_bits(a: Self::I) -> Self::F;
     /// Elements of a table that is not empty; the last one for places past its end.
     fn gather(table: &[f32], at: Self::I) -> Self::F;
-    /// Bytes of a table of at least four, of which the last three are never asked for.
+    /// Bytes of a table of at least four; the last three must not be requested.
     fn gather_bytes(table: &[u8], at: Self::I) -> Self::I;
-    /// Texels of a raster that is not empty, red in the lowest byte; the last one for places past its end.
+    /// Texels of a raster that is not empty, red in the lowest byte; the last one for places past
+    /// its end.
     fn gather_texels(raster: &[[u8; 4]], at: Self::I) -> Self::I;
     /// Bit i is set where lane i of the mask is.
     fn mask_bits(a: Self::I) -> u32;
@@ -237,8 +239,8 @@ mod avx2 {
     use super::{LANES, Lanes};
     use std::arch::x86_64::*;
 
-    /// AVX2 registers. Only used inside functions that are compiled with AVX2 enabled and entered after
-    /// `is_x86_feature_detected!("avx2")`: the kernels' `dispatch`.
+    /// AVX2 registers. Only used inside functions that are compiled with AVX2 enabled and entered
+    /// after `is_x86_feature_detected!("avx2")`: the kernels' `dispatch`.
     #[derive(Clone, Copy)]
     pub struct Avx2;
 
@@ -247,13 +249,14 @@ mod avx2 {
         ($($name:ident($($arg:ident: $kind:ty),*) -> $out:ty = $body:expr;)*) => {$(
             #[inline(always)]
             fn $name($($arg: $kind),*) -> $out {
-                // SAFETY: the type is only used where AVX2 is present (see its documentation); no memory is touched.
+                // SAFETY: the type is only used where AVX2 is present (see its documentation); no
+                // memory is touched.
                 unsafe { $body }
             }
         )*};
     }
 
-    /// Places held at most at `last`, and below 2^31: gathers take signed ones.
+    /// Limits indices to `last`, below 2^31, as gathers take signed indices.
     #[inline(always)]
     fn held(at: __m256i, last: u32) -> __m256i {
         // SAFETY: only called where AVX2 is present; no memory is touched.
@@ -292,7 +295,8 @@ mod avx2 {
         #[inline(always)]
         fn joined(low: __m256i, high: __m256i) -> [u64; LANES] {
             let mut to = [0; LANES];
-            // SAFETY: AVX2 is present; there is room for eight integers; the stores may be unaligned.
+            // SAFETY: AVX2 is present; there is room for eight integers; the stores may be
+            // unaligned.
             unsafe {
                 let (even, odd) = (_mm256_unpacklo_epi32(low, high), _mm256_unpackhi_epi32(low, high));
                 _mm256_storeu_si256(to.as_mut_ptr().cast(), _mm256_permute2x128_si256::<0x20>(even, odd));
@@ -313,7 +317,8 @@ mod avx2 {
         #[inline(always)]
         fn gather(table: &[f32], at: __m256i) -> __m256 {
             let last = u32::try_from(table.len() - 1).unwrap_or(i32::MAX as u32);
-            // SAFETY: AVX2 is present; places are held within the table, whose length fits 31 bits where it matters.
+            // SAFETY: AVX2 is present; places are held within the table, whose length fits 31 bits
+            // where it matters.
             unsafe { _mm256_i32gather_ps::<4>(table.as_ptr(), held(at, last)) }
         }
         #[inline(always)]
@@ -328,7 +333,8 @@ mod avx2 {
         #[inline(always)]
         fn gather_texels(raster: &[[u8; 4]], at: __m256i) -> __m256i {
             let last = u32::try_from(raster.len() - 1).unwrap_or(i32::MAX as u32);
-            // SAFETY: AVX2 is present; places are held within the raster; the reads may be unaligned.
+            // SAFETY: AVX2 is present; places are held within the raster; the reads may be
+            // unaligned.
             unsafe { _mm256_i32gather_epi32::<4>(raster.as_ptr().cast(), held(at, last)) }
         }
         #[inline(always)]
@@ -364,7 +370,8 @@ mod avx2 {
         #[inline(always)]
         fn array_int(x: __m256i) -> [u32; LANES] {
             let mut to = [0; LANES];
-            // SAFETY: AVX2 is present; there is room for eight integers; the store may be unaligned.
+            // SAFETY: AVX2 is present; there is room for eight integers; the store may be
+            // unaligned.
             unsafe { _mm256_storeu_si256(to.as_mut_ptr().cast(), x) };
             to
         }

@@ -1,14 +1,15 @@
-//! What stands in the way, and what one stands on: the near geometry around the walker.
+//! Collision: near geometry around the walker that blocks the way or carries the foot.
 //!
-//! In: decoded cells around an eye. Out: how near an upright body comes to surfaces between its knees and its head, and how high
-//! the floor is. The walk volume knows floors but no walls, which are thinner than its columns; near geometry is always complete
-//! around the eye, once it has arrived. Where it has not, nothing stands in the way.
+//! In: decoded cells around an eye. Out: the distance of an upright body to surfaces between knee
+//! and head, and the height of the floor. The walk volume contains floors but no walls, which are
+//! thinner than its columns. Near geometry is complete around the eye once it has arrived; until
+//! then nothing blocks the way.
 //!
 //! ```text
-//!      eye + 0.1 m  ----+--------   surfaces in between are cut to this slab and seen from above: convex polygons,
-//!                       | body      to which a body at (x, z) keeps its radius
-//!      foot + knee  ----+--------
-//!                                   lower ones are stepped over, or on
+//!      eye + 0.1 m  ----+--------   surfaces in between are clipped to this slab and seen from
+//!                       | body      above: convex polygons, from which a body at (x, z) keeps
+//!      foot + knee  ----+--------   its radius
+//!                                   lower surfaces are stepped over, or on
 //!      foot         =============   floor: the highest surface below the knee
 //! ```
 
@@ -22,38 +23,40 @@ use ldi_protocol::{
 };
 use std::sync::Arc;
 
-/// Radius of the body, metres. Larger: doors that people pass are too narrow (paths of the shared scenes come as near as 0.06 m);
-/// smaller: the near plane cuts into walls.
+/// Radius of the body, metres. Larger: some doors are too narrow; smaller: the near plane cuts into
+/// walls.
 pub const BODY_M: f64 = 0.15;
-/// What is lower than this above the foot is stepped over or on, metres: steps, kerbs, thresholds.
+/// Surfaces lower than this above the foot are stepped over or on, metres: steps, kerbs,
+/// thresholds.
 const KNEE_M: f64 = 0.45;
-/// The head above the eye, metres.
+/// Distance from the eye to the top of the head, metres.
 const HEAD_M: f64 = 0.1;
-/// How far a floor is looked for below the foot, metres.
+/// Depth below the foot in which a floor is searched, metres.
 const DROP_M: f64 = 1.5;
-/// Around the eye, metres: what is gathered at once.
+/// Radius around the eye in which surfaces are gathered, metres.
 const REACH_M: f64 = 2.0;
-/// The eye may go this far before they are gathered anew, metres.
+/// Distance that the eye may move before surfaces are gathered again, metres.
 pub const STRAY_M: f64 = 0.5;
-/// Places under a body where the floor is looked for, metres from its middle: a crack between boards is no abyss.
+/// Offsets from the body's axis at which the floor is tested, metres: a crack between boards must
+/// not count as a drop.
 const FEET_M: [(f64, f64); 5] = [(0.0, 0.0), (0.08, 0.0), (-0.08, 0.0), (0.0, 0.08), (0.0, -0.08)];
 
 /// Surfaces around an eye.
 #[derive(Debug, Clone, Default)]
 pub struct CollisionGeometry {
-    /// Seen from above (x, z), counter-clockwise or clockwise.
+    /// Obstacles seen from above (x, z), as convex polygons of either orientation.
     obstacles: Vec<Vec<DVec2>>,
     floors: Vec<[DVec3; 3]>,
     eye_height_m: f64,
 }
 
 impl CollisionGeometry {
-    /// What the cache holds around `eye`, for a body whose eye is `eye_height_m` above its foot.
+    /// Gathers cached surfaces around `eye`, for a body whose eye is `eye_height_m` above its foot.
     pub fn around(scene: &Scene, eye: DVec3, eye_height_m: f64) -> Self {
         Self::within(scene, eye, eye_height_m, REACH_M)
     }
 
-    /// The same within so many metres.
+    /// Gathers cached surfaces within `reach_m`.
     pub fn within(scene: &Scene, eye: DVec3, eye_height_m: f64, reach_m: f64) -> Self {
         Self::update_collision(&scene.index, &*scene.cache, eye, eye_height_m, reach_m)
     }
@@ -61,7 +64,8 @@ impl CollisionGeometry {
     fn update_collision(index: &Index, resident: &dyn Resident, eye: DVec3, eye_height_m: f64, reach_m: f64) -> Self {
         let mut out = Self { eye_height_m, ..Self::default() };
         let foot = eye.y - eye_height_m;
-        // Higher and lower by the steps that are climbed before it is gathered anew.
+        // The slab is extended by the height that may be climbed before surfaces are gathered
+        // again.
         let reach = DVec3::new(reach_m, 0.0, reach_m);
         let room = Aabb {
             min: DVec3::new(eye.x, foot - DROP_M, eye.z) - reach,
@@ -77,7 +81,7 @@ impl CollisionGeometry {
                 };
                 let (ClusterRef::Own(n) | ClusterRef::Shared { cluster: n, .. }) = instance.cluster;
                 let Some(cluster) = held.as_ref().and_then(|g| g.clusters.get(n as usize)) else { continue };
-                // Leaves and panes: what can be seen through can be walked through.
+                // Materials with alpha (leaves, panes) do not block the way.
                 let material = index.materials.get(cluster.material as usize);
                 if material.is_some_and(|m| m.alpha == Alpha::Opaque) {
                     out.add(cluster, &instance.world_from_mesh, &room, slab);
@@ -108,7 +112,8 @@ impl CollisionGeometry {
         }
     }
 
-    /// Horizontal distance from (x, z) to the nearest obstacle, at most [`REACH_M`], and the direction away from it.
+    /// Horizontal distance from (x, z) to the nearest obstacle, at most [`REACH_M`], and the
+    /// direction away from it.
     pub fn clearance(&self, x: f64, z: f64) -> (f64, DVec2) {
         let p = DVec2::new(x, z);
         let mut best = (REACH_M, DVec2::ZERO);
@@ -129,18 +134,19 @@ impl CollisionGeometry {
         best
     }
 
-    /// Whether a body may go from one place to the next: it keeps its distance, or at least comes no nearer.
+    /// Whether a body may move between two places: it stays clear of obstacles, or at least does
+    /// not come nearer.
     pub fn allows(&self, from: DVec3, to: DVec3) -> bool {
         let (there, _) = self.clearance(to.x, to.z);
         if there >= BODY_M {
             return true;
         }
-        // Whoever is inside something already, as after a leap by the map, can always get out.
+        // A body inside of an obstacle, as after a jump on the map, can always leave.
         let (here, _) = self.clearance(from.x, from.z);
         there > here || here == 0.0
     }
 
-    /// The eye's height when the foot stands on what is below `eye`; None where nothing is.
+    /// Height of the eye above the floor below it; None without a floor.
     pub fn eye_above_floor(&self, eye: DVec3) -> Option<f64> {
         let foot = eye.y - self.eye_height_m;
         let heights = FEET_M.iter().filter_map(|(dx, dz)| {
@@ -176,7 +182,7 @@ fn inside(polygon: &[DVec2], p: DVec2) -> bool {
     sides().all(|s| s > 1e-12) || sides().all(|s| s < -1e-12)
 }
 
-/// Height of a triangle above (x, z); None beside it and for upright ones.
+/// Height of a triangle at (x, z); None outside of it and for vertical ones.
 fn height_at(t: &[DVec3; 3], x: f64, z: f64) -> Option<f64> {
     let (u, v) = (t[1] - t[0], t[2] - t[0]);
     let area = u.x * v.z - u.z * v.x;
@@ -195,7 +201,7 @@ pub(super) mod tests {
     use glam::Vec3;
     use ldi_protocol::OutputCamera;
 
-    /// A room of the given quadrilaterals, for an eye at 1.6 m at (2, 2).
+    /// A room of the given quadrilaterals, for an eye at (2, 2) 1.6 m above the floor.
     pub fn of(quads: &[[Vec3; 4]], eye: DVec3) -> CollisionGeometry {
         let clusters = quads.iter().map(|q| quad_cluster(0, *q)).collect();
         let camera = OutputCamera { width: 64, height: 36, fov_deg: 60.0 };

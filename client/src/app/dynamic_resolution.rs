@@ -1,20 +1,21 @@
-//! How large the picture is drawn inside: as large as the time for a frame allows, at most as the window.
+//! Dynamic resolution: the picture's size is the largest that the frame time allows, at most the
+//! window's.
 //!
 //! In: the milliseconds of each frame. Out: a share of the window's sides. Pure.
 
-/// Smallest share of the window's sides: below, pictures say too little.
+/// Smallest share of the window's sides. Smaller pictures are illegible.
 const SMALLEST: f64 = 0.375;
-/// Shares are multiples of this: every change costs memory and is seen.
+/// Granularity of shares. Smaller: buffers are allocated again for changes that are not visible.
 const STEP: f64 = 1.0 / 16.0;
-/// Above this share of the goal a frame is too slow.
+/// A frame above this multiple of the goal is too slow.
 const TOO_SLOW: f64 = 1.15;
-/// Below this share of the goal, for [`CALM`] frames in a row, there is room for more: one step of the side costs at most a
-/// third more, at the smallest sizes.
+/// Below this share of the goal, for [`CALM`] frames in a row, the picture grows by a step. Larger:
+/// the next size may be too slow; smaller: pictures stay smaller than necessary.
 const ROOM: f64 = 0.7;
-/// See [`ROOM`]. Fewer: sizes swing; more: the picture stays coarse long after a turn.
+/// See [`ROOM`]. Fewer: the size oscillates; more: the picture stays coarse long after a turn.
 const CALM: u32 = 12;
 
-/// Adapts the size.
+/// The controller of the picture's size.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DynamicResolution {
     goal_ms: f64,
@@ -25,22 +26,23 @@ pub struct DynamicResolution {
 }
 
 impl DynamicResolution {
-    /// Frames are to take `goal_ms`. Begins with half of the window's sides.
+    /// Starts at half of the window's sides. `goal_ms`: intended frame time.
     pub fn new(goal_ms: f64) -> Self {
         Self { goal_ms, share: 0.5, calm: 0, slow: 0, exhausted: false }
     }
 
-    /// A frame at the present size took so long.
+    /// Records the time of a frame at the current size.
     pub fn record_frame(&mut self, ms: f64) {
         let ratio = ms / self.goal_ms;
         if ratio > TOO_SLOW {
             self.calm = 0;
             self.slow += 1;
-            // One slow frame, as when an image is laid out, is no reason.
+            // A single slow frame does not count.
             if self.slow >= 2 {
                 self.slow = 0;
                 self.exhausted |= self.share <= SMALLEST;
-                // At most the pixels cost: the share falls with the root, by a third at once at most.
+                // Cost is at most proportional to pixels, so that the share follows the square
+                // root. One step shrinks it by at most a third.
                 self.share *= ratio.sqrt().recip().max(0.67);
             }
         } else {
@@ -48,7 +50,7 @@ impl DynamicResolution {
             self.calm = if ratio < ROOM { self.calm + 1 } else { 0 };
             if self.calm >= CALM {
                 self.calm = 0;
-                // What was given up last comes back first.
+                // The cheaper stamp is given up before the picture grows.
                 if !std::mem::take(&mut self.exhausted) {
                     self.share += STEP;
                 }
@@ -57,12 +59,12 @@ impl DynamicResolution {
         self.share = self.share.clamp(SMALLEST, 1.0);
     }
 
-    /// The time that frames are to take, milliseconds.
+    /// Intended frame time, milliseconds.
     pub fn goal_ms(&self) -> f64 {
         self.goal_ms
     }
 
-    /// Frames are to take another time from now on.
+    /// Changes the intended frame time.
     pub fn set_goal(&mut self, goal_ms: f64) {
         self.goal_ms = goal_ms;
     }
@@ -72,12 +74,12 @@ impl DynamicResolution {
         ((self.share / STEP).round() * STEP).clamp(SMALLEST, 1.0)
     }
 
-    /// Whether even the smallest pictures take too long: what else can be cheaper should be.
+    /// Whether the smallest picture is still too slow, so that a cheaper stamp should be used.
     pub fn is_exhausted(&self) -> bool {
         self.exhausted
     }
 
-    /// Columns and rows for a window.
+    /// Size of the picture for a window.
     pub fn size(&self, window_px: [u32; 2]) -> [u32; 2] {
         window_px.map(|n| ((f64::from(n) * self.share()).round() as u32).max(1))
     }
@@ -87,7 +89,7 @@ impl DynamicResolution {
 mod tests {
     use super::*;
 
-    /// Frames of a machine that takes `fixed` and, at the window's size, `pixels` milliseconds more.
+    /// Simulates frames that take `fixed` ms plus `pixels` ms at the window's size.
     fn settle(scale: &mut DynamicResolution, fixed: f64, pixels: f64, frames: u32) -> Vec<[u32; 2]> {
         let frame = |s: &mut DynamicResolution| {
             s.record_frame(fixed + pixels * s.share() * s.share());
@@ -103,7 +105,7 @@ mod tests {
         settle(&mut s, 4.0, 40.0, 100);
         let ms = 4.0 + 40.0 * s.share() * s.share();
         assert!((0.5..=TOO_SLOW).contains(&(ms / 16.0)), "{ms} ms at {}", s.share());
-        // What no size can mend stays at the smallest.
+        // If no size is fast enough, the smallest is used.
         settle(&mut s, 100.0, 1.0, 100);
         assert_eq!(s.share(), SMALLEST);
     }

@@ -1,6 +1,7 @@
-//! The plan of a storey: the walk volume from above, and what of the near geometry is here, cut at the height of a table.
+//! The floor plan of a storey: the walk volume from above, and a horizontal section of resident
+//! near geometry.
 //!
-//! In: a scene, an eye height. Out: a picture, north (-Z) up. It takes a fraction of a second and is made on a thread of its own.
+//! In: a scene, an eye height. Out: a picture, north (-Z) up. Drawn on its own thread.
 
 use super::{server_connection::Scene, walker};
 use crate::resident::Resident;
@@ -13,15 +14,16 @@ use ldi_protocol::{
 };
 use std::sync::Arc;
 
-/// Longest side, texels: larger volumes are drawn coarser.
+/// Longest side, texels. Larger volumes have coarser texels.
 const LONGEST_SIDE: f64 = 1400.0;
-/// Finest texel, metres: a third of a thin wall.
+/// Size of the finest texel, metres: thin walls stay visible.
 const FINEST_M: f64 = 0.03;
-/// Eyes within this height of a storey's belong to it, metres: less than half of a low storey.
+/// Largest difference in eye height within a storey, metres: less than half of a low storey.
 pub const STOREY_M: f64 = 1.2;
-/// The cut below the eye, metres: through walls, doors, windows and tables' tops, above seats.
+/// Height of the section below the eye, metres: it meets walls, doors, windows and table tops, and
+/// passes above seats.
 const CUT_BELOW_EYE_M: f64 = 0.55;
-/// Segments that are drawn at most.
+/// Largest number of segments drawn.
 const MOST_SEGMENTS: usize = 2_000_000;
 
 const FLOOR: Color32 = Color32::from_rgb(214, 222, 230);
@@ -29,7 +31,7 @@ const OTHER_FLOOR: Color32 = Color32::from_rgb(92, 104, 116);
 const NOTHING: Color32 = Color32::from_rgb(38, 42, 48);
 const WALL: Color32 = Color32::from_rgb(40, 52, 66);
 
-/// The picture for a storey. It spans the volume's bounds.
+/// Draws the plan of a storey. The picture spans the volume's bounds.
 pub fn draw(scene: &Scene, volume: &WalkVolume, storey_m: f64) -> ColorImage {
     let mut picture = floors(volume, storey_m);
     let b = volume.bounds();
@@ -40,7 +42,7 @@ pub fn draw(scene: &Scene, volume: &WalkVolume, storey_m: f64) -> ColorImage {
     picture
 }
 
-/// The volume: what belongs to the storey bright, the rest dim.
+/// Draws the volume: bright on the storey, dim elsewhere.
 fn floors(volume: &WalkVolume, storey_m: f64) -> ColorImage {
     let b = volume.bounds();
     let size = b.size().max(DVec3::splat(0.1));
@@ -51,7 +53,7 @@ fn floors(volume: &WalkVolume, storey_m: f64) -> ColorImage {
         let x = b.min.x + ((i % width) as f64 + 0.5) / width as f64 * size.x;
         let z = b.min.z + ((i / width) as f64 + 0.5) / height as f64 * size.z;
         let off = |h: [f64; 2]| {
-            // The height itself is allowed there: flying.
+            // For flying, any height within the volume belongs to it.
             if (h[0]..=h[1]).contains(&storey_m) { 0.0 } else { (walker::nominal(h) - storey_m).abs() }
         };
         let nearest = volume.heights(x, z).map(off).min_by(f64::total_cmp);
@@ -64,7 +66,7 @@ fn floors(volume: &WalkVolume, storey_m: f64) -> ColorImage {
     ColorImage::new([width, height], (0..width * height).map(texel).collect())
 }
 
-/// Where resident geometry meets the plane at height `y`: segments in x and z.
+/// Section of resident geometry by the plane at height `y`: segments in x and z.
 fn section(index: &Index, resident: &dyn Resident, y: f64) -> Vec<[DVec2; 2]> {
     let mut out = Vec::new();
     let crossing = |c: &ldi_protocol::index::CellEntry| c.bounds.min.y <= y && y <= c.bounds.max.y;
@@ -93,17 +95,17 @@ fn section(index: &Index, resident: &dyn Resident, y: f64) -> Vec<[DVec2; 2]> {
     out
 }
 
-/// Where a triangle meets the plane at height `y`.
+/// Intersection of a triangle with the plane at height `y`.
 fn cut(t: [DVec3; 3], y: f64) -> Option<[DVec2; 2]> {
     let mut ends = [(0, 1), (1, 2), (2, 0)].into_iter().filter_map(|(i, j)| {
         let (a, b) = (t[i], t[j]);
-        // A corner on the plane counts as above it: every crossing has two ends.
+        // A corner on the plane counts as above it, so that every section has two ends.
         ((a.y < y) != (b.y < y)).then(|| a.lerp(b, (y - a.y) / (b.y - a.y)).xz())
     });
     Some([ends.next()?, ends.next()?])
 }
 
-/// Darkens the texels along a line; ends outside of the picture are cut off.
+/// Darkens the texels along a line, clipped to the picture.
 fn line(picture: &mut ColorImage, from: DVec2, to: DVec2) {
     let [width, height] = picture.size;
     let room = DVec2::new(width as f64, height as f64);
@@ -163,7 +165,7 @@ mod tests {
         segments.iter().for_each(|[a, b]| line(&mut picture, *a * scale, *b * scale));
         let at = |x: f64, z: f64| picture.pixels[(z * scale) as usize * picture.size[0] + (x * scale) as usize];
         assert_eq!([at(2.0, 1.5), at(2.0, 2.5), at(2.0, 3.0)], [WALL, FLOOR, FLOOR]);
-        // Lines that leave the picture are cut.
+        // Lines beyond the picture are clipped.
         line(&mut picture, DVec2::new(-1e9, 5.0), DVec2::new(1e9, 5.0));
     }
 }

@@ -1,34 +1,34 @@
-//! How evenly a walk went: the time that pictures took, and the time between them, while the eye moved.
+//! Frame times while the eye moves: render times, and intervals between pictures.
 
 use ldi_protocol::Pose;
 use std::time::Instant;
 
-/// Pictures that are counted: an hour at 60 per second. Then the count stops growing.
+/// Largest number of recorded pictures.
 const MOST: usize = 216_000;
 
-/// Collects.
+/// Collects frame times.
 #[derive(Debug, Default)]
 pub struct FrameTimes {
     last: Option<(Pose, Instant)>,
-    /// The picture before showed a new pose too.
+    /// Whether the previous picture also showed a new pose.
     moving: bool,
     drawn_ms: Vec<f64>,
     between_ms: Vec<f64>,
 }
 
-/// Of a walk.
+/// Summary of a walk's frame times.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize)]
 pub struct Summary {
-    /// Pictures that followed one another while the eye moved.
+    /// Consecutive pictures of a moving eye.
     pub pictures: usize,
-    /// Median, 99 of 100, longest of drawing, milliseconds; null without pictures.
+    /// Render times, milliseconds: median, 99th percentile, largest; null without pictures.
     pub drawn_ms: Option<[f64; 3]>,
-    /// The same of the time from one picture to the next.
+    /// Intervals between pictures, milliseconds: median, 99th percentile, largest.
     pub between_ms: Option<[f64; 3]>,
 }
 
 impl FrameTimes {
-    /// A picture of this pose took so long and was finished then.
+    /// Records a picture: its pose, render time, and the time it was finished.
     pub fn picture(&mut self, pose: &Pose, drawn_ms: f64, at: Instant) {
         let moved = self.last.is_some_and(|(last, _)| last != *pose);
         if let (Some((_, last)), true) = (self.last, moved && self.moving && self.drawn_ms.len() < MOST) {
@@ -38,7 +38,7 @@ impl FrameTimes {
         (self.moving, self.last) = (moved, Some((*pose, at)));
     }
 
-    /// So far.
+    /// The summary so far.
     pub fn summary(&self) -> Summary {
         Summary {
             pictures: self.drawn_ms.len(),
@@ -48,7 +48,7 @@ impl FrameTimes {
     }
 }
 
-/// Median, 99 of 100, largest, by nearest rank.
+/// Median, 99th percentile and largest value, by nearest rank.
 fn quantiles(values: &[f64]) -> Option<[f64; 3]> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);

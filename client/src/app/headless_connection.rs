@@ -1,4 +1,5 @@
-//! A walk without a window over a line that is kept up: after a loss it goes on with what the cache holds, and with the next connection.
+//! The connection of a walk without a window. It is restored after a loss; meanwhile frames are
+//! drawn from the cache.
 
 use super::server_connection::{ConnectionState, Scene, ServerConnection};
 use crate::{
@@ -16,12 +17,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// What does not come for so long is asked for, unless the line is busy.
+/// Chunks that have not arrived after this time are requested by number, unless data is arriving.
 const ASK_AFTER: Duration = Duration::from_millis(300);
-/// Fewer bytes than these in that time are no progress: keep-alives and acknowledgements.
+/// Fewer bytes than these do not count as progress: keep-alives and acknowledgements.
 const BUSY_BYTES: u64 = 4096;
 
-/// A dataset over a line that is kept up.
+/// A dataset over a connection that is restored after a loss.
 pub struct HeadlessConnection {
     connection: ServerConnection,
     scene: Scene,
@@ -30,7 +31,7 @@ pub struct HeadlessConnection {
 }
 
 impl HeadlessConnection {
-    /// Goes on from a connection that was made with `config`. When `stop` becomes true nobody is kept waiting any more.
+    /// Takes over a connection that was made with `config`. Setting `stop` ends all waits.
     ///
     /// # Errors
     /// If the system gives no thread.
@@ -45,7 +46,7 @@ impl HeadlessConnection {
         self.connection.stats()
     }
 
-    /// Why nothing will come any more, though a lost line is made again: None while that may help.
+    /// The reason why reconnecting cannot help; None while it may.
     fn in_vain(&self) -> Option<String> {
         match self.connection.state() {
             ConnectionState::Refused(e) => Some(e.to_string()),

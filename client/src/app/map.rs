@@ -1,7 +1,8 @@
-//! The map (M): the walk volume from above, where the walker and others are, where images are made for; a click goes there.
+//! The map (M): floor plan, the walker, other walkers, grid points. A click moves the eye.
 //!
-//! The plan itself ([`plan`]) is drawn on a thread of its own, and anew when more of the scene has arrived. -Z is up on the map, +X to the right: yaw 0 looks upward. One storey is shown bright, the others dim; Page Up and Page Down
-//! choose another one.
+//! The plan ([`floor_plan`]) is drawn on its own thread, and again when more of the scene has
+//! arrived. -Z is up on the map, +X to the right: yaw 0 points up. One storey is bright, the others
+//! dim; Page Up and Page Down change the storey.
 
 use super::{
     floor_plan::{self, STOREY_M},
@@ -19,19 +20,19 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Levels with less than this share of the largest one's area are landings, not storeys.
+/// Levels below this share of the largest level's area are landings, not storeys.
 const SMALLEST_STOREY: f64 = 0.04;
-/// The plan is drawn anew after so long when more of the scene has arrived.
+/// Interval at which the plan is drawn again while data arrives.
 const AGAIN_AFTER: Duration = Duration::from_secs(2);
-/// Characters of another walker's name: more would hide the map.
+/// Largest number of characters of another walker's name.
 const LONGEST_NAME: usize = 24;
-/// Points that are drawn at most: more would hide the map.
+/// Largest number of grid points drawn.
 const MOST_POINTS: usize = 20_000;
 
-/// Where on the display which part of the world is.
+/// The projection from the world to the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MapProjection {
-    /// On the display, points.
+    /// Area of the map on the display, points.
     pub area: Rect,
     /// World x and z of its upper left corner, metres.
     pub corner: [f64; 2],
@@ -40,7 +41,7 @@ pub struct MapProjection {
 }
 
 impl MapProjection {
-    /// As large as fits into `room`.
+    /// The largest projection that fits into `room`.
     fn fit(volume: &WalkVolume, room: Rect) -> Self {
         let (b, size) = (volume.bounds(), volume.bounds().size().max(DVec3::splat(0.1)));
         let per_metre = (f64::from(room.width()) / size.x).min(f64::from(room.height()) / size.z);
@@ -49,13 +50,13 @@ impl MapProjection {
         Self { area, corner: [b.min.x, b.min.z], per_metre }
     }
 
-    /// Where a place of the world is shown.
+    /// Position of a place on the display.
     pub fn show(&self, p: DVec3) -> Pos2 {
         let at = |v: f64, corner: f64| ((v - corner) * self.per_metre) as f32;
         self.area.min + vec2(at(p.x, self.corner[0]), at(p.z, self.corner[1]))
     }
 
-    /// World x and z of a place on the display.
+    /// World x and z of a position on the display.
     pub fn world(&self, at: Pos2) -> [f64; 2] {
         let d = at - self.area.min;
         [self.corner[0] + f64::from(d.x) / self.per_metre, self.corner[1] + f64::from(d.y) / self.per_metre]
@@ -67,10 +68,10 @@ impl MapProjection {
 pub struct Map {
     /// Whether it is shown.
     pub open: bool,
-    /// Eye height of the storey that was chosen; None for the walker's.
+    /// Eye height of the chosen storey; None for the walker's storey.
     chosen_m: Option<f64>,
     drawn_map: Option<DrawnMap>,
-    /// Where it was drawn last.
+    /// The projection used last.
     pub sheet: Option<MapProjection>,
 }
 
@@ -78,22 +79,22 @@ struct DrawnMap {
     scene: Scene,
     storeys_m: Vec<f64>,
     storey_m: f64,
-    /// What was asked for last: storey, and bytes in the cache then.
+    /// The plan requested last: storey, bytes in the cache, time.
     asked: Option<(f64, u64, Instant)>,
-    /// Where it will come from.
+    /// Receives the plan.
     coming: Option<mpsc::Receiver<ColorImage>>,
     texture: Option<TextureHandle>,
 }
 
 impl Map {
-    /// Opens or closes it.
+    /// Opens or closes the map.
     pub fn toggle(&mut self) {
         self.open = !self.open;
         self.chosen_m = None;
         self.sheet = None;
     }
 
-    /// A storey up or down.
+    /// Chooses the next storey up or down.
     pub fn change_storey(&mut self, up: bool) {
         let Some(d) = &self.drawn_map else { return };
         let mut next =
@@ -101,7 +102,8 @@ impl Map {
         self.chosen_m = if up { next.next() } else { next.next_back() }.or(self.chosen_m);
     }
 
-    /// Draws it. `others`: None if the server does not tell. Where somebody clicked: the eye's new place.
+    /// Draws the map. `others`: None if the server does not send them. Returns the eye's new
+    /// position after a click.
     pub fn show(
         &mut self,
         ctx: &egui::Context,
@@ -149,7 +151,7 @@ impl Map {
         Some(standing_place(volume, x, z, level_m, flying(scene)))
     }
 
-    /// What is drawn, brought up to date as far as it has come.
+    /// Updates the plan as far as it has been drawn.
     fn draw(&mut self, ctx: &egui::Context, scene: &Scene, volume: &WalkVolume, pose: &Pose) -> &DrawnMap {
         let mut drawn_map = self.drawn_map.take().filter(|d| d.scene.is(scene)).unwrap_or_else(|| DrawnMap {
             scene: scene.clone(),
@@ -161,7 +163,8 @@ impl Map {
         });
         let height = self.chosen_m.unwrap_or(pose.position.y);
         if flying(scene) {
-            // One level at every height; in steps, so that the plan is not drawn anew for every breath.
+            // Flying datasets have a storey at every height, rounded so that small movements do not
+            // redraw the plan.
             drawn_map.storeys_m = vec![(height * 2.0).round() * 0.5];
         }
         let storeys = drawn_map.storeys_m.iter().copied();
@@ -183,25 +186,25 @@ impl Map {
     }
 }
 
-/// Begins to draw a plan. None where the system gives no thread: then there is no plan, and clicks work all the same.
+/// Starts drawing a plan. None if the system gives no thread; the map then works without a plan.
 fn ask(scene: &Scene, storey_m: f64) -> Option<mpsc::Receiver<ColorImage>> {
     let (sender, receiver) = mpsc::channel();
     let scene = scene.clone();
     let work = move || {
         if let Some(volume) = &scene.index.volume {
-            // The map may be closed by now.
+            // The map may have been closed.
             let _ = sender.send(floor_plan::draw(&scene, volume, storey_m));
         }
     };
     std::thread::Builder::new().name("ldi-plan".into()).spawn(work).ok().map(|_| receiver)
 }
 
-/// Whether the dataset was built for flying: its volume is one box.
+/// Whether the dataset is for flying: its volume is one box.
 fn flying(scene: &Scene) -> bool {
     scene.index.settings.eye_height_m.is_none()
 }
 
-/// The place that a click means: on the storey that is shown, or as near as there is one.
+/// The eye position that a click selects: on the displayed storey if possible.
 fn standing_place(volume: &WalkVolume, x: f64, z: f64, storey_m: f64, flying: bool) -> DVec3 {
     let here = if flying { Vec::new() } else { walker::storeys(volume, x, z) };
     let y = here.into_iter().min_by(|a, b| (a - storey_m).abs().total_cmp(&(b - storey_m).abs()));
@@ -209,7 +212,7 @@ fn standing_place(volume: &WalkVolume, x: f64, z: f64, storey_m: f64, flying: bo
     walker::nearest(volume, p).unwrap_or(p)
 }
 
-/// Eye heights at which much of the volume lies, ascending.
+/// Eye heights of the storeys, ascending.
 fn storeys(volume: &WalkVolume) -> Vec<f64> {
     let mut area = BTreeMap::<i64, f64>::new();
     for b in volume.boxes() {
@@ -229,7 +232,7 @@ fn storeys(volume: &WalkVolume) -> Vec<f64> {
     out
 }
 
-/// Grid points of the storey; the one in use, and the eyes that its images were made for.
+/// Draws the grid points of the storey, the one in use, and the zone of eyes of its images.
 fn draw_grid_points(
     painter: &egui::Painter,
     sheet: &MapProjection,
@@ -252,17 +255,17 @@ fn draw_grid_points(
     }
 }
 
-/// The walker: what is in view, and an arrow.
+/// Draws the walker: field of view, and an arrow.
 fn draw_walker(painter: &egui::Painter, sheet: &MapProjection, pose: &Pose, fov_deg: f64) {
     let at = sheet.show(pose.position);
-    let toward = |deg: f64, draw_grid_points: f32| toward(at, pose.yaw_deg + deg, draw_grid_points);
+    let toward = |deg: f64, distance: f32| toward(at, pose.yaw_deg + deg, distance);
     let red = Color32::from_rgb(213, 40, 40);
     let view = vec![at, toward(fov_deg / 2.0, 46.0), toward(-fov_deg / 2.0, 46.0)];
     painter.add(Shape::convex_polygon(view, Color32::from_rgba_unmultiplied(213, 40, 40, 60), Stroke::NONE));
     painter.add(arrow(at, pose.yaw_deg, 1.0, red));
 }
 
-/// Another walker: a smaller arrow with number and name, dim on another storey.
+/// Draws another walker: a smaller arrow with number and name, dim on another storey.
 fn draw_other_walker(painter: &egui::Painter, sheet: &MapProjection, o: &Other, storey_m: f64) {
     let p = DVec3::from_array(o.position);
     let at = sheet.show(p);
@@ -276,16 +279,16 @@ fn draw_other_walker(painter: &egui::Painter, sheet: &MapProjection, o: &Other, 
     painter.galley(room.min + vec2(4.0, 1.0), text, colour);
 }
 
-/// So many points from a place on the map toward a yaw.
-fn toward(at: Pos2, yaw_deg: f64, draw_grid_points: f32) -> Pos2 {
+/// The position at a distance from `at` in a yaw's direction.
+fn toward(at: Pos2, yaw_deg: f64, distance: f32) -> Pos2 {
     let (sin, cos) = yaw_deg.to_radians().sin_cos();
-    at + vec2(-sin as f32, -cos as f32) * draw_grid_points
+    at + vec2(-sin as f32, -cos as f32) * distance
 }
 
-/// Points where somebody looks.
+/// An arrow in a yaw's direction.
 fn arrow(at: Pos2, yaw_deg: f64, size: f32, colour: Color32) -> Shape {
     let corners = [(0.0, 16.0), (140.0, 10.0), (-140.0, 10.0)];
-    let corners = corners.map(|(deg, draw_grid_points)| toward(at, yaw_deg + deg, draw_grid_points * size)).to_vec();
+    let corners = corners.map(|(deg, distance)| toward(at, yaw_deg + deg, distance * size)).to_vec();
     Shape::convex_polygon(corners, colour, Stroke::new(1.0, Color32::WHITE))
 }
 

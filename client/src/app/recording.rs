@@ -1,7 +1,8 @@
-//! Walks that are kept (R) and walked again (P), as path files.
+//! Recorded walks (R) and their replay (P), as path files.
 //!
-//! In: the poses of pictures and when they were drawn; later the time since the replay began. Out: a path file that `walk`, `render` and `plan` take; a pose for any time,
-//! interpolated between the recorded ones. What was recorded so far is saved every few seconds: a display that dies takes ten seconds of a walk with it, no more.
+//! In: poses of pictures and their times; for replay the time since its start. Out: a path file for
+//! `walk`, `render` and `plan`; a pose for any time, interpolated between the recorded ones. The
+//! file is saved every few seconds, so that a crash loses little.
 
 use super::unique_file::{describe_error, first_free};
 use ldi_protocol::{
@@ -14,37 +15,38 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Frames per second that the file states; its poses have times of their own.
+/// Frame rate stated in the file. Its poses have their own times.
 const FPS: f64 = 60.0;
 
-/// The first save, so that the file is one, and the time from one to the next.
+/// Time until the first save, and between later ones.
 const SAVED_AFTER: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(10)];
 
 /// A walk being recorded.
 #[derive(Debug)]
 pub struct Recording {
     walk: Walk,
-    /// Of the first pose, and when the next save is due.
+    /// Time of the first pose, and of the next save.
     times: Option<[Instant; 2]>,
-    /// Its file, or why there is none.
+    /// The file, or the reason why there is none.
     file: Result<PathBuf, String>,
     saving: Option<JoinHandle<()>>,
 }
 
 impl Recording {
-    /// Begins with the first pose that is told. The file has the first number that is free; `speed_m_per_s` is what it states.
+    /// Starts a recording in the first free file. `speed_m_per_s`: walking speed stated in the
+    /// file.
     pub fn new(folder: &Path, speed_m_per_s: f64) -> Self {
         let walk = Walk { fps: FPS, speed: speed_m_per_s, eye_height: None, poses: Vec::new() };
         let file = first_free(folder, "walk-", ".path.json").map(|(_, path)| path);
         Self { walk, times: None, file, saving: None }
     }
 
-    /// Why it cannot be saved.
+    /// The reason why the recording cannot be saved.
     pub fn trouble(&self) -> Option<&String> {
         self.file.as_ref().err()
     }
 
-    /// The eye was here at that time. A rest takes two poses, however long it is.
+    /// Records the pose of a picture. A rest takes two poses, however long it is.
     pub fn pose(&mut self, pose: Pose, at: Instant) {
         let [start, due] = *self.times.get_or_insert([at, at + SAVED_AFTER[0]]);
         let t_s = at.saturating_duration_since(start).as_secs_f64();
@@ -66,7 +68,7 @@ impl Recording {
         }
     }
 
-    /// Saves what there is on a thread of its own: no picture waits for a disk.
+    /// Saves the recording on its own thread, so that no picture waits for the disk.
     fn save_beside(&mut self) {
         let Ok(path) = self.file.clone() else { return };
         let walk = self.walk.clone();
@@ -75,14 +77,15 @@ impl Recording {
         }));
     }
 
-    /// Ends and saves it. The walk, which can be walked again even if it cannot be saved; None where nothing was recorded.
+    /// Ends and saves the recording. Returns the walk even if it cannot be saved; None if nothing
+    /// was recorded.
     pub fn end(mut self) -> (Option<Walk>, Result<PathBuf, String>) {
-        // One that came later would put an older state in the file.
+        // A save that ended later would restore an older state.
         if let Some(Err(_)) = self.saving.take().map(JoinHandle::join) {
             tracing::warn!("saving the walk so far failed");
         }
         if self.walk.poses.is_empty() {
-            // Nothing but the number was taken.
+            // Removes the empty file.
             let _ = self.file.as_ref().map(std::fs::remove_file);
             return (None, self.file);
         }
@@ -91,14 +94,14 @@ impl Recording {
     }
 }
 
-/// Writes a walk in place of what is there: the whole of it, or nothing.
+/// Replaces the file as a whole.
 fn write(path: &Path, walk: &Walk) -> Result<(), String> {
     let part = path.with_extension("part");
     let done = std::fs::write(&part, walk.to_json() + "\n").and_then(|()| std::fs::rename(&part, path));
     done.map_err(|e| describe_error(path, &e))
 }
 
-/// The pose at a time after the walk's begin; None once it is over.
+/// The pose at a time after the start; None after the end.
 pub fn pose_at(walk: &Walk, t_s: f64) -> Option<Pose> {
     let t_s = t_s + walk.poses.first()?.t_s;
     let next = walk.poses.partition_point(|p| p.t_s <= t_s);

@@ -1,11 +1,11 @@
-//! What a visitor keeps: recorded walks and places, and what is said about them.
+//! Recorded walks and bookmarks of the user, and the messages about them.
 
 use super::{AppConfig, bookmarks::Bookmarks, events::fields, recording::Recording};
 use ldi_protocol::{Pose, path::Walk};
 use serde_json::{Map, Value};
 use std::{path::PathBuf, sync::Arc, time::Instant};
 
-/// A message for the visitor, and an event.
+/// A message for the user, and an event.
 pub(super) struct Announcement {
     pub text: String,
     pub good: bool,
@@ -19,11 +19,11 @@ impl Announcement {
     }
 }
 
-/// See the module.
+/// The user's recordings and bookmarks.
 pub(super) struct RecordingsAndBookmarks {
     folder: PathBuf,
     recording: Option<Recording>,
-    /// The walk that P walks again.
+    /// The walk that P replays.
     walk: Option<Arc<Walk>>,
     bookmarks: Option<Bookmarks>,
     bookmarks_file: Option<PathBuf>,
@@ -40,12 +40,12 @@ impl RecordingsAndBookmarks {
         }
     }
 
-    /// The walk to walk again, if there is one.
+    /// The walk to replay, if any.
     pub fn walk(&self) -> Option<Arc<Walk>> {
         self.walk.clone()
     }
 
-    /// A picture showed this pose.
+    /// Records the pose of a picture.
     pub fn pose(&mut self, pose: Pose, at: Instant) {
         if let Some(recording) = &mut self.recording {
             recording.pose(pose, at);
@@ -57,7 +57,7 @@ impl RecordingsAndBookmarks {
         self.recording.is_some()
     }
 
-    /// Begins to record a walk, or ends it and saves what was recorded.
+    /// Starts a recording, or ends and saves it.
     pub fn record(&mut self, speed_m_per_s: f64) -> Announcement {
         let Some(recording) = self.recording.take() else {
             let recording = self.recording.insert(Recording::new(&self.folder, speed_m_per_s));
@@ -80,7 +80,7 @@ impl RecordingsAndBookmarks {
         }
     }
 
-    /// Keeps a place under a digit; or the pose that is kept there, to go to.
+    /// Stores a pose under a digit, or returns the stored pose.
     pub fn bookmark(&mut self, digit: u8, keep: Option<Pose>, scene: &str) -> (Option<Pose>, Announcement) {
         if self.bookmarks.is_none() {
             let file = self.bookmarks_file.clone().or_else(|| Bookmarks::default_file(scene));

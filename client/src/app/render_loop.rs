@@ -1,10 +1,13 @@
-//! The drawing thread: pose in, picture out, as often as the display shows one, on the processor or a graphics card; on the processor, too, once a card has failed.
+//! The render loop: renders a picture for each refresh of the display while something changes.
 //!
-//! The window's thread leaves on the [`mailbox`](super::render_mailbox) what was pressed and turned, and takes finished pictures from it; neither waits for
-//! the other. The walker moves when a frame begins, by the time since the last one, so that a picture shows the latest pose.
+//! The window's thread writes input to the [`mailbox`](super::render_mailbox) and takes finished
+//! pictures from it; neither thread waits for the other. The walker moves at the start of a frame,
+//! by the time since the last one, so that a picture shows the latest pose. After a GPU failure the
+//! CPU renders.
 //!
-//! While the eye moves, pictures are drawn as large as the time for a frame allows ([`DynamicResolution`]). Once it rests they become as large
-//! as the window, and then with four samples per pixel. Where nothing changes nothing is drawn.
+//! While the eye moves, the picture's size follows the frame time ([`DynamicResolution`]). At rest
+//! the picture takes the window's size, then four samples per pixel. Unchanged pictures are not
+//! rendered again.
 
 use super::{
     collision::{CollisionGeometry, STRAY_M},
@@ -18,7 +21,9 @@ use super::{
 };
 use crate::{
     composite::Fill,
-    engine::{Anticipated, Cull, DisplayMode, FrameRenderer, Method, Pace, RenderError, View, WalkOptions, view_of},
+    engine::{
+        Anticipated, Cull, DisplayMode, FrameRenderer, Method, Pace, RenderError, View, WalkOptions, select_view,
+    },
     frame::Frame,
     near::MAX_SIDE_PX,
     report::StageMs,
@@ -31,24 +36,26 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// After so much rest the picture becomes as large as the window.
+/// Rest after which the picture takes the window's size.
 const REST_LARGE: Duration = Duration::from_millis(120);
-/// After so much rest it gets four samples per pixel.
+/// Rest after which the picture gets four samples per pixel.
 const REST_FINE: Duration = Duration::from_millis(450);
-/// A picture with four samples per pixel is drawn only where it is expected to take less: a walker who starts meanwhile waits for it.
+/// Longest expected time of a picture with four samples per pixel. Larger: a walker who starts
+/// meanwhile waits longer; smaller: slow machines never show it.
 const FINE_MS: f64 = 250.0;
-/// How often a resting eye looks for new data.
+/// Interval at which a resting eye checks for new data.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
-/// How often surfaces around the eye are gathered anew while data comes.
+/// Interval at which collision surfaces are gathered while data arrives.
 const GATHER_EVERY: Duration = Duration::from_millis(250);
-/// They are gathered anew when the eye has climbed so far, metres: knees are measured from the foot.
+/// Change of eye height after which collision surfaces are gathered again, metres: the knee's
+/// height depends on it.
 const CLIMB_M: f64 = 0.08;
-/// Without progress for this long what is missing is asked for by number.
+/// Time without progress after which missing chunks are requested by number.
 const ASK_AFTER: Duration = Duration::from_secs(1);
-/// Bytes that count as progress: acknowledgements are none.
+/// Received bytes that count as progress; acknowledgements do not.
 const PROGRESS_BYTES: u64 = 4096;
 
-/// What a picture depends on: where nothing of it changed, none is drawn.
+/// Inputs of a picture. If none has changed, no picture is rendered.
 #[derive(Debug, Clone, PartialEq)]
 struct PictureInputs {
     pose: Pose,
@@ -57,32 +64,33 @@ struct PictureInputs {
     shows: DisplayMode,
 }
 
-/// How far ahead is looked for what will be seen, seconds: it is laid out and on the card by then. Larger: more that is never seen.
+/// Times at which the future view is predicted, seconds. Long enough for layout and upload. Larger:
+/// more objects that are never seen.
 const AHEAD_S: [f64; 2] = [0.4, 1.0];
-/// Images that are laid out ahead at most, about as many as a view shows: each takes three times the memory of a decoded one.
+/// Largest number of anticipated images, about as many as a view shows. Larger: more memory.
 const MOST_AHEAD: usize = 32;
-/// Pictures farther apart than this tell nothing of how the eye moves.
+/// Longest interval between pictures from which motion is predicted, seconds.
 const LONGEST_STEP_S: f64 = 0.5;
-/// Nobody walks faster: it was a jump.
+/// Fastest plausible motion; anything faster is a jump.
 const FASTEST_M_PER_S: f64 = 50.0;
 
 /// The last picture.
 struct Last {
     inputs: PictureInputs,
-    /// What it lacked.
+    /// Missing chunks.
     missing: Vec<u32>,
-    /// Bytes in the cache when it was drawn.
+    /// Bytes in the cache when it was rendered.
     cache_bytes: u64,
-    /// Whether images are being laid out.
+    /// Whether layouts or uploads were in progress.
     waiting: bool,
 }
 
-/// A picture to draw.
+/// A picture to render.
 struct Job {
     inputs: PictureInputs,
     cache_bytes: u64,
     moving: bool,
-    /// For the disk as well.
+    /// Whether a screenshot is taken as well.
     shot: bool,
     window_px: [u32; 2],
 }
@@ -101,19 +109,19 @@ pub(super) struct RenderLoop {
     last: Option<Last>,
     began: Option<Instant>,
     still_since: Instant,
-    /// Milliseconds of the last picture as large as the window, at one sample per pixel.
+    /// Milliseconds of the last picture of the window's size, at one sample per pixel.
     large_ms: Option<f64>,
     progress: (u64, Instant),
     collision: Option<NearbyCollision>,
-    /// Where the visit may begin, while that is being found out.
+    /// The search for a start pose, while it lasts.
     start_search: Option<StartPoseSearch>,
-    /// Where that sends the eye.
+    /// The pose that the search wants to see next.
     sent: Option<Pose>,
-    /// The pose of the last picture, and when it was begun.
+    /// The pose of the last picture, and when it was started.
     before: Option<(Pose, Instant)>,
 }
 
-/// Surfaces around the eye, and what they depend on.
+/// Collision surfaces around the eye, and the inputs they depend on.
 struct NearbyCollision {
     collision: CollisionGeometry,
     eye: DVec3,
@@ -159,7 +167,7 @@ impl RenderLoop {
         }
     }
 
-    /// Waits until there is something to draw. None: stop.
+    /// Waits for a picture to render. None: stop.
     fn next(&mut self) -> Option<(Scene, Job)> {
         let shared = self.mailbox.clone();
         let mut mailbox = lock(&shared.0);
@@ -183,7 +191,7 @@ impl RenderLoop {
         }
     }
 
-    /// The scene that the link has now. A new one puts the walker into its volume.
+    /// The connection's current scene. A new scene places the walker in its volume.
     fn scene_now(&mut self, mailbox: &mut RenderMailbox) -> Option<Scene> {
         let scene = self.connection.scene()?;
         if !self.scene.as_ref().is_some_and(|s| s.is(&scene)) {
@@ -203,14 +211,14 @@ impl RenderLoop {
             (self.last, self.large_ms, self.collision) = (None, None, None);
             self.scene = Some(scene.clone());
         } else if self.scene.as_ref().is_some_and(|s| !Arc::ptr_eq(&s.index, &scene.index)) {
-            // The rest of the index is here: the same view needs more.
+            // The index is complete now: the same view may need more.
             self.last = None;
             self.scene = Some(scene.clone());
         }
         Some(scene)
     }
 
-    /// Moves the walker on; the picture that is to be drawn, if there is one.
+    /// Moves the walker. Returns the picture to render, if any.
     fn job(&mut self, mailbox: &mut RenderMailbox, scene: &Scene) -> Option<Job> {
         let now = Instant::now();
         let volume = scene.index.volume.as_ref();
@@ -245,11 +253,11 @@ impl RenderLoop {
         }
         let rest = now - self.still_since;
         let window = mailbox.window_px.map(|n| n.clamp(1, MAX_SIDE_PX / 2));
-        // Where something is still coming, pictures follow each other and need not be fine.
+        // While data arrives, pictures follow each other quickly and are not refined.
         let complete = scene.index.is_whole() && self.last.as_ref().is_some_and(|l| l.missing.is_empty() && !l.waiting);
         self.scale.set_goal(mailbox.frame_ms);
         let fine = mailbox.fine && complete && self.large_ms.is_some_and(|ms| 4.0 * ms < FINE_MS);
-        // Images are laid out for small pictures or for large ones: what is under way is finished first.
+        // Layouts depend on the picture's resolution: those in progress are finished first.
         let half_way = self.last.as_ref().is_some_and(|l| l.waiting && l.inputs.size != window);
         let (size, supersample) = match rest {
             r if r < REST_LARGE || half_way => (self.scale.size(window), 1),
@@ -259,7 +267,7 @@ impl RenderLoop {
         let cache_bytes = scene.cache.usage().bytes;
         let inputs = PictureInputs { pose, size, supersample, shows: mailbox.shows };
         let shot = std::mem::take(&mut mailbox.shot);
-        // What a complete picture does not need may come without a new one.
+        // Data that a complete picture does not need does not change it.
         let changed = self.last.as_ref().is_none_or(|l| {
             l.inputs != inputs
                 || (l.waiting && self.renderer.has_news())
@@ -307,7 +315,7 @@ impl RenderLoop {
         (self.done)();
     }
 
-    /// What is not seen yet and will be if the eye goes on as it does, soonest first.
+    /// Objects that will be seen if the motion continues, soonest first.
     fn ahead(&mut self, scene: &Scene, pose: &Pose, camera: &OutputCamera, seen: &View) -> Anticipated {
         let (now, mut ahead) = (Instant::now(), Anticipated::default());
         let Some((before, at)) = self.before.replace((*pose, now)) else { return ahead };
@@ -324,7 +332,7 @@ impl RenderLoop {
         for t_s in AHEAD_S {
             let (position, yaw_deg) = (pose.position + step * (t_s / dt_s), pose.yaw_deg + turn_deg * (t_s / dt_s));
             let then = Pose { position, yaw_deg, ..*pose };
-            let view = view_of(&scene.index, &then, camera, Method::Auto, &mut StageMs::default());
+            let view = select_view(&scene.index, &then, camera, Method::Auto);
             add(&mut ahead.images, view.images, &seen.images);
             add(&mut ahead.cells, view.cells, &seen.cells);
         }
@@ -332,7 +340,7 @@ impl RenderLoop {
         ahead
     }
 
-    /// One picture.
+    /// Renders one picture.
     fn render(
         &mut self,
         scene: &Scene,
@@ -344,8 +352,9 @@ impl RenderLoop {
         let index = &*scene.index;
         let camera = fit(&index.settings.camera, width, height);
         let options = WalkOptions { width, height, ..options };
-        let mut ms = StageMs::default();
-        let view = view_of(index, pose, &camera, Method::Auto, &mut ms);
+        let start = Instant::now();
+        let view = select_view(index, pose, &camera, Method::Auto);
+        let ms = StageMs { cull: start.elapsed().as_secs_f64() * 1e3, ..StageMs::default() };
         let sight = Sight::new(pose, &camera, options.supersample);
         let needed = view.needed_within(index, &sight, scene.cache.usage().cap_bytes);
         self.connection.update_view(pose, &needed);
@@ -377,7 +386,7 @@ impl RenderLoop {
         Some((camera, stats))
     }
 
-    /// Keeps the surfaces around the eye at hand.
+    /// Updates the collision surfaces around the eye.
     fn update_collision(&mut self, scene: &Scene, eye: DVec3, cache_bytes: u64) {
         let Some(eye_height_m) = scene.index.settings.eye_height_m else { return };
         let good = self.collision.as_ref().is_some_and(|g| {
@@ -391,7 +400,8 @@ impl RenderLoop {
         }
     }
 
-    /// Nobody has said where to begin: sends the eye to the next place until one shows something, or to the best.
+    /// Advances the search for a start pose: moves the eye to the next candidate, or to the best
+    /// one.
     fn advance_start_search(&mut self, scene: &Scene, pose: &Pose, frame: &Frame) {
         let index = &scene.index;
         let (Some(start_search), Some(volume), Some(eye_height_m)) =
@@ -407,7 +417,7 @@ impl RenderLoop {
         self.start_search.take_if(|s| s.is_done());
     }
 
-    /// The server pushes what views need. Where nothing comes although something is missing, it is asked for.
+    /// Requests missing chunks by number if nothing arrives. Normally the server pushes them.
     fn request_if_stuck(&mut self) {
         let missing = self.last.as_ref().map_or(&[][..], |l| &l.missing);
         let bytes = self.connection.summary().bytes;
@@ -420,13 +430,14 @@ impl RenderLoop {
     }
 }
 
-/// The camera for a picture of this size: within the dataset's own in both directions, because images hold no more.
+/// The camera of a picture of this size, within the dataset's field of view in both directions:
+/// images contain no more.
 fn fit(made_for: &OutputCamera, width: u32, height: u32) -> OutputCamera {
     let across = made_for.half_tan_x().min(made_for.half_tan_y() * f64::from(width) / f64::from(height));
     OutputCamera { width, height, fov_deg: 2.0 * across.atan().to_degrees() }
 }
 
-/// Moves the walker along a walk; false where there is none, or it is over.
+/// Moves the walker along a replayed walk. False without one, or after its end.
 fn follow(replay: &mut Option<(Arc<Walk>, Option<Instant>)>, walker: &mut Walker, now: Instant) -> bool {
     let Some((walk, since)) = replay else { return false };
     let t_s = (now - *since.get_or_insert(now)).as_secs_f64();
@@ -437,7 +448,7 @@ fn follow(replay: &mut Option<(Arc<Walk>, Option<Instant>)>, walker: &mut Walker
     replay.is_some()
 }
 
-/// The engine's settings for a resting eye; the size is the camera's.
+/// Render options of a resting eye. The size is the camera's.
 fn options(supersample: u32, shows: DisplayMode) -> WalkOptions {
     WalkOptions {
         width: 0,
@@ -472,7 +483,7 @@ mod tests {
             let camera = fit(&made_for, width, height);
             let (x, y) = (camera.half_tan_x() / made_for.half_tan_x(), camera.half_tan_y() / made_for.half_tan_y());
             assert!(x < 1.0 + 1e-9 && y < 1.0 + 1e-9, "{width}x{height}: {x} {y}");
-            // And as much as fits.
+            // The field of view is as large as possible.
             assert!(x.max(y) > 1.0 - 1e-9, "{width}x{height}: {x} {y}");
         }
     }

@@ -1,17 +1,21 @@
-//! What shows pictures: a surface, a device, one pass with the picture stretched over the window and the interface above it.
+//! The screen: a window's surface, and the pass that draws the picture and the interface.
 //!
-//! In: finished pictures and egui's shapes. Out: a frame on the display. Any adapter will do, a software one too: the work is one
-//! texture. The picture is filtered in linear light (`picture.wgsl`). With a software one the processor shows pictures itself ([`SoftwarePresenter`]).
+//! In: finished pictures and the interface's shapes. Out: a frame on the display. The picture is
+//! filtered in linear light (`picture.wgsl`). With a software adapter the CPU presents pictures
+//! itself ([`SoftwarePresenter`]).
 
-use super::software_present::SoftwarePresenter;
+use super::{
+    interface_pass::{Interface, PreparedInterface, begin},
+    software_present::SoftwarePresenter,
+};
 use crate::frame::Frame;
 use std::sync::{Arc, Mutex, PoisonError};
 use winit::{event_loop::OwnedDisplayHandle, window::Window};
 
-/// Nothing can be shown.
+/// Pictures cannot be presented.
 #[derive(Debug, thiserror::Error)]
 pub enum ScreenError {
-    /// No driver at all.
+    /// There is no driver.
     #[error(
         "no graphics driver can draw into a window ({0}); install one (on Debian: mesa-vulkan-drivers or libgl1-mesa-dri; both also draw \
          without a graphics card), or walk without a window: `ldi-client walk --help`"
@@ -24,66 +28,50 @@ pub enum ScreenError {
     Driver {
         /// Its name.
         adapter: String,
-        /// What it said.
+        /// The driver's message.
         reason: String,
     },
 }
 
-/// Where there is no picture yet: dark, but not a switched-off display.
+/// Colour without a picture: dark, but not black.
 pub(super) const EMPTY: wgpu::Color = wgpu::Color { r: 0.17, g: 0.19, b: 0.22, a: 1.0 };
 
-/// A picture on the device.
+/// A picture on the GPU.
 struct PictureTexture {
     texture: wgpu::Texture,
     group: wgpu::BindGroup,
     size: [u32; 2],
 }
 
-/// The window's surface and what fills it.
+/// The window's surface, and the presenter that fills it.
 pub struct Screen {
     surface: wgpu::Surface<'static>,
     config: wgpu::SurfaceConfiguration,
     device: wgpu::Device,
     queue: wgpu::Queue,
     adapter: String,
-    /// What the driver complained of and nobody asked about.
+    /// The driver's first error since the last check.
     last_error: Arc<Mutex<Option<String>>>,
     presenter: Presenter,
 }
 
-/// How pictures get there.
+/// The way pictures get to the surface.
 enum Presenter {
-    /// A card stretches them and draws the interface over them.
+    /// A GPU scales them and draws the interface over them.
     Gpu(Box<GpuPresenter>),
-    /// The processor does all of it.
+    /// The CPU does both.
     Software(Box<SoftwarePresenter>),
 }
 
-/// What a card needs.
+/// GPU resources of a presenter.
 struct GpuPresenter {
     stretch: UpscalePass,
     texture: Option<PictureTexture>,
     interface: egui_wgpu::Renderer,
 }
 
-/// egui's shapes, ready to be drawn.
-pub struct Interface {
-    /// Triangles.
-    pub primitives: Vec<egui::ClippedPrimitive>,
-    /// New and removed textures.
-    pub textures: egui::TexturesDelta,
-    /// Pixels per point.
-    pub scale: f32,
-}
-
-/// Shapes, and for which screen.
-pub(super) struct PreparedInterface {
-    pub primitives: Vec<egui::ClippedPrimitive>,
-    pub descriptor: egui_wgpu::ScreenDescriptor,
-}
-
 impl Screen {
-    /// Opens the surface of a window on the best adapter there is.
+    /// Opens the surface of a window on the best adapter.
     ///
     /// # Errors
     /// If no driver can draw into it.
@@ -93,7 +81,7 @@ impl Screen {
             wgpu::Instance::new(wgpu::InstanceDescriptor::new_with_display_handle_from_env(Box::new(display)));
         let surface = instance.create_surface(window).map_err(|e| ScreenError::NoAdapter(e.to_string()))?;
         let wanted = wgpu::RequestAdapterOptions {
-            // The work is one texture: the card that saves the battery is enough.
+            // One texture is drawn: an integrated adapter is fast enough.
             power_preference: wgpu::PowerPreference::from_env().unwrap_or(wgpu::PowerPreference::LowPower),
             compatible_surface: Some(&surface),
             ..Default::default()
@@ -109,7 +97,7 @@ impl Screen {
             ..Default::default()
         }))
         .map_err(|e| failed(e.to_string()))?;
-        // Without these two a failing driver ends the process.
+        // Without these handlers a driver error ends the process.
         let last_error = Arc::new(Mutex::new(None));
         let record_error = |last_error: &Arc<Mutex<Option<String>>>| {
             let last_error = last_error.clone();
@@ -136,7 +124,7 @@ impl Screen {
             config.format = preferred.map_err(|e| failed(e.to_string()))?;
         }
         config.present_mode = wgpu::PresentMode::AutoVsync;
-        // The shortest queue: what is seen follows the mouse closely.
+        // The shortest queue, for low latency.
         config.desired_maximum_frame_latency = 1;
         surface.configure(&device, &config);
         let presenter = match software {
@@ -152,7 +140,7 @@ impl Screen {
         Ok(screen)
     }
 
-    /// What the driver complained of since the last time, if anything.
+    /// Takes the driver's first error since the last check.
     fn check(&self) -> Result<(), ScreenError> {
         match self.last_error.lock().unwrap_or_else(PoisonError::into_inner).take() {
             Some(reason) => Err(ScreenError::Driver { adapter: self.adapter.clone(), reason }),
@@ -160,7 +148,7 @@ impl Screen {
         }
     }
 
-    /// Name of the adapter and how it is driven.
+    /// Name of the adapter and its graphics interface.
     pub fn adapter(&self) -> &str {
         &self.adapter
     }
@@ -170,7 +158,7 @@ impl Screen {
         self.device.limits().max_texture_dimension_2d
     }
 
-    /// The window has another size.
+    /// Adapts to a new size of the window.
     pub fn resize(&mut self, [width, height]: [u32; 2]) {
         let most = self.max_side_px();
         let size = [width.clamp(1, most), height.clamp(1, most)];
@@ -180,7 +168,7 @@ impl Screen {
         }
     }
 
-    /// Takes a new picture, which is presented from now on.
+    /// Uploads a new picture, which is presented from now on.
     pub fn upload(&mut self, frame: &Frame) {
         let most = self.max_side_px();
         if let Presenter::Gpu(card) = &mut self.presenter
@@ -190,15 +178,16 @@ impl Screen {
         }
     }
 
-    /// Whether the interface stays as it was drawn last until it is drawn anew.
+    /// Whether the interface stays on screen until it is drawn again.
     pub fn keeps_interface(&self) -> bool {
         matches!(self.presenter, Presenter::Software(_))
     }
 
-    /// Draws the picture, which was the last to be uploaded, and the interface, and shows them; without an interface the last one, where it is kept.
+    /// Presents the picture that was uploaded last, and the interface. Without an interface the
+    /// previous one is kept, if the presenter keeps it.
     ///
     /// # Errors
-    /// If the driver fails, also in what was asked of it before: the screen has to be opened anew.
+    /// If the driver fails, also in an earlier operation. The screen must be opened again.
     pub fn present(&mut self, picture: Option<&Frame>, interface: Option<Interface>) -> Result<(), ScreenError> {
         let size = [self.config.width, self.config.height];
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -238,7 +227,7 @@ impl Screen {
         self.check()
     }
 
-    /// The surface's next texture; configures the surface anew where it has changed.
+    /// The surface's next texture. Reconfigures the surface if it has changed.
     fn acquire(&mut self) -> Option<wgpu::SurfaceTexture> {
         use wgpu::CurrentSurfaceTexture as Current;
         for _ in 0..2 {
@@ -253,7 +242,7 @@ impl Screen {
 }
 
 impl Presenter {
-    /// What draws the interface.
+    /// The renderer of the interface.
     fn renderer(&mut self) -> &mut egui_wgpu::Renderer {
         match self {
             Self::Gpu(card) => &mut card.interface,
@@ -285,32 +274,12 @@ impl GpuPresenter {
     }
 }
 
-pub(super) fn begin<'e>(
-    encoder: &'e mut wgpu::CommandEncoder,
-    view: &wgpu::TextureView,
-    empty: wgpu::Color,
-) -> wgpu::RenderPass<'e> {
-    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-        label: Some("window"),
-        color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-            view,
-            resolve_target: None,
-            ops: wgpu::Operations { load: wgpu::LoadOp::Clear(empty), store: wgpu::StoreOp::Store },
-            depth_slice: None,
-        })],
-        depth_stencil_attachment: None,
-        timestamp_writes: None,
-        occlusion_query_set: None,
-        multiview_mask: None,
-    })
-}
-
-/// What a driver said, in one line.
+/// A driver's message, in one line.
 fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Rows of pixels, whose lowest byte comes first in the texture.
+/// Writes rows of pixels, lowest byte first.
 fn write(queue: &wgpu::Queue, texture: &wgpu::Texture, codes: &[u32]) {
     let little: Vec<u32>;
     let bytes = match cfg!(target_endian = "little") {
@@ -325,7 +294,7 @@ fn write(queue: &wgpu::Queue, texture: &wgpu::Texture, codes: &[u32]) {
     queue.write_texture(texture.as_image_copy(), bytes, layout, texture.size());
 }
 
-/// Stretches a picture over the target.
+/// Scales a picture to the target.
 struct UpscalePass {
     pipeline: wgpu::RenderPipeline,
     layout: wgpu::BindGroupLayout,
@@ -377,7 +346,7 @@ impl UpscalePass {
             multisample: wgpu::MultisampleState::default(),
             fragment: Some(wgpu::FragmentState {
                 module: &module,
-                // A target that encodes by itself must not be given codes.
+                // A target that encodes sRGB itself must be given linear values.
                 entry_point: Some(if target.is_srgb() { "linear" } else { "encoded" }),
                 targets: &[Some(target.into())],
                 compilation_options: wgpu::PipelineCompilationOptions::default(),
@@ -393,7 +362,7 @@ impl UpscalePass {
         Self { pipeline, layout, sampler }
     }
 
-    /// Room for a picture.
+    /// Creates a texture for a picture.
     fn picture(&self, device: &wgpu::Device, size: [u32; 2]) -> PictureTexture {
         let texture = device.create_texture(&wgpu::TextureDescriptor {
             label: Some("picture"),

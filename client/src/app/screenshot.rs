@@ -1,4 +1,4 @@
-//! Screenshots: a picture as large as the window, without the interface, and its pose beside it as a path file.
+//! Screenshots: a picture of the window's size without the interface, and its pose as a path file.
 
 use super::unique_file::{describe_error, first_free};
 use crate::{engine::save_rgb, frame::Frame};
@@ -8,10 +8,10 @@ use std::{
     sync::{Arc, mpsc},
 };
 
-/// What became of a screenshot: its file, or why there is none.
+/// The file of a screenshot, or the error.
 pub type Outcome = Result<PathBuf, String>;
 
-/// Saves screenshots on threads of their own, so that neither drawing nor the window waits for the disk.
+/// Saves screenshots on their own threads, so that rendering and window do not wait for the disk.
 #[derive(Clone)]
 pub struct Screenshots {
     folder: PathBuf,
@@ -20,17 +20,17 @@ pub struct Screenshots {
 }
 
 impl Screenshots {
-    /// Into `folder`. Outcomes go to the receiver; `saved` is called after each.
+    /// Saves into `folder`. Outcomes go to the receiver; `saved` is called after each.
     pub fn new(folder: &Path, saved: impl Fn() + Send + Sync + 'static) -> (Self, mpsc::Receiver<Outcome>) {
         let (outcomes, received) = mpsc::channel();
         (Self { folder: folder.to_owned(), outcomes, saved: Arc::new(saved) }, received)
     }
 
-    /// Saves a picture under the first free number.
+    /// Saves a picture as the first free file.
     pub fn save(&self, frame: Frame, pose: Pose, fov_deg: f64) {
         let Self { folder, outcomes, saved } = self.clone();
         let work = move || {
-            // Nobody listens once the window is closed.
+            // The receiver is gone once the window is closed.
             let _ = outcomes.send(write(&folder, &frame, &pose, fov_deg));
             saved();
         };

@@ -1,7 +1,8 @@
-//! The line to the server, kept up: connects, says why it cannot, connects again by itself.
+//! The connection to the server: connects, reports problems, reconnects.
 //!
-//! One thread of its own. The window asks for the [`ConnectionState`] and never waits; the drawing thread says where it looks. What was
-//! received stays: after a loss frames are drawn from the cache, and the next connection goes on with it.
+//! Runs on its own thread. The window reads the [`ConnectionState`] and never waits; the render
+//! thread reports its view. Received data is kept: after a loss frames are drawn from the cache,
+//! and the next connection continues with it.
 
 use crate::{
     cache::{Cache, Usage},
@@ -14,49 +15,49 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// How often the line is looked at.
+/// Interval at which the connection is checked.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
-/// The same while the rest of the index is to come: pictures wait for it.
+/// Interval while the rest of the index arrives, as pictures wait for it.
 const LOOK_OFTEN: Duration = Duration::from_millis(10);
-/// Without a byte for this long the line is given up. A pose is repeated every 2 s at least and acknowledged, so that a living line
-/// is never silent for longer; QUIC itself would notice after 30 s only.
+/// Time without received bytes after which the connection is given up. Longer than the interval at
+/// which poses are repeated and acknowledged, and much shorter than QUIC's own timeout.
 const SILENCE: Duration = Duration::from_secs(6);
-/// Pause before the second attempt; doubled up to [`LONGEST_PAUSE`].
+/// Pause before the second attempt, doubled up to [`LONGEST_PAUSE`].
 const FIRST_PAUSE: Duration = Duration::from_millis(500);
 /// See [`FIRST_PAUSE`].
 const LONGEST_PAUSE: Duration = Duration::from_secs(5);
-/// Time for connecting again: the server was there a moment ago, and may be back at any time.
+/// Timeout of reconnecting. Short, as the server was available before and may return at any time.
 const AGAIN_TIMEOUT: Duration = Duration::from_secs(4);
-/// Window of the shown rate.
+/// Window over which the displayed rate is measured.
 const RATE_OVER: Duration = Duration::from_secs(1);
 
-/// How the line is.
+/// State of the connection.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ConnectionState {
     /// Connecting.
     Connecting {
-        /// 1 for the first time, 2 and so on after a failure or a loss.
+        /// 1 for the first attempt, then counted up after each failure or loss.
         attempt: u32,
-        /// Why the one before failed or was lost.
+        /// The reason of the previous failure or loss.
         after: Option<String>,
     },
-    /// There is a connection.
+    /// The connection is established.
     Up,
-    /// There is none, and the next attempt comes then.
+    /// There is no connection; the next attempt is scheduled.
     Waiting {
-        /// Why.
+        /// The reason of the failure or loss.
         reason: String,
-        /// When.
+        /// Time of the next attempt.
         until: Instant,
     },
-    /// There is none, and trying again would not help.
+    /// There is no connection, and reconnecting cannot help.
     Refused(ConnectError),
 }
 
-/// A dataset with what was received of it.
+/// A dataset and its received data.
 #[derive(Debug, Clone)]
 pub struct Scene {
-    /// Its index, as far as it is here.
+    /// The index, as far as it has arrived.
     pub index: Arc<Index>,
     /// Decoded objects.
     pub cache: Arc<Cache>,
@@ -73,29 +74,29 @@ impl Scene {
     }
 }
 
-/// What the line carried.
+/// Transfer rates and counts.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ConnectionSummary {
-    /// Over the last second.
+    /// Received over the last second, Mbit/s.
     pub mbit_per_s: f64,
-    /// Of all connections.
+    /// Received bytes of all connections.
     pub bytes: u64,
-    /// Round trip.
+    /// Round trip time, milliseconds.
     pub rtt_ms: f64,
-    /// The cache's accounts.
+    /// Usage of the cache.
     pub cache: Usage,
 }
 
 struct Inner {
     state: ConnectionState,
-    /// Since when there has been no connection.
+    /// Start of the time without a connection.
     down_since: Option<Instant>,
     scene: Option<Scene>,
     connection: Option<Connection>,
     summary: ConnectionSummary,
-    /// Of the connections before this one.
+    /// Statistics of the previous connections.
     before: Stats,
-    /// Where the eye looked last and what it needed: the next connection has to know at once.
+    /// The last pose and its needs, which the next connection sends at once.
     looked: Option<(Pose, Needed)>,
 }
 
@@ -107,7 +108,7 @@ impl Inner {
     }
 }
 
-/// The line; stopped when dropped.
+/// The connection's handle. Dropping it ends the connection.
 pub struct ServerConnection {
     inner: Arc<Mutex<Inner>>,
     progress: Arc<ConnectProgress>,
@@ -122,7 +123,8 @@ fn lock(inner: &Mutex<Inner>) -> MutexGuard<'_, Inner> {
 }
 
 impl ServerConnection {
-    /// Begins to connect. `changed` is called, on the link's thread, after every change of state.
+    /// Starts to connect. `changed` is called on the connection's thread after every change of
+    /// state.
     ///
     /// # Errors
     /// If the system gives no thread.
@@ -130,7 +132,7 @@ impl ServerConnection {
         Self::begin(None, config, Box::new(changed))
     }
 
-    /// Keeps up what a connection made with `config` has begun.
+    /// Takes over an established connection that was made with `config`.
     ///
     /// # Errors
     /// If the system gives no thread.
@@ -163,22 +165,22 @@ impl ServerConnection {
         Ok(Self { inner, progress, others, stop: Some(stop), thread: Some(thread) })
     }
 
-    /// How the line is.
+    /// State of the connection.
     pub fn state(&self) -> ConnectionState {
         lock(&self.inner).state.clone()
     }
 
-    /// How long there has been no connection; None while there is one.
+    /// Time without a connection; None while it is established.
     pub fn down_for(&self) -> Option<Duration> {
         lock(&self.inner).down_since.map(|since| since.elapsed())
     }
 
-    /// The dataset, once its index is here.
+    /// The dataset, once its index has arrived.
     pub fn scene(&self) -> Option<Scene> {
         lock(&self.inner).scene.clone()
     }
 
-    /// What the line carried.
+    /// Transfer rates and counts.
     pub fn summary(&self) -> ConnectionSummary {
         lock(&self.inner).summary
     }
@@ -189,17 +191,18 @@ impl ServerConnection {
         inner.all_stats()
     }
 
-    /// How far connecting is: the phase; stored bytes of the index, and of all of it.
+    /// Progress of connecting: the phase, received and total bytes of the index.
     pub fn progress(&self) -> (Phase, (u64, u64)) {
         (self.progress.phase(), self.progress.index_bytes())
     }
 
-    /// Where other walkers are, if that is wanted and the server tells.
+    /// Other walkers, if requested and sent by the server.
     pub fn others(&self) -> &OtherWalkers {
         &self.others
     }
 
-    /// The eye is here and needs this: it is pinned in the cache, and sent if there is a line.
+    /// Reports the eye's pose and needs: pins them in the cache, and sends the pose if there is a
+    /// connection.
     pub fn update_view(&self, pose: &Pose, needed: &Needed) {
         let mut inner = lock(&self.inner);
         inner.looked = Some((*pose, needed.clone()));
@@ -210,7 +213,7 @@ impl ServerConnection {
         }
     }
 
-    /// Asks for chunks by number.
+    /// Requests chunks by number.
     pub fn request(&self, chunks: &[u32]) {
         if let Some(connection) = &lock(&self.inner).connection {
             connection.request(chunks);
@@ -221,7 +224,7 @@ impl ServerConnection {
 impl Drop for ServerConnection {
     fn drop(&mut self) {
         self.stop = None;
-        // While connecting, the thread cannot be told; the process need not wait for a server that does not answer.
+        // A thread that is connecting cannot be interrupted; the process does not wait for it.
         if let (Some(thread), false) = (self.thread.take(), matches!(self.state(), ConnectionState::Connecting { .. }))
         {
             let _ = thread.join();
@@ -229,7 +232,7 @@ impl Drop for ServerConnection {
     }
 }
 
-/// The thread.
+/// State of the connection's thread.
 struct ConnectionKeeper {
     config: ConnectConfig,
     inner: Arc<Mutex<Inner>>,
@@ -247,7 +250,7 @@ impl ConnectionKeeper {
             });
             let ended = match connected {
                 Ok(connection) => {
-                    // Whoever loses it knows that the next attempt is another one.
+                    // The connection was established: attempts are counted from one again.
                     attempt = 1;
                     self.keep(connection)
                 }
@@ -272,7 +275,7 @@ impl ConnectionKeeper {
         }
     }
 
-    /// Keeps a connection until it is lost. None when the link is to stop.
+    /// Watches a connection until it is lost. None: stop.
     fn keep(&mut self, connection: Connection) -> Option<ConnectError> {
         let cache = connection.cache().clone();
         self.config.resume = Some(connection.kept());
@@ -280,7 +283,7 @@ impl ConnectionKeeper {
             let mut inner = lock(&self.inner);
             let scene = Scene::of(&connection);
             if inner.scene.replace(scene.clone()).is_some_and(|old| !old.is(&scene)) {
-                // Another dataset: what was needed of the old one means nothing here.
+                // The needs refer to the previous dataset.
                 inner.looked = None;
             }
             if let Some((pose, needed)) = &inner.looked {
@@ -307,7 +310,7 @@ impl ConnectionKeeper {
                 inner.connection.as_ref().map(|c| (c.received_bytes(), c.rtt_ms(), inner.looked.is_some()))
             };
             let Some((received, rtt_ms, looked)) = stats else { break None };
-            // Before the first look nothing needs to be said.
+            // Without a view nothing is expected to arrive.
             if received != heard.0 || !looked {
                 heard = (received, now);
             }
@@ -336,10 +339,10 @@ impl ConnectionKeeper {
             inner.before = inner.all_stats();
             inner.connection.take()
         };
-        // Says goodbye and waits for its threads: with the lock free.
+        // Dropping sends a goodbye and waits for threads, so that the lock must be free.
         drop(connection);
         self.config.timeout = AGAIN_TIMEOUT;
-        // The cache keeps the words of the same error.
+        // The cache stores the text of the same error.
         reason.map(|r| ConnectError::Lost(r.trim_start_matches("the connection ended: ").to_owned()))
     }
 

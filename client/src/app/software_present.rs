@@ -1,15 +1,17 @@
-//! Showing without a graphics card: the processor fills the window's pixels, and the software driver draws the interface alone, when it changes.
+//! Presentation by the CPU, for software adapters: the CPU fills the window's pixels, and the
+//! software driver draws only the interface, when it changes.
 //!
-//! In: finished pictures and egui's shapes. Out: a window's pixels. Mesa's software driver takes two thirds more than the drawing of the picture for stretching it and for the interface over
-//! it, as it does both in floating point with a power per pixel.
+//! In: finished pictures and the interface's shapes. Out: a window's pixels. A software driver
+//! would be slower, as it scales the picture and blends the interface in floating point with a
+//! power function per pixel.
 
-use super::{overlay::Overlay, screen::PreparedInterface, software_upscale::SoftwareUpscaler};
+use super::{interface_pass::PreparedInterface, overlay::Overlay, software_upscale::SoftwareUpscaler};
 use crate::frame::Frame;
 
-/// Where there is no picture yet: that of [`super::screen::EMPTY`].
+/// Colour without a picture, as [`super::screen::EMPTY`].
 const EMPTY_CODE: u32 = 0xff2b_3038;
 
-/// The window's pixels and what they are made of.
+/// The window's pixels, and the resources they are composed from.
 pub struct SoftwarePresenter {
     stretcher: SoftwareUpscaler,
     interface: Overlay,
@@ -18,10 +20,10 @@ pub struct SoftwarePresenter {
 }
 
 impl SoftwarePresenter {
-    /// What the window's pixels have to be: blue in the lowest byte, codes as they are.
+    /// Required format of the window's pixels: blue in the lowest byte, sRGB codes.
     pub const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Bgra8Unorm;
 
-    /// With the device that draws the interface, for a window of this size.
+    /// `device` draws the interface; `size` is the window's.
     pub fn new(device: &wgpu::Device, size: [u32; 2]) -> Self {
         Self {
             stretcher: SoftwareUpscaler::default(),
@@ -31,12 +33,12 @@ impl SoftwarePresenter {
         }
     }
 
-    /// What draws the interface.
+    /// The renderer of the interface.
     pub fn renderer(&mut self) -> &mut egui_wgpu::Renderer {
         &mut self.renderer
     }
 
-    /// Draws the interface into a picture of its own. `before`: what has to be submitted before.
+    /// Draws the interface into its overlay. `before`: command buffers to submit first.
     pub fn draw_interface(
         &mut self,
         device: &wgpu::Device,
@@ -49,7 +51,7 @@ impl SoftwarePresenter {
             self.interface = Overlay::new(device, Self::FORMAT, descriptor.size_in_pixels);
         }
         let target = self.interface.target();
-        let mut pass = super::screen::begin(&mut encoder, &target, wgpu::Color::TRANSPARENT).forget_lifetime();
+        let mut pass = super::interface_pass::begin(&mut encoder, &target, wgpu::Color::TRANSPARENT).forget_lifetime();
         self.renderer.render(&mut pass, primitives, descriptor);
         drop(pass);
         self.interface.fetch(&mut encoder);
@@ -57,7 +59,7 @@ impl SoftwarePresenter {
         self.interface.take(device);
     }
 
-    /// The pixels of a window of this size that shows a picture with the interface over it.
+    /// Composes the window's pixels from a picture and the interface.
     pub fn compose(&mut self, picture: Option<&Frame>, size: [u32; 2]) -> &[u32] {
         self.pixels.resize(size[0] as usize * size[1] as usize, 0);
         match picture.filter(|p| p.width > 0 && p.height > 0) {

@@ -1,28 +1,31 @@
-//! Pictures stretched over a window by the processor: for software adapters, which take several times as long for the same.
+//! Scaling of pictures to the window's size by the CPU, for software adapters.
 //!
-//! In: packed sRGB codes, red in the lowest byte, rows from above, and the window's size. Out: as many codes as the window has pixels, blue in the lowest byte. Bilinear between pixel centres, clamped at the borders, of the codes
-//! themselves: in linear light (as `picture.wgsl` does for cards) it would take tables and gain nothing that moving pictures show.
+//! In: packed sRGB codes, red in the lowest byte, rows from the top; the window's size. Out: codes
+//! of the window's pixels, blue in the lowest byte. Bilinear between pixel centres, clamped at the
+//! borders. Codes are interpolated directly: linear light (as in `picture.wgsl`) would need tables,
+//! for a difference that moving pictures do not show.
 
-/// Weights are multiples of 1/256.
+/// Unit of weights.
 const ONE: u16 = 256;
-/// A byte in each of four lanes of 16 bits: room for a byte times [`ONE`].
+/// One byte in each of four lanes of 16 bits, which hold a byte times [`ONE`].
 const BYTES: u64 = 0x00ff_00ff_00ff_00ff;
-/// Half a code in each.
+/// Half a code in each lane.
 const HALF: u64 = 0x0080_0080_0080_0080;
 
-/// Stretches; keeps memory from one picture to the next.
+/// Scales pictures; keeps buffers between them.
 #[derive(Debug, Default)]
 pub struct SoftwareUpscaler {
-    /// Neighbours of each column, and the weight of the right one.
+    /// Source columns of each target column, and the weight of the right one.
     columns: Vec<([u32; 2], u64)>,
-    /// A row of the picture, in lanes.
+    /// A source row, in lanes.
     source: Vec<u64>,
-    /// The two rows between which the last row lies, as wide as the window, four lanes to a pixel; and their numbers in the picture.
+    /// The two source rows around the last target row, scaled horizontally, four lanes per pixel;
+    /// and their numbers.
     rows: [(Option<usize>, Vec<u16>); 2],
 }
 
 impl SoftwareUpscaler {
-    /// Stretches a picture of `from` columns and rows over `out`, of `to` columns and rows; none of them 0. Red and blue change places.
+    /// Scales a picture of size `from` to `out` of size `to`; no side may be 0. Swaps red and blue.
     pub fn stretch(&mut self, codes: &[u32], from: [u32; 2], out: &mut [u32], to: [u32; 2]) {
         if from == to {
             out.iter_mut().zip(codes).for_each(|(out, c)| *out = c & 0xff00_ff00 | (c & 0xff) << 16 | c >> 16 & 0xff);
@@ -66,13 +69,13 @@ impl SoftwareUpscaler {
     }
 }
 
-/// The pixels of `from` between which pixel `n` of `to` lies, and the weight of the second.
+/// The source pixels around target pixel `n`, and the weight of the second.
 fn neighbours(n: u32, from: u32, to: u32) -> ([u32; 2], u16) {
     let at = ((f64::from(n) + 0.5) * f64::from(from) / f64::from(to) - 0.5).clamp(0.0, f64::from(from - 1));
     ([at as u32, (at as u32 + 1).min(from - 1)], (at.fract() * f64::from(ONE)).round() as u16)
 }
 
-/// The channels in the order of the window's bytes, where the lowest comes first.
+/// The channels as lanes, in the order of the window's bytes.
 fn lanes(code: u32) -> u64 {
     let [red, green, blue, alpha] = code.to_le_bytes().map(u64::from);
     blue | green << 16 | red << 32 | alpha << 48
@@ -83,7 +86,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// In f64, of one channel.
+    /// Reference in f64, for one channel.
     fn reference(codes: &[u32], from: [u32; 2], to: [u32; 2], [x, y]: [u32; 2], shift: u32) -> f64 {
         let place = |n: u32, axis: usize| {
             let at = (f64::from(n) + 0.5) * f64::from(from[axis]) / f64::from(to[axis]) - 0.5;
@@ -103,7 +106,7 @@ mod tests {
             let code = |i: u32| (seed ^ i).wrapping_mul(0x9e37_79b9) ^ (seed ^ i).wrapping_mul(0x85eb_ca6b) >> 13;
             let codes: Vec<u32> = (0..from[0] * from[1]).map(code).collect();
             let mut stretcher = SoftwareUpscaler::default();
-            // What was there before does not show.
+            // Buffers of a previous picture must not show.
             stretcher.stretch(&codes, from, &mut [0; 35], [7, 5]);
             let mut pixels = vec![0; (to[0] * to[1]) as usize];
             stretcher.stretch(&codes, from, &mut pixels, to);
@@ -111,7 +114,8 @@ mod tests {
                 let at = [i as u32 % to[0], i as u32 / to[0]];
                 for (shift, source) in [0, 8, 16, 24].into_iter().zip([16, 8, 0, 24]) {
                     let want = reference(&codes, from, to, at, source);
-                    // Half a code of rounding and half a 256th of 255 of the weights, twice.
+                    // Error bound: rounding of half a code, and of weights by half a 256th of 255,
+                    // twice.
                     prop_assert!((f64::from(got >> shift & 0xff) - want).abs() <= 2.0, "{:?}: {} is not {}", at, got >> shift & 0xff, want);
                 }
             }

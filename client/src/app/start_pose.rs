@@ -1,30 +1,33 @@
-//! Where a visit begins when nobody says: amid the floor stands a cupboard often, and the volume knows no walls.
+//! Chooses the start pose when none is given. The walk volume contains no walls or furniture, so
+//! candidates are tested by what their pictures show.
 //!
-//! In: places, and what is drawn and known of walls there. Out: where to go next, until a view shows something. Pure.
+//! In: candidate poses, their pictures, and the direction with the most room. Out: the next pose to
+//! look at, until a picture shows enough. Pure.
 
 use super::walker;
 use crate::frame::Frame;
 use ldi_protocol::{Pose, volume::WalkVolume};
 
-/// Tones of a picture that shows something, more or less: a wall has three, a wall and the sky five. By judgement.
+/// Number of tones of a picture that shows enough. Smaller: views of a bare wall are accepted;
+/// larger: more candidates are looked at. A judgement.
 const ENOUGH: usize = 12;
-/// A tone counts if one in so many pixels has it: a few along an edge say nothing. By judgement.
+/// A tone counts if one in this many pixels has it, so that edges do not count. A judgement.
 const SHARE: usize = 500;
 
-/// Places to look around at.
+/// The search for a start pose.
 pub(super) struct StartPoseSearch {
-    /// The next one last.
+    /// Remaining candidates; the next one last.
     left: Vec<Pose>,
-    /// The way to look in from here has been chosen.
+    /// Whether the direction of the current candidate has been chosen.
     turned: bool,
-    /// The best view so far, and its tones.
+    /// The best pose so far, and its number of tones.
     best: Option<(usize, Pose)>,
-    /// There is nothing more to see.
+    /// Whether the search is over.
     done: bool,
 }
 
 impl StartPoseSearch {
-    /// Begins; also where.
+    /// Starts the search. Also returns the first candidate.
     pub fn new(volume: &WalkVolume) -> (Self, Option<Pose>) {
         let mut left = walker::starts(volume);
         left.reverse();
@@ -32,7 +35,8 @@ impl StartPoseSearch {
         (Self { left, turned: false, best: None, done: false }, first)
     }
 
-    /// A picture of this pose is complete; `yaw_deg` tells the way to look in from there. Where to go; None: here the visit begins.
+    /// Evaluates the complete picture of a pose. `yaw_deg` computes the direction with the most
+    /// room. Returns the next pose to look at; None if the current one is chosen.
     pub fn on_picture(&mut self, pose: &Pose, frame: &Frame, yaw_deg: impl FnOnce() -> f64) -> Option<Pose> {
         if !std::mem::replace(&mut self.turned, true) {
             let turned = Pose { yaw_deg: yaw_deg(), ..*pose };
@@ -56,13 +60,13 @@ impl StartPoseSearch {
         self.best.map(|b| b.1).filter(|best| best != pose)
     }
 
-    /// Whether it is known where the visit begins.
+    /// Whether the start pose is chosen.
     pub fn is_done(&self) -> bool {
         self.done
     }
 }
 
-/// Colours of 16 levels per channel that enough pixels have.
+/// Number of colours, of 16 levels per channel, that enough pixels have.
 fn tones(colour: &[u32]) -> usize {
     let mut count = vec![0usize; 1 << 12];
     for c in colour {
@@ -103,7 +107,7 @@ mod tests {
             "looks there already, and there is something"
         );
         assert!(s.is_done());
-        // Nothing but walls: the best of them.
+        // All candidates show walls: the best one is chosen.
         let mut s = start_search();
         let walls = [(1.0, 3, Some(at(2.0, 0.0))), (2.0, 4, Some(at(3.0, 0.0))), (3.0, 2, Some(at(2.0, 0.0)))];
         for (x, tones, next) in walls {

@@ -1,4 +1,4 @@
-//! The start screen: what is happening until the first view is there.
+//! The start screen: progress of connecting, until the first picture.
 
 use super::{
     hud::{self, HELP},
@@ -9,12 +9,12 @@ use crate::stream::Phase;
 use egui::{Align2, Color32, CornerRadius, FontId, Rect, pos2, vec2};
 use ldi_protocol::said::escaped;
 
-/// Size of the card, points.
+/// Size of the panel, points.
 const CARD: egui::Vec2 = vec2(560.0, 250.0);
 const CARD_FILL: Color32 = Color32::from_rgba_unmultiplied_const(24, 28, 34, 235);
 const BAR: Color32 = Color32::from_rgb(90, 160, 220);
 
-/// Draws the card. `server` is whom the window was asked to show.
+/// Draws the panel. `server`: the address given by the user.
 pub fn show(ctx: &egui::Context, server: &str, connection: &ServerConnection, picture: Option<&Picture>) {
     let painter = ctx.layer_painter(egui::LayerId::new(egui::Order::Middle, egui::Id::unique("start")));
     let screen = ctx.content_rect();
@@ -69,7 +69,7 @@ pub fn show(ctx: &egui::Context, server: &str, connection: &ServerConnection, pi
     painter.galley(pos2(card.left() + 28.0, card.top() + 186.0), help, Color32::GRAY);
 }
 
-/// What is being done, and how much of it is.
+/// The current step, and its progress from 0 to 1.
 fn step(connection: &ServerConnection, picture: Option<&Picture>) -> (String, Option<f32>) {
     let share = |done: u64, all: u64| (all > 0).then(|| done as f32 / all as f32);
     let first_view = |p: &Picture| {

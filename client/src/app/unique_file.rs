@@ -1,4 +1,4 @@
-//! Files with numbers of their own: what a visitor saves never replaces what lies there.
+//! Files with unique numbers: saving never replaces an existing file.
 
 use std::{
     fs::{File, OpenOptions},
@@ -6,18 +6,19 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Highest number of a file name: five digits.
+/// Highest number in a file name: five digits.
 const MOST: u32 = 99_999;
 
-/// What is wrong with a file of `--screenshots`, and the remedy.
+/// Describes an error of a file in the folder of `--shots`, with its remedy.
 pub fn describe_error(path: &Path, e: &dyn std::fmt::Display) -> String {
     format!("{}: {e}; give a folder that can be written with --shots", path.display())
 }
 
-/// Makes `before`0001`after` in a folder, or the first number after it that is free; the folder too. Made only if it is not there: two windows may share a folder.
+/// Creates `before`0001`after` in a folder, or the first free number after it, and the folder.
+/// Never opens an existing file: two windows may share a folder.
 ///
 /// # Errors
-/// If the folder cannot be written, or no number is left.
+/// If the folder cannot be written, or no number is free.
 pub fn first_free(folder: &Path, before: &str, after: &str) -> Result<(File, PathBuf), String> {
     std::fs::create_dir_all(folder).map_err(|e| describe_error(folder, &e))?;
     for number in 1..=MOST {

@@ -1,14 +1,15 @@
-//! How a walker moves: keys and mouse to poses, within the walk volume.
+//! The walker: converts keys, mouse and time to poses within the walk volume.
 //!
-//! In: what is pressed, how the mouse moved, the time that passed. Out: a pose. Pure: no window, no clock.
+//! In: the intent, the turn, the time that passed. Out: a pose. Pure: no window, no clock.
 //!
-//! - The velocity approaches what is asked for exponentially ([`RESPONSE_S`]), integrated exactly: the path does not depend on how
-//!   often it is computed.
-//! - The eye never leaves the [`WalkVolume`]. At its border the walker goes as far as there is room, then along x and along z with
-//!   what is left: the columns of the volume are upright boxes, so that is sliding.
-//! - Walls are slid along too: the part of a step toward the nearest surface is left out ([`CollisionGeometry`]).
-//! - On foot the eye follows the floor that is below it, within the heights of the volume. Where that floor has not arrived yet the
-//!   volume says enough: made for an eye height h, it spans h - 0.5 m to h + 0.4 m above each floor.
+//! - The velocity approaches the intended one exponentially ([`RESPONSE_S`]), integrated exactly:
+//!   the path does not depend on the update rate.
+//! - The eye never leaves the [`WalkVolume`]. At its border the walker moves as far as possible,
+//!   then along x and along z: the volume's columns are upright boxes, so that this is sliding.
+//! - At walls the part of a step toward the nearest surface is removed ([`CollisionGeometry`]).
+//! - On foot the eye follows the floor below, within the heights of the volume. Without floor
+//!   geometry the volume's heights are used: made for an eye height h, it spans h - 0.5 m to h +
+//!   0.4 m above each floor.
 
 use super::collision::{BODY_M, CollisionGeometry};
 use glam::DVec3;
@@ -16,59 +17,61 @@ use ldi_protocol::{Pose, ViewBasis, volume::WalkVolume};
 
 /// Walking speed, m/s.
 pub const WALK_M_PER_S: f64 = 1.4;
-/// Speeds that can be chosen, m/s: a creep, and enough to cross a town.
+/// Range of speeds, m/s.
 const SPEEDS_M_PER_S: std::ops::RangeInclusive<f64> = 0.1..=60.0;
-/// How much faster running is.
+/// Speed of running, relative to walking.
 const RUN_FACTOR: f64 = 2.5;
-/// Speed per notch of the wheel.
+/// Change of speed per notch of the wheel.
 const NOTCH_FACTOR: f64 = 1.15;
-/// Time constant of starting and stopping, seconds. Smaller: jerks; larger: walking as on ice.
+/// Time constant of starting and stopping, seconds. Smaller: jerky; larger: the walker slides.
 const RESPONSE_S: f64 = 0.07;
-/// Time constant of the eye's height over steps, seconds. Smaller: every step is felt; larger: the eye lags behind on stairs.
+/// Time constant of the eye's height over steps, seconds. Smaller: steps are jerky; larger: the eye
+/// lags on stairs.
 const RISE_S: f64 = 0.12;
-/// Turning by keys, degrees per second.
+/// Turn rate of keys, degrees per second.
 const TURN_DEG_PER_S: f64 = 90.0;
-/// Longest step that is tried at once, metres: below the edge of a column, so that none is jumped over.
+/// Longest movement tested at once, metres: below a column's width, so that no column is skipped.
 const LONGEST_STEP_M: f64 = 0.1;
-/// Longest time that is made up for, seconds: after a stall the walker does not leap.
+/// Longest time of an update, seconds: the walker does not jump after a stall.
 const LONGEST_TIME_S: f64 = 0.25;
-/// Longest time in one step, seconds: bounds the lag of the eye's height.
+/// Longest time of one step, seconds: bounds the lag of the eye's height.
 const LONGEST_SLICE_S: f64 = 1.0 / 60.0;
-/// How far the eye may be above or below a neighbouring column's heights and still step over, metres. Those heights reach 0.4 m
-/// and more around the eye themselves; the rest allows for the lag on stairs.
+/// Largest height of the eye above or below a neighbouring column's heights at which it steps over,
+/// metres. The heights have a margin around the eye of their own; this one covers the lag on
+/// stairs.
 const STEP_OVER_M: f64 = 0.3;
-/// A body this much farther than its radius from a wall touches it, metres: a step's resolution.
+/// Tolerance for touching a wall, metres: the resolution of a step.
 const TOUCH_M: f64 = 1e-3;
-/// Kept from the border, metres: rounding must not carry the eye outside.
+/// Distance kept from the volume's border, metres: rounding must not move the eye outside.
 const INSET_M: f64 = 1e-6;
-/// How far the volume reaches below and above the nominal eye (CONTRACTS, walk volume), metres.
+/// Extent of the volume below the nominal eye height, metres.
 const BELOW_M: f64 = 0.5;
-/// See [`BELOW_M`].
+/// Extent of the volume above the nominal eye height, metres.
 const ABOVE_M: f64 = 0.4;
-/// Most that steps rise within a column and beside it, metres, and the layers' height.
+/// Largest rise of stairs within a column and beside it plus a layer's height, metres.
 const STEPS_M: f64 = 0.65;
-/// Nearer than this to its height the eye is there, metres: a walker at rest rests.
+/// Tolerance at which the eye's height has settled, metres: a resting walker must not move.
 const SETTLED_M: f64 = 5e-4;
 
-/// What the walker is asked to do. Each direction lies in -1 ..= 1.
+/// The intended movement. Each component lies in -1 ..= 1.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Intent {
-    /// Ahead.
+    /// Forward.
     pub forward: f64,
     /// To the right.
     pub right: f64,
-    /// Upward; when flying only.
+    /// Upward, only when flying.
     pub up: f64,
-    /// Turning left, by keys or a stick.
+    /// Turn to the left.
     pub turn: f64,
-    /// Looking up, by a stick.
+    /// Turn upward.
     pub tilt: f64,
-    /// Faster.
+    /// Whether to run.
     pub run: bool,
 }
 
 impl Intent {
-    /// What two ask for together.
+    /// Combines two intents.
     pub fn and(self, other: Self) -> Self {
         let sum = |a: f64, b: f64| (a + b).clamp(-1.0, 1.0);
         Self {
@@ -82,14 +85,14 @@ impl Intent {
     }
 }
 
-/// What is known of the world around a walker.
+/// The surroundings of a walker.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct WalkSpace<'a> {
-    /// Where eyes may be.
+    /// The walk volume.
     pub volume: Option<&'a WalkVolume>,
-    /// Surfaces nearby.
+    /// Nearby surfaces.
     pub collision: Option<&'a CollisionGeometry>,
-    /// Whether those that stand upright are walls, or can be walked through.
+    /// Whether obstacles block the way.
     pub walls: bool,
 }
 
@@ -100,7 +103,7 @@ impl<'a> From<Option<&'a WalkVolume>> for WalkSpace<'a> {
 }
 
 impl WalkSpace<'_> {
-    /// `to` at an allowed height, if a body may go there from `from`.
+    /// `to` at an allowed height, if a body may move there from `from`.
     fn admit(&self, from: DVec3, to: DVec3) -> Option<DVec3> {
         let there = self.volume.map_or(Some(to), |v| stand(v, to, STEP_OVER_M))?;
         let free = self.collision.is_none_or(|s| !self.walls || s.allows(from, there));
@@ -108,7 +111,7 @@ impl WalkSpace<'_> {
     }
 }
 
-/// Somebody who walks, or flies.
+/// A walking or flying viewer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Walker {
     pose: Pose,
@@ -119,7 +122,8 @@ pub struct Walker {
 }
 
 impl Walker {
-    /// A walker at `pose`, moved into the volume if it is outside. `flying`: up and down at will. The pitch stays within the limit.
+    /// A walker at `pose`, moved into the volume. `flying`: vertical movement is free. The pitch is
+    /// limited.
     pub fn new(pose: Pose, volume: Option<&WalkVolume>, flying: bool, pitch_limit_deg: f64) -> Self {
         let mut w = Self { pose, velocity: DVec3::ZERO, speed_m_per_s: WALK_M_PER_S, flying, pitch_limit_deg };
         w.turn(0.0, 0.0);
@@ -127,12 +131,12 @@ impl Walker {
         w
     }
 
-    /// Where the eye is and looks.
+    /// The eye's pose.
     pub fn pose(&self) -> Pose {
         self.pose
     }
 
-    /// Chosen speed, without running.
+    /// The chosen speed, without running.
     pub fn speed_m_per_s(&self) -> f64 {
         self.speed_m_per_s
     }
@@ -149,31 +153,32 @@ impl Walker {
         self.pose.pitch_deg = (self.pose.pitch_deg + pitch_deg).clamp(-limit, limit);
     }
 
-    /// Faster or slower, by notches of the wheel.
+    /// Changes the speed by notches of the wheel.
     pub fn change_speed(&mut self, notches: f64) {
         let asked = self.speed_m_per_s * NOTCH_FACTOR.powf(notches.clamp(-20.0, 20.0));
         self.speed_m_per_s = asked.clamp(*SPEEDS_M_PER_S.start(), *SPEEDS_M_PER_S.end());
     }
 
-    /// Puts the walker at the place of the volume nearest to `p`; where there is none, at `p`.
+    /// Moves the walker to the place of the volume nearest to `p`, or to `p` without a volume.
     pub fn teleport(&mut self, p: DVec3, volume: Option<&WalkVolume>) {
         self.velocity = DVec3::ZERO;
         self.pose.position = volume.and_then(|v| nearest(v, p)).unwrap_or(p);
         if let (Some(v), false) = (volume, self.flying) {
-            // At once at the height above the floor. Twice: which columns count depends on the height.
+            // Sets the height above the floor at once. Twice, as the columns that count depend on
+            // the height.
             let ground = WalkSpace::from(Some(v));
             self.pose.position = settle(&ground, settle(&ground, self.pose.position, f64::INFINITY), f64::INFINITY);
         }
     }
 
-    /// Puts the walker at the place of the volume nearest to a pose, looking as it does.
+    /// Moves the walker to the place of the volume nearest to a pose, with its direction.
     pub fn place(&mut self, pose: &Pose, volume: Option<&WalkVolume>) {
         (self.pose.yaw_deg, self.pose.pitch_deg) = (pose.yaw_deg, pose.pitch_deg);
         self.turn(0.0, 0.0);
         self.teleport(pose.position, volume);
     }
 
-    /// Puts the eye where a walk was, inside the volume or not.
+    /// Sets the pose of a replayed walk, inside the volume or not.
     pub fn follow(&mut self, pose: Pose) {
         self.velocity = DVec3::ZERO;
         self.pose = pose;
@@ -188,7 +193,8 @@ impl Walker {
         let slice_s = dt_s / slices;
         let decay = (-slice_s / RESPONSE_S).exp();
         for _ in 0..slices as u32 {
-            // Half of the turn before and half after the step: the way is that of the slice's middle.
+            // Half of the turn before and half after the step: the way is that of the slice's
+            // middle.
             let [half_turn_deg, half_tilt_deg] = [intent.turn, intent.tilt].map(|v| 0.5 * v * TURN_DEG_PER_S * slice_s);
             self.turn(half_turn_deg, half_tilt_deg);
             let asked = self.asked(intent);
@@ -220,7 +226,7 @@ impl Walker {
     }
 }
 
-/// `p` with its height moved to the nearest allowed one of its column, when that is within `reach_m`.
+/// `p` at the nearest allowed height of its column, if within `reach_m`.
 fn stand(v: &WalkVolume, p: DVec3, reach_m: f64) -> Option<DVec3> {
     let inset = |[low, high]: [f64; 2]| {
         let (low, high) = (low + INSET_M, high - INSET_M);
@@ -232,7 +238,7 @@ fn stand(v: &WalkVolume, p: DVec3, reach_m: f64) -> Option<DVec3> {
         .min_by(|a, b| (a.y - p.y).abs().total_cmp(&(b.y - p.y).abs()))
 }
 
-/// As far along `delta` as there is room; also the share of it that was gone.
+/// Moves along `delta` as far as possible. Also returns the share that was possible.
 fn go(ground: &WalkSpace<'_>, from: DVec3, delta: DVec3) -> (DVec3, f64) {
     if delta == DVec3::ZERO {
         return (from, 1.0);
@@ -241,7 +247,7 @@ fn go(ground: &WalkSpace<'_>, from: DVec3, delta: DVec3) -> (DVec3, f64) {
         return (there, 1.0);
     }
     let (mut free, mut blocked, mut at) = (0.0, 1.0, from);
-    // To a thousandth of a step that is at most 0.1 m.
+    // Bisection to a thousandth of the step.
     for _ in 0..10 {
         let middle = 0.5 * (free + blocked);
         match ground.admit(from, from + delta * middle) {
@@ -252,11 +258,11 @@ fn go(ground: &WalkSpace<'_>, from: DVec3, delta: DVec3) -> (DVec3, f64) {
     (at, free)
 }
 
-/// A horizontal step that slides along walls and along the volume's border.
+/// A horizontal step that slides along walls and the volume's border.
 fn slide(ground: &WalkSpace<'_>, from: DVec3, delta: DVec3) -> DVec3 {
     let (mut at, mut share) = go(ground, from, delta);
     let mut rest = delta;
-    // Twice: in a corner the way along one wall meets the other.
+    // Twice: in a corner, sliding along one wall meets the other.
     for _ in 0..2 {
         if share == 1.0 {
             return at;
@@ -274,12 +280,12 @@ fn slide(ground: &WalkSpace<'_>, from: DVec3, delta: DVec3) -> DVec3 {
     if share == 1.0 {
         return at;
     }
-    // The columns of the volume are upright boxes: along them, along x and z.
+    // Columns are upright boxes: slides along x, then z.
     let (at, _) = go(ground, at, DVec3::new(rest.x, 0.0, 0.0));
     go(ground, at, DVec3::new(0.0, 0.0, rest.z)).0
 }
 
-/// A step in the air: axis by axis, none of which is left.
+/// A step in the air, axis by axis.
 fn fly(v: &WalkVolume, from: DVec3, delta: DVec3) -> DVec3 {
     let b = v.bounds();
     let p = (from + delta).clamp(b.min, b.max.max(b.min));
@@ -291,8 +297,8 @@ fn fly(v: &WalkVolume, from: DVec3, delta: DVec3) -> DVec3 {
 
 /// The nominal eye height of a run of heights.
 pub fn nominal([low, high]: [f64; 2]) -> f64 {
-    // A run over steps spans several floors: its middle one. A run that is cut by a ceiling, or spans a floor and furniture, says
-    // where the floor is only at its lower end.
+    // A run over steps spans several floors: the middle one counts. A run that is cut by a ceiling,
+    // or spans a floor and furniture, is reliable only at its lower end.
     let flat = BELOW_M + ABOVE_M;
     if (0.95 * flat..=flat + STEPS_M).contains(&(high - low)) {
         0.5 * (low + BELOW_M + high - ABOVE_M)
@@ -301,13 +307,13 @@ pub fn nominal([low, high]: [f64; 2]) -> f64 {
     }
 }
 
-/// The run of the column at (x, z) that belongs to a walker whose eye is at height y.
+/// The run of heights at (x, z) that belongs to an eye at height y.
 fn own_run(v: &WalkVolume, x: f64, z: f64, y: f64) -> Option<[f64; 2]> {
     let off = |[low, high]: [f64; 2]| (low - y).max(y - high).max(0.0);
     v.heights(x, z).filter(|h| off(*h) <= STEP_OVER_M).min_by(|a, b| off(*a).total_cmp(&off(*b)))
 }
 
-/// Lets the eye's height approach the one above the floor.
+/// Moves the eye's height toward the one above the floor.
 fn settle(ground: &WalkSpace<'_>, p: DVec3, dt_s: f64) -> DVec3 {
     let seen = ground.collision.and_then(|s| s.eye_above_floor(p));
     let run = ground.volume.and_then(|v| own_run(v, p.x, p.z, p.y));
@@ -324,7 +330,7 @@ fn settle(ground: &WalkSpace<'_>, p: DVec3, dt_s: f64) -> DVec3 {
     if ground.volume.is_none_or(|v| v.contains(settled)) { settled } else { p }
 }
 
-/// The eye's nominal height, interpolated between the four columns around it: a ramp instead of steps of half a metre.
+/// The eye's nominal height, interpolated between four columns: a ramp instead of large steps.
 fn between_columns(v: &WalkVolume, p: DVec3) -> Option<f64> {
     let (pitch_m, [x0, z0]) = (v.pitch_m(), v.corner());
     let split = |at: f64, corner: f64| {
@@ -347,7 +353,7 @@ fn between_columns(v: &WalkVolume, p: DVec3) -> Option<f64> {
     (weight > 1e-3).then(|| sum / weight)
 }
 
-/// The place of the volume nearest to `p`, at eye height where it is on foot. None when the volume is empty.
+/// The place of the volume nearest to `p`, at eye height on foot. None if the volume is empty.
 pub fn nearest(v: &WalkVolume, p: DVec3) -> Option<DVec3> {
     if v.contains(p) {
         return Some(p);
@@ -365,20 +371,22 @@ pub fn storeys(v: &WalkVolume, x: f64, z: f64) -> Vec<f64> {
     v.heights(x, z).map(nominal).collect()
 }
 
-/// Directions that are tried around a place where a visit may begin.
+/// Directions tested around a start candidate.
 const LOOKS: u16 = 16;
-/// Boxes of a level, the largest ones, of which [`starts`] takes the most open. By judgement.
+/// Number of a level's largest boxes from which [`starts`] selects the most open. A judgement.
 const PLACES: usize = 64;
-/// Farther, an open way says no more of a view, metres. By judgement.
+/// Distance beyond which an open direction is not better, metres. A judgement.
 const OPEN_M: f64 = 15.0;
 
-/// Most places of [`starts`]: each costs a picture or two, and what it shows has to come. By judgement.
+/// Largest number of candidates of [`starts`]. Each costs a picture or two, and its data. A
+/// judgement.
 const STARTS: usize = 8;
-/// They are farther apart than this, metres: nearer ones show the same. By judgement.
+/// Smallest distance between candidates, metres: nearer ones show the same. A judgement.
 const STARTS_APART_M: f64 = 3.0;
 
-/// Where a visit may begin when nobody says, on foot: on the level with most room (of the larger boxes' middles and the place nearest to the level's),
-/// first where most of the surroundings are open and looking where the way is longest, as far as the volume tells, which knows no walls. At least one.
+/// Candidates for the start pose, on foot: on the level with the largest area, most open
+/// surroundings first, looking in the most open direction, as far as the volume shows (it contains
+/// no walls). At least one.
 pub fn starts(v: &WalkVolume) -> Vec<Pose> {
     // Levels of half a metre, by floor area.
     let mut levels = std::collections::BTreeMap::<i64, (f64, DVec3, Vec<(f64, DVec3)>)>::new();
@@ -414,7 +422,7 @@ pub fn starts(v: &WalkVolume) -> Vec<Pose> {
     out
 }
 
-/// Steps that can be gone straight on from a place in all directions, and where to, degrees.
+/// Free steps from a place in all directions, with the yaw of each, degrees.
 fn ways(v: &WalkVolume, place: DVec3) -> impl Iterator<Item = (usize, f64)> + '_ {
     let step = v.pitch_m().min(0.5);
     let most = (OPEN_M / step).ceil() as u32;
@@ -426,11 +434,11 @@ fn ways(v: &WalkVolume, place: DVec3) -> impl Iterator<Item = (usize, f64)> + '_
     })
 }
 
-/// As far as walls are asked for around a place where a visit may begin, metres.
+/// Radius in which walls are considered around a start candidate, metres.
 pub const OUTLOOK_M: f64 = 8.0;
 
-/// The direction to look in from a place, degrees: where it and those beside it are open farthest before a wall, at most [`OUTLOOK_M`] and as far as
-/// the volume goes.
+/// The direction with the most room before a wall, within [`OUTLOOK_M`] and the volume, degrees.
+/// Neighbouring directions count too.
 pub fn outlook_deg(v: &WalkVolume, collision: &CollisionGeometry, place: DVec3) -> f64 {
     const STEP_M: f64 = 0.25;
     let ground = WalkSpace { volume: Some(v), collision: Some(collision), walls: true };

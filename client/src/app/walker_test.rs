@@ -6,13 +6,14 @@ use proptest::prelude::*;
 
 const FOOT: f64 = 0.5;
 
-/// A volume of columns of half a metre and layers of 0.1 m from the floor under each column (None: no floor), for eyes at 1.6 m.
+/// A volume of columns of half a metre and layers of 0.1 m above the floor of each column (None: no
+/// floor), for eyes at 1.6 m.
 fn volume(columns: [u32; 2], floor_m: impl Fn(f64, f64) -> Option<f64>) -> WalkVolume {
     let origin = DVec3::new(0.0, 0.0, 0.0);
     let runs: Vec<Vec<[u16; 2]>> = (0..columns[0] * columns[1])
         .map(|c| {
             let (x, z) = (f64::from(c % columns[0]) * FOOT, f64::from(c / columns[0]) * FOOT);
-            // As the server does it: every floor in and beside the column counts.
+            // As on the server, all floors in and beside the column count.
             let near = [-0.1, 0.25, 0.6].map(|dx| [-0.1, 0.25, 0.6].map(|dz| floor_m(x + dx, z + dz)));
             let middle = floor_m(x + 0.25, z + 0.25)?;
             let floors = near.into_iter().flatten().flatten().filter(|f| (f - middle).abs() < 1.0);
@@ -47,7 +48,8 @@ fn walker(v: &WalkVolume, x: f64, z: f64, yaw_deg: f64) -> Walker {
 
 const AHEAD: Intent = Intent { forward: 1.0, right: 0.0, up: 0.0, turn: 0.0, tilt: 0.0, run: false };
 
-/// A course with turns, sideways steps, runs and stops, each second something else; updated `rate` times per second.
+/// A course with turns, side steps, runs and stops, which change every second; updated `rate` times
+/// per second.
 fn course(v: &WalkVolume, start: (f64, f64), rate: u32) -> Vec<DVec3> {
     let mut w = walker(v, start.0, start.1, -90.0);
     let seconds = [
@@ -91,7 +93,7 @@ fn the_same_way_at_30_and_at_144_updates_per_second() {
                 assert!(a.distance(*b) < 0.05, "{rate} per second from {start:?}: {a} instead of {b}");
             }
         }
-        // The bound says something: the course is long.
+        // The course must be long for the bound to be meaningful.
         assert!(fine.windows(2).map(|p| p[0].distance(p[1])).sum::<f64>() > 4.0);
     }
 }
@@ -99,12 +101,13 @@ fn the_same_way_at_30_and_at_144_updates_per_second() {
 #[test]
 fn walls_are_slid_along() {
     let v = rooms();
-    // 45 degrees into the wall at z = 0: half of the speed is left, times the square root of two.
+    // 45 degrees toward the wall at z = 0: the speed along the wall is the speed over the square
+    // root of two.
     let mut w = walker(&v, 1.0, 0.2, -45.0);
     (0..120).for_each(|_| w.advance(Some(&v), &AHEAD, 1.0 / 60.0));
     let p = w.pose().position;
     assert!(p.z < 0.01 && (p.x - 1.0 - 2.0 * 1.4 * 0.5f64.sqrt()).abs() < 0.15, "{p}");
-    // Straight into a corner: there the way ends.
+    // Straight into a corner.
     (0..300).for_each(|_| w.advance(Some(&v), &AHEAD, 1.0 / 60.0));
     let p = w.pose().position;
     assert!((p.x - 6.0).abs() < 0.01 && p.z < 0.01, "{p}");
@@ -200,7 +203,8 @@ fn a_visit_looks_away_from_the_walls_that_are_near() {
     assert!(ahead.x + ahead.z > 1.0, "{yaw_deg}");
 }
 
-/// A volume without walls around a room: floor, a diagonal wall from border to border, a pillar, a step of 0.18 m.
+/// A volume without walls around a room: floor, a diagonal wall from border to border, a pillar, a
+/// step of 0.18 m.
 fn furnished() -> (WalkVolume, CollisionGeometry) {
     let quads = [
         plate([0.0, 0.0], [12.0, 12.0], 0.0),
@@ -218,7 +222,8 @@ fn furnished() -> (WalkVolume, CollisionGeometry) {
 fn walls_that_the_volume_does_not_know_are_slid_along_at_any_angle() {
     let (v, collision) = furnished();
     let ground = WalkSpace { volume: Some(&v), collision: Some(&collision), walls: true };
-    // From the origin's side toward the wall, 20 degrees off its normal (yaw -135 looks along +x +z).
+    // From the origin's side toward the wall, 20 degrees off its normal (yaw -135 looks along +x
+    // +z).
     let mut w = walker(&v, 3.0, 3.0, -135.0 + 20.0);
     (0..120).for_each(|_| w.advance(ground, &AHEAD, 1.0 / 60.0));
     let p = w.pose().position;

@@ -1,4 +1,5 @@
-//! The window: what the system says, handed to whom it concerns. The main thread; it waits for nothing but events and the display.
+//! The window's event loop: passes system events to the window's state. Runs on the main thread,
+//! which waits only for events and the display.
 
 use super::{
     AppConfig, AppError,
@@ -18,15 +19,16 @@ use winit::{
     window::WindowId,
 };
 
-/// Degrees per count of the mouse: a turn around takes a hand's breadth with common mice.
+/// Turn per count of the mouse, degrees.
 const DEG_PER_COUNT: f64 = 0.1;
 /// Pixels of a touch pad that count as a notch of the wheel.
 const PX_PER_NOTCH: f64 = 50.0;
 
-/// Opens the window and returns when it is closed; `renderer` draws its pictures.
+/// Opens the window and returns when it is closed.
 ///
 /// # Errors
-/// See [`AppError`]. A refusal by the server is shown in the window, and returned once it is closed.
+/// See [`AppError`]. A refusal by the server is shown in the window, and returned once it is
+/// closed.
 pub fn run(config: AppConfig, renderer: FrameRenderer) -> Result<(), AppError> {
     let events = Events::open(config.events.as_deref())
         .map_err(|source| AppError::Events { path: config.events.clone().unwrap_or_default(), source })?;
@@ -51,7 +53,7 @@ pub fn run(config: AppConfig, renderer: FrameRenderer) -> Result<(), AppError> {
         last_reported: ConnectionState::Connecting { attempt: 1, after: None },
     };
     event_loop.run_app(&mut app).map_err(|e| AppError::no_display(&e))?;
-    // Drawing ends before what it draws with.
+    // The render thread ends before the resources that it uses.
     let walked = app.open.take().map(|mut visit| {
         visit.close(&mut app.events);
         (visit.frame_times.summary(), visit.counts)
@@ -67,14 +69,14 @@ pub fn run(config: AppConfig, renderer: FrameRenderer) -> Result<(), AppError> {
 
 struct App {
     config: AppConfig,
-    /// Until the window is there.
+    /// Present until the window is open.
     renderer: Option<FrameRenderer>,
     proxy: EventLoopProxy<UserEvent>,
     connection: Arc<ServerConnection>,
     events: Events,
     open: Option<WindowState>,
     failed: Option<AppError>,
-    /// The link's state that was told last.
+    /// The connection state that was reported last.
     last_reported: ConnectionState,
 }
 
@@ -111,7 +113,7 @@ impl ApplicationHandler<UserEvent> for App {
         let Some(open) = &mut self.open else { return };
         match proxy {
             UserEvent::Picture => open.take(&mut self.events),
-            // Sticks tell of themselves hundreds of times per second: there is nothing new to show.
+            // A gamepad sends hundreds of events per second, which do not require a redraw.
             UserEvent::Pad => return open.pad(&self.connection, &mut self.events),
             UserEvent::Other => {}
         }
@@ -124,7 +126,7 @@ impl ApplicationHandler<UserEvent> for App {
     fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
         let Some(open) = &mut self.open else { return };
         let seen = open.egui.on_window_event(&open.window, &event);
-        // egui wants to be drawn again after being drawn, which would never end.
+        // egui requests a redraw after each redraw, which would never end.
         if seen.repaint && !matches!(event, WindowEvent::RedrawRequested) {
             open.repaint_at = Instant::now();
         }
@@ -133,7 +135,7 @@ impl ApplicationHandler<UserEvent> for App {
             WindowEvent::Resized(size) => open.resize(size),
             WindowEvent::Focused(focused) => open.focus(focused, &mut self.events),
             WindowEvent::ModifiersChanged(m) => open.modifiers = m.state(),
-            // Keys that were down when the window got the keyboard were pressed for something else.
+            // Keys that were down before the window got the keyboard are ignored.
             WindowEvent::KeyboardInput { event, is_synthetic: true, .. } if event.state == ElementState::Pressed => {}
             WindowEvent::KeyboardInput { event, .. } => {
                 let leave = open.key(&event, &self.connection, &mut self.events);
@@ -162,7 +164,7 @@ impl ApplicationHandler<UserEvent> for App {
         if let (Some(open), DeviceEvent::MouseMotion { delta: (dx, dy) }) = (&self.open, event)
             && open.captured
         {
-            open.update_view((dx, dy), DEG_PER_COUNT);
+            open.turn_by_mouse((dx, dy), DEG_PER_COUNT);
         }
     }
 
@@ -181,7 +183,7 @@ impl ApplicationHandler<UserEvent> for App {
 }
 
 impl App {
-    /// The link's state has changed.
+    /// Reports a change of the connection state.
     fn report_connection(&mut self, state: &ConnectionState) {
         match state {
             ConnectionState::Connecting { attempt, .. } => {

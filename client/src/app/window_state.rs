@@ -1,4 +1,4 @@
-//! What exists while there is a window: what is shown, what is pressed, what was said.
+//! The state of an open window: what is shown, input, and messages.
 
 use super::{
     AppConfig, AppError,
@@ -6,11 +6,13 @@ use super::{
     frame_times::FrameTimes,
     gamepad::{Gamepad, PadPress},
     hud::Hud,
+    interface_pass::Interface,
     keys::Keys,
     map::Map,
     recordings_and_bookmarks::{Announcement, RecordingsAndBookmarks},
-    render_mailbox::{Picture, RenderConfig, RenderThread},
-    screen::{Interface, Screen, ScreenError},
+    render_mailbox::{Picture, RenderConfig},
+    render_thread::RenderThread,
+    screen::{Screen, ScreenError},
     screenshot::{Outcome, Screenshots},
     server_connection::ServerConnection,
     settings::UserSettings,
@@ -31,36 +33,37 @@ use winit::{
     window::{CursorGrabMode, Window},
 };
 
-/// How often figures and messages are written anew while no picture comes.
+/// Interval at which the interface is redrawn without new pictures.
 pub(super) const REFRESH: Duration = Duration::from_millis(200);
-/// Where the interface is kept between pictures, figures are written anew that often: more cannot be read. What can be clicked is drawn with every picture.
+/// Interval at which an interface that stays on screen is redrawn for new statistics: faster
+/// changes cannot be read. Interactive parts are redrawn with every picture.
 const WRITE_EVERY: Duration = Duration::from_millis(150);
-/// A driver that fails twice within this time has failed for good.
+/// A driver that fails twice within this time has failed permanently.
 const STEADY: Duration = Duration::from_secs(5);
-/// Shortest time between two poses in the events.
+/// Shortest interval between poses in the event log.
 const POSE_EVERY: Duration = Duration::from_millis(100);
-/// The help line goes after so many pictures that showed a new pose: by then people know the keys.
+/// Number of pictures of a moving eye after which the help line disappears.
 const HELP_FOR: u32 = 600;
-/// Pictures per second where the display does not say.
+/// Refresh rate, if the display does not report it.
 const DEFAULT_HZ: f64 = 60.0;
 
-/// Another thread has something new.
+/// A notification from another thread.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum UserEvent {
-    /// A picture.
+    /// A picture is finished.
     Picture,
-    /// The gamepad.
+    /// The gamepad's state has changed.
     Pad,
-    /// The link's state, or a screenshot.
+    /// The connection's state has changed, or a screenshot was saved.
     Other,
 }
 
-/// What exists while there is a window.
+/// The state of an open window.
 pub(super) struct WindowState {
     pub render_thread: RenderThread,
-    /// None only while it is opened anew.
+    /// None only while the screen is being reopened.
     screen: Option<Screen>,
-    /// When it was opened anew, after its driver had failed.
+    /// Time of the last reopening after a driver failure.
     reopened: Option<Instant>,
     display: OwnedDisplayHandle,
     pub egui: egui_winit::State,
@@ -71,44 +74,45 @@ pub(super) struct WindowState {
     pub map: Map,
     pub keys: Keys,
     pad: Gamepad,
-    /// The window has the keyboard, and with it the gamepad.
+    /// Whether the window has the keyboard. The gamepad counts only then.
     focused: bool,
     pub modifiers: ModifiersState,
     pub captured: bool,
-    /// Captured before the map was opened.
+    /// Whether the pointer was captured before the map was opened.
     pub capture_again: bool,
-    /// The start screen was left.
+    /// Whether the start screen was left.
     pub started: bool,
     pub moved_pictures: u32,
     pub frame_times: FrameTimes,
-    /// Pictures that came, and how often the window was filled.
+    /// Counts of pictures and redraws.
     pub counts: Counts,
     pub last_reported: LastReported,
     pub settings: UserSettings,
     shows: DisplayMode,
     kept: RecordingsAndBookmarks,
-    /// A walk begins with the first complete picture.
+    /// Whether a replay starts with the first complete picture.
     walk_at_once: bool,
-    /// A walk is walked by itself.
+    /// Whether a walk is being replayed.
     replaying: bool,
     pub repaint_at: Instant,
-    /// When the interface was drawn last; None: what it shows has changed.
+    /// Time of the interface's last redraw; None if its content has changed since.
     written: Option<Instant>,
 }
 
-/// Of a visit; a window is filled anew for a picture, and a few times per second for what is written over it.
+/// Counts of pictures and redraws. A window is redrawn for each picture, and regularly for the
+/// interface.
 #[derive(Debug, Default, serde::Serialize)]
 pub(super) struct Counts {
     pictures: u64,
-    /// They lacked something, or it was on its way from the cache to the screen.
+    /// Pictures with missing data, or with layouts or uploads in progress.
     incomplete: u64,
     shown: u64,
     card_bytes_most: u64,
-    /// By one picture.
+    /// Largest number of bytes uploaded by one picture.
     brought_bytes_most: u64,
 }
 
-/// What the events have said already.
+/// The state that was written to the event log last.
 #[derive(Default)]
 pub(super) struct LastReported {
     picture: bool,
@@ -119,7 +123,7 @@ pub(super) struct LastReported {
 }
 
 impl WindowState {
-    /// A window with all that belongs to it.
+    /// Opens a window and its threads.
     ///
     /// # Errors
     /// If there is no display, no driver or no thread.
@@ -176,7 +180,7 @@ impl WindowState {
             hud: Hud::default(),
             map: Map::default(),
             keys: Keys::default(),
-            pad: Gamepad::update_view(config.gamepad.clone(), notify(UserEvent::Pad)),
+            pad: Gamepad::watch(config.gamepad.clone(), notify(UserEvent::Pad)),
             focused: true,
             modifiers: ModifiersState::empty(),
             captured: false,
@@ -196,7 +200,7 @@ impl WindowState {
         })
     }
 
-    /// Takes the newest picture in.
+    /// Takes the newest picture.
     pub fn take(&mut self, events: &mut Events) {
         if !self.render_thread.take(&mut self.picture) {
             return;
@@ -247,7 +251,7 @@ impl WindowState {
         }
     }
 
-    /// A screenshot was saved, or could not be.
+    /// Reports the outcome of a screenshot.
     pub fn shot(&mut self, outcome: Outcome, events: &mut Events) {
         self.written = None;
         match outcome {
@@ -265,32 +269,32 @@ impl WindowState {
         }
     }
 
-    /// The window has another size.
+    /// Adapts to a new size of the window.
     pub fn resize(&mut self, size: PhysicalSize<u32>) {
         if let Some(screen) = &mut self.screen {
             screen.resize([size.width, size.height]);
         }
-        // Nothing can be seen of a window without area; the last size stays.
+        // A minimized window has no area; the last size stays.
         if size.width > 0 && size.height > 0 {
             self.render_thread.resize([size.width, size.height]);
         }
         self.window.request_redraw();
     }
 
-    /// Captures the pointer or lets it go.
+    /// Captures or releases the pointer.
     pub fn capture(&mut self, capture: bool, events: &mut Events) {
         if self.captured == capture {
             return;
         }
         let done = if capture {
-            // Not every system can hold the pointer in place; all can keep it inside.
+            // Some systems cannot lock the pointer; all can confine it.
             let grab = |mode| self.window.set_cursor_grab(mode);
             grab(CursorGrabMode::Locked).or_else(|_| grab(CursorGrabMode::Confined))
         } else {
             self.window.set_cursor_grab(CursorGrabMode::None)
         };
         if let (true, Err(e)) = (capture, done) {
-            // Turning still works as far as the pointer can go.
+            // Turning works as far as the pointer can move.
             tracing::warn!("the pointer cannot be captured: {e}");
         }
         self.window.set_cursor_visible(!capture);
@@ -298,7 +302,7 @@ impl WindowState {
         events.write(if capture { "captured" } else { "released" }, fields! {});
     }
 
-    /// The mouse was pressed: on the map that is the map's, elsewhere it captures the pointer.
+    /// Handles a click: on the map if it is open, otherwise it captures the pointer.
     pub fn click(&mut self, events: &mut Events) {
         self.written = None;
         let on_panel = self.egui.egui_ctx().is_pointer_over_egui();
@@ -308,10 +312,10 @@ impl WindowState {
         }
     }
 
-    /// A key. Whether it asks to leave.
+    /// Handles a key. Returns whether the window is to be closed.
     pub fn key(&mut self, event: &KeyEvent, connection: &ServerConnection, events: &mut Events) -> bool {
         let pressed = event.state == ElementState::Pressed;
-        // Held keys repeat thirty times per second, and change nothing that is written.
+        // Repeated keys do not change the interface.
         self.written = self.written.filter(|_| event.repeat || !pressed);
         if pressed && !event.repeat && self.command(event, connection, events) {
             return true;
@@ -326,7 +330,7 @@ impl WindowState {
         false
     }
 
-    /// What keys and gamepad ask for together.
+    /// The intent of keyboard and gamepad.
     fn intent(&self) -> Intent {
         match self.focused {
             true => self.keys.intent().and(self.pad.pad().intent()),
@@ -334,7 +338,7 @@ impl WindowState {
         }
     }
 
-    /// The window got the keyboard, or lost it.
+    /// Handles a change of the keyboard focus.
     pub fn focus(&mut self, focused: bool, events: &mut Events) {
         self.focused = focused;
         if !focused {
@@ -344,7 +348,7 @@ impl WindowState {
         self.render_thread.set_intent(self.intent());
     }
 
-    /// The gamepad moved.
+    /// Handles gamepad input.
     pub fn pad(&mut self, connection: &ServerConnection, events: &mut Events) {
         let presses = self.pad.pad().presses();
         self.written = self.written.filter(|_| presses.is_empty());
@@ -363,7 +367,7 @@ impl WindowState {
         }
     }
 
-    /// A key that does something once.
+    /// Handles a key with a single action. Returns whether the window is to be closed.
     fn command(&mut self, event: &KeyEvent, connection: &ServerConnection, events: &mut Events) -> bool {
         let letter = |wanted: &str| matches!(&event.logical_key, Key::Character(c) if c.eq_ignore_ascii_case(wanted));
         let control = self.modifiers.control_key() || self.modifiers.super_key();
@@ -382,7 +386,7 @@ impl WindowState {
             }
             Key::Named(NamedKey::F3) => {
                 if self.map.open {
-                    // The map would cover them.
+                    // The map would cover the settings.
                     self.toggle_map(connection, events);
                 }
                 self.settings.open = !self.settings.open;
@@ -429,7 +433,7 @@ impl WindowState {
         false
     }
 
-    /// Says it, and tells it.
+    /// Shows a message and logs its event.
     fn announce(&mut self, described: Announcement, events: &mut Events) {
         self.hud.show_message(described.text, described.good);
         if let Some((event, more)) = described.event {
@@ -437,7 +441,7 @@ impl WindowState {
         }
     }
 
-    /// Keeps the present place under a digit, or goes to the one that is kept there.
+    /// Stores the current pose under a digit, or moves to the stored one.
     fn bookmark(&mut self, digit: u8, keep: bool, connection: &ServerConnection, events: &mut Events) {
         let (Some(scene), Some(picture)) = (connection.scene(), &self.picture) else { return };
         let (there, described) = self.kept.bookmark(digit, keep.then_some(picture.pose), &scene.index.scene.name);
@@ -447,8 +451,8 @@ impl WindowState {
         self.announce(described, events);
     }
 
-    /// Turns the head by what the mouse moved.
-    pub fn update_view(&self, delta: (f64, f64), deg_per_count: f64) {
+    /// Turns the head by a mouse movement.
+    pub fn turn_by_mouse(&self, delta: (f64, f64), deg_per_count: f64) {
         let (yaw_deg, pitch_deg) = self.settings.turn_deg(delta, deg_per_count);
         self.render_thread.turn(yaw_deg, pitch_deg);
     }
@@ -470,7 +474,7 @@ impl WindowState {
         }
     }
 
-    /// Says when a walk begins to be walked again, and when it is over: there may be no picture then.
+    /// Reports the start and the end of a replay, of which no picture may tell.
     fn report_replay(&mut self, events: &mut Events) {
         let replaying = self.render_thread.is_replaying();
         if std::mem::replace(&mut self.replaying, replaying) != replaying {
@@ -482,12 +486,13 @@ impl WindowState {
         }
     }
 
-    /// Name of what shows.
+    /// Name of the adapter that presents pictures.
     pub fn adapter(&self) -> &str {
         self.screen.as_ref().map_or("", Screen::adapter)
     }
 
-    /// Shows the newest picture with the interface over it. A driver that fails is given another chance: cards get lost when they are switched, or a computer sleeps.
+    /// Presents the newest picture with the interface. After a driver failure the screen is
+    /// reopened once: adapters get lost when they are switched, or when the computer sleeps.
     ///
     /// # Errors
     /// If it fails again within [`STEADY`].
@@ -499,13 +504,13 @@ impl WindowState {
             return Err(e);
         }
         tracing::warn!("{e}; opening it anew");
-        // A window has one surface at a time.
+        // A window can have one surface at a time.
         self.screen = None;
         let mut screen = Screen::open(self.window.clone(), self.display.clone())?;
         if let Some(picture) = &self.picture {
             screen.upload(&picture.frame);
         }
-        // Its letters went with the old screen.
+        // The font texture belonged to the old screen.
         self.egui = interface_of(&self.window, &self.display, &screen);
         (self.screen, self.reopened, self.written) = (Some(screen), Some(Instant::now()), None);
         self.hud.show_message("the graphics driver failed and was started again".into(), false);
@@ -513,10 +518,10 @@ impl WindowState {
         Ok(())
     }
 
-    /// Draws the window.
+    /// Redraws the window.
     ///
     /// # Errors
-    /// If the driver fails for good.
+    /// If the driver has failed permanently.
     pub fn redraw(
         &mut self,
         server: &str,
@@ -548,7 +553,7 @@ impl WindowState {
             let shown = shown.zip(scene.as_ref()).map(|(p, s)| (p, &*s.index));
             let hud_below_map = self.map.open && self.hud.figures;
             if hud_below_map {
-                // The map has the place of the figures; messages stay.
+                // The map takes the place of the statistics; messages stay.
                 self.hud.figures = false;
             }
             self.hud.show(ctx, shown, &stats, &state, speed);
@@ -559,7 +564,7 @@ impl WindowState {
         });
         self.egui.handle_platform_output(&self.window, output.platform_output);
         if self.captured {
-            // egui sets the pointer's shape, and with it shows it.
+            // egui shows the pointer whenever it sets its shape.
             self.window.set_cursor_visible(false);
         }
         let delay = output.viewport_output.values().map(|v| v.repaint_delay).min().unwrap_or(REFRESH);
@@ -591,7 +596,7 @@ impl WindowState {
         Ok(())
     }
 
-    /// The window is closed: a walk that is being recorded is saved.
+    /// Closes the window and saves a recording in progress.
     pub fn close(&mut self, events: &mut Events) {
         if self.kept.is_recording() {
             let described = self.kept.record(self.render_thread.speed_m_per_s());
@@ -600,7 +605,7 @@ impl WindowState {
     }
 }
 
-/// What draws the interface, for a window and its screen.
+/// The interface's state for a window and its screen.
 fn interface_of(window: &Window, display: &OwnedDisplayHandle, screen: &Screen) -> egui_winit::State {
     egui_winit::State::new(
         egui::Context::default(),
@@ -612,7 +617,7 @@ fn interface_of(window: &Window, display: &OwnedDisplayHandle, screen: &Screen) 
     )
 }
 
-/// The digit of a key, by its place on the keyboard: with Shift and on other layouts it is another sign.
+/// The digit of a key, by its position: independent of Shift and keyboard layout.
 fn digit(event: &KeyEvent) -> Option<u8> {
     const DIGITS: [KeyCode; 9] = [
         KeyCode::Digit1,

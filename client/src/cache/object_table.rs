@@ -1,17 +1,18 @@
-//! Which chunk belongs to which object: an LDI and a texture arrive in several chunks, a cell and a bundle in one.
+//! The table from chunks to objects: an LDI and a texture arrive in several chunks, a cell and a
+//! bundle in one.
 
 use ldi_protocol::index::{ChunkKind, Index, TextureChunk};
 use std::{collections::BTreeMap, ops::Range};
 
-/// Most chunks of one object: a bit each in a mask. Textures of the largest side have fewer than half of it.
+/// Largest number of chunks per object: bits of a mask.
 pub(super) const MAX_PARTS: usize = 32;
 
-/// What an object is.
+/// Kind of an object.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum ObjectKind {
     /// The cell with this number.
     Cell(u32),
-    /// Clusters that cells share.
+    /// Clusters shared by cells.
     Bundle,
     /// The LDI of the image with this number, and perhaps of others.
     Ldi(u32),
@@ -39,15 +40,15 @@ pub(super) struct Part {
 #[derive(Debug)]
 pub(super) struct ObjectTable {
     pub objects: Vec<ObjectEntry>,
-    /// Per chunk; equal bytes have one name, so a chunk may be part of several textures.
+    /// Objects of each chunk. Equal bytes are one chunk, so that it may belong to several textures.
     pub parts_of_chunk: Vec<Vec<Part>>,
-    /// Per chunk, for cells and bundles.
+    /// Cell or bundle of each chunk.
     pub geometry_of_chunk: Vec<Option<u32>>,
-    /// Per texture.
+    /// Object of each texture.
     pub of_texture: Vec<Option<u32>>,
-    /// Per image.
+    /// Object of each image.
     pub of_image: Vec<Option<u32>>,
-    /// Per chunk, for those of the LDI tree.
+    /// LDI tree object of each chunk.
     pub brood_of_chunk: Vec<Option<u32>>,
 }
 
@@ -62,9 +63,9 @@ impl ObjectTable {
             of_image: Vec::new(),
             brood_of_chunk: vec![None; n],
         };
-        // First: an index of a first picture has these alone, under the same numbers.
+        // Tree objects come first: a partial index has only these, under the same numbers.
         for (chunk, nodes) in index.tree.iter().flat_map(|t| t.broods()) {
-            // Equal chunks are one: whichever nodes it was listed for, the samples are the same.
+            // Equal chunks are one chunk, whichever nodes list it.
             if table.brood_of_chunk.get(chunk as usize) == Some(&None) {
                 table.brood_of_chunk[chunk as usize] = table.add(ObjectKind::Brood(nodes), vec![chunk]);
             }
@@ -85,7 +86,7 @@ impl ObjectTable {
             let object = table.add(ObjectKind::Texture(number), chunks);
             table.of_texture.push(object);
         }
-        // Images may be equal.
+        // Equal images share an object.
         let mut by_chunks = BTreeMap::<&[u32], Option<u32>>::new();
         for (number, image) in (0u32..).zip(&index.images) {
             let object = match by_chunks.get(&image.chunks[..]) {
@@ -101,7 +102,7 @@ impl ObjectTable {
         table
     }
 
-    /// None without chunks, with too many, or with chunks that do not exist.
+    /// Adds an object. None without chunks, with too many, or with chunks that do not exist.
     fn add(&mut self, kind: ObjectKind, chunks: Vec<u32>) -> Option<u32> {
         let known = chunks.iter().all(|c| (*c as usize) < self.parts_of_chunk.len());
         if chunks.is_empty() || chunks.len() > MAX_PARTS || !known {
@@ -115,7 +116,7 @@ impl ObjectTable {
         Some(object)
     }
 
-    /// The parts that a chunk is; empty beyond the index.
+    /// The object parts that a chunk is; empty beyond the index.
     pub fn parts(&self, chunk: u32) -> &[Part] {
         self.parts_of_chunk.get(chunk as usize).map_or(&[], Vec::as_slice)
     }

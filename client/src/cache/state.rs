@@ -1,4 +1,4 @@
-//! What is held, in what order it was used, and how many bytes that is. No locks, no decoding.
+//! The state of the cache: held objects, byte counts and eviction order. No locks, no decoding.
 
 use super::{Usage, object_table::ObjectTable};
 use ldi_protocol::{
@@ -14,47 +14,48 @@ use std::{
     time::Instant,
 };
 
-/// What an object holds.
+/// Content of an object.
 #[derive(Debug, Clone, Default)]
 pub(super) enum Value {
     #[default]
     Empty,
     Geometry(Arc<CellGeometry>),
     Ldi(Arc<Ldi>),
-    /// Deeper layers of an LDI whose first is not there yet.
+    /// Deeper layers of an LDI whose first layer has not arrived.
     WaitingLayers(Vec<u8>),
     Texture(Arc<Texture>),
     Brood(Arc<Brood>),
-    /// There, as far as the accounts are concerned.
+    /// Counted only, without decoding.
     Undecoded,
 }
 
 #[derive(Debug, Default)]
 pub(super) struct Object {
     pub value: Value,
-    /// Bit per part that is there.
+    /// Bit mask of held parts.
     pub present: u32,
-    /// Bit per part that a frame has used.
+    /// Bit mask of parts that a frame has used.
     pub used: u32,
-    /// Decoded bytes of the parts that are there.
+    /// Decoded bytes of the held parts.
     pub bytes: u64,
-    /// Stored bytes of them: what it costs to bring them again.
+    /// Stored bytes of the held parts: the cost of fetching them again.
     pub stored: u64,
-    /// Clock when it was last used, and what it is worth.
+    /// The clock at the last use, plus the object's value.
     credit: f64,
     /// View in which it was last used.
     used_in: u64,
-    /// Counts changes, so that a join made outside the lock notices another one.
+    /// Version, so that a join outside of the lock detects a concurrent change.
     pub version: u64,
 }
 
 impl Object {
-    /// By credit, and where that is equal by the last use; bits of numbers that are not negative have their order.
+    /// Rank by credit, then last use. Bit patterns of non-negative floats sort like their values.
     fn rank(&self) -> (u64, u64) {
         (self.credit.to_bits(), self.used_in)
     }
 
-    /// It is used in a view: its credit is what it is worth, stored bytes per decoded one, from now on (GreedyDual-Size, Cao and Irani 1997).
+    /// Marks a use: the credit becomes the clock plus stored bytes per decoded byte
+    /// (GreedyDual-Size, Cao and Irani 1997).
     fn use_in(&mut self, view: u64, clock: f64) {
         self.used_in = view;
         self.credit = clock + self.stored as f64 / self.bytes.max(1) as f64;
@@ -64,30 +65,32 @@ impl Object {
 #[derive(Debug)]
 pub(super) struct CacheState {
     pub objects: Vec<Object>,
-    /// Per object [`CacheState::pins`] when it was pinned last. By itself, as every frame goes over hundreds of them.
+    /// [`CacheState::pins`] when each object was pinned last. Separate from the objects, as every
+    /// frame scans it.
     pinned_in: Vec<u64>,
-    /// Objects that hold bytes and may go, the first to go first: by [`Object::rank`]. Pinned ones are not in it: they are used in every frame, and would be put elsewhere each time.
+    /// Unpinned objects that hold data, by [`Object::rank`], the first to be evicted first. Pinned
+    /// objects are left out, as their rank changes with every frame.
     order: BTreeSet<((u64, u64), u32)>,
-    /// What the current view needs: objects, and the chunks they are of.
+    /// Objects that the current view needs, and their chunks.
     pinned: Vec<u32>,
     pinned_chunks: Vec<u32>,
-    /// The credit of whatever went last: what is used later outlives what was worth as much.
+    /// Credit of the last evicted object: the ageing of GreedyDual-Size.
     clock: f64,
-    /// Views so far.
+    /// Number of views so far.
     pub view: u64,
-    /// Views that needed other chunks than the one before.
+    /// Number of views whose needs differ from the previous ones.
     pins: u64,
     pub usage: Usage,
     pub damaged: Vec<bool>,
     pub evicted: Vec<u32>,
-    /// Chunks without room, with the view in which they came.
+    /// Refused chunks, with the view in which they arrived.
     pub refused: BTreeMap<u32, u64>,
     pub refusals_told: Option<Instant>,
     pub disconnected: Option<String>,
 }
 
 impl CacheState {
-    /// Nothing is held of so many objects, in so many chunks.
+    /// An empty state.
     pub fn new(objects: usize, chunks: usize, cap_bytes: u64) -> Self {
         Self {
             objects: std::iter::repeat_with(Object::default).take(objects).collect(),
@@ -112,7 +115,7 @@ impl CacheState {
         !parts.is_empty() && parts.iter().all(|p| self.objects[p.object as usize].present >> p.part & 1 == 1)
     }
 
-    /// A new view, which needs these chunks. Mostly those of the last one: then nothing is to be done.
+    /// Starts a view that needs these chunks. Fast if they are those of the last view.
     pub fn pin(&mut self, table: &ObjectTable, chunks: impl Iterator<Item = u32> + Clone) {
         self.view += 1;
         if chunks.clone().eq(self.pinned_chunks.iter().copied()) {
@@ -145,11 +148,11 @@ impl CacheState {
         }
     }
 
-    /// There are so many objects from now on, and chunks may have others of them.
+    /// Extends the number of objects; chunks may belong to the new ones.
     pub fn extend(&mut self, objects: usize) {
         self.objects.resize_with(objects, Object::default);
         self.pinned_in.resize(objects, 0);
-        // No view needs this one.
+        // A value that no view needs.
         self.pinned_chunks = vec![u32::MAX];
     }
 
@@ -158,7 +161,7 @@ impl CacheState {
         self.pinned_in[number as usize] == self.pins
     }
 
-    /// An object is used. Absent ones only take the view.
+    /// Marks an object as used.
     pub fn use_now(&mut self, number: u32) {
         let is_pinned = self.is_pinned(number);
         let object = &mut self.objects[number as usize];
@@ -177,7 +180,7 @@ impl CacheState {
         }
     }
 
-    /// A part of an object came, of so many decoded and stored bytes. Room was made for it.
+    /// Stores a part of an object. Room must have been made.
     pub fn store(&mut self, number: u32, value: Value, part: u8, bytes: u64, stored: u64) {
         let object = &mut self.objects[number as usize];
         self.usage.objects += usize::from(object.present == 0);
@@ -191,7 +194,8 @@ impl CacheState {
         self.use_now(number);
     }
 
-    /// Evicts the objects of least credit until `bytes` fit. False, and nothing evicted, when pinned ones and `keep` leave no room.
+    /// Evicts objects of least credit until `bytes` fit. False, without evictions, if pinned
+    /// objects and `keep` leave no room.
     pub fn make_room(&mut self, table: &ObjectTable, bytes: u64, keep: u32) -> bool {
         let mut free = self.usage.cap_bytes - self.usage.bytes;
         let mut victims = Vec::new();

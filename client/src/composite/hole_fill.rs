@@ -1,37 +1,40 @@
 //! Hole filling by extrapolation.
 //!
-//! In: a merged frame with unpainted pixels. Out: the same with them coloured where a surface is near enough, marked
-//! [`Source::Filled`]. A hole opens where something near moved away from something farther, so what belongs there is
-//! the farther: of the first surfaces met to the left, right, above and below, the one with the smallest disparity is
-//! taken, of equals the closest. A hole that meets sky on two sides or more is sky that no eye was found to see; one side alone may be a surface's border.
+//! In: a merged frame with unpainted pixels. Out: the same, with unpainted pixels coloured where a
+//! surface is close enough, marked [`Source::Filled`]. Holes open where something near has moved
+//! away from something farther, so the farther surface is extrapolated: of the first surfaces to
+//! the left, right, above and below, the one with the smallest disparity is taken, of equals the
+//! closest. A hole that meets sky on two sides or more is sky; a single side may be the border of a
+//! surface.
 //!
-//! The other way is that of Rafferty and others (1998): the warp paints over the last frame, and what shows between its samples is that.
+//! Alternatively, as in Rafferty and others (1998), holes show the previous frame.
 
 use crate::frame::{Frame, SKY, Source};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// What holes show.
+/// Content of holes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Fill {
     /// Nothing.
     Off,
-    /// The nearest farther surface beside them.
+    /// The nearest farther surface.
     #[default]
     Surface,
-    /// The last frame.
+    /// The previous frame.
     Last,
 }
 
-/// How far a hole looks for a surface, in pixels. Wider holes are missing data rather than a gap between samples;
-/// a colour from farther away would be invented.
+/// Longest distance to a surface, pixels. Larger: wide holes, which are missing data, get arbitrary
+/// colours; smaller: gaps between samples stay.
 const REACH_PX: usize = 48;
-/// A hole that meets sky on so many of its four sides is sky. By judgement: one may be a surface's border against the sky;
-/// with two the far FLIP of the clinic at a tenth fell from 1.27 to 1.26 times the baseline's.
+/// Number of sides, of four, on which a hole must meet sky to be sky. Smaller: holes at a surface's
+/// border against the sky become sky. A judgement.
 const SKY_SIDES: u32 = 2;
 
-/// Fills holes with the colours of the last frame, which has as many pixels; returns the number of filled pixels.
+/// Fills holes with the previous frame, if it has as many pixels. Returns the number of filled
+/// pixels.
 pub fn from_last(frame: &mut Frame, last: &[u32]) -> u64 {
     let mut filled = 0;
     for ((source, colour), last) in frame.source.iter_mut().zip(&mut frame.colour).zip(last) {
@@ -43,7 +46,7 @@ pub fn from_last(frame: &mut Frame, last: &[u32]) -> u64 {
     filled
 }
 
-/// Fills what can be filled; returns the number of filled pixels.
+/// Fills holes. Returns the number of filled pixels.
 pub fn fill(frame: &mut Frame) -> u64 {
     let (width, height) = (frame.width as usize, frame.height as usize);
     let fill_row = |row: usize| {
@@ -66,7 +69,7 @@ pub fn fill(frame: &mut Frame) -> u64 {
     count
 }
 
-/// What a hole shows: colour and disparity.
+/// The colour and disparity for a hole.
 fn find(frame: &Frame, row: usize, column: usize) -> Option<(u32, f32)> {
     let (width, height) = (frame.width as usize, frame.height as usize);
     let at = row * width + column;

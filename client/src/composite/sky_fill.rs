@@ -1,19 +1,22 @@
-//! Sky that nobody looked at: openings that known sky reaches into.
+//! Filling of openings with sky.
 //!
-//! In: a merged frame whose images are all there. Out: the same, with openings that border on sky turned into sky.
+//! In: a merged frame whose images are all present. Out: the same, with openings that border on sky
+//! turned into sky.
 //!
-//! Builds look for sky by rays of some eyes: of a window at the end of a room they find most squares, and an eye that stands elsewhere sees the rest. The LDI tree would show
-//! samples there that are as large as the window's frame. What surfaces eyes see the images hold far more finely; so an opening (pixels that nothing reached, joined by their sides) is
-//! sky if enough of its outline is.
+//! Builds find sky by rays of some eyes, so that another eye sees parts of a window that no ray has
+//! tested. The LDI tree would show coarse samples there. Images contain the visible surfaces far
+//! more finely, so that an opening (connected open pixels) is sky if a sufficient share of its
+//! outline is.
 
 use super::CompositeStats;
 use crate::frame::{Frame, SKY, Source};
 
-/// Of an opening's outline this share has to be known sky. Larger: more of the tree's samples stay in windows; smaller: a hole in a surface before the sky becomes a window (0.01 and
-/// 0.25 look alike on the clinic).
+/// Share of an opening's outline that must be known sky. Larger: coarse tree samples stay in
+/// windows; smaller: a hole in a surface in front of the sky is filled with sky.
 const SKY_SHARE: f64 = 0.25;
 
-/// Turns openings into sky. `stats` are those of the merge; all that is far has to be there, or an opening may be what is missing.
+/// Turns openings into sky. `stats`: counts of the merge, updated. All images must be present: an
+/// opening may otherwise be missing data.
 pub fn fill_sky(frame: &mut Frame, stats: &mut CompositeStats) {
     if stats.unpainted == 0 || stats.sky == 0 {
         return;

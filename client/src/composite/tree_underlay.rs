@@ -1,9 +1,13 @@
-//! The LDI tree under the frame: section 3.5 of Chang and others (1999), where the stencil is what near geometry and images left open.
+//! The LDI tree underlay: section 3.5 of Chang and others (1999), where the stencil is the set of
+//! pixels that near geometry and images leave open.
 //!
-//! In: a merged frame. Out: which pixels want a sample of the tree; and, once it is drawn, the frame with those samples.
+//! In: a merged frame. Out: the pixels that need a sample of the tree; and, once it is drawn, the
+//! frame with these samples.
 //!
-//! A pixel that is unpainted takes any. As long as data is missing a painted pixel may show what a missing surface hides, so that the tree's sample wins where it is clearly
-//! nearer; and sky that was taken for granted is not. What then neither shows is sky: the tree holds every surface that references saw, and has closed its gaps.
+//! An unpainted pixel takes any sample. While data is missing, a painted pixel may show what a
+//! missing surface hides, so that a clearly nearer sample of the tree wins, and sky is not trusted.
+//! Pixels that neither shows are then sky: the tree contains every surface that the references saw,
+//! and has closed its gaps.
 
 use crate::{
     frame::{Frame, Source},
@@ -11,24 +15,24 @@ use crate::{
     warp::FarFrame,
 };
 
-/// Whether painted pixels are to be believed.
+/// Whether painted pixels can be trusted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ImageGaps {
-    /// Everything is there: only holes want samples.
+    /// Everything is present: only holes need samples.
     None,
-    /// Something is missing. Samples nearer than what is painted by so many metres win.
+    /// Data is missing: samples that are nearer than painted pixels by a margin win.
     Missing {
-        /// Metres of depth, at least; and a tenth of the depth.
+        /// The margin, metres of depth; at least a tenth of the depth.
         margin_m: f32,
-        /// What lies nearer to the eye than this is painted: samples of it are left out. Metres.
+        /// Distance within which everything is painted, metres: nearer samples are left out.
         complete_m: f32,
     },
 }
 
-/// The pixels that want a sample.
+/// The pixels that need a sample.
 pub fn pixels_for_tree(frame: &Frame, doubt: ImageGaps) -> PixelMask {
     let wants = |s: &Source| *s == Source::Unpainted || doubt != ImageGaps::None;
-    // Behind what is painted nothing shows. Of sky that is doubted the disparity is 0.
+    // Samples behind painted pixels are hidden. Untrusted sky has disparity 0.
     let wanted = PixelMask::new(frame.width, frame.height, frame.source.iter().map(wants).collect(), &frame.disparity);
     match doubt {
         ImageGaps::Missing { complete_m, .. } => wanted.beyond(complete_m),
@@ -36,7 +40,8 @@ pub fn pixels_for_tree(frame: &Frame, doubt: ImageGaps) -> PixelMask {
     }
 }
 
-/// Lays the tree's picture under the frame; what neither shows becomes sky as long as something is missing, and else stays a hole. Returns the number of pixels that the tree gave.
+/// Adds the tree's picture to the frame. Pixels that neither shows become sky while data is
+/// missing, otherwise stay holes. Returns the number of pixels taken from the tree.
 pub fn underlay_tree(frame: &mut Frame, tree: &FarFrame, doubt: ImageGaps) -> u64 {
     let mut given = 0;
     for at in 0..frame.len() {
@@ -98,7 +103,8 @@ mod tests {
         }
     }
 
-    /// Of a hole that the tree leaves open: with everything there it is a gap in what is painted; else what is painted says nothing of it, and the tree knows of no surface.
+    /// Of a hole that the tree leaves open: with everything there it is a gap in what is painted;
+    /// else what is painted says nothing of it, and the tree knows of no surface.
     #[test]
     fn what_the_tree_leaves_open_is_sky_where_it_alone_knows() {
         for (doubt, source) in

@@ -1,4 +1,4 @@
-//! Where a walk gets its data: the one door between the engine and the network.
+//! The source of a walk's data: the interface between the engine and the network.
 
 use crate::{
     cache::{Cache, Incomplete},
@@ -8,31 +8,35 @@ use crate::{
 use ldi_protocol::{Pose, index::Index, ldi::Ldi, mesh::CellGeometry, need::Needed, texture::Texture, tree::Brood};
 use std::{sync::Arc, time::Duration};
 
-/// A line that is down for so long is not waited for any more: a server that is started again is up
-/// by then.
+/// Time without a connection after which a walk ends. A restarted server is up again by then.
 pub const LOST_FOR: Duration = Duration::from_secs(30);
 
-/// What came over the line so far.
+/// How long a frame of `--pace wait` waits for its chunks before it is drawn without them. Longer
+/// than a complete view takes over a slow connection. A walk ends if no chunk at all arrives in
+/// that time.
+pub(super) const PATIENCE: Duration = Duration::from_secs(180);
+
+/// Counters of received data.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Traffic {
-    /// Seconds since the start of the connection; of several in a row those with one.
+    /// Connected seconds since the first connection.
     pub elapsed_s: f64,
     /// Bytes received since then, the dataset's index included.
     pub bytes: u64,
-    /// Bytes that no frame used: prefetched, stale, twice, or damaged.
+    /// Received bytes that no frame used: prefetched, outdated, duplicate or damaged.
     pub wasted_bytes: u64,
-    /// Rate over the busiest seconds, Mbit/s: 99 of 100 seconds were below.
+    /// 99th percentile of the rate over windows of one second, Mbit/s.
     pub mbit_per_s_p99_1s: f64,
-    /// Largest sum of decoded bytes that the cache held.
+    /// Largest number of decoded bytes in the cache.
     pub cache_peak_bytes: u64,
-    /// Chunks that came damaged until they were given up.
+    /// Chunks given up because they arrived damaged.
     pub damaged_chunks: usize,
     /// Chunks received, or read from the disk.
     pub chunks: u64,
 }
 
 impl Traffic {
-    /// What the statistics of a connection, or of several with one cache, say.
+    /// Combines the statistics of all connections that share one cache.
     pub fn of(stats: &Stats, cache: &Cache) -> Self {
         Self {
             elapsed_s: stats.elapsed.as_secs_f64(),
@@ -48,27 +52,28 @@ impl Traffic {
 
 /// A source of chunks: a connection with its cache, or memory in tests.
 pub trait DataSource: Resident {
-    /// The dataset's index, as far as it is here; a frame asks once.
+    /// The dataset's index, as far as it has arrived. A frame reads it once.
     fn index(&self) -> &Index;
 
     /// Name of the dataset: hexadecimal BLAKE3 of its manifest.
     fn dataset_hash(&self) -> String;
 
-    /// Says where the walker is and what the view needs, so that it stays or is sent; returns at once.
+    /// Reports the eye's pose and the chunks that the view needs. Returns at once.
     fn update_view(&self, pose: &Pose, needed: &Needed);
 
-    /// Asks for chunks by number; returns at once.
+    /// Requests chunks by number. Returns at once.
     fn request(&self, chunks: &[u32]);
 
     /// Waits until all of `chunks` are resident, at most `patience`.
     ///
     /// # Errors
     ///
-    /// What is missing and why. Unless the connection is gone, a frame can be drawn without it.
+    /// Names the missing chunks and the reason. Without `Incomplete::Disconnected` a frame can
+    /// still be drawn.
     fn wait_for(&self, chunks: &[u32], patience: Duration) -> Result<(), Incomplete>;
 
-    /// Why nothing comes any more: there has been no connection for `patience`, or connecting again
-    /// does not help.
+    /// The reason why no more data will arrive: there has been no connection for `patience`, or
+    /// reconnecting cannot help.
     fn lost_reason(&self, patience: Duration) -> Option<String>;
 
     /// Whether a chunk is resident, decoded.
@@ -77,7 +82,7 @@ pub trait DataSource: Resident {
     /// Counters since the connection was opened.
     fn traffic(&self) -> Traffic;
 
-    /// Decoded bytes that are held at most.
+    /// Largest number of decoded bytes that may be held.
     fn cap_bytes(&self) -> u64 {
         u64::MAX
     }

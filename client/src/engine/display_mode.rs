@@ -1,6 +1,6 @@
-//! Views for those who want to know why a picture looks as it does: the same frame in other colours.
+//! False-colour displays of a frame, for finding the cause of visible errors.
 //!
-//! In: a merged frame, or an image before it is warped. Out: the same, coloured by what is asked.
+//! In: a merged frame, or an image before it is warped. Out: the same, recoloured by the mode.
 
 use crate::{
     frame::{Frame, Source, pack_rgb, unpack_rgb},
@@ -11,35 +11,35 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::sync::Arc;
 
-/// What a picture shows.
+/// What a picture displays.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DisplayMode {
-    /// The scene.
+    /// The scene in its own colours.
     #[default]
     Scene,
-    /// What is drawn as geometry, alone.
+    /// Only pixels drawn from geometry.
     Near,
-    /// What comes from images, alone.
+    /// Only pixels drawn from images.
     Far,
-    /// Where each pixel comes from.
+    /// The source of each pixel.
     Sources,
-    /// Pixels that nothing known reached.
+    /// Pixels without known content.
     Holes,
-    /// Which layer of its image a pixel comes from.
+    /// The image layer of each pixel.
     Layers,
-    /// How large an image's samples are in the picture.
+    /// The footprint of each image sample.
     Footprints,
-    /// Where surfaces of images end.
+    /// The ends of surfaces in images.
     Ends,
-    /// How long ago an image was laid out.
+    /// The time since an image was laid out.
     Age,
-    /// How far away things are.
+    /// The distance of each pixel.
     Depth,
 }
 
 impl DisplayMode {
-    /// All, in the order in which a key goes through them.
+    /// All modes, in the order of the key that cycles through them.
     pub const ALL: [Self; 10] = [
         Self::Scene,
         Self::Near,
@@ -53,14 +53,14 @@ impl DisplayMode {
         Self::Depth,
     ];
 
-    /// The next one, or the one before.
+    /// The next mode, or the previous one.
     pub fn next(self, back: bool) -> Self {
         let at = Self::ALL.iter().position(|s| *s == self).unwrap_or(0);
         let n = Self::ALL.len();
         Self::ALL[if back { at + n - 1 } else { at + 1 } % n]
     }
 
-    /// What the colours mean.
+    /// The meaning of the colours.
     pub const fn legend(self) -> &'static str {
         match self {
             Self::Scene => "the scene",
@@ -76,7 +76,8 @@ impl DisplayMode {
         }
     }
 
-    /// The image in the colours of this view, where it is one that colours images before they are warped. `age_s`: since it was laid out.
+    /// Recolours an image before it is warped; None for modes that recolour the finished frame.
+    /// `age_s`: seconds since the image was laid out.
     pub fn tint(self, ldi: &Arc<Ldi>, pose: &Pose, camera: &OutputCamera, age_s: f64) -> Option<Arc<Ldi>> {
         Some(Arc::new(match self {
             Self::Layers => debug_colours::coloured_by_layer(ldi),
@@ -98,7 +99,7 @@ impl DisplayMode {
                 Source::Filled | Source::Unpainted => SOURCE_COLOURS[s as usize],
                 _ => unpack_rgb(c).map(|c| c / 3),
             },
-            // Geometry and sky step back behind what is coloured.
+            // Geometry and sky are dimmed, so that the recoloured pixels stand out.
             Self::Layers | Self::Footprints | Self::Ends | Self::Age => |s, c, _| match s {
                 Source::Far => unpack_rgb(c),
                 _ => unpack_rgb(c).map(|c| c / 3),
@@ -114,14 +115,15 @@ impl DisplayMode {
     }
 }
 
-/// Shown where a part of the frame has nothing.
+/// Colour of pixels that a mode leaves out.
 const NOTHING: [u8; 3] = [24, 24, 28];
 
-/// False colours of sources: sky, near, far, tree, filled, unpainted. Chosen to stay apart for colour-blind eyes (Okabe and Ito).
+/// False colours of sources: sky, near, far, tree, filled, unpainted. Distinguishable by
+/// colour-blind viewers (Okabe and Ito).
 const SOURCE_COLOURS: [[u8; 3]; 6] =
     [[198, 214, 235], [230, 159, 0], [0, 114, 178], [0, 158, 115], [204, 121, 167], [213, 94, 0]];
 
-/// The colour of a source, a third of the way lightened or darkened by the picture, so that shapes stay visible.
+/// The colour of a source, modulated by the picture's brightness so that shapes stay visible.
 fn recoloured(source: Source, colour: u32) -> [u8; 3] {
     let [r, g, b] = unpack_rgb(colour).map(u32::from);
     let grey = (r * 299 + g * 587 + b * 114) / 1000;

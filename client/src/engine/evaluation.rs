@@ -1,7 +1,8 @@
-//! Frames against the truth that `ldi-server render` made.
+//! Evaluation of frames against ground truth rendered by `ldi-server render`.
 //!
-//! In: a finished frame, and `frame_NNNNN.png` and `frame_NNNNN.f32` of the same pose. Out: PSNR, SSIM, FLIP, and holes; and the FLIP of another
-//! renderer's frame of that pose, over the same pixels. What is absent is null in the report.
+//! In: a finished frame, and `frame_NNNNN.png` and `frame_NNNNN.f32` of the same pose. Out: PSNR,
+//! SSIM, FLIP and the share of holes; and the FLIP of another renderer's frame of that pose, over
+//! the same pixels. Values that cannot be computed are null in the report.
 
 use crate::{
     frame::{Frame, Source, pack_rgb},
@@ -9,18 +10,19 @@ use crate::{
 };
 use std::path::{Path, PathBuf};
 
-/// Largest truth picture that is opened, pixels: more than any output the client can draw.
+/// Largest ground-truth picture that is opened, pixels. Exceeds every picture that the client can
+/// draw.
 const MAX_PIXELS: u64 = 1 << 28;
 
-/// The truth cannot be used.
+/// The ground truth cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluationError {
-    /// No such picture, or no PNG.
+    /// The picture is absent, or is no PNG.
     #[error("{path}: {source}; render the truth with `ldi-server render --path` of the same path, --size and --every")]
     RgbImage {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The cause.
         source: image::ImageError,
     },
     /// The depth file cannot be read.
@@ -28,40 +30,40 @@ pub enum EvaluationError {
     Depth {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The cause.
         source: std::io::Error,
     },
-    /// The depth file has another length.
+    /// The depth file's length does not match the picture.
     #[error("{path}: {found} bytes, {expected} expected for the walk's --size; render the truth anew")]
     DepthLength {
         /// The file.
         path: PathBuf,
-        /// Its length.
+        /// Its length, bytes.
         found: u64,
-        /// 4 bytes per pixel.
+        /// Expected length: 4 bytes per pixel.
         expected: u64,
     },
-    /// Another size.
+    /// The pictures differ in size.
     #[error("{path}: {source}")]
     Metric {
         /// The truth's file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The cause.
         source: MetricError,
     },
 }
 
-/// Where the picture of a pose lies.
+/// Path of a pose's picture.
 fn picture_path(folder: &Path, pose: usize) -> PathBuf {
     folder.join(format!("frame_{pose:05}.png"))
 }
 
-/// How many of these poses have a picture in the folder.
+/// Number of these poses that have a picture in the folder.
 pub fn pictures_of(folder: &Path, poses: impl Iterator<Item = usize>) -> usize {
     poses.filter(|pose| picture_path(folder, *pose).exists()).count()
 }
 
-/// The truth of one pose, or another renderer's picture of it.
+/// The ground truth of one pose, or another renderer's picture of it.
 #[derive(Debug)]
 pub struct Truth {
     path: PathBuf,
@@ -70,29 +72,29 @@ pub struct Truth {
     depth_m: Option<Vec<f32>>,
 }
 
-/// What a frame scores.
+/// Scores of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Scores {
-    /// Decibels.
+    /// PSNR, decibels.
     pub psnr_db: Option<f64>,
-    /// None for pictures smaller than its window.
+    /// SSIM; None for pictures smaller than its window.
     pub ssim: Option<f64>,
     /// Mean FLIP.
     pub flip: Option<f64>,
-    /// Mean FLIP over pixels that came from a warp; None when there is none.
+    /// Mean FLIP over warped pixels; None if there are none.
     pub flip_far: Option<f64>,
-    /// Mean FLIP of the baseline's frame; None when there is none.
+    /// Mean FLIP of the baseline's frame; None without a baseline.
     pub flip_baseline: Option<f64>,
-    /// The same over the pixels that our frame warped.
+    /// Mean FLIP of the baseline's frame over the pixels that this frame warped.
     pub flip_baseline_far: Option<f64>,
-    /// Share of hole pixels.
+    /// Share of hole pixels in the finished frame.
     pub hole_fraction: Option<f64>,
-    /// The same in the frame before averaging and filling.
+    /// Share of hole pixels before averaging and filling.
     pub hole_before_fill: Option<f64>,
 }
 
 impl Truth {
-    /// Reads the truth of pose `index`; None when the folder has no picture of it.
+    /// Reads the ground truth of pose `index`; None if the folder has no picture of it.
     pub fn load(folder: &Path, index: usize) -> Result<Option<Self>, EvaluationError> {
         let path = picture_path(folder, index);
         if !path.exists() {
@@ -112,7 +114,7 @@ impl Truth {
         Ok(Some(Self { path, picture, depth_m }))
     }
 
-    /// The picture as a frame whose pixels came from `source`; it has no depth.
+    /// The picture as a frame whose pixels came from `source`, without depth.
     pub fn into_frame(self, source: Vec<Source>) -> Frame {
         let (width, height) = self.picture.size();
         let mut frame = Frame::new(width, height);
@@ -125,7 +127,8 @@ impl Truth {
         frame
     }
 
-    /// Compares a frame; `full` is the same before averaging, a whole multiple of its size; `baseline` is another renderer's picture.
+    /// Scores a frame. `full`: the frame before averaging, a whole multiple of its size.
+    /// `baseline`: another renderer's picture.
     pub fn evaluate(&self, frame: &Frame, full: &Frame, baseline: Option<&Self>) -> Result<Scores, EvaluationError> {
         let failed = |source| EvaluationError::Metric { path: self.path.clone(), source };
         let test = RgbImage::new(frame.width, frame.height, frame.to_rgb8()).map_err(failed)?;
@@ -163,7 +166,8 @@ fn read_depth(path: &Path, picture: &RgbImage) -> Result<Option<Vec<f32>>, Evalu
     Ok(Some(bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()))
 }
 
-/// Share of pixels where the truth has a surface and the frame shows nothing known: unpainted, sky, or filled.
+/// Share of pixels where the ground truth has a surface and the frame shows no known one:
+/// unpainted, sky, or filled.
 fn hole_fraction(frame: &Frame, depth_m: &[f32], truth_width: u32) -> f64 {
     let factor = (frame.width / truth_width.max(1)).max(1) as usize;
     let width = frame.width as usize;

@@ -1,10 +1,12 @@
-//! What is shown while a view's images or geometry are on their way, or its images are being laid out: the same pose by the placement before, which is at hand, as long as the eye
-//! has not gone far from its users.
+//! The fallback view: the same pose drawn with the previous placement, while the images or geometry
+//! of the current one are not ready yet.
 //!
-//! The LDI tree would show there, too, but coarser and for longer: its pixels are those of a whole placement's images. Nothing is promised of a stand-in but the budget:
-//! footprints and what is uncovered grow with the way from the users, so that way is bounded.
+//! The fallback is used only while the eye is close to the users of the previous placement. The LDI
+//! tree would be drawn instead otherwise, but coarser and for longer: its pixels replace those of
+//! all images of a placement. The fallback keeps only the triangle budget. Footprints and uncovered
+//! areas grow with the distance from the users, so that distance is bounded.
 
-use super::frame_renderer::{View, drawable};
+use super::view::{View, drawable};
 use crate::resident::Resident;
 use ldi_protocol::{
     Pose,
@@ -12,25 +14,26 @@ use ldi_protocol::{
     select::{DrawList, draw_list_by},
 };
 
-/// How far the eye may be from the placement's users, as a share of the distance of its nearest image plane. There footprints are a third above the bound. Larger: what lies behind
-/// corners is missing in more of the picture.
+/// Largest distance of the eye from the placement's users, as a share of the distance of its
+/// nearest image plane. Larger: more of what lies behind corners is missing, and footprints exceed
+/// their bound further. Smaller: the coarser LDI tree shows more often.
 const AWAY: f64 = 0.25;
 
-/// See the module.
+/// Remembers the last placement that was drawn completely.
 #[derive(Debug, Default)]
 pub(super) struct FallbackView {
-    /// The placement of the last view that had all it draws; None also where that was geometry alone.
+    /// The placement of the last complete view; None if that view was geometry alone.
     placement: Option<u32>,
 }
 
 impl FallbackView {
-    /// A view had all it draws.
+    /// Records a view that was drawn completely.
     pub fn remember_complete(&mut self, view: &View) {
         self.placement = view.selection.placement;
     }
 
-    /// The placement before, for a view that lacks something. None where it would not do: too far away, itself not at hand, or above the budget. `is_ready`: whether an image can be
-    /// warped now.
+    /// The fallback for an incomplete view. None if the previous placement is too far away, not
+    /// ready itself, or above the budget. `is_ready`: whether an image can be warped now.
     pub fn view(
         &self,
         index: &Index,
@@ -40,14 +43,15 @@ impl FallbackView {
         is_ready: &dyn Fn(u32) -> bool,
     ) -> Option<View> {
         let number = self.placement.filter(|p| view.selection.placement != Some(*p))?;
-        // An eye that no image was made for is shown none.
+        // Outside of the planned area no placement applies.
         if view.by_tree || !view.portals.is_empty() || view.is_unplanned(index, pose) {
             return None;
         }
         let is_whole =
             |v: &View| v.images.iter().all(|i| is_ready(*i)) && absent_chunks(index, resident, &v.cells).is_empty();
         let placement = index.placements.get(number as usize)?;
-        // Without images nothing bounds the way, and what is culled shows nowhere.
+        // Without images the distance is not bounded, and culled cells would not be shown by
+        // anything.
         let plane_m = index.images_of(number).map(|(_, i)| i.plane_distance).min_by(f64::total_cmp)?;
         if placement.users.distance(pose.position) > AWAY * plane_m || is_whole(view) {
             return None;
@@ -59,7 +63,7 @@ impl FallbackView {
     }
 }
 
-/// The chunks for want of which these cells do not show.
+/// The absent chunks that these cells need in order to be drawn.
 pub(super) fn absent_chunks(index: &Index, resident: &dyn Resident, cells: &[u32]) -> Vec<u32> {
     let (_, mut absent) = drawable(index, resident, cells);
     for (cell, entry) in cells.iter().filter_map(|c| Some((*c, index.cells.get(*c as usize)?))) {

@@ -1,7 +1,8 @@
-//! One frame: select, cull, near, warp, composite.
+//! Renders one frame: select, cull, near geometry, warp, composite.
 //!
-//! In: a pose and whatever data is resident. Out: the picture, what was drawn and what was missing, milliseconds per
-//! stage. Nothing here waits: absent data is left out and named.
+//! In: a pose and the data that is resident. Out: the picture, what was drawn, what was missing,
+//! milliseconds per stage. The renderer never waits: absent data is left out of the picture and
+//! named.
 
 use super::{
     display_mode::DisplayMode,
@@ -11,6 +12,7 @@ use super::{
     options::{Cull, Method, WalkOptions},
     render_backend::{RenderBackend, RenderError},
     upload_queue::{Anticipated, PendingUploads, UploadQueue, UploadedOnly, upload_budget_bytes, upload_cells},
+    view::{View, drawable, ms_since},
 };
 use crate::{
     composite::{
@@ -29,191 +31,94 @@ use ldi_protocol::{
     OutputCamera, Pose,
     index::{ImageEntry, Index},
     ldi::Ldi,
-    need::{Needed, Sight, needed},
+    need::Sight,
     portal_view::Cone,
-    room_index::PortalImages,
-    rooms::{CellId, Portal},
-    select::{DrawFrusta, DrawList, FarBy, Selection, ShownPortal, draw_list_showing, is_planned, select},
     shade::SKY_SRGB,
 };
 use std::{sync::Arc, time::Instant};
 
-/// What a pose draws.
-#[derive(Debug, Clone, PartialEq)]
-pub struct View {
-    /// Grid point and placement.
-    pub selection: Selection,
-    /// Cells to draw, near to far.
-    pub cells: Vec<u32>,
-    /// Images of the placement in view, those nearest to the line of sight first.
-    pub images: Vec<u32>,
-    /// Cells left out because the budget was used up: 0 wherever the build's promise holds.
-    pub dropped: u32,
-    /// What lies in view nearer than this is in `cells`, metres; see [`DrawList::complete_m`].
-    pub complete_m: f64,
-    /// Triangles of all cells in the frustum, drawn or culled.
-    pub triangles_in_frustum: u64,
-    /// What the cells leave comes from the LDI tree.
-    pub by_tree: bool,
-    /// Chunks that refine it.
-    pub tree: Vec<u32>,
-    /// Rooms drawn as geometry; empty in a dataset without rooms.
-    pub rooms: Vec<CellId>,
-    /// Portals whose images show what lies beyond, nearest first.
-    pub portals: Vec<ShownPortal>,
-    /// Which of their images do.
-    pub portal_images: PortalImages,
-}
-
-/// What a frame took and lacked.
+/// Statistics of a frame: times, counts, and missing data.
 #[derive(Debug, Clone, Default)]
 pub struct FrameStats {
     /// Near triangles submitted.
     pub triangles: u64,
-    /// The warp's figures; None when nothing was warped.
+    /// Statistics of the warp; None if nothing was warped.
     pub warp: Option<WarpStats>,
-    /// What the LDI tree gave; None when it was not drawn.
+    /// Statistics of the LDI tree; None if it was not drawn.
     pub tree: Option<TreeStats>,
-    /// What cached images did; None with other methods.
+    /// Statistics of cached images; None with other methods.
     pub cached: Option<ImpostorStats>,
-    /// Chunks that the view needs and that were not resident, finer levels and deeper layers included; ascending.
+    /// Chunks that the view needs and that were not resident, including finer texture levels and
+    /// deeper layers; ascending.
     pub missing_chunks: Vec<u32>,
-    /// Whether all of the index was known.
+    /// Whether the index was complete.
     pub whole: bool,
-    /// Images, chunks of geometry and textures that are resident and being laid out beside or on their way to the card; what is there of them is shown.
+    /// Resident images, geometry chunks and textures that are still being laid out or uploaded.
+    /// Parts that are ready are drawn.
     pub waiting: usize,
-    /// Bytes of the scene that this picture put onto a card.
+    /// Bytes of the scene that this frame uploaded to the GPU.
     pub uploaded_bytes: u64,
-    /// The placement that stands in for the view's own, which is not at hand yet.
+    /// The placement of the fallback view; None if the view itself was drawn.
     pub fallback: Option<u32>,
-    /// Whether a graphics card joined near geometry and images.
+    /// Whether the GPU composited near geometry and images.
     pub on_card: bool,
-    /// Time by stage. `total` is without `prepare`.
+    /// Time by stage. `total` does not include `prepare`.
     pub ms: StageMs,
 }
 
 impl FrameStats {
-    /// Whether the picture lacks nothing.
+    /// Whether nothing is missing from the picture.
     pub fn is_complete(&self) -> bool {
         self.whole && self.missing_chunks.is_empty() && self.waiting == 0
     }
 }
 
-/// Draws frames; keeps memory between them.
+/// Renders frames and keeps buffers and layouts between them.
 #[derive(Debug, Default)]
 pub struct FrameRenderer {
     backend: RenderBackend,
     impostors: Impostors,
-    /// Whether the last picture lacked nothing.
+    /// Whether the previous frame was complete.
     was_complete: bool,
     far: FarFrame,
     full: Frame,
-    /// Pixels that were filled where `full` does not show it.
+    /// Pixels filled by the GPU, which `full` does not show.
     filled_on_card: u64,
     tree: ProgressivePainter,
-    /// Samples of the tree per millisecond, as measured; 0 before the first.
+    /// Measured tree samples per millisecond; 0 before the first measurement.
     tree_rate: f64,
-    /// Colours of the frame before, where holes are to show it.
+    /// Colours of the previous frame, for [`Fill::Last`].
     last: Vec<u32>,
     layouts: ImageLayouts,
     fallback: FallbackView,
-    /// Lays images out beside, once a frame asks for that; None also where the system gives no threads.
+    /// Lays out images on its own thread. Created by the first frame that needs it; None also if
+    /// the system gives no thread.
     layout_worker: Option<LayoutWorker>,
     uploads: UploadQueue,
-    /// Geometry or textures of the last picture are on their way to the card.
+    /// Whether geometry or textures of the last frame were still being uploaded.
     late: bool,
     ahead: Anticipated,
-    /// Bytes that a picture may put onto the card, in place of the usual ones.
+    /// Overrides the number of bytes that a frame may upload.
     #[cfg(test)]
     pub(super) upload_budget_bytes: Option<u64>,
-    /// They are painted onto their portals.
+    /// Whether portal images are drawn as flat textures.
     textures: bool,
-}
-
-fn ms_since(start: Instant) -> f64 {
-    start.elapsed().as_secs_f64() * 1e3
-}
-
-impl View {
-    /// Whether no image was made for the eye although the dataset has images: it sees geometry over the LDI tree.
-    pub fn is_unplanned(&self, index: &Index, pose: &Pose) -> bool {
-        !self.by_tree && !index.placements.is_empty() && !is_planned(index, pose)
-    }
-}
-
-/// Selects what a pose draws; times go to `ms`.
-pub fn view_of(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method, ms: &mut StageMs) -> View {
-    let half_tan = (camera.half_tan_x(), camera.half_tan_y());
-    let in_frustum = cells_in_frustum(index, pose, half_tan);
-    let triangles_in_frustum = in_frustum.iter().map(|c| u64::from(index.cells[*c as usize].triangles)).sum();
-    let show = method.show();
-    if show.far == FarBy::Offered {
-        // `draw_list_showing` selects as well: its share is measured apart.
-        let start = Instant::now();
-        std::hint::black_box(select(index, pose));
-        ms.select = ms_since(start);
-    }
-    let start = Instant::now();
-    let list = draw_list_showing(index, pose, half_tan, show);
-    ms.cull = (ms_since(start) - ms.select).max(0.0);
-    let by_tree = show.far.is_tree(index);
-    let DrawList { selection, cells, images, dropped, complete_m, tree, rooms, portals, .. } = list;
-    let wanted = show.portals.images;
-    let portal_images = index.rooms.as_ref().map_or(wanted, |r| r.resolve(wanted));
-    View {
-        selection,
-        cells,
-        images,
-        dropped,
-        complete_m,
-        triangles_in_frustum,
-        by_tree,
-        tree,
-        rooms,
-        portals,
-        portal_images,
-    }
-}
-
-/// The cells to draw, and the texture chunks for want of which the others are not: as long as the LDI tree shows a cell in its colours, bare geometry would be a
-/// step back.
-pub(super) fn drawable(index: &Index, resident: &dyn Resident, cells: &[u32]) -> (Vec<u32>, Vec<u32>) {
-    if index.tree.is_none() {
-        return (cells.to_vec(), Vec::new());
-    }
-    let absent: Vec<Option<u32>> = (0u32..)
-        .zip(&index.textures)
-        .map(|(t, entry)| entry.chunks.first().filter(|_| resident.texture(t).is_none()).map(|c| c.chunk))
-        .collect();
-    let wants = |cell: &u32| -> Vec<u32> {
-        let materials = index.cells.get(*cell as usize).map_or(&[][..], |c| &c.materials);
-        let textures = materials.iter().filter_map(|m| index.materials.get(*m as usize)?.texture);
-        textures.filter_map(|t| *absent.get(t as usize)?).collect()
-    };
-    let (mut drawn, mut lacking_textures) = (Vec::new(), Vec::new());
-    for cell in cells {
-        let wanted = wants(cell);
-        if wanted.is_empty() {
-            drawn.push(*cell);
-        }
-        lacking_textures.extend(wanted);
-    }
-    (drawn, lacking_textures)
 }
 
 /// The chunks of an image that are not there.
 fn absent_layers<'a>(entry: &'a ImageEntry, ldi: Option<&Ldi>) -> &'a [u32] {
     match ldi {
         None => &entry.chunks,
-        // Two chunks: the first layer, and the rest.
+        // Images are stored as one or two chunks: the first layer, and the rest.
         Some(ldi) if entry.chunks.len() > 1 && ldi.layers.len() < entry.samples_by_layer.len() => &entry.chunks[1..],
         Some(_) => &[],
     }
 }
 
-/// The part of the picture that cones reach, with some pixels around it: columns and rows from, to.
+/// The rectangle of the picture that cones reach, with a margin: left, top, right, bottom.
 fn rectangle(cones: &[Cone], pose: &Pose, camera: &OutputCamera) -> [u32; 4] {
-    /// Samples reach beyond their pixels, and a portal may be a little smaller than its opening.
+    /// Margin in pixels: samples extend beyond their pixels, and a portal's plane may be slightly
+    /// off its opening.
     const AROUND_PX: f64 = 6.0;
     let (basis, focal) = (pose.basis(), camera.focal_px());
     let (w, h) = (f64::from(camera.width), f64::from(camera.height));
@@ -234,51 +139,30 @@ fn rectangle(cones: &[Cone], pose: &Pose, camera: &OutputCamera) -> [u32; 4] {
     [from[0].min(to[0]), from[1].min(to[1]), to[0], to[1]]
 }
 
-fn cells_in_frustum(index: &Index, pose: &Pose, half_tan: (f64, f64)) -> Vec<u32> {
-    let frusta = DrawFrusta::new(&index.settings, pose, half_tan);
-    (0u32..).zip(&index.cells).filter(|(_, c)| frusta.admit(&c.bounds)).map(|(i, _)| i).collect()
-}
-
-impl View {
-    /// The chunks that complete the view, seen from its pose.
-    pub fn needed(&self, index: &Index, sight: &Sight) -> Needed {
-        needed(index, &self.images, &self.cells, &self.tree, sight)
-    }
-
-    /// The same as far as a cache of so many bytes holds it.
-    pub fn needed_within(&self, index: &Index, sight: &Sight, cap_bytes: u64) -> Needed {
-        self.needed(index, sight).within(index, cap_bytes)
-    }
-
-    /// The portal that an image is painted onto.
-    fn canvas<'a>(&self, index: &'a Index, image: u32) -> Option<&'a Portal> {
-        let shown = self.portals.iter().find(|p| self.portal_images.is_texture() && p.images.contains(&image))?;
-        index.rooms.as_ref()?.rooms.portals().get(shown.portal as usize)
-    }
-}
-
 impl FrameRenderer {
-    /// One that draws on a graphics card.
+    /// Creates a renderer that uses a GPU.
     pub fn on(gpu: Gpu) -> Self {
         Self { backend: RenderBackend::on(gpu), ..Self::default() }
     }
 
-    /// The card that it draws on, if any.
+    /// The GPU, if one is used.
     pub fn gpu(&self) -> Option<&Gpu> {
         self.backend.gpu()
     }
 
-    /// What the next frames may show: it is laid out beside when nothing else is, and goes to the card after all that the frame itself wants.
+    /// Sets what the next frames may show. It is laid out and uploaded after everything that the
+    /// frame itself needs.
     pub fn anticipate(&mut self, ahead: Anticipated) {
         self.ahead = ahead;
     }
 
-    /// Whether another picture could show more, although nothing has come: images were laid out, or something is on its way to the card.
+    /// Whether another frame could show more without new data: layouts were finished, or uploads
+    /// are in progress.
     pub fn has_news(&self) -> bool {
         self.late || self.uploads.is_under_way() || self.layout_worker.as_ref().is_some_and(LayoutWorker::has_finished)
     }
 
-    /// Opens the workshop when it is wanted for the first time.
+    /// The layout worker, started at first use.
     fn layout_worker(&mut self) -> Option<&LayoutWorker> {
         if self.layout_worker.is_none() {
             self.layout_worker = LayoutWorker::open()
@@ -288,18 +172,19 @@ impl FrameRenderer {
         self.layout_worker.as_ref()
     }
 
-    /// Forgets the scene, for another one.
+    /// Drops all state of the scene, before another one is drawn.
     pub fn forget_scene(&mut self) {
         let mut backend = std::mem::take(&mut self.backend);
         backend.forget();
         *self = Self { backend, ..Self::default() };
     }
 
-    /// Draws a view into `out`, at the camera's size; of a frame that a card joined it has no disparities. `holds` tells whether a chunk is resident, decoded.
+    /// Renders a view into `out`, at the camera's size. The result has no disparities if the GPU
+    /// composited it.
     ///
     /// # Errors
     ///
-    /// When the options ask for an order that cannot draw the stamp, or the graphics card fails.
+    /// If the options ask for an order that cannot draw the stamp, or the GPU fails.
     #[expect(clippy::too_many_arguments, reason = "each is another thing that a frame depends on")]
     pub fn render(
         &mut self,
@@ -321,10 +206,11 @@ impl FrameRenderer {
         }
         let start = Instant::now();
         let background_layout = options.background_layout && self.layout_worker().is_some();
-        // At half the size that the dataset was made for.
+        // At half the dataset's resolution or less, images at half resolution keep the footprint
+        // bound.
         let half = background_layout && 2.0 * full_camera.focal_px() <= index.settings.camera.focal_px() * (1.0 + 1e-6);
         if std::mem::replace(&mut self.textures, view.portal_images.is_texture()) != self.textures {
-            // The same images, laid out otherwise.
+            // Flat textures use the same images with another layout.
             (self.layouts, self.uploads) = (ImageLayouts::default(), UploadQueue::default());
         }
         let warp_options = WarpOptions {
@@ -400,7 +286,7 @@ impl FrameRenderer {
         for (_, entry, ldi) in &images {
             frame_stats.missing_chunks.extend(absent_layers(entry, ldi.as_deref()));
         }
-        // What the view itself waits for.
+        // Layouts that the view itself waits for.
         let mut wanted: Vec<LayoutRequest> = Vec::new();
         if fallback.is_some() {
             frame_stats.missing_chunks.extend(absent_chunks(index, resident, &own.cells));
@@ -414,7 +300,7 @@ impl FrameRenderer {
         }
         frame_stats.missing_chunks.sort_unstable();
         frame_stats.missing_chunks.dedup();
-        // Those have come; they only do not show yet.
+        // Chunks that are being uploaded are resident, and not missing.
         frame_stats.missing_chunks.retain(|c| !late.chunks.contains(c));
         self.late = !late.chunks.is_empty() || late.coarse > 0;
         frame_stats.waiting += late.chunks.len() + late.coarse;
@@ -427,7 +313,8 @@ impl FrameRenderer {
             if background_layout && canvas.is_none() {
                 let Some(ldi) = held.take() else { continue };
                 let want = LayoutRequest { number: *number, half, ldi };
-                // Until it is ready, what was laid out when it had fewer layers or at the other resolution, if there is that.
+                // Until the layout is ready, an older one with fewer layers or at the other
+                // resolution is shown.
                 let shown = self.layouts.get(*number, half);
                 *held = shown.map(|l| l.of.ldi.clone());
                 if !self.layouts.holds(&want) {
@@ -497,9 +384,10 @@ impl FrameRenderer {
             })
             .collect();
         let mut known = images.iter().any(|(.., l)| l.is_some());
-        // Behind what the budget leaves out lies what images do not show either.
+        // Cells beyond the budget may hide areas that no image shows.
         let doubtful = gaps || view.dropped > 0;
-        // On the card if all is there that the picture wants, and nothing that only the processor does.
+        // The GPU composites complete frames in scene colours, without options that only the CPU
+        // implements.
         let plain = options.shows == DisplayMode::Scene && options.fill != Fill::Last && !options.smooth;
         let open = match plain && !doubtful && view.dropped == 0 {
             true => self.backend.merge(&code_steps(&shown, pose, &full_camera), &full_camera, &self.far)?,
@@ -514,7 +402,7 @@ impl FrameRenderer {
             _ if !portals.is_empty() => {
                 Far::Portals { picture: &self.far, portals: &portals, complete: view.dropped == 0 && !near_gaps }
             }
-            // What was dropped may lie anywhere: the rest is not known to be sky.
+            // Dropped cells may lie anywhere, so that the remaining pixels are not known to be sky.
             _ if (view.dropped > 0 || gaps) && images.is_empty() => Far::Missing,
             [] => Far::Nothing,
             _ => {
@@ -524,7 +412,8 @@ impl FrameRenderer {
         };
         let mut stats = merge(&mut self.full, far, pose, &full_camera);
         let all_layers = images.iter().all(|(_, entry, ldi)| absent_layers(entry, ldi.as_deref()).is_empty());
-        // Reference images of portals are not made from what eyes see: what they miss is no sky.
+        // Reference images of portals do not cover everything that an eye can see: their gaps are
+        // no sky.
         if known && all_layers && !doubtful && !view.portal_images.is_paper() {
             fill_sky(&mut self.full, &mut stats);
         }
@@ -552,7 +441,7 @@ impl FrameRenderer {
             let composite_options = CompositeOptions { fill: options.fill, last: &self.last, smooth: options.smooth };
             finish(&mut self.full, known, &mut stats, &composite_options);
             if gaps && index.tree.is_none() && images.is_empty() && view.dropped == 0 {
-                // Nothing better is known than that nothing was found there.
+                // No data about these pixels exists: they are drawn as sky.
                 self.full.paint_rest_as_sky();
             }
             options.shows.recolour(&mut self.full);
@@ -570,7 +459,7 @@ impl FrameRenderer {
         Ok(frame_stats)
     }
 
-    /// Draws the LDI tree where it is wanted and lays it under the frame. None where nothing is.
+    /// Draws the LDI tree into the pixels that need it. None if no pixel does.
     #[expect(clippy::too_many_arguments, reason = "each is another thing that a frame depends on")]
     fn draw_tree_underlay(
         &mut self,
@@ -582,7 +471,7 @@ impl FrameRenderer {
         doubt: ImageGaps,
         start: Instant,
     ) -> Option<TreeStats> {
-        // Without its root nothing is known.
+        // Without the root chunk the tree cannot be drawn.
         let tree = index.tree.as_ref().filter(|t| resident.brood(t.root_chunk).is_some())?;
         let wanted = pixels_for_tree(&self.full, doubt);
         if wanted.is_empty() {
@@ -605,13 +494,14 @@ impl FrameRenderer {
         Some(stats)
     }
 
-    /// The last frame before averaging: what the warp and the rasterizer left, pixel by pixel. Of a frame that a card joined only sky, the LDI tree's pixels and those that nothing reached are what they are here,
-    /// not filled; all else counts as near geometry.
+    /// The last frame before averaging, as warp and rasterizer left it. After a frame that the GPU
+    /// composited, only sky, tree and unpainted pixels have their own source; all others count as
+    /// near geometry, and holes are not filled.
     pub fn full(&self) -> &Frame {
         &self.full
     }
 
-    /// Shares of the full frame's pixels that nothing known reached, before and after the fill.
+    /// Shares of the full frame's pixels without known content, before and after filling.
     pub fn unknown_fractions(&self) -> (f64, f64) {
         let n = self.full.len().max(1) as f64;
         let unknown = (self.full.count(Source::Filled) + self.full.count(Source::Unpainted)) as f64;

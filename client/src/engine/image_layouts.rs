@@ -8,61 +8,62 @@ use crate::{
 use ldi_protocol::{OutputCamera, Pose, ldi::Ldi};
 use std::{sync::Arc, time::Instant};
 
-/// Layouts that are kept besides those of the current frame: of the images that a walker goes back and forth between. Each is
-/// about three times as large as the decoded image. As many as a view shows, some thirty tiles of a quarter of a million pixels.
+/// Number of layouts kept in addition to those of the current frame, for images that the eye
+/// returns to. About as many as a view shows. Larger: more memory, as a layout is several times as
+/// large as the decoded image. Smaller: images are laid out again when the eye turns back.
 const KEPT: usize = 32;
 
-/// What is laid out.
+/// A request for a layout.
 #[derive(Debug, Clone)]
 pub struct LayoutRequest {
     /// Position in the index's images.
     pub number: u32,
-    /// At half the resolution.
+    /// Whether the layout is at half the resolution.
     pub half: bool,
-    /// What is there of it.
+    /// The image, with the layers that have arrived.
     pub ldi: Arc<Ldi>,
 }
 
 impl LayoutRequest {
-    /// Whether both are the same layers of the same image at the same resolution.
+    /// Whether both name the same layers of the same image at the same resolution.
     pub fn is(&self, other: &Self) -> bool {
         (self.number, self.half) == (other.number, other.half) && Arc::ptr_eq(&self.ldi, &other.ldi)
     }
 }
 
-/// An image, laid out.
+/// The layout of an image.
 #[derive(Debug)]
 pub struct ImageLayout {
-    /// What was laid out.
+    /// The request that it answers.
     pub of: LayoutRequest,
     /// The layout.
     pub laid_out: PreparedLdi,
-    /// The same as a card reads it, until it is there.
+    /// The layout in the GPU's format, until it is uploaded.
     pub packed: Option<Packed>,
     since: Instant,
 }
 
 impl ImageLayout {
-    /// Lays out an image; `pack`: for a card.
+    /// Lays out an image. `pack`: also in the GPU's format.
     pub fn new(of: LayoutRequest, pack: bool) -> Self {
         let laid_out = if of.half { PreparedLdi::new(&halved(&of.ldi)) } else { PreparedLdi::new(&of.ldi) };
         let packed = pack.then(|| Packed::new(&laid_out));
         Self { of, laid_out, packed, since: Instant::now() }
     }
 
-    /// Lays out at full resolution what `frame_stats` shows of an image.
-    fn frame_stats(of: LayoutRequest, frame_stats: Option<Ldi>) -> Self {
-        let laid_out = PreparedLdi::new(frame_stats.as_ref().unwrap_or(&of.ldi));
+    /// Lays out, at full resolution, an image or its flat texture.
+    fn from_texture(of: LayoutRequest, texture: Option<Ldi>) -> Self {
+        let laid_out = PreparedLdi::new(texture.as_ref().unwrap_or(&of.ldi));
         Self { of, laid_out, packed: None, since: Instant::now() }
     }
 }
 
-/// See the module. The newest is last, and what a frame laid out or found laid out by itself.
+/// The layouts, least recently used first.
 #[derive(Debug, Default)]
 pub struct ImageLayouts(Vec<ImageLayout>);
 
 impl ImageLayouts {
-    /// The layout of an image, at the resolution that is wanted if there is that.
+    /// The layout of an image, at the wanted resolution if there is one.
     pub fn get(&self, number: u32, half: bool) -> Option<&ImageLayout> {
         self.of(number).find(|l| l.of.half == half).or_else(|| self.of(number).next())
     }
@@ -72,17 +73,17 @@ impl ImageLayouts {
         self.0.iter().filter(move |l| l.of.number == number)
     }
 
-    /// Forgets some.
+    /// Keeps the layouts that satisfy a predicate.
     pub fn retain(&mut self, keep: impl FnMut(&ImageLayout) -> bool) {
         self.0.retain(keep);
     }
 
-    /// Whether this is laid out.
+    /// Whether a request is already answered.
     pub fn holds(&self, wanted: &LayoutRequest) -> bool {
         self.0.iter().any(|l| l.of.is(wanted))
     }
 
-    /// Takes in a layout that was made elsewhere, unless there is one with more layers.
+    /// Adds a finished layout, unless there is one with more layers.
     pub fn insert(&mut self, layout: ImageLayout) {
         let same = |l: &ImageLayout| (l.of.number, l.of.half) == (layout.of.number, layout.of.half);
         if !self.0.iter().any(|l| same(l) && l.of.ldi.layers.len() > layout.of.ldi.layers.len()) {
@@ -91,7 +92,8 @@ impl ImageLayouts {
         }
     }
 
-    /// Lays out an image, or what `paint` makes of it, at full resolution, unless it is laid out already, with the same layers. Returns whether it was new.
+    /// Lays out an image at full resolution, or the result of `paint`, unless the same layers are
+    /// laid out already. Returns whether the layout is new.
     pub fn lay_out(&mut self, number: u32, ldi: &Arc<Ldi>, paint: impl FnOnce(&Ldi) -> Option<Ldi>) -> bool {
         let wanted = LayoutRequest { number, half: false, ldi: ldi.clone() };
         let held = self.0.iter().position(|l| l.of.is(&wanted));
@@ -100,12 +102,12 @@ impl ImageLayouts {
                 let layout = self.0.remove(at);
                 self.0.push(layout);
             }
-            None => self.insert(ImageLayout::frame_stats(wanted, paint(ldi))),
+            None => self.insert(ImageLayout::from_texture(wanted, paint(ldi))),
         }
         held.is_none()
     }
 
-    /// Makes room for the images of a frame: of others some stay.
+    /// Drops layouts that are not in use, except the most recent [`KEPT`].
     pub fn forget_all_but(&mut self, in_use: impl Fn(u32) -> bool) {
         let mut spare = self.0.iter().filter(|l| !in_use(l.of.number)).count();
         self.0.retain(|l| {
@@ -115,7 +117,7 @@ impl ImageLayouts {
         });
     }
 
-    /// Images in the colours of a view; none where it shows them as they are.
+    /// Images recoloured for a display mode; None if the mode does not recolour images.
     pub fn recoloured(
         &self,
         numbers: impl Iterator<Item = u32>,

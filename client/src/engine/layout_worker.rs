@@ -1,6 +1,7 @@
-//! Images laid out beside the drawing, on a thread of its own, so that no picture waits for them.
+//! The layout worker: lays out images on its own thread, so that no frame waits for a layout.
 //!
-//! What is wanted is said anew with every picture, the most urgent first: nothing is laid out that nobody wants any more.
+//! Each frame replaces the list of requests, most urgent first, so that outdated requests are never
+//! processed.
 
 use super::image_layouts::{ImageLayout, LayoutRequest};
 use std::{
@@ -8,7 +9,7 @@ use std::{
     thread::JoinHandle,
 };
 
-/// See the module; the thread ends with it.
+/// The worker's handle. Dropping it ends the thread.
 #[derive(Debug)]
 pub struct LayoutWorker {
     shared: Arc<(Mutex<Shared>, Condvar)>,
@@ -18,7 +19,7 @@ pub struct LayoutWorker {
 #[derive(Debug, Default)]
 struct Shared {
     wanted: Vec<LayoutRequest>,
-    /// Packed for a card as well.
+    /// Whether layouts are also needed in the GPU's format.
     pack: bool,
     busy: Option<LayoutRequest>,
     done: Vec<ImageLayout>,
@@ -37,12 +38,12 @@ fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
 }
 
 impl LayoutWorker {
-    /// Begins.
+    /// Starts the thread.
     ///
     /// # Errors
     /// If the system gives no threads.
     pub fn open() -> std::io::Result<Self> {
-        // One thread that does not take part in the drawing: the pool of the drawing would wait for layouts in the middle of a picture.
+        // A pool of its own: in the renderer's pool, layouts would run in the middle of a frame.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().map_err(std::io::Error::other)?;
         let shared = Arc::<(Mutex<Shared>, Condvar)>::default();
         let seen = shared.clone();
@@ -58,17 +59,17 @@ impl LayoutWorker {
         Ok(Self { shared, thread: Some(thread) })
     }
 
-    /// What was finished since the last time.
+    /// Takes the layouts finished since the last call.
     pub fn take_finished(&self) -> Vec<ImageLayout> {
         std::mem::take(&mut lock(&self.shared.0).done)
     }
 
-    /// Whether something was.
+    /// Whether finished layouts are waiting.
     pub fn has_finished(&self) -> bool {
         !lock(&self.shared.0).done.is_empty()
     }
 
-    /// These from now on, in this order, and nothing that was wanted before. `pack`: for a card as well.
+    /// Replaces all requests, most urgent first. `pack`: also in the GPU's format.
     pub fn set_requests(&self, images: Vec<LayoutRequest>, pack: bool) {
         let mut shared = lock(&self.shared.0);
         shared.pack = pack;
@@ -77,7 +78,7 @@ impl LayoutWorker {
     }
 }
 
-/// Waits for something to do. None: stop.
+/// Waits for a request. None: the worker is to stop.
 fn next((shared, changed): &(Mutex<Shared>, Condvar)) -> Option<(LayoutRequest, bool)> {
     let mut shared = lock(shared);
     loop {

@@ -1,78 +1,42 @@
-//! Who draws: the processor, or a graphics card and the processor where that is faster or alone can.
+//! The render backend: runs each stage of a frame on the CPU or the GPU.
+//!
+//! The GPU draws near geometry and composites, and warps where that is faster than on the CPU. The
+//! CPU runs every stage that the GPU cannot.
 
-use super::frame_renderer::FrameRenderer;
 use crate::{
     composite::CodeStep,
     frame::Frame,
-    gpu::{Gpu, GpuError, Packed, WarpOn},
+    gpu::{Gpu, GpuError, Packed},
     near::{NearStats, Rasterizer},
     resident::Resident,
     warp::{FarFrame, ImageInView, PreparedLdi, WarpError, WarpOptions, WarpStats, warp_images},
 };
 use ldi_protocol::{OutputCamera, Pose, index::Index};
-use serde::Serialize;
 
-/// What is to draw.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
-pub enum Renderer {
-    /// The processor.
-    Cpu,
-    /// The graphics card; a driver that only pretends to have one will do.
-    Gpu,
-    /// The graphics card where there is a real one, else the processor.
-    Auto,
-}
-
-impl Renderer {
-    /// Opens it; a card is compared with the processor by warping, or `on` says which of the two warps.
-    ///
-    /// # Errors
-    /// If a card is asked for, and there is none that can draw.
-    pub fn renderer(self, on: WarpOn) -> Result<FrameRenderer, GpuError> {
-        let opened = match self {
-            Self::Cpu => return Ok(FrameRenderer::default()),
-            Self::Gpu => Gpu::open(),
-            Self::Auto => Gpu::open_real(),
-        };
-        let calibrated = opened.and_then(|mut gpu| {
-            let found = gpu.calibrate(on)?;
-            tracing::info!("drawing on {}, warping on {found}", gpu.adapter());
-            Ok(gpu)
-        });
-        match calibrated {
-            Err(e) if self == Self::Auto => {
-                tracing::info!("drawing on the processor: {}", e.reason());
-                Ok(FrameRenderer::default())
-            }
-            calibrated => Ok(FrameRenderer::on(calibrated?)),
-        }
-    }
-}
-
-/// A frame could not be drawn.
+/// A frame could not be rendered.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RenderError {
     /// The options ask for an order that cannot draw the stamp.
     #[error(transparent)]
     Warp(#[from] WarpError),
-    /// The card failed.
+    /// The GPU failed.
     #[error(transparent)]
     Gpu(#[from] GpuError),
 }
 
-/// See the module.
+/// The rasterizer, buffers and GPU of a renderer.
 #[derive(Debug, Default)]
 pub struct RenderBackend {
     rasterizer: Rasterizer,
-    /// One image of several, where its order counts and must not mix with the others'.
+    /// Buffer for one image of several, where the order within an image matters and must not mix
+    /// with that of others.
     single: FarFrame,
     gpu: Option<Box<Gpu>>,
-    /// What of the frame lies on the card and nowhere else.
+    /// The parts of the frame that only the GPU holds.
     on_card: OnGpu,
 }
 
-/// Pictures that were not read back.
+/// Buffers on the GPU that were not read back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 struct OnGpu {
     near: bool,
@@ -80,17 +44,17 @@ struct OnGpu {
 }
 
 impl RenderBackend {
-    /// A card's.
+    /// Creates a backend with a GPU.
     pub fn on(gpu: Gpu) -> Self {
         Self { gpu: Some(Box::new(gpu)), ..Self::default() }
     }
 
-    /// The card, if there is one.
+    /// The GPU, if one is used.
     pub fn gpu(&self) -> Option<&Gpu> {
         self.gpu.as_deref()
     }
 
-    /// Forgets the scene: numbers are about to mean something else.
+    /// Drops all state of the scene: the next scene uses the same numbers for other objects.
     pub fn forget(&mut self) {
         self.rasterizer = Rasterizer::default();
         if let Some(gpu) = &mut self.gpu {
@@ -98,17 +62,18 @@ impl RenderBackend {
         }
     }
 
-    /// The card, if it can draw pictures as large.
+    /// The GPU, if it can draw pictures of this size.
     pub(super) fn gpu_for(&mut self, camera: &OutputCamera) -> Option<&mut Gpu> {
         self.gpu.as_deref_mut().filter(|gpu| gpu.fits(camera))
     }
 
-    /// The card, if it is to warp so.
+    /// The GPU, if it is to warp with these options.
     pub(super) fn warping_gpu_for(&mut self, camera: &OutputCamera, options: &WarpOptions) -> Option<&mut Gpu> {
         self.gpu_for(camera).filter(|gpu| gpu.warps() && Gpu::can_warp(options).is_ok())
     }
 
-    /// Near geometry, the first thing of a frame: into `frame`, which becomes as large as the camera, or onto the card.
+    /// Draws near geometry into `frame`, which takes the camera's size, or into GPU textures. The
+    /// first stage of a frame.
     pub fn draw_near(
         &mut self,
         index: &Index,
@@ -129,19 +94,19 @@ impl RenderBackend {
         }
     }
 
-    /// A frame begins that may put so many bytes onto the card.
+    /// Begins a frame that may upload `allowed` bytes.
     pub fn begin_frame(&mut self, allowed: u64) {
         if let Some(gpu) = &mut self.gpu {
             gpu.begin_frame(allowed);
         }
     }
 
-    /// Bytes that it has put there.
+    /// Bytes uploaded by this frame.
     pub fn uploaded_bytes(&self) -> u64 {
         self.gpu.as_ref().map_or(0, |gpu| gpu.uploaded_bytes())
     }
 
-    /// The card, if it is to warp this image so.
+    /// The GPU, if it is to warp this image with these options.
     fn warping_gpu_for_image(
         &mut self,
         laid_out: &PreparedLdi,
@@ -151,7 +116,8 @@ impl RenderBackend {
         self.warping_gpu_for(camera, options).filter(|gpu| gpu.fits_image(laid_out))
     }
 
-    /// Brings an image to where it is warped from ([`Gpu::bring_image`]); returns whether it is there.
+    /// Uploads an image if the GPU warps it ([`Gpu::upload_image`]). Returns whether it can be
+    /// warped now.
     pub fn upload(
         &mut self,
         laid_out: &PreparedLdi,
@@ -166,12 +132,13 @@ impl RenderBackend {
         }
     }
 
-    /// Whether an image is where it is warped from.
+    /// Whether an image can be warped now.
     pub fn holds(&mut self, laid_out: &PreparedLdi, camera: &OutputCamera, options: &WarpOptions) -> bool {
         self.warping_gpu_for_image(laid_out, camera, options).is_none_or(|gpu| gpu.holds(laid_out))
     }
 
-    /// Warps images to one picture, within an image by the given order, between images by depth: into `into`, or onto the card. `near` holds the near geometry, unless the card does.
+    /// Warps images to one picture, into `into` or GPU buffers: within an image by the given order,
+    /// between images by depth. `near` holds the near geometry, unless the GPU does.
     pub fn warp(
         &mut self,
         images: &[ImageInView<'_>],
@@ -181,7 +148,7 @@ impl RenderBackend {
         options: &WarpOptions,
         into: &mut FarFrame,
     ) -> Result<WarpStats, RenderError> {
-        // One picture is drawn by one of the two.
+        // All images of a picture are warped by the same device.
         let fit = |gpu: &&mut Gpu| images.iter().all(|i| gpu.fits_image(i.laid_out));
         if let Some(gpu) = self.warping_gpu_for(camera, options).filter(fit) {
             let stats = gpu.warp_images(images, pose, camera, options)?;
@@ -192,8 +159,9 @@ impl RenderBackend {
         Ok(warp_images(images, near, pose, camera, options, into, &mut self.single)?)
     }
 
-    /// Joins on the card what was drawn there, if that is all there is (`into` is what [`Self::warp`] got) and a card is at home in such things: a bit per pixel that nothing reached
-    /// ([`Gpu::merge`]). None: [`Self::read_back`] what is there.
+    /// Composites near geometry and warped images on the GPU, if it holds both (`into` was passed
+    /// to [`Self::warp`]) and is faster at it. Returns a bit for each pixel that nothing reached
+    /// ([`Gpu::merge`]). None: the CPU composites, after [`Self::read_back`].
     pub fn merge(
         &mut self,
         steps: &[CodeStep],
@@ -223,7 +191,7 @@ impl RenderBackend {
         }
     }
 
-    /// What lies on the card and nowhere else, to where the processor draws.
+    /// Copies buffers that only the GPU holds to where the CPU composites.
     pub fn read_back(
         &mut self,
         camera: &OutputCamera,

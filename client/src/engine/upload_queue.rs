@@ -1,6 +1,8 @@
-//! The last step of data before it is drawn: onto the card, as much with every picture as it may put there, what it shows first, then what the next ones will.
+//! Uploads images and geometry to the GPU under a byte budget per frame: first the objects that the
+//! frame shows, then those that the next frames may show.
 //!
-//! In: what is resident, laid out and wanted. Out: what is there. Where the processor draws, that is everything at once.
+//! In: resident, laid out and wanted objects. Out: those that can be drawn now. Without a GPU these
+//! are all objects.
 
 use super::{
     image_layouts::{ImageLayout, ImageLayouts, LayoutRequest},
@@ -14,12 +16,14 @@ use crate::{
 use ldi_protocol::{OutputCamera, index::Index, ldi::Ldi, mesh::CellGeometry, texture::Texture, tree::Brood};
 use std::{collections::BTreeSet, sync::Arc};
 
-/// Bytes that a picture of a moving eye may put onto the card: a quarter of a gigabyte per second at 60 pictures. Larger: jerks; smaller: what was not foreseen is seen later.
+/// Upload budget of a frame while the eye moves, bytes. Larger: uneven frame times; smaller:
+/// objects that were not anticipated appear later.
 const MOVING_BYTES: u64 = 4 << 20;
-/// Of a resting eye: only the one who waits for it sees how long it takes.
+/// Upload budget of a frame while the eye rests, bytes. Larger: a single frame may take long;
+/// smaller: a resting view takes longer to become complete.
 const RESTING_BYTES: u64 = 32 << 20;
 
-/// Bytes that a picture may put onto the card.
+/// Upload budget of a frame, bytes.
 pub(super) fn upload_budget_bytes(background_layout: bool, moving: bool) -> u64 {
     match (background_layout, moving) {
         (false, _) => u64::MAX,
@@ -28,7 +32,7 @@ pub(super) fn upload_budget_bytes(background_layout: bool, moving: bool) -> u64 
     }
 }
 
-/// What the next frames may show, likeliest first.
+/// Objects that the next frames may show, likeliest first.
 #[derive(Debug, Clone, Default)]
 pub struct Anticipated {
     /// Images.
@@ -37,16 +41,16 @@ pub struct Anticipated {
     pub cells: Vec<u32>,
 }
 
-/// Chunks that are resident and not on the card yet.
+/// Resident objects that are still being uploaded.
 #[derive(Debug, Default)]
 pub(super) struct PendingUploads {
-    /// They do not show.
+    /// Chunks that cannot be drawn yet.
     pub chunks: BTreeSet<u32>,
-    /// Of so many textures coarse levels show.
+    /// Number of textures currently shown at a coarser mip level.
     pub coarse: usize,
 }
 
-/// Decoded data that is where it is drawn from.
+/// Decoded data, without chunks that are still being uploaded.
 pub(super) struct UploadedOnly<'a> {
     pub resident: &'a dyn Resident,
     pub index: &'a Index,
@@ -81,7 +85,8 @@ fn first_chunk(index: &Index, texture: u32) -> Option<u32> {
     index.textures.get(texture as usize)?.chunks.first().map(|c| c.chunk)
 }
 
-/// Brings what cells are drawn from; `ahead`: as far as there is room besides what the frame wants.
+/// Uploads the geometry and textures of cells. `ahead`: only within the budget that the frame
+/// itself leaves.
 pub(super) fn upload_cells(
     backend: &mut RenderBackend,
     index: &Index,
@@ -113,29 +118,31 @@ pub(super) fn upload_cells(
     Ok(late)
 }
 
-/// Images that are laid out and on their way to the card, and for how many pictures nobody has wanted them.
+/// Laid out images that are being uploaded, each with the number of frames since it was last
+/// wanted.
 #[derive(Debug, Default)]
 pub(super) struct UploadQueue(Vec<(ImageLayout, u64)>);
 
 impl UploadQueue {
-    /// Takes in what was laid out beside.
+    /// Adds a finished layout.
     pub fn insert(&mut self, layout: ImageLayout) {
         let same = |l: &ImageLayout| (l.of.number, l.of.half) == (layout.of.number, layout.of.half);
         self.0.retain(|(l, _)| !same(l));
         self.0.push((layout, 0));
     }
 
-    /// Whether this is on its way.
+    /// Whether the layout is queued.
     pub fn holds(&self, wanted: &LayoutRequest) -> bool {
         self.0.iter().any(|(l, _)| l.of.is(wanted))
     }
 
-    /// Whether any image is that the last picture wanted, or that was expected then.
+    /// Whether any queued image was wanted or anticipated by the last frame.
     pub fn is_under_way(&self) -> bool {
         self.0.iter().any(|(_, idle)| *idle == 0)
     }
 
-    /// Brings images in this order, `ahead` after those that the view wants, and hands on those that are there; those that nobody has wanted for long are forgotten.
+    /// Uploads images in this order, `ahead` after those that the view wants, and moves finished
+    /// ones to `layouts`. Drops images that no frame has wanted for long.
     pub fn upload(
         &mut self,
         backend: &mut RenderBackend,
@@ -144,7 +151,8 @@ impl UploadQueue {
         camera: &OutputCamera,
         options: &WarpOptions,
     ) -> Result<(), RenderError> {
-        // What the card has let go of meanwhile is laid out anew: bringing it back at once might be too much for one picture.
+        // Images that the GPU has evicted are laid out again: uploading them at once could exceed
+        // the budget.
         layouts.retain(|l| backend.holds(&l.laid_out, camera, options));
         self.0.iter_mut().for_each(|(_, idle)| *idle += 1);
         for (number, ahead) in wanted.iter().map(|n| (*n, false)).chain(ahead.iter().map(|n| (*n, true))) {

@@ -1,17 +1,19 @@
-//! The loop over the poses.
+//! The loop over the poses of a path.
 //!
-//! `--pace wait`: for poses 0, N, 2N, ... ask for everything the view needs, wait, draw, judge. `--pace realtime`: every pose is drawn
-//! when it is due, or at once if it is overdue, from what is there; every Nth is kept and judged after the walk, so that
-//! judging does not slow it. Pictures are written by a thread of their own.
+//! `--pace wait`: for poses 0, N, 2N, ... request everything that the view needs, wait, draw,
+//! evaluate. `--pace realtime`: draw every pose when it is due, or at once if it is overdue, from
+//! resident data. Every Nth frame is kept and evaluated after the walk, so that evaluation does not
+//! slow it. Pictures are written by their own thread.
 
 use super::{
     baseline,
-    data_source::{DataSource, LOST_FOR, Traffic},
+    data_source::{DataSource, LOST_FOR, PATIENCE, Traffic},
     evaluation::{EvaluationError, Scores, Truth},
-    frame_renderer::{FrameRenderer, FrameStats, View, view_of},
+    frame_renderer::{FrameRenderer, FrameStats},
     options::{Pace, WalkOptions},
-    render_backend::RenderError,
-    save::{SaveError, save_debug_views, save_frame},
+    save::{save_debug_views, save_frame},
+    view::{View, view_of},
+    walk_error::WalkError,
 };
 use crate::{
     cache::Incomplete,
@@ -21,7 +23,7 @@ use crate::{
 };
 use ldi_protocol::{OutputCamera, index::Index, need::Sight, path::Walk, room_index::PortalImages};
 use std::{
-    path::{Path, PathBuf},
+    path::Path,
     sync::{
         atomic::{AtomicBool, Ordering},
         mpsc,
@@ -29,60 +31,25 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// How long a frame of `--pace wait` waits before it is drawn without the rest: a view of some 20 MB over a slow line of
-/// 2 Mbit/s takes a minute and a half; after twice that something is wrong. Where no chunk at all
-/// comes in that time the walk ends.
-pub(super) const PATIENCE: Duration = Duration::from_secs(180);
-
-/// A hole share below this and a FLIP of at most [`USEFUL_FLIP`] make a frame useful.
+/// A frame is useful with a smaller share of holes and a FLIP of at most [`USEFUL_FLIP`].
 const USEFUL_HOLES: f64 = 0.01;
 /// See [`USEFUL_HOLES`].
 const USEFUL_FLIP: f64 = 0.25;
 
-/// A walk failed.
-#[derive(Debug, thiserror::Error)]
-pub enum WalkError {
-    /// The connection is gone.
-    #[error("the connection was lost at pose {pose}: {reason}; start the walk again")]
-    Disconnected {
-        /// Position in the path's poses.
-        pose: usize,
-        /// What was seen.
-        reason: String,
-    },
-    /// A picture could not be written.
-    #[error(transparent)]
-    Save(#[from] SaveError),
-    /// The truth cannot be used.
-    #[error(transparent)]
-    Judge(#[from] EvaluationError),
-    /// The options contradict each other, or the graphics card fails.
-    #[error(transparent)]
-    Paint(#[from] RenderError),
-    /// The folder of the frames could not be made.
-    #[error("{path}: {source}; give -o a folder that can be written")]
-    Folder {
-        /// The folder.
-        path: PathBuf,
-        /// What is wrong.
-        source: std::io::Error,
-    },
-}
-
-/// What to walk, and where the results go.
+/// The input and output of a walk.
 #[derive(Debug, Clone, Copy)]
 pub struct WalkJob<'a> {
     /// The poses.
     pub path: &'a Walk,
-    /// How.
+    /// The options.
     pub options: &'a WalkOptions,
-    /// Folder of the frames; made if absent.
+    /// Folder of the frames, created if absent.
     pub folder: &'a Path,
-    /// Folder of the truth.
+    /// Folder of the ground truth.
     pub truth: Option<&'a Path>,
-    /// Folder of another renderer's frames, to be judged beside ours.
+    /// Folder of another renderer's frames, evaluated over the same pixels.
     pub baseline: Option<&'a Path>,
-    /// Becomes true when the walk is to end: the frames so far are judged and reported. Who feeds it waits no longer then, either.
+    /// Set to end the walk: the frames so far are evaluated and reported, and waits for data end.
     pub stop: Option<&'a AtomicBool>,
 }
 
@@ -91,7 +58,7 @@ impl WalkJob<'_> {
         self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
     }
 
-    /// Judges the frame of a pose; `full` as in [`Truth::judge`].
+    /// Evaluates the frame of a pose; `full` as in [`Truth::evaluate`].
     fn evaluate(&self, pose: usize, frame: &Frame, full: &Frame) -> Result<Scores, EvaluationError> {
         let load = |folder: Option<&Path>| folder.map_or(Ok(None), |f| Truth::load(f, pose));
         match load(self.truth)? {
@@ -101,7 +68,7 @@ impl WalkJob<'_> {
     }
 }
 
-/// How far the walk is.
+/// Progress of a walk.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Progress {
     /// Frames drawn.
@@ -114,41 +81,42 @@ pub struct Progress {
     pub frame_ms: f64,
 }
 
-/// A kept frame and what the totals need of it.
-struct ResumeState {
+/// A kept frame, with the values that the totals need.
+struct KeptFrame {
     report: FrameReport,
     complete: bool,
     elapsed_ms: f64,
-    /// Set when the frame is to be judged after the walk.
+    /// Set if the frame is evaluated after the walk.
     source: Option<Vec<Source>>,
 }
 
-/// A picture on its way to the disk.
+/// A picture that waits to be written.
 struct PendingSave {
     index: usize,
     frame: Frame,
 }
 
-/// Everything that accumulates while walking.
+/// The state of a walk.
 struct WalkRun<'a> {
     data: &'a dyn DataSource,
     job: &'a WalkJob<'a>,
     camera: OutputCamera,
     renderer: FrameRenderer,
-    kept: Vec<ResumeState>,
+    kept: Vec<KeptFrame>,
     warp_totals: WarpStats,
     totals: WalkTotals,
-    /// Chunks that were resident for some frame that wanted them.
+    /// Chunks that were resident for a frame that needed them.
     held_before: Vec<bool>,
-    /// Chunks that had come, and when one came last or none was lacking.
+    /// Number of received chunks, and the time of the last arrival or complete frame.
     last_arrival: (u64, Instant),
 }
 
-/// Walks, with whatever `renderer` draws on. Returns the summary and the kept frames.
+/// Walks along a path. Returns the summary and the kept frames.
 ///
 /// # Errors
 ///
-/// When the connection is lost, a picture cannot be written, or the truth does not fit. Missing chunks are no error.
+/// If the connection is lost, a picture cannot be written, or the ground truth does not fit.
+/// Missing chunks are no error.
 pub fn run(
     data: &dyn DataSource,
     job: &WalkJob<'_>,
@@ -183,12 +151,12 @@ pub fn run(
         last_arrival: (0, Instant::now()),
     };
     std::thread::scope(|scope| {
-        // A few frames in flight: the disk may hiccup, memory must not grow.
+        // Bounded: a slow disk must not let memory grow.
         let (pictures, queue) = mpsc::sync_channel::<PendingSave>(4);
         let writer = scope.spawn(move || write_pictures(&queue, folder, job.options.debug_views));
         let walked = walker.walk(&pictures, progress);
         drop(pictures);
-        // A failed write ends the walk too; the write is the reason then.
+        // A failed write ends the walk; the cause is the write error.
         writer.join().unwrap_or(Ok(())).and(walked)
     })?;
     let traffic = data.traffic();
@@ -206,7 +174,7 @@ pub fn run(
     walker.evaluate_rest();
     walker.first_useful();
     let frames: Vec<FrameReport> = walker.kept.into_iter().map(|k| k.report).collect();
-    // Who ends a walk waits for no measurement.
+    // A stopped walk is not compared with all geometry.
     let options = WalkOptions {
         baseline_frames: if job.stopped() || walker.totals.lost.is_some() { 0 } else { job.options.baseline_frames },
         ..job.options.clone()
@@ -218,7 +186,7 @@ pub fn run(
     Ok((Summary::new(&frames, &totals), frames))
 }
 
-/// Pictures of frames in a folder.
+/// Number of frame pictures in a folder.
 fn frames_in(folder: &Path) -> usize {
     let is_frame = |name: &str| name.starts_with("frame_") && name.ends_with(".png") && name.matches('.').count() == 1;
     let names = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.file_name());
@@ -280,12 +248,12 @@ impl WalkRun<'_> {
                 self.keep(at, &view, &frame_stats, &frame, traffic)?;
                 let picture = PendingSave { index: at, frame: frame.clone() };
                 if pictures.send(picture).is_err() {
-                    // The writer has failed and says why.
+                    // The writer has failed and returns the error.
                     break;
                 }
             }
         }
-        // Nobody waits for a line at the end of a walk.
+        // Reports a connection that was lost near the end of a walk.
         if lacks && options.pace == Pace::Realtime && self.totals.lost.is_none() && !self.job.stopped() {
             let none = || (self.data.traffic().chunks == 0).then(|| "no chunk has come".to_owned());
             if let Some(reason) = self.data.lost_reason(Duration::ZERO).or_else(none) {
@@ -295,17 +263,18 @@ impl WalkRun<'_> {
         Ok(())
     }
 
-    /// The walk ends at this pose, as nothing comes any more.
+    /// Ends the walk at this pose because no more data will arrive.
     fn end_walk(&mut self, at: usize, reason: String) -> Result<(), WalkError> {
         if self.kept.is_empty() {
-            // With nothing to report, that is all there is to say.
+            // Without frames there is no report.
             return Err(WalkError::Disconnected { pose: at, reason });
         }
         self.totals.lost = Some(format!("the connection was lost at pose {at}: {reason}"));
         Ok(())
     }
 
-    /// A walk that does not wait for the network waits for its first picture: for the coarsest level of the LDI tree. Time counts from the connection on.
+    /// Waits for the first picture (the root of the LDI tree) even if later frames do not wait.
+    /// Time counts from the connection.
     fn wait_for_a_picture(&mut self) -> Result<(), WalkError> {
         let index = self.data.index();
         if let (Some(tree), Some(first)) = (&index.tree, self.job.path.poses.first()) {
@@ -323,7 +292,7 @@ impl WalkRun<'_> {
         Ok(())
     }
 
-    /// Asks for what a view needs, and for `--pace wait` waits for it.
+    /// Requests the chunks that a view needs; with `--pace wait` also waits for them.
     fn request(&mut self, index: &Index, view: &View, at: usize) -> Result<(), WalkError> {
         let sight = Sight::new(&self.job.path.poses[at].pose, &self.camera, self.job.options.supersample);
         let view_needs = view.needed_within(index, &sight, self.data.cap_bytes());
@@ -334,7 +303,7 @@ impl WalkRun<'_> {
                 (absent, self.held_before.get(*chunk as usize), index.chunks.get(*chunk as usize))
             {
                 self.totals.revisit_bytes += u64::from(entry.stored_bytes);
-                // Counted once per loss, not once per frame that waits for it.
+                // Each loss is counted once, even if several frames wait for the chunk.
                 self.held_before[*chunk as usize] = false;
             }
         }
@@ -354,7 +323,7 @@ impl WalkRun<'_> {
         Ok(())
     }
 
-    /// Why nothing comes any more of what a frame lacks; for `--pace wait` after waiting for it.
+    /// The reason why missing chunks will not arrive; with `--pace wait` after waiting for them.
     fn lost_while_waiting(&mut self, needed: &[u32], at: usize) -> Option<String> {
         let before = self.data.traffic().chunks;
         if self.job.options.pace == Pace::Wait {
@@ -362,8 +331,8 @@ impl WalkRun<'_> {
                 Ok(()) => None,
                 Err(Incomplete::Disconnected(reason)) => Some(reason),
                 Err(Incomplete::Timeout(_)) if self.data.traffic().chunks == before => Some(no_chunk_reason()),
-                // The frame is drawn without it and the report says so; who stops waits for
-                // nothing.
+                // The frame is drawn without the chunks, and the report says so. A stopped walk
+                // does not wait.
                 Err(_) if self.job.stopped() => None,
                 Err(incomplete) => {
                     tracing::warn!("pose {at}: {incomplete}");
@@ -447,7 +416,7 @@ impl WalkRun<'_> {
         };
         report.set_scores(&scores);
         let later = self.job.truth.is_some() && self.job.options.pace == Pace::Realtime;
-        self.kept.push(ResumeState {
+        self.kept.push(KeptFrame {
             report,
             complete: frame_stats.is_complete(),
             elapsed_ms: traffic.elapsed_s * 1e3,
@@ -456,7 +425,8 @@ impl WalkRun<'_> {
         Ok(())
     }
 
-    /// Judges the frames of a walk that did not wait, from the pictures it wrote. The walk is done: what cannot be judged stays null.
+    /// Evaluates the frames of a realtime walk from the pictures it wrote. Errors leave the scores
+    /// null.
     fn evaluate_rest(&mut self) {
         for kept in &mut self.kept {
             let Some(source) = kept.source.take() else { continue };
@@ -474,9 +444,10 @@ impl WalkRun<'_> {
         }
     }
 
-    /// When the first useful frame stood, among the kept ones. Without truth: the first that lacked nothing.
+    /// Records the first useful frame among the kept ones. Without ground truth: the first complete
+    /// frame.
     fn first_useful(&mut self) {
-        let useful = |k: &&ResumeState| match k.report.flip {
+        let useful = |k: &&KeptFrame| match k.report.flip {
             Some(flip) => flip <= USEFUL_FLIP && k.report.hole_fraction.is_none_or(|h| h < USEFUL_HOLES),
             None => k.complete,
         };
@@ -487,12 +458,12 @@ impl WalkRun<'_> {
     }
 }
 
-/// Why a walk ends over a line that is up.
+/// The reason for ending a walk although the connection is up.
 fn no_chunk_reason() -> String {
     format!("no chunk has come for {} s", PATIENCE.as_secs())
 }
 
-/// The name of a frame that shows these images of portals.
+/// The report's name of a kind of portal images.
 fn portal_method(images: PortalImages) -> &'static str {
     match images {
         PortalImages::Offered | PortalImages::Zones => "portals",
@@ -512,7 +483,7 @@ impl FrameReport {
     }
 }
 
-/// Writes pictures until the walk drops its end of the queue. The first failure ends it.
+/// Writes pictures until the walk closes the queue, or until the first error.
 fn write_pictures(queue: &mpsc::Receiver<PendingSave>, folder: &Path, debug_views: bool) -> Result<(), WalkError> {
     for PendingSave { index, frame } in queue {
         save_frame(folder, index, &frame)?;
@@ -523,7 +494,7 @@ fn write_pictures(queue: &mpsc::Receiver<PendingSave>, folder: &Path, debug_view
     Ok(())
 }
 
-/// Largest resident set of this process, where the system tells (`VmHWM` of Linux).
+/// Peak resident set of this process, if the system reports it (`VmHWM` of Linux).
 fn peak_rss_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let kib: u64 =

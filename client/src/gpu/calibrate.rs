@@ -1,4 +1,4 @@
-//! Which warps faster, the card or the processor? Decided once, by warping the same image on both.
+//! Calibration: warps the same image on the GPU and the CPU, once, to choose the faster one.
 
 use super::{Gpu, GpuError};
 use crate::warp::{FarFrame, ImageInView, PreparedLdi, WarpError, WarpOptions, analytic, warp};
@@ -7,27 +7,27 @@ use ldi_protocol::{OutputCamera, Pose, ldi::Ldi};
 use serde::Serialize;
 use std::time::Instant;
 
-/// Who warps.
+/// The device that warps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum WarpOn {
-    /// The faster one.
+    /// The faster device.
     #[default]
     Auto,
-    /// The processor.
+    /// The CPU.
     Cpu,
-    /// The card.
+    /// The GPU.
     Gpu,
 }
 
-/// What was found.
+/// Result of the calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Calibration {
-    /// Whether the card warps.
+    /// Whether the GPU warps.
     pub on_card: bool,
-    /// Milliseconds of the calibration's image on the card; None where nothing was compared.
+    /// Milliseconds of the calibration image on the GPU; None if nothing was compared.
     pub card_ms: Option<f64>,
-    /// On the processor.
+    /// Milliseconds on the CPU.
     pub processor_ms: Option<f64>,
 }
 
@@ -43,13 +43,15 @@ impl std::fmt::Display for Calibration {
     }
 }
 
-/// Warps of each, of which the fastest counts: the first ones pay for what is made once.
+/// Number of warps on each device, of which the fastest counts: the first ones include one-time
+/// costs.
 const ROUNDS: usize = 4;
-/// Side of the calibration's image, samples: large enough for the warp to outweigh what a call costs, small enough to take no noticeable time.
+/// Side of the calibration image, samples: large enough for the warp to exceed the cost of a call,
+/// small enough to be fast.
 const SIDE: u32 = 512;
 const CAMERA: OutputCamera = OutputCamera { width: 640, height: 640, fov_deg: 60.0 };
 
-/// Compares both, or takes the caller's word.
+/// Compares both devices, or uses the given one.
 pub fn calibrate(gpu: &mut Gpu, on: WarpOn) -> Result<Calibration, GpuError> {
     if on != WarpOn::Auto {
         return Ok(Calibration { on_card: on == WarpOn::Gpu, card_ms: None, processor_ms: None });
@@ -75,7 +77,7 @@ pub fn calibrate(gpu: &mut Gpu, on: WarpOn) -> Result<Calibration, GpuError> {
     Ok(Calibration { on_card: best[0] < best[1], card_ms: Some(best[0]), processor_ms: Some(best[1]) })
 }
 
-/// Two walls, one behind the other, and a ball.
+/// The calibration image: two walls, one behind the other, and a sphere.
 fn image() -> Ldi {
     let scene = analytic::Scene {
         surfaces: vec![

@@ -1,8 +1,11 @@
-//! Near geometry and warped images joined on the card (`composite.wgsl`): the twins of the processor's `merge`, `fill` and `downsample`.
+//! The composite on the GPU (`composite.wgsl`): the equivalents of the CPU's `merge`, `fill` and
+//! `downsample`.
 //!
-//! In: both pictures, where the card drew them. Out: the finished frame, averaged. Between the two halves lies what the card does not know, sky and the LDI tree: of the first half a bit per
-//! pixel comes back, those that nothing reached ([`CompositePass::merge`]); what the processor finds there goes to the second ([`CompositePass::finish`]). So a frame costs a 32nd of its pixels' bytes on the
-//! way back, and four bytes for each pixel of the output, where reading both pictures takes sixteen for each pixel of the frame.
+//! In: near and warped pictures on the GPU. Out: the finished, averaged frame. Sky and the LDI tree
+//! are known only to the CPU, so that the composite has two halves: the first returns a bit for
+//! each pixel that nothing reached ([`CompositePass::merge`]), and the second takes what the CPU
+//! found for these pixels ([`CompositePass::finish`]). Far fewer bytes are read back than with both
+//! pictures.
 
 use super::{
     device::{GpuDevice, GpuError, GrowableBuffer},
@@ -20,12 +23,12 @@ use rayon::prelude::*;
 
 /// Threads of a workgroup, along a row.
 const ACROSS: u32 = 64;
-/// Samples of the tree that are sent at once: a frame may consist of nothing else, and buffers are bounded, as are workgroups.
+/// Tree samples per dispatch: buffers and workgroups are bounded.
 const SENT_AT_ONCE: usize = 1 << 20;
-/// Pixels of a word of bits.
+/// Pixels per word of a bit mask.
 const WORD: usize = 32;
 
-/// As `composite.wgsl` reads it.
+/// Parameters in the layout of `composite.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct CompositeUniform {
@@ -39,7 +42,7 @@ struct CompositeUniform {
     factor: u32,
 }
 
-/// Likewise.
+/// A face in the layout of `composite.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct Face {
@@ -48,7 +51,7 @@ struct Face {
     step: f32,
 }
 
-/// Likewise: a pixel that the LDI tree gives.
+/// A pixel taken from the LDI tree, in the layout of `composite.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct Sample {
@@ -57,13 +60,14 @@ struct Sample {
     disparity: f32,
 }
 
-/// What is joined: the near picture's colours and depths; and the warped picture's colours, disparities, and words from pixel to pixel, if something was warped.
+/// The planes to composite: colours and depths of the near picture; colours, disparities, and words
+/// per pixel of the warped picture, if any.
 pub struct DrawnPlanes<'a> {
     pub near: [&'a wgpu::Texture; 2],
     pub far: Option<([&'a wgpu::Buffer; 2], u32)>,
 }
 
-/// See the module.
+/// Pipelines and buffers of the composite.
 pub struct CompositePass {
     merge: wgpu::ComputePipeline,
     lay_sky: wgpu::ComputePipeline,
@@ -82,12 +86,12 @@ pub struct CompositePass {
     read_back: ReadBack,
 }
 
-/// A colour and its source, as the card holds them.
+/// A colour with its source, in the GPU's encoding.
 const fn sourced(colour: u32, source: Source) -> u32 {
     colour | (source as u32) << 24
 }
 
-/// Runs a pass over so many workgroups across and down.
+/// Dispatches a pass.
 fn run(
     card: &GpuDevice,
     encoder: &mut wgpu::CommandEncoder,
@@ -143,8 +147,8 @@ impl CompositePass {
         }
     }
 
-    /// Merges by depth and closes seams: near geometry wins within what `steps` say of how well the far surface's disparity is known. Into `open` come the bits of pixels that nothing reached, the lowest
-    /// bit of a word first, row by row.
+    /// Merges by depth and closes seams. Near geometry wins within the precision given by `steps`.
+    /// `open` takes a bit per pixel that nothing reached, row by row, lowest bit of a word first.
     pub fn merge(
         &mut self,
         card: &GpuDevice,
@@ -173,7 +177,7 @@ impl CompositePass {
         let (colours, disparities) =
             (self.colours.allocate(card, 4 * pixels), self.disparities.allocate(card, 4 * pixels));
         let bits = self.open.allocate(card, 4 * words);
-        // Something must be bound where nothing was warped.
+        // Bindings must not be empty if nothing was warped.
         let [far_colours, far_disparities] = drawn.far.map_or([faces, faces], |(planes, _)| planes);
         let codes = wgpu::TextureViewDescriptor { format: Some(COLOUR_CODES), ..Default::default() };
         let [colour, depth] =
@@ -201,8 +205,9 @@ impl CompositePass {
         })
     }
 
-    /// Lays sky and the tree's samples, of `found`, where pixels are `open`, fills what is left if it is to be filled, and averages blocks of `factor` pixels into `out`, whose disparities
-    /// are 0. Returns the number of pixels that were filled.
+    /// Adds sky and tree samples of `found` to `open` pixels, fills holes if wanted, and averages
+    /// blocks of `factor` pixels into `out`, whose disparities are 0. Returns the number of filled
+    /// pixels.
     pub fn finish(
         &mut self,
         card: &GpuDevice,
@@ -230,7 +235,7 @@ impl CompositePass {
             let resources = [(0, uniform), (6, colours.clone()), (7, disparities.clone()), (10, sent_there)];
             let mut encoder = card.encoder();
             run(card, &mut encoder, &self.lay_samples, &resources, [(sent.len() as u32).div_ceil(ACROSS), 1]);
-            // Before the buffers take the next ones.
+            // Submitted before the buffers are written again.
             card.queue.submit([encoder.finish()]);
         }
         let uniform = CompositeUniform { factor, ..uniform(&camera) };
@@ -283,7 +288,7 @@ fn uniform(camera: &OutputCamera) -> CompositeUniform {
     }
 }
 
-/// What was found of open pixels: a bit for each that is sky, and those that the tree gives.
+/// The content of open pixels: a bit for each sky pixel, and the tree's samples.
 fn laid(open: &[u32], found: &Frame) -> (Vec<u32>, Vec<Sample>) {
     let of_word = |(number, bits): (usize, &u32)| {
         let (mut sky, mut samples, mut left) = (0u32, Vec::new(), *bits);
@@ -291,7 +296,7 @@ fn laid(open: &[u32], found: &Frame) -> (Vec<u32>, Vec<Sample>) {
             let bit = left.trailing_zeros();
             left &= left - 1;
             let at = number * WORD + bit as usize;
-            // A bit beyond the frame would be the driver's fault, and no reason to end.
+            // A bit beyond the frame is a driver's fault, and is ignored.
             match found.source.get(at) {
                 Some(Source::Sky) => sky |= 1 << bit,
                 Some(Source::Tree) => samples.push(Sample {

@@ -1,11 +1,12 @@
-// Near geometry and warped images become one picture: the twins of the processor's `merge`, `fill` and `downsample`. What shows where neither reached the processor finds out
-// (of `open` pixels), and it is laid there (`lay_sky`, `lay_samples`). Disparities are 1/m; row 0 is on top.
+// The composite of near geometry and warped images: the equivalents of the CPU's `merge`, `fill`
+// and `downsample`. The CPU finds the content of `open` pixels, which `lay_sky` and `lay_samples`
+// add. Disparities are 1/m; row 0 is on top.
 
 const NEAR = 1u;
 const FAR = 2u;
 const FILLED = 4u;
 const UNPAINTED = 5u;
-// As on the processor.
+// The value of the CPU's hole filling.
 const REACH_PX = 48u;
 const SKY_SIDES = 2u;
 const SAME_SURFACE = 0.1;
@@ -14,20 +15,20 @@ struct Join {
     width: u32,
     height: u32,
     faces: u32,
-    // Words between a pixel of the warped picture and the next; 0: nothing was warped.
+    // Words from one pixel of the warped picture to the next; 0: nothing was warped.
     far_stride: u32,
     // Disparity at the near plane, 1/m.
     nearest: f32,
-    // The sky's colour, source and all.
+    // The sky's colour with its source.
     sky: u32,
     samples: u32,
     // Pixels of the frame along a pixel of the output.
     factor: u32,
 }
 
-// Images of one plane as seen from one centre: what one step of their disparity codes is on the output.
+// Images on one plane with one centre: the precision of their disparity codes on the output.
 struct Face {
-    // Of the direction of pixel (0, 0), per column, per row: along the plane's normal.
+    // The normal's component of a pixel's direction: at pixel (0, 0), per column, per row.
     first: f32,
     per_column: f32,
     per_row: f32,
@@ -36,7 +37,7 @@ struct Face {
     step: f32,
 }
 
-// A pixel that the LDI tree gives.
+// A pixel taken from the LDI tree.
 struct Sample {
     at: u32,
     colour: u32,
@@ -62,7 +63,7 @@ struct Sample {
 // Pixels that were filled.
 @group(0) @binding(12) var<storage, read_write> filled: atomic<u32>;
 
-// Whether a triangle behind the far surface is as near as the far surface's disparity is known.
+// Whether a triangle behind the far surface lies within the precision of the far disparity.
 fn near_wins(place: vec2f, near: f32, far: f32) -> bool {
     var largest = 0.0;
     for (var i = 0u; i < join.faces; i += 1u) {
@@ -79,7 +80,7 @@ struct Pixel {
     disparity: f32,
 }
 
-// What is at a place by depth.
+// The nearer content of a pixel.
 fn by_depth(place: vec2u) -> Pixel {
     let at = place.y * join.width + place.x;
     let depth = textureLoad(near_depth, place, 0);
@@ -98,14 +99,14 @@ fn by_depth(place: vec2u) -> Pixel {
     return Pixel((join.sky & 0xffffffu) | (UNPAINTED << 24u), 0.0);
 }
 
-// Whether both sides of a gap show the same surface, and one of them an image of it.
+// Whether both sides of a gap show the same surface, at least one of them from an image.
 fn joins(a: Pixel, b: Pixel) -> bool {
     let sources = vec2u(a.colour, b.colour) >> vec2u(24u);
     return min(sources.x, sources.y) >= NEAR && max(sources.x, sources.y) == FAR
         && abs(a.disparity - b.disparity) <= SAME_SURFACE * max(a.disparity, b.disparity);
 }
 
-// What an open pixel shows: the farther side if it is a seam.
+// The content of an open pixel: the farther side if it is a seam.
 fn close_seam(place: vec2u, open_pixel: Pixel) -> Pixel {
     for (var axis = 0u; axis < 2u; axis += 1u) {
         let step = select(vec2u(0u, 1u), vec2u(1u, 0u), axis == 0u);
@@ -158,7 +159,9 @@ fn lay_samples(@builtin(global_invocation_id) id: vec3u) {
     }
 }
 
-// Of the first surfaces to the left, right, above and below that with the smallest disparity, of equals the closest; sky where two sides meet it. Pixels that are being filled are no surfaces yet.
+// Fills a hole: of the first surfaces to the left, right, above and below, the one with the
+// smallest disparity, of equals the closest; sky if two sides meet it. Pixels that are being filled
+// do not count.
 @compute @workgroup_size(64)
 fn fill(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= join.width || id.y >= join.height {
@@ -218,7 +221,8 @@ fn encoded(light: f32) -> u32 {
     return u32(clamp(c, 0.0, 1.0) * 255.0 + 0.5);
 }
 
-// Blocks of factor x factor pixels: colours in linear light, the most frequent source, of equals the more doubtful.
+// Averages blocks of factor x factor pixels in linear light; the most frequent source, of equals
+// the more uncertain.
 @compute @workgroup_size(64)
 fn downsample(@builtin(global_invocation_id) id: vec3u) {
     let width = join.width / join.factor;

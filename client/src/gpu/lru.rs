@@ -1,4 +1,4 @@
-//! What lies on the card, or is on its way there, by key. What was used longest ago leaves first.
+//! A least recently used cache of objects on the GPU, complete or being uploaded, by key.
 
 use super::{
     device::GpuDevice,
@@ -6,23 +6,24 @@ use super::{
 };
 use std::{collections::HashMap, hash::Hash};
 
-/// Frames for which nobody may want what is on its way before it is given up: what is foreseen comes and goes with every step.
+/// Number of frames without use after which an incomplete upload is dropped. Smaller: anticipated
+/// objects are uploaded repeatedly; larger: memory of objects that are not needed.
 pub const PATIENCE: u64 = 60;
 
 struct Item<T> {
     what: T,
     bytes: u64,
-    /// None: it is there.
+    /// The rest of the upload; None once it is complete.
     on_its_way: Option<Transfer>,
-    /// The frame that wanted it last.
+    /// The frame that used it last.
     used: u64,
 }
 
-/// See the module.
+/// The objects, and their limit.
 pub struct GpuLru<K, T> {
     held: HashMap<K, Item<T>>,
     frame: u64,
-    /// Bytes that stay, or those of the frame if they are more.
+    /// Bytes that are kept; the current frame may exceed them.
     pub kept_bytes: u64,
 }
 
@@ -31,7 +32,8 @@ impl<K: Copy + Eq + Hash, T> GpuLru<K, T> {
         Self { held: HashMap::new(), frame: 0, kept_bytes }
     }
 
-    /// A frame begins: what is no longer `valid` leaves, what nobody has wanted for long if it is not there yet, and what the frame before did not want if there is no room.
+    /// Starts a frame. Removes objects that are no longer `valid`, incomplete ones that were not
+    /// used for long, and, beyond the limit, those that the previous frame did not use.
     pub fn begin_frame(&mut self, valid: impl Fn(&T) -> bool) {
         let last = self.frame;
         self.held.retain(|_, i| valid(&i.what) && (i.on_its_way.is_none() || i.used + PATIENCE >= last));
@@ -51,7 +53,8 @@ impl<K: Copy + Eq + Hash, T> GpuLru<K, T> {
         }
     }
 
-    /// The frame wants this: sends on what of it is not there, as much as is allowed. `make` gives what it is, its bytes and what must be sent. Returns whether all of it is there.
+    /// Marks an object as used, and continues its upload within the budget. `make` returns the
+    /// object, its bytes and its transfer. Returns whether it is complete.
     pub fn upload(
         &mut self,
         key: K,
@@ -68,23 +71,23 @@ impl<K: Copy + Eq + Hash, T> GpuLru<K, T> {
         item.on_its_way.is_none()
     }
 
-    /// What is there.
+    /// A complete object.
     pub fn get(&self, key: K) -> Option<&T> {
         self.held.get(&key).filter(|i| i.on_its_way.is_none()).map(|i| &i.what)
     }
 
-    /// Whether it is there or on its way.
+    /// Whether an object is complete or being uploaded.
     pub fn has(&self, key: K) -> bool {
         self.held.contains_key(&key)
     }
 
-    /// Whether so many bytes more can stay, besides what this frame has wanted so far.
+    /// Whether `bytes` fit beside everything that this frame has used so far.
     pub fn has_room(&self, bytes: u64) -> bool {
         let wanted: u64 = self.held.values().filter(|i| i.used == self.frame).map(|i| i.bytes).sum();
         wanted + bytes <= self.kept_bytes
     }
 
-    /// Bytes on the card, those on their way included: their room is taken.
+    /// Bytes on the GPU, including incomplete objects.
     pub fn bytes(&self) -> u64 {
         self.held.values().map(|i| i.bytes).sum()
     }

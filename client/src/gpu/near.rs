@@ -1,7 +1,9 @@
-//! Near geometry by the card's rasterizer (`near.wgsl`).
+//! Near geometry on the hardware rasterizer (`near.wgsl`).
 //!
-//! In: the cells to draw, as for [`crate::near::Rasterizer`]. Out: the same picture, on the card; and read back, the same frame. Depth on the card is disparity times the near plane's distance, greater is nearer, the first of
-//! equally near triangles wins; placements come to the card in f32 relative to the eye, formed in f64, so that a scene far from the world's origin looks the same.
+//! In: the cells to draw, as for [`crate::near::Rasterizer`]. Out: the same picture, on the GPU,
+//! and read back on request. Depth on the GPU is disparity times the near plane's distance: greater
+//! is nearer, and the first of equally near triangles wins. Placements are relative to the eye,
+//! formed in f64, so that a scene far from the world's origin looks the same.
 
 use super::{
     device::{GpuDevice, GpuError, GrowableBuffer},
@@ -28,10 +30,10 @@ use ldi_protocol::{
 use rayon::prelude::*;
 
 const COLOUR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
-/// The same codes, not decoded when they are read.
+/// The same format, read without decoding.
 pub const COLOUR_CODES: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
-/// Bytes per pixel of either.
+/// Bytes per pixel of both targets.
 const PIXEL: u32 = 4;
 
 /// The camera, as `near.wgsl` reads it.
@@ -53,7 +55,7 @@ struct Placed {
     kind: [f32; 4],
 }
 
-/// A draw with what it takes.
+/// A draw with its resources.
 struct Item {
     geometry: u32,
     cluster: u32,
@@ -61,14 +63,14 @@ struct Item {
     masked: bool,
 }
 
-/// Where pictures are drawn.
+/// Render targets.
 struct Targets {
     size: [u32; 2],
     colour: wgpu::Texture,
     depth: wgpu::Texture,
 }
 
-/// See the module.
+/// Pipelines, targets and objects of near geometry.
 pub struct NearPass {
     solid: wgpu::RenderPipeline,
     masked: wgpu::RenderPipeline,
@@ -78,7 +80,7 @@ pub struct NearPass {
     pub textures: Textures,
     placed: GrowableBuffer,
     targets: Option<Targets>,
-    /// Nothing was drawn into them.
+    /// Whether the targets are empty.
     is_empty: bool,
     read_back: ReadBack,
 }
@@ -181,13 +183,13 @@ impl NearPass {
         self.textures.clear();
     }
 
-    /// A frame begins.
+    /// Starts a frame.
     pub fn begin_frame(&mut self) {
         self.geometry.begin_frame();
         self.textures.begin_frame();
     }
 
-    /// See [`super::Gpu::draw`]; of textures no more than is allowed goes to the card.
+    /// See [`super::Gpu::draw`]. Textures are uploaded within the budget.
     #[expect(clippy::too_many_arguments, reason = "the card and what a frame depends on")]
     pub fn draw(
         &mut self,
@@ -227,12 +229,12 @@ impl NearPass {
         Ok(scene.stats)
     }
 
-    /// Bytes of geometry and textures on the card.
+    /// Bytes of geometry and textures on the GPU.
     pub fn bytes(&self) -> u64 {
         self.geometry.bytes() + self.textures.bytes()
     }
 
-    /// Colours and depths of the last picture, on the card.
+    /// Colours and depths of the last picture.
     pub fn textures(&self) -> Option<[&wgpu::Texture; 2]> {
         self.targets.as_ref().map(|t| [&t.colour, &t.depth])
     }
@@ -262,7 +264,7 @@ impl NearPass {
         pass.set_vertex_buffer(1, self.placed.allocate(card, 0).slice(..));
         for (masked, pipeline) in [(false, &self.solid), (true, &self.masked)] {
             pass.set_pipeline(pipeline);
-            // What is bound already need not be bound again.
+            // Skips redundant bindings.
             let (mut geometry, mut texture) = (None, None);
             for (number, item) in (0u32..).zip(items).filter(|(_, i)| i.masked == masked) {
                 let Some(uploaded) = self.geometry.get(&scene.held[item.geometry as usize]) else { continue };
@@ -280,7 +282,7 @@ impl NearPass {
         }
     }
 
-    /// Reads colours and depths of the last picture back.
+    /// Reads colours and depths of the last picture.
     pub fn read(&mut self, card: &GpuDevice, camera: &OutputCamera, frame: &mut Frame) -> Result<(), GpuError> {
         let [width, height] = [camera.width, camera.height].map(|n| n.min(MAX_SIDE_PX));
         frame.reset(width, height);
@@ -373,7 +375,7 @@ fn arrange(scene: &Gathered<'_>, pose: &Pose) -> (Vec<Item>, Vec<Placed>) {
     (items, placed)
 }
 
-/// How a material continues its texture across and down, as `near.wgsl` reads it.
+/// The wrap modes of a material, in the encoding of `near.wgsl`.
 fn wrap_code([across, down]: [Wrap; 2]) -> f32 {
     let code = |wrap| match wrap {
         Wrap::Repeat => 0u8,

@@ -1,4 +1,5 @@
-// The second of two passes: the largest colour among the samples that have a pixel's largest disparity.
+// The second of two passes: the largest colour among the samples that have a pixel's largest
+// disparity.
 
 const COUNTS = false;
 

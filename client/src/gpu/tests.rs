@@ -1,4 +1,5 @@
-//! The card's pictures against the processor's, on whatever adapter there is; a software one will do.
+//! The card's pictures against the processor's, on whatever adapter there is; a software one will
+//! do.
 
 use super::*;
 use crate::{
@@ -66,13 +67,16 @@ fn disagree(a: &Frame, b: &Frame) -> f64 {
     n as f64 / a.len() as f64
 }
 
-/// Pixels whose disparities differ by more than rounding and places of corners explain; alpha tests and edges may differ in single ones.
+/// Pixels whose disparities differ by more than rounding and places of corners explain; alpha tests
+/// and edges may differ in single ones.
 ///
-/// Cards round corners to a 256th of a pixel. Some lay the plane of depths through the rounded corners, others, and the processor, through the exact ones: up to a 512th of what
-/// disparity changes by from pixel to pixel, along each axis.
+/// Cards round corners to a 256th of a pixel. Some lay the plane of depths through the rounded
+/// corners, others, and the processor, through the exact ones: up to a 512th of what disparity
+/// changes by from pixel to pixel, along each axis.
 fn far_off(a: &Frame, b: &Frame) -> usize {
     let (width, d) = (a.width as usize, &a.disparity);
-    // The smaller of the changes to both sides, where there are both: the other one may lead over an edge.
+    // The smaller of the changes to both sides, where there are both: the other one may lead over
+    // an edge.
     let step = |at: usize, apart: usize| {
         let changes = [at.checked_sub(apart), Some(at + apart)].map(|o| Some((d[at] - d.get(o?)?).abs()));
         changes.into_iter().flatten().fold(f32::INFINITY, f32::min)
@@ -97,7 +101,8 @@ fn texture() -> Texture {
     Texture::from_base(MipLevel { width, height, rgba }, true)
 }
 
-/// Textured, masked, lit, coloured and absent things, some turned and scaled, `far_m` metres from the world's origin along each axis.
+/// Textured, masked, lit, coloured and absent things, some turned and scaled, `far_m` metres from
+/// the world's origin along each axis.
 fn scene(far_m: f64) -> (Index, Memory) {
     let at = DVec3::splat(far_m);
     let lit = Material { unlit: false, base_colour: [0.9, 0.5, 0.3, 1.0], ..plain_material() };
@@ -292,7 +297,8 @@ fn warped_images_are_the_processors() {
                         (footprints.0 - footprints.1).abs() < 1e-3 * footprints.1,
                         "{name} {stamp}: {footprints:?}"
                     );
-                    // One sample on the other side of a pixel's border moves a whole stamp; a quad's pixels hardly change.
+                    // One sample on the other side of a pixel's border moves a whole stamp; a
+                    // quad's pixels hardly change.
                     let lost =
                         far.packed.iter().zip(&expected.packed).filter(|(a, b)| (**a == 0) != (**b == 0)).count();
                     assert!((lost as f64) < 1e-3 * far.packed.len() as f64, "{name} {stamp}: {lost} pixels");
@@ -325,7 +331,8 @@ fn both_ways_to_keep_the_nearest_sample_give_the_same_picture() {
     }
 }
 
-/// What stands in for the tree: every seventh pixel that nothing reached, and none of the leftmost columns, which stay for the fill.
+/// What stands in for the tree: every seventh pixel that nothing reached, and none of the leftmost
+/// columns, which stay for the fill.
 fn lay_some(frame: &mut Frame) -> u64 {
     let open = |frame: &Frame, at: usize| frame.source[at] == Source::Unpainted && at as u32 % frame.width > 40;
     let given: Vec<usize> = (0..frame.len()).filter(|at| at % 7 == 0 && open(frame, *at)).collect();
@@ -347,12 +354,14 @@ fn what_the_card_joins_is_what_the_processor_joins() {
         // Coarser than it is, so that near geometry often lies within a step.
         ldi.codes.step = 0.1;
         let shown = [FarImage::Here(&ldi, [-0.7, 0.7, -0.5, 0.5])];
-        // Whether near wins by a step, whether seams, sky and holes are there: each has to happen somewhere.
+        // Whether near wins by a step, whether seams, sky and holes are there: each has to happen
+        // somewhere.
         let (mut by_step, mut seams, mut sky, mut filled_in_all, mut from_tree) = (0, 0, 0, 0, 0);
         for (number, pose) in poses(0.0).into_iter().enumerate() {
             for (warped, drawn) in [(true, true), (true, false), (false, true)] {
                 let cells = if drawn { &cells[..] } else { &[] };
-                // Of every other pose samples as small as a pixel, between which the picture has gaps.
+                // Of every other pose samples as small as a pixel, between which the picture has
+                // gaps.
                 let stamp = if number % 2 == 0 { Stamp::OnePixel } else { Stamp::default() };
                 let options = WarpOptions { stamp, ..WarpOptions::default() };
                 gpu.draw(&index, &memory, cells, &CAMERA, &pose).expect("drawn");
@@ -447,7 +456,8 @@ fn images_stay_on_the_card() {
     assert_eq!([&a, &a, &b, &a, &b].map(&mut brought), [true, false, true, false, false], "each layout once");
 }
 
-/// Each frame sends what it may; until all is there, nothing is shown of geometry and images, and small levels of a texture.
+/// Each frame sends what it may; until all is there, nothing is shown of geometry and images, and
+/// small levels of a texture.
 #[test]
 fn what_is_large_goes_to_the_card_in_slices() {
     let Some(mut gpu) = card(Atomics::Best) else { return };

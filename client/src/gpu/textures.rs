@@ -1,4 +1,4 @@
-//! Textures on the card: the levels that are here, put there anew when finer ones have come.
+//! Textures on the GPU: resident levels, uploaded again when finer ones arrive.
 
 use super::{
     device::GpuDevice,
@@ -12,7 +12,7 @@ use std::{
     sync::{Arc, Weak},
 };
 
-/// Levels of a texture up to this side go to the card at once, a third of a megabyte: it shows something from then on.
+/// Largest side of levels that are uploaded at once, so that every texture shows something.
 const SMALL_PX: u32 = 256;
 
 /// As `near.wgsl` reads it.
@@ -25,35 +25,35 @@ struct ImageInfo {
 }
 
 struct UploadedTexture {
-    /// Held so that the address stays this texture's.
+    /// Keeps the texture's address from being used again.
     source: Weak<Texture>,
     group: wgpu::BindGroup,
     bytes: u64,
-    /// All levels that are here and that the card can take.
+    /// Whether all resident levels that the GPU supports are uploaded.
     whole: bool,
-    /// The frame that wanted it last.
+    /// The frame that used it last.
     used: u64,
 }
 
-/// What of a texture is on the card.
+/// The state of a texture on the GPU.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TextureUpload {
-    /// It does not show.
+    /// Nothing is uploaded.
     Nothing,
-    /// Levels show that are coarser than what has come.
+    /// Coarser levels than the resident ones are uploaded.
     Coarse,
-    /// All levels that have come.
+    /// All resident levels are uploaded.
     All,
 }
 
-/// See the module.
+/// The textures on the GPU.
 pub struct Textures {
     pub layout: wgpu::BindGroupLayout,
     held: HashMap<u32, UploadedTexture>,
-    /// More of them, and what is still to be sent.
+    /// Finer versions of textures, being uploaded.
     arriving: HashMap<u32, (UploadedTexture, Transfer)>,
     frame: u64,
-    /// For materials without a texture.
+    /// Bound for materials without a texture.
     none: wgpu::BindGroup,
 }
 
@@ -83,16 +83,17 @@ impl Textures {
         Self { layout, held: HashMap::new(), arriving: HashMap::new(), frame: 0, none }
     }
 
-    /// A frame begins.
+    /// Starts a frame.
     pub fn begin_frame(&mut self) {
         let last = self.frame;
         self.frame += 1;
         self.arriving.retain(|_, (u, _)| u.used + PATIENCE >= last);
-        // Those in sight a moment ago may come back at once; those that the cache has let go will not.
+        // Textures used recently may return at once; those that the cache has evicted will not.
         self.held.retain(|_, u| u.used == last || u.source.strong_count() > 0);
     }
 
-    /// Puts a texture onto the card, as much of it as is allowed: small levels first, which show until all are there.
+    /// Uploads a texture within the budget: small levels first, which are shown until all levels
+    /// are uploaded.
     pub fn upload(
         &mut self,
         card: &GpuDevice,
@@ -136,7 +137,7 @@ impl Textures {
         number.and_then(|n| self.held.get(&n)).map_or(&self.none, |u| &u.group)
     }
 
-    /// Bytes on the card, those on their way included.
+    /// Bytes on the GPU, including incomplete uploads.
     pub fn bytes(&self) -> u64 {
         self.held.values().chain(self.arriving.values().map(|(u, _)| u)).map(|u| u.bytes).sum()
     }
@@ -146,7 +147,7 @@ impl Textures {
         self.arriving.clear();
     }
 
-    /// The levels from `first` on, and what must be sent.
+    /// The levels from `first` on, and their transfer.
     fn begin(&self, card: &GpuDevice, texture: &Arc<Texture>, first: usize) -> Option<(UploadedTexture, Transfer)> {
         let levels: Vec<_> = texture.levels[first..].iter().map_while(Option::as_ref).collect();
         let finest = levels.first()?;
@@ -164,13 +165,13 @@ impl Textures {
     }
 }
 
-/// The finest level that is here and that the card can take.
+/// The finest resident level that the GPU supports.
 fn finest(card: &GpuDevice, texture: &Texture) -> Option<usize> {
     let most = card.device.limits().max_texture_dimension_2d;
     texture.levels.iter().position(|l| l.as_ref().is_some_and(|l| l.width.max(l.height) <= most))
 }
 
-/// Bytes of the levels from the `first` on.
+/// Bytes of the levels from `first` on.
 fn bytes_from(texture: &Texture, first: usize) -> u64 {
     texture.levels[first..].iter().map_while(Option::as_ref).map(|l| size_of_val(&*l.rgba) as u64).sum()
 }

@@ -1,7 +1,8 @@
-//! The warp by compute shaders (`warp.wgsl`): a workgroup per tile that reaches the picture.
+//! The warp by compute shaders (`warp.wgsl`): one workgroup per tile that reaches the picture.
 //!
-//! In: images that lie on the card, a pose. Out: the same picture as the processor's, on the card; and read back. What a frame sends is a matrix per tile; which tiles reach the picture the processor finds out, as it does for
-//! its own warp. Samples are written as maxima, so that the picture depends on no order.
+//! In: images on the GPU, a pose. Out: the same picture as the CPU's, on the GPU, and read back on
+//! request. The CPU finds the tiles that reach the picture, and sends one matrix per tile. Samples
+//! are written as maxima, so that the picture does not depend on their order.
 
 use super::{
     device::{Atomics, GpuDevice, GpuError, GrowableBuffer},
@@ -18,15 +19,15 @@ use bytemuck::{Pod, Zeroable};
 use ldi_protocol::{OutputCamera, Pose};
 use rayon::prelude::*;
 
-/// Bytes of images that stay on the card, or those of the frame if they are more.
+/// Bytes of images that are kept; the current frame may exceed them.
 const KEPT_BYTES: u64 = 256 << 20;
-/// Workgroups along one axis of a dispatch, at most, on any card.
+/// Largest number of workgroups along one axis of a dispatch.
 const ACROSS: u32 = 65_535;
 
-/// Of a pixel: disparity and colour.
+/// Bytes of a pixel: disparity and colour.
 pub const PIXEL_BYTES: u64 = 8;
 
-/// As `warp.wgsl` reads it.
+/// Picture parameters in the layout of `warp.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct PictureUniform {
@@ -36,7 +37,7 @@ struct PictureUniform {
     unused: u32,
 }
 
-/// Likewise.
+/// A batch of tiles in the layout of `warp.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct Batch {
@@ -46,7 +47,7 @@ struct Batch {
     unused: u32,
 }
 
-/// Likewise.
+/// A tile's matrix in the layout of `warp.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct Job {
@@ -54,9 +55,9 @@ struct Job {
     tile: [u32; 4],
 }
 
-/// See the module.
+/// Pipelines, buffers and images of the warp.
 pub struct WarpPass {
-    /// One pass, or two.
+    /// One pass with 64-bit atomics, otherwise two.
     passes: Vec<wgpu::ComputePipeline>,
     frame_layout: wgpu::BindGroupLayout,
     image_layout: wgpu::BindGroupLayout,
@@ -66,12 +67,12 @@ pub struct WarpPass {
     figures: wgpu::Buffer,
     /// One plane of 64 bits, or two of 32.
     targets: [GrowableBuffer; 2],
-    /// By serial number.
+    /// Images by serial number.
     pub images: GpuLru<u64, UploadedImage>,
     read_back: ReadBack,
 }
 
-/// Words of the figures: the footprint and the histogram.
+/// Words of the statistics: footprint and histogram.
 const FIGURES: u64 = 1 + StretchHistogram::BINS as u64;
 
 fn storage(binding: u32, read_only: bool) -> wgpu::BindGroupLayoutEntry {
@@ -87,7 +88,7 @@ fn entry(binding: u32, ty: wgpu::BufferBindingType) -> wgpu::BindGroupLayoutEntr
     }
 }
 
-/// What the card knows a stamp as.
+/// The stamp's number in `warp.wgsl`.
 pub fn number_of(stamp: Stamp) -> Result<u32, GpuError> {
     match stamp {
         Stamp::Quads => Ok(0),
@@ -147,7 +148,7 @@ impl WarpPass {
         }
     }
 
-    /// See [`super::Gpu::bring_image`].
+    /// See [`super::Gpu::upload_image`].
     pub fn upload(
         &mut self,
         card: &GpuDevice,
@@ -248,7 +249,7 @@ impl WarpPass {
                 Some((bind(&self.image_layout, &buffers), batch))
             })
             .collect();
-        // All depths come before any colour.
+        // All depths are written before any colour.
         for pipeline in &self.passes {
             let mut pass = encoder
                 .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("warp"), timestamp_writes: None });
@@ -263,16 +264,16 @@ impl WarpPass {
         encoder
     }
 
-    /// The planes of the last picture, on the card: colours, disparities, and the words between a pixel and the next.
+    /// The planes of the last picture: colours, disparities, and words from one pixel to the next.
     pub fn planes(&mut self, card: &GpuDevice) -> ([&wgpu::Buffer; 2], u32) {
         let wide = card.atomics == Atomics::Wide;
         let [first, second] = &mut self.targets;
         let first = first.allocate(card, 0);
-        // Disparity is the upper half of 64 bits; of two planes it is the first.
+        // Disparity is the upper half of 64 bits, or the first of two planes.
         if wide { ([first, first], 2) } else { ([second.allocate(card, 0), first], 1) }
     }
 
-    /// Reads the last picture back into one of the same size.
+    /// Reads the last picture into one of the same size.
     pub fn read(&mut self, card: &GpuDevice, into: &mut FarFrame) -> Result<(), GpuError> {
         let size = PIXEL_BYTES * into.packed.len() as u64;
         let wide = card.atomics == Atomics::Wide;

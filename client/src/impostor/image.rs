@@ -1,7 +1,9 @@
-//! A cached image: what a node looks like from one eye, on a plane through its middle (Shade et al. 1996, section 2).
+//! A cached image: a node as seen from one eye, on a plane through its middle (Shade et al. 1996,
+//! section 2).
 //!
-//! Its pixels that show nothing are transparent. Beyond the paper each pixel knows its own disparity: images are composited with geometry and each other by depth, as a plane through a node's middle
-//! lies before half of what it stands for and behind the other half.
+//! Empty pixels are transparent. In addition to the paper each pixel has its own disparity: images
+//! are composited with geometry and each other by depth, as the plane lies in front of one half of
+//! the node and behind the other.
 
 use super::safety_zone::Plane;
 use crate::frame::{Frame, Source, pack_rgb, unpack_rgb};
@@ -9,24 +11,26 @@ use glam::DVec3;
 use ldi_protocol::{Aabb, OutputCamera, Pose, ViewBasis};
 use rayon::prelude::*;
 
-/// Pixels of an image along a pixel of the picture, at its middle: an eye may come nearer by as much before the image is too coarse, and the edges of the picture magnify.
+/// Resolution of an image relative to the picture, at its middle. Larger: more memory and time;
+/// smaller: the image is too coarse sooner when the eye approaches.
 pub const OVERSAMPLED: f64 = 1.25;
-/// Rows that one task draws: images are some tens of pixels high, and all threads should have a part.
+/// Rows per task: images have few rows, which all threads should share.
 const TASK_ROWS: usize = 8;
 
-/// How a node is seen from an eye: a camera that just frames it.
+/// The framing of a node: a camera at the eye that encloses the node.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Framing {
-    /// The image's.
+    /// The image's camera.
     pub camera: OutputCamera,
-    /// At the eye, looking at the middle of the node.
+    /// The image's pose: at the eye, toward the node's middle.
     pub pose: Pose,
-    /// Through that middle.
+    /// The image's plane, through the node's middle.
     pub plane: Plane,
 }
 
 impl Framing {
-    /// None where the node surrounds the eye, reaches behind it, or would need an image larger than the picture.
+    /// None if the node surrounds the eye, reaches behind it, or needs an image larger than the
+    /// picture.
     pub fn new(bounds: &Aabb, eye: DVec3, picture: &OutputCamera) -> Option<Self> {
         let to = bounds.centre() - eye;
         let distance = to.length();
@@ -41,14 +45,14 @@ impl Framing {
         let mut half = [0.0f64; 2];
         for corner in bounds.corners().map(|c| c - eye) {
             let z = corner.dot(basis.forward);
-            // As far as anything is drawn.
+            // The near plane of the rasterizer.
             if z < crate::near::NEAR_PLANE_M {
                 return None;
             }
             half = [half[0].max((corner.dot(basis.right) / z).abs()), half[1].max((corner.dot(basis.up) / z).abs())];
         }
         let focal = picture.focal_px() * OVERSAMPLED;
-        // A pixel around it, so that filtering finds where it ends. Saturating conversions.
+        // A margin of a pixel for filtering. Saturating conversions.
         let [width, height] = half.map(|h| 2 * ((h * focal).ceil() as u32).saturating_add(1));
         if width > picture.width || height > picture.height {
             return None;
@@ -58,12 +62,12 @@ impl Framing {
         Some(Self { camera: OutputCamera { width, height, fov_deg }, pose, plane })
     }
 
-    /// Pixels of the image.
+    /// Number of pixels.
     pub fn pixels(&self) -> u64 {
         u64::from(self.camera.width) * u64::from(self.camera.height)
     }
 
-    /// Takes into a frame with this framing what another one shows inside of a box.
+    /// Copies the part of another frame inside of a box to a frame with this framing.
     pub fn bring_in(&self, bounds: &Aabb, other: &Frame, frame: &mut Frame) {
         let basis = self.pose.basis();
         let width = frame.width as usize;
@@ -78,7 +82,7 @@ impl Framing {
         }
     }
 
-    /// Whether an eye sees the image's pixels at least as small as they were made for: nearer they would blur.
+    /// Whether the image is sharp for an eye: its pixels are not magnified.
     pub fn is_sharp(&self, eye: DVec3) -> bool {
         self.plane.distance - self.plane.normal.dot(eye - self.plane.eye) >= self.plane.distance / OVERSAMPLED
     }
@@ -87,7 +91,7 @@ impl Framing {
 /// An image with its framing.
 #[derive(Debug, Clone)]
 pub struct ImpostorImage {
-    /// How it was made.
+    /// The framing.
     pub framing: Framing,
     basis: ViewBasis,
     /// sRGB, packed.
@@ -107,17 +111,17 @@ impl Affine {
 }
 
 impl ImpostorImage {
-    /// What a frame shows that was drawn with this framing.
+    /// The content of a frame drawn with this framing.
     pub fn new(framing: Framing, frame: &Frame) -> Self {
         Self { framing, basis: framing.pose.basis(), colour: frame.colour.clone(), disparity: frame.disparity.clone() }
     }
 
-    /// Bytes that it takes.
+    /// Memory, bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(&self.colour[..]) + size_of_val(&self.disparity[..])
     }
 
-    /// The part of a picture that its quadrilateral covers: columns and rows from, to.
+    /// The rectangle of the picture that the image covers: columns and rows from, to.
     fn covers(&self, camera: &OutputCamera, pose: &Pose) -> [u32; 4] {
         let (basis, focal) = (pose.basis(), camera.focal_px());
         let (width, height) = (f64::from(camera.width), f64::from(camera.height));
@@ -139,7 +143,8 @@ impl ImpostorImage {
         [from[0].min(to[0]), from[1].min(to[1]), to[0], to[1]]
     }
 
-    /// Draws it where it is nearer than what the frame shows; linear filtering among what is not transparent. Returns how many pixels it looked at.
+    /// Draws the image where it is nearer than the frame; linear filtering among opaque pixels.
+    /// Returns the number of visited pixels.
     pub fn draw(&self, camera: &OutputCamera, pose: &Pose, frame: &mut Frame) -> u64 {
         let [left, top, right, bottom] = self.covers(camera, pose).map(|x| x as usize);
         if left >= right || top >= bottom {
@@ -154,12 +159,14 @@ impl ImpostorImage {
         let (ahead, rightward, upward) =
             (ray_along(plane.normal), ray_along(self.basis.right), ray_along(self.basis.up));
         let shift = pose.position - plane.eye;
-        // The ray meets the plane at shift + reach / ahead * ray; the image shows that at focal / distance times its components.
+        // The ray meets the plane at shift + reach / ahead * ray; in the image at focal / distance
+        // times its components.
         let reach = plane.distance - plane.normal.dot(shift);
         let scale = own.focal_px() / plane.distance;
         let (middle_u, middle_v) = (f64::from(own.width) * 0.5, f64::from(own.height) * 0.5);
         let (shift_u, shift_v) = (shift.dot(self.basis.right), shift.dot(self.basis.up));
-        // Depth in the picture of what the image shows at (u, v) at depth z: back + z (ray of the image along the picture's axis).
+        // Depth in the picture of the image's content at (u, v) with depth z: back + z (ray of the
+        // image along the picture's axis).
         let back = -(shift.dot(basis.forward)) as f32;
         let [o, a, d] =
             [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]].map(|[u, v]| own.ray(&self.basis, u, v).dot(basis.forward));
@@ -193,7 +200,7 @@ impl ImpostorImage {
         ((right - left) * (bottom - top)) as u64
     }
 
-    /// The four pixels around a place, and the place among them.
+    /// The four pixels around a position, and the position among them.
     fn around(&self, u: f32, v: f32) -> ([usize; 4], [f32; 2]) {
         let (w, h) = (self.framing.camera.width as usize, self.framing.camera.height as usize);
         let (u, v) = ((u - 0.5).max(0.0), (v - 0.5).max(0.0));
@@ -202,7 +209,9 @@ impl ImpostorImage {
         ([j * w + i, j * w + right, below * w + i, below * w + right], [u - i as f32, v - j as f32])
     }
 
-    /// Colour and disparity at a place, if what is there weighs half or more: filtering reaches beyond what is there, by half a pixel. Disparities are not filtered, as between two surfaces there is none.
+    /// Colour and disparity at a position, if opaque pixels have at least half of the weight, as
+    /// filtering extends half a pixel beyond them. Disparities are not filtered: the mean of two
+    /// surfaces lies on neither.
     fn filtered(&self, u: f32, v: f32) -> Option<(u32, f32)> {
         let (at, [s, t]) = self.around(u, v);
         let weights = [(1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t];

@@ -1,12 +1,21 @@
-//! Hierarchical image caching (Shade, Lischinski, Salesin, DeRose, Snyder 1996): what is far is drawn from images that frames before have made.
+//! Hierarchical image caching (Shade, Lischinski, Salesin, DeRose, Snyder 1996): distant geometry
+//! is drawn from images of previous frames.
 //!
-//! In: the cells of a dataset, whatever of them is resident, and a pose. Out: colour and disparity of what is nearest at every pixel. Nothing is precomputed: a [BSP tree](bsp) over the cells'
-//! boxes is made when the dataset is known, and a node of it that will look alike for a while is drawn into an [image](picture), which stands for it as long as no corner of its box is seen farther than some pixels from where the image shows it ([`zone`]).
+//! In: the cells of a dataset, resident data, a pose. Out: colour and disparity of the nearest
+//! surface at every pixel. Nothing is precomputed: a BSP tree (`bsp`) over the cells' boxes is
+//! built when the dataset is known. A node whose appearance will stay valid for some time is drawn
+//! to an image (`image`), which replaces it as long as no corner of its box is displaced by more
+//! than some pixels (`safety_zone`).
 //!
-//! As in the paper each frame first decides for every node in view: draw its cached image, its geometry, or what is below it; then draws. Otherwise than in the paper:
-//! - of the images worth making those come first that save the most, and as many as take no more than [`ImpostorSettings::spare_ms`] or [`ImpostorSettings::spare_share`] longer than drawing the same: no frame stalls, the first neither;
-//! - what is drawn is composited by depth, which images know by the pixel, instead of back to front: near geometry would else stand out of the images' planes;
-//! - planes of images face the eye instead of lying along the picture, so that turning the head costs nothing.
+//! As in the paper each frame first decides for every visible node: draw its cached image, its
+//! geometry, or its children; then it draws. Changes against the paper:
+//! - Of the images worth making, those that save the most are made first, for at most
+//!   [`ImpostorSettings::spare_ms`] or [`ImpostorSettings::spare_share`] of additional time: no
+//!   frame stalls.
+//! - Images and geometry are composited by depth per pixel instead of back to front, as near
+//!   geometry may intersect the images' planes.
+//! - Image planes face the eye instead of being parallel to the picture, so that turning the head
+//!   costs nothing.
 
 mod bsp;
 mod costs;
@@ -30,20 +39,23 @@ use ldi_protocol::{
 use safety_zone::{EyeMotion, both};
 use std::{collections::BTreeMap, time::Instant};
 
-/// How images are cached.
+/// Settings of image caching.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImpostorSettings {
-    /// How far off a corner of a node's box may be seen, pixels.
+    /// Largest displacement of a corner of a node's box, pixels.
     pub error_px: f64,
-    /// Milliseconds that a frame may take longer for making images: by default half of a frame at 60 per second.
+    /// Additional time of a frame for making images, milliseconds.
     pub spare_ms: f64,
-    /// The same as a share of what the frame before took to draw, where that is more: who waits half a second for a frame is not served by images that never get made. The default, a quarter, is a guess; other shares were not tried.
+    /// Additional time as a share of the previous frame's time, if that is more, so that slow
+    /// scenes get images as well. The default is a judgement.
     pub spare_share: f64,
-    /// Most bytes of images: by default half of what the cache of chunks may hold, room for some hundred images as large as the picture.
+    /// Capacity for images, bytes.
     pub bytes: usize,
-    /// A leaf holds one cell, or several with at most so many triangles: an image each would cost more than drawing them. The default is 16 clusters or more, which take some milliseconds.
+    /// Largest number of triangles of a leaf with several cells. Smaller: images cost more than the
+    /// geometry they replace.
     pub leaf_triangles: u64,
-    /// What of the neighbourhood an image holds beyond its node, as a share of the node's size to each side, so that no cracks open between nodes (the paper: 17 percent in all).
+    /// Margin around a node in its image, as a share of the node's size per side, so that no cracks
+    /// open between nodes (the paper: 17 percent in all).
     pub inflated: f64,
 }
 
@@ -60,34 +72,34 @@ impl Default for ImpostorSettings {
     }
 }
 
-/// What a frame did with images.
+/// Statistics of cached images in a frame.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ImpostorStats {
-    /// That it shows.
+    /// Images drawn.
     pub images: u32,
-    /// That it made.
+    /// Images made.
     pub made: u32,
-    /// Milliseconds of geometry.
+    /// Milliseconds for geometry.
     pub near_ms: f64,
-    /// Of drawing images.
+    /// Milliseconds for drawing images.
     pub images_ms: f64,
-    /// Of making them.
+    /// Milliseconds for making images.
     pub made_ms: f64,
-    /// Bytes of all that are cached.
+    /// Memory of all cached images, bytes.
     pub bytes: usize,
 }
 
 /// Cached images of the nodes of a dataset.
 #[derive(Debug, Default)]
 pub struct Impostors {
-    /// How images are cached.
+    /// Settings.
     pub settings: ImpostorSettings,
     nodes: Nodes,
     cached: BTreeMap<u32, Cached>,
     costs: Costs,
     eye_motion: EyeMotion,
     frame: u64,
-    /// What the frame before took to draw, without making images, milliseconds.
+    /// Time of the previous frame without making images, milliseconds.
     drew_ms: f64,
     rasterizer: Rasterizer,
     drawing: Frame,
@@ -97,28 +109,28 @@ pub struct Impostors {
 /// The tree of a dataset.
 #[derive(Debug, Default)]
 struct Nodes {
-    /// Cells and triangles that it was made for.
+    /// Number of cells and triangles that the tree was built for.
     of: (usize, u64),
     tree: Bsp,
     parents: Vec<u32>,
-    /// Boxes with some of what is around.
+    /// Inflated boxes of the nodes.
     inflated: Vec<Aabb>,
-    /// About how many triangles of others lie in these.
+    /// Estimated number of other nodes' triangles in the inflated boxes.
     around: Vec<u64>,
 }
 
 #[derive(Debug)]
 struct Cached {
     picture: ImpostorImage,
-    /// Where the images that it was made from are right.
+    /// Zone in which its source images are valid.
     parts: Aabb,
-    /// Its safety zone, within that.
+    /// Its safety zone within `parts`.
     zone: Aabb,
-    /// Frame in which it was last shown.
+    /// Frame in which it was last drawn.
     used: u64,
 }
 
-/// What a frame looks at.
+/// Inputs of a frame.
 struct FrameInputs<'a> {
     index: &'a Index,
     resident: &'a dyn Resident,
@@ -130,7 +142,7 @@ struct FrameInputs<'a> {
 }
 
 impl FrameInputs<'_> {
-    /// Whether a cell is here with all that it draws, be its textures as coarse as they may.
+    /// Whether a cell is resident with all its geometry and textures, at any level.
     fn has(&self, cell: u32) -> bool {
         let entry = &self.index.cells[cell as usize];
         let texture = |material: &u32| self.index.materials.get(*material as usize)?.texture;
@@ -140,12 +152,12 @@ impl FrameInputs<'_> {
     }
 }
 
-/// What becomes of the nodes of a frame.
+/// The decision for each node of a frame.
 #[derive(Debug, Default)]
 struct DrawPlan {
-    /// Leaves that are drawn as geometry.
+    /// Leaves drawn as geometry.
     geometry: Vec<u32>,
-    /// Nodes whose images are.
+    /// Nodes drawn from images.
     images: Vec<u32>,
     /// Images worth making.
     candidates: Vec<Candidate>,
@@ -155,26 +167,27 @@ struct DrawPlan {
 struct Candidate {
     node: u32,
     framing: Framing,
-    /// Where its parts are right.
+    /// Zone in which its source images are valid.
     parts: Aabb,
-    /// Its safety zone, within that.
+    /// Its safety zone within `parts`.
     zone: Aabb,
-    /// Frames that it is expected to last.
+    /// Expected number of frames of use.
     life: f64,
-    /// Of making it.
+    /// Expected time of making it.
     ms: f64,
-    /// What it saves each frame.
+    /// Time saved per frame.
     saved_ms: f64,
 }
 
 impl Candidate {
-    /// What it saves in its life, made and all (the paper's amortized cost against that of what it holds).
+    /// Time saved over its life, minus the time of making it (the paper's amortized cost compared
+    /// with that of its content).
     fn gain_ms(&self) -> f64 {
         self.saved_ms * self.life - self.ms
     }
 }
 
-/// Everywhere.
+/// The unbounded box.
 const ANYWHERE: Aabb = Aabb { min: DVec3::NEG_INFINITY, max: DVec3::INFINITY };
 
 fn ms_since(start: Instant) -> f64 {
@@ -210,7 +223,8 @@ impl Nodes {
         }
     }
 
-    /// How many triangles of other nodes lie in a node's inflated box, if they lie evenly in the boxes of their cells.
+    /// Number of other nodes' triangles in a node's inflated box, assuming a uniform distribution
+    /// in cells.
     fn triangles_around(&self, index: &Index, node: u32) -> u64 {
         let bounds = &self.inflated[node as usize];
         let cells = self.cells_around(index, node);
@@ -218,7 +232,7 @@ impl Nodes {
         cells.iter().map(|c| within(&index.cells[*c as usize])).sum::<f64>().ceil() as u64
     }
 
-    /// Cells that touch a node's inflated box and are no part of it.
+    /// Cells outside of a node that touch its inflated box.
     fn cells_around(&self, index: &Index, but: u32) -> Vec<u32> {
         let bounds = &self.inflated[but as usize];
         let mut found = Vec::new();
@@ -239,15 +253,15 @@ impl Nodes {
     }
 }
 
-/// Which share of a box lies in another, 0 to 1; of a flat one, of its area.
+/// Share of a box that lies in another, 0 to 1; for a flat one, of its area.
 fn share(of: &Aabb, within: &Aabb) -> f64 {
     let (size, part) = (of.size(), both(of, within).size());
     (0..3).map(|k| if size[k] > 0.0 { (part[k] / size[k]).max(0.0) } else { 1.0 }).product()
 }
 
 impl Impostors {
-    /// Draws `index`'s cells that are in view into `frame`, which it resizes and clears first: as geometry, or from images. `may_make`: the frame before lacked nothing, so that what is drawn will hardly get
-    /// finer; images are made only then.
+    /// Draws the visible cells into `frame`, which is resized and cleared: as geometry, or from
+    /// images. `may_make`: the previous frame was complete, so that images made now stay valid.
     pub fn draw(
         &mut self,
         (index, resident): (&Index, &dyn Resident),
@@ -292,7 +306,7 @@ impl Impostors {
         (stats, drawn)
     }
 
-    /// Whether a node's image is right for an eye.
+    /// Whether a node's image is valid for an eye.
     fn is_valid(&self, node: u32, eye: DVec3, angle: f64) -> bool {
         self.cached.get(&node).is_some_and(|c| {
             let framing = &c.picture.framing;
@@ -301,13 +315,14 @@ impl Impostors {
         })
     }
 
-    /// The paper's first traversal.
+    /// The first traversal of the paper: decides on every node.
     fn plan(&self, inputs: &FrameInputs<'_>, may_make: bool) -> DrawPlan {
         let nodes = &self.nodes.tree.nodes;
         let mut plan = DrawPlan::default();
         let eye = inputs.pose.position;
         let valid: Vec<bool> = (0..nodes.len() as u32).map(|n| self.is_valid(n, eye, inputs.angle)).collect();
-        // Milliseconds of what is in a node, all of it and what is in view. Children come after their parents.
+        // Cost of each node's content, visible and in total, milliseconds. Children come after
+        // their parents.
         let mut contents = vec![[0.0; 2]; nodes.len()];
         let mut as_drawn = contents.clone();
         for (number, node) in nodes.iter().enumerate().rev().filter(|_| may_make) {
@@ -340,7 +355,7 @@ impl Impostors {
         plan
     }
 
-    /// An image of a node, if it is worth making.
+    /// A candidate for an image of a node, if it is worth making.
     fn candidate(&self, node: u32, inputs: &FrameInputs<'_>, contents_ms: [f64; 2]) -> Option<Candidate> {
         let bounds = &self.nodes.inflated[node as usize];
         let framing = Framing::new(bounds, inputs.pose.position, inputs.camera)?;
@@ -356,13 +371,13 @@ impl Impostors {
         (candidate.gain_ms() > 0.0).then_some(candidate)
     }
 
-    /// Whether a node's image can be part of another: the eye is in its zone, which those that are merely right for the eye may have left.
+    /// Whether a node's image can be part of another: the eye must be in its safety zone.
     fn is_part(&self, node: u32, inputs: &FrameInputs<'_>) -> bool {
         let eye = inputs.pose.position;
         self.cached.get(&node).is_some_and(|c| c.zone.contains(eye)) && self.is_valid(node, eye, inputs.angle)
     }
 
-    /// Where all the images are right that an image of a node would be made from.
+    /// The zone in which all source images of a node's image are valid.
     fn parts_zone(&self, node: u32, inputs: &FrameInputs<'_>) -> Aabb {
         let mut zone = ANYWHERE;
         self.parts_of(node, inputs, &mut |below, is_image| {
@@ -373,7 +388,7 @@ impl Impostors {
         zone
     }
 
-    /// What an image of a node is made from: images and leaves below it.
+    /// The sources of a node's image: images and leaves below it.
     fn parts_of(&self, node: u32, inputs: &FrameInputs<'_>, visit: &mut impl FnMut(u32, bool)) {
         let mut open = vec![node];
         while let Some(below) = open.pop() {
@@ -385,7 +400,7 @@ impl Impostors {
         }
     }
 
-    /// Cells of leaves that are in view, near to far.
+    /// Visible cells of leaves, near to far.
     fn cells_of(&self, leaves: &[u32], inputs: &FrameInputs<'_>) -> Vec<u32> {
         let mut cells = Vec::new();
         leaves.iter().for_each(|leaf| self.nodes.tree.objects_of(*leaf, &mut |cell| cells.push(cell)));
@@ -407,13 +422,13 @@ impl Impostors {
         nodes.len() as u32
     }
 
-    /// Makes images, those that save the most first, none of a node above or below another.
+    /// Makes the images that save the most, none of them above or below another.
     fn make_best(&mut self, mut candidates: Vec<Candidate>, inputs: &FrameInputs<'_>) -> u32 {
         candidates.sort_by(|a, b| {
             let gain = |c: &Candidate| c.gain_ms() / c.ms;
             gain(b).total_cmp(&gain(a)).then(a.node.cmp(&b.node))
         });
-        // What the frame takes longer: what was made by the clock, what it saves by what things cost.
+        // Additional time of the frame: measured for making, estimated for savings.
         let mut longer_ms = 0.0;
         let spare_ms = self.settings.spare_ms.max(self.settings.spare_share * self.drew_ms);
         let mut made: Vec<u32> = Vec::new();
@@ -445,7 +460,8 @@ impl Impostors {
         made.len() as u32
     }
 
-    /// An image of all that is in a node, from images where there are some. None if something of it is not here.
+    /// Makes the image of a node, from other images if possible. None if some of its content is
+    /// absent.
     fn make(&mut self, candidate: &Candidate, inputs: &FrameInputs<'_>) -> Option<ImpostorImage> {
         let start = Instant::now();
         let Candidate { node, framing, .. } = candidate;
@@ -458,7 +474,7 @@ impl Impostors {
         if !own.iter().all(|cell| inputs.has(*cell)) {
             return None;
         }
-        // What of it is not here is not in view either, and no crack opens beside it.
+        // Absent cells around it are not visible, and cause no cracks.
         let mut around = self.nodes.cells_around(inputs.index, *node);
         around.retain(|cell| inputs.has(*cell));
         let (camera, pose) = (&framing.camera, &framing.pose);
@@ -478,7 +494,7 @@ impl Impostors {
         Some(ImpostorImage::new(*framing, &self.drawing))
     }
 
-    /// Forgets images that were not shown for the longest, until the rest fits. Bytes of what is left.
+    /// Evicts images that were not drawn for longest, until the rest fits. Returns its bytes.
     fn evict(&mut self) -> usize {
         let mut bytes: usize = self.cached.values().map(|c| c.picture.bytes()).sum();
         while bytes > self.settings.bytes {

@@ -1,38 +1,43 @@
-//! How far an eye may go while a cached image stays right (Shade et al. 1996, section 3).
+//! The safety zone of a cached image: the eye positions for which it stays valid (Shade et al.
+//! 1996, section 3).
 //!
-//! A cached image lies on a plane. A point of what it shows and the point of the plane that stands for it coincide for the eye that it was made for; for another eye they are an angle apart, the
-//! *discrepancy*. Its largest over the corners of a box stands for that of all points of the box: not conservative, but the paper found it to do.
+//! A cached image lies on a plane. A point and its projection to the plane coincide for the eye
+//! that the image was made for; for another eye they are an angle apart, the *discrepancy*. The
+//! largest discrepancy of a box's corners represents all its points: not conservative, but
+//! sufficient according to the paper.
 
 use glam::DVec3;
 use ldi_protocol::Aabb;
 
-/// A plane that cached images lie on, and the eye they are made for.
+/// The plane of a cached image, and the eye it is made for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plane {
-    /// Metres.
+    /// Position of the eye, metres.
     pub eye: DVec3,
-    /// Unit, from the eye to the plane.
+    /// Unit normal, from the eye to the plane.
     pub normal: DVec3,
-    /// Of the plane from the eye, metres.
+    /// Distance of the plane from the eye, metres.
     pub distance: f64,
 }
 
 impl Plane {
-    /// The point of the plane that hides `point` from the eye; None for what is not before the eye.
+    /// The point of the plane that coincides with `point` for the eye; None behind the eye.
     pub fn stands_for(&self, point: DVec3) -> Option<DVec3> {
         let to = point - self.eye;
         let ahead = self.normal.dot(to);
         (ahead > 0.0).then(|| self.eye + to * (self.distance / ahead))
     }
 
-    /// The largest discrepancy of the corners of a box, radians (equation 1); None if one is not before the eye.
+    /// The largest discrepancy of a box's corners, radians (equation 1); None if a corner is not in
+    /// front of the eye.
     pub fn error(&self, bounds: &Aabb, eye: DVec3) -> Option<f64> {
         let of = |a: DVec3| self.stands_for(a).map(|b| discrepancy(eye, a, b));
         bounds.corners().into_iter().try_fold(0.0f64, |worst, a| Some(worst.max(of(a)?)))
     }
 
-    /// A cube of eyes, for none of which a corner of the box is more than `angle` radians from what stands for it (equations 2 to 4): inscribed in the sphere around the eye. None if a corner is
-    /// not before the eye.
+    /// A cube of eye positions for which the discrepancy of the box's corners stays within `angle`
+    /// radians (equations 2 to 4): inscribed in the sphere around the eye. None if a corner is not
+    /// in front of the eye.
     pub fn safety_zone(&self, bounds: &Aabb, angle: f64) -> Option<Aabb> {
         let of = |a: DVec3| self.stands_for(a).map(|b| safety_radius(self.eye, a, b, angle));
         let radius = bounds.corners().into_iter().try_fold(f64::INFINITY, |least, a| Some(least.min(of(a)?)))?;
@@ -47,8 +52,10 @@ pub fn discrepancy(eye: DVec3, a: DVec3, b: DVec3) -> f64 {
     a.cross(b).length().atan2(a.dot(b))
 }
 
-/// How far from `eye`, metres, two points that it sees in one direction stay within `angle` radians, at most pi / 2. All eyes that see them so far apart lie on circles through both, of radius r (equation 3); the
-/// nearest of them is d away (equation 4), written without the difference of nearly equal numbers: as the points draw together r and d go to infinity.
+/// The distance from `eye` within which two points in one direction stay within `angle` radians, at
+/// most pi / 2. All eyes with that angle lie on circles through both points, of radius r (equation
+/// 3); the nearest of them is at distance d (equation 4), computed without the difference of nearly
+/// equal numbers: as the points approach each other, r and d go to infinity.
 pub fn safety_radius(eye: DVec3, a: DVec3, b: DVec3, angle: f64) -> f64 {
     let apart = a.distance(b);
     if apart == 0.0 {
@@ -60,33 +67,34 @@ pub fn safety_radius(eye: DVec3, a: DVec3, b: DVec3, angle: f64) -> f64 {
     h * (h + 2.0 * r * sin) / ((h * h + r * r + 2.0 * h * r * sin).sqrt() + r)
 }
 
-/// What lies in both boxes; may be empty.
+/// Intersection of two boxes; may be empty.
 pub fn both(a: &Aabb, b: &Aabb) -> Aabb {
     Aabb { min: a.min.max(b.min), max: a.max.min(b.max) }
 }
 
-/// An eye on its way, per frame.
+/// The motion of an eye, per frame.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct EyeMotion {
-    /// Metres.
+    /// Position, metres.
     pub eye: DVec3,
-    /// Metres per frame.
+    /// Velocity, metres per frame.
     pub velocity: DVec3,
-    /// Metres per frame per frame.
+    /// Acceleration, metres per frame squared.
     pub acceleration: DVec3,
 }
 
-/// Most frames that are counted on, five seconds: who stands still may go on at any time.
+/// Longest prediction, frames: a resting eye may move at any time.
 pub const LONGEST_LIFE: f64 = 300.0;
 
 impl EyeMotion {
-    /// The same eye a frame later. One that jumped has an odd velocity, for two frames.
+    /// The motion one frame later. After a jump the velocity is wrong for two frames.
     pub fn then(&self, eye: DVec3) -> Self {
         let velocity = eye - self.eye;
         Self { eye, velocity, acceleration: velocity - self.velocity }
     }
 
-    /// How many frames it takes, at most [`LONGEST_LIFE`], to leave a box that holds the eye. Not conservative: the way may bend.
+    /// Number of frames until the eye leaves a box, at most [`LONGEST_LIFE`]. Not conservative: the
+    /// path may curve.
     pub fn life_span(&self, zone: &Aabb) -> f64 {
         let axis = |k: usize| {
             let (p, v, half_a) = (self.eye[k], self.velocity[k], 0.5 * self.acceleration[k]);
@@ -119,7 +127,8 @@ mod tests {
     }
 
     proptest! {
-        /// Eyes anywhere in the zone see no corner farther from what stands for it than was allowed, and somewhere just beyond the sphere one does.
+        /// Eyes anywhere in the zone see no corner farther from what stands for it than was
+        /// allowed, and somewhere just beyond the sphere one does.
         #[test]
         fn zones_keep_their_promise(
             centre in vector(-50.0..50.0), half in vector(0.1..5.0), eye_motion in vector(-1.0..1.0), far in 1.1f64..40.0, pixels in 0.5f64..8.0,
@@ -137,7 +146,8 @@ mod tests {
                 prop_assert!(error.is_none_or(|e| e <= angle * (1.0 + 1e-9)), "{error:?} of {angle}");
             }
             prop_assert!(plane.error(&bounds, eye).unwrap() < 1e-7);
-            // The bound is met: on the two circles, somewhere on the sphere of the corner that decides.
+            // The bound is met: on the two circles, somewhere on the sphere of the corner that
+            // decides.
             let corner = bounds.corners().into_iter().min_by(|a, b| {
                 let d = |a: &DVec3| safety_radius(eye, *a, plane.stands_for(*a).unwrap(), angle);
                 d(a).total_cmp(&d(b))
@@ -171,7 +181,8 @@ mod tests {
         }
     }
 
-    /// As the points draw together the zone grows without bound; equation 4 as printed gives nothing there.
+    /// As the points draw together the zone grows without bound; equation 4 as printed gives
+    /// nothing there.
     #[test]
     fn zones_of_points_that_draw_together_do_not_cancel() {
         let (eye, angle) = (DVec3::ZERO, 2.0 / 900.0);
@@ -179,7 +190,8 @@ mod tests {
             let apart = 10f64.powi(-k);
             let (a, b) = (DVec3::new(0.0, 0.0, -10.0), DVec3::new(0.0, 0.0, -10.0 - apart));
             let d = safety_radius(eye, a, b, angle);
-            // From the circle's centre, which lies beside the middle between the points: x - r = (x^2 - r^2) / (x + r).
+            // From the circle's centre, which lies beside the middle between the points: x - r =
+            // (x^2 - r^2) / (x + r).
             let r = apart / (2.0 * angle.sin());
             let to_centre = DVec3::new(r * angle.cos(), 0.0, 10.0 + 0.5 * apart).length();
             let expected = 10.0 * (10.0 + apart) / (to_centre + r);

@@ -56,7 +56,8 @@ fn anew(scene: &(Index, Memory), pose: &Pose) -> Frame {
     frame
 }
 
-/// Share of pixels that show something in one of both frames and nothing within `around` pixels in the other.
+/// Share of pixels that show something in one of both frames and nothing within `around` pixels in
+/// the other.
 fn strays(a: &Frame, b: &Frame, around: i64) -> f64 {
     let shows = |f: &Frame, x: i64, y: i64| {
         x >= 0
@@ -122,7 +123,8 @@ fn an_image_seen_from_its_own_eye_is_the_picture() {
     }
 }
 
-/// A wall that is its image's own plane, so that every depth has a closed form, for an eye that came nearer, stepped aside and turned.
+/// A wall that is its image's own plane, so that every depth has a closed form, for an eye that
+/// came nearer, stepped aside and turned.
 #[test]
 fn images_know_how_far_away_things_are_for_another_eye() {
     let wall_z = -60.0;

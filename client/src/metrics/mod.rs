@@ -1,7 +1,7 @@
-//! How far a picture is from the truth: PSNR, SSIM and FLIP, all over 8-bit sRGB.
+//! Picture quality metrics: PSNR, SSIM and FLIP, over 8-bit sRGB.
 //!
-//! In: two pictures of one size, as RGB bytes row by row. Out: numbers, and for FLIP the error of every pixel, so that means
-//! over parts of the picture (the pixels that came from a warp) can be taken.
+//! In: two pictures of one size, as RGB bytes row by row. Out: scores, and for FLIP the error of
+//! every pixel, so that means over parts of the picture (warped pixels) can be taken.
 
 mod flip;
 mod psnr;
@@ -11,7 +11,7 @@ pub use flip::{FlipMap, PIXELS_PER_DEGREE};
 pub use psnr::{LARGEST_DB, psnr_db};
 pub use ssim::ssim;
 
-/// A picture of RGB bytes; the constructor is the only door and checks the length.
+/// A picture of RGB bytes; the constructor checks the length.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RgbImage {
     width: u32,
@@ -22,7 +22,7 @@ pub struct RgbImage {
 /// The pictures cannot be compared.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum MetricError {
-    /// Another number of bytes than three per pixel.
+    /// The number of bytes is not three per pixel.
     #[error("a picture of {width} x {height} pixels has {bytes} bytes; three per pixel are expected")]
     Length {
         /// Columns.

@@ -2,8 +2,8 @@
 
 use super::{MetricError, RgbImage};
 
-/// What identical pictures score, decibels: the true value is infinite, which no report can hold. One code of difference in one
-/// channel of a 1920 x 1080 picture gives 116 dB, so every real difference scores lower.
+/// Score of identical pictures, decibels: the true value is infinite, which a report cannot hold.
+/// Every real difference scores lower.
 pub const LARGEST_DB: f64 = 120.0;
 
 /// 10 log10(255^2 / mean squared error), at most [`LARGEST_DB`].

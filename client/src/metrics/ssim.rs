@@ -1,10 +1,12 @@
-//! Structural similarity after Wang, Bovik, Sheikh and Simoncelli ("Image Quality Assessment", IEEE TIP 2004, equation 13): 11 x 11
-//! Gaussian window of sigma 1.5, K1 = 0.01, K2 = 0.03, data range 255; the mean over all positions where the window lies
-//! inside the picture. As in their reference implementation it is taken on luma: Y = 0.299 R + 0.587 G + 0.114 B of the
-//! 8-bit codes, not rounded.
+//! Structural similarity after Wang, Bovik, Sheikh and Simoncelli ("Image Quality Assessment", IEEE
+//! TIP 2004, equation 13): 11 x 11 Gaussian window of sigma 1.5, K1 = 0.01, K2 = 0.03, data range
+//! 255; the mean over all positions where the window lies inside the picture. As in their reference
+//! implementation it is taken on luma: Y = 0.299 R + 0.587 G + 0.114 B of the 8-bit codes, not
+//! rounded.
 //!
-//! The window is separable: each of the five moments (x, y, x^2, y^2, xy) is filtered along rows, then along columns.
-//! Rows of the result are independent and summed in order, so that the value does not depend on the number of threads.
+//! The window is separable: each of the five moments (x, y, x^2, y^2, xy) is filtered along rows,
+//! then along columns. Rows of the result are independent and summed in order, so that the value
+//! does not depend on the number of threads.
 
 use super::{MetricError, RgbImage};
 use rayon::prelude::*;

@@ -1,13 +1,16 @@
-//! Colours of eight neighbouring pixels of one triangle at a time: what `shade` computes for one.
+//! Colours of eight neighbouring pixels of one triangle at a time: the equivalent of `shade` for
+//! one.
 //!
-//! In: a triangle's attributes, a row. Out: packed colours. Written over [`Lanes`], so that the picture does not depend on whether AVX2 is there. Texels and codes are
-//! gathered; pixels of different mip levels, mostly none or two kinds, are sampled one level after the other.
+//! In: a triangle's attributes, a row. Out: packed colours. Written over [`Lanes`], so that the
+//! picture does not depend on AVX2. Texels and codes are gathered; pixels with different mip levels
+//! are sampled one level after the other.
 //!
-//! No closures: what they hold would be compiled without AVX2, as calls of single instructions.
+//! Closures are not used, as they would be compiled without AVX2.
 //!
-//! The level of detail comes from a polynomial in place of the library's logarithm: off by at most 2e-5.
+//! The level of detail uses a polynomial instead of the library's logarithm, with an error of at
+//! most 2e-5.
 
-use super::{shade::Attributes, triangle_setup::Projection};
+use super::{attributes::Attributes, triangle_setup::Projection};
 use crate::simd::{LANES, Lanes};
 use glam::{Vec2, Vec3};
 use ldi_protocol::{
@@ -50,7 +53,8 @@ fn hold<L: Lanes>(w: L::F) -> L::F {
     L::min(L::max(w, L::splat(0.0)), L::splat(1.0))
 }
 
-/// Shades the first `out.len()` of eight pixels from `column` on, in the row whose centre is at `y`.
+/// Shades the first `out.len()` of eight pixels from `column` on, in the row whose centre is at
+/// `y`.
 #[inline(always)]
 pub(super) fn shade8<L: Lanes>(t: &Attributes<'_>, projection: &Projection, column: usize, y: f32, out: &mut [u32]) {
     let (zero, one) = (L::splat(0.0), L::splat(1.0));
@@ -112,7 +116,8 @@ fn texels2<L: Lanes>(t: &Attributes<'_>, i: usize, [u, v]: [L::F; 2], step: L::F
     L::add(L::mul(x, x), L::mul(y, y))
 }
 
-/// log2 of numbers of at least 1: exponent and, for the mantissa m, the series of 2 artanh((m - 1) / (m + 1)) to the seventh power.
+/// log2 of numbers of at least 1: exponent and, for the mantissa m, the series of 2 artanh((m - 1)
+/// / (m + 1)) to the seventh power.
 #[inline(always)]
 fn log2<L: Lanes>(x: L::F) -> L::F {
     let bits = L::bits(x);
@@ -137,7 +142,7 @@ fn sample8<L: Lanes>(texture: &Texture, uv: [L::F; 2], lod: L::F, wrap: [Wrap; 2
     while left != 0 {
         let number = levels[left.trailing_zeros() as usize & (LANES - 1)];
         let of_level = L::and(L::ge(fine, L::splat(number)), L::ge(L::splat(number), fine));
-        // The lane that was asked is one of them, as `lod` is never NaN.
+        // `lod` is never NaN, so that the chosen lane is one of them.
         left &= !L::mask_bits(of_level) & (left - 1);
         let number = number as usize;
         let Some(level) = texture.level_or_coarser(number) else { continue };
@@ -201,7 +206,7 @@ fn channel<L: Lanes, const SHIFT: i32>(table: &[f32; 256], texels: [L::I; 4], we
     L::add(L::add(L::add(a, b), c), d)
 }
 
-/// The two texels that coordinates lie between along one axis, as `texture` finds them.
+/// The two texels around a coordinate along one axis, as in `texture`.
 struct Tap8<L: Lanes> {
     first: L::I,
     second: L::I,

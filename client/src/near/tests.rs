@@ -26,8 +26,8 @@ fn draw(index: &Index, memory: &Memory, camera: &OutputCamera, pose: &Pose) -> (
     (frame, rasterizer.ids, stats)
 }
 
-/// The nearest triangle in front of the near plane that the ray through pixel coordinates (x, y) meets: (number, disparity,
-/// disparity of the next one).
+/// The nearest triangle in front of the near plane that the ray through pixel coordinates (x, y)
+/// meets: (number, disparity, disparity of the next one).
 fn cast(triangles: &[[Vec3; 3]], camera: &OutputCamera, pose: &Pose, x: f64, y: f64) -> Option<(usize, f64, f64)> {
     let ray = camera.ray(&pose.basis(), x, y);
     let mut hits: Vec<(f64, usize)> = triangles
@@ -49,10 +49,12 @@ fn cast(triangles: &[[Vec3; 3]], camera: &OutputCamera, pose: &Pose, x: f64, y: 
     hits.first().map(|h| (h.1, h.0, hits.get(1).map_or(0.0, |s| s.0)))
 }
 
-/// Corners are taken to a 256th of a pixel, so an edge is off by half of that at most, across and down.
+/// Corners are taken to a 256th of a pixel, so an edge is off by half of that at most, across and
+/// down.
 const OFF_PX: f64 = 1.0 / 512.0 + 1e-6;
 
-/// Compares a frame with the ray caster wherever the caster gives one answer within [`OFF_PX`] around the centre.
+/// Compares a frame with the ray caster wherever the caster gives one answer within [`OFF_PX`]
+/// around the centre.
 fn compare(triangles: &[[Vec3; 3]], drawn: &[[Vec3; 3]], pose: &Pose) -> Result<usize, TestCaseError> {
     let (index, memory) =
         dataset(CAMERA, vec![plain_material()], drawn.iter().map(|t| loose_cluster(0, &[*t])).collect());
@@ -125,7 +127,8 @@ fn the_comparison_can_fail() {
     assert!(compare(&triangles, &moved, &AHEAD).is_err());
 }
 
-/// A sheet at depth f / 64 whose vertices lie on multiples of 1/2 px, many exactly on pixel centres, cut into triangles both ways.
+/// A sheet at depth f / 64 whose vertices lie on multiples of 1/2 px, many exactly on pixel
+/// centres, cut into triangles both ways.
 #[test]
 fn shared_edges_cover_each_pixel_once() {
     let focal = CAMERA.focal_px();
@@ -209,7 +212,8 @@ fn gradient_texture(side: u32) -> Texture {
     Texture { levels: (0..=side.ilog2()).map(|k| Some(level(side >> k))).collect() }
 }
 
-/// Floor plane y = -1 with u = (x + 8) / 16, v = (z + 16) / 16: the shaded texel is the one that the ray meets.
+/// Floor plane y = -1 with u = (x + 8) / 16, v = (z + 16) / 16: the shaded texel is the one that
+/// the ray meets.
 #[test]
 fn texture_coordinates_are_perspective_correct() {
     let camera = OutputCamera { width: 160, height: 120, fov_deg: 75.0 };
@@ -228,7 +232,7 @@ fn texture_coordinates_are_perspective_correct() {
         let (x, y) = ((i % 160) as f64 + 0.5, (i / 160) as f64 + 0.5);
         let ray = camera.ray(&pose.basis(), x, y);
         let hit = pose.position + ray * ((-1.0 - pose.position.y) / ray.y);
-        let uv = shade::Attributes::new(&scene, &view, *id).expect("a triangle").uv_at(&view, x as f32, y as f32);
+        let uv = attributes::Attributes::new(&scene, &view, *id).expect("a triangle").uv_at(&view, x as f32, y as f32);
         let truth = ((hit.x + 8.0) / 16.0, (hit.z + 16.0) / 32.0);
         let error = (f64::from(uv.x) - truth.0).abs().max((f64::from(uv.y) - truth.1).abs());
         assert!(error < 2e-6 * hit.distance(pose.position).max(1.0), "{uv} instead of {truth:?} at {x} {y}");
@@ -303,13 +307,15 @@ fn masked_texels_let_through_what_lies_behind() {
     let at = |column: usize| crate::frame::unpack_rgb(frame.colour[36 * 96 + column]);
     assert_eq!((at(38), at(58)), ([255; 3], [255, 0, 0]));
     assert_eq!(stats.coarse_textures, Vec::<u32>::new());
-    // Without the texture nothing is known of the alpha: the triangle is drawn whole, and the lack is reported.
+    // Without the texture nothing is known of the alpha: the triangle is drawn whole, and the lack
+    // is reported.
     memory.textures.clear();
     let (_, _, stats) = draw(&index, &memory, &CAMERA, &AHEAD);
     assert_eq!(stats.missing_textures, vec![0]);
 }
 
-/// Lit and textured surfaces of all wraps, near and far, smooth and facetted: eight pixels at a time, with AVX2 or without, show what one at a time shows.
+/// Lit and textured surfaces of all wraps, near and far, smooth and facetted: eight pixels at a
+/// time, with AVX2 or without, show what one at a time shows.
 #[test]
 fn eight_pixels_at_a_time_are_shaded_as_one() {
     use ldi_protocol::mesh::Wrap;
@@ -355,7 +361,7 @@ fn eight_pixels_at_a_time_are_shaded_as_one() {
         let view = triangle_setup::Projection::new(&camera, &pose);
         let mut alone = vec![0; ids.len()];
         for (i, id) in ids.iter().enumerate().filter(|(_, id)| **id != triangle_setup::NO_TRIANGLE) {
-            let attributes = shade::Attributes::new(&scene, &view, *id).expect("a triangle");
+            let attributes = attributes::Attributes::new(&scene, &view, *id).expect("a triangle");
             alone[i] = attributes.shade(&view, (i % 203) as f32 + 0.5, (i / 203) as f32 + 0.5);
         }
         let mut portable = vec![0; ids.len()];
@@ -418,8 +424,8 @@ fn one_thread_and_three_give_the_same_picture() {
     assert_eq!(one.1, three.1);
 }
 
-/// A wall of many triangles before a crowd: with the crowd in later batches most of it is rejected unseen, and the picture is
-/// the one that a depth buffer alone gives.
+/// A wall of many triangles before a crowd: with the crowd in later batches most of it is rejected
+/// unseen, and the picture is the one that a depth buffer alone gives.
 #[test]
 fn what_is_hidden_makes_no_difference() {
     let mut clusters = Vec::new();

@@ -1,19 +1,23 @@
-//! From draws to triangles on the screen: transform, outcodes, near-plane clipping, edge functions, bands.
+//! Triangle setup: transform, outcodes, near-plane clipping, edge functions, assignment to bands.
 
 use super::{
     NEAR_PLANE_M,
     gather::{Draw, Gathered, Mask},
     horizon::Horizon,
-    raster::BAND_ROWS,
 };
 use glam::{DMat3, DVec3};
 use ldi_protocol::{OutputCamera, Pose, mesh::MAX_CLUSTER_TRIANGLES};
 use std::ops::Range;
 
+/// Rows of a band, the unit of parallel work. Fewer rows list triangles more often, more rows
+/// balance worse.
+pub(super) const BAND_ROWS: usize = 32;
+
 /// Triangle number of a pixel that no triangle covers.
 pub(super) const NO_TRIANGLE: u32 = u32::MAX;
 
-/// The camera in the world, f64. Eye space here is (right, up, forward): depth is the third coordinate, positive ahead.
+/// The camera in the world, f64. Eye space here is (right, up, forward): depth is the third
+/// coordinate, positive ahead.
 pub(super) struct Projection {
     eye: DVec3,
     /// Rows are right, up and forward.
@@ -32,8 +36,9 @@ pub(super) struct EyeFromMesh {
 }
 
 impl EyeFromMesh {
-    /// Eye-space position of a vertex. Mesh positions are exact in f64 (origin and offset lie on one grid of powers of two),
-    /// so a vertex that several clusters share comes out the same in all.
+    /// Eye-space position of a vertex. Mesh positions are exact in f64 (origin and offset lie on
+    /// one grid of powers of two), so a vertex that several clusters share comes out the same in
+    /// all.
     #[inline]
     pub fn vertex(&self, origin: DVec3, offset: glam::Vec3) -> DVec3 {
         self.matrix * (origin + offset.as_dvec3()) + self.translation
@@ -73,7 +78,7 @@ impl Projection {
             | u8::from(p.z < NEAR_PLANE_M) << 4
     }
 
-    /// Where a point is on the picture, to a 256th of a pixel.
+    /// Position in the picture, to a 256th of a pixel.
     #[inline]
     fn project(&self, p: DVec3) -> [f64; 2] {
         let s = self.focal_px / p.z;
@@ -81,8 +86,9 @@ impl Projection {
     }
 }
 
-/// Pixels to the nearest 256th, as graphics cards take corners (Direct3D asks for eight bits, Vulkan's drivers offer them): an upright edge through a column of pixel centres is then on the same side for
-/// both. Edge functions of corners within 2^18 pixels are exact in f64.
+/// Rounds to a 256th of a pixel, the precision of GPUs (Direct3D requires eight bits, Vulkan
+/// drivers offer them): a vertical edge through pixel centres is then on the same side for both.
+/// Edge functions of corners within 2^18 pixels are exact in f64.
 #[inline]
 fn snapped(px: f64) -> f64 {
     /// Numbers of this size are multiples of a 256th: adding it rounds.
@@ -203,8 +209,8 @@ impl Task {
         }
     }
 
-    /// Cuts a triangle at the near plane. A cut point is computed from the inner to the outer end, so that
-    /// the two triangles of an edge find the same one.
+    /// Cuts a triangle at the near plane. A cut point is computed from the inner to the outer end,
+    /// so that the two triangles of an edge find the same one.
     fn add_clipped(&mut self, projection: &Projection, horizon: &Horizon, corners: [&Vertex; 3], id: u32, cutoff: f32) {
         let mut polygon = [*corners[0]; 4];
         let mut n = 0;
@@ -272,8 +278,8 @@ impl Task {
             b[i] = x1 - x0;
             c[i] = x0 * y1 - x1 * y0;
         }
-        // The plane n . X = n . p seen along the ray (x, y, 1) has disparity (n . ray) / (n . p). Edges from p keep their
-        // relative precision however far the triangle lies.
+        // The plane n . X = n . p seen along the ray (x, y, 1) has disparity (n . ray) / (n . p).
+        // Edges from p keep their relative precision however far the triangle lies.
         let normal = (q.eye - p.eye).cross(r.eye - p.eye);
         let scale = 1.0 / (normal.dot(p.eye) * projection.focal_px);
         let (da, db) = (normal.x * scale, -normal.y * scale);
@@ -321,7 +327,8 @@ impl Task {
     }
 }
 
-/// Whether earlier batches hide everything between these vertices, all of which lie before the near plane.
+/// Whether earlier batches hide everything between these vertices, all of which lie before the near
+/// plane.
 fn hidden(vertices: &[Vertex], projection: &Projection, horizon: &Horizon) -> bool {
     let (mut low, mut high, mut nearest_m) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2], f64::INFINITY);
     for v in vertices {

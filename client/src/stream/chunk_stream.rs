@@ -1,21 +1,21 @@
-//! Reads one unidirectional stream: a header and the bytes it announces, no more and no fewer.
+//! Reads one unidirectional stream: a header and exactly as many bytes as it announces.
 
 use ldi_protocol::wire::{StreamHeader, code};
 use quinn::{ReadError, RecvStream, VarInt};
 
-/// Bytes to begin with; more comes as it arrives, so that an announcement alone costs little.
+/// Initial capacity. Grows as bytes arrive, so that an announcement alone cannot allocate much.
 const FIRST_CAPACITY: usize = 256 * 1024;
 
-/// Why a stream brought nothing.
+/// A stream that brought no valid content.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum StreamError {
-    /// The server gave it up, or the connection ended.
+    /// The server reset the stream, or the connection ended.
     #[error("broken off after {bytes} bytes")]
     Off {
-        /// What came.
+        /// Received bytes.
         bytes: u64,
     },
-    /// Not what was announced.
+    /// The content does not match the announcement.
     #[error("{0}")]
     Wrong(String),
 }
@@ -30,7 +30,7 @@ pub(super) async fn header(stream: &mut RecvStream) -> Result<StreamHeader, Stre
     })
 }
 
-/// The body: exactly `header.bytes`.
+/// Reads the body of `header.bytes` bytes.
 pub(super) async fn body(stream: &mut RecvStream, header: &StreamHeader) -> Result<Vec<u8>, StreamError> {
     let wanted = header.bytes as usize;
     let mut bytes = Vec::with_capacity(wanted.min(FIRST_CAPACITY));
@@ -51,7 +51,7 @@ pub(super) async fn body(stream: &mut RecvStream, header: &StreamHeader) -> Resu
     }
 }
 
-/// Tells the server to stop.
+/// Tells the server to stop sending.
 pub(super) fn refuse(stream: &mut RecvStream, code: u32) {
     let _ = stream.stop(VarInt::from_u32(code));
 }

@@ -1,4 +1,5 @@
-//! How far behind the decoding is, and how fast it is: what the server has to know to send ahead no more than can be taken in.
+//! The decode backlog and decode rate of a connection, which the server needs in order to send no
+//! more ahead than can be decoded.
 
 use ldi_protocol::wire::ClientMessage;
 use std::{
@@ -9,21 +10,21 @@ use std::{
     time::Duration,
 };
 
-/// Stored bytes over which the rate is taken, roughly: an image or two. More: slower to notice that the machine got busy; less: one texture
-/// that decodes fast looks like a fast machine.
+/// Stored bytes over which the rate is averaged, about two images. Larger: a slower machine is
+/// noticed later; smaller: one cheap texture looks like a fast machine.
 const OVER_BYTES: f64 = 2e6;
-/// A change of what waits below this is not told.
+/// Smallest change of the backlog that is sent.
 const TELL_BYTES: u32 = 64 * 1024;
 
 #[derive(Debug, Default)]
 struct Recent {
     bytes: f64,
     seconds: f64,
-    /// Waiting bytes and rate as told last.
+    /// Backlog and rate that were sent last.
     last_sent: Option<(u32, u32)>,
 }
 
-/// The decoding of one connection's chunks. Counted by the threads that do it, told by the one that talks to the server.
+/// The decode backlog of one connection. Updated by the decoding threads, sent by the session.
 #[derive(Debug, Default)]
 pub(super) struct DecodeBacklog {
     waiting: AtomicU64,
@@ -31,17 +32,17 @@ pub(super) struct DecodeBacklog {
 }
 
 impl DecodeBacklog {
-    /// A chunk of so many stored bytes waits.
+    /// Adds a chunk of `bytes` stored bytes.
     pub fn arrived(&self, bytes: usize) {
         self.waiting.fetch_add(bytes as u64, Relaxed);
     }
 
-    /// It does no longer: it was given up.
+    /// Removes an abandoned chunk.
     pub fn remove(&self, bytes: usize) {
         self.waiting.fetch_sub(bytes as u64, Relaxed);
     }
 
-    /// It does no longer: it was decoded in this time, on one thread.
+    /// Removes a decoded chunk, and records its time on one thread.
     pub fn record_decoded(&self, bytes: usize, took: Duration) {
         self.remove(bytes);
         let mut r = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
@@ -50,12 +51,13 @@ impl DecodeBacklog {
         r.seconds = r.seconds * forget + took.as_secs_f64();
     }
 
-    /// What the server should know, if it is news: of so many threads.
+    /// The message for the server, if the backlog or the rate has changed. `threads`: decoding
+    /// threads.
     pub fn update_message(&self, threads: usize) -> Option<ClientMessage> {
         let mut r = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
         let waiting_bytes = u32::try_from(self.waiting.load(Relaxed)).unwrap_or(u32::MAX);
         let rate = if r.seconds > 0.0 { r.bytes / r.seconds * threads as f64 } else { 0.0 };
-        // Saturates.
+        // Saturating conversion.
         let bytes_per_s = rate as u32;
         let known = |(waiting, rate): (u32, u32)| {
             waiting.abs_diff(waiting_bytes) < TELL_BYTES && rate.abs_diff(bytes_per_s) <= rate / 8
@@ -87,7 +89,7 @@ mod tests {
         assert_eq!(b.update_message(2), None, "hardly anything");
         b.remove(990_000);
         assert_eq!(b.update_message(2), news(0, 20_000_000));
-        // The machine gets busy: after a few megabytes most of the old rate is forgotten.
+        // The machine becomes slower: after a few megabytes the rate has adapted.
         (0..60).for_each(|_| {
             b.arrived(100_000);
             b.record_decoded(100_000, Duration::from_millis(100));

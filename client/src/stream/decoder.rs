@@ -1,11 +1,13 @@
-//! Verifies and decodes chunks on threads of their own, what the view waits for first.
+//! The decoder: verifies and decodes chunks on its own threads, most urgent first.
 //!
-//! Decoding an image takes tens of milliseconds, so the order matters as much here as on the wire: in one queue for all, a cell that the view
-//! lacks waits behind images that nobody looks at yet. Chunks that the view waits for have a queue of their own, most urgent first; when it is full
-//! reading stops, and QUIC's windows stop the server. What was sent ahead comes after, those first that the view has come to need meanwhile;
-//! when too much of it waits, the rest is given up and the server is told, so that it never takes the streams that the view needs.
+//! Decoding an image takes long, so that order matters: in a single queue, a cell that the view
+//! lacks would wait behind images that no view needs yet. Chunks that the view waits for have their
+//! own queue, sorted by urgency. While it is full, reading stops, and QUIC's flow control stops the
+//! server. Chunks sent ahead follow, first those that the view has come to need. If too many of
+//! them wait, the rest is abandoned and the server is told, so that they never occupy the streams
+//! that the view needs.
 
-use super::{decode_backlog::DecodeBacklog, disk_loader::DiskChunks, stats::Collector};
+use super::{decode_backlog::DecodeBacklog, disk_chunks::DiskChunks, stats::Collector};
 use crate::cache::{Cache, Inserted};
 use ldi_protocol::wire::Urgency;
 use std::{
@@ -20,46 +22,48 @@ use std::{
 };
 use tokio::sync::{Semaphore, mpsc};
 
-/// Chunks per thread that the view waits for. With the streams being read they bound the memory of what is not decoded yet.
+/// Queue places per thread for chunks that the view waits for. Together with the open streams they
+/// bound the memory of undecoded chunks.
 const PRESSING: usize = 8;
-/// Bytes of whole chunks of one connection that wait for such a place, beyond which no further stream is begun. Bytes that are still to come must not count: the server may have put
-/// that chunk off for the one that would then wait for it, for ever.
+/// Bytes of complete chunks that may wait for a queue place before no further stream is accepted.
+/// Bytes still to be received must not count: the server may have suspended that chunk in favour of
+/// one that would then wait forever.
 const WAITING_BYTES: usize = 32 << 20;
-/// Bytes of chunks of one connection that were sent ahead and wait, beside those of the cache. Larger: more memory; smaller: more of what a fast link
-/// brings at the beginning is given up and sent again.
+/// Bytes of chunks sent ahead that may wait, per connection. Larger: more memory; smaller: on a
+/// fast connection more chunks are abandoned and sent again at the start.
 const AHEAD_BYTES: usize = 32 << 20;
-/// How many of those sent ahead are looked through for one that the view has come to need.
+/// Number of chunks sent ahead that are searched for one that the view needs.
 const LOOK_THROUGH: usize = 512;
 
-/// Where the chunks of one connection go.
+/// The destination of one connection's chunks.
 #[derive(Debug)]
 pub(super) struct DecodeTarget {
     pub cache: Arc<Cache>,
     pub stats: Arc<Collector>,
-    /// Numbers of chunks whose hash is wrong.
+    /// Receives numbers of chunks with a wrong hash.
     pub damaged: mpsc::UnboundedSender<u32>,
     /// See [`super::ConnectConfig::arrivals`].
     pub arrivals: Option<mpsc::UnboundedSender<(u32, Instant)>>,
-    /// Bytes of chunks sent ahead that wait.
+    /// Bytes of waiting chunks that were sent ahead.
     pub ahead_bytes: AtomicUsize,
-    /// Bytes of chunks that the view waits for and that have no place yet.
+    /// Bytes of chunks that wait for a queue place.
     pub waiting_bytes: AtomicUsize,
-    /// All that waits.
+    /// Backlog and rate of decoding.
     pub backlog: DecodeBacklog,
-    /// What lies on disk.
+    /// Chunks on disk.
     pub disk_chunks: Option<Arc<DiskChunks>>,
-    /// Chunks that were given up and not told yet.
+    /// Abandoned chunks that the server has not been told about.
     pub abandoned: Mutex<Vec<u32>>,
 }
 
 impl DecodeTarget {
-    /// Whether no further stream is to be begun, until a chunk has found its place.
+    /// Whether no further stream is accepted until a chunk has found a queue place.
     pub fn is_full(&self) -> bool {
         self.waiting_bytes.load(Relaxed) > WAITING_BYTES
     }
 
-    /// Given up chunks that the server should send again: those that the view has come to need, or all once the decoding has caught up. Told
-    /// earlier, the rest would come again at once and be given up again.
+    /// Takes the abandoned chunks that the server should send again: those that the view needs now,
+    /// or all once the backlog is small. Earlier, they would arrive and be abandoned again.
     pub fn take_abandoned(&self) -> Vec<u32> {
         let mut abandoned = self.abandoned.lock().unwrap_or_else(PoisonError::into_inner);
         if self.ahead_bytes.load(Relaxed) <= AHEAD_BYTES / 4 {
@@ -69,12 +73,12 @@ impl DecodeTarget {
     }
 }
 
-/// A chunk as it arrived, or one to be read from disk.
+/// A received chunk, or one to be read from disk.
 #[derive(Debug)]
 pub(super) struct DecodeJob {
     pub chunk: u32,
     pub urgency: Urgency,
-    /// None: it lies on the target's shelf, and was taken from it.
+    /// The chunk's bytes; None if it was claimed on disk and is to be read.
     pub bytes: Option<Vec<u8>>,
     pub target: Arc<DecodeTarget>,
 }
@@ -87,7 +91,7 @@ struct Waiting {
 }
 
 impl Waiting {
-    /// The next job, most urgent first; among equals the one that came first.
+    /// The most urgent job; among equals the oldest.
     fn claim(&mut self) -> Option<DecodeJob> {
         if let Some(at) = (0..self.pressing.len()).min_by_key(|i| self.pressing[*i].urgency) {
             return Some(self.pressing.remove(at));
@@ -101,7 +105,7 @@ impl Waiting {
 struct Queue {
     waiting: Mutex<Waiting>,
     arrived: Condvar,
-    /// Places for pressing chunks, waiting or being decoded.
+    /// Places for urgent chunks, waiting or being decoded.
     places: Semaphore,
 }
 
@@ -110,7 +114,7 @@ impl Queue {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What a thread does.
+    /// Body of a decoding thread.
     fn work(&self) {
         loop {
             let mut waiting = self.lock();
@@ -136,7 +140,7 @@ impl Queue {
             } else {
                 job.target.ahead_bytes.fetch_sub(bytes.len(), Relaxed);
             }
-            // The view need not wait for the disk.
+            // Writing to disk comes last, so that the view does not wait for it.
             if let Some(disk_chunks) = &job.target.disk_chunks
                 && job.target.cache.holds(job.chunk)
             {
@@ -146,7 +150,8 @@ impl Queue {
     }
 }
 
-/// Threads that verify and decode, for one connection or for many. They end, and are waited for, when the last owner drops the pool.
+/// Decoding threads, for one connection or several. Dropping the last handle ends them and waits
+/// for them.
 #[derive(Debug)]
 pub struct DecodePool {
     queue: Arc<Queue>,
@@ -170,12 +175,13 @@ impl DecodePool {
         Ok(pool)
     }
 
-    /// How many there are.
+    /// Number of threads.
     pub(super) fn threads(&self) -> usize {
         self.threads.len()
     }
 
-    /// Hands over a chunk. Waits for a place if the view waits for the chunk; gives it up if it was sent ahead and there is none.
+    /// Queues a chunk. Waits for a place if the view needs the chunk; abandons it if it was sent
+    /// ahead and there is none.
     pub(super) async fn send(&self, job: DecodeJob) {
         let bytes = job.bytes.as_ref().map_or(0, Vec::len);
         job.target.backlog.arrived(bytes);
@@ -201,7 +207,8 @@ impl DecodePool {
         self.queue.arrived.notify_one();
     }
 
-    /// Has a chunk read from disk. Takes no place and no memory until then; each waits once, so the index bounds them.
+    /// Queues a chunk to be read from disk. It takes no place and no memory until then; the index
+    /// bounds their number.
     pub(super) fn read(&self, job: DecodeJob) {
         let mut waiting = self.queue.lock();
         match job.urgency.is_pressing() {
@@ -223,17 +230,17 @@ impl Drop for DecodePool {
     }
 }
 
-/// Reads a chunk from disk and takes it in.
+/// Reads a chunk from disk and decodes it.
 fn read(job: &DecodeJob) {
     let DecodeTarget { cache, stats, disk_chunks, arrivals, abandoned, .. } = &*job.target;
     let Some(disk_chunks) = disk_chunks else { return };
     let bytes = disk_chunks.read(job.chunk);
     let read = bytes.as_ref().map_or(0, |b| b.len() as u64);
-    // Counted first: who waits for the chunk may look at the statistics as soon as it is there.
+    // Counted before it is visible to those who wait for the chunk.
     stats.read_from_disk(read);
     let taken = bytes.and_then(|bytes| cache.insert(job.chunk, &bytes).ok());
     if taken == Some(Inserted::Held) {
-        // A frame that uses it uses nothing that came over the network.
+        // The chunk's use does not count as use of received bytes.
         cache.count_elsewhere(job.chunk);
         if let Some(arrivals) = arrivals {
             let _ = arrivals.send((job.chunk, Instant::now()));
@@ -256,10 +263,10 @@ fn decode(job: &DecodeJob, chunk_bytes: &[u8]) {
         let _ = damaged.send(job.chunk);
         return;
     }
-    // Counted first: who waits for the chunk may look at the statistics as soon as it is there.
+    // Counted before it is visible to those who wait for the chunk.
     stats.arrived(job.chunk, entry.stored_bytes, job.urgency);
     match cache.insert(job.chunk, chunk_bytes) {
-        // Refused for want of room is received all the same; no frame uses it.
+        // A refused chunk counts as received and unused.
         Ok(Inserted::NoRoom) => {}
         Ok(Inserted::Held) => {
             if let Some(arrivals) = arrivals {
@@ -271,7 +278,7 @@ fn decode(job: &DecodeJob, chunk_bytes: &[u8]) {
             stats.duplicate(bytes);
         }
         Err(e) => {
-            // The hash is right, so asking again would bring the same bytes.
+            // The hash is correct, so that a retry would bring the same bytes.
             stats.take_back(entry.stored_bytes);
             stats.damaged(bytes);
             cache.mark_damaged(job.chunk);
@@ -285,7 +292,7 @@ mod tests {
     use super::*;
     use crate::cache::fixture::{FIRST_CELL, LDI, street};
 
-    /// Chunks of a street whose far half is an image; nothing decodes.
+    /// Chunks of a street whose far half is an image; none of them can be decoded.
     fn target() -> (Arc<DecodeTarget>, mpsc::UnboundedReceiver<u32>) {
         let (damaged, damage) = mpsc::unbounded_channel();
         let cache = Arc::new(Cache::new(Arc::new(street(60, 8).index), 1 << 30));
@@ -317,7 +324,7 @@ mod tests {
         let now = |chunk| job(&target, chunk, Urgency::Now);
         waiting.ahead.extend([10, 11, 12].map(|c| job(&target, c, Urgency::Around)));
         waiting.pressing.extend([job(&target, 20, Urgency::Fine), now(21), now(22)]);
-        // The view has come to need one of those sent ahead.
+        // The view has come to need a chunk that was sent ahead.
         target.cache.pin([11]);
         let order: Vec<u32> = std::iter::from_fn(|| waiting.claim()).map(|j| j.chunk).collect();
         assert_eq!(order, [21, 22, 20, 11, 10, 12]);
@@ -349,7 +356,7 @@ mod tests {
         }
         assert_eq!(full, [false, false, false, false, true, true], "beyond four quarters");
         assert_eq!(pool.queue.lock().pressing.len(), PRESSING);
-        // Two are decoded: so many find their place, and streams are begun again.
+        // Two chunks are decoded: two others get their places, and streams are accepted again.
         pool.queue.places.add_permits(2);
         for _ in 0..2 {
             tasks.join_next().await;
@@ -396,7 +403,7 @@ mod tests {
                 pool.send(job(&target, FIRST_CELL + chunk, urgency)).await;
             }
         });
-        // Their bytes are not what the index says: each is told as damaged, or was given up.
+        // Their bytes do not match the index: each is reported as damaged, or was abandoned.
         let mut damaged = 0;
         let until = Instant::now() + std::time::Duration::from_secs(20);
         while target.stats.snapshot(0).damaged + target.stats.snapshot(0).abandoned < 40 && Instant::now() < until {

@@ -1,4 +1,4 @@
-//! From an address to a connection with a manifest.
+//! The handshake: connects to an address and fetches the manifest.
 
 use super::{
     ConnectConfig, ConnectError, Fingerprint, ResumeState,
@@ -18,7 +18,7 @@ use quinn::{Connection, ConnectionError, Endpoint, RecvStream, SendStream};
 use std::{net::SocketAddr, sync::Arc, time::Duration};
 use tokio::time::timeout;
 
-/// An open connection whose manifest is here.
+/// An open connection with its manifest.
 pub(super) struct Opened {
     pub endpoint: Endpoint,
     pub link: Option<Arc<SimulatedSocket>>,
@@ -27,9 +27,9 @@ pub(super) struct Opened {
     pub recv: RecvStream,
     pub dataset: ChunkHash,
     pub index: Arc<Index>,
-    /// The manifest as far as it is here, when the index is that of a first picture.
+    /// The pages that have arrived, if the index is a partial one.
     pub rest: Option<IndexPages>,
-    /// Whether the server tells where other walkers are.
+    /// Whether the server sends the other walkers' poses.
     pub tells_others: bool,
 }
 
@@ -40,7 +40,7 @@ pub(super) async fn open(config: &ConnectConfig) -> Result<Opened, ConnectError>
     for address in transport::resolve(&config.server)? {
         match dial(config, address).await {
             Ok(dialed) => return converse(config, dialed).await,
-            // Only silence makes another address worth a try.
+            // Only a missing answer makes another address worth trying.
             Err(e @ ConnectError::Unreachable { .. }) => last = Some(e),
             Err(e) => return Err(e),
         }
@@ -69,7 +69,8 @@ async fn dial(config: &ConnectConfig, address: SocketAddr) -> Result<Dialed, Con
     }
 }
 
-/// A step of the conversation. Each has its own limit: a manifest of megabytes takes long over a slow line, but something comes.
+/// A step of the conversation with its own timeout: a large manifest takes long over a slow
+/// connection, but data keeps arriving.
 async fn step<T>(
     config: &ConnectConfig,
     what: impl Future<Output = Result<T, ConnectError>>,
@@ -81,7 +82,7 @@ async fn step<T>(
 async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) -> Result<Opened, ConnectError> {
     let (mut send, mut recv) = connection.open_bi().await.map_err(|e| lost(&e))?;
     let known = config.disk.as_ref().map_or_else(Vec::new, |d| d.manifests());
-    // Of an earlier connection, in memory.
+    // A manifest in memory, from an earlier connection.
     let resumed = config.resume.as_ref().filter(|k| k.cache.index().is_whole());
     let names = resumed.map(|k| k.dataset).into_iter().chain(known.iter().map(|(root, _)| root.hash));
     let names = names.take(MAX_MANIFESTS).collect();
@@ -99,7 +100,7 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
     });
     let hello = wire::encode(&hello).map_err(|e| ConnectError::Local(e.to_string()))?;
     config.progress.enter(Phase::Asking);
-    // A refusal may come before the message is out: then reading says why.
+    // The server may refuse before the message is sent: reading returns the reason.
     let _ = send.write_all(&hello).await;
     let welcome = match step(config, read_message::<ServerMessage>(&mut recv, &connection)).await? {
         ServerMessage::Welcome(w) => w,
@@ -138,7 +139,7 @@ fn named(
     manifest::assemble(root, pages).map(Arc::new).map_err(|e| ConnectError::Protocol(e.to_string()))
 }
 
-/// The index, and what is still to come of the manifest when it is that of a first picture.
+/// Fetches the index, and returns the pages still to come if it is a partial one.
 async fn fetch_manifest(
     config: &ConnectConfig,
     welcome: &Welcome,
@@ -178,7 +179,7 @@ async fn fetch_manifest(
     Ok((pages.assemble(config.disk.as_deref())?, None))
 }
 
-/// The next frame of the control stream.
+/// Reads the next message of the control stream.
 pub(super) async fn read_message<M: Message>(
     recv: &mut RecvStream,
     connection: &Connection,
@@ -199,7 +200,7 @@ async fn read_frame(recv: &mut RecvStream, connection: &Connection, limit: usize
     match read.await {
         Ok(()) => Ok(body),
         Err(e @ ConnectError::Protocol(_)) => Err(e),
-        // The stream ends a moment before the connection does, and only the connection says why.
+        // The stream ends before the connection does, which holds the reason.
         Err(e) => Err(match timeout(Duration::from_millis(500), connection.closed()).await {
             Ok(reason) => lost(&reason),
             Err(_) => e,
@@ -207,7 +208,7 @@ async fn read_frame(recv: &mut RecvStream, connection: &Connection, limit: usize
     }
 }
 
-/// What the end of a connection means.
+/// Converts the end of a connection to an error.
 pub(super) fn lost(e: &ConnectionError) -> ConnectError {
     let ConnectionError::ApplicationClosed(close) = e else { return ConnectError::Lost(e.to_string()) };
     let message = String::from_utf8_lossy(&close.reason).into_owned();

@@ -1,9 +1,9 @@
-//! Where other walkers are: wished for by whoever shows it, told by the server, kept through connections that come and go.
+//! The other walkers' poses: requested by the map, sent by the server, kept across connections.
 
 use ldi_protocol::{said::escaped, wire::Other};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// See the module.
+/// Shared by the map and the session.
 #[derive(Debug, Default)]
 pub struct OtherWalkers(Mutex<Known>);
 
@@ -13,7 +13,8 @@ struct Known {
     walkers: Option<Vec<Other>>,
 }
 
-/// Whether somebody wants to know, and the how manieth wish this is: one that comes back before the server heard that it was gone is a new one, as what was known is forgotten.
+/// A request for the other walkers, with its number. A request that is repeated before the server
+/// knew of its withdrawal has a new number, as the previous poses are dropped.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct OthersRequest {
     pub wanted: bool,
@@ -21,7 +22,7 @@ pub(super) struct OthersRequest {
 }
 
 impl OtherWalkers {
-    /// Asks the server to tell, or to stop.
+    /// Requests the other walkers' poses, or ends the request.
     pub fn set_wanted(&self, wanted: bool) {
         let mut known = self.lock();
         if known.request_state.wanted != wanted {
@@ -30,7 +31,7 @@ impl OtherWalkers {
         }
     }
 
-    /// As the server said last; None when it has not, or does not tell.
+    /// The poses sent last; None before any, or if the server does not send them.
     pub fn list(&self) -> Option<Vec<Other>> {
         self.lock().walkers.clone()
     }
@@ -42,7 +43,7 @@ impl OtherWalkers {
     pub(super) fn set(&self, mut walkers: Vec<Other>) {
         walkers.iter_mut().for_each(|w| w.name = escaped(&w.name).into_owned());
         let mut known = self.lock();
-        // What comes after the wish is gone is old by the time of the next one.
+        // Poses that arrive after the request has ended would be outdated at the next one.
         if known.request_state.wanted {
             known.walkers = Some(walkers);
         }

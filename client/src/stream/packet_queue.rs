@@ -1,12 +1,12 @@
-//! One direction of a link, with what is on its way: packets go in when they are sent, and come out when they have arrived.
+//! The packets in transit in one direction of a simulated link.
 
 use super::simulated_link::{Direction, Fate, LinkCounts, LinkSpec, SimulatedLink};
 use std::{cmp::Reverse, collections::BinaryHeap, time::Duration};
 
-/// Packets on their way in one direction: 100 MB, a second at 800 Mbit/s. What comes beyond is dropped and counted.
+/// Largest number of packets in transit. Packets beyond are dropped and counted.
 pub(super) const MAX_WAITING: usize = 1 << 16;
 
-/// A packet with its time of arrival; a number keeps the order of those that arrive together.
+/// A packet with its time of arrival. The number keeps the order of packets that arrive together.
 #[derive(Debug)]
 struct Waiting<P> {
     at: Duration,
@@ -31,7 +31,7 @@ impl<P> Ord for Waiting<P> {
     }
 }
 
-/// A [`SimulatedLink`] and the packets that are on it, whatever they are made of. Time comes in and never goes back.
+/// A [`SimulatedLink`] with the packets in transit, of any type. Times are non-decreasing.
 #[derive(Debug)]
 pub struct PacketQueue<P> {
     link: SimulatedLink,
@@ -40,7 +40,7 @@ pub struct PacketQueue<P> {
 }
 
 impl<P: Clone> PacketQueue<P> {
-    /// An idle lane.
+    /// An idle link.
     pub fn new(spec: LinkSpec, direction: Direction) -> Self {
         Self { link: SimulatedLink::new(spec, direction), waiting: BinaryHeap::new(), next: 0 }
     }
@@ -79,7 +79,7 @@ impl<P: Clone> PacketQueue<P> {
         self.waiting.pop().map(|w| w.0.packet)
     }
 
-    /// What became of the packets so far.
+    /// Packet counts so far.
     pub fn counts(&self) -> LinkCounts {
         self.link.counts()
     }

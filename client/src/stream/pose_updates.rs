@@ -1,7 +1,8 @@
-//! When poses go: those that the server could not foretell, and now and then one of the others, as datagrams get lost.
+//! Pose updates: which poses are sent, and when.
 //!
-//! Dead reckoning, as networked simulations do it: both ends know the last two poses that went, and with them how the eye moves; while it goes on like that,
-//! what the server foresees holds, and a pose would only cost both ends a packet and a plan.
+//! Dead reckoning, as in networked simulations: both ends extrapolate the motion of the last two
+//! sent poses. While the eye follows that motion, the server's prediction holds, and a pose would
+//! only cost a packet and a plan. Predicted poses are sent rarely, as datagrams get lost.
 
 use glam::DVec3;
 use ldi_protocol::{Pose, camera::apart_deg};
@@ -14,22 +15,23 @@ use tokio::{
     time::{Instant, sleep_until},
 };
 
-/// Poses that follow one another go no closer than this, so of 60 per second every other one at most: the server plans again after 25 ms at the soonest.
+/// Shortest interval between poses, about two frames: the server does not plan more often.
 const LEAST_INTERVAL: Duration = Duration::from_millis(30);
-/// One goes after this time even if it was foretold. Longer: fewer packets, and what the server foresees is older.
+/// Longest interval between poses of a moving eye. Longer: fewer packets, and an older prediction.
 const MOST_INTERVAL: Duration = Duration::from_millis(100);
-/// A pose is foretold if it is no farther than this from where the motion so far leads, metres and degrees.
+/// A pose is predicted if it is within this distance of the extrapolated motion, metres and
+/// degrees.
 const FORETOLD: (f64, f64) = (0.03, 2.0);
-/// A pose this far from there goes at once, but no closer to the last one than [`JUMP_INTERVAL`].
+/// A pose beyond this distance is sent at once, but not sooner than [`JUMP_INTERVAL`].
 const ELSEWHERE: (f64, f64) = (0.5, 15.0);
-/// The server throws out who sends 250 per second.
+/// Shortest interval of unpredicted jumps, within the server's rate limit.
 const JUMP_INTERVAL: Duration = Duration::from_millis(10);
-/// One that went at once is repeated after this time.
+/// Time until a pose that was sent at once is repeated.
 const FIRST_REPEAT: Duration = Duration::from_millis(50);
-/// A pose that stays the same is repeated after [`MOST_INTERVAL`], then after twice as long, and so on up to this.
+/// An unchanged pose is repeated after [`MOST_INTERVAL`], then after doubled intervals up to this.
 const MAX_REPEAT: Duration = Duration::from_secs(2);
 
-/// What went last, and when the newest pose goes. Pure: time comes in, as the time since any beginning.
+/// Decides when poses are sent. Pure: time is passed in.
 #[derive(Debug, Default)]
 pub struct PoseClock {
     newest: Option<Pose>,
@@ -38,18 +40,18 @@ pub struct PoseClock {
     repeat: Duration,
 }
 
-/// A pose that went.
+/// A sent pose, and the motion at that time.
 #[derive(Debug, Clone, Copy)]
 struct Sent {
     pose: Pose,
     at: Duration,
     velocity_m_s: DVec3,
-    /// Yaw and pitch, degrees per second.
+    /// Yaw and pitch rate, degrees per second.
     turn_deg_s: [f64; 2],
 }
 
 impl Sent {
-    /// How far a pose is from where the motion so far leads, metres and degrees.
+    /// Distance of a pose from the extrapolated motion, metres and degrees.
     fn off(&self, pose: &Pose, now: Duration) -> (f64, f64) {
         let t = now.saturating_sub(self.at).as_secs_f64();
         let place = self.pose.position + self.velocity_m_s * t;
@@ -58,7 +60,7 @@ impl Sent {
         (pose.position.distance(place), turn)
     }
 
-    /// After it, this one went.
+    /// The state after the next sent pose.
     fn then(&self, pose: Pose, at: Duration) -> Self {
         let t = (at.saturating_sub(self.at)).as_secs_f64().max(1e-3);
         Self {
@@ -70,7 +72,7 @@ impl Sent {
     }
 }
 
-/// From one pose to another in yaw and pitch, degrees.
+/// Turn from one pose to another in yaw and pitch, degrees.
 fn turned(from: &Pose, to: &Pose) -> [f64; 2] {
     [apart_deg(from.yaw_deg, to.yaw_deg), to.pitch_deg - from.pitch_deg]
 }
@@ -80,7 +82,7 @@ fn beyond((metres, degrees): (f64, f64), limit: (f64, f64)) -> bool {
 }
 
 impl PoseClock {
-    /// The eye is here now. Whether the newest pose goes sooner than was said before.
+    /// Sets the eye's pose. Returns whether a pose is due sooner than before.
     pub fn update_view(&mut self, pose: &Pose, now: Duration) -> bool {
         self.newest = Some(*pose);
         let due = match &self.sent {
@@ -105,7 +107,7 @@ impl PoseClock {
         sooner
     }
 
-    /// The newest pose, if its time has come.
+    /// Takes the newest pose, if it is due.
     pub fn take(&mut self, now: Duration) -> Option<Pose> {
         let pose = self.newest.filter(|_| self.due.is_some_and(|due| now >= due))?;
         let jumped = self.sent.as_ref().is_none_or(|s| beyond(s.off(&pose, now), ELSEWHERE));
@@ -121,7 +123,7 @@ impl PoseClock {
     }
 }
 
-/// Poses on their way from the render thread to the one that sends.
+/// Poses passed from the render thread to the session.
 #[derive(Debug)]
 pub(super) struct PoseUpdates {
     clock: Mutex<PoseClock>,
@@ -136,11 +138,11 @@ impl PoseUpdates {
     }
 
     fn with<T>(&self, f: impl FnOnce(&mut PoseClock, Duration) -> T) -> T {
-        // A panic while it is held would leave a clock that is as good as any.
+        // The state is valid even after a panic.
         f(&mut self.clock.lock().unwrap_or_else(PoisonError::into_inner), self.began.elapsed())
     }
 
-    /// The eye is here now.
+    /// Sets the eye's pose.
     pub fn update_view(&self, pose: &Pose) {
         if self.with(|clock, now| clock.update_view(pose, now)) {
             self.sooner.notify_one();
@@ -152,7 +154,7 @@ impl PoseUpdates {
         self.with(|clock, _| clock.newest)
     }
 
-    /// Waits until a pose goes. Nothing is lost if the waiting is given up.
+    /// Waits until a pose is due. Cancel-safe.
     pub async fn next(&self) -> Pose {
         loop {
             let (pose, due) = self.with(|clock, now| (clock.take(now), clock.due));
@@ -185,7 +187,8 @@ mod tests {
         Duration::from_millis(ms)
     }
 
-    /// Milliseconds at which poses go of a walk looked at 60 times per second, its clock read every millisecond.
+    /// Times in milliseconds at which poses of a walk are sent. The walk is updated 60 times per
+    /// second, the clock read every millisecond.
     fn went(clock: &mut PoseClock, walk: impl Fn(f64) -> Pose, from_ms: u64, to_ms: u64) -> Vec<u64> {
         let mut out = Vec::new();
         for t in from_ms..to_ms {

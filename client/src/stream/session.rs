@@ -1,4 +1,4 @@
-//! The streaming thread: one loop that owns the control stream, and one task per chunk that arrives.
+//! The session: one loop that owns the control stream, and one task per received stream.
 
 use super::{
     ConnectConfig, ConnectError,
@@ -6,7 +6,8 @@ use super::{
     decode_backlog::DecodeBacklog,
     decoder::{DecodeJob, DecodePool, DecodeTarget},
     disk::DiskCache,
-    disk_loader::{DiskChunks, DiskLoader},
+    disk_chunks::DiskChunks,
+    disk_loader::DiskLoader,
     handshake::{self, Opened},
     index_pages::{IndexPages, is_listed},
     other_walkers::{OtherWalkers, OthersRequest},
@@ -36,34 +37,35 @@ use tokio::{
     time::{interval, timeout},
 };
 
-/// How often a damaged chunk is asked for again. The wire has checksums, so damage is nearly always on the server's disk.
+/// Number of retries of a damaged chunk. QUIC verifies its packets, so that the damage is nearly
+/// always on the server's disk.
 pub const MAX_RETRIES: u8 = 2;
-/// After this much movement, metres, what lies around the eye is counted as used anew.
+/// Movement after which data around the eye is marked as used again, metres.
 const TOUCH_STEP_M: f64 = 0.5;
-/// So far around the eye data is kept in memory and read from disk unasked, metres.
+/// Radius around the eye in which data is kept in memory and loaded from disk, metres.
 const AROUND_M: f64 = 5.0;
-/// Time for the goodbye.
+/// Timeout of the goodbye.
 const GOODBYE: Duration = Duration::from_millis(500);
 
-/// What the render thread wants.
+/// Commands of the render thread.
 pub(super) enum Command {
     Want(Vec<u32>),
     Fetch(Request, oneshot::Sender<Result<(u32, Vec<u8>), ConnectError>>),
     Close,
 }
 
-/// The connection is up.
+/// An established connection.
 pub(super) struct Ready {
     pub dataset: ChunkHash,
     pub cache: Arc<Cache>,
-    /// Where there is a disk cache.
+    /// The disk loader, with a disk cache.
     pub loader: Option<DiskLoader>,
 }
 
-/// Says once how connecting went.
+/// Receives the outcome of connecting, once.
 pub(super) type ReadyCallback = Box<dyn FnOnce(Result<Ready, ConnectError>) + Send>;
 
-/// The body of a thread of its own: a small runtime with one connection.
+/// Body of the streaming thread: a runtime with one connection.
 pub(super) fn run(
     config: ConnectConfig,
     stats: Arc<Collector>,
@@ -77,7 +79,7 @@ pub(super) fn run(
     }
 }
 
-/// One connection from the first to the last byte.
+/// Runs one connection until it ends.
 pub(super) async fn stream(
     config: ConnectConfig,
     stats: Arc<Collector>,
@@ -148,7 +150,7 @@ pub(super) async fn stream(
     let _ = timeout(GOODBYE, endpoint.wait_idle()).await;
 }
 
-/// The cache of an earlier connection when it is of the same dataset, else a new one.
+/// The cache of an earlier connection to the same dataset, or a new one.
 fn cache_for(config: &ConnectConfig, opened: &Opened) -> Arc<Cache> {
     if let Some(old) = &config.resume
         && old.dataset == opened.dataset
@@ -173,16 +175,16 @@ struct Session {
     pool: Arc<DecodePool>,
     target: Arc<DecodeTarget>,
     loader: Option<DiskLoader>,
-    /// What lies around the eye, near to far, for the disk.
+    /// Chunks around the eye, near to far, for the disk loader.
     around: Vec<u32>,
     disk: Option<Arc<DiskCache>>,
     progress: Arc<ConnectProgress>,
-    /// The manifest, while pages of it are to come.
+    /// The manifest, until all pages have arrived.
     rest: Option<IndexPages>,
-    /// The whole index is being put together.
+    /// The task that assembles the complete index.
     assembling: Option<JoinHandle<Result<Index, ConnectError>>>,
     others: Arc<OtherWalkers>,
-    /// The wish that the server knows of; None for one that does not tell.
+    /// The request that the server knows; None if the server does not send other walkers.
     others_requested: Option<OthersRequest>,
 }
 
@@ -208,7 +210,8 @@ impl Session {
         let mut tick = interval(SAMPLE_EVERY);
         loop {
             tokio::select! {
-                // A stream that was read to its end no longer counts for QUIC: chunks that wait for a decoder must count here.
+                // QUIC does not count streams that were read to the end: chunks that wait for
+                // decoding are counted here.
                 stream = self.connection.accept_uni(), if tasks.len() <= MAX_STREAMS as usize && !self.target.is_full() => {
                     let stream = stream.map_err(|e| handshake::lost(&e))?;
                     tasks.spawn(intake.clone().receive_chunk(stream));
@@ -236,7 +239,7 @@ impl Session {
         }
     }
 
-    /// Tells what is held from before.
+    /// Tells the server which chunks are held.
     async fn send_held(&mut self) -> Result<(), ConnectError> {
         let mut have = self.cache.held();
         if let Some(loader) = &self.loader {
@@ -247,7 +250,7 @@ impl Session {
         self.send_list(have, |chunks| ClientMessage::Have { chunks }).await
     }
 
-    /// A page after the walk has begun; with the last one the index is put together, which takes a moment and a thread.
+    /// Adds a page. The last one starts a task that assembles the index.
     fn on_page(&mut self, number: u32, bytes: Vec<u8>) {
         let Some(rest) = &mut self.rest else { return };
         self.progress.page(bytes.len() as u64);
@@ -266,7 +269,7 @@ impl Session {
         self.send_whole().await
     }
 
-    /// The server may send whatever views need, and knows before what is held.
+    /// Tells the server that the index is complete, after the held chunks.
     async fn send_whole(&mut self) -> Result<(), ConnectError> {
         self.send_held().await?;
         self.ready_callback(&ClientMessage::Whole).await
@@ -276,13 +279,13 @@ impl Session {
         self.sequence = self.sequence.wrapping_add(1);
         let sent_us = self.started.elapsed().as_micros() as u64;
         let datagram = PoseDatagram { sequence: self.sequence, sent_us, pose };
-        // A full buffer drops the oldest pose, which is the right one to lose.
+        // A full buffer drops the oldest pose, which is the right one to drop.
         if let Err(e) = self.connection.send_datagram(datagram.encode().to_vec().into()) {
             tracing::debug!("pose: {e}");
         }
     }
 
-    /// Sends lists in parts that fit a message.
+    /// Sends a list in parts that fit a message.
     async fn send_list(
         &mut self,
         chunks: Vec<u32>,
@@ -309,7 +312,7 @@ impl Session {
                 chunks.into_iter().for_each(|c| self.cache.mark_damaged(c));
             }
             ServerMessage::Others { walkers } => self.others.set(walkers),
-            // Of the handshake: they mean nothing now.
+            // Handshake messages have no meaning here.
             ServerMessage::Welcome(_) | ServerMessage::Refused { .. } => {}
         }
     }
@@ -326,7 +329,7 @@ impl Session {
                 "arrived damaged {tries} times and is given up; check the dataset with `ldi-server verify`"
             );
             self.cache.mark_damaged(chunk);
-            // Or it would come with every pose that needs it.
+            // Otherwise it would be sent with every pose that needs it.
             return self.send_list(vec![chunk], |chunks| ClientMessage::Have { chunks }).await;
         }
         tracing::info!(chunk, "arrived damaged, asked for again");
@@ -358,7 +361,7 @@ impl Session {
         }
         let mut gone = self.cache.take_evicted(Instant::now());
         if let Some(loader) = &self.loader {
-            // It leaves the memory, not this machine.
+            // Evicted chunks that are on disk stay held.
             gone.retain(|c| !loader.disk_chunks.holds(*c));
         }
         gone.extend(self.target.take_abandoned());
@@ -381,7 +384,7 @@ async fn read_messages(
     }
 }
 
-/// The whole index, when it is put together.
+/// The complete index, when its task is done.
 async fn assembled(assembling: &mut Option<JoinHandle<Result<Index, ConnectError>>>) -> Result<Index, ConnectError> {
     let Some(task) = assembling else { return std::future::pending().await };
     let done = task.await;
@@ -389,17 +392,17 @@ async fn assembled(assembling: &mut Option<JoinHandle<Result<Index, ConnectError
     done.unwrap_or_else(|e| Err(ConnectError::Local(e.to_string())))
 }
 
-/// Where streams go.
+/// The destination of received streams.
 struct ChunkReceiver {
     target: Arc<DecodeTarget>,
     pool: Arc<DecodePool>,
-    /// Pages that may come.
+    /// Pages that may arrive.
     listed: Vec<PageEntry>,
     page_sender: mpsc::Sender<(u32, Vec<u8>)>,
 }
 
 impl ChunkReceiver {
-    /// Takes in one page, for the session, or one chunk, for the decoding threads.
+    /// Receives a page for the session, or a chunk for the decoder.
     async fn receive_chunk(self: Arc<Self>, mut stream: RecvStream) {
         match self.receive(&mut stream).await {
             Ok(()) => {}
@@ -426,7 +429,7 @@ impl ChunkReceiver {
         }
         let bytes = chunk_stream::body(stream, &header).await?;
         if header.kind == StreamKind::Page {
-            // The session is gone when nobody takes it.
+            // Nobody receives pages after the session has ended.
             let _ = self.page_sender.send((header.number, bytes)).await;
             return Ok(());
         }
@@ -436,7 +439,7 @@ impl ChunkReceiver {
     }
 }
 
-/// One request on a stream of its own.
+/// Performs a request on its own stream.
 async fn fetch(
     connection: Connection,
     request: Request,

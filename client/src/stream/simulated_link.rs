@@ -1,51 +1,57 @@
-//! A network link as arithmetic: what becomes of each packet, given when it is sent. No sockets, no clock, no threads.
+//! A simulated network link as pure arithmetic: the fate of each packet, given its send time. No
+//! sockets, no clock, no threads.
 //!
-//! In: `rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=10s:2s,queue=100ms,seed=1` ([`LinkSpec`]), and packets with their times. Out: per packet
-//! a time of arrival, or why it never arrives ([`Fate`]). [`super::simulated_socket`] puts two of these, one per direction, between QUIC and the wire.
+//! In: `rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=10s:2s,queue=100ms,seed=1`
+//! ([`LinkSpec`]), and packets with their times. Out: per packet a time of arrival, or the reason
+//! why it does not arrive ([`Fate`]). [`super::simulated_socket`] places two of these, one per
+//! direction, between QUIC and the network.
 //!
 //! ```text
 //!            queue: drops what would wait too long      wire: loses at random, delays
 //!   sent ──▶ ▤▤▤▤▤▤ ──▶ one packet at a time, at `rate` ──▶ ·  ·   ·  ·──▶ arrived
 //! ```
 //!
-//! - A packet takes (bytes + [`HEADER_BYTES`]) / rate to pass, after those before it have. One that would have to wait longer than `queue` until
-//!   its turn is dropped at the tail.
-//! - Then it is lost with probability `loss`; a lost packet has used its share of the rate, as on a radio link. During a `blackout` all are lost.
-//! - Then it takes `delay`, and up to `jitter` more, evenly spread. Packets overtake each other only by that.
-//! - With probability `dup` it arrives twice, the second time with a lateness of its own.
+//! - A packet takes (bytes + [`HEADER_BYTES`]) / rate to pass, after those before it. A packet that
+//!   would have to wait longer than `queue` is dropped.
+//! - Then it is lost with probability `loss`; a lost packet has used its share of the rate, as on a
+//!   radio link. During a `blackout` all packets are lost.
+//! - Then it takes `delay`, and up to `jitter` more, uniformly distributed. Only jitter reorders
+//!   packets.
+//! - With probability `dup` it arrives twice, the second time with its own jitter.
 //!
-//! The fate of the n-th packet of a direction draws on a hash of (seed, direction, n) and nothing else, so that the same packets at the same times
-//! have the same fates, and a change in one packet's time does not shift the luck of those after it.
+//! The fate of the n-th packet of a direction depends on a hash of (seed, direction, n) alone, so
+//! that the same packets at the same times have the same fates, and a change in one packet's time
+//! does not affect the random numbers of later ones.
 
 use std::{fmt, str::FromStr, time::Duration};
 
-/// IPv4 and UDP headers, which a link carries beside what is counted as a packet's bytes.
+/// Bytes of IPv4 and UDP headers, which a link carries in addition to a packet's bytes.
 pub const HEADER_BYTES: usize = 28;
-/// Slowest rate, bits per second: below it a single packet takes more than a second.
+/// Slowest rate, bits per second.
 const MIN_RATE_BIT_S: f64 = 8_000.0;
-/// Fastest rate: above it the arithmetic is no limit on anything that runs here.
+/// Fastest rate, bits per second.
 const MAX_RATE_BIT_S: f64 = 1e12;
-/// Longest delay, jitter and queue: QUIC gives up long before.
+/// Longest delay, jitter and queue, below QUIC's timeout.
 const MAX_TIME: Duration = Duration::from_secs(60);
 
-/// What lies between client and server, the same in both directions.
+/// The link between client and server, the same in both directions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LinkSpec {
-    /// Bits per second, IP and UDP headers included. None: as fast as can be.
+    /// Bits per second, including IP and UDP headers. None: unlimited.
     pub rate_bit_s: Option<f64>,
-    /// One way.
+    /// One-way delay.
     pub delay: Duration,
-    /// Longest addition to `delay`; more than the time between two packets lets them overtake each other.
+    /// Largest addition to `delay`. Reorders packets if it exceeds the time between two of them.
     pub jitter: Duration,
     /// Share of packets lost at random, 0 to 1.
     pub loss: f64,
     /// Share of packets that arrive twice, 0 to 1.
     pub duplicates: f64,
-    /// From when on, since the link began, and for how long every packet is lost.
+    /// Start, since the link began, and length of the time in which every packet is lost.
     pub blackout: Option<(Duration, Duration)>,
-    /// Longest wait before the link. Without a rate nobody waits.
+    /// Longest wait before the link; without a rate there is none.
     pub queue: Duration,
-    /// Another seed, other packets lost.
+    /// Seed of the random numbers.
     pub seed: u64,
 }
 
@@ -64,7 +70,7 @@ impl Default for LinkSpec {
     }
 }
 
-/// A `--link` that is none.
+/// An invalid `--link`.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{0}; for example rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=10s:2s,queue=100ms,seed=1, each of them optional"
@@ -120,7 +126,7 @@ impl FromStr for LinkSpec {
 }
 
 impl fmt::Display for LinkSpec {
-    /// As it can be read again.
+    /// Writes the specification in the form that is parsed.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(rate) = self.rate_bit_s {
             write!(f, "rate={}kbit,", rate / 1e3)?;
@@ -138,7 +144,7 @@ impl fmt::Display for LinkSpec {
     }
 }
 
-/// A number that is not negative, with one of these units.
+/// A non-negative number with one of these units.
 fn number_and_unit(text: &str, units: &[(&str, f64)]) -> Option<f64> {
     let lower = text.to_ascii_lowercase();
     let (number, factor) = units.iter().find_map(|(unit, factor)| Some((lower.strip_suffix(unit)?, factor)))?;
@@ -150,49 +156,49 @@ fn time(text: &str) -> Option<Duration> {
     moment(text).filter(|t| *t <= MAX_TIME)
 }
 
-/// A time within a day.
+/// A time of at most a day.
 fn moment(text: &str) -> Option<Duration> {
-    // The longer units first: every one of them ends in "s".
+    // Longer unit names first, as all of them end in "s".
     let seconds = number_and_unit(text, &[("ms", 1e-3), ("us", 1e-6), ("s", 1.0)])?;
     (seconds <= 86_400.0).then(|| Duration::from_secs_f64(seconds))
 }
 
-/// Which way packets go.
+/// Direction of packets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
-    /// From the client.
+    /// Client to server.
     Up,
-    /// To the client.
+    /// Server to client.
     Down,
 }
 
-/// What becomes of a packet.
+/// The fate of a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fate {
     /// It arrives at this time.
     Arrives(Duration),
-    /// It arrives at both of these times, in either order.
+    /// It arrives at both times, in either order.
     ArrivesTwice(Duration, Duration),
     /// It is lost on the way.
     Lost,
-    /// It is dropped: too much waits already.
+    /// It is dropped because the queue is full.
     Dropped,
 }
 
-/// What became of all packets of a direction. Sent is the sum of those delivered, lost and dropped.
+/// Counts of a direction's packets. Sent is the sum of delivered, lost and dropped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub struct LinkCounts {
-    /// Handed to the link.
+    /// Packets sent.
     pub sent: u64,
-    /// Arrived, or on the wire.
+    /// Packets that arrived or will.
     pub delivered: u64,
-    /// Those of them that arrived twice.
+    /// Delivered packets that arrived twice.
     pub doubled: u64,
-    /// Lost at random, or in a black-out.
+    /// Packets lost at random or in a blackout.
     pub lost: u64,
-    /// Dropped at the tail of the queue.
+    /// Packets dropped at the queue.
     pub dropped: u64,
-    /// Payload bytes of those delivered.
+    /// Payload bytes delivered.
     pub bytes: u64,
 }
 
@@ -207,12 +213,12 @@ impl std::ops::AddAssign for LinkCounts {
     }
 }
 
-/// One direction of a link. Time comes in and never goes back.
+/// One direction of a link. Times are non-decreasing.
 #[derive(Debug)]
 pub struct SimulatedLink {
     spec: LinkSpec,
     direction: Direction,
-    /// When the last packet that was let in has passed.
+    /// Time at which the last accepted packet has passed.
     free_at: Duration,
     counts: LinkCounts,
 }
@@ -233,14 +239,14 @@ impl SimulatedLink {
                 self.counts.dropped += 1;
                 return Fate::Dropped;
             }
-            // Rounded up to whole nanoseconds, so that the rate is never exceeded.
+            // Rounded up to nanoseconds, so that the rate is never exceeded.
             let ns = (((bytes + HEADER_BYTES) * 8) as f64 * 1e9 / rate).ceil();
             self.free_at = start + Duration::from_nanos(ns as u64);
         } else {
             self.free_at = start;
         }
         let draw = |draw| uniform(self.spec.seed, self.direction, number, draw);
-        // On the wire when its last bit has passed.
+        // A packet is on the wire once its last bit has passed.
         let dark = |(start, length)| (start..start + length).contains(&self.free_at);
         if draw(0) < self.spec.loss || self.spec.blackout.is_some_and(dark) {
             self.counts.lost += 1;
@@ -256,20 +262,21 @@ impl SimulatedLink {
         Fate::Arrives(at(draw(1)))
     }
 
-    /// A packet that was to arrive could not be held: it counts as dropped.
+    /// Counts a packet as dropped that could not be held until its arrival.
     pub(super) fn take_back(&mut self, bytes: usize) {
         self.counts.delivered -= 1;
         self.counts.bytes -= bytes as u64;
         self.counts.dropped += 1;
     }
 
-    /// What became of the packets so far.
+    /// Counts so far.
     pub fn counts(&self) -> LinkCounts {
         self.counts
     }
 }
 
-/// A number in [0, 1), by hash: the mixing function of SplitMix64 (Steele, Lea and Flood 2014) over the mixed parts.
+/// A number in [0, 1), by hash: the mixing function of SplitMix64 (Steele, Lea and Flood 2014) over
+/// the mixed parts.
 fn uniform(seed: u64, direction: Direction, packet: u64, draw: u64) -> f64 {
     let mix = |z: u64| {
         let z = z.wrapping_add(0x9e37_79b9_7f4a_7c15);

@@ -196,7 +196,8 @@ proptest! {
         prop_assert_eq!(&run(spec).0, &fates, "the same seed, the same outcome");
         prop_assert_eq!(c.sent as usize, packets.len());
         prop_assert_eq!(c.sent, c.delivered + c.lost + c.dropped);
-        // Without jitter and delay a packet arrives when its last bit has passed; loss takes its share too, so it is left out here.
+        // Without jitter and delay a packet arrives when its last bit has passed; loss takes its
+        // share too, so it is left out here.
         let (bare, _) = run(LinkSpec { delay: Duration::ZERO, jitter: Duration::ZERO, loss: 0.0, ..spec });
         let passed: Vec<(Duration, usize)> = bare.iter()
             .filter_map(|(_, bytes, fate)| if let Fate::Arrives(t) = fate { Some((*t, *bytes + HEADER_BYTES)) } else { None })

@@ -1,12 +1,15 @@
-//! A socket with a link before it: QUIC above and the wire below notice nothing but the link's behaviour.
+//! A socket with a simulated link: neither QUIC nor the network notices anything but the link's
+//! behaviour.
 //!
 //! ```text
-//!   quinn ── try_send ──▶ Lane up ──▶ a task sends when due ──▶ the runtime's socket
-//!   quinn ◀─ poll_recv ── Lane down ◀── read as it comes ◀───── the runtime's socket
+//!     quinn ── try_send ──▶ queue up ──▶ a task sends when due ──▶ the runtime's socket
+//!     quinn ◀─ poll_recv ── queue down ◀── reads as data arrives ◀─ the runtime's socket
 //! ```
 //!
-//! Segments of one transmit, and of one received buffer, are packets each. Time is that of the runtime, whose timers have steps of a millisecond: what is
-//! due within one arrives together, at most a millisecond late. Packets that wait lie in memory, a bounded number per direction ([`PacketQueue`]).
+//! Each segment of a transmit, and of a received buffer, is a packet. Time is the runtime's, whose
+//! timers have steps of a millisecond: packets due within one step arrive together, at most a
+//! millisecond late. Waiting packets lie in memory, a bounded number per direction
+//! ([`PacketQueue`]).
 
 use super::{
     packet_queue::PacketQueue,
@@ -36,28 +39,28 @@ use tokio::{
     time::{Instant, Sleep, sleep, sleep_until},
 };
 
-/// Buffers for one read of the socket below, each as large as the system may fill it.
+/// Number of buffers for one read of the inner socket.
 const BUFFERS: usize = 8;
 /// See [`BUFFERS`].
 const BUFFER_BYTES: usize = 1 << 16;
-/// Reads of the socket below in one go; then others have their turn.
+/// Largest number of consecutive reads, before other tasks run.
 const READS: usize = 16;
 
-/// A packet on its way.
+/// A packet in transit.
 #[derive(Debug, Clone)]
 struct Packet {
     bytes: Vec<u8>,
-    /// Where it comes from, or goes to.
+    /// Source or destination.
     remote: SocketAddr,
     local: Option<IpAddr>,
     ecn: Option<EcnCodepoint>,
 }
 
-/// What the sending task shares with the socket.
+/// State shared by the sending task and the socket.
 #[derive(Debug)]
 struct Up {
     packets: Mutex<PacketQueue<Packet>>,
-    /// A packet was put in, or the socket is gone.
+    /// Signals that a packet was added, or the socket dropped.
     changed: Notify,
     gone: AtomicBool,
 }
@@ -69,7 +72,7 @@ struct Down {
     buffers: Vec<Vec<u8>>,
 }
 
-/// See the module.
+/// A socket with a simulated link.
 #[derive(Debug)]
 pub(super) struct SimulatedSocket {
     inner: Arc<dyn AsyncUdpSocket>,
@@ -83,7 +86,8 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl SimulatedSocket {
-    /// Puts a link before a socket. Call within a tokio runtime; the sending task ends when the socket is gone and all it sent has left.
+    /// Adds a link to a socket. Call within a tokio runtime; the sending task ends when the socket
+    /// is dropped and its packets have left.
     pub fn new(inner: Arc<dyn AsyncUdpSocket>, spec: LinkSpec) -> Arc<Self> {
         let start = Instant::now();
         let up = Arc::new(Up {
@@ -100,7 +104,7 @@ impl SimulatedSocket {
         Arc::new(Self { inner, start, up, down: Mutex::new(down) })
     }
 
-    /// What became of the packets, up and down.
+    /// Packet counts, up and down.
     pub fn counts(&self) -> [LinkCounts; 2] {
         [lock(&self.up.packets).counts(), lock(&self.down).packets.counts()]
     }
@@ -113,7 +117,7 @@ impl Drop for SimulatedSocket {
     }
 }
 
-/// Sends what has passed the link upward.
+/// Sends packets when they have passed the link.
 async fn send_when_due(inner: Arc<dyn AsyncUdpSocket>, up: Arc<Up>, start: Instant) {
     let mut poller = inner.clone().create_io_poller();
     loop {
@@ -137,7 +141,7 @@ async fn send_when_due(inner: Arc<dyn AsyncUdpSocket>, up: Arc<Up>, start: Insta
             };
             while let Err(e) = inner.try_send(&transmit) {
                 if e.kind() != io::ErrorKind::WouldBlock {
-                    // As any link, this one owes nobody a packet.
+                    // A link may lose packets.
                     tracing::debug!("a packet could not be sent: {e}");
                     break;
                 }
@@ -149,7 +153,7 @@ async fn send_when_due(inner: Arc<dyn AsyncUdpSocket>, up: Arc<Up>, start: Insta
     }
 }
 
-/// Room is always: what is too much for the link it drops.
+/// Always writable: the link drops what exceeds it.
 #[derive(Debug)]
 struct AlwaysWritable;
 
@@ -205,7 +209,7 @@ impl AsyncUdpSocket for SimulatedSocket {
             if count > 0 {
                 return Poll::Ready(Ok(count));
             }
-            // Without a packet on its way the socket below wakes.
+            // Without a packet in transit the inner socket wakes the task.
             let Some(at) = down.packets.next_at() else { return Poll::Pending };
             down.timer.as_mut().reset(self.start + at);
             ready!(down.timer.as_mut().poll(cx));
@@ -225,7 +229,7 @@ impl AsyncUdpSocket for SimulatedSocket {
     }
 }
 
-/// Reads what the socket below has, and sends it down the lane.
+/// Reads the inner socket and sends its packets through the link.
 fn take_in(inner: &dyn AsyncUdpSocket, cx: &mut Context<'_>, down: &mut Down, start: Instant) -> io::Result<()> {
     for _ in 0..READS {
         let mut slices: Vec<IoSliceMut<'_>> = down.buffers.iter_mut().map(|b| IoSliceMut::new(b)).collect();
@@ -262,7 +266,7 @@ mod tests {
         assert_eq!(sizes(0, Some(0)), [0; 0]);
     }
 
-    /// Virtual time: the runtime's clock stands still but for its timers.
+    /// The runtime's clock is virtual: it advances only to its timers.
     #[tokio::test(start_paused = true)]
     async fn two_sockets_over_a_link_see_its_delay_and_its_loss() {
         let runtime = quinn::TokioRuntime;

@@ -1,9 +1,10 @@
-//! The reference: output as lists per pixel (section 3.3).
+//! The reference: depth lists per pixel (Chang, Bishop, Lastra 1999, section 3.3).
 //!
-//! Every tile adds an entry to the list of each pixel that its wide tile covers. A list is sorted by depth; entries within the coarser one's merge threshold of the
-//! first are one surface, their weights add up; surfaces are blended front to back. Slow, and no z-buffer decides anything.
+//! Every splat adds an entry to the list of each pixel that its wide form covers. A list is sorted
+//! by depth; entries within the coarser one's merge threshold of the first are one surface, whose
+//! weights add up; surfaces are blended front to back. Slow, and without a z-buffer.
 
-use super::{TreeOptions, splat::PixelMask, splat_projection::SplatProjection};
+use super::{TreeOptions, pixel_mask::PixelMask, splat_projection::SplatProjection};
 use crate::{frame::pack_rgb, resident::Resident, warp::FarFrame};
 use ldi_protocol::{
     OutputCamera, Pose,
@@ -20,7 +21,7 @@ struct Entry {
     colour: [f32; 3],
 }
 
-/// Draws a tree without gap filling. Returns the picture and the mean length of lists that are not empty.
+/// Draws a tree without gap filling. Returns the picture and the mean length of non-empty lists.
 pub fn draw(
     tree: &Tree,
     resident: &dyn Resident,
@@ -65,7 +66,8 @@ pub fn draw(
     (out, entries as f64 / filled.max(1) as f64)
 }
 
-/// A list's colour and the depth of the surface that gives the most of it; None if hardly anything covers the pixel.
+/// The blended colour of a list, and the depth of the surface with the largest weight; None if
+/// hardly anything covers the pixel.
 fn blend(list: &mut [Entry]) -> Option<([f32; 3], f32)> {
     list.sort_by(|a, b| a.depth_m.total_cmp(&b.depth_m));
     let (mut colour, mut left) = ([0.0f32; 3], 1.0f32);

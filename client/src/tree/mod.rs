@@ -1,20 +1,24 @@
-//! Draws the LDI tree (Chang, Bishop, Lastra 1999): what stands where nothing better is at hand.
+//! Draws the LDI tree (Chang, Bishop, Lastra 1999), which is shown where finer data is missing.
 //!
-//! In: a [`Cut`], the nodes at hand, a pose, and which blocks of the picture want something. Out: a [`FarFrame`] of colours and disparities.
+//! In: a [`Cut`], resident nodes, a pose, the pixels to draw. Out: a [`FarFrame`] of colours and
+//! disparities.
 //!
-//! 1. `splats`: every sample is a parallelogram on its surface, one pitch wide, projected as a quadrilateral with the plane's own disparity at every pixel.
-//! 2. `paint`: opaque tiles into a z-buffer; then all tiles once more, twice as wide and with bilinear weights, into what lies within a merge threshold
-//!    of the z-buffer: between samples colours run over smoothly, and what is partly covered mixes with what lies behind.
-//! 3. Gap filling (section 3.5): pixels that nothing reached are drawn again from coarser cuts, filtered samples included. What stays open then is wider than a few
-//!    samples: there is no surface.
+//! 1. `splat_projection`: every sample is a parallelogram on its surface, one pitch wide, projected
+//!    as a quadrilateral with the plane's disparity at every pixel.
+//! 2. `splat`: opaque splats into a z-buffer; then all splats again, twice as wide and with
+//!    bilinear weights, within a merge threshold of the z-buffer. Colours are interpolated between
+//!    samples, and partly covered pixels are blended with what lies behind.
+//! 3. Gap filling (section 3.5): pixels that nothing reached are drawn again from coarser cuts,
+//!    including filtered samples. Gaps that remain are wider than a few samples: there is no
+//!    surface.
+//! 4. While the eye rests (section 3.4), `progressive` keeps the picture: a finer one is drawn over
+//!    several frames (`pass`) and shown when it is finished.
 //!
-//! 4. While the eye stands still (section 3.4), `still` keeps the picture and the traversal: a finer picture is drawn wave by wave over several frames (`pass`), and shown
-//!    when it is done, so that nothing shown ever gets coarser.
-//!
-//! `lists` is the reference of steps 1 and 2: lists per pixel, sorted by depth, merged by the coarser level's threshold and blended front to back (section 3.3).
+//! `lists` is the reference of steps 1 and 2.
 
 pub mod lists;
 mod pass;
+mod pixel_mask;
 mod progressive;
 #[cfg(test)]
 mod progressive_test;
@@ -29,23 +33,23 @@ use ldi_protocol::{
     tree::{Cut, CutOptions, Lens, Tree, cut},
 };
 use pass::Pass;
+pub use pixel_mask::{BLOCK, PixelMask};
 pub use progressive::ProgressivePainter;
 use splat::SplatBuffers;
-pub use splat::{BLOCK, PixelMask};
 
-/// Stamps may be so many times larger in each pass of gap filling.
+/// Growth of the largest stamp in each pass of gap filling.
 const GAP_STEP: f64 = 4.0;
-/// Passes of gap filling. More: the sky between beams is filled with the beams' colours. Fewer: holes stay (docs/decisions.md has figures).
+/// Passes of gap filling. More: the sky between beams takes their colours; fewer: holes stay.
 pub const GAP_PASSES: u32 = 2;
-/// The last of so many draws the root: the paper fills from all filtered samples.
+/// Number of passes of which the last draws the root, as in the paper.
 pub const ALL_GAP_PASSES: u32 = 5;
 
-/// How the tree is drawn.
+/// Options of drawing the tree.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TreeOptions {
-    /// How far to refine.
+    /// Refinement.
     pub cut: CutOptions,
-    /// How often gaps are filled from filtered samples, each time four times as large.
+    /// Passes of gap filling.
     pub gap_passes: u32,
 }
 
@@ -55,7 +59,7 @@ impl Default for TreeOptions {
     }
 }
 
-/// What is looked at, and from where.
+/// The tree, its data and the camera of a drawing.
 #[derive(Clone, Copy)]
 struct View<'a> {
     tree: &'a Tree,
@@ -74,30 +78,30 @@ impl View<'_> {
     }
 }
 
-/// What drawing took.
+/// Statistics of a drawing.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TreeStats {
-    /// Samples looked at.
+    /// Visited samples.
     pub samples: u64,
-    /// Samples of the cut that the picture shows.
+    /// Samples of the displayed cut.
     pub shown: u64,
-    /// Whether a bound on samples kept it from being finer.
+    /// Whether the sample limit prevented refinement.
     pub limited: bool,
-    /// Tiles in the picture.
+    /// Splats drawn.
     pub splats: u64,
     /// Pixels that the first pass painted.
     pub painted: u64,
     /// Pixels that gap filling painted.
     pub gaps_filled: u64,
-    /// Chunks that would have sharpened it.
+    /// Absent chunks that would refine the picture.
     pub missing: Vec<u32>,
-    /// Pixels of the frame that show it.
+    /// Pixels of the frame taken from the tree.
     pub given: u64,
-    /// Milliseconds, with what it takes to lay it under the frame.
+    /// Milliseconds, including the underlay.
     pub ms: f64,
 }
 
-/// Draws trees; keeps memory between frames.
+/// Draws trees; keeps buffers between frames.
 #[derive(Debug, Default)]
 pub struct TreePainter {
     painting: SplatBuffers,
@@ -105,8 +109,9 @@ pub struct TreePainter {
 }
 
 impl TreePainter {
-    /// Draws into the wanted pixels of `out`, which is reset to the camera's size. `no_gap` says of a row and a column that
-    /// nothing missing there is to be filled: it is painted otherwise, or sky.
+    /// Draws into the wanted pixels of `out`, which is reset to the camera's size. `no_gap`:
+    /// whether a pixel at a row and column must not be gap filled, because it is painted otherwise,
+    /// or sky.
     #[expect(clippy::too_many_arguments, reason = "each is another thing that a picture depends on")]
     pub fn draw(
         &mut self,

@@ -1,41 +1,46 @@
-//! One drawing of a cut, in steps: waves of nodes into the z-buffer, then bands of rows into mixed colours.
+//! A drawing of a cut in steps: waves of nodes into the z-buffer, then bands of rows into blended
+//! colours.
 
 use super::{
     View,
-    splat::{BLOCK, PixelMask, SplatBuffers},
+    pixel_mask::{BLOCK, PixelMask},
+    splat::SplatBuffers,
     splat_projection::{Splat, SplatProjection},
 };
 use crate::warp::FarFrame;
 use ldi_protocol::tree::Cut;
 use rayon::prelude::*;
 
-/// Samples of the nodes that are drawn before what they hide is left out of the rest. Fewer: more is left out; each round costs a look at all pixels.
+/// Samples drawn before hidden parts of the rest are rejected. Fewer: more is rejected; but each
+/// test reads all pixels.
 const WAVE_SAMPLES: u64 = 150_000;
-/// What lies behind the nearest samples by more than this share of the disparity is hidden: more than any merge threshold in view.
+/// Samples behind the nearest ones by more than this share of the disparity are hidden. Exceeds any
+/// merge threshold in view.
 const HIDDEN_MARGIN: f32 = 0.1;
 
-/// A cut, and how far it is drawn. Keeps memory between cuts.
+/// A cut, and the progress of drawing it. Keeps buffers between cuts.
 #[derive(Debug, Default)]
 pub struct Pass {
     /// What is drawn.
     pub cut: Cut,
-    /// The first node that is not in the z-buffer yet.
+    /// The first node not drawn into the z-buffer yet.
     next_node: usize,
-    /// The first row whose colours are not mixed yet.
+    /// The first row without blended colours.
     next_row: usize,
-    /// By node of the cut.
+    /// Splats of each node of the cut.
     splats: Vec<Vec<Splat>>,
 }
 
 impl Pass {
-    /// Starts with a cut; the picture is the caller's to clear.
+    /// Starts a cut. The caller clears the picture.
     pub fn begin(&mut self, cut: Cut) {
         self.splats.iter_mut().for_each(Vec::clear);
         self.splats.resize_with(cut.nodes.len().max(self.splats.len()), Vec::new);
         (self.cut, self.next_node, self.next_row) = (cut, 0, 0);
     }
 
-    /// Draws on, near to far, until about `max_samples` more were looked at, or as much was mixed as so many samples take their share of. True: done.
+    /// Continues near to far, until about `max_samples` more are visited, or rows are blended in
+    /// proportion. Returns whether the drawing is finished.
     pub fn advance(
         &mut self,
         view: &View<'_>,
@@ -76,7 +81,7 @@ impl Pass {
             let lists = self.splats[of_wave.clone()].par_iter_mut().zip(&nodes[of_wave.clone()]);
             let of_this_wave: u64 = lists.map(draw).sum();
             stats.samples += of_this_wave;
-            // What is left out costs little, but not nothing.
+            // A rejected node costs a little as well.
             looked_at += of_this_wave + of_wave.len() as u64;
             painting.cover(&self.splats[of_wave.clone()], view.camera, wanted, out);
             self.next_node = of_wave.end;

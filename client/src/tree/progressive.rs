@@ -1,8 +1,11 @@
-//! The tree's picture from frame to frame: drawn anew when the view changes; kept, and drawn on, while it does not (progressive refinement, row D6).
+//! Progressive refinement of the tree's picture: drawn again when the view changes, refined while
+//! it does not.
 //!
-//! A frame may look at so many samples. When the eye moves, that bounds the picture. When it stands still the picture stays; a cut with [`FINER`] times the samples is drawn beside it,
-//! as many samples per frame as the bound allows, and takes its place when it is done; then the next. What is shown is exactly what one long frame would show, so it never gets coarser,
-//! and a still eye that shows all there is costs nothing.
+//! Each frame may visit a limited number of samples. While the eye moves, that limits the picture.
+//! While it rests the picture stays, and a cut with [`FINER`] times the samples is drawn in the
+//! background, within the limit of each frame; it replaces the picture when it is finished, and the
+//! next one starts. The picture equals that of a single frame without a limit, so that it never
+//! becomes coarser, and a finished picture costs nothing.
 
 use super::{PixelMask, TreeOptions, TreePainter, TreeStats, View, pass::Pass};
 use crate::{resident::Resident, warp::FarFrame};
@@ -11,14 +14,15 @@ use ldi_protocol::{
     tree::{CutOptions, Tree},
 };
 
-/// How many times more samples the next picture has. Of all that is drawn until the last one, a quarter is drawn for those before it.
+/// Growth of the number of samples from one picture to the next. Larger: the next picture takes
+/// longer; smaller: more samples are drawn for intermediate pictures.
 const FINER: u64 = 4;
 
-/// Draws the tree for one frame after the other.
+/// Draws the tree frame by frame.
 #[derive(Debug, Default)]
 pub struct ProgressivePainter {
     painter: TreePainter,
-    /// View of the frame before.
+    /// View of the previous frame.
     last: Option<(Pose, OutputCamera)>,
     /// The tree's picture.
     picture: FarFrame,
@@ -26,10 +30,10 @@ pub struct ProgressivePainter {
     making: Option<Refinement>,
 }
 
-/// What the picture shows, once an eye stood still for two frames.
+/// The content of the picture, once the eye has rested for two frames.
 #[derive(Debug)]
 struct FinishedPicture {
-    /// Pixels that it was drawn for, and the disparity that hid samples in each.
+    /// The pixels it was drawn for, and the disparity below which samples were hidden in each.
     wanted: PixelMask,
     hidden_below: Vec<f32>,
     samples: u64,
@@ -37,7 +41,7 @@ struct FinishedPicture {
     missing: Vec<u32>,
 }
 
-/// A finer picture.
+/// The finer picture in progress.
 #[derive(Debug)]
 struct Refinement {
     pass: Pass,
@@ -48,8 +52,9 @@ struct Refinement {
 }
 
 impl ProgressivePainter {
-    /// The picture for a frame whose pixels `wanted` want samples where nothing of a larger disparity than `hidden_below` hides them. At most about `max_samples` are looked at. `no_gap` as
-    /// of [`TreePainter::draw`]. [`TreeStats::samples`] are those of this frame.
+    /// The picture for a frame whose pixels `wanted` need samples, except where a disparity above
+    /// `hidden_below` hides them. Visits about `max_samples` samples. `no_gap` as in
+    /// [`TreePainter::draw`]. [`TreeStats::samples`] counts this frame's samples.
     #[expect(clippy::too_many_arguments, reason = "each is another thing that a picture depends on")]
     pub fn frame(
         &mut self,
@@ -71,7 +76,7 @@ impl ProgressivePainter {
             let max_samples = max_samples.max(before);
             let options =
                 TreeOptions { cut: CutOptions { max_samples, ..CutOptions::default() }, ..TreeOptions::default() };
-            // Only what a still eye shows is kept: copies cost a moving one time.
+            // Only a resting view is kept: a moving one would pay for the copies.
             let kept = stands.then(|| wanted.clone());
             let mut left = wanted;
             let stats = self.painter.draw(tree, resident, pose, camera, &options, &mut left, no_gap, &mut self.picture);
@@ -86,7 +91,7 @@ impl ProgressivePainter {
         (stats, &self.picture)
     }
 
-    /// A frame like the one before.
+    /// Continues the picture of the previous frame.
     fn draw_on(
         &mut self,
         view: &View<'_>,

@@ -6,12 +6,14 @@ use glam::DVec3;
 use ldi_protocol::tree::{Brood, DEPTH_STEPS, NodeSamples, OPAQUE, SIDE, TreeNode, TreeSample};
 use std::sync::Arc;
 
-/// Narrow, and far enough off that the root's samples are smaller than eight pixels: coarser ones would not stay, whatever the bound.
+/// Narrow, and far enough off that the root's samples are smaller than eight pixels: coarser ones
+/// would not stay, whatever the bound.
 const CAMERA: OutputCamera = OutputCamera { width: 160, height: 100, fov_deg: 20.0 };
 const LEVELS: u8 = 4;
 const EDGE_M: f64 = 16.0;
 
-/// A wall at z = -1 m through a cube of 16 m around the origin, on four levels; the picture on it is a wave that only fine samples show.
+/// A wall at z = -1 m through a cube of 16 m around the origin, on four levels; the picture on it
+/// is a wave that only fine samples show.
 fn wall() -> (Tree, Memory) {
     let wave =
         |x: f64, y: f64| [(128.0 + 120.0 * (9.0 * x).sin() * (7.0 * y).cos()) as u8, 90, (x * 15.0 + 120.0) as u8];

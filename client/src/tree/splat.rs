@@ -1,6 +1,6 @@
-//! Tiles into pixels: a z-buffer of opaque tiles, then weighted colours of what lies on it.
+//! Splats to pixels: a z-buffer of opaque splats, then weighted colours of the splats on it.
 
-use super::splat_projection::Splat;
+use super::{pixel_mask::PixelMask, splat_projection::Splat};
 use crate::{frame::pack_rgb, warp::FarFrame};
 use ldi_protocol::{
     OutputCamera,
@@ -9,174 +9,17 @@ use ldi_protocol::{
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Side of the blocks in which wanted pixels are counted.
-pub const BLOCK: usize = 16;
-/// Samples that cover at least this of their pixel hide what lies behind. Lower: foliage grows fat; higher: what is behind shows through borders of faces.
+/// Coverage of a pixel from which a sample hides what lies behind. Lower: foliage becomes too
+/// dense; higher: surfaces become transparent at borders.
 const OPAQUE_FROM: f32 = 0.4;
-/// Marks a packed colour that hides nothing: its highest byte is free.
+/// Marks a packed colour that hides nothing, in its unused highest byte.
 const THIN: u32 = 1 << 24;
-/// A pixel with less weight than this shows the z-buffer's own colour.
+/// Pixels with less weight take the z-buffer's colour.
 const LEAST_WEIGHT: f32 = 0.02;
-/// Bands of rows per thread: enough to balance.
+/// Bands of rows per thread, for balance.
 const BANDS_PER_THREAD: usize = 4;
 
-/// The pixels of a picture that still want a colour.
-#[derive(Debug, Clone, Default)]
-pub struct PixelMask {
-    width: usize,
-    blocks_across: usize,
-    pixels: Vec<bool>,
-    /// Wanted pixels of each block.
-    blocks: Vec<u32>,
-    /// Column and row of each block that had wanted pixels at first: large samples touch more blocks than these where little is wanted.
-    listed: Vec<[u32; 2]>,
-    /// Smallest disparity that a sample needs to show in some wanted pixel of each block; infinite in blocks without.
-    floors: Vec<f32>,
-    total: u64,
-    /// Samples of what lies nearer to the eye are not wanted, metres.
-    beyond_m: f32,
-}
-
-impl PixelMask {
-    /// From a flag per pixel, and what disparity hides samples in each (none where it is empty).
-    pub fn new(width: u32, height: u32, pixels: Vec<bool>, hidden_below: &[f32]) -> Self {
-        let (width, height) = (width as usize, height as usize);
-        assert_eq!(pixels.len(), width * height, "a flag per pixel");
-        let blocks_across = width.div_ceil(BLOCK).max(1);
-        let mut blocks = vec![0; blocks_across * height.div_ceil(BLOCK)];
-        for (row, pixels) in pixels.chunks(width.max(1)).enumerate() {
-            let of_row = &mut blocks[row / BLOCK * blocks_across..][..blocks_across];
-            for (block, pixels) in of_row.iter_mut().zip(pixels.chunks(BLOCK)) {
-                *block += pixels.iter().map(|w| u32::from(*w)).sum::<u32>();
-            }
-        }
-        let total = blocks.iter().map(|b| u64::from(*b)).sum();
-        let place = |block: usize| [block % blocks_across, block / blocks_across].map(|v| v as u32);
-        let listed = (0..blocks.len()).filter(|b| blocks[*b] > 0).map(place).collect();
-        let mut wanted =
-            Self { width, blocks_across, pixels, blocks, listed, floors: Vec::new(), total, beyond_m: 0.0 };
-        wanted.floors = wanted.floors_of(|at| hidden_below.get(at).copied().unwrap_or(0.0));
-        wanted
-    }
-
-    /// The same without samples of what lies nearer to the eye than so many metres.
-    #[must_use]
-    pub fn beyond(self, metres: f32) -> Self {
-        Self { beyond_m: metres, ..self }
-    }
-
-    /// Whether a sample of this pitch is wanted at this distance from the eye, metres: it stands for what lies within half a pitch.
-    pub(super) fn reaches(&self, distance_m: f32, pitch: f32) -> bool {
-        distance_m + 0.5 * pitch >= self.beyond_m
-    }
-
-    /// The smallest of `hidden_below` over the wanted pixels of each block.
-    fn floors_of(&self, hidden_below: impl Fn(usize) -> f32 + Sync) -> Vec<f32> {
-        let height = self.pixels.len() / self.width.max(1);
-        let floor = |block: usize| {
-            if self.blocks[block] == 0 {
-                return f32::INFINITY;
-            }
-            let (row, column) = (block / self.blocks_across * BLOCK, block % self.blocks_across * BLOCK);
-            let mut floor = f32::INFINITY;
-            for r in row..(row + BLOCK).min(height) {
-                for at in r * self.width + column..r * self.width + (column + BLOCK).min(self.width) {
-                    if self.pixels[at] {
-                        floor = floor.min(hidden_below(at));
-                    }
-                }
-            }
-            floor
-        };
-        (0..self.blocks.len()).into_par_iter().map(floor).collect()
-    }
-
-    /// Samples behind what `frame` shows by more than `margin` (a share of the disparity) need no longer be drawn.
-    pub(super) fn raise_floors(&mut self, frame: &FarFrame, margin: f32) {
-        let found = self.floors_of(|at| FarFrame::unpack(frame.packed[at]).map_or(0.0, |(_, d)| d * (1.0 - margin)));
-        self.floors.iter_mut().zip(found).for_each(|(a, b)| *a = a.max(b));
-    }
-
-    /// All pixels.
-    pub fn all(width: u32, height: u32) -> Self {
-        Self::new(width, height, vec![true; width as usize * height as usize], &[])
-    }
-
-    /// Whether nothing is wanted.
-    pub fn is_empty(&self) -> bool {
-        self.total == 0
-    }
-
-    /// Pixels wanted.
-    pub fn count(&self) -> u64 {
-        self.total
-    }
-
-    /// Whether a picture drawn for these pixels, where `hidden_below` hid samples, holds all that `other` wants.
-    pub(super) fn covers(&self, hidden_below: &[f32], other: &Self, other_hidden_below: &[f32]) -> bool {
-        let hides = |of: &[f32], at: usize| of.get(at).copied().unwrap_or(0.0);
-        self.pixels.len() == other.pixels.len()
-            && self.beyond_m == other.beyond_m
-            && (0..self.pixels.len()).all(|at| {
-                !other.pixels[at] || self.pixels[at] && hides(hidden_below, at) <= hides(other_hidden_below, at)
-            })
-    }
-
-    /// Whether a pixel is wanted.
-    pub fn holds(&self, at: usize) -> bool {
-        self.pixels[at]
-    }
-
-    /// Whether something of this disparity shows in a block that a rectangle (first and last columns and rows, within the picture) touches.
-    pub(super) fn any(&self, columns: [i32; 2], rows: [i32; 2], disparity: f32) -> bool {
-        let [columns, rows] = [columns, rows].map(|[first, last]| first as usize / BLOCK..last as usize / BLOCK + 1);
-        let floors = |row: usize| &self.floors[row * self.blocks_across..][..self.blocks_across];
-        if self.listed.len() < rows.len() * columns.len() {
-            let touched = self.listed.iter().map(|place| place.map(|v| v as usize));
-            let mut touched = touched.filter(|[column, row]| columns.contains(column) && rows.contains(row));
-            return touched.any(|[column, row]| disparity >= floors(row)[column]);
-        }
-        rows.into_iter().any(|row| floors(row)[columns.clone()].iter().any(|floor| disparity >= *floor))
-    }
-
-    /// The parts of a row, as positions in the picture, that lie in blocks with wanted pixels. Where little is wanted, that is nearly nothing of it.
-    fn spans(&self, row: usize) -> impl Iterator<Item = Range<usize>> + '_ {
-        let of_row = &self.blocks[row / BLOCK * self.blocks_across..][..self.blocks_across];
-        let span = move |block: usize| {
-            row * self.width + block * BLOCK..row * self.width + ((block + 1) * BLOCK).min(self.width)
-        };
-        (0..self.blocks_across).filter(|b| of_row[*b] > 0).map(span)
-    }
-
-    /// Pixels of which `unwanted` holds, by row and column, are no longer wanted.
-    pub(super) fn drop_where(&mut self, unwanted: &(dyn Fn(usize, usize) -> bool + Sync)) {
-        let height = self.pixels.len() / self.width.max(1);
-        let seen = &*self;
-        let of_row =
-            |row: usize| seen.spans(row).flatten().filter(move |at| seen.pixels[*at] && unwanted(row, at % seen.width));
-        let dropped: Vec<usize> = (0..height).into_par_iter().flat_map_iter(of_row).collect();
-        dropped.into_iter().for_each(|at| self.drop_one(at));
-    }
-
-    fn drop_one(&mut self, at: usize) {
-        self.pixels[at] = false;
-        let block = at / self.width / BLOCK * self.blocks_across + at % self.width / BLOCK;
-        self.blocks[block] -= 1;
-        if self.blocks[block] == 0 {
-            self.floors[block] = f32::INFINITY;
-        }
-        self.total -= 1;
-    }
-
-    /// What `frame` shows is no longer wanted; returns how many pixels that are.
-    pub(super) fn settle(&mut self, frame: &FarFrame) -> u64 {
-        let before = self.total;
-        self.drop_where(&|row, column| FarFrame::unpack(frame.packed[row * frame.width as usize + column]).is_some());
-        before - self.total
-    }
-}
-
-/// Memory of the second pass.
+/// Buffers of the second pass.
 #[derive(Debug, Default)]
 pub struct SplatBuffers {
     /// Sums of linear colour and weight.
@@ -184,13 +27,13 @@ pub struct SplatBuffers {
 }
 
 impl SplatBuffers {
-    /// First pass: the z-buffer of opaque tiles, in wanted pixels of `out` that show nothing yet.
+    /// First pass: the z-buffer of opaque splats, in wanted pixels of `out` that are empty.
     pub fn cover(&mut self, splats: &[Vec<Splat>], camera: &OutputCamera, wanted: &PixelMask, out: &mut FarFrame) {
         let rows = 0..camera.height as usize;
         self.bands(camera, rows, wanted, out, |band| splats.iter().flatten().for_each(|t| band.cover(t)));
     }
 
-    /// Second pass: colours of what lies on it, in some rows.
+    /// Second pass: blended colours, in some rows.
     pub fn mix(
         &mut self,
         splats: &[Vec<Splat>],
@@ -230,7 +73,7 @@ impl SplatBuffers {
     }
 }
 
-/// Some rows of the picture.
+/// A band of rows.
 struct Band<'a> {
     first_row: i32,
     width: usize,
@@ -240,7 +83,7 @@ struct Band<'a> {
 }
 
 impl<'a> Band<'a> {
-    /// The parts of its rows, as positions in it, that lie in blocks with wanted pixels.
+    /// The spans of its rows, as indices in the band, in blocks with wanted pixels.
     fn spans(&self) -> impl Iterator<Item = Range<usize>> + use<'a> {
         let (wanted, first) = (self.wanted, self.first_row as usize);
         let begin = first * self.width;
@@ -248,7 +91,8 @@ impl<'a> Band<'a> {
         rows.flat_map(move |row| wanted.spans(row)).map(move |span| span.start - begin..span.end - begin)
     }
 
-    /// Calls `f` with the pixels of a tile in this band: position in it, disparity, place on the tile.
+    /// Calls `f` for the pixels of a splat in this band: index in the band, disparity, position on
+    /// the splat.
     fn each(&mut self, splat: &Splat, mut f: impl FnMut(&mut Self, usize, (f32, f32, f32))) {
         let last_row = self.first_row + (self.packed.len() / self.width) as i32 - 1;
         for row in splat.rows[0].max(self.first_row)..=splat.rows[1].min(last_row) {
@@ -264,7 +108,7 @@ impl<'a> Band<'a> {
         }
     }
 
-    /// First pass: opaque tiles by depth.
+    /// First pass: opaque splats by depth.
     fn cover(&mut self, splat: &Splat) {
         if splat.alpha < OPAQUE_FROM {
             return;
@@ -279,7 +123,7 @@ impl<'a> Band<'a> {
         });
     }
 
-    /// Between the passes: where nothing opaque is, the nearest of what covers a part.
+    /// Between the passes: pixels without an opaque splat take the nearest partial one.
     fn cover_thinly(&mut self, splat: &Splat) {
         if splat.alpha >= OPAQUE_FROM {
             return;
@@ -294,13 +138,13 @@ impl<'a> Band<'a> {
         });
     }
 
-    /// Second pass: weighted colours of what is not hidden.
+    /// Second pass: weighted colours of visible splats.
     fn mix(&mut self, splat: &Splat) {
         let linear = linear_from_srgb8_table();
         let colour = splat.rgb.map(|c| linear[usize::from(c)]);
         self.each(splat, |band, at, (disparity, s, t)| {
             if let Some((_, front)) = FarFrame::unpack(band.packed[at]) {
-                // Behind the front by more than a merge threshold.
+                // Hidden: behind the front by more than a merge threshold.
                 if front > disparity && 1.0 / disparity - 1.0 / front > splat.merge_m {
                     return;
                 }

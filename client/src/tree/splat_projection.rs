@@ -1,48 +1,53 @@
-//! From a sample to a quadrilateral of the picture.
+//! The projection of samples to quadrilaterals of the picture.
 
-use super::splat::PixelMask;
+use super::pixel_mask::PixelMask;
 use glam::{DVec3, Vec3};
 use ldi_protocol::{
     Aabb, OutputCamera, Pose,
     tree::{DEPTH_STEPS, Tree, TreeNode, TreeSample, across},
 };
 
-/// Nothing is drawn nearer than this, metres.
+/// Near plane, metres.
 const NEAR_M: f32 = 0.02;
-/// Tiles are this much wider than their pitch, so that those of a curved surface meet.
+/// Width of a splat in pitches: splats of a curved surface must meet.
 const OVERLAP: f32 = 1.1;
-/// Half the diagonal of a wide tile, in pitches, at most: both sides a pitch across and two along the axis, as slopes are coded.
+/// Largest half diagonal of a wide splat, in pitches: a pitch across on both sides, and two along
+/// the axis, the largest coded slope.
 const LARGEST_REACH: f32 = 4.6 * OVERLAP;
-/// How much a ball beside the line of sight is stretched in the picture, at most: fields of view up to 100 degrees and their corners.
+/// Largest elongation of a sphere's projection, for fields of view up to 100 degrees including
+/// corners.
 const SLANT: f32 = 2.5;
-/// A surface is left out when it turns away from the eye by more than this (cosine): normals are means, and a surface seen edge-on must not fall out.
+/// Surfaces that face away by more than this (cosine) are culled. Below zero, as normals are means,
+/// and surfaces seen edge-on must stay.
 const TURNED_AWAY: f32 = 0.2;
-/// Samples of one surface lie this many pitches apart in depth, at most: what the merge threshold of the tree is, and half a pitch for coded depth and slope.
+/// Largest distance in depth between samples of one surface, in pitches: the tree's merge
+/// threshold, and half a pitch for coded depth and slope.
 const MERGE_PITCHES: f32 = 1.5;
 
-/// A tile in the picture. Pixel coordinates, centres at +0.5.
+/// A splat in the picture. Pixel coordinates, centres at +0.5.
 #[derive(Debug, Clone, Copy)]
 pub struct Splat {
-    /// Columns and rows that the wide tile (bilinear weights) may touch: first and last.
+    /// Columns and rows that the wide splat (bilinear weights) may touch: first and last.
     pub columns: [i32; 2],
     pub rows: [i32; 2],
-    /// Plane through the eye's rays: disparity at (u, v) is `plane . (u, v, 1)`.
+    /// Disparity plane: disparity at (u, v) is `plane . (u, v, 1)`.
     pub plane: [f32; 3],
-    /// Position along the tile's two sides, in pitches from the middle, times disparity: `along[k] . (u, v, 1)`.
+    /// Position along the splat's two sides, in pitches from its middle, times disparity: `along[k]
+    /// . (u, v, 1)`.
     pub along: [[f32; 3]; 2],
-    /// Disparity of the middle, and the smallest and largest of the wide tile.
+    /// Disparity of the middle; smallest and largest of the wide splat.
     pub disparity: [f32; 3],
-    /// Metres of depth within which tiles are one surface.
+    /// Distance in depth within which splats are one surface, metres.
     pub merge_m: f32,
-    /// 0 to 1.
+    /// Opacity, 0 to 1.
     pub alpha: f32,
     pub rgb: [u8; 3],
 }
 
-/// The camera, ready for tiles.
+/// The camera of a projection.
 pub struct SplatProjection {
     position: DVec3,
-    /// Right, down, forward.
+    /// Axes: right, down, forward.
     axes: [DVec3; 3],
     focal: f32,
     centre: [f32; 2],
@@ -66,7 +71,7 @@ impl SplatProjection {
         Vec3::from_array(self.axes.map(|a| a.dot(v) as f32))
     }
 
-    /// The tiles of a node's samples that may paint a wanted pixel.
+    /// The splats of a node's samples that may reach a wanted pixel.
     pub fn splats(
         &self,
         tree: &Tree,
@@ -77,7 +82,7 @@ impl SplatProjection {
         out: &mut Vec<Splat>,
     ) {
         let pitch = tree.pitch_of(node.level);
-        // Relative to the eye in f64, then f32: offsets of the world cost nothing.
+        // Offsets are relative to the eye, subtracted in f64.
         let corner = self.turn(tree.corner_of(node) - self.position);
         for of_face in samples.chunk_by(|a, b| a.face == b.face) {
             let axis = usize::from(of_face[0].face / 2);
@@ -94,7 +99,8 @@ impl SplatProjection {
                     + column * (f32::from(s.column) + 0.5)
                     + row * (f32::from(s.row) + 0.5)
                     + depth * (f32::from(s.depth) + 0.5);
-                // Most samples are hidden or outside of what is wanted: that is found out before anything is made of them.
+                // Most samples are hidden or not wanted: they are rejected before their splat is
+                // computed.
                 if !wanted.reaches(middle.length(), pitch as f32) || !self.may_show(middle, pitch as f32, wanted) {
                     continue;
                 }
@@ -108,14 +114,14 @@ impl SplatProjection {
         }
     }
 
-    /// Whether something in a box shows in a wanted pixel.
+    /// Whether a box may show in a wanted pixel.
     pub fn sees(&self, bounds: &Aabb, wanted: &PixelMask) -> bool {
         let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
         let mut nearest = f32::MAX;
         for corner in bounds.corners() {
             let c = self.turn(corner - self.position);
             if c.z < NEAR_M {
-                // It reaches behind the eye: wherever it is in the picture, it may be near.
+                // The box reaches behind the eye: it may be anywhere in the picture.
                 return !wanted.is_empty();
             }
             for (k, v) in [c.x, c.y].into_iter().enumerate() {
@@ -130,7 +136,7 @@ impl SplatProjection {
         columns[0] <= columns[1] && rows[0] <= rows[1] && wanted.any(columns, rows, 1.0 / nearest)
     }
 
-    /// False where no tile around `middle` can show: a ball that holds any wide tile of this pitch.
+    /// False if no splat around `middle` can show: tests a sphere around the wide splat.
     fn may_show(&self, middle: Vec3, pitch: f32, wanted: &PixelMask) -> bool {
         let reach = pitch * LARGEST_REACH;
         let nearest = middle.z - reach;
@@ -146,7 +152,8 @@ impl SplatProjection {
         columns[0] <= columns[1] && rows[0] <= rows[1] && wanted.any(columns, rows, 1.0 / nearest)
     }
 
-    /// The tile around `middle` with these sides (eye space, metres). None: behind the eye, turned away, or outside of the picture.
+    /// The splat around `middle` with these sides (eye space, metres). None if it is behind the
+    /// eye, faces away, or is outside of the picture.
     fn splat(&self, middle: Vec3, sides: [Vec3; 2], outward: Vec3, pitch: f32, s: &TreeSample) -> Option<Splat> {
         if middle.z < NEAR_M {
             return None;
@@ -157,7 +164,7 @@ impl SplatProjection {
         if facing > TURNED_AWAY * normal.length() * middle.length() {
             return None;
         }
-        // The wide tile reaches a pitch to each side; what would reach behind the eye is cut shorter.
+        // A wide splat reaches a pitch to each side. Splats are shortened in front of the eye.
         let reach = (sides[0].z.abs() + sides[1].z.abs()) * OVERLAP;
         let shrink = if middle.z - reach < NEAR_M { ((middle.z - NEAR_M) / reach).clamp(0.0, 1.0) } else { 1.0 };
         let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
@@ -179,14 +186,17 @@ impl SplatProjection {
             (first <= last).then_some([first, last])
         };
         let (columns, rows) = (range(0)?, range(1)?);
-        // The ray of pixel (u, v) is (u - cx, v - cy, f) / f with component 1 forward. On the plane n . X = n . M the disparity is n . ray / n . M, which is
-        // (n.x u + n.y v + (n.z f - n.x cx - n.y cy)) / (f n . M). Seen edge-on that is a quotient of small numbers, and the middle's is taken.
+        // The ray of pixel (u, v) is (u - cx, v - cy, f) / f with component 1 forward. On the plane
+        // n . X = n . M the disparity is n . ray / n . M, which is (n.x u + n.y v + (n.z f - n.x cx
+        // - n.y cy)) / (f n . M). Seen edge-on that is a quotient of small numbers, and the
+        // middle's is taken.
         let level = |n: Vec3, by: f32| {
             [n.x, n.y, n.z * self.focal - n.x * self.centre[0] - n.y * self.centre[1]].map(|v| v / (self.focal * by))
         };
         let edge_on = facing.abs() < 0.02 * normal.length() * middle.length();
         let plane = if edge_on { [0.0, 0.0, 1.0 / middle.z] } else { level(normal, facing) };
-        // Position along side k of X = ray / disparity: dual vector . (X - M), times disparity: dual . ray - disparity * dual . M.
+        // Position along side k of X = ray / disparity: dual vector . (X - M), times disparity:
+        // dual . ray - disparity * dual . M.
         let dual = [sides[1].cross(cross), cross.cross(sides[0])].map(|d| d / cross.length_squared().max(1e-30));
         let along: [[f32; 3]; 2] = std::array::from_fn(|k| {
             let ray = level(dual[k], 1.0);
@@ -207,7 +217,8 @@ impl SplatProjection {
 }
 
 impl Splat {
-    /// Disparity at a pixel's centre, and where that is on the tile in pitches from its middle; None beyond the wide tile.
+    /// Disparity at a pixel centre, and its position on the splat in pitches from its middle; None
+    /// beyond the wide splat.
     pub fn at(&self, u: f32, v: f32) -> Option<(f32, f32, f32)> {
         let of = |c: &[f32; 3]| c[0] * u + c[1] * v + c[2];
         let disparity = of(&self.plane);
@@ -218,7 +229,7 @@ impl Splat {
         (s.abs() < 1.0 && t.abs() < 1.0).then_some((disparity.clamp(self.disparity[1], self.disparity[2]), s, t))
     }
 
-    /// Half the width of the opaque tile, in pitches.
+    /// Half the width of an opaque splat, in pitches.
     pub const fn half_width() -> f32 {
         0.5 * OVERLAP
     }

@@ -1,8 +1,8 @@
-//! Debug views: images recoloured by what is to be seen, then warped like any other.
+//! Debug colours: images recoloured by a property of their samples, then warped like any other.
 //!
-//! In: an [`Ldi`]. Out: the same with other colours: [`coloured_by_layer`] shows which layer a pixel came from,
-//! [`coloured_by_footprint`] how large its sample is in the picture, [`coloured_by_links`] where surfaces end,
-//! [`coloured_by_age`] how long it has been here.
+//! In: an [`Ldi`]. Out: the same with other colours: [`coloured_by_layer`] by layer,
+//! [`coloured_by_footprint`] by the footprint in the picture, [`coloured_by_links`] by the ends of
+//! surfaces, [`coloured_by_age`] by the time since it arrived.
 
 use super::WarpMatrix;
 use ldi_protocol::{
@@ -18,8 +18,8 @@ pub fn coloured_by_layer(ldi: &Ldi) -> Ldi {
     recoloured(ldi, |layer, _| LAYER_COLOURS[layer.min(LAYER_COLOURS.len() - 1)])
 }
 
-/// The image with its footprints in output pixels as a heat map: dark blue at 0, white at 1, red at 2 and more. Samples behind
-/// the eye are black.
+/// The image with its footprints in output pixels as a heat map: dark blue at 0, white at 1, red at
+/// 2 and more. Samples behind the eye are black.
 pub fn coloured_by_footprint(ldi: &Ldi, pose: &Pose, camera: &OutputCamera) -> Ldi {
     let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
     recoloured(ldi, |_, s| match matrix.footprint(s.u, s.v, s.disparity) {
@@ -54,7 +54,7 @@ pub fn coloured_by_age(ldi: &Ldi, age_s: f64) -> Ldi {
 /// The colour of slivers in all views.
 const SLIVERS: [u8; 3] = [204, 121, 167];
 
-/// A sample as the colouring sees it; image coordinates of its centre.
+/// A sample as seen by the colouring function, with the image coordinates of its centre.
 struct Seen {
     u: f64,
     v: f64,

@@ -1,7 +1,10 @@
-//! An image at half its resolution, for pictures at half the size that it was made for: there its samples cover no more pixels than the image's own do at full size, and are a quarter as many.
+//! An image at half its resolution, for pictures at half the size that it was made for: its samples
+//! then keep the footprint bound, and are a quarter as many.
 //!
-//! In: an [`Ldi`]. Out: another one from the same centre of projection, whose pixels are 2 x 2 of the first one's. What is linked among the four samples that a layer has there becomes one
-//! sample of mean disparity, which is exact amid a plane, and mean colour; what is not linked to it goes to a layer of its own. Sky is not halved: nobody asks a layout for it.
+//! In: an [`Ldi`]. Out: another one from the same centre of projection, whose pixels are 2 x 2 of
+//! the first one's. Linked samples of a layer's block become one sample of mean disparity, which is
+//! exact within a plane, and mean colour; others go to a layer of their own. Sky is not halved, as
+//! layouts do not use it.
 
 use ldi_protocol::ldi::{
     END_BITS, END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, LdiCamera, LdiLayer, SIDES, SLOPE_CODES, Segment, Sliver, end_of,
@@ -12,7 +15,7 @@ use ldi_protocol::ldi::{
 const BLOCK: u32 = 256;
 const NONE: u32 = u32::MAX;
 
-/// See the module. Links to samples that do not exist are ignored.
+/// Halves an image. Links to samples that do not exist are ignored.
 pub fn halved(ldi: &Ldi) -> Ldi {
     let camera = half_camera(&ldi.camera);
     let layers = ldi.layers.iter().flat_map(|l| halved_layer(l, &ldi.camera, &camera)).collect();
@@ -40,7 +43,8 @@ fn half_camera(fine: &LdiCamera) -> LdiCamera {
     LdiCamera { pixels_per_unit: fine.pixels_per_unit * 0.5, left, top, width, height, ..*fine }
 }
 
-/// Samples that become one: up to four, by place in the block: upper left, upper right, lower left, lower right.
+/// The samples that become one: up to four, by position in the block: upper left, upper right,
+/// lower left, lower right.
 type Members = [u32; 4];
 
 /// One layer in the making.
@@ -66,11 +70,11 @@ impl Coarse {
 fn halved_layer(fine: &LdiLayer, camera: &LdiCamera, half: &LdiCamera) -> Vec<LdiLayer> {
     let linked = fine.linked_sides();
     let below = below(fine, &linked);
-    // Which of the layers that come of this one holds a sample.
+    // The new layer of each sample.
     let mut rank = vec![0u8; fine.len()];
     let mut out: [Coarse; 4] = Default::default();
     let (odd_column, odd_row) = (camera.left.rem_euclid(2) as u32, camera.top.rem_euclid(2) as u32);
-    // Upper and lower row of a row of blocks; the touched blocks in order.
+    // Upper and lower row of a row of blocks; the blocks with samples, in order.
     let mut rows = [vec![NONE; 2 * half.width as usize], vec![NONE; 2 * half.width as usize]];
     let mut touched: Vec<u32> = Vec::new();
     let row_of = |s: &Segment| (u32::from(s.row) + odd_row) / 2;
@@ -123,7 +127,7 @@ fn halved_layer(fine: &LdiLayer, camera: &LdiCamera, half: &LdiCamera) -> Vec<Ld
     out.into_iter().map(|c| c.layer).filter(|l| !l.is_empty()).collect()
 }
 
-/// The sample that one is linked to downward, where it is.
+/// The sample that one is linked to downward, if it exists.
 fn below(layer: &LdiLayer, linked: &[u8]) -> Vec<u32> {
     let mut out = vec![NONE; layer.len()];
     // Both have the same order: the k-th that is linked down goes to the k-th that is linked up.
@@ -133,7 +137,7 @@ fn below(layer: &LdiLayer, linked: &[u8]) -> Vec<u32> {
     out
 }
 
-/// The samples of a block by what is linked within it, most samples first; the rest is empty.
+/// The samples of a block grouped by links within it, largest group first.
 fn groups(four: &Members, linked: &[u8]) -> [Members; 4] {
     let is = |place: usize, side: u8, other: usize| {
         four[place] != NONE && four[other] != NONE && linked[four[place] as usize] & side != 0
@@ -151,7 +155,8 @@ fn groups(four: &Members, linked: &[u8]) -> [Members; 4] {
     out
 }
 
-/// [`LdiLayer::slopes`] of a group along an axis: by its two halves, or as its members tell. `linked`: on which sides of that axis it is linked.
+/// [`LdiLayer::slopes`] of a group along an axis: from its two halves, or from its members.
+/// `linked`: the sides of that axis on which it is linked.
 fn slope(members: &Members, axis: usize, linked: u8, fine: &LdiLayer) -> i8 {
     let mean = |places: [usize; 2], of: &dyn Fn(usize) -> f64| {
         let there = || places.into_iter().map(|p| members[p]).filter(|i| *i != NONE).map(|i| of(i as usize));
@@ -163,14 +168,14 @@ fn slope(members: &Members, axis: usize, linked: u8, fine: &LdiLayer) -> i8 {
     let [low, high] = if axis == 0 { [[0, 2], [1, 3]] } else { [[0, 1], [2, 3]] };
     let per_pixel = match (linked, mean(low, &code), mean(high, &code)) {
         (0, Some(a), Some(b)) => b - a,
-        // What is told toward the open side; the link is the group's own.
+        // Slopes toward the open side; the link is the group's own.
         (2, ..) => mean(low, &told).or(mean(high, &told)).unwrap_or(0.0),
         _ => mean(high, &told).or(mean(low, &told)).unwrap_or(0.0),
     };
     (2.0 * per_pixel).round() as i8
 }
 
-/// How far the surface of a group goes on beyond the middle of its block.
+/// Extent of a group's surface beyond the middle of its block.
 fn ends(members: &Members, sides: u8, fine: &LdiLayer, linked: &[u8]) -> u16 {
     let mut out = 0;
     for (side, toward) in SIDES.iter().enumerate().filter(|(side, _)| sides >> side & 1 == 0) {
@@ -179,7 +184,7 @@ fn ends(members: &Members, sides: u8, fine: &LdiLayer, linked: &[u8]) -> u16 {
             let along = f64::from(centre[0] * toward[0] + centre[1] * toward[1]) * 0.5;
             let end = match linked[*i as usize] >> side & 1 {
                 0 => f64::from(end_of(fine.ends.get(*i as usize).copied().unwrap_or(0), side)) / f64::from(END_PARTS),
-                // The neighbour is in the block, or went to another layer.
+                // The neighbour is in the block, or has moved to another layer.
                 _ => 0.5,
             };
             along + end

@@ -1,36 +1,42 @@
 //! Occlusion-compatible order: painting without a z-buffer.
 //!
-//! In: the tiles that reach a band. Out: their samples, painted so that of two on one pixel the nearer comes last.
+//! In: the tiles that reach a band. Out: their samples, painted so that of two on one pixel the
+//! nearer comes last.
 //!
-//! **Theory** (McMillan; as used for LDIs by Shade et al. and Rafferty et al.). Let E = C2 - C1 be the eye seen from the image's
-//! centre, e its projection, the epipole. What may land on one output pixel lies on one ray C2 + t r, whose image is
-//! p(t) = e + (r - e r_z) t / (E_z + t r_z): a line through e. With the eye ahead of the centre (E_z > 0) near
-//! points lie closer to e, so samples are drawn toward it; with the eye behind (E_z < 0) near points lie
-//! farther from it, and they are drawn away from it. An eye in the plane of the centre (E_z = 0) puts e at infinity
-//! on the side of E, which a large finite e stands for. Column and row distances from e are monotone along every such line, so the
-//! image falls into up to four sheets at e, each drawn row by row. Deeper layers of a pixel come first.
-//!
-//! **Practice.** The same argument holds for tiles, and then within tiles, so the order is: tiles by distance of their
-//! rows, then of their columns; within a tile rows, then columns, then layers. For this the samples of all layers are laid out anew
-//! ([`Streams`]): row by row in the order of painting, once for rising and once for falling columns, so that painting is a walk through memory
-//! in which nothing is compared. Threads share the output's rows as they do with the z-buffer; the papers cut sheets into
-//! fragments instead, whose borders then meet in the picture. Stamps larger than 2 x 2 overpaint what the order meant to keep in front, so they are refused.
+//! **Theory** (McMillan; as used for LDIs by Shade et al. and Rafferty et al.). Let E = C2 - C1 be
+//! the eye seen from the image's centre, e its projection, the epipole. What may land on one output
+//! pixel lies on one ray C2 + t r, whose image is p(t) = e + (r - e r_z) t / (E_z + t r_z): a line
+//! through e. With the eye ahead of the centre (E_z > 0) near points lie closer to e, so samples
+//! are drawn toward it; with the eye behind (E_z < 0) near points lie farther from it, and they are
+//! drawn away from it. An eye in the plane of the centre (E_z = 0) puts e at infinity on the side
+//! of E, which a large finite e stands for. Column and row distances from e are monotone along
+//! every such line, so the on the side of E, which a large finite e represents. Column and row
+//! distances from e are monotone along every such line, so the image falls into up to four sheets
+//! at e, each drawn row by row. Deeper layers of a pixel come first. **Practice.** The same
+//! argument holds for tiles, and then within tiles: tiles are sorted by distance of their rows,
+//! then of their columns; within a tile rows, then columns, then layers. The samples of all layers
+//! are laid out again for this ([`Streams`]): row by row in painting order, once for rising and
+//! once for falling columns, so that painting reads memory sequentially without comparisons.
+//! Threads share the output's rows as with the z-buffer; the papers cut sheets into fragments
+//! instead, whose borders meet in the picture. Stamps larger than 2 x 2 would overpaint nearer
+//! samples, and are refused.
 
 use super::{
     Stamp,
     cull::{Blocks, Reach},
     matrix::WarpMatrix,
-    prepared::{Part, TILE_COLUMNS, TILE_ROWS, Tile},
     quad_raster::Target,
     stamps::own_rows,
     tile_builder::pad,
+    tiles::{Part, TILE_COLUMNS, TILE_ROWS, Tile},
     transform::{Inside, Largest, Points, Slopes, TileTransform, first_lanes},
 };
 use crate::simd::{LANES, Lanes};
 use ldi_protocol::{Pose, ldi::LdiCamera};
 use std::collections::BTreeMap;
 
-/// Stands for an epipole at infinity, LDI pixels: far beyond any image, small enough that f64 still tells columns apart.
+/// Distance of an epipole at infinity, LDI pixels: far beyond any image, small enough for f64 to
+/// distinguish columns.
 const INFINITE: f64 = 1e9;
 
 /// Where the eye lies in the image.
@@ -51,7 +57,8 @@ impl Epipole {
         let (right, down, ahead) = (e.dot(camera.basis.right), -e.dot(camera.basis.up), e.dot(camera.basis.forward));
         // Not -0, which would put the epipole on the wrong side.
         let ahead = ahead + 0.0;
-        // An eye beside the centre has no extent along the axis in question: lines run along the other, any order does.
+        // An eye beside the centre has no extent along the axis in question: lines run along the
+        // other, any order does.
         let coordinate = |p: f64, origin: i32| {
             let at = p / ahead * camera.pixels_per_unit - f64::from(origin);
             if at.is_nan() { 0.0 } else { at.clamp(-INFINITE, INFINITE) }
@@ -59,7 +66,8 @@ impl Epipole {
         Self { u: coordinate(right, camera.left), v: coordinate(down, camera.top), toward: ahead >= 0.0 }
     }
 
-    /// Of the quadrants around a place of the image, in LDI pixels, the one that is nearest to the eye: bit 0 the right half, bit 1 the lower one. The opposite one is the farthest.
+    /// The quadrant around an image position, in LDI pixels, that is nearest to the eye: bit 0 the
+    /// right half, bit 1 the lower one. The opposite one is the farthest.
     pub fn first_quadrant(&self, [u, v]: [f64; 2]) -> usize {
         let toward_epipole = usize::from(self.u >= u) | usize::from(self.v >= v) << 1;
         // Painting toward the epipole ends there.
@@ -95,7 +103,8 @@ impl Epipole {
 /// An image's samples in the order of painting.
 #[derive(Debug)]
 pub struct Streams {
-    /// Columns rise, and fall; of one pixel the deepest sample comes first in both. Their tiles hold all layers and have the same numbers.
+    /// Columns rise, and fall; of one pixel the deepest sample comes first in both. Their tiles
+    /// hold all layers and have the same numbers.
     parts: [Vec<Part>; 2],
     /// Of the tiles of the first.
     blocks: Blocks,
@@ -202,7 +211,7 @@ pub fn paint_tile<L: Lanes>(
     }
 }
 
-/// Writes the pixels that contain the points of a mask, all inside the window, one after the other.
+/// Writes the pixels that contain the points of a mask, all inside of the window, one by one.
 #[inline(always)]
 fn one_pixel<L: Lanes>(target: &mut Target<'_>, p: &Points<L>, seen: L::I, colours: &[u32]) {
     let mut bits = L::mask_bits(seen);
@@ -219,7 +228,7 @@ fn one_pixel<L: Lanes>(target: &mut Target<'_>, p: &Points<L>, seen: L::I, colou
     }
 }
 
-/// Writes two by two pixels around the points of a mask, one point after the other.
+/// Writes two by two pixels around the points of a mask, one by one.
 #[inline(always)]
 fn two_by_two<L: Lanes>(target: &mut Target<'_>, p: &Points<L>, on: L::I, colours: &[u32]) {
     let window = target.window;

@@ -1,13 +1,16 @@
-//! An image as a texture: its colours painted onto a plane, as the first portal system showed what lies beyond a door (Rafferty, Aliaga, Popescu and Lastra 1998, section 2.2).
+//! An image as a flat texture: its colours on a plane, as the first portal system showed rooms
+//! beyond a door (Rafferty, Aliaga, Popescu and Lastra 1998, section 2.2).
 //!
-//! In: a depth image and a plane. Out: the same image with the plane's disparities and every neighbour linked: a textured polygon for the warp. The disparity of a plane is
-//! affine in column and row, so that nothing is approximated but by the rounding to codes:
+//! In: a depth image and a plane. Out: the same image with the plane's disparities and all
+//! neighbours linked: a textured polygon for the warp. A plane's disparity is affine in column and
+//! row, so that the only error is the rounding to codes:
 //!
 //! ```text
 //!   X = C + r(u, v) / d  and  n . (X - P) = 0  give  d = n . r(u, v) / (n . (P - C))
 //! ```
 //!
-//! Seen from the image's centre of projection it is the image; from elsewhere "like a large painting hanging on the wall". Sky is painted too, as a part of the picture.
+//! Seen from the image's centre of projection it equals the image; from elsewhere it looks "like a
+//! large painting hanging on the wall". Sky is part of the texture.
 
 use glam::DVec3;
 use ldi_protocol::ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, Segment};
@@ -15,8 +18,9 @@ use ldi_protocol::ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, Se
 /// Columns of a segment's block.
 const BLOCK: u32 = 256;
 
-/// Paints the first layer of `ldi`, and `sky` where it has sky and nothing else, onto the plane through `point` with any normal `normal` but zero (world, metres).
-/// None if the plane lies behind the centre of projection in some pixel, or runs through it.
+/// Moves the first layer of `ldi`, and `sky` where it has only sky, to the plane through `point`
+/// with `normal` (any length but zero; world, metres). None if the plane lies behind the centre of
+/// projection in some pixel, or runs through it.
 pub fn painted_onto(ldi: &Ldi, normal: DVec3, point: DVec3, sky: [u8; 3]) -> Option<Ldi> {
     let camera = &ldi.camera;
     let away = normal.dot(point - camera.cop);
@@ -84,7 +88,8 @@ mod tests {
     use crate::warp::{FarFrame, PreparedLdi, WarpOptions, warp};
     use ldi_protocol::{OutputCamera, Pose, ViewBasis, ldi::LdiCamera};
 
-    /// 300 x 40 pixels with a hole, sky in one corner, and depths all over the place; red tells the column, green the row.
+    /// 300 x 40 pixels with a hole, sky in one corner, and depths all over the place; red tells the
+    /// column, green the row.
     fn image() -> Ldi {
         let (width, height) = (300, 40);
         let camera = LdiCamera {
@@ -118,7 +123,8 @@ mod tests {
         Ldi { camera, codes, layers: vec![layer.with_half_ends()], sky, slivers: vec![] }
     }
 
-    /// A pixel of any picture of the painted image shows the colour of the image where the line of sight meets the plane: computed in f64, without the warp.
+    /// A pixel of any picture of the painted image shows the colour of the image where the line of
+    /// sight meets the plane: computed in f64, without the warp.
     #[test]
     fn a_painted_plane_looks_as_analysis_says() {
         let ldi = image();

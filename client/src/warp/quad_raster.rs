@@ -1,29 +1,30 @@
 //! Micro-quads, eight at a time.
 //!
-//! In: eight quads on the output, corners a (upper left in the LDI), b (right), e (below), f. Out: their pixels, written
-//! as 64-bit maxima: disparity above colour, so that the nearest wins, in whatever order and on however many
-//! threads.
+//! In: eight quads on the output, corners a (upper left in the LDI), b (right), e (below), f. Out:
+//! their pixels, written as 64-bit maxima: disparity above colour, so that the nearest wins, in
+//! whatever order and on however many threads.
 //!
-//! At the LDI's usual density a quad covers one to four pixel centres. A scan converter would spend its time
-//! in set-up; instead every pixel centre of the quad's bounding box is tested, all eight quads in step. Each
-//! quad is two triangles, (a, b, e) and (f, e, b); within each, the position in the quad (s across, t down) is affine.
-//! Both borders of a triangle are inclusive with a tolerance, so that neighbours leave no crack (a pixel
-//! painted twice takes the maximum). Colours are bilinear in (s, t), in approximately linear light: the square of the sRGB code, which stays
-//! within 4.5 codes of exact linear light for codes up to 128 apart, where averaging the codes is off by up to 34.
+//! At the LDI's usual density a quad covers one to four pixel centres. A scan converter would spend
+//! its time in set-up; instead every pixel centre of the quad's bounding box is tested, all eight
+//! quads in step. Each quad is two triangles, (a, b, e) and (f, e, b); within each, the position in
+//! the quad (s across, t down) is affine. Both borders of a triangle are inclusive with a
+//! tolerance, so that neighbours leave no crack (a pixel painted twice takes the maximum). Colours
+//! are bilinear in (s, t), in approximately linear light: the square of the sRGB code, whose error
+//! is far smaller than that of averaging codes.
 
 use super::{
-    prepared::{Part, PieceGroup, Tile},
+    tiles::{Part, PieceGroup, Tile},
     transform::{LANE_NUMBERS, Scratch, TileTransform, Window, affine8, warp8},
 };
 use crate::simd::{LANES, Lanes};
 
-/// Slack of the inside test, in quads: f32 rounding of a shared edge seen from its two sides is below 1e-3 of a quad at
-/// the sizes that occur. Larger ones let surfaces grow (here by 1/512 of a sample), smaller ones show cracks.
+/// Tolerance of the inside test, in quads: above the f32 rounding of a shared edge evaluated from
+/// both sides. Larger: surfaces grow; smaller: cracks.
 const SLACK: f32 = 1.0 / 512.0;
 /// Slack of the bounding box, pixels.
 const BOX_SLACK: f32 = 1.0 / 256.0;
-/// Quads with more pixel centres than this on a side leave the group and are filled alone: they are rare, and one of
-/// them would keep seven lanes waiting.
+/// Quads with more pixel centres than this on a side leave the group and are filled alone: they are
+/// rare, and one of them would keep seven lanes waiting.
 const GROUP_SIDE: f32 = 8.0;
 
 /// The rows of the output that one thread owns.
@@ -48,7 +49,7 @@ impl Target<'_> {
         }
     }
 
-    /// Keeps the nearer of what is there and these, packed, where a bit is set.
+    /// Keeps the nearer of the present and the given packed values, where a bit is set.
     #[inline(always)]
     pub fn put8(&mut self, mut bits: u32, at: [u32; LANES], values: [u64; LANES]) {
         let mut put = |lane: usize| self.keep_nearer(at[lane] as usize, values[lane]);
@@ -124,7 +125,8 @@ fn piece_corner<L: Lanes>(group: &PieceGroup, transform: &TileTransform, c: usiz
     Corner { x, y, disparity, light: light::<L>(L::load_int(&group.colour[c])) }
 }
 
-/// Draws all quad runs and border pieces of a transformed tile; reports the squared longest side of one quad in eight.
+/// Draws all quad runs and border pieces of a transformed tile; reports the squared longest side of
+/// one quad in eight.
 #[inline(always)]
 pub fn draw_tile<L: Lanes>(
     target: &mut Target<'_>,

@@ -1,4 +1,5 @@
-//! The driver: cuts the output into bands, runs the kernels. Each band draws its share of all images, so that small ones leave no thread waiting.
+//! The warp's driver: cuts the output into bands of rows and runs the kernels. Each band draws its
+//! share of all images, so that small images leave no thread idle.
 
 use super::{
     FarFrame, ImageInView, Order, Stamp, WarpError, WarpMatrix, WarpOptions, WarpStats,
@@ -6,9 +7,10 @@ use super::{
     ewa::Means,
     occlusion::Before,
     occlusion_order::{Epipole, Streams, paint_tile},
-    prepared::{Part, PreparedLdi, Tile},
+    prepared::PreparedLdi,
     quad_raster::{Target, draw_tile},
     stamps::{own_rows, pixels_of_tile, stamp_tile},
+    tiles::{Part, Tile},
     transform::{Largest, Scratch, TileTransform, Transformed, Wanted, Window, transform_tile},
 };
 use crate::simd::{Lanes, Portable};
@@ -19,12 +21,12 @@ use rayon::prelude::*;
 struct Job<'a> {
     images: &'a [Reaching<'a>],
     options: &'a WarpOptions,
-    /// Whether samples are painted, or transformed only.
+    /// Whether samples are painted, or only transformed.
     paint: bool,
     before: Option<Before<'a>>,
 }
 
-/// Tiles that one thread asks near geometry for before it gives some away.
+/// Number of tiles that one thread tests against near geometry before it shares the work.
 const TILES_AT_ONCE: usize = 32;
 
 /// What of an image reaches the picture.
@@ -32,14 +34,14 @@ struct Reaching<'a> {
     matrix: WarpMatrix,
     tiles: Vec<Reach<'a>>,
     in_order: Option<(Epipole, &'a Streams)>,
-    /// Samples that near geometry hides, in no tile here.
+    /// Samples of tiles hidden by near geometry.
     hidden: u64,
 }
 
-/// Warps an image into `into`, keeping the nearer of what is already there and the image's samples.
+/// Warps an image into `into`, keeping the nearer of its pixels and the image's samples.
 ///
-/// With order epipole the image's samples replace what is already there instead. Runs on the current rayon pool; the
-/// result does not depend on the pool's size.
+/// With order epipole the image's samples replace what is already there instead. Runs on the
+/// current rayon pool; the result does not depend on the pool's size.
 ///
 /// # Errors
 ///
@@ -55,9 +57,11 @@ pub fn warp(
     Ok(run(&[ImageInView::from(ldi)], &[], pose, camera, options, (pose, true), into))
 }
 
-/// Warps several images to one picture: within an image by the given order, between images by depth. `spare` is memory.
+/// Warps several images to one picture: within an image by the given order, between images by
+/// depth. `spare`: a buffer.
 ///
-/// `near`: disparities (1/m, row-major, 0 where there is nothing) of what is drawn before the images, or nothing. What it hides by more than rounding may be missing from the picture.
+/// `near`: disparities (1/m, row-major, 0 for none) of near geometry, or empty. Samples hidden by
+/// it beyond rounding may be missing from the picture.
 ///
 /// # Errors
 ///
@@ -72,7 +76,7 @@ pub fn warp_images(
     spare: &mut FarFrame,
 ) -> Result<WarpStats, WarpError> {
     check(options)?;
-    // In order an image may only be painted onto nothing.
+    // In order, an image can only be painted onto an empty picture.
     let at_once = match options.order {
         Order::Z => images.len(),
         Order::Epipole => images.len().min(usize::from(into.is_untouched())),
@@ -87,7 +91,8 @@ pub fn warp_images(
     Ok(stats)
 }
 
-/// Does everything that [`warp`] does for any stamp but paint: what computing alone costs.
+/// Does everything that [`warp`] does for any stamp except painting, to measure the computation
+/// alone.
 pub fn transform_only(
     ldi: &PreparedLdi,
     pose: &Pose,
@@ -99,7 +104,8 @@ pub fn transform_only(
     run(&[ImageInView::from(ldi)], &[], pose, camera, &options, (pose, false), into)
 }
 
-/// Warps images to a pose; with order epipole in that of the pose `order`, each over what is there. See [`check`].
+/// Warps images to a pose; with order epipole in that of the pose `order`, each over the previous
+/// ones. See [`check`].
 fn run(
     images: &[ImageInView<'_>],
     near: &[f32],
@@ -174,7 +180,7 @@ fn check(options: &WarpOptions) -> Result<(), WarpError> {
     }
 }
 
-/// The part of the picture that is wanted: from column, from row, to column, to row.
+/// The part of the picture to paint: left, top, right, bottom.
 fn wanted(within: Option<[u32; 4]>, camera: &OutputCamera) -> [u32; 4] {
     let whole = [0, 0, camera.width, camera.height];
     within.map_or(whole, |w| std::array::from_fn(|k| w[k].min(whole[2 + k % 2])))
@@ -185,16 +191,17 @@ pub(crate) fn picture_bytes(camera: &OutputCamera) -> u64 {
     2 * u64::from(camera.width) * u64::from(camera.height) * size_of::<u64>() as u64
 }
 
-/// A tile that reaches the picture, for those who draw it elsewhere.
+/// A tile that reaches the picture, for drawing on the GPU.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TileJob {
     /// Its part, and its place there.
     pub number: [u32; 2],
-    /// X, Y and W on the output as functions of (u, v, 1, disparity), u and v in LDI pixels from the tile's upper left corner.
+    /// X, Y and W on the output as functions of (u, v, 1, disparity), with u and v in LDI pixels
+    /// from the tile's upper left corner.
     pub rows: [[f32; 4]; 3],
 }
 
-/// The tiles of an image that reach the picture, and what is known of the warp before it is done.
+/// The tiles of an image that reach the picture, and the statistics known before the warp.
 pub fn tile_jobs(
     ImageInView { laid_out: ldi, within }: &ImageInView<'_>,
     pose: &Pose,
@@ -211,7 +218,7 @@ pub fn tile_jobs(
     (tiles.iter().map(job).collect(), stats)
 }
 
-/// What the kernels make of every sample, clipped or not.
+/// The kernels' result for every sample, culled or not.
 pub fn transformed(ldi: &PreparedLdi, pose: &Pose, camera: &OutputCamera, portable: bool) -> Vec<Transformed> {
     let matrix = WarpMatrix::new(&ldi.camera, pose, camera);
     let window = Window { width: camera.width, first_row: 0, rows: camera.height };
@@ -237,7 +244,7 @@ pub fn transformed(ldi: &PreparedLdi, pose: &Pose, camera: &OutputCamera, portab
 /// All that a tile's own samples become.
 const ALL_OWN: Wanted = Wanted { halo: false, footprints: true, largest: false };
 
-/// Transforms a tile with the best kernels that this machine has.
+/// Transforms a tile with the best kernels of this machine.
 fn transform_dispatch(
     matrix: &WarpMatrix,
     part: &Part,
@@ -261,15 +268,16 @@ fn transform_tile_avx2(matrix: &WarpMatrix, part: &Part, tile: &Tile, window: &W
     transform_tile::<crate::simd::Avx2>(matrix, part, tile, (window, ALL_OWN), scratch, &mut Largest::none());
 }
 
-/// Warps single pixels to one pose in the order of another: to show that the order matters.
+/// Warps single pixels to one pose in the order of another, to show that the order matters.
 #[cfg(test)]
 pub fn warp_in_order(ldi: &PreparedLdi, pose: &Pose, order: &Pose, camera: &OutputCamera, into: &mut FarFrame) {
     let options = WarpOptions { stamp: Stamp::OnePixel, order: Order::Epipole, ..WarpOptions::default() };
     run(&[ImageInView::from(ldi)], &[], pose, camera, &options, (order, true), into);
 }
 
-/// Cuts the rows into bands (first row, rows) with about equal numbers of samples, one for each thread: tiles that straddle borders are done by both, and with two bands
-/// for each thread that takes longer than it saves where one half is the harder or a core is busy.
+/// Cuts the rows into bands (first row, rows) with about equal numbers of samples, one for each
+/// thread. More bands would balance better, but both sides of a border process the tiles that cross
+/// it.
 fn cut<'a>(tiles: impl Iterator<Item = &'a Reach<'a>>, height: u32, threads: usize) -> Vec<(u32, u32)> {
     let wanted = threads.max(1);
     let mut weight = vec![0.0f64; height as usize + 1];
@@ -302,12 +310,12 @@ fn cut<'a>(tiles: impl Iterator<Item = &'a Reach<'a>>, height: u32, threads: usi
     bands
 }
 
-/// Runs the best kernels that this machine has.
+/// Runs the best kernels of this machine.
 fn dispatch(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
     let pixels = job.paint && job.options.stamp == Stamp::OnePixel && job.options.order == Order::Z;
     #[cfg(target_arch = "x86_64")]
     if !job.options.portable && std::arch::is_x86_feature_detected!("avx2") {
-        // SAFETY: AVX2 was detected. Measured gain over the portable kernels: 3.3-fold with quads, 2.5-fold with 1px.
+        // SAFETY: AVX2 was detected.
         return unsafe {
             if pixels { draw_band_avx2::<true>(job, target) } else { draw_band_avx2::<false>(job, target) }
         };
@@ -321,7 +329,8 @@ fn draw_band_avx2<const PIXELS: bool>(job: &Job<'_>, target: &mut Target<'_>) ->
     draw_band::<crate::simd::Avx2, PIXELS>(job, target)
 }
 
-/// `PIXELS`: single pixels are drawn, in depth order. Code of its own, so that no registers are kept for the rest.
+/// `PIXELS`: single pixels in depth order, in code of its own, so that no registers are kept for
+/// the rest.
 #[inline(always)]
 fn draw_band<L: Lanes, const PIXELS: bool>(job: &Job<'_>, target: &mut Target<'_>) -> WarpStats {
     let (mut stats, mut scratch, mut largest) = (WarpStats::default(), Scratch::default(), Largest::<L>::none());
@@ -343,7 +352,7 @@ fn draw_image<L: Lanes, const PIXELS: bool>(
 ) {
     let window = target.window;
     let (matrix, stamp) = (&image.matrix, if PIXELS { Stamp::OnePixel } else { job.options.stamp });
-    // Quads alone reach over to samples of the next tiles.
+    // Only quads extend to samples of the next tiles.
     let (halo, footprints) = (stamp == Stamp::Quads, stamp == Stamp::Footprint);
     let here = |t: &&Reach<'_>| t.within.to > window.first_row && t.within.from < window.first_row + window.rows;
     // A tile that straddles bands is counted in its first one.

@@ -1,42 +1,32 @@
-//! Joining samples: which micro-quads and border pieces a layer consists of.
+//! The tile builder: constructs the micro-quads and border pieces of a layer.
 //!
 //! In: one layer of an [`Ldi`] and a row of tiles. Out: their [`Part`].
 //!
-//! **Micro-quads without cracks and without growth.** A sample is a cell around its centre: half a pixel toward linked neighbours, as far as its surface goes
-//! elsewhere; a layer covers exactly the union of its samples' cells. Look at the square between four neighbouring centres
+//! **Micro-quads without cracks and without growth.** A sample is a cell around its centre: half a
+//! pixel toward linked neighbours, and to the end of its surface elsewhere; a layer covers exactly
+//! the union of its samples' cells. Consider the square between four neighbouring centres:
 //!
 //! ```text
-//!     a --- b      each quarter of the square belongs to the nearest centre; all four linked: one quad a b e f,
-//!     |  .  |      colour and disparity interpolated: nearly every square is such a one
-//!     e --- f
+//!     a --- b      each quarter of the square belongs to the nearest centre; all four linked:
+//!     |  .  |      one quad a b e f, colour and disparity interpolated; nearly every square is
+//!     e --- f      such a one
 //! ```
 //!
-//! Otherwise only the quarters of existing samples are covered: pairs that are linked make a half square
-//! (interpolated along the pair), single samples a quarter. A side that a linked pair spans is the straight line
-//! between the two centres in the squares on both its sides, so it cannot open. Where a sample has no linked
-//! neighbour, its cell continues on the plane given by the opposite link (planes are linear in disparity), or frontal without one, and by as much
-//! steeper as the image says, as far as it says that the surface goes on. [`OVERLAP`] is added outward so that rounding and curvature do not open seams
-//! between surfaces that meet.
+//! Otherwise only the quarters of existing samples are covered: linked pairs make a half square
+//! (interpolated along the pair), single samples a quarter. A side between a linked pair is the
+//! straight line between the two centres in the squares on both its sides, so that it cannot open.
+//! Without a linked neighbour a cell continues on the plane given by the opposite link (planes are
+//! linear in disparity), or frontal without one, plus the slope stored in the image, to the stored
+//! end of the surface. [`OVERLAP`] is added outward, so that rounding and curvature do not open
+//! seams between surfaces that meet.
 
-use super::prepared::{OVERLAP, PADDING, Part, Pieces, Run, TILE_COLUMNS, TILE_ROWS, Tile};
+use super::tiles::{OVERLAP, PADDING, Part, Pieces, Run, TILE_COLUMNS, TILE_ROWS, Tile, Vertex};
 use crate::frame::{pack_rgb, unpack_rgb};
 use ldi_protocol::ldi::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, SLOPE_CODES, Sliver, SliverCorner, end_of};
 use std::ops::Range;
 
-/// A corner of a piece, relative to the row of tiles' upper left.
-#[derive(Debug, Clone, Copy)]
-pub struct Vertex {
-    /// Column.
-    pub u: f32,
-    /// Row.
-    pub v: f32,
-    /// Disparity, 1/m.
-    pub disparity: f32,
-    /// Packed sRGB.
-    pub colour: u32,
-}
-
-/// The slivers of an image: pieces, each in the tile that holds its first corner, in a part per row of tiles.
+/// The slivers of an image: pieces, each in the tile that holds its first corner, in a part per row
+/// of tiles.
 pub fn slivers(ldi: &Ldi) -> Vec<Part> {
     let tile_of = |s: &Sliver| {
         let [c, ..] = s.corners;
@@ -100,7 +90,7 @@ fn bilinear_corner(c: u32, a: u32, b: u32) -> u32 {
 }
 
 const NONE: u32 = u32::MAX;
-/// The rows that a row of tiles looks at: one above, its own, the halo and one more for the halo's slope.
+/// Rows read for a row of tiles: one above, its own, the halo, and one more for the halo's slope.
 const ROWS: usize = TILE_ROWS + 3;
 
 /// How a sample is linked.
@@ -115,7 +105,8 @@ enum Kind {
     Inside,
 }
 
-/// Builds one part. Rows and columns in its methods are relative to the row of tiles: row -1 is the one above.
+/// Builds one part. Rows and columns in its methods are relative to the row of tiles: row -1 is the
+/// one above.
 pub struct Builder {
     layer_number: usize,
     first_row: usize,
@@ -129,7 +120,8 @@ pub struct Builder {
     colour: Vec<u32>,
     /// Where surfaces end, same layout.
     ends: Vec<u16>,
-    /// Change of disparity to the next column and row beyond what links tell, 1/m, same layout.
+    /// Slope residual: gradient minus the linked neighbour's gradient, to the next column and row,
+    /// 1/m; same layout.
     slopes: Vec<[f32; 2]>,
     stride: usize,
     /// Samples in the window.
@@ -138,11 +130,13 @@ pub struct Builder {
     occupied: Vec<bool>,
 }
 
-/// Where a corner lies relative to its sample, per axis: toward smaller coordinates, at the centre, toward larger.
+/// Position of a corner relative to its sample, per axis: toward smaller coordinates, at the
+/// centre, toward larger.
 type Side = i32;
 
 impl Builder {
-    /// Collects what the row of tiles at `first_row` looks at. Links to samples that do not exist are dropped.
+    /// Collects the rows read for the row of tiles at `first_row`. Links to samples that do not
+    /// exist are dropped.
     pub fn new(ldi: &Ldi, layer_number: usize, first_row: usize) -> Self {
         let layer = &ldi.layers[layer_number];
         let width = ldi.camera.width as usize;
@@ -162,7 +156,7 @@ impl Builder {
         };
         let begin = layer.segments.partition_point(|s| usize::from(s.row) + 1 < first_row);
         let end = layer.segments.partition_point(|s| usize::from(s.row) <= first_row + TILE_ROWS + 1);
-        // Sparse layers are many: only what exists is visited.
+        // Sparse layers are frequent: only existing samples are visited.
         let existing = || {
             layer.segments[begin..end].iter().flat_map(|s| {
                 let (row, first) = (usize::from(s.row) + 1 - first_row, s.first as usize);
@@ -263,8 +257,8 @@ impl Builder {
         }
     }
 
-    /// The pieces of a square that is not full, into `to`. Samples without links along one axis are left to
-    /// [`Self::thin`].
+    /// The pieces of a square that is not full, into `to`. Samples without links along one axis are
+    /// left to [`Self::thin`].
     fn square(&self, row: i32, column: i32, to: &mut Pieces) {
         let a = self.at(row, column);
         let at = [a, a + 1, a + self.stride, a + self.stride + 1];
@@ -299,7 +293,8 @@ impl Builder {
                 }
             }
         }
-        // Members of a pair along the axis that the square was not split along are owed their quarters, too.
+        // Members of a pair along the axis that the square was not split along get their quarters
+        // as well.
         let owed = [inside[0] || ab || ae, inside[1] || ab || bf, inside[2] || ef || ae, inside[3] || ef || bf];
         for i in (0..4).filter(|i| owed[*i] && !done[*i]) {
             let (c, across) = if i & 1 == 0 { (column, 1) } else { (right, -1) };
@@ -308,8 +303,9 @@ impl Builder {
         }
     }
 
-    /// The pieces of a sample that has no links along one axis or none at all: as high, or as wide, as its cell, which
-    /// is what the two halves in the squares on either side would cover. Thin things and foliage consist of them.
+    /// The pieces of a sample that has no links along one axis or none at all: as high, or as wide,
+    /// as its cell, which is what the two halves in the squares on either side would cover. Thin
+    /// things and foliage consist of them.
     fn thin(&self, row: i32, column: i32, to: &mut Pieces) {
         let at = self.at(row, column);
         if self.sample[at] == NONE {
@@ -415,7 +411,8 @@ impl Builder {
             tile.bounds.grow((first_column + rightmost + 1) as f32, v + 1.0, d);
         }
         tile.row_start[TILE_ROWS + 1] = (part.column.len() - first) as u32;
-        // Squares belong to the tile of their upper left pixel; the image's border squares to the first tiles.
+        // Squares belong to the tile of their upper left pixel; the image's border squares to the
+        // first tiles.
         let top = if self.first_row == 0 { -1 } else { 0 };
         let left = if first_column == 0 { -1 } else { 0 };
         let both = LINK_RIGHT | LINK_DOWN;

@@ -1,13 +1,13 @@
-//! What is laid out beside and brought to the card while pictures follow one another.
+//! Layouts in the background, and uploads to the GPU, over several frames.
 
 use super::*;
 
-/// A painter that lays images out beside, a frame of its own, and the bytes that it put onto a card.
+/// A renderer with background layouts, its frame, and the number of uploaded bytes.
 #[derive(Default)]
 struct Beside(FrameRenderer, Frame, u64);
 
 impl Beside {
-    /// How many images wait, and whether any is seen.
+    /// Renders a frame. Returns the number of waiting images, and whether an image is drawn.
     fn render(&mut self, data: &MemoryFeed, pose: &Pose) -> (usize, bool) {
         let Self(renderer, frame, brought) = self;
         let view = view_of(&data.index, pose, &CAMERA, Method::Auto, &mut StageMs::default());
@@ -40,7 +40,7 @@ fn no_frame_waits_for_images_to_be_laid_out() {
     assert_eq!(renderer.render(&data, &AHEAD), (1, false));
     renderer.wait_for_news();
     assert_eq!([(); 2].map(|()| renderer.render(&data, &AHEAD)), [(0, true); 2]);
-    // Another layer: what was laid out without it is shown until then.
+    // Another layer arrives: until it is laid out the previous layout is drawn.
     let mut more = (*data.memory.ldis[&0]).clone();
     more.layers.push(more.layers[0].clone());
     data.memory.ldis.insert(0, Arc::new(more));
@@ -76,7 +76,8 @@ fn textured_scene() -> MemoryFeed {
     data
 }
 
-/// Of the near square's texture level 0 is absent: at 2 m a pixel is 3.9 texels wide, a sample of four 1.9.
+/// Of the near square's texture level 0 is absent: at 2 m a pixel is 3.9 texels wide, a sample of
+/// four 1.9.
 #[test]
 fn an_absent_level_is_missing_where_it_could_show() {
     let mut data = textured_scene();
@@ -99,7 +100,8 @@ fn an_absent_level_is_missing_where_it_could_show() {
     assert_eq!(missing(EVERY_LEVEL, 1), [fine.chunk]);
 }
 
-/// A card that takes little per picture gets what the picture shows piece by piece, and then shows what the processor does; nothing of it is sent twice.
+/// With a small upload budget the GPU gets a picture's data over several frames, and then draws
+/// what the CPU draws; nothing is uploaded twice.
 #[test]
 fn no_picture_puts_more_onto_the_card_than_it_may() {
     const ALLOWED: u64 = 3000;
@@ -160,7 +162,8 @@ fn what_is_expected_is_on_the_card_before_it_is_seen() {
     assert_eq!((renderer.render(&data, &AHEAD), renderer.2), ((0, true), 0));
 }
 
-/// [`scene`] with a second view cell, around z = -1: its image is chunk 3, and everything looks as from the first one.
+/// [`scene`] with a second view cell, around z = -1: its image is chunk 3, and everything looks as
+/// from the first one.
 fn two_view_cells() -> MemoryFeed {
     let mut data = scene();
     let index = &mut data.index;

@@ -173,7 +173,8 @@ fn coloured(base_colour: [f32; 4]) -> Material {
     Material { base_colour, ..plain_material() }
 }
 
-/// A red square at 2 m, a green one at 10 m, its image from the origin, and a grid point that uses it when looking along -Z.
+/// A red square at 2 m, a green one at 10 m, its image from the origin, and a grid point that uses
+/// it when looking along -Z.
 fn scene() -> MemoryFeed {
     let materials = vec![coloured([1.0, 0.0, 0.0, 1.0]), coloured([0.0, 1.0, 0.0, 1.0])];
     let (mut index, mut memory) = dataset(CAMERA, materials, vec![quad(-2.0, 0.3, 0), quad(-10.0, 3.0, 1)]);
@@ -314,7 +315,8 @@ fn near_and_far_come_together() {
     assert_eq!((colour_at(&frame, 18, 24), frame_stats.warp.is_none()), ([0, 255, 0], true));
 }
 
-/// A painter on a card, or None with the reason on the screen where this machine has none that could.
+/// A painter on a card, or None with the reason on the screen where this machine has none that
+/// could.
 fn on_card() -> Option<FrameRenderer> {
     match Gpu::open() {
         Err(e @ (GpuError::NoAdapter(_) | GpuError::Lacking { .. })) => {
@@ -333,7 +335,8 @@ fn differing(a: &Frame, b: &Frame) -> usize {
     a.colour.iter().zip(&b.colour).filter(off).count()
 }
 
-/// A card joins a frame that lacks nothing; what is missing, debug views and what only the processor does are the processor's. The pictures are the same.
+/// A card joins a frame that lacks nothing; what is missing, debug views and what only the
+/// processor does are the processor's. The pictures are the same.
 #[test]
 fn a_card_joins_what_it_drew() {
     let Some(mut on_card) = on_card() else { return };
@@ -373,7 +376,8 @@ fn a_card_joins_what_it_drew() {
     }
 }
 
-/// What the upper half of the image does not show is sky, as it borders on sky; but not while a deeper layer may hold it.
+/// What the upper half of the image does not show is sky, as it borders on sky; but not while a
+/// deeper layer may hold it.
 #[test]
 fn sky_grows_where_all_layers_are_there() {
     let mut data = scene();
@@ -576,7 +580,8 @@ fn chunks_that_come_again_are_counted() {
     )
     .expect("a walk");
     assert_eq!(summary.frames_incomplete, 3);
-    // The first frame has the cell, the second the image in its place, the third the cell again: one that comes back.
+    // The first frame has the cell, the second the image in its place, the third the cell again:
+    // one that comes back.
     assert_eq!((summary.revisit_bytes, summary.bytes_total), (CHUNK_BYTES, 4 * CHUNK_BYTES));
     assert_eq!(summary.ms_first_frame, Some(1000.0));
     assert_eq!((summary.ms_full_quality, summary.all_geometry_bytes, summary.speedup), (None, None, None));
