@@ -1,4 +1,4 @@
-//! Renders one frame: select, cull, near geometry, warp, composite.
+//! Renders one frame in stages: plan, acquire, near, warp, merge, underlay, resolve.
 //!
 //! In: a pose and the data that is resident. Out: the picture, what was drawn, what was missing,
 //! milliseconds per stage. The renderer never waits: absent data is left out of the picture and
@@ -16,8 +16,8 @@ use super::{
 };
 use crate::{
     composite::{
-        CompositeOptions, Far, FarImage, FarPortal, Fill, ImageGaps, code_steps, downsample, fill_sky, finish, merge,
-        pixels_for_tree, underlay_tree,
+        CompositeOptions, CompositeStats, Far, FarImage, FarPortal, Fill, ImageGaps, code_steps, downsample, fill_sky,
+        finish, merge, pixels_for_tree, underlay_tree,
     },
     frame::{Frame, Source, supersampled},
     gpu::Gpu,
@@ -103,6 +103,69 @@ pub struct FrameRenderer {
     pub(super) upload_budget_bytes: Option<u64>,
     /// Whether portal images are drawn as flat textures.
     textures: bool,
+}
+
+/// An image of a frame: its number, its entry, and its layers that are resident or laid out.
+type FrameImage<'a> = (u32, &'a ImageEntry, Option<Arc<Ldi>>);
+
+/// The inputs of a frame, as its stages read them.
+#[derive(Clone, Copy)]
+struct FrameContext<'a> {
+    index: &'a Index,
+    /// Decoded data; after uploading, the part that can be drawn now.
+    resident: &'a dyn Resident,
+    /// The view of the pose.
+    own: &'a View,
+    /// The view that is drawn: `own` or its fallback.
+    view: &'a View,
+    pose: &'a Pose,
+    /// The output's camera.
+    camera: &'a OutputCamera,
+    /// The supersampled frame's camera.
+    full_camera: OutputCamera,
+    options: &'a WalkOptions,
+    warp_options: WarpOptions,
+    /// Whether the layout worker lays out images.
+    background_layout: bool,
+    /// Whether images at half resolution are drawn.
+    half: bool,
+}
+
+impl<'a> FrameContext<'a> {
+    /// Whether the fallback view is drawn.
+    fn is_fallback(&self) -> bool {
+        !std::ptr::eq(self.own, self.view)
+    }
+
+    /// The images of the drawn view.
+    fn images(&self) -> Vec<FrameImage<'a>> {
+        let image = |i: &u32| Some((*i, self.index.images.get(*i as usize)?, self.resident.ldi(*i)));
+        self.view.images.iter().filter_map(image).collect()
+    }
+
+    /// Whether painted pixels may hide missing data: cells beyond the budget may hide areas that no
+    /// image shows.
+    fn is_doubtful(&self, gaps: Gaps) -> bool {
+        gaps.any || self.view.dropped > 0
+    }
+}
+
+/// Whether data is missing from a frame.
+#[derive(Debug, Clone, Copy)]
+struct Gaps {
+    /// From near geometry.
+    near: bool,
+    /// From near geometry, images or the index.
+    any: bool,
+}
+
+/// A merged frame.
+struct Merged {
+    /// A bit per pixel that nothing reached, if the GPU merged.
+    open: Option<Vec<u32>>,
+    stats: CompositeStats,
+    /// Whether an image or the tree was drawn.
+    known: bool,
 }
 
 /// The chunks of an image that are not there.
@@ -197,14 +260,52 @@ impl FrameRenderer {
         ms: StageMs,
         out: &mut Frame,
     ) -> Result<FrameStats, RenderError> {
-        let full_camera = supersampled(camera, options.supersample);
         let mut frame_stats = FrameStats { ms, whole: index.is_whole(), ..FrameStats::default() };
-
         self.last.clear();
         if options.fill == Fill::Last {
             std::mem::swap(&mut self.last, &mut self.full.colour);
         }
         let start = Instant::now();
+        let plan = self.plan(index, resident, view, pose, camera, options);
+        let ahead = std::mem::take(&mut self.ahead);
+        let late = self.acquire(&plan, &ahead)?;
+        let uploaded = UploadedOnly { resident, index, late: &late.chunks };
+        let fallback = self.fallback_for(&FrameContext { resident: &uploaded, ..plan });
+        let frame = FrameContext { resident: &uploaded, view: fallback.as_ref().unwrap_or(view), ..plan };
+        frame_stats.fallback = fallback.as_ref().and_then(|v| v.selection.placement);
+        let near_gaps = self.draw_near(&frame, start, &mut frame_stats)?;
+        let mut images = frame.images();
+        let wanted = self.list_missing(&frame, &images, &late, &mut frame_stats);
+        self.lay_out(&frame, &mut images, wanted, &ahead, &mut frame_stats)?;
+        let gaps = !frame_stats.whole || near_gaps || images.iter().any(|(.., l)| l.is_none());
+        if fallback.is_none() && !gaps {
+            self.fallback.remember_complete(frame.view);
+        }
+        self.warp(&frame, &images, &mut frame_stats)?;
+        let start = Instant::now();
+        let gaps = Gaps { near: near_gaps, any: gaps };
+        let mut merged = self.merge(&frame, &images, gaps, &mut frame_stats)?;
+        self.underlay(&frame, gaps, &mut merged, &mut frame_stats);
+        self.resolve(&frame, merged, gaps.any && images.is_empty(), out)?;
+        frame_stats.uploaded_bytes = self.backend.uploaded_bytes();
+        frame_stats.ms.composite = ms_since(start) - frame_stats.tree.as_ref().map_or(0.0, |t| t.ms);
+        self.was_complete = frame_stats.is_complete();
+        let m = &mut frame_stats.ms;
+        m.total = m.select + m.cull + m.near + m.warp + m.composite;
+        Ok(frame_stats)
+    }
+
+    /// Plans a frame: its resolution, the layouts that it uses, and the options of its warp.
+    fn plan<'a>(
+        &mut self,
+        index: &'a Index,
+        resident: &'a dyn Resident,
+        view: &'a View,
+        pose: &'a Pose,
+        camera: &'a OutputCamera,
+        options: &'a WalkOptions,
+    ) -> FrameContext<'a> {
+        let full_camera = supersampled(camera, options.supersample);
         let background_layout = options.background_layout && self.layout_worker().is_some();
         // At half the dataset's resolution or less, images at half resolution keep the footprint
         // bound.
@@ -219,33 +320,62 @@ impl FrameRenderer {
             keep_all_tiles: options.cull == Cull::Off,
             ..WarpOptions::default()
         };
-        let ahead = std::mem::take(&mut self.ahead);
-        let allowed = upload_budget_bytes(background_layout, options.frame_ms.is_some());
+        FrameContext {
+            index,
+            resident,
+            own: view,
+            view,
+            pose,
+            camera,
+            full_camera,
+            options,
+            warp_options,
+            background_layout,
+            half,
+        }
+    }
+
+    /// Uploads geometry, textures and images within the frame's budget. Returns the objects that are
+    /// still being uploaded.
+    fn acquire(&mut self, frame: &FrameContext<'_>, ahead: &Anticipated) -> Result<PendingUploads, RenderError> {
+        let FrameContext { index, resident, view, full_camera, warp_options, .. } = frame;
+        let allowed = upload_budget_bytes(frame.background_layout, frame.options.frame_ms.is_some());
         #[cfg(test)]
         let allowed = self.upload_budget_bytes.unwrap_or(allowed);
         self.backend.begin_frame(allowed);
-        let late = match background_layout {
-            true => upload_cells(&mut self.backend, index, resident, &view.cells, &full_camera, false)?,
+        let late = match frame.background_layout {
+            true => upload_cells(&mut self.backend, index, *resident, &view.cells, full_camera, false)?,
             false => PendingUploads::default(),
         };
-        let uploaded = UploadedOnly { resident, index, late: &late.chunks };
         let made = self.layout_worker.as_ref().map(LayoutWorker::take_finished);
         made.into_iter().flatten().for_each(|layout| self.uploads.insert(layout));
-        if background_layout {
+        if frame.background_layout {
             let images = (&view.images[..], &ahead.images[..]);
-            self.uploads.upload(&mut self.backend, &mut self.layouts, images, &full_camera, &warp_options)?;
-            upload_cells(&mut self.backend, index, resident, &ahead.cells, &full_camera, true)?;
+            self.uploads.upload(&mut self.backend, &mut self.layouts, images, full_camera, warp_options)?;
+            upload_cells(&mut self.backend, index, *resident, &ahead.cells, full_camera, true)?;
         }
-        let resident: &dyn Resident = &uploaded;
-        let is_ready = |image| match background_layout {
-            true => self.layouts.get(image, half).is_some(),
-            false => resident.ldi(image).is_some(),
+        Ok(late)
+    }
+
+    /// The fallback view, if the frame's own view cannot be drawn completely.
+    fn fallback_for(&self, frame: &FrameContext<'_>) -> Option<View> {
+        let is_ready = |image| match frame.background_layout {
+            true => self.layouts.get(image, frame.half).is_some(),
+            false => frame.resident.ldi(image).is_some(),
         };
-        let looks = (pose, (camera.half_tan_x(), camera.half_tan_y()));
-        let fallback = self.fallback.view(index, resident, view, looks, &is_ready);
-        let (own, view) = (view, fallback.as_ref().unwrap_or(view));
-        frame_stats.fallback = fallback.as_ref().and_then(|v| v.selection.placement);
-        let (cells, lacking_textures) = drawable(index, resident, &view.cells);
+        let looks = (frame.pose, (frame.camera.half_tan_x(), frame.camera.half_tan_y()));
+        self.fallback.view(frame.index, frame.resident, frame.own, looks, &is_ready)
+    }
+
+    /// Draws near geometry, and lists its missing chunks. Returns whether geometry is missing.
+    fn draw_near(
+        &mut self,
+        frame: &FrameContext<'_>,
+        start: Instant,
+        frame_stats: &mut FrameStats,
+    ) -> Result<bool, RenderError> {
+        let FrameContext { index, resident, pose, full_camera, options, .. } = *frame;
+        let (cells, lacking_textures) = drawable(index, resident, &frame.view.cells);
         let near = if options.method == Method::Cache && lacking_textures.is_empty() {
             self.impostors.settings.error_px = options.cache_error_px * f64::from(options.supersample);
             let (scene, view) = ((index, resident), (&full_camera, pose));
@@ -260,18 +390,13 @@ impl FrameRenderer {
         };
         frame_stats.triangles = near.triangles;
         let near_gaps = !near.missing_chunks.is_empty() || !lacking_textures.is_empty();
+        let absent = near.missing_textures.iter().filter_map(|t| index.textures.get(*t as usize));
+        let absent = absent.flat_map(|t| t.chunks.iter().map(|c| c.chunk));
         frame_stats.missing_chunks = near.missing_chunks;
         frame_stats.missing_chunks.extend(lacking_textures);
-        let absent_levels = |textures: &[u32], first: usize| {
-            let chunks = textures
-                .iter()
-                .filter_map(|t| index.textures.get(*t as usize))
-                .flat_map(move |t| t.chunks.iter().skip(first));
-            chunks.map(|c| c.chunk).collect::<Vec<_>>()
-        };
-        frame_stats.missing_chunks.extend(absent_levels(&near.missing_textures, 0));
+        frame_stats.missing_chunks.extend(absent);
         if !near.coarse_textures.is_empty() {
-            let seen = view.needed(index, &Sight::new(pose, camera, options.supersample)).fine;
+            let seen = frame.view.needed(index, &Sight::new(pose, frame.camera, options.supersample)).fine;
             let entries = near.coarse_textures.iter().filter_map(|t| Some((*t, index.textures.get(*t as usize)?)));
             for (number, entry) in entries {
                 let levels = resident.texture(number).map(|t| t.levels.iter().position(Option::is_some));
@@ -280,21 +405,29 @@ impl FrameRenderer {
                 frame_stats.missing_chunks.extend(absent.filter(|c| seen.contains(c)));
             }
         }
+        Ok(near_gaps)
+    }
 
-        let mut images: Vec<(u32, &ImageEntry, Option<Arc<Ldi>>)> =
-            view.images.iter().filter_map(|i| Some((*i, index.images.get(*i as usize)?, resident.ldi(*i)))).collect();
-        for (_, entry, ldi) in &images {
+    /// Completes the list of missing chunks. Returns the layouts that the frame's own view waits for.
+    fn list_missing(
+        &mut self,
+        frame: &FrameContext<'_>,
+        images: &[FrameImage<'_>],
+        late: &PendingUploads,
+        frame_stats: &mut FrameStats,
+    ) -> Vec<LayoutRequest> {
+        let FrameContext { index, resident, own, half, .. } = *frame;
+        for (_, entry, ldi) in images {
             frame_stats.missing_chunks.extend(absent_layers(entry, ldi.as_deref()));
         }
-        // Layouts that the view itself waits for.
         let mut wanted: Vec<LayoutRequest> = Vec::new();
-        if fallback.is_some() {
+        if frame.is_fallback() {
             frame_stats.missing_chunks.extend(absent_chunks(index, resident, &own.cells));
             for (number, entry) in own.images.iter().filter_map(|i| Some((*i, index.images.get(*i as usize)?))) {
                 let ldi = resident.ldi(number);
                 frame_stats.missing_chunks.extend(absent_layers(entry, ldi.as_deref()));
                 let want = ldi.map(|ldi| LayoutRequest { number, half, ldi });
-                wanted.extend(want.filter(|w| background_layout && !self.layouts.holds(w)));
+                wanted.extend(want.filter(|w| frame.background_layout && !self.layouts.holds(w)));
             }
             frame_stats.waiting = wanted.len();
         }
@@ -304,13 +437,26 @@ impl FrameRenderer {
         frame_stats.missing_chunks.retain(|c| !late.chunks.contains(c));
         self.late = !late.chunks.is_empty() || late.coarse > 0;
         frame_stats.waiting += late.chunks.len() + late.coarse;
+        wanted
+    }
 
+    /// Lays out the frame's images, or requests their layouts and replaces `images` by the layers that
+    /// are laid out.
+    fn lay_out(
+        &mut self,
+        frame: &FrameContext<'_>,
+        images: &mut [FrameImage<'_>],
+        mut wanted: Vec<LayoutRequest>,
+        ahead: &Anticipated,
+        frame_stats: &mut FrameStats,
+    ) -> Result<(), RenderError> {
+        let FrameContext { index, resident, own, view, full_camera, warp_options, half, .. } = *frame;
         self.layouts.forget_all_but(|number| {
             images.iter().any(|(n, ..)| *n == number) || own.images.contains(&number) || ahead.images.contains(&number)
         });
-        for (number, _, held) in &mut images {
+        for (number, _, held) in images {
             let canvas = view.canvas(index, *number);
-            if background_layout && canvas.is_none() {
+            if frame.background_layout && canvas.is_none() {
                 let Some(ldi) = held.take() else { continue };
                 let want = LayoutRequest { number: *number, half, ldi };
                 // Until the layout is ready, an older one with fewer layers or at the other
@@ -332,41 +478,59 @@ impl FrameRenderer {
             }
             frame_stats.ms.prepare += if new { ms_since(start) } else { 0.0 };
         }
-        if let Some(layout_worker) = self.layout_worker.as_ref().filter(|_| background_layout) {
+        if let Some(layout_worker) = self.layout_worker.as_ref().filter(|_| frame.background_layout) {
             let resident =
                 ahead.images.iter().filter_map(|n| Some(LayoutRequest { number: *n, half, ldi: resident.ldi(*n)? }));
             wanted.extend(resident.filter(|w| !self.layouts.holds(w)));
             wanted.retain(|w| !self.uploads.holds(w));
             layout_worker.set_requests(wanted, self.backend.warping_gpu_for(&full_camera, &warp_options).is_some());
         }
-        let gaps = !frame_stats.whole || near_gaps || images.iter().any(|(.., l)| l.is_none());
-        if fallback.is_none() && !gaps {
-            self.fallback.remember_complete(view);
-        }
+        Ok(())
+    }
+
+    /// Warps the images that are laid out.
+    fn warp(
+        &mut self,
+        frame: &FrameContext<'_>,
+        images: &[FrameImage<'_>],
+        frame_stats: &mut FrameStats,
+    ) -> Result<(), RenderError> {
+        let FrameContext { view, pose, full_camera, options, warp_options, half, .. } = *frame;
         self.far.reset(full_camera.width, full_camera.height);
         let here = || images.iter().filter(|i| i.2.is_some()).map(|i| i.0);
         let recoloured = self.layouts.recoloured(here(), pose, &full_camera, options.shows);
         let layouts = recoloured.as_ref().unwrap_or(&self.layouts);
         let here: Vec<&ImageLayout> = here().filter_map(|number| layouts.get(number, half)).collect();
-        if !here.is_empty() {
-            let start = Instant::now();
-            let mut shown: Vec<ImageInView<'_>> = Vec::with_capacity(here.len());
-            let mut show = |wanted: &dyn Fn(u32) -> bool, within| {
-                let wanted = here.iter().filter(|p| wanted(p.of.number));
-                shown.extend(wanted.map(|p| ImageInView { laid_out: &p.laid_out, within }));
-            };
-            if view.portals.is_empty() {
-                show(&|_| true, None);
-            }
-            for portal in &view.portals {
-                show(&|n| portal.images.contains(&n), Some(rectangle(&portal.cones, pose, &full_camera)));
-            }
-            let stats = self.backend.warp(&shown, &self.full, pose, &full_camera, &warp_options, &mut self.far)?;
-            frame_stats.warp = Some(stats);
-            frame_stats.ms.warp = ms_since(start);
+        if here.is_empty() {
+            return Ok(());
         }
-
         let start = Instant::now();
+        let mut shown: Vec<ImageInView<'_>> = Vec::with_capacity(here.len());
+        let mut show = |wanted: &dyn Fn(u32) -> bool, within| {
+            let wanted = here.iter().filter(|p| wanted(p.of.number));
+            shown.extend(wanted.map(|p| ImageInView { laid_out: &p.laid_out, within }));
+        };
+        if view.portals.is_empty() {
+            show(&|_| true, None);
+        }
+        for portal in &view.portals {
+            show(&|n| portal.images.contains(&n), Some(rectangle(&portal.cones, pose, &full_camera)));
+        }
+        let stats = self.backend.warp(&shown, &self.full, pose, &full_camera, &warp_options, &mut self.far)?;
+        frame_stats.warp = Some(stats);
+        frame_stats.ms.warp = ms_since(start);
+        Ok(())
+    }
+
+    /// Merges near geometry, warped images and sky.
+    fn merge(
+        &mut self,
+        frame: &FrameContext<'_>,
+        images: &[FrameImage<'_>],
+        gaps: Gaps,
+        frame_stats: &mut FrameStats,
+    ) -> Result<Merged, RenderError> {
+        let FrameContext { index, view, pose, full_camera, options, .. } = *frame;
         let shown: Vec<FarImage<'_>> =
             images.iter().map(|(_, entry, ldi)| FarImage::new(entry, ldi.as_deref())).collect();
         let of_portals: Vec<Vec<FarImage<'_>>> = view
@@ -383,13 +547,12 @@ impl FrameRenderer {
                 Some(FarPortal { cones: &p.cones, images, sky })
             })
             .collect();
-        let mut known = images.iter().any(|(.., l)| l.is_some());
-        // Cells beyond the budget may hide areas that no image shows.
-        let doubtful = gaps || view.dropped > 0;
+        let known = images.iter().any(|(.., l)| l.is_some());
+        let doubtful = frame.is_doubtful(gaps);
         // The GPU composites complete frames in scene colours, without options that only the CPU
         // implements.
         let plain = options.shows == DisplayMode::Scene && options.fill != Fill::Last && !options.smooth;
-        let open = match plain && !doubtful && view.dropped == 0 {
+        let open = match plain && !doubtful {
             true => self.backend.merge(&code_steps(&shown, pose, &full_camera), &full_camera, &self.far)?,
             false => None,
         };
@@ -400,10 +563,10 @@ impl FrameRenderer {
         }
         let far = match shown[..] {
             _ if !portals.is_empty() => {
-                Far::Portals { picture: &self.far, portals: &portals, complete: view.dropped == 0 && !near_gaps }
+                Far::Portals { picture: &self.far, portals: &portals, complete: view.dropped == 0 && !gaps.near }
             }
             // Dropped cells may lie anywhere, so that the remaining pixels are not known to be sky.
-            _ if (view.dropped > 0 || gaps) && images.is_empty() => Far::Missing,
+            _ if doubtful && images.is_empty() => Far::Missing,
             [] => Far::Nothing,
             _ => {
                 let placement = view.selection.placement.and_then(|p| index.placements.get(p as usize));
@@ -417,60 +580,61 @@ impl FrameRenderer {
         if known && all_layers && !doubtful && !view.portal_images.is_paper() {
             fill_sky(&mut self.full, &mut stats);
         }
-        if let Some(tree) = &index.tree {
-            let doubt = match doubtful {
-                true => ImageGaps::Missing {
-                    margin_m: 2.0 * tree.pitch_of(tree.pinned_levels.saturating_sub(1)) as f32,
-                    complete_m: if gaps { 0.0 } else { view.complete_m as f32 },
-                },
-                false => ImageGaps::None,
-            };
-            let start = Instant::now();
-            frame_stats.tree = self.draw_tree_underlay(index, resident, pose, &full_camera, options, doubt, start);
-            if let Some(t) = &frame_stats.tree {
-                (stats.tree, stats.unpainted) = (t.given, self.full.count(Source::Unpainted) as u64);
-                known = true;
-                frame_stats.ms.warp += t.ms;
-            }
+        Ok(Merged { open, stats, known })
+    }
+
+    /// Adds the LDI tree to pixels that are open or doubtful.
+    fn underlay(&mut self, frame: &FrameContext<'_>, gaps: Gaps, merged: &mut Merged, frame_stats: &mut FrameStats) {
+        let Some(tree) = &frame.index.tree else { return };
+        let doubt = match frame.is_doubtful(gaps) {
+            true => ImageGaps::Missing {
+                margin_m: 2.0 * tree.pitch_of(tree.pinned_levels.saturating_sub(1)) as f32,
+                complete_m: if gaps.any { 0.0 } else { frame.view.complete_m as f32 },
+            },
+            false => ImageGaps::None,
+        };
+        frame_stats.tree = self.draw_tree_underlay(frame, doubt);
+        if let Some(t) = &frame_stats.tree {
+            (merged.stats.tree, merged.stats.unpainted) = (t.given, self.full.count(Source::Unpainted) as u64);
+            merged.known = true;
+            frame_stats.ms.warp += t.ms;
         }
+    }
+
+    /// Fills holes, and averages the frame into `out`. `unknown`: nothing stands for missing geometry.
+    fn resolve(
+        &mut self,
+        frame: &FrameContext<'_>,
+        mut merged: Merged,
+        unknown: bool,
+        out: &mut Frame,
+    ) -> Result<(), RenderError> {
+        let options = frame.options;
         self.filled_on_card = 0;
-        if let Some(open) = open {
-            let fill = options.fill == Fill::Surface && stats.is_worth_filling(known);
+        if let Some(open) = merged.open {
+            let fill = options.fill == Fill::Surface && merged.stats.is_worth_filling(merged.known);
             self.filled_on_card = self.backend.finish(&open, &self.full, fill, options.supersample, out)?;
-        } else {
-            let composite_options = CompositeOptions { fill: options.fill, last: &self.last, smooth: options.smooth };
-            finish(&mut self.full, known, &mut stats, &composite_options);
-            if gaps && index.tree.is_none() && images.is_empty() && view.dropped == 0 {
-                // No data about these pixels exists: they are drawn as sky.
-                self.full.paint_rest_as_sky();
-            }
-            options.shows.recolour(&mut self.full);
-            if options.supersample > 1 {
-                downsample(&self.full, options.supersample, out);
-            } else {
-                out.clone_from(&self.full);
-            }
+            return Ok(());
         }
-        frame_stats.uploaded_bytes = self.backend.uploaded_bytes();
-        frame_stats.ms.composite = ms_since(start) - frame_stats.tree.as_ref().map_or(0.0, |t| t.ms);
-        self.was_complete = frame_stats.is_complete();
-        let m = &mut frame_stats.ms;
-        m.total = m.select + m.cull + m.near + m.warp + m.composite;
-        Ok(frame_stats)
+        let composite_options = CompositeOptions { fill: options.fill, last: &self.last, smooth: options.smooth };
+        finish(&mut self.full, merged.known, &mut merged.stats, &composite_options);
+        if unknown && frame.index.tree.is_none() && frame.view.dropped == 0 {
+            // No data about these pixels exists: they are drawn as sky.
+            self.full.paint_rest_as_sky();
+        }
+        options.shows.recolour(&mut self.full);
+        if options.supersample > 1 {
+            downsample(&self.full, options.supersample, out);
+        } else {
+            out.clone_from(&self.full);
+        }
+        Ok(())
     }
 
     /// Draws the LDI tree into the pixels that need it. None if no pixel does.
-    #[expect(clippy::too_many_arguments, reason = "each is another thing that a frame depends on")]
-    fn draw_tree_underlay(
-        &mut self,
-        index: &Index,
-        resident: &dyn Resident,
-        pose: &Pose,
-        camera: &OutputCamera,
-        options: &WalkOptions,
-        doubt: ImageGaps,
-        start: Instant,
-    ) -> Option<TreeStats> {
+    fn draw_tree_underlay(&mut self, frame: &FrameContext<'_>, doubt: ImageGaps) -> Option<TreeStats> {
+        let start = Instant::now();
+        let FrameContext { index, resident, pose, full_camera: ref camera, options, .. } = *frame;
         // Without the root chunk the tree cannot be drawn.
         let tree = index.tree.as_ref().filter(|t| resident.brood(t.root_chunk).is_some())?;
         let wanted = pixels_for_tree(&self.full, doubt);

@@ -1,47 +1,10 @@
 //! Calibration: warps the same image on the GPU and the CPU, once, to choose the faster one.
 
-use super::{Gpu, GpuError};
+use super::{Calibration, Gpu, GpuError, WarpOn};
 use crate::warp::{FarFrame, ImageInView, PreparedLdi, WarpError, WarpOptions, analytic, warp};
 use glam::DVec3;
 use ldi_protocol::{OutputCamera, Pose, ldi::Ldi};
-use serde::Serialize;
 use std::time::Instant;
-
-/// The device that warps.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
-pub enum WarpOn {
-    /// The faster device.
-    #[default]
-    Auto,
-    /// The CPU.
-    Cpu,
-    /// The GPU.
-    Gpu,
-}
-
-/// Result of the calibration.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Calibration {
-    /// Whether the GPU warps.
-    pub on_card: bool,
-    /// Milliseconds of the calibration image on the GPU; None if nothing was compared.
-    pub card_ms: Option<f64>,
-    /// Milliseconds on the CPU.
-    pub processor_ms: Option<f64>,
-}
-
-impl std::fmt::Display for Calibration {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(if self.on_card { "the card" } else { "the processor" })?;
-        match (self.card_ms, self.processor_ms) {
-            (Some(card), Some(processor)) => {
-                write!(f, " ({card:.1} ms on the card, {processor:.1} ms on the processor)")
-            }
-            _ => Ok(()),
-        }
-    }
-}
 
 /// Number of warps on each device, of which the fastest counts: the first ones include one-time
 /// costs.
@@ -51,11 +14,23 @@ const ROUNDS: usize = 4;
 const SIDE: u32 = 512;
 const CAMERA: OutputCamera = OutputCamera { width: 640, height: 640, fov_deg: 60.0 };
 
-/// Compares both devices, or uses the given one.
-pub fn calibrate(gpu: &mut Gpu, on: WarpOn) -> Result<Calibration, GpuError> {
-    if on != WarpOn::Auto {
-        return Ok(Calibration { on_card: on == WarpOn::Gpu, card_ms: None, processor_ms: None });
+impl Gpu {
+    /// Chooses the device that warps, by a comparison or as given.
+    ///
+    /// # Errors
+    /// If the GPU fails.
+    pub fn calibrate(&mut self, on: WarpOn) -> Result<Calibration, GpuError> {
+        let calibration = match on {
+            WarpOn::Auto => compare(self)?,
+            chosen => Calibration { on_card: chosen == WarpOn::Gpu, card_ms: None, processor_ms: None },
+        };
+        self.calibration = Some(calibration);
+        Ok(calibration)
     }
+}
+
+/// Warps the same image on both devices.
+fn compare(gpu: &mut Gpu) -> Result<Calibration, GpuError> {
     let laid_out = PreparedLdi::new(&image());
     let image = ImageInView::from(&laid_out);
     let pose = Pose { position: DVec3::new(0.1, 0.05, -0.1), yaw_deg: 3.0, pitch_deg: -2.0 };

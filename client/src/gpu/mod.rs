@@ -17,6 +17,7 @@
 //! Compute Shaders", 2021). It is used where 64-bit atomics, their other method, are missing.
 
 mod calibrate;
+mod calibration;
 mod composite;
 mod device;
 mod geometry;
@@ -30,7 +31,7 @@ mod textures;
 mod transfer;
 mod warp;
 
-pub use calibrate::{Calibration, WarpOn};
+pub use calibration::{Calibration, WarpOn};
 pub use device::{Atomics, GpuError};
 pub use images::Packed;
 pub use lru::PATIENCE;
@@ -41,7 +42,7 @@ use crate::{
     frame::Frame,
     near::NearStats,
     resident::Resident,
-    warp::{FarFrame, ImageInView, Order, PreparedLdi, WarpOptions, WarpStats},
+    warp::{FarFrame, ImageInView, PreparedLdi, WarpOptions, WarpStats},
 };
 use device::{GpuDevice, Software};
 use ldi_protocol::{OutputCamera, Pose, index::Index, mesh::CellGeometry, texture::Texture};
@@ -121,8 +122,7 @@ impl Gpu {
     /// # Errors
     /// If it cannot.
     pub fn can_warp(options: &WarpOptions) -> Result<(), GpuError> {
-        warp::number_of(options.stamp)?;
-        if options.order == Order::Z { Ok(()) } else { Err(GpuError::Order(options.order)) }
+        warp::check_options(options)
     }
 
     /// Whether pictures of this size fit the GPU's textures and buffers.
@@ -147,16 +147,6 @@ impl Gpu {
     #[cfg(test)]
     pub(crate) fn shrink(&mut self, largest_bytes: u64) {
         self.largest_bytes = largest_bytes;
-    }
-
-    /// Chooses the device that warps, by a comparison or as given.
-    ///
-    /// # Errors
-    /// If the GPU fails.
-    pub fn calibrate(&mut self, on: WarpOn) -> Result<Calibration, GpuError> {
-        let calibration = calibrate::calibrate(self, on)?;
-        self.calibration = Some(calibration);
-        Ok(calibration)
     }
 
     /// Result of the calibration; None before it.

@@ -12,7 +12,7 @@ use super::{
     transfer::UploadBudget,
 };
 use crate::warp::{
-    FarFrame, ImageInView, PreparedLdi, Stamp, StretchHistogram, TileJob, WarpOptions, WarpStats, picture_bytes,
+    FarFrame, ImageInView, Order, PreparedLdi, Stamp, StretchHistogram, TileJob, WarpOptions, WarpStats, picture_bytes,
     tile_jobs,
 };
 use bytemuck::{Pod, Zeroable};
@@ -100,6 +100,12 @@ pub fn number_of(stamp: Stamp) -> Result<u32, GpuError> {
     }
 }
 
+/// Checks whether the shaders implement the stamp and the order.
+pub fn check_options(options: &WarpOptions) -> Result<(), GpuError> {
+    number_of(options.stamp)?;
+    if options.order == Order::Z { Ok(()) } else { Err(GpuError::Order(options.order)) }
+}
+
 impl WarpPass {
     pub fn new(card: &GpuDevice) -> Self {
         let layout = |label, entries: &[wgpu::BindGroupLayoutEntry]| {
@@ -179,7 +185,7 @@ impl WarpPass {
         options: &WarpOptions,
         budget: &mut UploadBudget,
     ) -> Result<WarpStats, GpuError> {
-        super::Gpu::can_warp(options)?;
+        check_options(options)?;
         let stamp = number_of(options.stamp)?;
         let (mut stats, mut jobs, mut batches) = (WarpStats::default(), Vec::<Job>::new(), Vec::new());
         for image in images {

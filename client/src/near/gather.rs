@@ -1,6 +1,6 @@
 //! Gathers draws from cells: clusters, their placements and materials.
 
-use super::{NearStats, alpha::AlphaBlocks};
+use super::{alpha::AlphaBlocks, stats::NearStats};
 use crate::resident::Resident;
 use glam::{DAffine3, Vec3};
 use ldi_protocol::{

@@ -40,11 +40,14 @@ mod horizon;
 mod raster;
 mod shade;
 mod shade_simd;
+mod stats;
 #[cfg(test)]
 mod tests;
 mod triangle_setup;
 
 pub(crate) use attributes::ABSENT_TEXEL;
+pub use stats::NearStats;
+pub use triangle_setup::NEAR_PLANE_M;
 
 use crate::{
     frame::{Frame, Source},
@@ -53,9 +56,6 @@ use crate::{
 use gather::Gathered;
 use ldi_protocol::{OutputCamera, Pose, index::Index};
 use rayon::prelude::*;
-
-/// Distance of the near plane from the eye along the viewing direction, metres.
-pub const NEAR_PLANE_M: f64 = 0.02;
 
 /// Largest picture side, pixels: the records of the rasterizer keep columns and rows in 16 bits.
 pub const MAX_SIDE_PX: u32 = 16_384;
@@ -67,21 +67,6 @@ const FIRST_BATCH_TRIANGLES: usize = 1 << 14;
 const LARGEST_BATCH_TRIANGLES: usize = 1 << 18;
 /// Triangles per task of a batch. Larger: less balance between threads; smaller: more overhead.
 const TASK_TRIANGLES: usize = 1 << 13;
-
-/// Statistics of the rasterizer.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct NearStats {
-    /// Triangles of the drawn clusters, before frustum rejection and clipping.
-    pub triangles: u64,
-    /// Clusters drawn.
-    pub clusters: u64,
-    /// Chunks of cells and bundles that are not resident, ascending, without repetition.
-    pub missing_chunks: Vec<u32>,
-    /// Textures in use of which no level is resident, ascending.
-    pub missing_textures: Vec<u32>,
-    /// Textures in use whose finest level is not resident, ascending: drawn coarser than possible.
-    pub coarse_textures: Vec<u32>,
-}
 
 /// The rasterizer, with buffers reused between frames.
 #[derive(Debug, Default)]

@@ -1,7 +1,6 @@
 //! Triangle setup: transform, outcodes, near-plane clipping, edge functions, assignment to bands.
 
 use super::{
-    NEAR_PLANE_M,
     gather::{Draw, Gathered, Mask},
     horizon::Horizon,
 };
@@ -9,6 +8,8 @@ use glam::{DMat3, DVec3};
 use ldi_protocol::{OutputCamera, Pose, mesh::MAX_CLUSTER_TRIANGLES};
 use std::ops::Range;
 
+/// Distance of the near plane from the eye along the viewing direction, metres.
+pub const NEAR_PLANE_M: f64 = 0.02;
 /// Rows of a band, the unit of parallel work. Fewer rows list triangles more often, more rows
 /// balance worse.
 pub(super) const BAND_ROWS: usize = 32;

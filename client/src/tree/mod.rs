@@ -1,6 +1,6 @@
 //! Draws the LDI tree (Chang, Bishop, Lastra 1999), which is shown where finer data is missing.
 //!
-//! In: a [`Cut`], resident nodes, a pose, the pixels to draw. Out: a [`FarFrame`] of colours and
+//! In: a cut of the tree, resident nodes, a pose, the pixels to draw. Out: a [`FarFrame`] of colours and
 //! disparities.
 //!
 //! 1. `splat_projection`: every sample is a parallelogram on its surface, one pitch wide, projected
@@ -24,18 +24,22 @@ mod progressive;
 mod progressive_test;
 mod splat;
 mod splat_projection;
+mod stats;
 #[cfg(test)]
 mod tests;
+mod view;
 
 use crate::{resident::Resident, warp::FarFrame};
 use ldi_protocol::{
     OutputCamera, Pose,
-    tree::{Cut, CutOptions, Lens, Tree, cut},
+    tree::{CutOptions, Tree},
 };
 use pass::Pass;
 pub use pixel_mask::{BLOCK, PixelMask};
 pub use progressive::ProgressivePainter;
 use splat::SplatBuffers;
+pub use stats::TreeStats;
+use view::TreeView;
 
 /// Growth of the largest stamp in each pass of gap filling.
 const GAP_STEP: f64 = 4.0;
@@ -57,48 +61,6 @@ impl Default for TreeOptions {
     fn default() -> Self {
         Self { cut: CutOptions::default(), gap_passes: GAP_PASSES }
     }
-}
-
-/// The tree, its data and the camera of a drawing.
-#[derive(Clone, Copy)]
-struct View<'a> {
-    tree: &'a Tree,
-    resident: &'a dyn Resident,
-    pose: &'a Pose,
-    camera: &'a OutputCamera,
-}
-
-impl View<'_> {
-    fn holds(&self, chunk: u32) -> bool {
-        self.resident.brood(chunk).is_some()
-    }
-
-    fn cut(&self, options: &CutOptions) -> Cut {
-        cut(self.tree, self.pose, &Lens::from(self.camera), options, |chunk| self.holds(chunk))
-    }
-}
-
-/// Statistics of a drawing.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct TreeStats {
-    /// Visited samples.
-    pub samples: u64,
-    /// Samples of the displayed cut.
-    pub shown: u64,
-    /// Whether the sample limit prevented refinement.
-    pub limited: bool,
-    /// Splats drawn.
-    pub splats: u64,
-    /// Pixels that the first pass painted.
-    pub painted: u64,
-    /// Pixels that gap filling painted.
-    pub gaps_filled: u64,
-    /// Absent chunks that would refine the picture.
-    pub missing: Vec<u32>,
-    /// Pixels of the frame taken from the tree.
-    pub given: u64,
-    /// Milliseconds, including the underlay.
-    pub ms: f64,
 }
 
 /// Draws trees; keeps buffers between frames.
@@ -130,7 +92,7 @@ impl TreePainter {
         if wanted.is_empty() {
             return stats;
         }
-        let view = View { tree, resident, pose, camera };
+        let view = TreeView { tree, resident, pose, camera };
         self.pass.begin(view.cut(&options.cut));
         self.pass.advance(&view, u64::MAX, wanted, out, &mut self.painting, &mut stats);
         self.finish(&view, options, wanted, no_gap, out, &mut stats);
@@ -140,7 +102,7 @@ impl TreePainter {
     /// Counts what the finished pass painted and fills gaps.
     fn finish(
         &mut self,
-        view: &View<'_>,
+        view: &TreeView<'_>,
         options: &TreeOptions,
         wanted: &mut PixelMask,
         no_gap: &(dyn Fn(usize, usize) -> bool + Sync),

@@ -2,10 +2,10 @@
 //! colours.
 
 use super::{
-    View,
     pixel_mask::{BLOCK, PixelMask},
     splat::SplatBuffers,
     splat_projection::{Splat, SplatProjection},
+    view::TreeView,
 };
 use crate::warp::FarFrame;
 use ldi_protocol::tree::Cut;
@@ -43,7 +43,7 @@ impl Pass {
     /// proportion. Returns whether the drawing is finished.
     pub fn advance(
         &mut self,
-        view: &View<'_>,
+        view: &TreeView<'_>,
         max_samples: u64,
         wanted: &mut PixelMask,
         out: &mut FarFrame,

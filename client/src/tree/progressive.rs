@@ -7,7 +7,7 @@
 //! next one starts. The picture equals that of a single frame without a limit, so that it never
 //! becomes coarser, and a finished picture costs nothing.
 
-use super::{PixelMask, TreeOptions, TreePainter, TreeStats, View, pass::Pass};
+use super::{PixelMask, TreeOptions, TreePainter, TreeStats, pass::Pass, view::TreeView};
 use crate::{resident::Resident, warp::FarFrame};
 use ldi_protocol::{
     OutputCamera, Pose,
@@ -67,7 +67,7 @@ impl ProgressivePainter {
         hidden_below: &[f32],
         no_gap: &(dyn Fn(usize, usize) -> bool + Sync),
     ) -> (TreeStats, &FarFrame) {
-        let view = View { tree, resident, pose, camera };
+        let view = TreeView { tree, resident, pose, camera };
         let stands = self.last.replace((*pose, *camera)) == Some((*pose, *camera));
         let serves = |s: &FinishedPicture| stands && s.wanted.covers(&s.hidden_below, &wanted, hidden_below);
         if !self.shown.as_ref().is_some_and(serves) {
@@ -94,7 +94,7 @@ impl ProgressivePainter {
     /// Continues the picture of the previous frame.
     fn draw_on(
         &mut self,
-        view: &View<'_>,
+        view: &TreeView<'_>,
         max_samples: u64,
         no_gap: &(dyn Fn(usize, usize) -> bool + Sync),
     ) -> TreeStats {

@@ -54,6 +54,10 @@ pub use transform::Transformed;
 
 use std::{fmt, str::FromStr};
 
+/// Largest side of a footprint stamp, pixels, above the footprints that images guarantee. Larger:
+/// one sample covers others that are more accurate.
+pub(crate) const LARGEST_FOOTPRINT_STAMP: f32 = 8.0;
+
 /// How a warped sample becomes pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Stamp {
@@ -130,7 +134,7 @@ impl Stamp {
     }
 
     /// Of all stamps.
-    const LARGEST_REACH_PX: f64 = 0.5 * stamps::LARGEST_FOOTPRINT_STAMP as f64 + 1.0;
+    const LARGEST_REACH_PX: f64 = 0.5 * LARGEST_FOOTPRINT_STAMP as f64 + 1.0;
 }
 
 /// How samples that meet in a pixel are ordered.
@@ -240,8 +244,8 @@ impl WarpStats {
     /// Counts a tile that is drawn.
     fn count_tile(&mut self, part: &tiles::Part, tile: &tiles::Tile, stamp: Stamp) {
         self.samples_warped += u64::from(tile.own);
-        self.primitives += if stamp == Stamp::Quads { PreparedLdi::quads(part, tile) } else { u64::from(tile.own) };
-        self.bytes += PreparedLdi::bytes(tile, stamp);
+        self.primitives += if stamp == Stamp::Quads { part.quads(tile) } else { u64::from(tile.own) };
+        self.bytes += tile.bytes(stamp == Stamp::Quads);
     }
 
     /// Adds another image's or band's figures.

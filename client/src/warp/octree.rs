@@ -79,7 +79,7 @@ impl OctreeNode {
     }
 }
 
-/// See the module.
+/// An octree over the samples of an image.
 #[derive(Debug)]
 pub struct SampleOctree {
     camera: LdiCamera,

@@ -4,11 +4,10 @@
 //! quads and pieces from samples.
 
 use super::{
-    Stamp,
     cull::Blocks,
     occlusion_order::Streams,
     tile_builder::{Builder, slivers},
-    tiles::{Part, PieceGroup, Run, TILE_ROWS, Tile},
+    tiles::{Part, TILE_ROWS},
 };
 use ldi_protocol::ldi::{Ldi, LdiCamera};
 use rayon::prelude::*;
@@ -17,7 +16,7 @@ use std::sync::{
     atomic::{AtomicU64, Ordering},
 };
 
-/// See the module.
+/// An image prepared for the warp.
 #[derive(Debug)]
 pub struct PreparedLdi {
     /// The image's camera.
@@ -63,18 +62,5 @@ impl PreparedLdi {
     /// The samples in occlusion-compatible order, laid out at first use.
     pub(super) fn streams(&self) -> &Streams {
         self.streams.get_or_init(|| Streams::new(&self.parts))
-    }
-
-    /// Micro-quads and border pieces of a tile.
-    pub(super) fn quads(part: &Part, tile: &Tile) -> u64 {
-        let inner: u64 = part.runs[tile.runs.clone()].iter().map(|r| u64::from(r.count)).sum();
-        inner + tile.pieces as u64
-    }
-
-    /// Bytes of a tile's arrays that a stamp reads.
-    pub(super) fn bytes(tile: &Tile, stamp: Stamp) -> u64 {
-        let samples = tile.row_start[TILE_ROWS + 1] as usize * (size_of::<u8>() + size_of::<f32>() + size_of::<u32>());
-        let joined = tile.runs.len() * size_of::<Run>() + tile.groups.len() * size_of::<PieceGroup>();
-        (samples + if stamp == Stamp::Quads { joined } else { 0 }) as u64
     }
 }

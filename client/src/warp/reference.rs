@@ -5,9 +5,8 @@
 //! directly from the layers.
 
 use super::{
-    FarFrame, Stamp, WarpMatrix, Warped,
+    FarFrame, LARGEST_FOOTPRINT_STAMP, Stamp, WarpMatrix, Warped,
     ewa::{CUT, PIXEL_VARIANCE, SAME_SURFACE, SAMPLE_VARIANCE},
-    stamps::LARGEST_FOOTPRINT_STAMP,
     tiles::OVERLAP,
 };
 use crate::frame::{pack_rgb, unpack_rgb};

@@ -6,7 +6,7 @@
 //! transformed cell. Even-sized stamps centre on the sample to half a pixel.
 
 use super::{
-    Stamp,
+    LARGEST_FOOTPRINT_STAMP, Stamp,
     matrix::WarpMatrix,
     quad_raster::Target,
     tiles::{OVERLAP, Part, TILE_ROWS, Tile},
@@ -14,10 +14,6 @@ use super::{
 };
 use crate::simd::{LANES, Lanes};
 use std::ops::Range;
-
-/// Largest side of a footprint stamp, pixels, above the footprints that images guarantee. Larger:
-/// one sample covers others that are more accurate.
-pub const LARGEST_FOOTPRINT_STAMP: f32 = 8.0;
 
 /// Stamps all samples of a tile without its halo.
 #[inline(always)]

@@ -114,6 +114,12 @@ pub struct Part {
 }
 
 impl Part {
+    /// Micro-quads and border pieces of a tile.
+    pub(super) fn quads(&self, tile: &Tile) -> u64 {
+        let inner: u64 = self.runs[tile.runs.clone()].iter().map(|r| u64::from(r.count)).sum();
+        inner + tile.pieces as u64
+    }
+
     /// Tile-local numbers of a row's samples, the one in the halo's column last, which is left out
     /// unless `with_halo`.
     #[inline(always)]
@@ -155,6 +161,13 @@ impl Pieces {
 }
 
 impl Tile {
+    /// Bytes of the tile's arrays that the warp reads; `joined`: with micro-quads and pieces.
+    pub(super) fn bytes(&self, joined: bool) -> u64 {
+        let samples = self.row_start[TILE_ROWS + 1] as usize * (size_of::<u8>() + size_of::<f32>() + size_of::<u32>());
+        let pieces = self.runs.len() * size_of::<Run>() + self.groups.len() * size_of::<PieceGroup>();
+        (samples + if joined { pieces } else { 0 }) as u64
+    }
+
     /// Starts a tile at (row, column), the upper left corner, at the end of a part's arrays.
     pub(super) fn new(row: usize, column: usize, part: &mut Part) -> Self {
         Self {

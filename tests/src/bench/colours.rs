@@ -113,7 +113,7 @@ pub fn compare(scene: &str, dataset: &Dataset, camera: &OutputCamera, views: &[O
             .map(|(v, (cache, view))| {
                 let shown = Recoded { cache, images: &images };
                 renderer.render(index, &shown, view, &v.pose, camera, &options, StageMs::default(), &mut picture)?;
-                Ok(v.truth.judge(&picture, renderer.full(), None)?)
+                Ok(v.truth.evaluate(&picture, renderer.full(), None)?)
             })
             .collect::<Result<Vec<_>>>()?;
         let mean = |of: fn(&Scores) -> Option<f64>| {

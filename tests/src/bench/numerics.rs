@@ -387,7 +387,7 @@ fn crossing(cases: u64, seed: u64) -> Case {
         );
         let exact = reference::warp(&ldi, &pose, &SMALL, Stamp::Quads);
         // Nothing to see is no case.
-        if fast.frame_stats() + exact.frame_stats() == 0 {
+        if fast.painted() + exact.painted() == 0 {
             continue;
         }
         for i in 0..fast.packed.len() {

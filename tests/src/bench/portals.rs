@@ -327,7 +327,7 @@ pub fn walk_by(
         }
         let frame_stats = renderer.render(index, &cache, &view, &at.pose, camera, &options, ms, &mut picture)?;
         let verdict = match truth {
-            Some([truth, baseline]) => truth.judge(&picture, renderer.full(), Some(baseline))?,
+            Some([truth, baseline]) => truth.evaluate(&picture, renderer.full(), Some(baseline))?,
             None => Scores::default(),
         };
         if let Some(folder) = pictures.filter(|_| truth.is_some()) {

@@ -437,7 +437,7 @@ fn measure(
             times.push(frame_stats.ms.total);
         }
         frame_ms.push(median(times));
-        verdicts.push(v.truth.judge(&picture, renderer.full(), Some(&v.baseline))?);
+        verdicts.push(v.truth.evaluate(&picture, renderer.full(), Some(&v.baseline))?);
     }
     let n = views.len() as f64;
     let (warp, compute) = (median(warp_ms), median(compute_ms));
