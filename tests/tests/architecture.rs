@@ -72,7 +72,11 @@ fn sources(folder: &str) -> Vec<(String, String)> {
         .filter(|p| !is_test(p))
         .map(|p| {
             let text = std::fs::read_to_string(&p).expect("readable");
-            let code = text.split("#[cfg(test)]\nmod ").next().unwrap_or_default().to_string();
+            let mut modules = text.match_indices("#[cfg(test)]\nmod ");
+            let in_braces = |(at, start): &(usize, &str)| {
+                text[at + start.len()..].lines().next().is_some_and(|line| line.ends_with('{'))
+            };
+            let code = modules.find(in_braces).map_or(text.as_str(), |(at, _)| &text[..at]).to_string();
             (p.strip_prefix(root()).expect("below the root").display().to_string(), code)
         })
         .collect()
@@ -288,7 +292,12 @@ mod imports {
         }
         parts.push(&list[from..]);
         let parts = parts.into_iter().filter(|p| !p.trim().is_empty());
-        parts.flat_map(|p| expand(p)).map(|(path, name)| (format!("{prefix}{path}"), name)).collect()
+        let named = |(path, name): (String, String)| {
+            let own = prefix.trim_end_matches("::").rsplit("::").next().unwrap_or_default();
+            let name = if name == "self" { own.to_string() } else { name };
+            (format!("{prefix}{path}"), name)
+        };
+        parts.flat_map(expand).map(named).collect()
     }
 
     /// The path from the crate's root; None for a path into another crate.
@@ -381,7 +390,7 @@ mod imports {
             }
             let known = files.get(&module).and_then(|f| f.scope.get(name)).filter(|_| depth < 8);
             return match known {
-                Some(known) => defined_in(&[known, &path[at + 1..]].concat(), files, depth + 1),
+                Some(known) => defined_in(&[known.as_slice(), &path[at + 1..]].concat(), files, depth + 1),
                 None => Some((module, name.clone())),
             };
         }
