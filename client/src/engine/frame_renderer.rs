@@ -335,8 +335,8 @@ impl FrameRenderer {
         }
     }
 
-    /// Uploads geometry, textures and images within the frame's budget. Returns the objects that are
-    /// still being uploaded.
+    /// Uploads geometry, textures and images within the frame's budget. Returns the objects that
+    /// are still being uploaded.
     fn acquire(&mut self, frame: &FrameContext<'_>, ahead: &Anticipated) -> Result<PendingUploads, RenderError> {
         let FrameContext { index, resident, view, full_camera, warp_options, .. } = frame;
         let allowed = upload_budget_bytes(frame.background_layout, frame.options.frame_ms.is_some());
@@ -408,7 +408,8 @@ impl FrameRenderer {
         Ok(near_gaps)
     }
 
-    /// Completes the list of missing chunks. Returns the layouts that the frame's own view waits for.
+    /// Completes the list of missing chunks. Returns the layouts that the frame's own view waits
+    /// for.
     fn list_missing(
         &mut self,
         frame: &FrameContext<'_>,
@@ -440,8 +441,8 @@ impl FrameRenderer {
         wanted
     }
 
-    /// Lays out the frame's images, or requests their layouts and replaces `images` by the layers that
-    /// are laid out.
+    /// Lays out the frame's images, or requests their layouts and replaces `images` by the layers
+    /// that are laid out.
     fn lay_out(
         &mut self,
         frame: &FrameContext<'_>,
@@ -601,7 +602,8 @@ impl FrameRenderer {
         }
     }
 
-    /// Fills holes, and averages the frame into `out`. `unknown`: nothing stands for missing geometry.
+    /// Fills holes, and averages the frame into `out`. `unknown`: nothing stands for missing
+    /// geometry.
     fn resolve(
         &mut self,
         frame: &FrameContext<'_>,

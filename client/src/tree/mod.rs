@@ -1,7 +1,7 @@
 //! Draws the LDI tree (Chang, Bishop, Lastra 1999), which is shown where finer data is missing.
 //!
-//! In: a cut of the tree, resident nodes, a pose, the pixels to draw. Out: a [`FarFrame`] of colours and
-//! disparities.
+//! In: a cut of the tree, resident nodes, a pose, the pixels to draw. Out: a [`FarFrame`] of
+//! colours and disparities.
 //!
 //! 1. `splat_projection`: every sample is a parallelogram on its surface, one pitch wide, projected
 //!    as a quadrilateral with the plane's disparity at every pixel.
