@@ -1,32 +1,30 @@
-//! The command line: arguments to a connection and a walk, results to files, errors to exit codes.
+//! The command line: parses arguments, writes results to files, converts errors to exit codes.
 //!
-//! Exit codes: 0 done, 2 wrong usage, 1 a failure that a retry may cure, 42 a permanent one.
+//! Exit codes: 0 success, 2 wrong usage, 1 a failure that a retry may cure, 42 a permanent failure.
 
 mod connect;
+mod failure;
+mod input;
 mod signals;
 
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand, ValueEnum as _};
+use failure::Failure;
 use indicatif::{ProgressBar, ProgressStyle};
+use input::{disk, parse_size, read_path, token};
 use ldi_client::{
-    app::WalkLink,
+    app::HeadlessConnection,
     composite::Fill,
     engine::{
-        Cull, Feed, Method, Pace, PaintError, Painter, Progress, Renderer, Shows, WalkError, WalkJob, WalkOptions,
+        Cull, DataSource, DisplayMode, FrameRenderer, Method, Pace, Progress, Renderer, WalkJob, WalkOptions,
         pictures_of, run,
     },
-    gpu::{Gpu, GpuError, WarpOn},
-    near::MAX_SIDE_PX,
+    gpu::{Gpu, WarpOn},
     report::{DatasetReport, DiskReport, LinkReport, MachineReport, Report, SceneReport},
-    stream::{ConnectConfig, ConnectError, Connection, DEFAULT_DISK_BYTES, DiskCache, Fingerprint, LinkSpec},
+    stream::{ConnectConfig, Connection, DEFAULT_DISK_BYTES, Fingerprint, LinkSpec},
     warp::{Order, Stamp, WarpOptions},
 };
-use ldi_protocol::{
-    index::Index,
-    path,
-    said::{is_lasting, said},
-    wire::Picture,
-};
+use ldi_protocol::{index::Index, said::said, wire::Picture};
 use std::{
     io::IsTerminal,
     path::{Path, PathBuf},
@@ -35,11 +33,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Longest shared secret that is read from a file.
-const MAX_TOKEN_BYTES: u64 = 1024;
-
-/// Walks through large static scenes that a server streams: near geometry is drawn, everything far is warped from layered depth
-/// images.
+/// Walks through large static scenes streamed from a server: near geometry is drawn, distant parts
+/// are warped from layered depth images.
 #[derive(Parser)]
 #[command(
     name = "ldi-client",
@@ -92,131 +87,92 @@ struct WalkArgs {
     /// File of the report.
     #[arg(long, value_name = "FILE")]
     report: PathBuf,
-    /// What draws.
+    /// Device that renders.
     #[arg(long, value_enum, default_value = "cpu")]
     renderer: Renderer,
-    /// With a graphics card: what warps images.
+    /// Device that warps images, if a GPU renders.
     #[arg(long, value_enum, default_value = "auto")]
     warp_on: WarpOn,
-    /// How what is far is shown.
+    /// Representation of distant parts.
     #[arg(long, value_enum, default_value = "auto")]
     method: Method,
-    /// With --method cache: how far off a cached image may show things, pixels. Larger: images last longer.
+    /// With --method cache: largest displacement that a cached image may show, pixels. Larger:
+    /// images last longer.
     #[arg(long, value_name = "PX", default_value_t = 2.0)]
     cache_error_px: f64,
-    /// With --method texture: 1, each portal shows the image taken from straight before it; all, the nearest of those taken along the semicircle.
+    /// With --method texture: 1 shows the image taken from straight in front of each portal; all,
+    /// the nearest of those taken along a semicircle.
     #[arg(long, value_name = "1|all", default_value = "1", value_parser = ["1", "all"])]
     portal_textures: String,
-    /// With --method portals: images wherever a portal has one for the eye, even where geometry would fit the budget.
+    /// With --method portals: show images wherever a portal has one for the eye, even where
+    /// geometry would fit the budget.
     #[arg(long)]
     portals_everywhere: bool,
-    /// How a warped sample becomes pixels: 1px, 2x2, 3x3, cross, footprint, parallelogram, ewa or quads [default: quads; 2x2 with --order epipole].
+    /// Reconstruction of warped samples: 1px, 2x2, 3x3, cross, footprint, parallelogram, ewa or
+    /// quads [default: quads; 2x2 with --order epipole].
     #[arg(long, value_name = "NAME")]
     stamp: Option<Stamp>,
-    /// What holes show: surface, the nearest farther surface beside them; last, the last frame, as in the portal system of 1998; off, nothing.
+    /// Content of holes: surface, the nearest farther surface; last, the previous frame, as in the
+    /// portal system of 1998; off, nothing.
     #[arg(long, value_enum, default_value = "surface")]
     fill: Fill,
-    /// Smooth what was warped with the 3 x 3 kernel of the 1999 system: fewer jaggies, less detail.
+    /// Smooth warped pixels with the 3 x 3 kernel of the 1999 system: less noise, less detail.
     #[arg(long)]
     smooth: bool,
     /// Samples per output pixel along each side.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=2), default_value_t = 1)]
     supersample: u32,
-    /// Which of two samples in a pixel stays: z, the nearer; epipole, the later in occlusion-compatible order.
+    /// Visibility of two samples in a pixel: z, the nearer wins; epipole, the later in
+    /// occlusion-compatible order.
     #[arg(long, default_value = "z")]
     order: Order,
     /// Reject samples by groups before the warp.
     #[arg(long, value_enum, default_value = "auto")]
     cull: Cull,
-    /// Time that the LDI tree may take of a frame, milliseconds [default: what its finest samples in view take].
+    /// Time for the LDI tree per frame, milliseconds [default: as its finest samples in view need].
     #[arg(long, value_name = "MS")]
     frame_ms: Option<f64>,
-    /// File with the shared secret that the server asks for [default: the environment variable LDI_TOKEN].
+    /// File with the shared secret, if the server requires one [default: the environment variable
+    /// LDI_TOKEN].
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
-    /// Folder of true frames to compare with, as `ldi-server render --depth` writes them.
+    /// Folder of ground-truth frames to compare with, as `ldi-server render --depth` writes them.
     #[arg(long, value_name = "DIR")]
     truth: Option<PathBuf>,
-    /// Folder of another renderer's frames to judge beside ours, as `ldi-server render --samples 1 --mips` writes them.
+    /// Folder of another renderer's frames to evaluate as well, as `ldi-server render --samples 1
+    /// --mips` writes them.
     #[arg(long, value_name = "DIR", requires = "truth")]
     baseline: Option<PathBuf>,
-    /// realtime: all poses when they are due, from what is there; wait: each frame complete, only every Nth pose.
+    /// realtime: draw each pose when it is due, from the data that has arrived; wait: complete
+    /// frames of every Nth pose only.
     #[arg(long, value_enum, default_value = "realtime")]
     pace: Pace,
-    /// Most decoded bytes that are held [default: 1 GiB].
+    /// Capacity of the cache, decoded bytes [default: 1 GiB].
     #[arg(long, value_name = "N")]
     cache_bytes: Option<u64>,
-    /// Folder where what was received is kept for the next visit; made if absent [default: nothing is kept].
+    /// Folder of the disk cache for later visits, created if absent [default: no disk cache].
     #[arg(long, value_name = "DIR")]
     disk_cache: Option<PathBuf>,
-    /// Most bytes in that folder.
+    /// Capacity of the disk cache, bytes.
     #[arg(long, value_name = "N", default_value_t = DEFAULT_DISK_BYTES)]
     disk_cache_bytes: u64,
-    /// How far around the eye data is sent ahead of need, metres [default: 10; 0 with --pace wait, which has no need of it].
+    /// Radius around the eye in which data is prefetched, metres [default: 10; 0 with --pace wait].
     #[arg(long, value_name = "M")]
     prefetch_m: Option<f64>,
     /// Save every Nth frame, numbered by the pose's index.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     every: u32,
-    /// Also save what was drawn as geometry, what came from images, and which is which.
+    /// Also save the pixels from geometry, those from images, and the source of each pixel.
     #[arg(long)]
     debug_views: bool,
-    /// Frames drawn again with all geometry after the walk, for the speedup; 0 for none.
+    /// Number of frames drawn again with all geometry after the walk, for the speedup; 0 for none.
     #[arg(long, value_name = "N", default_value_t = 20)]
     baseline_frames: u32,
-    /// Behave as if this link, in both directions, lay before the server: rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=10s:2s,queue=100ms,seed=1;
-    /// each key optional, delay one way.
+    /// Simulate a network link in both directions:
+    /// rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=10s:2s,queue=100ms,seed=1; each
+    /// key optional, delay one way.
     #[arg(long, value_name = "LINK")]
     link: Option<LinkSpec>,
-}
-
-/// An error with the exit code it means.
-struct Failure {
-    code: u8,
-    error: anyhow::Error,
-}
-
-impl Failure {
-    fn usage(message: impl Into<String>) -> Self {
-        Self { code: 2, error: anyhow::anyhow!(message.into()) }
-    }
-    fn permanent(error: impl Into<anyhow::Error>) -> Self {
-        Self { code: 42, error: error.into() }
-    }
-}
-
-impl From<ConnectError> for Failure {
-    fn from(e: ConnectError) -> Self {
-        Self { code: e.exit_code(), error: e.into() }
-    }
-}
-
-impl From<WalkError> for Failure {
-    fn from(e: WalkError) -> Self {
-        let code = match &e {
-            WalkError::Folder { source, .. } if is_lasting(source) => 42,
-            WalkError::Disconnected { .. } | WalkError::Save(_) | WalkError::Folder { .. } => 1,
-            WalkError::Paint(PaintError::Warp(_)) => 2,
-            WalkError::Paint(PaintError::Gpu(e)) => gpu_exit_code(e),
-            WalkError::Judge(_) => 42,
-        };
-        Self { code, error: e.into() }
-    }
-}
-
-/// A driver that failed may work when it is asked again; one that lacks something will not.
-fn gpu_exit_code(e: &GpuError) -> u8 {
-    match e {
-        GpuError::Failed { .. } => 1,
-        GpuError::Stamp(_) | GpuError::Order(_) => 2,
-        GpuError::NoAdapter(_) | GpuError::Lacking { .. } => 42,
-    }
-}
-
-impl From<GpuError> for Failure {
-    fn from(e: GpuError) -> Self {
-        Self { code: gpu_exit_code(&e), error: e.into() }
-    }
 }
 
 /// Runs the command line.
@@ -242,29 +198,18 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// The folder that is kept between visits.
-fn disk(folder: &Path, cap_bytes: u64) -> Result<Arc<DiskCache>, Failure> {
-    DiskCache::open(folder, cap_bytes).map(Arc::new).map_err(|e| Failure { code: 1, error: e.into() })
-}
-
-fn not_there(what: &str, instead: &str) -> Failure {
+fn unsupported(what: &str, instead: &str) -> Failure {
     Failure::usage(format!("not there yet: {what}; {instead}"))
 }
 
-fn parse_size(text: &str) -> Result<(u32, u32), String> {
-    let (w, h) = text.split_once('x').ok_or("give WxH, like 1280x720")?;
-    let side = |s: &str| s.parse::<u32>().ok().filter(|n| (1..=MAX_SIDE_PX / 2).contains(n));
-    side(w).zip(side(h)).ok_or_else(|| format!("width and height lie in 1 ..= {}", MAX_SIDE_PX / 2))
-}
-
-/// Options that later versions will know.
-fn refuse_what_is_not_there(args: &WalkArgs) -> Result<(), Failure> {
+/// Rejects unsupported combinations of options.
+fn reject_unsupported(args: &WalkArgs) -> Result<(), Failure> {
     let order_and_stamp = WarpOptions { stamp: stamp(args), order: args.order, ..WarpOptions::default() };
     if args.warp_on == WarpOn::Gpu && args.renderer != Renderer::Cpu {
         Gpu::can_warp(&order_and_stamp)?;
     }
     if args.method == Method::Cache && args.renderer != Renderer::Cpu {
-        return Err(not_there("cached images on a graphics card", "use --renderer cpu with --method cache"));
+        return Err(unsupported("cached images on a graphics card", "use --renderer cpu with --method cache"));
     }
     if !(args.cache_error_px.is_finite() && args.cache_error_px > 0.0) {
         return Err(Failure::usage("--cache-error-px is a positive number of pixels"));
@@ -286,12 +231,12 @@ fn refuse_what_is_not_there(args: &WalkArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The order is one of samples: what reaches over several, as quads do, needs depths.
+/// The order epipole applies to single samples: stamps that span several need depths.
 fn stamp(args: &WalkArgs) -> Stamp {
     args.stamp.unwrap_or(if args.order == Order::Epipole { Stamp::TwoByTwo } else { Stamp::Quads })
 }
 
-/// The method with its options.
+/// The method with its modifiers.
 fn method_of(args: &WalkArgs) -> Method {
     match args.method {
         Method::Texture if args.portal_textures == "all" => Method::Textures,
@@ -300,7 +245,7 @@ fn method_of(args: &WalkArgs) -> Method {
     }
 }
 
-/// Whether a dataset has what a method shows.
+/// Checks that a dataset has the representation of a method.
 fn check_offer(method: Method, index: &Index) -> Result<(), Failure> {
     let name = method.to_possible_value().map_or_else(String::new, |v| v.get_name().to_owned());
     let refused = |why: &str| Err(Failure::permanent(anyhow::anyhow!("--method {name}: {why}")));
@@ -325,21 +270,13 @@ fn check_offer(method: Method, index: &Index) -> Result<(), Failure> {
     }
 }
 
-/// Frames that wait for their own data profit nothing from other data, and wait for it too.
+/// Frames that wait for their own data do not benefit from prefetched data.
 fn prefetch_m(args: &WalkArgs) -> f64 {
     args.prefetch_m.unwrap_or(if matches!(args.pace, Pace::Wait) { 0.0 } else { 10.0 })
 }
 
-fn read_path(file: &Path) -> Result<path::Walk, Failure> {
-    std::fs::File::open(file)
-        .map_err(path::PathError::from)
-        .and_then(|open| path::read(open, |told| tracing::warn!("{}: {told}", file.display())))
-        .with_context(|| format!("{}: cannot be walked", file.display()))
-        .map_err(Failure::permanent)
-}
-
 fn walk(args: &WalkArgs) -> Result<(), Failure> {
-    refuse_what_is_not_there(args)?;
+    reject_unsupported(args)?;
     let path = read_path(&args.path)?;
     let token = token(args.token_file.as_deref())?;
     for (folder, option) in [(&args.truth, "--truth"), (&args.baseline, "--baseline")] {
@@ -359,7 +296,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
             _ => {}
         }
     }
-    // As large as it is drawn: that decides which levels of textures show.
+    // The rendered size, which determines the texture levels in use.
     let [width, height] = [args.size.0, args.size.1].map(|n| n.saturating_mul(args.supersample));
     let mut config = ConnectConfig::new(&args.server, Picture { width, height, fov_deg: None });
     if let Some(hex) = &args.fingerprint {
@@ -369,23 +306,23 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     config.token = token;
     config.prefetch_m = prefetch_m(args);
     config.show = method_of(args).show();
-    // Otherwise what is asked for has to be known to be there.
+    // The early index is enough only if no option requires other data.
     config.early = args.pace == Pace::Realtime && matches!(method_of(args), Method::Auto | Method::Tree);
     config.link = args.link;
     config.disk = args.disk_cache.as_deref().map(|d| disk(d, args.disk_cache_bytes)).transpose()?;
     if let Some(bytes) = args.cache_bytes {
         config.cache_bytes = bytes;
     }
-    // Found out before the walk, not after it.
-    let painter = args.renderer.painter(args.warp_on)?;
-    let drawn_by = drawn_by(&painter);
+    // A missing GPU is reported before the walk.
+    let renderer = args.renderer.renderer(args.warp_on)?;
+    let drawn_by = drawn_by(&renderer);
     let report_file = PendingReport::create(&args.report).map_err(Failure::permanent)?;
     let connection = Connection::connect(config.clone())?;
     check_offer(args.method, connection.index())?;
     let stop = signals::stop_at_signal("ending the walk; once more ends it without a report")
         .map_err(|e| Failure { code: 1, error: e.into() })?;
-    let link =
-        WalkLink::new(connection, config, Arc::clone(&stop)).map_err(|e| Failure { code: 1, error: e.into() })?;
+    let link = HeadlessConnection::new(connection, config, Arc::clone(&stop))
+        .map_err(|e| Failure { code: 1, error: e.into() })?;
     let options = WalkOptions {
         width: args.size.0,
         height: args.size.1,
@@ -402,8 +339,8 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         every: args.every as usize,
         cache_bytes: args.cache_bytes,
         debug_views: args.debug_views,
-        shows: Shows::Scene,
-        beside: false,
+        shows: DisplayMode::Scene,
+        background_layout: false,
         baseline_frames: args.baseline_frames as usize,
     };
     let job = WalkJob {
@@ -414,8 +351,8 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         baseline: args.baseline.as_deref(),
         stop: Some(&stop),
     };
-    let mut show = Show::new();
-    let (summary, frames) = run(&link, &job, painter, &mut |p| show.frame(p))?;
+    let mut show = ProgressDisplay::new();
+    let (summary, frames) = run(&link, &job, renderer, &mut |p| show.frame(p))?;
     show.done();
     let index = link.index();
     let scene = &index.scene;
@@ -488,9 +425,9 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     }
 }
 
-/// The card that draws, and what its calibration found; null where there is none.
-fn drawn_by(painter: &Painter) -> serde_json::Value {
-    let Some(gpu) = painter.gpu() else { return serde_json::Value::Null };
+/// The GPU and its calibration; null without one.
+fn drawn_by(renderer: &FrameRenderer) -> serde_json::Value {
+    let Some(gpu) = renderer.gpu() else { return serde_json::Value::Null };
     serde_json::json!({
         "adapter": gpu.adapter(),
         "software": gpu.is_software(),
@@ -499,7 +436,7 @@ fn drawn_by(painter: &Painter) -> serde_json::Value {
     })
 }
 
-/// The walk's settings and the command's other options, as the report shows them.
+/// Options of the walk and of the command, for the report.
 fn options_as_json(args: &WalkArgs, options: &WalkOptions, drawn_by: serde_json::Value) -> serde_json::Value {
     // Plain data: serialization does not fail.
     let mut json = serde_json::to_value(options).unwrap_or_default();
@@ -519,61 +456,45 @@ fn options_as_json(args: &WalkArgs, options: &WalkOptions, drawn_by: serde_json:
     json
 }
 
-/// The shared secret: from the file, else from the environment.
-fn token(file: Option<&Path>) -> Result<Option<String>, Failure> {
-    let from_file = file.map(read_token).transpose().map_err(Failure::permanent)?;
-    Ok(from_file.or_else(|| std::env::var("LDI_TOKEN").ok().filter(|t| !t.is_empty())))
-}
-
-fn read_token(path: &Path) -> anyhow::Result<String> {
-    let bytes = std::fs::metadata(path).with_context(|| format!("{}: cannot be read", path.display()))?.len();
-    anyhow::ensure!(
-        bytes <= MAX_TOKEN_BYTES,
-        "{}: {bytes} bytes; a token has at most {MAX_TOKEN_BYTES}",
-        path.display()
-    );
-    let token = std::fs::read_to_string(path).with_context(|| format!("{}: cannot be read", path.display()))?;
-    Ok(token.trim().to_owned())
-}
-
-/// The report's file: written beside its place, then moved there. A report is whole or not there.
+/// The report's file: written to a temporary name, then renamed, so that it is never incomplete.
 struct PendingReport<'a> {
     path: &'a Path,
-    beside: PathBuf,
+    temporary: PathBuf,
 }
 
 impl<'a> PendingReport<'a> {
     fn create(path: &'a Path) -> anyhow::Result<Self> {
-        let beside = path.with_extension("tmp");
-        std::fs::write(&beside, "").with_context(|| {
+        let temporary = path.with_extension("tmp");
+        std::fs::write(&temporary, "").with_context(|| {
             format!("{}: cannot be written; give --report a file in a folder that can be", path.display())
         })?;
-        Ok(Self { path, beside })
+        Ok(Self { path, temporary })
     }
 
     fn publish(self, report: &Report) -> anyhow::Result<()> {
         let text = serde_json::to_string_pretty(report)?;
-        std::fs::write(&self.beside, text + "\n")
-            .with_context(|| format!("{}: cannot be written", self.beside.display()))?;
-        std::fs::rename(&self.beside, self.path).with_context(|| format!("{}: cannot be written", self.path.display()))
+        std::fs::write(&self.temporary, text + "\n")
+            .with_context(|| format!("{}: cannot be written", self.temporary.display()))?;
+        std::fs::rename(&self.temporary, self.path)
+            .with_context(|| format!("{}: cannot be written", self.path.display()))
     }
 }
 
 impl Drop for PendingReport<'_> {
     fn drop(&mut self) {
-        // Gone already where the report was published.
-        let _ = std::fs::remove_file(&self.beside);
+        // Absent once the report was published.
+        let _ = std::fs::remove_file(&self.temporary);
     }
 }
 
-/// Progress: a bar on a terminal, a line every few seconds elsewhere.
-struct Show {
+/// Displays progress: a bar on a terminal, otherwise a line every few seconds.
+struct ProgressDisplay {
     bar: Option<ProgressBar>,
     start: Instant,
     last_line: Instant,
 }
 
-impl Show {
+impl ProgressDisplay {
     fn new() -> Self {
         let now = Instant::now();
         let bar = std::io::stderr().is_terminal().then(|| {

@@ -1,8 +1,9 @@
-//! The picture in the making: colour, disparity and where each pixel came from.
+//! A frame: colour, disparity and source of each pixel.
 //!
-//! The rasterizer (`near`) opens the frame, the warp's result is composited into it by disparity, and
-//! [`Frame::resolve`] averages a supersampled frame down to the output's size. Row 0 is on top, pixel centres lie at
-//! +0.5, disparity is 1 / eye-space depth in 1/m: greater is nearer, 0 is nothing or infinitely far.
+//! The rasterizer (`near`) starts the frame, the warp's result is composited into it by disparity,
+//! and [`Frame::resolve`] averages a supersampled frame to the output's size. Row 0 is on top,
+//! pixel centres lie at +0.5. Disparity is 1 / eye-space depth in 1/m: greater is nearer, 0 is
+//! nothing or infinitely far.
 
 use ldi_protocol::{
     OutputCamera,
@@ -10,21 +11,22 @@ use ldi_protocol::{
 };
 use rayon::prelude::*;
 
-/// What a pixel's colour came from. Later ones are more doubtful, which [`Frame::resolve`] uses to break ties.
+/// The source of a pixel's colour, in order of increasing uncertainty; [`Frame::resolve`] uses the
+/// order for ties.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 #[repr(u8)]
 pub enum Source {
-    /// Known sky: the direction is known to meet no geometry.
+    /// Sky: the direction is known to meet no geometry.
     Sky = 0,
     /// A triangle drawn by the rasterizer.
     Near = 1,
-    /// A sample of a layered depth image, warped.
+    /// A warped sample of a layered depth image.
     Far = 2,
-    /// A sample of the LDI tree, in place of something finer that is not there.
+    /// A sample of the LDI tree, in place of finer data that is missing.
     Tree = 3,
-    /// Extrapolated from neighbouring pixels: nothing that is known reached it.
+    /// Extrapolated from neighbouring pixels.
     Filled = 4,
-    /// Nothing reached it, and it was not filled.
+    /// Unknown and not filled.
     #[default]
     Unpainted = 5,
 }
@@ -42,7 +44,8 @@ pub const fn unpack_rgb(colour: u32) -> [u8; 3] {
     [b[0], b[1], b[2]]
 }
 
-/// [`SKY_SRGB`], packed: what an unpainted pixel shows too, so that a picture without data is sky and not black.
+/// [`SKY_SRGB`], packed. Also the colour of unpainted pixels, so that a picture without data is not
+/// black.
 pub const SKY: u32 = pack_rgb(SKY_SRGB);
 
 /// A picture with depth. Three planes of `width * height`, row-major.
@@ -56,12 +59,12 @@ pub struct Frame {
     pub colour: Vec<u32>,
     /// 1 / eye-space depth at the pixel centre, 1/m; 0 where there is no surface.
     pub disparity: Vec<f32>,
-    /// Where the colour came from.
+    /// Source of the colour.
     pub source: Vec<Source>,
 }
 
 impl Source {
-    /// All, by number.
+    /// All sources, by number.
     pub const ALL: [Self; 6] = [Self::Sky, Self::Near, Self::Far, Self::Tree, Self::Filled, Self::Unpainted];
 }
 
@@ -73,7 +76,7 @@ impl Frame {
         frame
     }
 
-    /// Makes every pixel unpainted, reusing the planes' memory.
+    /// Makes every pixel unpainted, reusing buffers.
     pub fn reset(&mut self, width: u32, height: u32) {
         let n = width as usize * height as usize;
         (self.width, self.height) = (width, height);
@@ -85,8 +88,9 @@ impl Frame {
         self.source.resize(n, Source::Unpainted);
     }
 
-    /// Makes those pixels unpainted whose bit of `open` is set, row by row, the lowest bit of a word first. All others were painted elsewhere: they count as near geometry, and their colours and
-    /// disparities mean nothing.
+    /// Makes those pixels unpainted whose bit of `open` is set: row by row, lowest bit of a word
+    /// first. All others were painted by the GPU: they count as near geometry, without valid
+    /// colours and disparities.
     pub fn reset_open(&mut self, width: u32, height: u32, open: &[u32]) {
         const WORD: usize = u32::BITS as usize;
         let n = width as usize * height as usize;
@@ -115,7 +119,7 @@ impl Frame {
         self.colour.is_empty()
     }
 
-    /// Turns every unpainted pixel into sky: right when everything that could be seen was drawn.
+    /// Turns unpainted pixels into sky, if everything visible was drawn.
     pub fn paint_rest_as_sky(&mut self) {
         for (source, colour) in self.source.iter_mut().zip(&mut self.colour) {
             if *source == Source::Unpainted {
@@ -134,10 +138,10 @@ impl Frame {
         self.colour.iter().flat_map(|c| unpack_rgb(*c)).collect()
     }
 
-    /// Averages blocks of `factor` x `factor` pixels into `out`, colours in linear light over all of the block.
+    /// Averages blocks of `factor` x `factor` pixels into `out`, in linear light.
     ///
-    /// Disparity is the block's largest (what hides what is decided before, at full resolution); the source is the
-    /// most frequent one, ties going to the more doubtful. A factor of 1 copies.
+    /// Disparity is the block's largest, as visibility is decided at full resolution. The source is
+    /// the most frequent one; ties go to the more uncertain. A factor of 1 copies.
     pub fn resolve(&self, factor: u32, out: &mut Self) {
         if factor <= 1 {
             out.clone_from(self);
@@ -180,7 +184,8 @@ fn most_frequent(votes: [u32; 6]) -> Source {
     Source::ALL[best]
 }
 
-/// The camera of a frame rendered at `factor` times the output's resolution: same field of view, more pixels.
+/// The camera of a frame at `factor` times the output's resolution: same field of view, more
+/// pixels.
 pub fn supersampled(camera: &OutputCamera, factor: u32) -> OutputCamera {
     OutputCamera { width: camera.width * factor, height: camera.height * factor, fov_deg: camera.fov_deg }
 }

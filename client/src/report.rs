@@ -1,7 +1,8 @@
-//! The report of a walk: what `--report` writes, field by field as the guide promises it.
+//! The report of a walk, written with `--report`.
 //!
-//! In: one [`FrameReport`] per kept frame and the totals of the walk. Out: [`Report`]. Unknown values are null.
-//! Percentiles are by nearest rank: the smallest value that at least the given share of the values does not exceed.
+//! In: one [`FrameReport`] per kept frame and the totals of the walk. Out: [`Report`]. Unknown
+//! values are null. Percentiles are by nearest rank: the smallest value that at least the given
+//! share of the values does not exceed.
 
 use crate::stream::LinkCounts;
 use serde::Serialize;
@@ -15,11 +16,11 @@ pub struct StageMs {
     pub cull: f64,
     /// Near geometry.
     pub near: f64,
-    /// Laying out a new image for the warp; part of the frame only when the walk does not wait.
+    /// Layout of new images for the warp; part of the frame only if the walk does not wait.
     pub prepare: f64,
     /// Warp of the image.
     pub warp: f64,
-    /// Near and far together, sky, filling, averaging of supersampled pixels.
+    /// Merging near and far, sky, filling, averaging of supersampled pixels.
     pub composite: f64,
     /// The frame.
     pub total: f64,
@@ -38,7 +39,8 @@ pub struct FrameReport {
     pub yaw_deg: f64,
     /// Degrees, positive up.
     pub pitch_deg: f64,
-    /// `cache` where cached images were drawn, `grid` or `portals` where an image was warped, `tree` where that stands for what is far, `geometry` elsewhere.
+    /// `cache` with cached images, `grid` or `portals` with a warped image, `tree` if only the tree
+    /// shows distant parts, otherwise `geometry`.
     pub method: &'static str,
     /// Selected grid point.
     pub grid_point: Option<u32>,
@@ -46,7 +48,8 @@ pub struct FrameReport {
     pub placement: Option<u32>,
     /// Near triangles submitted.
     pub triangles: u64,
-    /// Cells left out because the budget was used up: 0 within the walk volume and the built range of pitch.
+    /// Cells left out because they exceed the budget; 0 within the walk volume and the built range
+    /// of pitch.
     pub dropped_cells: u32,
     /// Triangles of all cells in the frustum, from the index.
     pub triangles_in_frustum: u64,
@@ -66,11 +69,12 @@ pub struct FrameReport {
     pub ms: StageMs,
     /// Bytes received since the start of the connection, when the frame was drawn.
     pub bytes_received: u64,
-    /// Chunks that the frame wanted and did not have.
+    /// Absent chunks that the frame needed.
     pub missing_chunks: usize,
-    /// Whether the pose lies in the walk volume; null when the dataset names none.
+    /// Whether the pose lies in the walk volume; null if the dataset has none.
     pub in_volume: Option<bool>,
-    /// Whether no image was made for the eye although the dataset has images: geometry and the LDI tree are shown.
+    /// Whether the dataset has images but none for this eye position: geometry and the LDI tree are
+    /// shown.
     pub unplanned: bool,
     /// Share of pixels that nothing known reached.
     pub unpainted_fraction: f64,
@@ -84,9 +88,9 @@ pub struct FrameReport {
     pub cached_images: u32,
     /// Cached images made.
     pub cached_images_made: u32,
-    /// Milliseconds of the frame that deciding on them and making them took.
+    /// Milliseconds of the frame for choosing and making cached images.
     pub ms_cached_images_made: f64,
-    /// Samples of the LDI tree that were looked at.
+    /// Visited samples of the LDI tree.
     pub tree_samples: u64,
     /// Share of hole pixels; null without truth.
     pub hole_fraction: Option<f64>,
@@ -106,7 +110,7 @@ pub struct FrameReport {
     pub flip_baseline_far: Option<f64>,
 }
 
-/// FLIP of our frames over FLIP of the baseline's, over the frames that warped something and have both.
+/// FLIP relative to the baseline's, over frames with warped pixels and both values.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FlipRatio {
     /// Number of those frames.
@@ -115,7 +119,7 @@ pub struct FlipRatio {
     pub mean: f64,
     /// Largest over largest.
     pub worst: f64,
-    /// Mean over mean, of the pixels that we warped; every frame counts alike, however few it has.
+    /// Ratio of means over warped pixels; every frame has the same weight.
     pub far: f64,
     /// The same, every pixel counting alike.
     pub far_by_pixel: f64,
@@ -181,10 +185,10 @@ pub struct StageSummary {
     pub composite: P50P99,
 }
 
-/// What is known of a walk besides its frames.
+/// Totals of a walk.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct WalkTotals {
-    /// Triangles and milliseconds of every frame that was drawn, kept or not.
+    /// Triangles and milliseconds of every drawn frame, kept or not.
     pub drawn: Vec<(u64, f64)>,
     /// Geometry budget of the dataset.
     pub budget_triangles: u64,
@@ -196,7 +200,7 @@ pub struct WalkTotals {
     pub elapsed_s: f64,
     /// Bytes received, the index included.
     pub bytes_total: u64,
-    /// Largest share of pixels of a frame that nothing reached, kept or not.
+    /// Largest share of unpainted pixels of a frame, kept or not.
     pub unpainted_fraction_max: f64,
     /// Milliseconds from connecting to the first frame.
     pub ms_first_frame: Option<f64>,
@@ -204,21 +208,21 @@ pub struct WalkTotals {
     pub bytes_first_useful_frame: Option<u64>,
     /// Milliseconds from connecting to the first useful frame.
     pub ms_first_useful_frame: Option<f64>,
-    /// Milliseconds from connecting to the first frame that lacked nothing.
+    /// Milliseconds from connecting to the first complete frame.
     pub ms_full_quality: Option<f64>,
-    /// Mbit per second in the busiest seconds: 99 of 100 seconds were below.
+    /// 99th percentile of the rate over windows of one second, Mbit/s.
     pub mbit_per_s_p99_1s: Option<f64>,
-    /// Stored bytes of chunks that a frame wanted, that had been there before, and that had to come again.
+    /// Stored bytes of needed chunks that had been resident before and were fetched again.
     pub revisit_bytes: u64,
     /// Bytes that no frame used.
     pub wasted_bytes: u64,
     /// Largest sum of decoded bytes held.
     pub cache_peak_bytes: u64,
-    /// Frames, drawn or kept, that lacked something.
+    /// Incomplete frames, drawn or kept.
     pub frames_incomplete: usize,
-    /// Chunks that came damaged until they were given up.
+    /// Chunks given up because they arrived damaged.
     pub damaged_chunks: usize,
-    /// Why the walk ended early, if it did because the server was gone.
+    /// Reason for an early end of the walk, if the connection was lost.
     pub lost: Option<String>,
     /// Largest resident set of the process.
     pub process_peak_rss_bytes: Option<u64>,
@@ -228,13 +232,12 @@ pub struct WalkTotals {
     pub all_geometry_ms: Vec<f64>,
     /// Our times at the same poses.
     pub ours_at_same_poses_ms: Vec<f64>,
-    /// Stored bytes of everything that those frames needed.
+    /// Stored bytes of all chunks that those frames needed.
     pub all_geometry_bytes: Option<u64>,
 }
 
 /// The summary of a walk.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(missing_docs, reason = "the names are the guide's, which explains them")]
 pub struct Summary {
     pub frames: usize,
     pub frames_drawn: usize,
@@ -265,7 +268,7 @@ pub struct Summary {
     pub speedup: Option<f64>,
     pub all_geometry_bytes: Option<u64>,
     pub frames_outside_volume: Option<usize>,
-    /// Frames for whose eye no image was made although the dataset has images.
+    /// Frames at eye positions without images although the dataset has images.
     pub frames_unplanned: usize,
     pub frame_ms: FrameMs,
     pub stage_ms: StageSummary,
@@ -291,7 +294,6 @@ pub struct Summary {
 
 /// What was walked through.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(missing_docs, reason = "the names are the guide's, which explains them")]
 pub struct SceneReport {
     pub name: String,
     pub triangles: u64,
@@ -349,9 +351,9 @@ pub struct Report {
     pub machine: MachineReport,
     /// The command's options.
     pub options: serde_json::Value,
-    /// What became of the packets on the link that `--link` put before the server; None without one.
+    /// Packet counts of the simulated link of `--link`; None without one.
     pub link: Option<LinkReport>,
-    /// What was read from the folder of earlier visits; None without one.
+    /// Data read from the disk cache; None without one.
     pub disk: Option<DiskReport>,
     /// Over all frames.
     pub summary: Summary,
@@ -359,7 +361,7 @@ pub struct Report {
     pub frames: Vec<FrameReport>,
 }
 
-/// Chunks that were on disk from earlier visits, and their stored bytes.
+/// Chunks read from the disk cache, and their stored bytes.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct DiskReport {
     /// How many were read.

@@ -12,7 +12,7 @@ use ldi_protocol::{
 };
 use std::{collections::BTreeMap, sync::Arc};
 
-/// Everything resident unless taken out by a test.
+/// A dataset in memory. Everything is resident unless a test removes it.
 #[derive(Default)]
 pub struct Memory {
     /// By cell number.

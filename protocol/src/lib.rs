@@ -10,6 +10,7 @@
 //! - Disparity is 1 / depth along the camera's forward axis, in 1/m; 0 is the sky.
 //! - Colours are 8-bit sRGB; filtering and blending happen in linear light ([`shade`]).
 #![forbid(unsafe_code)]
+#![warn(missing_docs)]
 
 pub mod bounds;
 pub mod camera;

@@ -12,7 +12,7 @@ use ldi_client::{
     engine::{Method, view_of},
     report::StageMs,
     resident::Resident as _,
-    warp::{FarFrame, PreparedLdi, Shown, Stamp, WarpOptions, transform_only, warp_images},
+    warp::{FarFrame, ImageInView, PreparedLdi, Stamp, WarpOptions, transform_only, warp_images},
 };
 use ldi_protocol::{
     OutputCamera, Pose,
@@ -117,11 +117,11 @@ fn warp<const THREADS: usize>(bencher: Bencher<'_, '_>, stamp: Stamp) {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(THREADS).build().expect("threads");
     // The same samples as in `transform_alone`.
     let options = WarpOptions { stamp, keep_hidden: true, ..WarpOptions::default() };
-    let shown: Vec<(Pose, Vec<Shown<'_>>)> =
-        SCENE.iter().map(|v| (v.pose, v.images.iter().map(Shown::from).collect())).collect();
+    let shown: Vec<(Pose, Vec<ImageInView<'_>>)> =
+        SCENE.iter().map(|v| (v.pose, v.images.iter().map(ImageInView::from).collect())).collect();
     let (mut far, mut spare) = (FarFrame::default(), FarFrame::default());
     let mut all = || -> u64 {
-        let one = |(pose, images): &(Pose, Vec<Shown<'_>>)| {
+        let one = |(pose, images): &(Pose, Vec<ImageInView<'_>>)| {
             far.reset(CAMERA.width, CAMERA.height);
             warp_images(images, &[], pose, &CAMERA, &options, &mut far, &mut spare).expect("fits").samples_warped
         };

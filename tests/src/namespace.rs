@@ -50,7 +50,7 @@ pub fn available() -> Result<()> {
 mod platform {
     use super::{Command, Ended, LinkSpec, Result, bail};
     use anyhow::Context as _;
-    use ldi_client::stream::{Direction, HEADER_BYTES, Lane, LinkCounts};
+    use ldi_client::stream::{Direction, HEADER_BYTES, LinkCounts, PacketQueue};
     use nix::sched::{CloneFlags, unshare};
     use std::{
         io::{ErrorKind, Read as _, Write as _},
@@ -111,7 +111,7 @@ mod platform {
 
     /// One direction of the relay.
     struct Way {
-        lane: Mutex<Lane<Vec<u8>>>,
+        lane: Mutex<PacketQueue<Vec<u8>>>,
         /// A packet was put in.
         changed: Condvar,
         start: Instant,
@@ -120,7 +120,7 @@ mod platform {
     impl Way {
         /// Relays until the process ends or a device is gone.
         fn open(spec: LinkSpec, direction: Direction, from: Reader, to: Writer) -> Arc<Self> {
-            let lane = Mutex::new(Lane::new(spec, direction));
+            let lane = Mutex::new(PacketQueue::new(spec, direction));
             let way = Arc::new(Self { lane, changed: Condvar::new(), start: Instant::now() });
             let (taker, giver) = (way.clone(), way.clone());
             thread::spawn(move || taker.take_in(from));
@@ -128,7 +128,7 @@ mod platform {
             way
         }
 
-        fn lane(&self) -> MutexGuard<'_, Lane<Vec<u8>>> {
+        fn lane(&self) -> MutexGuard<'_, PacketQueue<Vec<u8>>> {
             self.lane.lock().unwrap_or_else(PoisonError::into_inner)
         }
 

@@ -31,7 +31,7 @@ fn walk(connection: &Connection) -> Vec<u32> {
     for (z, yaw) in STOPS {
         let here = pose(z * STEP_M, yaw);
         let needed = views.needed(&here);
-        connection.look(&here, &needed);
+        connection.update_view(&here, &needed);
         let chunks: Vec<u32> = needed.all().collect();
         connection.wait_until_complete(&chunks, PATIENCE).expect("everything comes");
         all.extend(chunks);

@@ -13,7 +13,7 @@ mod host;
 
 use fixture::{STEP_M, street};
 use host::{Memory, PICTURE, folder};
-use ldi_client::stream::{ConnectConfig, ConnectError, Connection, Kept, LinkSpec};
+use ldi_client::stream::{ConnectConfig, ConnectError, Connection, LinkSpec, ResumeState};
 use ldi_protocol::Pose;
 use ldi_server::serve::{SelectViews, ServeConfig, Server, planner::Views};
 use std::{collections::BTreeMap, net::SocketAddr, sync::Arc, time::Duration};
@@ -56,7 +56,7 @@ struct Ended {
 /// Walks over a link until all is there, connecting again as often as it takes.
 async fn walk(config: &ConnectConfig, link: LinkSpec) -> Result<Ended, String> {
     let mut ended = Ended::default();
-    let mut kept: Option<Kept> = None;
+    let mut kept: Option<ResumeState> = None;
     let begin = Instant::now();
     let mut trouble = BTreeMap::<String, u32>::new();
     loop {
@@ -97,7 +97,7 @@ async fn walk(config: &ConnectConfig, link: LinkSpec) -> Result<Ended, String> {
             let needed = views.needed(&here);
             whole &= connection.index().is_whole();
             loop {
-                connection.look(&here, &needed);
+                connection.update_view(&here, &needed);
                 if whole && cache.missing(needed.all()).is_empty() {
                     break;
                 }

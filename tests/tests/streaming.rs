@@ -15,7 +15,7 @@ use ldi_client::{
     engine::{Method, view_of},
     report::StageMs,
     resident::Resident,
-    stream::{ConnectConfig, ConnectError, Connection, Fingerprint, MAX_RETRIES, Others},
+    stream::{ConnectConfig, ConnectError, Connection, Fingerprint, MAX_RETRIES, OtherWalkers},
 };
 use ldi_protocol::{
     Pose,
@@ -46,7 +46,7 @@ fn needs(connection: &Connection, pose: &Pose) -> Needed {
 /// Walks to a pose and waits for all it needs. Returns what that was.
 fn stand(connection: &Connection, pose: &Pose) -> Result<Vec<u32>, Incomplete> {
     let needed = needs(connection, pose);
-    connection.look(pose, &needed);
+    connection.update_view(pose, &needed);
     let all: Vec<u32> = needed.all().collect();
     connection.wait_until_complete(&all, PATIENCE).map(|()| all)
 }
@@ -54,7 +54,7 @@ fn stand(connection: &Connection, pose: &Pose) -> Result<Vec<u32>, Incomplete> {
 /// The same without ever asking: the server has to send it by itself.
 fn stand_unasked(connection: &Connection, pose: &Pose) -> Result<Vec<u32>, Incomplete> {
     let needed = needs(connection, pose);
-    connection.look(pose, &needed);
+    connection.update_view(pose, &needed);
     let all: Vec<u32> = needed.all().collect();
     connection.cache().wait(&all, PATIENCE).map(|()| all)
 }
@@ -91,7 +91,7 @@ fn who_shows_no_images_is_sent_none() {
         let views = SelectViews::showing(index.clone(), Arc::default(), &PICTURE.camera(&index.settings), show);
         for pose in [pose(0.0, 0.0), pose(-1.5 * STEP_M, 90.0), pose(-2.5 * STEP_M, 180.0), pose(0.0, 0.0)] {
             let needed = views.needed(&pose);
-            connection.look(&pose, &needed);
+            connection.update_view(&pose, &needed);
             let all: Vec<u32> = needed.all().collect();
             // Unasked: the server has to know what is shown.
             connection.cache().wait(&all, PATIENCE).unwrap();
@@ -205,7 +205,7 @@ fn a_small_cache_evicts_and_gets_it_again() {
             let here = pose(z * STEP_M, 0.0);
             let needed = needs(&connection, &here);
             let all: Vec<u32> = needed.all().collect();
-            connection.look(&here, &needed);
+            connection.update_view(&here, &needed);
             let end = connection.wait_until_complete(&all, PATIENCE);
             assert!(end.is_ok() || matches!(end, Err(Incomplete::NoRoom { .. })), "round {round}, z {z}: {end:?}");
             connection.cache().check().unwrap();
@@ -324,7 +324,7 @@ fn requests_by_number_and_by_name_are_answered() {
         assert!(matches!(connection.fetch(wrong), Err(ConnectError::Protocol(_))));
     }
     // Asking for what does not exist costs nothing else.
-    connection.want(&[9999]);
+    connection.request(&[9999]);
     stand(&connection, &pose(0.0, 0.0)).unwrap();
 }
 
@@ -364,7 +364,7 @@ fn who_asks_for_everything_gets_two_megabytes_per_second() {
 }
 
 /// What a client's map knows of the others, once it is `expected`: walkers by name, and where they are along the street.
-fn others_become(others: &Others, expected: Option<&[(&str, f64)]>) {
+fn others_become(others: &OtherWalkers, expected: Option<&[(&str, f64)]>) {
     let seen = || {
         let list = others.list()?;
         Some(list.into_iter().map(|o| (o.name, o.position[2], o.yaw_deg)).collect::<Vec<_>>())
@@ -383,7 +383,7 @@ fn who_wants_to_know_is_told_where_the_others_are() {
     let named = |name: &str| ConnectConfig { name: name.into(), ..host.config() };
     let (watching, passing) = (named("watching"), named("passing"));
     let others = watching.others.clone();
-    others.want(true);
+    others.set_wanted(true);
     let watcher = Connection::connect(watching.clone()).unwrap();
     watcher.send_pose(&pose(0.0, 0.0));
     others_become(&others, Some(&[]));
@@ -394,9 +394,9 @@ fn who_wants_to_know_is_told_where_the_others_are() {
     others_become(&others, Some(&[("passing", -2.0)]));
     // Who did not ask is told nothing, and neither is who asks no longer.
     assert_eq!(passing.others.list(), None);
-    others.want(false);
+    others.set_wanted(false);
     others_become(&others, None);
-    others.want(true);
+    others.set_wanted(true);
     others_become(&others, Some(&[("passing", -2.0)]));
     drop(passer);
     others_become(&others, Some(&[]));
@@ -414,7 +414,7 @@ fn a_server_may_keep_walkers_to_itself() {
     let config = ServeConfig { show_walkers: false, ..Default::default() };
     let host = Host::start_with("alone", Memory::new(street(2, 16)), config);
     let config = host.config();
-    config.others.want(true);
+    config.others.set_wanted(true);
     let watcher = Connection::connect(config.clone()).unwrap();
     let passer = host.connect();
     passer.send_pose(&pose(-1.0, 90.0));

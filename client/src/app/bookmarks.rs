@@ -1,6 +1,7 @@
-//! Places that are kept: Ctrl and a digit keeps one, the digit alone goes there.
+//! Bookmarked poses: Ctrl and a digit stores one, the digit alone moves the eye there.
 //!
-//! A path file per scene, whose poses are the places and whose times are their digits: so it can be rendered or walked as well. It is written whole, beside its place and then moved there.
+//! One path file per scene holds the poses, with the digits as times, so that it can be rendered or
+//! walked as well. The file is replaced as a whole: written to a temporary file, then renamed.
 
 use ldi_protocol::{Pose, path};
 use std::{
@@ -9,19 +10,20 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Largest file that is read: nine poses take two kilobytes.
+/// Largest file that is read. Nine poses need far less.
 const MAX_BYTES: u64 = 64 << 10;
 
-/// The places of one scene.
+/// The bookmarks of one scene.
 #[derive(Debug)]
 pub struct Bookmarks {
     file: PathBuf,
-    /// By digit, 1 to 9.
+    /// Poses by digit, 1 to 9.
     places: BTreeMap<u8, Pose>,
 }
 
 impl Bookmarks {
-    /// Where they are kept when nobody says: a file named after the scene in the user's configuration folder. None without a home.
+    /// The default file: named after the scene, in the user's configuration folder. None without a
+    /// home folder.
     pub fn default_file(scene: &str) -> Option<PathBuf> {
         let letter = |c: char| if c.is_alphanumeric() || c == '-' { c } else { '_' };
         let name: String = scene.chars().map(letter).take(80).collect();
@@ -29,36 +31,36 @@ impl Bookmarks {
         Some(folder.join(format!("{name}.path.json")))
     }
 
-    /// Reads them; a file that is not there holds none.
+    /// Reads the bookmarks. An absent file holds none.
     ///
     /// # Errors
-    /// If it is there and is no path file.
+    /// If the file is no path file.
     pub fn load(file: PathBuf) -> Result<Self, String> {
-        let said = |e: &dyn std::fmt::Display| format!("{}: {e}; mend or remove it", file.display());
+        let described = |e: &dyn std::fmt::Display| format!("{}: {e}; mend or remove it", file.display());
         let mut text = String::new();
         match std::fs::File::open(&file) {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Self { file, places: BTreeMap::new() }),
-            Err(e) => return Err(said(&e)),
-            Ok(open) => open.take(MAX_BYTES + 1).read_to_string(&mut text).map_err(|e| said(&e))?,
+            Err(e) => return Err(described(&e)),
+            Ok(open) => open.take(MAX_BYTES + 1).read_to_string(&mut text).map_err(|e| described(&e))?,
         };
         if text.len() as u64 > MAX_BYTES {
-            return Err(said(&format!("more than {MAX_BYTES} bytes are too many for bookmarks")));
+            return Err(described(&format!("more than {MAX_BYTES} bytes are too many for bookmarks")));
         }
-        let walk = path::parse(&text).map_err(|e| said(&e))?;
+        let walk = path::parse(&text).map_err(|e| described(&e))?;
         let place = |p: &path::TimedPose| (1.0..=9.0).contains(&p.t_s).then_some((p.t_s as u8, p.pose));
         let places = walk.poses.iter().filter_map(place).collect();
         Ok(Self { file, places })
     }
 
-    /// A place.
+    /// The pose of a digit.
     pub fn get(&self, digit: u8) -> Option<Pose> {
         self.places.get(&digit).copied()
     }
 
-    /// Keeps a place, at once.
+    /// Stores a pose and writes the file.
     ///
     /// # Errors
-    /// If the file cannot be written; the place is kept until the window is closed.
+    /// If the file cannot be written. The pose is kept until the window is closed.
     pub fn set(&mut self, digit: u8, pose: Pose) -> Result<(), String> {
         self.places.insert(digit, pose);
         let poses = self.places.iter().map(|(digit, pose)| path::TimedPose { t_s: f64::from(*digit), pose: *pose });
@@ -67,13 +69,13 @@ impl Bookmarks {
     }
 
     fn write(&self, text: &str) -> Result<(), String> {
-        let said = |path: &Path, e: std::io::Error| format!("the bookmark is not kept: {}: {e}", path.display());
+        let described = |path: &Path, e: std::io::Error| format!("the bookmark is not kept: {}: {e}", path.display());
         if let Some(folder) = self.file.parent() {
-            std::fs::create_dir_all(folder).map_err(|e| said(folder, e))?;
+            std::fs::create_dir_all(folder).map_err(|e| described(folder, e))?;
         }
         let beside = self.file.with_extension(format!("{}.tmp", std::process::id()));
-        std::fs::write(&beside, text).map_err(|e| said(&beside, e))?;
-        std::fs::rename(&beside, &self.file).map_err(|e| said(&self.file, e))
+        std::fs::write(&beside, text).map_err(|e| described(&beside, e))?;
+        std::fs::rename(&beside, &self.file).map_err(|e| described(&self.file, e))
     }
 }
 

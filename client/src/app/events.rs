@@ -1,6 +1,8 @@
-//! `--events FILE`: what happens in the window, a JSON object per line, for tests and for tools that drive it.
+//! The event log of `--events FILE`: one JSON object per line, for tests and for tools that drive
+//! the window.
 //!
-//! Every line has `t_ms`, milliseconds since the window was asked for, and `event`; docs/user/client.md lists them.
+//! Each line has `t_ms`, milliseconds since the log was opened, and `event`;
+//! docs/user/client.md lists the events.
 
 use serde_json::{Map, Value};
 use std::{
@@ -10,7 +12,7 @@ use std::{
     time::Instant,
 };
 
-/// Writes events, or drops them when nobody asked.
+/// Writes events, or drops them if there is no file.
 #[derive(Debug)]
 pub struct Events {
     file: Option<(File, PathBuf)>,
@@ -18,7 +20,7 @@ pub struct Events {
 }
 
 impl Events {
-    /// Opens the file, emptied.
+    /// Opens the file and empties it.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -27,8 +29,8 @@ impl Events {
         Ok(Self { file, start: Instant::now() })
     }
 
-    /// Writes a line at once: whoever reads the file sees it.
-    pub fn tell(&mut self, event: &str, mut more: Map<String, Value>) {
+    /// Writes a line at once, so that readers of the file see it.
+    pub fn write(&mut self, event: &str, mut more: Map<String, Value>) {
         let Some((file, path)) = &mut self.file else { return };
         more.insert("t_ms".into(), (self.start.elapsed().as_secs_f64() * 1e3).round().into());
         more.insert("event".into(), event.into());

@@ -1,11 +1,15 @@
-//! A gamepad: sticks and buttons to an [`Intent`].
+//! Gamepads: converts sticks and buttons to an [`Intent`].
 //!
-//! Linux's joystick interface (`/dev/input/js0`, kernel documentation "Linux Joystick support"): records of eight bytes, whatever the pad: time in milliseconds (u32), value (i16), kind
-//! and number (u8), in the machine's byte order. All axes span -32,767 to 32,767, and who opens the file is told the state of everything first. It is read on a thread of its own, which looks for a pad while there is none.
+//! Uses Linux's joystick interface (`/dev/input/js0`, kernel documentation "Linux Joystick
+//! support"): records of eight bytes with time in milliseconds (u32), value (i16), kind and number
+//! (u8), in native byte order. All axes span -32,767 to 32,767, and the state of every axis and
+//! button is sent first. A thread of its own reads the device, and searches for one while there is
+//! none.
 //!
-//! Which number is which axis differs in one thing: pads with analogue triggers have one between the sticks. It rests at its end, which no stick does.
+//! Pads with analogue triggers have one trigger axis between the sticks' axes. It is recognized by
+//! its rest position at the end of the range.
 
-use super::motion::Intent;
+use super::walker::Intent;
 use std::{
     io::Read,
     path::{Path, PathBuf},
@@ -15,15 +19,15 @@ use std::{
 
 /// Bytes of a record.
 const RECORD: usize = 8;
-/// How often a pad is looked for while there is none.
+/// Interval between searches for a pad.
 const LOOK_EVERY: Duration = Duration::from_secs(2);
-/// Files that are looked at.
+/// Device files that are tried.
 const DEVICES: [&str; 4] = ["/dev/input/js0", "/dev/input/js1", "/dev/input/js2", "/dev/input/js3"];
-/// Sticks at rest are off by less than this. Larger: slow steps are lost; smaller: worn sticks creep.
+/// Dead zone of a stick. Larger: slow movements are lost; smaller: worn sticks drift.
 const DEAD_ZONE: f64 = 0.15;
-/// A trigger that is pressed so far counts as pressed.
+/// Position at which a trigger counts as pressed.
 const PRESSED: f64 = 0.5;
-/// More buttons and axes than any pad has.
+/// Largest number of buttons and of axes.
 const MOST: usize = 32;
 /// Buttons by number, as the kernel orders them (its gamepad specification; south is A or cross).
 const SOUTH: usize = 0;
@@ -35,12 +39,12 @@ const Y: usize = 3;
 const SHOULDERS: [usize; 2] = [4, 5];
 /// Across and down.
 const LEFT_STICK: [usize; 2] = [0, 1];
-/// Of pads with analogue triggers, and of others.
+/// The right stick of pads with analogue triggers, and of others.
 const RIGHT_STICK: [[usize; 2]; 2] = [[3, 4], [2, 3]];
-/// Left and right, where they are analogue.
+/// Left and right trigger, if analogue.
 const TRIGGERS: [usize; 2] = [2, 5];
 
-/// Once for each press.
+/// A button that acts once per press.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PadPress {
     /// [`X`]: a screenshot.
@@ -49,20 +53,20 @@ pub enum PadPress {
     Map,
 }
 
-/// What is known of a pad.
+/// State of a pad.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Pad {
     axes: [f64; MOST],
     buttons: [bool; MOST],
-    /// The triggers are analogue.
+    /// Whether the triggers are analogue.
     triggers: bool,
     presses: Vec<PadPress>,
 }
 
 impl Pad {
-    /// Takes a record in. Those of kinds and numbers that no pad has are passed over.
+    /// Applies a record. Unknown kinds and numbers are ignored.
     pub fn record(&mut self, record: &[u8; RECORD]) {
-        /// Marks the records that tell the state at the beginning.
+        /// Marks records of the initial state.
         const INITIAL: u8 = 0x80;
         let value = i16::from_ne_bytes([record[4], record[5]]);
         let (kind, number) = (record[6], usize::from(record[7]));
@@ -90,7 +94,8 @@ impl Pad {
         }
     }
 
-    /// What the sticks and the buttons that are held ask for: left stick walks, right stick turns, right trigger or A runs, shoulders fly down and up.
+    /// The intent of sticks and held buttons: the left stick walks, the right stick turns, right
+    /// trigger or A runs, shoulder buttons fly down and up.
     pub fn intent(&self) -> Intent {
         let look = RIGHT_STICK[usize::from(!self.triggers)];
         let [right, back] = stick(LEFT_STICK.map(|k| self.axes[k]));
@@ -100,20 +105,20 @@ impl Pad {
             forward: -back,
             right,
             up: held(SHOULDERS[1]) - held(SHOULDERS[0]),
-            // Squares: fine near the middle, fast at the end.
+            // Quadratic response: fine near the middle, fast at the end.
             turn: -turn * turn.abs(),
             tilt: -tilt * tilt.abs(),
             run: self.buttons[SOUTH] || self.triggers && self.axes[TRIGGERS[1]] > PRESSED,
         }
     }
 
-    /// What was pressed since the last time.
+    /// Takes the presses since the last call.
     pub fn presses(&mut self) -> Vec<PadPress> {
         std::mem::take(&mut self.presses)
     }
 }
 
-/// A stick without its dead zone, which is a disc, so that slow circles stay circles.
+/// Removes a stick's dead zone, which is a disc, so that small circles stay circles.
 fn stick(at: [f64; 2]) -> [f64; 2] {
     let length = at[0].hypot(at[1]);
     if length <= DEAD_ZONE {
@@ -123,26 +128,27 @@ fn stick(at: [f64; 2]) -> [f64; 2] {
     at.map(|v| v * scale)
 }
 
-/// Where to look for a pad.
+/// The pad to use.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum GamepadAt {
-    /// The first there is, now or later.
+    /// The first pad found, now or later.
     Any,
     /// This file.
     File(PathBuf),
-    /// None is wanted.
+    /// No pad.
     Nowhere,
 }
 
-/// The pad that is plugged in, if any.
+/// The pad in use, if any.
 #[derive(Debug, Clone, Default)]
 pub struct Gamepad {
     pad: Arc<Mutex<Pad>>,
 }
 
 impl Gamepad {
-    /// Begins to look; `changed` is called on another thread whenever something is pressed or moved. Without a thread there is no pad.
-    pub fn look(at: GamepadAt, changed: impl Fn() + Send + 'static) -> Self {
+    /// Starts the search for a pad. `changed` is called on another thread after every press or
+    /// movement. Without a thread there is no pad.
+    pub fn watch(at: GamepadAt, changed: impl Fn() + Send + 'static) -> Self {
         let gamepad = Self::default();
         let pad = gamepad.pad.clone();
         if let GamepadAt::File(file) = &at
@@ -162,7 +168,7 @@ impl Gamepad {
                 std::thread::sleep(LOOK_EVERY);
             }
         };
-        // It waits in a read for as long as the program runs, and ends with it.
+        // The thread blocks in a read until the program ends.
         if let Err(e) = std::thread::Builder::new().name("gamepad".into()).spawn(body) {
             tracing::warn!("no gamepad: {e}");
         }
@@ -179,7 +185,7 @@ fn lock(pad: &Mutex<Pad>) -> MutexGuard<'_, Pad> {
     pad.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Reads a pad until it is unplugged; then nothing is pressed.
+/// Reads a pad until it is unplugged, then releases everything.
 fn follow(file: &Path, pad: &Mutex<Pad>, changed: &impl Fn()) {
     let Ok(mut source) = std::fs::File::open(file) else { return };
     tracing::info!("a gamepad: {}", file.display());
@@ -202,7 +208,7 @@ mod tests {
         [1, 2, 3, 4, a, b, kind, number]
     }
 
-    /// As such a pad begins: everything at rest, triggers at their end.
+    /// Initial state of such a pad: everything at rest, triggers at their end.
     fn with_triggers() -> Pad {
         let mut pad = Pad::default();
         for axis in 0..8 {
@@ -236,7 +242,7 @@ mod tests {
         (0..6).for_each(|axis| plain.record(&record(0, 0x82, axis)));
         plain.record(&record(i16::MAX, 2, 2));
         plain.record(&record(-i16::MAX, 2, 3));
-        // Both at their ends: along the diagonal, no faster than along the axes.
+        // Both axes at their ends: diagonal movement is no faster than along an axis.
         let half = 0.5;
         let asked = plain.intent();
         assert!((asked.turn + half).abs() < 1e-9 && (asked.tilt - half).abs() < 1e-9, "{asked:?}");

@@ -1,10 +1,10 @@
-//! What is written over the picture: figures (F1), the line of help, messages.
+//! The head-up display: statistics (F1), the help line, messages.
 
 use super::{
-    desk::Picture,
-    link::{LinkFigures, LinkState},
+    render_mailbox::Picture,
+    server_connection::{ConnectionState, ConnectionSummary},
 };
-use crate::engine::Shows;
+use crate::engine::DisplayMode;
 use egui::{Align2, Color32, CornerRadius, FontId, Pos2, Rect, Stroke, pos2, vec2};
 use ldi_protocol::index::Index;
 use std::{
@@ -12,30 +12,31 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Pictures in the graph.
+/// Frames in the graph.
 const GRAPH: usize = 120;
-/// Top of the graph, milliseconds: three frames of a display of 60 Hz.
+/// Top of the graph, milliseconds.
 const GRAPH_MS: f32 = 50.0;
-/// How long a message stays.
+/// Display time of a message.
 const MESSAGE: Duration = Duration::from_secs(5);
-/// Behind text, so that it can be read over anything.
+/// Background of text.
 pub const SHADE: Color32 = Color32::from_black_alpha(170);
 const TEXT: Color32 = Color32::from_gray(235);
 const GOOD: Color32 = Color32::from_rgb(120, 220, 150);
 const BAD: Color32 = Color32::from_rgb(255, 180, 90);
 
-/// Keys, in a line.
+/// Keys, in one line.
 pub const HELP: &str = "click: look  |  W A S D: walk  |  Shift: run  |  wheel: speed  |  M: map  |  G: walls  |  R, P: record, replay  |  Ctrl+1, 1: keep a place, go there  |  F1: figures  |  F2: views  |  F3: settings  |  F12: picture  |  Esc: free the pointer  |  Ctrl+Q: leave";
 
-/// State of what is written.
+/// State of the display.
 #[derive(Debug)]
 pub struct Hud {
-    /// Whether figures are shown.
+    /// Whether statistics are shown.
     pub figures: bool,
-    /// Milliseconds of the last pictures, and when they were finished.
+    /// Milliseconds of the latest frames, and when they were finished.
     pictures: VecDeque<(f32, Instant)>,
     message: Option<(String, bool, Instant)>,
-    /// The help line stays until somebody has walked for a while, and comes back with the figures.
+    /// Whether the help line is shown. It disappears after some walking, and returns with the
+    /// statistics.
     pub help: bool,
 }
 
@@ -45,25 +46,26 @@ impl Default for Hud {
     }
 }
 
-/// Said where no image was made for the place.
+/// Shown where the dataset has no images for the eye's position.
 const UNPLANNED: &str = "No images were made for this place: what is far away looks softer";
 
 impl Hud {
-    /// A new picture is shown.
+    /// Records a new picture.
     pub fn picture(&mut self, p: &Picture) {
-        let ms = &p.figures.painted.ms;
+        let ms = &p.stats.frame_stats.ms;
         if self.pictures.len() == GRAPH {
             self.pictures.pop_front();
         }
         self.pictures.push_back(((ms.total + ms.prepare) as f32, p.at));
     }
 
-    /// Says something for a few seconds.
-    pub fn say(&mut self, text: String, good: bool) {
+    /// Shows a message for a few seconds.
+    pub fn show_message(&mut self, text: String, good: bool) {
         self.message = Some((text, good, Instant::now()));
     }
 
-    /// Pictures per second over the last second; None when hardly any was drawn, because nothing changed.
+    /// Pictures per second over the last second; None if hardly any were drawn because nothing
+    /// changed.
     fn per_second(&self) -> Option<f64> {
         let recent = || self.pictures.iter().map(|p| p.1).filter(|at| at.elapsed() < Duration::from_secs(1));
         let span = recent().next_back()?.duration_since(recent().next()?).as_secs_f64();
@@ -71,13 +73,13 @@ impl Hud {
         (n > 4).then(|| (n - 1) as f64 / span.max(1e-3))
     }
 
-    /// Draws all of it.
+    /// Draws the display.
     pub fn show(
         &mut self,
         ctx: &egui::Context,
         shown: Option<(&Picture, &Index)>,
-        line: &LinkFigures,
-        state: &LinkState,
+        line: &ConnectionSummary,
+        state: &ConnectionState,
         speed_m_per_s: f64,
     ) {
         let screen = ctx.content_rect();
@@ -95,7 +97,7 @@ impl Hud {
         if self.help || self.figures {
             centred(&painter, pos2(screen.center().x, screen.bottom() - 18.0), HELP, TEXT, 12.0, screen.width() - 24.0);
         }
-        if shown.is_some_and(|(picture, _)| picture.figures.unplanned) {
+        if shown.is_some_and(|(picture, _)| picture.stats.unplanned) {
             let at = pos2(screen.center().x, screen.bottom() - 36.0);
             centred(&painter, at, UNPLANNED, TEXT, 13.0, screen.width() * 0.8);
         }
@@ -113,17 +115,17 @@ impl Hud {
         }
     }
 
-    fn lines(&self, picture: &Picture, index: &Index, line: &LinkFigures, speed_m_per_s: f64) -> Vec<String> {
-        let f = &picture.figures;
-        let (ms, warp) = (&f.painted.ms, f.painted.warp.as_ref());
+    fn lines(&self, picture: &Picture, index: &Index, line: &ConnectionSummary, speed_m_per_s: f64) -> Vec<String> {
+        let f = &picture.stats;
+        let (ms, warp) = (&f.frame_stats.ms, f.frame_stats.warp.as_ref());
         let rate = self.per_second().map_or("resting".into(), |fps| format!("{fps:.0} fps"));
         let fine = if f.supersample > 1 { ", 4 samples per pixel" } else { "" };
-        let missing = match f.painted.missing_chunks.len() {
+        let missing = match f.frame_stats.missing_chunks.len() {
             0 => "nothing".to_owned(),
             n => format!("{n} chunks, {:.2} MB", f.missing_bytes as f64 * 1e-6),
         };
-        let waiting = if f.painted.waiting > 0 {
-            format!(", {} to be laid out or put onto the card", f.painted.waiting)
+        let waiting = if f.frame_stats.waiting > 0 {
+            format!(", {} to be laid out or uploaded", f.frame_stats.waiting)
         } else {
             String::new()
         };
@@ -139,14 +141,18 @@ impl Hud {
                 picture.frame.height
             ),
             format!(
-                "ms         select {:.1}  cull {:.1}  near {:.1}  layout {:.1}  warp {:.1}  composite {:.1}",
-                ms.select, ms.cull, ms.near, ms.prepare, ms.warp, ms.composite
+                "ms         select {:.1}  near {:.1}  layout {:.1}  warp {:.1}  composite {:.1}",
+                ms.select + ms.cull,
+                ms.near,
+                ms.prepare,
+                ms.warp,
+                ms.composite
             ),
             match &f.card {
                 Some((name, bytes)) => format!("drawn by   {name}, {:.0} MB on it", *bytes as f64 * 1e-6),
-                None => "drawn by   the processor".into(),
+                None => "drawn by   the CPU".into(),
             },
-            format!("triangles  {} of {}{dropped}", grouped(f.painted.triangles), grouped(index.settings.budget)),
+            format!("triangles  {} of {}{dropped}", grouped(f.frame_stats.triangles), grouped(index.settings.budget)),
             format!("samples    {} warped", grouped(warp.map_or(0, |w| w.samples_warped))),
             format!(
                 "cache      {:.0} of {:.0} MB, {} objects",
@@ -167,13 +173,13 @@ impl Hud {
                 p.x, p.y, p.z, picture.pose.yaw_deg, picture.pose.pitch_deg
             ),
         ];
-        if f.shows != Shows::Scene {
+        if f.shows != DisplayMode::Scene {
             lines.push(format!("view       {}", f.shows.legend()));
         }
         lines
     }
 
-    /// Milliseconds of the last pictures.
+    /// Draws the graph of frame times.
     fn graph(&self, painter: &egui::Painter, area: Rect) {
         painter.rect_filled(area, CornerRadius::same(4), SHADE);
         let y = |ms: f32| area.bottom() - (ms / GRAPH_MS).min(1.0) * area.height();
@@ -195,22 +201,22 @@ impl Hud {
     }
 }
 
-/// What is wrong with the line, in words; None when nothing is.
-pub fn trouble(state: &LinkState) -> Option<String> {
+/// Describes a problem of the connection; None if there is none.
+pub fn trouble(state: &ConnectionState) -> Option<String> {
     match state {
-        LinkState::Up | LinkState::Connecting { after: None, .. } => None,
-        LinkState::Connecting { after: Some(reason), .. } => {
+        ConnectionState::Up | ConnectionState::Connecting { after: None, .. } => None,
+        ConnectionState::Connecting { after: Some(reason), .. } => {
             Some(format!("{reason}; connecting again; you can go on where you have been"))
         }
-        LinkState::Waiting { reason, until } => {
+        ConnectionState::Waiting { reason, until } => {
             let seconds = until.saturating_duration_since(Instant::now()).as_secs_f64().ceil();
             Some(format!("{reason}; trying again in {seconds:.0} s; you can go on where you have been"))
         }
-        LinkState::Refused(e) => Some(format!("{e}. Trying again would not help; Ctrl+Q leaves")),
+        ConnectionState::Refused(e) => Some(format!("{e}. Trying again would not help; Ctrl+Q leaves")),
     }
 }
 
-/// Lines of fixed width on a shade; the area they take.
+/// Draws lines of fixed-width text on a background. Returns the area.
 pub fn block(painter: &egui::Painter, at: Pos2, text: &str) -> Rect {
     let galley = painter.layout_no_wrap(text.to_owned(), FontId::monospace(12.5), TEXT);
     let area = Rect::from_min_size(at, galley.size() + vec2(16.0, 12.0));
@@ -219,7 +225,7 @@ pub fn block(painter: &egui::Painter, at: Pos2, text: &str) -> Rect {
     area
 }
 
-/// Text on a shade, centred, wrapped.
+/// Draws wrapped, centred text on a background.
 pub fn centred(painter: &egui::Painter, at: Pos2, text: &str, colour: Color32, size: f32, width: f32) -> Rect {
     let galley = painter.layout(text.to_owned(), FontId::proportional(size), colour, width);
     let area = Align2::CENTER_CENTER.anchor_size(at, galley.size() + vec2(20.0, 10.0));
@@ -228,7 +234,7 @@ pub fn centred(painter: &egui::Painter, at: Pos2, text: &str, colour: Color32, s
     area
 }
 
-/// Digits in groups of three.
+/// Formats a number with digits in groups of three.
 fn grouped(n: u64) -> String {
     let digits = n.to_string();
     let mut out = String::new();
@@ -253,14 +259,15 @@ mod tests {
 
     #[test]
     fn trouble_is_said_with_what_follows() {
-        let connecting = |attempt, after: Option<&str>| LinkState::Connecting { attempt, after: after.map(Into::into) };
-        assert_eq!((trouble(&LinkState::Up), trouble(&connecting(1, None))), (None, None));
+        let connecting =
+            |attempt, after: Option<&str>| ConnectionState::Connecting { attempt, after: after.map(Into::into) };
+        assert_eq!((trouble(&ConnectionState::Up), trouble(&connecting(1, None))), (None, None));
         let text = trouble(&connecting(2, Some("the server stops"))).expect("trouble");
         assert!(text.contains("the server stops") && text.contains("again"), "{text}");
-        let waiting = LinkState::Waiting { reason: "the server stops".into(), until: Instant::now() };
+        let waiting = ConnectionState::Waiting { reason: "the server stops".into(), until: Instant::now() };
         let text = trouble(&waiting).expect("trouble");
         assert!(text.contains("the server stops") && text.contains("trying again"), "{text}");
-        let refused = LinkState::Refused(crate::stream::ConnectError::Busy);
+        let refused = ConnectionState::Refused(crate::stream::ConnectError::Busy);
         assert!(trouble(&refused).expect("trouble").contains("would not help"));
     }
 }

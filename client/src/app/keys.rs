@@ -1,9 +1,9 @@
-//! Keys: which are down, and what that asks of the walker.
+//! The keyboard: keys that are down, and the intent they express.
 
-use super::motion::Intent;
+use super::walker::Intent;
 use winit::keyboard::KeyCode;
 
-/// What a key does while it is down.
+/// The action of a key while it is down.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Act {
     Forward,
@@ -17,7 +17,7 @@ enum Act {
     Run,
 }
 
-/// By place on the keyboard, so that other layouts have the same keys under the fingers.
+/// Keys are identified by position, so that all keyboard layouts use the same places.
 fn act(key: KeyCode) -> Option<Act> {
     Some(match key {
         KeyCode::KeyW | KeyCode::ArrowUp => Act::Forward,
@@ -40,7 +40,7 @@ pub struct Keys {
 }
 
 impl Keys {
-    /// A key went down or up. Whether it is one that moves.
+    /// Records a key's state. Returns whether the key moves the walker.
     pub fn set(&mut self, key: KeyCode, pressed: bool) -> bool {
         if act(key).is_none() {
             return false;
@@ -52,12 +52,12 @@ impl Keys {
         true
     }
 
-    /// All up: the window lost the keyboard and would not hear of it.
+    /// Releases all keys, when the window loses the keyboard and gets no more events.
     pub fn release(&mut self) {
         self.down.clear();
     }
 
-    /// What they ask for. Opposite keys cancel each other.
+    /// The intent of all keys that are down. Opposite keys cancel.
     pub fn intent(&self) -> Intent {
         let is = |a: Act| if self.down.iter().any(|k| act(*k) == Some(a)) { 1.0 } else { 0.0 };
         Intent {
@@ -80,7 +80,7 @@ mod tests {
         let mut keys = Keys::default();
         assert!(keys.set(KeyCode::KeyW, true) && keys.set(KeyCode::ArrowUp, true) && !keys.set(KeyCode::KeyM, true));
         assert_eq!(keys.intent(), Intent { forward: 1.0, ..Intent::default() });
-        // The second key for the same thing is still down.
+        // The second key with the same action is still down.
         keys.set(KeyCode::KeyW, false);
         keys.set(KeyCode::ShiftLeft, true);
         assert_eq!(keys.intent(), Intent { forward: 1.0, run: true, ..Intent::default() });

@@ -1,14 +1,15 @@
-//! The map (M): the walk volume from above, where the walker and others are, where images are made for; a click goes there.
+//! The map (M): floor plan, the walker, other walkers, grid points. A click moves the eye.
 //!
-//! The plan itself ([`plan`]) is drawn on a thread of its own, and anew when more of the scene has arrived. -Z is up on the map, +X to the right: yaw 0 looks upward. One storey is shown bright, the others dim; Page Up and Page Down
-//! choose another one.
+//! The plan ([`floor_plan`]) is drawn on its own thread, and again when more of the scene has
+//! arrived. -Z is up on the map, +X to the right: yaw 0 points up. One storey is bright, the others
+//! dim; Page Up and Page Down change the storey.
 
 use super::{
-    desk::Picture,
+    floor_plan::{self, STOREY_M},
     hud::{SHADE, block, centred},
-    link::Scene,
-    motion,
-    plan::{self, STOREY_M},
+    render_mailbox::Picture,
+    server_connection::Scene,
+    walker,
 };
 use egui::{Color32, ColorImage, CornerRadius, Pos2, Rect, Shape, Stroke, TextureHandle, TextureOptions, pos2, vec2};
 use glam::DVec3;
@@ -19,19 +20,19 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Levels with less than this share of the largest one's area are landings, not storeys.
+/// Levels below this share of the largest level's area are landings, not storeys.
 const SMALLEST_STOREY: f64 = 0.04;
-/// The plan is drawn anew after so long when more of the scene has arrived.
+/// Interval at which the plan is drawn again while data arrives.
 const AGAIN_AFTER: Duration = Duration::from_secs(2);
-/// Characters of another walker's name: more would hide the map.
+/// Largest number of characters of another walker's name.
 const LONGEST_NAME: usize = 24;
-/// Points that are drawn at most: more would hide the map.
+/// Largest number of grid points drawn.
 const MOST_POINTS: usize = 20_000;
 
-/// Where on the display which part of the world is.
+/// The projection from the world to the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sheet {
-    /// On the display, points.
+pub struct MapProjection {
+    /// Area of the map on the display, points.
     pub area: Rect,
     /// World x and z of its upper left corner, metres.
     pub corner: [f64; 2],
@@ -39,8 +40,8 @@ pub struct Sheet {
     pub per_metre: f64,
 }
 
-impl Sheet {
-    /// As large as fits into `room`.
+impl MapProjection {
+    /// The largest projection that fits into `room`.
     fn fit(volume: &WalkVolume, room: Rect) -> Self {
         let (b, size) = (volume.bounds(), volume.bounds().size().max(DVec3::splat(0.1)));
         let per_metre = (f64::from(room.width()) / size.x).min(f64::from(room.height()) / size.z);
@@ -49,13 +50,13 @@ impl Sheet {
         Self { area, corner: [b.min.x, b.min.z], per_metre }
     }
 
-    /// Where a place of the world is shown.
+    /// Position of a place on the display.
     pub fn show(&self, p: DVec3) -> Pos2 {
         let at = |v: f64, corner: f64| ((v - corner) * self.per_metre) as f32;
         self.area.min + vec2(at(p.x, self.corner[0]), at(p.z, self.corner[1]))
     }
 
-    /// World x and z of a place on the display.
+    /// World x and z of a position on the display.
     pub fn world(&self, at: Pos2) -> [f64; 2] {
         let d = at - self.area.min;
         [self.corner[0] + f64::from(d.x) / self.per_metre, self.corner[1] + f64::from(d.y) / self.per_metre]
@@ -67,41 +68,42 @@ impl Sheet {
 pub struct Map {
     /// Whether it is shown.
     pub open: bool,
-    /// Eye height of the storey that was chosen; None for the walker's.
+    /// Eye height of the chosen storey; None for the walker's storey.
     chosen_m: Option<f64>,
-    drawn: Option<Drawn>,
-    /// Where it was drawn last.
-    pub sheet: Option<Sheet>,
+    drawn_map: Option<DrawnMap>,
+    /// The projection used last.
+    pub sheet: Option<MapProjection>,
 }
 
-struct Drawn {
+struct DrawnMap {
     scene: Scene,
     storeys_m: Vec<f64>,
     storey_m: f64,
-    /// What was asked for last: storey, and bytes in the cache then.
+    /// The plan requested last: storey, bytes in the cache, time.
     asked: Option<(f64, u64, Instant)>,
-    /// Where it will come from.
+    /// Receives the plan.
     coming: Option<mpsc::Receiver<ColorImage>>,
     texture: Option<TextureHandle>,
 }
 
 impl Map {
-    /// Opens or closes it.
+    /// Opens or closes the map.
     pub fn toggle(&mut self) {
         self.open = !self.open;
         self.chosen_m = None;
         self.sheet = None;
     }
 
-    /// A storey up or down.
+    /// Chooses the next storey up or down.
     pub fn change_storey(&mut self, up: bool) {
-        let Some(d) = &self.drawn else { return };
+        let Some(d) = &self.drawn_map else { return };
         let mut next =
             d.storeys_m.iter().copied().filter(|s| if up { *s > d.storey_m + 0.1 } else { *s < d.storey_m - 0.1 });
         self.chosen_m = if up { next.next() } else { next.next_back() }.or(self.chosen_m);
     }
 
-    /// Draws it. `others`: None if the server does not tell. Where somebody clicked: the eye's new place.
+    /// Draws the map. `others`: None if the server does not send them. Returns the eye's new
+    /// position after a click.
     pub fn show(
         &mut self,
         ctx: &egui::Context,
@@ -109,7 +111,7 @@ impl Map {
         picture: &Picture,
         others: Option<&[Other]>,
     ) -> Option<DVec3> {
-        let (pose, selection) = (&picture.pose, &picture.figures.selection);
+        let (pose, selection) = (&picture.pose, &picture.stats.selection);
         let painter = ctx.layer_painter(egui::LayerId::new(egui::Order::Middle, egui::Id::unique("map")));
         let screen = ctx.content_rect();
         painter.rect_filled(screen, CornerRadius::ZERO, Color32::from_black_alpha(190));
@@ -117,20 +119,20 @@ impl Map {
             centred(&painter, screen.center(), "this dataset has no walk volume to show", Color32::WHITE, 16.0, 600.0);
             return None;
         };
-        let drawn = self.draw(ctx, scene, volume, pose);
-        let sheet = Sheet::fit(volume, screen.shrink2(vec2(40.0, 60.0)));
+        let drawn_map = self.draw(ctx, scene, volume, pose);
+        let sheet = MapProjection::fit(volume, screen.shrink2(vec2(40.0, 60.0)));
         let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
-        if let Some(texture) = &drawn.texture {
+        if let Some(texture) = &drawn_map.texture {
             painter.image(texture.id(), sheet.area, whole, Color32::WHITE);
         }
-        points(&painter, &sheet, &scene.index, drawn.storey_m, selection);
-        let storey_m = drawn.storey_m;
-        others.unwrap_or_default().iter().for_each(|o| other(&painter, &sheet, o, storey_m));
-        walker(&painter, &sheet, pose, picture.fov_deg);
-        let storeys = match drawn.storeys_m.len() {
+        draw_grid_points(&painter, &sheet, &scene.index, drawn_map.storey_m, selection);
+        let storey_m = drawn_map.storey_m;
+        others.unwrap_or_default().iter().for_each(|o| draw_other_walker(&painter, &sheet, o, storey_m));
+        draw_walker(&painter, &sheet, pose, picture.fov_deg);
+        let storeys = match drawn_map.storeys_m.len() {
             0 | 1 => String::new(),
             n => {
-                let number = drawn.storeys_m.iter().filter(|s| **s <= drawn.storey_m + 0.1).count();
+                let number = drawn_map.storeys_m.iter().filter(|s| **s <= drawn_map.storey_m + 0.1).count();
                 format!("  |  storey {number} of {n}: Page Up, Page Down")
             }
         };
@@ -146,12 +148,12 @@ impl Map {
         let clicked = ctx.input(|i| i.pointer.primary_clicked().then(|| i.pointer.interact_pos()).flatten())?;
         let [x, z] = sheet.area.contains(clicked).then(|| sheet.world(clicked))?;
         let level_m = if flying(scene) { pose.position.y } else { storey_m };
-        Some(place(volume, x, z, level_m, flying(scene)))
+        Some(standing_place(volume, x, z, level_m, flying(scene)))
     }
 
-    /// What is drawn, brought up to date as far as it has come.
-    fn draw(&mut self, ctx: &egui::Context, scene: &Scene, volume: &WalkVolume, pose: &Pose) -> &Drawn {
-        let mut drawn = self.drawn.take().filter(|d| d.scene.is(scene)).unwrap_or_else(|| Drawn {
+    /// Updates the plan as far as it has been drawn.
+    fn draw(&mut self, ctx: &egui::Context, scene: &Scene, volume: &WalkVolume, pose: &Pose) -> &DrawnMap {
+        let mut drawn_map = self.drawn_map.take().filter(|d| d.scene.is(scene)).unwrap_or_else(|| DrawnMap {
             scene: scene.clone(),
             storeys_m: storeys(volume),
             storey_m: f64::NAN,
@@ -161,60 +163,61 @@ impl Map {
         });
         let height = self.chosen_m.unwrap_or(pose.position.y);
         if flying(scene) {
-            // One level at every height; in steps, so that the plan is not drawn anew for every breath.
-            drawn.storeys_m = vec![(height * 2.0).round() * 0.5];
+            // Flying datasets have a storey at every height, rounded so that small movements do not
+            // redraw the plan.
+            drawn_map.storeys_m = vec![(height * 2.0).round() * 0.5];
         }
-        let storeys = drawn.storeys_m.iter().copied();
+        let storeys = drawn_map.storeys_m.iter().copied();
         let storey_m = storeys.min_by(|a, b| (a - height).abs().total_cmp(&(b - height).abs())).unwrap_or(height);
-        if drawn.storey_m != storey_m {
-            (drawn.storey_m, drawn.texture, drawn.coming, drawn.asked) = (storey_m, None, None, None);
+        if drawn_map.storey_m != storey_m {
+            (drawn_map.storey_m, drawn_map.texture, drawn_map.coming, drawn_map.asked) = (storey_m, None, None, None);
         }
-        if let Some(picture) = drawn.coming.as_ref().and_then(|c| c.try_recv().ok()) {
-            drawn.texture = Some(ctx.load_texture("plan", picture, TextureOptions::LINEAR));
-            drawn.coming = None;
+        if let Some(picture) = drawn_map.coming.as_ref().and_then(|c| c.try_recv().ok()) {
+            drawn_map.texture = Some(ctx.load_texture("plan", picture, TextureOptions::LINEAR));
+            drawn_map.coming = None;
         }
         let bytes = scene.cache.usage().bytes;
-        let stale = drawn.asked.is_none_or(|(_, b, at)| b != bytes && at.elapsed() > AGAIN_AFTER);
-        if stale && drawn.coming.is_none() {
-            drawn.asked = Some((storey_m, bytes, Instant::now()));
-            drawn.coming = ask(scene, storey_m);
+        let stale = drawn_map.asked.is_none_or(|(_, b, at)| b != bytes && at.elapsed() > AGAIN_AFTER);
+        if stale && drawn_map.coming.is_none() {
+            drawn_map.asked = Some((storey_m, bytes, Instant::now()));
+            drawn_map.coming = ask(scene, storey_m);
         }
-        self.drawn.insert(drawn)
+        self.drawn_map.insert(drawn_map)
     }
 }
 
-/// Begins to draw a plan. None where the system gives no thread: then there is no plan, and clicks work all the same.
+/// Starts drawing a plan. None if the system gives no thread; the map then works without a plan.
 fn ask(scene: &Scene, storey_m: f64) -> Option<mpsc::Receiver<ColorImage>> {
     let (sender, receiver) = mpsc::channel();
     let scene = scene.clone();
     let work = move || {
         if let Some(volume) = &scene.index.volume {
-            // The map may be closed by now.
-            let _ = sender.send(plan::draw(&scene, volume, storey_m));
+            // The map may have been closed.
+            let _ = sender.send(floor_plan::draw(&scene, volume, storey_m));
         }
     };
     std::thread::Builder::new().name("ldi-plan".into()).spawn(work).ok().map(|_| receiver)
 }
 
-/// Whether the dataset was built for flying: its volume is one box.
+/// Whether the dataset is for flying: its volume is one box.
 fn flying(scene: &Scene) -> bool {
     scene.index.settings.eye_height_m.is_none()
 }
 
-/// The place that a click means: on the storey that is shown, or as near as there is one.
-fn place(volume: &WalkVolume, x: f64, z: f64, storey_m: f64, flying: bool) -> DVec3 {
-    let here = if flying { Vec::new() } else { motion::storeys(volume, x, z) };
+/// The eye position that a click selects: on the displayed storey if possible.
+fn standing_place(volume: &WalkVolume, x: f64, z: f64, storey_m: f64, flying: bool) -> DVec3 {
+    let here = if flying { Vec::new() } else { walker::storeys(volume, x, z) };
     let y = here.into_iter().min_by(|a, b| (a - storey_m).abs().total_cmp(&(b - storey_m).abs()));
     let p = DVec3::new(x, y.unwrap_or(storey_m), z);
-    motion::nearest(volume, p).unwrap_or(p)
+    walker::nearest(volume, p).unwrap_or(p)
 }
 
-/// Eye heights at which much of the volume lies, ascending.
+/// Eye heights of the storeys, ascending.
 fn storeys(volume: &WalkVolume) -> Vec<f64> {
     let mut area = BTreeMap::<i64, f64>::new();
     for b in volume.boxes() {
         let size = b.size();
-        *area.entry((motion::nominal([b.min.y, b.max.y]) * 5.0).round() as i64).or_default() += size.x * size.z;
+        *area.entry((walker::nominal([b.min.y, b.max.y]) * 5.0).round() as i64).or_default() += size.x * size.z;
     }
     let most = area.values().copied().fold(0.0, f64::max);
     let mut by_area: Vec<(f64, f64)> = area.into_iter().map(|(h, a)| (h as f64 * 0.2, a)).collect();
@@ -229,8 +232,14 @@ fn storeys(volume: &WalkVolume) -> Vec<f64> {
     out
 }
 
-/// Grid points of the storey; the one in use, and the eyes that its images were made for.
-fn points(painter: &egui::Painter, sheet: &Sheet, index: &Index, storey_m: f64, selection: &Selection) {
+/// Draws the grid points of the storey, the one in use, and the zone of eyes of its images.
+fn draw_grid_points(
+    painter: &egui::Painter,
+    sheet: &MapProjection,
+    index: &Index,
+    storey_m: f64,
+    selection: &Selection,
+) {
     let used = selection.grid_point;
     let near = index.points.iter().filter(|p| (p.position.y - storey_m).abs() <= STOREY_M);
     for p in near.take(MOST_POINTS) {
@@ -246,18 +255,18 @@ fn points(painter: &egui::Painter, sheet: &Sheet, index: &Index, storey_m: f64, 
     }
 }
 
-/// The walker: what is in view, and an arrow.
-fn walker(painter: &egui::Painter, sheet: &Sheet, pose: &Pose, fov_deg: f64) {
+/// Draws the walker: field of view, and an arrow.
+fn draw_walker(painter: &egui::Painter, sheet: &MapProjection, pose: &Pose, fov_deg: f64) {
     let at = sheet.show(pose.position);
-    let toward = |deg: f64, points: f32| toward(at, pose.yaw_deg + deg, points);
+    let toward = |deg: f64, distance: f32| toward(at, pose.yaw_deg + deg, distance);
     let red = Color32::from_rgb(213, 40, 40);
     let view = vec![at, toward(fov_deg / 2.0, 46.0), toward(-fov_deg / 2.0, 46.0)];
     painter.add(Shape::convex_polygon(view, Color32::from_rgba_unmultiplied(213, 40, 40, 60), Stroke::NONE));
     painter.add(arrow(at, pose.yaw_deg, 1.0, red));
 }
 
-/// Another walker: a smaller arrow with number and name, dim on another storey.
-fn other(painter: &egui::Painter, sheet: &Sheet, o: &Other, storey_m: f64) {
+/// Draws another walker: a smaller arrow with number and name, dim on another storey.
+fn draw_other_walker(painter: &egui::Painter, sheet: &MapProjection, o: &Other, storey_m: f64) {
     let p = DVec3::from_array(o.position);
     let at = sheet.show(p);
     let dim = if (p.y - storey_m).abs() <= STOREY_M { 1.0 } else { 0.4 };
@@ -270,16 +279,16 @@ fn other(painter: &egui::Painter, sheet: &Sheet, o: &Other, storey_m: f64) {
     painter.galley(room.min + vec2(4.0, 1.0), text, colour);
 }
 
-/// So many points from a place on the map toward a yaw.
-fn toward(at: Pos2, yaw_deg: f64, points: f32) -> Pos2 {
+/// The position at a distance from `at` in a yaw's direction.
+fn toward(at: Pos2, yaw_deg: f64, distance: f32) -> Pos2 {
     let (sin, cos) = yaw_deg.to_radians().sin_cos();
-    at + vec2(-sin as f32, -cos as f32) * points
+    at + vec2(-sin as f32, -cos as f32) * distance
 }
 
-/// Points where somebody looks.
+/// An arrow in a yaw's direction.
 fn arrow(at: Pos2, yaw_deg: f64, size: f32, colour: Color32) -> Shape {
     let corners = [(0.0, 16.0), (140.0, 10.0), (-140.0, 10.0)];
-    let corners = corners.map(|(deg, points)| toward(at, yaw_deg + deg, points * size)).to_vec();
+    let corners = corners.map(|(deg, distance)| toward(at, yaw_deg + deg, distance * size)).to_vec();
     Shape::convex_polygon(corners, colour, Stroke::new(1.0, Color32::WHITE))
 }
 
@@ -302,17 +311,17 @@ mod tests {
         let found = storeys(&v);
         assert_eq!(found.len(), 2, "{found:?}");
         assert!((found[0] - 1.6).abs() < 0.11 && (found[1] - 4.6).abs() < 0.11, "{found:?}");
-        let up = place(&v, 1.0, 2.0, found[1], false);
+        let up = standing_place(&v, 1.0, 2.0, found[1], false);
         assert!((up.y - 4.6).abs() < 0.06 && up.x == 1.0 && v.contains(up), "{up}");
         // Above the right half there is only the lower one.
-        let down = place(&v, 3.0, 2.0, found[1], false);
+        let down = standing_place(&v, 3.0, 2.0, found[1], false);
         assert!((down.y - 1.6).abs() < 0.06 && down.x == 3.0 && v.contains(down), "{down}");
     }
 
     #[test]
     fn the_sheet_goes_there_and_back() {
         let room = Rect::from_min_size(pos2(10.0, 20.0), vec2(800.0, 400.0));
-        let sheet = Sheet::fit(&house(), room);
+        let sheet = MapProjection::fit(&house(), room);
         assert!(room.contains_rect(sheet.area) && (sheet.per_metre - 100.0).abs() < 1e-3);
         let p = DVec3::new(1.0, 1.6, 3.0);
         let [x, z] = sheet.world(sheet.show(p));

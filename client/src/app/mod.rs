@@ -1,54 +1,64 @@
-//! The window that people walk in.
+//! The interactive window.
 //!
-//! In: a server. Out: pictures on a display, at its rate, from poses that keys and mouse make. Three threads that never wait for
-//! each other, each taking the newest that another has left:
+//! In: a server. Out: pictures on a display, at its rate, from poses that keyboard, mouse and
+//! gamepad control. Three threads exchange their latest state and never wait for each other:
 //!
 //! ```text
-//!   link     connects, keeps the line, connects again          (client/src/stream does the rest on threads of its own)
-//!     |  index, cache                        ^ where the eye looks
-//!   drawing  moves the walker, draws, adapts the size           
-//!     |  finished pictures                   ^ keys, mouse, size
-//!   window   events, one texture to the display, interface      (the main thread: systems want it there)
+//!     connection  connects, reconnects               (`stream` has threads of its own)
+//!       |  index, cache                        ^ the eye's pose
+//!     render      moves the walker, renders, adapts the resolution
+//!       |  finished pictures                   ^ intent, turn, window size
+//!     window      events, one texture to the display, interface   (the main thread)
 //! ```
 //!
-//! - `motion`: keys and time to poses within the walk volume; `solids`: what stands in the way; `scale`: milliseconds to sizes; `scout`: where a visit begins. All pure.
-//! - `screen`: wgpu; the only file here that knows it. Nothing of it is loaded before a window is asked for. What draws is the engine's painter, on the processor or a
-//!   graphics card (`client/src/gpu`), whose pictures come back to the processor before they are shown.
-//! - `hud`, `map` with its `plan`, `start`: what is drawn over the picture. `kept`: walks (`record`) and places (`bookmarks`) that are kept; `settings`: what can be chosen. `keys`, `gamepad`, `shot`, `numbered`, `events`, `pace`: small parts.
-//! - `walk_link`: the same line for a walk without a window.
+//! - `server_connection`: the connection thread. `headless_connection`: the same for a walk without
+//!   a window.
+//! - `render_loop`: the render thread; `render_mailbox`: its shared state; `render_thread`: its
+//!   handle.
+//! - `walker`: movement within the walk volume; `collision`: obstacles and floors;
+//!   `dynamic_resolution`: picture size; `start_pose`: start pose. All pure.
+//! - `window`: system events; `window_state`: all state of an open window; `screen`: surface and
+//!   presentation with wgpu, opened only with a window; `software_present`, `software_upscale`,
+//!   `overlay`: presentation by the CPU.
+//! - `hud`, `map` with its `floor_plan`, `start_screen`, `settings`: the interface.
+//! - `recordings_and_bookmarks` with `recording` and `bookmarks`: stored walks and poses.
+//!   `screenshot`, `unique_file`, `events`, `frame_times`: files and figures. `keys`, `gamepad`:
+//!   input.
 
 mod bookmarks;
-mod by_hand;
-mod desk;
-mod drawing;
+mod collision;
+mod dynamic_resolution;
 mod events;
+mod floor_plan;
+mod frame_times;
 mod gamepad;
+mod headless_connection;
 mod hud;
-mod kept;
+mod interface_pass;
 mod keys;
-mod link;
 mod map;
-mod motion;
-mod numbered;
 mod overlay;
-mod pace;
-mod plan;
-mod record;
-mod scale;
-mod scout;
+mod recording;
+mod recordings_and_bookmarks;
+mod render_loop;
+mod render_mailbox;
+mod render_thread;
 mod screen;
+mod screenshot;
+mod server_connection;
 mod settings;
-mod shot;
-mod solids;
-mod start;
-mod stretch;
-mod visit;
-mod walk_link;
+mod software_present;
+mod software_upscale;
+mod start_pose;
+mod start_screen;
+mod unique_file;
+mod walker;
 mod window;
+mod window_state;
 
 pub use gamepad::GamepadAt;
+pub use headless_connection::HeadlessConnection;
 pub use screen::ScreenError;
-pub use walk_link::WalkLink;
 pub use window::run;
 
 use crate::stream::{ConnectConfig, ConnectError};
@@ -58,32 +68,33 @@ use std::{
     sync::{Arc, atomic::AtomicBool},
 };
 
-/// What to open.
+/// Settings of the window.
 #[derive(Debug, Clone)]
 pub struct AppConfig {
-    /// The server, whom to trust, the cache.
+    /// Settings of the connection.
     pub connect: ConnectConfig,
     /// Size of the window, pixels.
     pub size: (u32, u32),
-    /// Time for a frame while moving, milliseconds.
+    /// Intended frame time while moving, milliseconds.
     pub frame_ms: f64,
-    /// Where to begin; None for a place of the client's choice.
+    /// Start pose; None for one chosen by the client.
     pub begin: Option<Pose>,
     /// Folder of the screenshots.
-    pub shots: PathBuf,
-    /// A walk to walk once the first view is complete, and again with P.
+    pub screenshots: PathBuf,
+    /// A walk that is replayed once the first view is complete, and again with P.
     pub replay: Option<Walk>,
-    /// The gamepad to walk with, too.
+    /// The gamepad.
     pub gamepad: GamepadAt,
-    /// File of the places that are kept; None for one named after the scene in the user's configuration folder.
+    /// File of the bookmarks; None for one named after the scene in the user's configuration
+    /// folder.
     pub bookmarks: Option<PathBuf>,
-    /// Where to write what happens, a JSON object per line.
+    /// File of the event log.
     pub events: Option<PathBuf>,
-    /// Becomes true when the window is to be closed: the process was asked to end.
+    /// Set when the process is asked to end.
     pub stop: Arc<AtomicBool>,
 }
 
-/// Why there is no window, or no longer one.
+/// Reasons why a window cannot be opened, or had to be closed.
 #[derive(Debug, thiserror::Error)]
 pub enum AppError {
     /// No display.
@@ -92,7 +103,7 @@ pub enum AppError {
     /// No driver.
     #[error(transparent)]
     Screen(#[from] ScreenError),
-    /// The server does not let this client in, or sends what cannot be used.
+    /// The server refuses the connection, or sends unusable data.
     #[error(transparent)]
     Connect(#[from] ConnectError),
     /// The file of `--events`.
@@ -100,7 +111,7 @@ pub enum AppError {
     Events {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The cause.
         source: std::io::Error,
     },
     /// The system gives no thread.
@@ -109,11 +120,12 @@ pub enum AppError {
 }
 
 impl AppError {
-    /// What the window library said, without where in its source.
+    /// The window library's message, without its source location.
     fn no_display(e: &dyn std::fmt::Display) -> Self {
         let text = e.to_string();
-        let said = text.rsplit_once(".rs:").and_then(|(_, t)| t.split_once(": ")).map_or(text.as_str(), |(_, t)| t);
-        Self::NoDisplay(said.trim_end_matches('.').to_owned())
+        let described =
+            text.rsplit_once(".rs:").and_then(|(_, t)| t.split_once(": ")).map_or(text.as_str(), |(_, t)| t);
+        Self::NoDisplay(described.trim_end_matches('.').to_owned())
     }
 
     /// The exit code of the command line: 2 for wrong usage, 1 when a retry may help, 42 when not.

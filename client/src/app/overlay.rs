@@ -1,28 +1,29 @@
-//! The interface as a picture of its own, for software adapters: drawing it takes them as long as the processor takes for the scene, so it is drawn when it changes, and laid over
-//! every picture by the processor.
+//! The interface overlay of the software presenter. Drawing the interface with a software driver is
+//! slow, so it is drawn only when it changes, and blended over every picture by the CPU.
 //!
-//! In: egui's shapes, drawn into [`Overlay::target`]. Out: pixels laid over others, premultiplied (Porter and Duff 1984, over), in sRGB codes as egui mixes them.
+//! In: the interface's shapes, drawn into [`Overlay::target`]. Out: pixels blended over others,
+//! premultiplied (Porter and Duff 1984, over), in sRGB codes as egui blends them.
 
-/// Pixels of one row that are not wholly transparent.
+/// Consecutive pixels of one row that are not fully transparent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Span {
-    /// The first one's number in the window.
+    /// Index of the first pixel in the window.
     at: usize,
     len: usize,
 }
 
-/// As large as the window.
+/// The overlay, of the window's size.
 pub struct Overlay {
     texture: wgpu::Texture,
     buffer: wgpu::Buffer,
     size: [u32; 2],
     spans: Vec<Span>,
-    /// Pixels of all spans, one after the other; alpha in the highest byte.
+    /// Pixels of all spans; alpha in the highest byte.
     codes: Vec<u32>,
 }
 
 impl Overlay {
-    /// Nothing, for a window of this size. `format`: of four bytes, alpha last.
+    /// An empty overlay. `format`: four bytes, alpha last.
     pub fn new(device: &wgpu::Device, format: wgpu::TextureFormat, size: [u32; 2]) -> Self {
         let texture = device.create_texture(&wgpu::TextureDescriptor {
             label: Some("interface"),
@@ -48,12 +49,12 @@ impl Overlay {
         self.size
     }
 
-    /// What the interface is drawn into.
+    /// The render target of the interface.
     pub fn target(&self) -> wgpu::TextureView {
         self.texture.create_view(&wgpu::TextureViewDescriptor::default())
     }
 
-    /// To be recorded after the interface.
+    /// Records the copy to the CPU, after the interface was drawn.
     pub fn fetch(&self, encoder: &mut wgpu::CommandEncoder) {
         let layout = wgpu::TexelCopyBufferLayout {
             offset: 0,
@@ -64,11 +65,11 @@ impl Overlay {
         encoder.copy_texture_to_buffer(self.texture.as_image_copy(), to, self.texture.size());
     }
 
-    /// Takes over what was fetched, once that was submitted; waits for it. What was there before stays where the driver fails.
+    /// Waits for the copy and takes it over. If the driver fails, the previous overlay stays.
     pub fn take(&mut self, device: &wgpu::Device) {
         let (sent, done) = std::sync::mpsc::channel();
         self.buffer.slice(..).map_async(wgpu::MapMode::Read, move |result| {
-            // Nobody waits any more where polling failed.
+            // Nobody waits after polling has failed.
             let _ = sent.send(result);
         });
         let polled = device.poll(wgpu::PollType::wait_indefinitely());
@@ -84,19 +85,19 @@ impl Overlay {
         self.buffer.unmap();
     }
 
-    /// Finds the spans of rows that begin at multiples of [`row_bytes`].
+    /// Finds the spans in rows of [`row_bytes`] each.
     fn keep(&mut self, bytes: &[u8]) {
         let width = self.size[0] as usize;
         (self.spans, self.codes) = spans(bytes.chunks_exact(row_bytes(self.size[0]) as usize), width);
     }
 
-    /// Lays it over the window's pixels.
+    /// Blends the overlay over the window's pixels.
     pub fn over(&self, pixels: &mut [u32]) {
         lay_over(&self.spans, &self.codes, pixels);
     }
 }
 
-/// Bytes of a row in the buffer: graphics interfaces want multiples of 256.
+/// Bytes of a buffer row: graphics interfaces require multiples of 256.
 fn row_bytes(width: u32) -> u32 {
     (4 * width).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT)
 }
@@ -130,7 +131,7 @@ fn lay_over(spans: &[Span], mut codes: &[u32], pixels: &mut [u32]) {
     }
 }
 
-/// Two channels at a time; opaque.
+/// Blends two channels at a time; the result is opaque.
 fn over(above: u32, below: u32) -> u32 {
     const PAIR: u32 = 0x00ff_00ff;
     let open = 255 - (above >> 24);
@@ -139,7 +140,7 @@ fn over(above: u32, below: u32) -> u32 {
         let scaled = (c & PAIR) * open + 0x0080_0080;
         (scaled + (scaled >> 8 & PAIR)) >> 8 & PAIR
     };
-    // Premultiplied, so that no sum exceeds a byte.
+    // Premultiplied colours: no sum exceeds a byte.
     let rest = pair(below) | pair(below >> 8) << 8 & 0x0000_ff00;
     (above + rest) | 0xff00_0000
 }
@@ -177,7 +178,7 @@ mod tests {
         let mut pixels = [0xff77_7777; 6];
         lay_over(&spans, &codes, &mut pixels);
         assert_eq!(pixels, [0xff00_0001, 0xff77_7777, 0xff00_0002, 0xff77_7777, 0xff00_0003, 0xff00_0004]);
-        // A window that became smaller meanwhile.
+        // The window has become smaller.
         lay_over(&spans, &codes, &mut pixels[..2]);
     }
 }

@@ -1,4 +1,5 @@
-// The picture over the whole target. Sampling decodes sRGB, so that filtering happens in linear light.
+// Scales the picture to the target. Sampling decodes sRGB, so that filtering happens in linear
+// light.
 
 @group(0) @binding(0) var picture: texture_2d<f32>;
 @group(0) @binding(1) var smooth_sampler: sampler;

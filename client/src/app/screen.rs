@@ -1,17 +1,21 @@
-//! What shows pictures: a surface, a device, one pass with the picture stretched over the window and the interface above it.
+//! The screen: a window's surface, and the pass that draws the picture and the interface.
 //!
-//! In: finished pictures and egui's shapes. Out: a frame on the display. Any adapter will do, a software one too: the work is one
-//! texture. The picture is filtered in linear light (`picture.wgsl`). With a software one the processor shows pictures itself ([`ByHand`]).
+//! In: finished pictures and the interface's shapes. Out: a frame on the display. The picture is
+//! filtered in linear light (`picture.wgsl`). With a software adapter the CPU presents pictures
+//! itself ([`SoftwarePresenter`]).
 
-use super::by_hand::ByHand;
+use super::{
+    interface_pass::{Interface, PreparedInterface, begin},
+    software_present::SoftwarePresenter,
+};
 use crate::frame::Frame;
 use std::sync::{Arc, Mutex, PoisonError};
 use winit::{event_loop::OwnedDisplayHandle, window::Window};
 
-/// Nothing can be shown.
+/// Pictures cannot be presented.
 #[derive(Debug, thiserror::Error)]
 pub enum ScreenError {
-    /// No driver at all.
+    /// There is no driver.
     #[error(
         "no graphics driver can draw into a window ({0}); install one (on Debian: mesa-vulkan-drivers or libgl1-mesa-dri; both also draw \
          without a graphics card), or walk without a window: `ldi-client walk --help`"
@@ -24,66 +28,50 @@ pub enum ScreenError {
     Driver {
         /// Its name.
         adapter: String,
-        /// What it said.
+        /// The driver's message.
         reason: String,
     },
 }
 
-/// Where there is no picture yet: dark, but not a switched-off display.
+/// Colour without a picture: dark, but not black.
 pub(super) const EMPTY: wgpu::Color = wgpu::Color { r: 0.17, g: 0.19, b: 0.22, a: 1.0 };
 
-/// A picture on the device.
-struct Shown {
+/// A picture on the GPU.
+struct PictureTexture {
     texture: wgpu::Texture,
     group: wgpu::BindGroup,
     size: [u32; 2],
 }
 
-/// The window's surface and what fills it.
+/// The window's surface, and the presenter that fills it.
 pub struct Screen {
     surface: wgpu::Surface<'static>,
     config: wgpu::SurfaceConfiguration,
     device: wgpu::Device,
     queue: wgpu::Queue,
     adapter: String,
-    /// What the driver complained of and nobody asked about.
-    said: Arc<Mutex<Option<String>>>,
-    way: Way,
+    /// The driver's first error since the last check.
+    last_error: Arc<Mutex<Option<String>>>,
+    presenter: Presenter,
 }
 
-/// How pictures get there.
-enum Way {
-    /// A card stretches them and draws the interface over them.
-    Card(Box<Card>),
-    /// The processor does all of it.
-    Hand(Box<ByHand>),
+/// The way pictures get to the surface.
+enum Presenter {
+    /// A GPU scales them and draws the interface over them.
+    Gpu(Box<GpuPresenter>),
+    /// The CPU does both.
+    Software(Box<SoftwarePresenter>),
 }
 
-/// What a card needs.
-struct Card {
-    stretch: Stretch,
-    shown: Option<Shown>,
+/// GPU resources of a presenter.
+struct GpuPresenter {
+    stretch: UpscalePass,
+    texture: Option<PictureTexture>,
     interface: egui_wgpu::Renderer,
 }
 
-/// egui's shapes, ready to be drawn.
-pub struct Interface {
-    /// Triangles.
-    pub primitives: Vec<egui::ClippedPrimitive>,
-    /// New and removed textures.
-    pub textures: egui::TexturesDelta,
-    /// Pixels per point.
-    pub scale: f32,
-}
-
-/// Shapes, and for which screen.
-pub(super) struct Drawn {
-    pub primitives: Vec<egui::ClippedPrimitive>,
-    pub descriptor: egui_wgpu::ScreenDescriptor,
-}
-
 impl Screen {
-    /// Opens the surface of a window on the best adapter there is.
+    /// Opens the surface of a window on the best adapter.
     ///
     /// # Errors
     /// If no driver can draw into it.
@@ -93,7 +81,7 @@ impl Screen {
             wgpu::Instance::new(wgpu::InstanceDescriptor::new_with_display_handle_from_env(Box::new(display)));
         let surface = instance.create_surface(window).map_err(|e| ScreenError::NoAdapter(e.to_string()))?;
         let wanted = wgpu::RequestAdapterOptions {
-            // The work is one texture: the card that saves the battery is enough.
+            // One texture is drawn: an integrated adapter is fast enough.
             power_preference: wgpu::PowerPreference::from_env().unwrap_or(wgpu::PowerPreference::LowPower),
             compatible_surface: Some(&surface),
             ..Default::default()
@@ -109,15 +97,15 @@ impl Screen {
             ..Default::default()
         }))
         .map_err(|e| failed(e.to_string()))?;
-        // Without these two a failing driver ends the process.
-        let said = Arc::new(Mutex::new(None));
-        let hear = |said: &Arc<Mutex<Option<String>>>| {
-            let said = said.clone();
+        // Without these handlers a driver error ends the process.
+        let last_error = Arc::new(Mutex::new(None));
+        let record_error = |last_error: &Arc<Mutex<Option<String>>>| {
+            let last_error = last_error.clone();
             move |what: String| {
-                said.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(what);
+                last_error.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(what);
             }
         };
-        let (wrong, lost) = (hear(&said), hear(&said));
+        let (wrong, lost) = (record_error(&last_error), record_error(&last_error));
         device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| wrong(one_line(&e.to_string()))));
         device.set_device_lost_callback(move |_, reason| lost(format!("the device is lost: {}", one_line(&reason))));
         let mut config = surface
@@ -125,41 +113,42 @@ impl Screen {
             .ok_or_else(|| failed("it supports no surface of this window".into()))?;
         let able = surface.get_capabilities(&adapter);
         let software = info.device_type == wgpu::DeviceType::Cpu && cfg!(target_endian = "little");
-        let fillable = able.usages.contains(wgpu::TextureUsages::COPY_DST) && able.formats.contains(&ByHand::FORMAT);
-        let by_hand = software && fillable;
-        if by_hand {
-            config.format = ByHand::FORMAT;
+        let fillable =
+            able.usages.contains(wgpu::TextureUsages::COPY_DST) && able.formats.contains(&SoftwarePresenter::FORMAT);
+        let software = software && fillable;
+        if software {
+            config.format = SoftwarePresenter::FORMAT;
             config.usage |= wgpu::TextureUsages::COPY_DST;
         } else {
             let preferred = egui_wgpu::preferred_framebuffer_format(&able.formats);
             config.format = preferred.map_err(|e| failed(e.to_string()))?;
         }
         config.present_mode = wgpu::PresentMode::AutoVsync;
-        // The shortest queue: what is seen follows the mouse closely.
+        // The shortest queue, for low latency.
         config.desired_maximum_frame_latency = 1;
         surface.configure(&device, &config);
-        let way = match by_hand {
-            true => Way::Hand(Box::new(ByHand::new(&device, [config.width, config.height]))),
+        let presenter = match software {
+            true => Presenter::Software(Box::new(SoftwarePresenter::new(&device, [config.width, config.height]))),
             false => {
-                let stretch = Stretch::new(&device, config.format);
+                let stretch = UpscalePass::new(&device, config.format);
                 let interface = egui_wgpu::Renderer::new(&device, config.format, egui_wgpu::RendererOptions::default());
-                Way::Card(Box::new(Card { stretch, shown: None, interface }))
+                Presenter::Gpu(Box::new(GpuPresenter { stretch, texture: None, interface }))
             }
         };
-        let screen = Self { surface, config, device, queue, adapter: name, said, way };
+        let screen = Self { surface, config, device, queue, adapter: name, last_error, presenter };
         screen.check()?;
         Ok(screen)
     }
 
-    /// What the driver complained of since the last time, if anything.
+    /// Takes the driver's first error since the last check.
     fn check(&self) -> Result<(), ScreenError> {
-        match self.said.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        match self.last_error.lock().unwrap_or_else(PoisonError::into_inner).take() {
             Some(reason) => Err(ScreenError::Driver { adapter: self.adapter.clone(), reason }),
             None => Ok(()),
         }
     }
 
-    /// Name of the adapter and how it is driven.
+    /// Name of the adapter and its graphics interface.
     pub fn adapter(&self) -> &str {
         &self.adapter
     }
@@ -169,7 +158,7 @@ impl Screen {
         self.device.limits().max_texture_dimension_2d
     }
 
-    /// The window has another size.
+    /// Adapts to a new size of the window.
     pub fn resize(&mut self, [width, height]: [u32; 2]) {
         let most = self.max_side_px();
         let size = [width.clamp(1, most), height.clamp(1, most)];
@@ -179,31 +168,32 @@ impl Screen {
         }
     }
 
-    /// Takes a new picture, which is presented from now on.
+    /// Uploads a new picture, which is presented from now on.
     pub fn upload(&mut self, frame: &Frame) {
         let most = self.max_side_px();
-        if let Way::Card(card) = &mut self.way
+        if let Presenter::Gpu(card) = &mut self.presenter
             && [frame.width, frame.height].iter().all(|n| (1..=most).contains(n))
         {
             card.upload(&self.device, &self.queue, frame);
         }
     }
 
-    /// Whether the interface stays as it was drawn last until it is drawn anew.
+    /// Whether the interface stays on screen until it is drawn again.
     pub fn keeps_interface(&self) -> bool {
-        matches!(self.way, Way::Hand(_))
+        matches!(self.presenter, Presenter::Software(_))
     }
 
-    /// Draws the picture, which was the last to be uploaded, and the interface, and shows them; without an interface the last one, where it is kept.
+    /// Presents the picture that was uploaded last, and the interface. Without an interface the
+    /// previous one is kept, if the presenter keeps it.
     ///
     /// # Errors
-    /// If the driver fails, also in what was asked of it before: the screen has to be opened anew.
+    /// If the driver fails, also in an earlier operation. The screen must be opened again.
     pub fn present(&mut self, picture: Option<&Frame>, interface: Option<Interface>) -> Result<(), ScreenError> {
         let size = [self.config.width, self.config.height];
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let (mut before, mut unused, mut drawn) = (Vec::new(), Vec::new(), None);
         if let Some(Interface { primitives, mut textures, scale }) = interface {
-            let renderer = self.way.renderer();
+            let renderer = self.presenter.renderer();
             for (id, deltas) in textures.set.drain() {
                 for delta in deltas {
                     renderer.update_texture(&self.device, &self.queue, id, &delta);
@@ -212,32 +202,32 @@ impl Screen {
             let descriptor = egui_wgpu::ScreenDescriptor { size_in_pixels: size, pixels_per_point: scale };
             before = renderer.update_buffers(&self.device, &self.queue, &mut encoder, &primitives, &descriptor);
             unused.extend(textures.free.drain());
-            drawn = Some(Drawn { primitives, descriptor });
+            drawn = Some(PreparedInterface { primitives, descriptor });
         }
         let target = self.acquire();
-        match &mut self.way {
-            Way::Card(card) => {
+        match &mut self.presenter {
+            Presenter::Gpu(card) => {
                 if let Some(target) = &target {
                     card.draw(&mut encoder, &target.texture, drawn.as_ref());
                 }
                 self.queue.submit(before.into_iter().chain([encoder.finish()]));
             }
-            Way::Hand(by_hand) => {
+            Presenter::Software(software) => {
                 if let Some(drawn) = &drawn {
-                    by_hand.draw_interface(&self.device, &self.queue, encoder, before, drawn);
+                    software.draw_interface(&self.device, &self.queue, encoder, before, drawn);
                 }
                 if let Some(target) = &target {
-                    write(&self.queue, &target.texture, by_hand.compose(picture, size));
+                    write(&self.queue, &target.texture, software.compose(picture, size));
                     self.queue.submit([]);
                 }
             }
         }
-        unused.iter().for_each(|id| self.way.renderer().free_texture(id));
+        unused.iter().for_each(|id| self.presenter.renderer().free_texture(id));
         target.into_iter().for_each(|t| self.queue.present(t));
         self.check()
     }
 
-    /// The surface's next texture; configures the surface anew where it has changed.
+    /// The surface's next texture. Reconfigures the surface if it has changed.
     fn acquire(&mut self) -> Option<wgpu::SurfaceTexture> {
         use wgpu::CurrentSurfaceTexture as Current;
         for _ in 0..2 {
@@ -251,65 +241,45 @@ impl Screen {
     }
 }
 
-impl Way {
-    /// What draws the interface.
+impl Presenter {
+    /// The renderer of the interface.
     fn renderer(&mut self) -> &mut egui_wgpu::Renderer {
         match self {
-            Self::Card(card) => &mut card.interface,
-            Self::Hand(by_hand) => by_hand.renderer(),
+            Self::Gpu(card) => &mut card.interface,
+            Self::Software(software) => software.renderer(),
         }
     }
 }
 
-impl Card {
+impl GpuPresenter {
     fn upload(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, frame: &Frame) {
         let size = [frame.width, frame.height];
-        if self.shown.as_ref().is_none_or(|s| s.size != size) {
-            self.shown = Some(self.stretch.picture(device, size));
+        if self.texture.as_ref().is_none_or(|s| s.size != size) {
+            self.texture = Some(self.stretch.picture(device, size));
         }
-        if let Some(shown) = &self.shown {
-            write(queue, &shown.texture, &frame.colour);
+        if let Some(texture) = &self.texture {
+            write(queue, &texture.texture, &frame.colour);
         }
     }
 
-    fn draw(&mut self, encoder: &mut wgpu::CommandEncoder, target: &wgpu::Texture, drawn: Option<&Drawn>) {
+    fn draw(&mut self, encoder: &mut wgpu::CommandEncoder, target: &wgpu::Texture, drawn: Option<&PreparedInterface>) {
         let view = target.create_view(&wgpu::TextureViewDescriptor::default());
         let mut pass = begin(encoder, &view, EMPTY).forget_lifetime();
-        if let Some(shown) = &self.shown {
-            self.stretch.draw(&mut pass, shown);
+        if let Some(texture) = &self.texture {
+            self.stretch.draw(&mut pass, texture);
         }
-        if let Some(Drawn { primitives, descriptor }) = drawn {
+        if let Some(PreparedInterface { primitives, descriptor }) = drawn {
             self.interface.render(&mut pass, primitives, descriptor);
         }
     }
 }
 
-pub(super) fn begin<'e>(
-    encoder: &'e mut wgpu::CommandEncoder,
-    view: &wgpu::TextureView,
-    empty: wgpu::Color,
-) -> wgpu::RenderPass<'e> {
-    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-        label: Some("window"),
-        color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-            view,
-            resolve_target: None,
-            ops: wgpu::Operations { load: wgpu::LoadOp::Clear(empty), store: wgpu::StoreOp::Store },
-            depth_slice: None,
-        })],
-        depth_stencil_attachment: None,
-        timestamp_writes: None,
-        occlusion_query_set: None,
-        multiview_mask: None,
-    })
-}
-
-/// What a driver said, in one line.
+/// A driver's message, in one line.
 fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Rows of pixels, whose lowest byte comes first in the texture.
+/// Writes rows of pixels, lowest byte first.
 fn write(queue: &wgpu::Queue, texture: &wgpu::Texture, codes: &[u32]) {
     let little: Vec<u32>;
     let bytes = match cfg!(target_endian = "little") {
@@ -324,14 +294,14 @@ fn write(queue: &wgpu::Queue, texture: &wgpu::Texture, codes: &[u32]) {
     queue.write_texture(texture.as_image_copy(), bytes, layout, texture.size());
 }
 
-/// Stretches a picture over the target.
-struct Stretch {
+/// Scales a picture to the target.
+struct UpscalePass {
     pipeline: wgpu::RenderPipeline,
     layout: wgpu::BindGroupLayout,
     sampler: wgpu::Sampler,
 }
 
-impl Stretch {
+impl UpscalePass {
     fn new(device: &wgpu::Device, target: wgpu::TextureFormat) -> Self {
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("picture"),
@@ -376,7 +346,7 @@ impl Stretch {
             multisample: wgpu::MultisampleState::default(),
             fragment: Some(wgpu::FragmentState {
                 module: &module,
-                // A target that encodes by itself must not be given codes.
+                // A target that encodes sRGB itself must be given linear values.
                 entry_point: Some(if target.is_srgb() { "linear" } else { "encoded" }),
                 targets: &[Some(target.into())],
                 compilation_options: wgpu::PipelineCompilationOptions::default(),
@@ -392,8 +362,8 @@ impl Stretch {
         Self { pipeline, layout, sampler }
     }
 
-    /// Room for a picture.
-    fn picture(&self, device: &wgpu::Device, size: [u32; 2]) -> Shown {
+    /// Creates a texture for a picture.
+    fn picture(&self, device: &wgpu::Device, size: [u32; 2]) -> PictureTexture {
         let texture = device.create_texture(&wgpu::TextureDescriptor {
             label: Some("picture"),
             size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
@@ -413,12 +383,12 @@ impl Stretch {
                 wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(&self.sampler) },
             ],
         });
-        Shown { texture, group, size }
+        PictureTexture { texture, group, size }
     }
 
-    fn draw(&self, pass: &mut wgpu::RenderPass<'_>, shown: &Shown) {
+    fn draw(&self, pass: &mut wgpu::RenderPass<'_>, texture: &PictureTexture) {
         pass.set_pipeline(&self.pipeline);
-        pass.set_bind_group(0, &shown.group, &[]);
+        pass.set_bind_group(0, &texture.group, &[]);
         pass.draw(0..3, 0..1);
     }
 }

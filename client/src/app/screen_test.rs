@@ -24,10 +24,11 @@ fn device() -> Result<(wgpu::Device, wgpu::Queue), String> {
     pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| e.to_string())
 }
 
-/// What a target of this format holds after the picture was stretched over it: red, green, blue of each pixel.
+/// What a target of this format holds after the picture was stretched over it: red, green, blue of
+/// each pixel.
 fn stretched(device: &wgpu::Device, queue: &wgpu::Queue, frame: &Frame, format: wgpu::TextureFormat) -> Vec<[u8; 3]> {
     let (width, height) = (64, 4);
-    let stretch = Stretch::new(device, format);
+    let stretch = UpscalePass::new(device, format);
     let shown = stretch.picture(device, [frame.width, frame.height]);
     write(queue, &shown.texture, &frame.colour);
     let target = device.create_texture(&wgpu::TextureDescriptor {
@@ -85,7 +86,8 @@ fn pictures_arrive_upright_with_their_colours_and_are_filtered_in_linear_light()
         for (corner, colour) in corners.iter().zip(&frame.colour) {
             assert!(near(*corner, unpack_rgb(*colour)), "{format:?}: {corners:?}");
         }
-        // Halfway between 200 and black there is half of the light, which is code 147 and not 100. Pixel 31 lies 31/64 on the way.
+        // Halfway between 200 and black there is half of the light, which is code 147 and not 100.
+        // Pixel 31 lies 31/64 on the way.
         assert!((143..=153).contains(&got[31][0]), "{format:?}: {:?}", got[31]);
     }
 }

@@ -1,40 +1,40 @@
-//! What can be chosen while walking (F3).
+//! User settings (F3).
 
 use egui::{Align2, Context, Slider, Window, vec2};
 
-/// Largest and smallest time for a picture, milliseconds.
+/// Range of the frame time, milliseconds.
 const FRAME_MS: std::ops::RangeInclusive<f64> = 5.0..=200.0;
-/// How the mouse turns, as a multiple of the usual.
+/// Range of the mouse speed, relative to the default.
 const LOOK: std::ops::RangeInclusive<f64> = 0.2..=5.0;
 
-/// See the module.
+/// The settings, and whether their panel is open.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Settings {
+pub struct UserSettings {
     /// Whether the panel is shown.
     pub open: bool,
-    /// Time for a picture while moving, milliseconds.
+    /// Intended frame time while moving, milliseconds.
     pub frame_ms: f64,
-    /// Resting pictures get four samples per pixel.
+    /// Whether resting pictures get four samples per pixel.
     pub fine: bool,
-    /// How fast the mouse turns, as a multiple of the usual.
+    /// Mouse speed, relative to the default.
     pub look: f64,
-    /// Up and down of the mouse are exchanged.
+    /// Whether the vertical axis of the mouse is inverted.
     pub inverted: bool,
 }
 
-impl Settings {
-    /// As the command line has them.
+impl UserSettings {
+    /// The defaults, with the command line's frame time.
     pub fn new(frame_ms: f64) -> Self {
         Self { open: false, frame_ms, fine: true, look: 1.0, inverted: false }
     }
 
-    /// Draws the panel. Whether something was changed.
+    /// Draws the panel. Returns whether a setting was changed.
     pub fn show(&mut self, ctx: &Context) -> bool {
         let before = self.clone();
         let mut open = self.open;
         let corner = vec2(-10.0, 10.0);
         let window = Window::new("Settings").open(&mut open).resizable(false).default_width(320.0);
-        // Not below the figures, which have the other corner.
+        // The statistics occupy the other corner.
         window.anchor(Align2::RIGHT_TOP, corner).show(ctx, |ui| {
             let ms = Slider::new(&mut self.frame_ms, FRAME_MS).logarithmic(true).suffix(" ms");
             ui.add(ms.text("for a picture while moving")).on_hover_text("less is smoother, more is sharper");
@@ -46,7 +46,7 @@ impl Settings {
         *self != before
     }
 
-    /// Degrees that the head turns for a mouse that moved by so many counts: left and up are positive.
+    /// Turn in degrees for a mouse movement in counts: left and up are positive.
     pub fn turn_deg(&self, (dx, dy): (f64, f64), deg_per_count: f64) -> (f64, f64) {
         let k = self.look * deg_per_count;
         (-dx * k, if self.inverted { dy * k } else { -dy * k })
@@ -59,7 +59,7 @@ mod tests {
 
     #[test]
     fn the_mouse_turns_as_chosen() {
-        let mut s = Settings::new(20.0);
+        let mut s = UserSettings::new(20.0);
         assert_eq!(s.turn_deg((10.0, 5.0), 0.1), (-1.0, -0.5));
         (s.look, s.inverted) = (2.0, true);
         assert_eq!(s.turn_deg((10.0, 5.0), 0.1), (-2.0, 1.0));

@@ -1,12 +1,13 @@
-//! The window: what the system says, handed to whom it concerns. The main thread; it waits for nothing but events and the display.
+//! The window's event loop: passes system events to the window's state. Runs on the main thread,
+//! which waits only for events and the display.
 
 use super::{
     AppConfig, AppError,
     events::{Events, fields},
-    link::{Link, LinkState},
-    visit::{News, REFRESH, Visit},
+    server_connection::{ConnectionState, ServerConnection},
+    window_state::{REFRESH, UserEvent, WindowState},
 };
-use crate::engine::Painter;
+use crate::engine::FrameRenderer;
 use std::{
     sync::{Arc, atomic::Ordering},
     time::Instant,
@@ -18,81 +19,82 @@ use winit::{
     window::WindowId,
 };
 
-/// Degrees per count of the mouse: a turn around takes a hand's breadth with common mice.
+/// Turn per count of the mouse, degrees.
 const DEG_PER_COUNT: f64 = 0.1;
 /// Pixels of a touch pad that count as a notch of the wheel.
 const PX_PER_NOTCH: f64 = 50.0;
 
-/// Opens the window and returns when it is closed; `painter` draws its pictures.
+/// Opens the window and returns when it is closed.
 ///
 /// # Errors
-/// See [`AppError`]. A refusal by the server is shown in the window, and returned once it is closed.
-pub fn run(config: AppConfig, painter: Painter) -> Result<(), AppError> {
+/// See [`AppError`]. A refusal by the server is shown in the window, and returned once it is
+/// closed.
+pub fn run(config: AppConfig, renderer: FrameRenderer) -> Result<(), AppError> {
     let events = Events::open(config.events.as_deref())
         .map_err(|source| AppError::Events { path: config.events.clone().unwrap_or_default(), source })?;
-    let event_loop = EventLoop::<News>::with_user_event().build().map_err(|e| AppError::no_display(&e))?;
-    let news = event_loop.create_proxy();
-    let link = {
-        let news = news.clone();
+    let event_loop = EventLoop::<UserEvent>::with_user_event().build().map_err(|e| AppError::no_display(&e))?;
+    let proxy = event_loop.create_proxy();
+    let connection = {
+        let proxy = proxy.clone();
         // The window may be closed already.
         let changed = move || {
-            let _ = news.send_event(News::Other);
+            let _ = proxy.send_event(UserEvent::Other);
         };
-        Arc::new(Link::start(config.connect.clone(), changed).map_err(AppError::Thread)?)
+        Arc::new(ServerConnection::start(config.connect.clone(), changed).map_err(AppError::Thread)?)
     };
     let mut app = App {
         config,
-        painter: Some(painter),
-        news,
-        link,
+        renderer: Some(renderer),
+        proxy,
+        connection,
         events,
         open: None,
         failed: None,
-        told: LinkState::Connecting { attempt: 1, after: None },
+        last_reported: ConnectionState::Connecting { attempt: 1, after: None },
     };
     event_loop.run_app(&mut app).map_err(|e| AppError::no_display(&e))?;
-    // Drawing ends before what it draws with.
+    // The render thread ends before the resources that it uses.
     let walked = app.open.take().map(|mut visit| {
         visit.close(&mut app.events);
-        (visit.pace.summary(), visit.counts)
+        (visit.frame_times.summary(), visit.counts)
     });
     let (walking, counts) = walked.unwrap_or_default();
-    app.events.tell("closed", fields! { "walking": walking, "counts": counts });
-    match (app.failed.take(), app.link.state()) {
+    app.events.write("closed", fields! { "walking": walking, "counts": counts });
+    match (app.failed.take(), app.connection.state()) {
         (Some(e), _) => Err(e),
-        (None, LinkState::Refused(e)) => Err(e.into()),
+        (None, ConnectionState::Refused(e)) => Err(e.into()),
         (None, _) => Ok(()),
     }
 }
 
 struct App {
     config: AppConfig,
-    /// Until the window is there.
-    painter: Option<Painter>,
-    news: EventLoopProxy<News>,
-    link: Arc<Link>,
+    /// Present until the window is open.
+    renderer: Option<FrameRenderer>,
+    proxy: EventLoopProxy<UserEvent>,
+    connection: Arc<ServerConnection>,
     events: Events,
-    open: Option<Visit>,
+    open: Option<WindowState>,
     failed: Option<AppError>,
-    /// The link's state that was told last.
-    told: LinkState,
+    /// The connection state that was reported last.
+    last_reported: ConnectionState,
 }
 
-impl ApplicationHandler<News> for App {
+impl ApplicationHandler<UserEvent> for App {
     fn resumed(&mut self, event_loop: &ActiveEventLoop) {
         if self.open.is_some() {
             return;
         }
-        let painter = self.painter.take().unwrap_or_default();
-        let drawn_by = painter.gpu().map_or_else(|| "the processor".to_owned(), |g| g.adapter().to_owned());
-        match Visit::open(&self.config, painter, event_loop, self.link.clone(), &self.news) {
+        let renderer = self.renderer.take().unwrap_or_default();
+        let drawn_by = renderer.gpu().map_or_else(|| "the processor".to_owned(), |g| g.adapter().to_owned());
+        match WindowState::open(&self.config, renderer, event_loop, self.connection.clone(), &self.proxy) {
             Ok(open) => {
                 let size = open.window.inner_size();
                 let adapter = open.adapter().to_owned();
                 tracing::info!("drawing on {drawn_by}, showing by {adapter}");
                 let seen =
                     fields! { "width": size.width, "height": size.height, "adapter": adapter, "drawn_by": drawn_by };
-                self.events.tell("window", seen);
+                self.events.write("window", seen);
                 self.open = Some(open);
             }
             Err(e) => {
@@ -102,20 +104,20 @@ impl ApplicationHandler<News> for App {
         }
     }
 
-    fn user_event(&mut self, _: &ActiveEventLoop, news: News) {
-        let state = self.link.state();
-        if state != self.told {
-            self.tell_link(&state);
-            self.told = state;
+    fn user_event(&mut self, _: &ActiveEventLoop, proxy: UserEvent) {
+        let state = self.connection.state();
+        if state != self.last_reported {
+            self.report_connection(&state);
+            self.last_reported = state;
         }
         let Some(open) = &mut self.open else { return };
-        match news {
-            News::Picture => open.take(&mut self.events),
-            // Sticks tell of themselves hundreds of times per second: there is nothing new to show.
-            News::Pad => return open.pad(&self.link, &mut self.events),
-            News::Other => {}
+        match proxy {
+            UserEvent::Picture => open.take(&mut self.events),
+            // A gamepad sends hundreds of events per second, which do not require a redraw.
+            UserEvent::Pad => return open.pad(&self.connection, &mut self.events),
+            UserEvent::Other => {}
         }
-        for outcome in open.shots.try_iter().collect::<Vec<_>>() {
+        for outcome in open.screenshots.try_iter().collect::<Vec<_>>() {
             open.shot(outcome, &mut self.events);
         }
         open.window.request_redraw();
@@ -124,7 +126,7 @@ impl ApplicationHandler<News> for App {
     fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
         let Some(open) = &mut self.open else { return };
         let seen = open.egui.on_window_event(&open.window, &event);
-        // egui wants to be drawn again after being drawn, which would never end.
+        // egui requests a redraw after each redraw, which would never end.
         if seen.repaint && !matches!(event, WindowEvent::RedrawRequested) {
             open.repaint_at = Instant::now();
         }
@@ -133,10 +135,10 @@ impl ApplicationHandler<News> for App {
             WindowEvent::Resized(size) => open.resize(size),
             WindowEvent::Focused(focused) => open.focus(focused, &mut self.events),
             WindowEvent::ModifiersChanged(m) => open.modifiers = m.state(),
-            // Keys that were down when the window got the keyboard were pressed for something else.
+            // Keys that were down before the window got the keyboard are ignored.
             WindowEvent::KeyboardInput { event, is_synthetic: true, .. } if event.state == ElementState::Pressed => {}
             WindowEvent::KeyboardInput { event, .. } => {
-                let leave = open.key(&event, &self.link, &mut self.events);
+                let leave = open.key(&event, &self.connection, &mut self.events);
                 if leave {
                     event_loop.exit();
                 }
@@ -144,12 +146,12 @@ impl ApplicationHandler<News> for App {
             WindowEvent::MouseInput { state: ElementState::Pressed, button: MouseButton::Left, .. } => {
                 open.click(&mut self.events);
             }
-            WindowEvent::MouseWheel { delta, .. } => open.drawing.change_speed(match delta {
+            WindowEvent::MouseWheel { delta, .. } => open.render_thread.change_speed(match delta {
                 MouseScrollDelta::LineDelta(_, lines) => f64::from(lines),
                 MouseScrollDelta::PixelDelta(px) => px.y / PX_PER_NOTCH,
             }),
             WindowEvent::RedrawRequested => {
-                if let Err(e) = open.redraw(&self.config.connect.server, &self.link, &mut self.events) {
+                if let Err(e) = open.redraw(&self.config.connect.server, &self.connection, &mut self.events) {
                     self.failed = Some(e.into());
                     event_loop.exit();
                 }
@@ -162,7 +164,7 @@ impl ApplicationHandler<News> for App {
         if let (Some(open), DeviceEvent::MouseMotion { delta: (dx, dy) }) = (&self.open, event)
             && open.captured
         {
-            open.look((dx, dy), DEG_PER_COUNT);
+            open.turn_by_mouse((dx, dy), DEG_PER_COUNT);
         }
     }
 
@@ -181,25 +183,27 @@ impl ApplicationHandler<News> for App {
 }
 
 impl App {
-    /// The link's state has changed.
-    fn tell_link(&mut self, state: &LinkState) {
+    /// Reports a change of the connection state.
+    fn report_connection(&mut self, state: &ConnectionState) {
         match state {
-            LinkState::Connecting { attempt, .. } => self.events.tell("connecting", fields! { "attempt": attempt }),
-            LinkState::Up => {
-                let scene = self.link.scene().map(|s| s.index.scene.name.clone()).unwrap_or_default();
+            ConnectionState::Connecting { attempt, .. } => {
+                self.events.write("connecting", fields! { "attempt": attempt })
+            }
+            ConnectionState::Up => {
+                let scene = self.connection.scene().map(|s| s.index.scene.name.clone()).unwrap_or_default();
                 if let Some(open) = &self.open {
                     open.window.set_title(&format!("{scene} - {}", self.config.connect.server));
                 }
                 tracing::info!("connected to {}", self.config.connect.server);
-                self.events.tell("connected", fields! { "scene": scene });
+                self.events.write("connected", fields! { "scene": scene });
             }
-            LinkState::Waiting { reason, .. } => {
+            ConnectionState::Waiting { reason, .. } => {
                 tracing::warn!("{reason}; trying again");
-                self.events.tell("lost", fields! { "reason": reason });
+                self.events.write("lost", fields! { "reason": reason });
             }
-            LinkState::Refused(e) => {
+            ConnectionState::Refused(e) => {
                 tracing::error!("{e}");
-                self.events.tell("refused", fields! { "reason": e.to_string() });
+                self.events.write("refused", fields! { "reason": e.to_string() });
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Stored bytes to decoded objects, and parts joined to wholes. Pure; runs on the decoding threads.
+//! Decodes chunks and joins them to objects. Pure; runs on the decoding threads.
 
 use super::{DecodeError, Value};
 use ldi_protocol::{
@@ -10,7 +10,7 @@ use ldi_protocol::{
 };
 use std::{ops::Range, sync::Arc};
 
-/// A cell.
+/// Decodes a cell.
 pub(super) fn cell(index: &Index, cell: u32, bytes: &[u8]) -> Result<Value, DecodeError> {
     let geometry = codec::cell::decode(bytes)?;
     manifest::check_cell(index, cell, &geometry)?;
@@ -18,7 +18,7 @@ pub(super) fn cell(index: &Index, cell: u32, bytes: &[u8]) -> Result<Value, Deco
     Ok(Value::Geometry(Arc::new(geometry)))
 }
 
-/// A bundle.
+/// Decodes a bundle.
 pub(super) fn bundle(index: &Index, chunk: u32, bytes: &[u8]) -> Result<Value, DecodeError> {
     let geometry = codec::cell::decode(bytes)?;
     manifest::check_bundle(index, &geometry)?;
@@ -26,7 +26,7 @@ pub(super) fn bundle(index: &Index, chunk: u32, bytes: &[u8]) -> Result<Value, D
     Ok(Value::Geometry(Arc::new(geometry)))
 }
 
-/// Nodes of the LDI tree.
+/// Decodes nodes of the LDI tree.
 pub(super) fn brood(index: &Index, chunk: u32, nodes: Range<u32>, bytes: &[u8]) -> Result<Value, DecodeError> {
     let tree = index.tree.as_ref().ok_or(DecodeError::Unreferenced)?;
     let brood = tree.decode(nodes, bytes)?;
@@ -34,7 +34,7 @@ pub(super) fn brood(index: &Index, chunk: u32, nodes: Range<u32>, bytes: &[u8]) 
     Ok(Value::Brood(Arc::new(brood)))
 }
 
-/// Joins a chunk to an LDI. Deeper layers that come before the first wait as bytes.
+/// Adds a chunk to an LDI. Deeper layers that arrive before the first one are kept as bytes.
 pub(super) fn ldi(index: &Index, image_number: u32, old: &Value, part: u8, bytes: &[u8]) -> Result<Value, DecodeError> {
     let counted = |image: &Ldi, part: usize| {
         let chunk = index.images[image_number as usize].chunks.get(part).ok_or(DecodeError::Unreferenced)?;
@@ -52,7 +52,7 @@ pub(super) fn ldi(index: &Index, image_number: u32, old: &Value, part: u8, bytes
         manifest::check_ldi(index, image_number, &image)?;
         counted(&image, 0)?;
         if let Value::WaitingLayers(waiting) = old {
-            // The first layer is good without them.
+            // The first layer is usable without them.
             if let Ok(deep) = deepened(&image, waiting) {
                 image = deep;
             }
@@ -65,7 +65,7 @@ pub(super) fn ldi(index: &Index, image_number: u32, old: &Value, part: u8, bytes
     }
 }
 
-/// The levels of a texture's chunk.
+/// Decodes the levels in a texture's chunk.
 pub(super) fn texture_levels(
     index: &Index,
     texture: u32,
@@ -80,7 +80,7 @@ pub(super) fn texture_levels(
     Ok(levels)
 }
 
-/// Joins levels to a texture.
+/// Adds levels to a texture.
 pub(super) fn texture(old: &Value, entry: &TextureEntry, levels: &TextureLevels) -> Value {
     let count = ldi_protocol::texture::level_count(entry.width, entry.height) as usize;
     let mut joined = match old {

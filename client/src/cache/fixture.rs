@@ -1,5 +1,6 @@
-//! A small dataset in memory with one of everything, for tests here and end to end: a street of cells along -Z, a textured
-//! material, a bundle that every second cell shares, and one LDI that stands for the farther half.
+//! A small dataset in memory with one of everything, for tests here and end to end: a street of
+//! cells along -Z, a textured material, a bundle that every second cell shares, and one LDI that
+//! stands for the farther half.
 
 use glam::{DAffine3, DVec3, Vec2, Vec3};
 use ldi_protocol::{

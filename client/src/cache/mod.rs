@@ -1,101 +1,63 @@
-//! Decoded objects at hand: what the renderer draws from, bounded in bytes.
+//! The cache of decoded objects, bounded in bytes.
 //!
-//! In: chunks as they arrive ([`Cache::insert`], on the decoding threads) and what each view needs ([`Cache::pin`]).
-//! Out: objects to the renderer ([`Resident`]), what is missing, and what was evicted, for the server to know.
+//! In: chunks as they arrive ([`Cache::insert`], on the decoding threads), and the needs of each
+//! view ([`Cache::pin`]). Out: objects for the renderer ([`Resident`]), missing chunks, and evicted
+//! chunks, which are reported to the server.
 //!
-//! - The unit of arrival is the chunk, the unit of eviction the object: a cell, a bundle, an LDI with all its layers, a texture
-//!   with all its levels. An object is usable as soon as its first chunk is there, and is replaced as a whole when more
-//!   arrives: a frame keeps the one that it holds.
-//! - Accounts are in decoded bytes as the index states them, and never exceed the cap, not even for a moment. What is cheap to bring again for the memory that it
-//!   takes goes first, and what is used ages by what has gone (GreedyDual-Size, Cao and Irani 1997; measured against the least recently used of Aliaga and Lastra 1999, section 6, in
-//!   docs/benchmarks/streaming.md); what the current view needs is pinned and stays. What lies around the eye counts as used ([`Cache::touch`]), so that eviction does not undo the server's prefetching.
-//! - A chunk that does not fit beside the pinned ones is refused. The frame is drawn without it and says so.
+//! - The unit of arrival is the chunk, the unit of eviction the object: a cell, a bundle, an LDI
+//!   with all its layers, a texture with all its levels. An object is usable once its first chunk
+//!   has arrived, and is replaced as a whole when more arrive: a frame keeps the version it holds.
+//! - Sizes are the decoded bytes stated in the index. Their sum never exceeds the capacity. Objects
+//!   that are cheapest to fetch again per byte of memory are evicted first, with ageing
+//!   (GreedyDual-Size, Cao and Irani 1997, in place of the least recently used order of Aliaga and
+//!   Lastra 1999, section 6). Objects that the current view needs are pinned. Data around the eye
+//!   counts as used ([`Cache::touch`]), so that eviction does not undo the server's prefetching.
+//! - A chunk that does not fit beside the pinned objects is refused. The frame is drawn without it,
+//!   and says so.
 
-mod accounts;
 mod decode;
+mod error;
 #[cfg(test)]
 pub(crate) mod fixture;
-mod layout;
+mod object_table;
+mod state;
+mod usage;
+
+pub use error::{DecodeError, Incomplete};
+pub use usage::Usage;
 
 use crate::resident::Resident;
-use accounts::{Inner, Value};
-use layout::{Layout, ObjectKind, Part};
-use ldi_protocol::{codec::CodecError, index::Index, ldi::Ldi, mesh::CellGeometry, texture::Texture, tree::Brood};
+use ldi_protocol::{index::Index, ldi::Ldi, mesh::CellGeometry, texture::Texture, tree::Brood};
+use object_table::{ObjectKind, ObjectTable, Part};
+use state::{CacheState, Value};
 use std::{
     sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError},
     time::{Duration, Instant},
 };
 
-/// A refused chunk is told to the server at most this often: it would be sent again at once.
+/// Shortest interval at which refused chunks are reported to the server, which would send them
+/// again at once.
 const REFUSAL_INTERVAL: Duration = Duration::from_secs(1);
 
-/// A chunk that arrived whole but is no object.
-#[derive(Debug, thiserror::Error)]
-pub enum DecodeError {
-    /// The codec refuses it.
-    #[error(transparent)]
-    Codec(#[from] CodecError),
-    /// Nothing in the index refers to it.
-    #[error("nothing in the index refers to it")]
-    Unreferenced,
-}
-
-/// What became of a chunk.
+/// Outcome of inserting a chunk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Inserted {
-    /// It is at hand now.
+    /// The chunk is held now.
     Held,
-    /// It was there before.
+    /// The chunk was held before.
     Duplicate,
-    /// The pinned objects leave no room for it.
+    /// The pinned objects leave no room.
     NoRoom,
 }
 
-/// The state of the accounts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Usage {
-    /// Decoded bytes held.
-    pub bytes: u64,
-    /// The most that was ever held.
-    pub peak_bytes: u64,
-    /// The cap.
-    pub cap_bytes: u64,
-    /// Objects held.
-    pub objects: usize,
-    /// Objects evicted so far.
-    pub evictions: u64,
-    /// Stored bytes of chunks that a frame has used since they arrived.
-    pub useful_bytes: u64,
-}
-
-/// Why not everything is there.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum Incomplete {
-    /// The time is up.
-    #[error("{} chunks did not arrive in time, the first is {:?}", .0.len(), .0.first())]
-    Timeout(Vec<u32>),
-    /// These chunks are damaged on the server; everything else is there.
-    #[error("{} chunks are damaged, the first is {}; check the dataset with `ldi-server verify`", .0.len(), .0.first().copied().unwrap_or_default())]
-    Damaged(Vec<u32>),
-    /// One view needs more than the cap.
-    #[error("the view needs more decoded bytes than the cache may hold ({cap_bytes}); raise --cache-bytes")]
-    NoRoom {
-        /// The cap.
-        cap_bytes: u64,
-    },
-    /// The connection is gone.
-    #[error("{0}")]
-    Disconnected(String),
-}
-
-/// See the module. All methods may be called from any thread; none holds the lock while it decodes.
+/// A cache. All methods may be called from any thread; decoding happens without the lock.
 #[derive(Debug)]
 pub struct Cache {
     first: Scope,
-    /// What follows if that is of a first picture only.
+    /// The complete index, if `first` is a partial one.
     whole: OnceLock<Scope>,
     decoding: bool,
-    inner: Mutex<Inner>,
+    inner: Mutex<CacheState>,
     changed: Condvar,
 }
 
@@ -103,58 +65,60 @@ pub struct Cache {
 #[derive(Debug)]
 struct Scope {
     index: Arc<Index>,
-    layout: Layout,
+    table: ObjectTable,
 }
 
 impl Scope {
     fn new(index: Arc<Index>) -> Self {
-        Self { layout: Layout::new(&index), index }
+        Self { table: ObjectTable::new(&index), index }
     }
 }
 
 impl Cache {
-    /// An empty cache of at most `cap_bytes` decoded bytes.
+    /// An empty cache with a capacity of `cap_bytes` decoded bytes.
     pub fn new(index: Arc<Index>, cap_bytes: u64) -> Self {
         let first = Scope::new(index);
-        let inner = Inner::new(first.layout.objects.len(), first.index.chunks.len(), cap_bytes);
+        let inner = CacheState::new(first.table.objects.len(), first.index.chunks.len(), cap_bytes);
         Self { first, whole: OnceLock::new(), decoding: true, inner: Mutex::new(inner), changed: Condvar::new() }
     }
 
-    /// One that keeps the accounts of what would be held, decodes nothing and gives nothing out: for load tests.
+    /// A cache that only counts objects, without decoding: for load tests.
     pub fn without_decoding(index: Arc<Index>, cap_bytes: u64) -> Self {
         Self { decoding: false, ..Self::new(index, cap_bytes) }
     }
 
-    /// The index whose chunks are held, as far as it is known.
+    /// The index, as far as it is known.
     pub fn index(&self) -> &Arc<Index> {
         &self.scope().index
     }
 
-    /// The whole index takes the place of that of a first picture ([`ldi_protocol::manifest::early`]); what is held stays. Once.
+    /// Replaces a partial index ([`ldi_protocol::manifest::early`]) by the complete one, once. Held
+    /// objects stay.
     pub fn complete(&self, index: Arc<Index>) {
         let scope = Scope::new(index);
         let mut inner = self.lock();
-        // The tree's objects come first: those of both indices have the same numbers.
-        inner.grow(scope.layout.objects.len());
+        // Objects of the LDI tree come first and have the same numbers in both indices.
+        inner.extend(scope.table.objects.len());
         let _ = self.whole.set(scope);
     }
 
-    /// Whoever takes the lock asks for it first: objects are never fewer than the scope has.
+    /// The current index. Read before taking the lock, so that there are never fewer objects than
+    /// it lists.
     fn scope(&self) -> &Scope {
         self.whole.get().unwrap_or(&self.first)
     }
 
-    fn lock(&self) -> MutexGuard<'_, Inner> {
+    fn lock(&self) -> MutexGuard<'_, CacheState> {
         // Every change is complete before anything can panic.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Decodes a chunk whose hash was checked and takes it in.
+    /// Decodes and adds a verified chunk.
     ///
     /// # Errors
-    /// If the bytes are not what the index says of this chunk.
+    /// If the bytes do not match the index.
     pub fn insert(&self, chunk: u32, bytes: &[u8]) -> Result<Inserted, DecodeError> {
-        let parts = self.scope().layout.parts(chunk);
+        let parts = self.scope().table.parts(chunk);
         if parts.is_empty() {
             return Err(DecodeError::Unreferenced);
         }
@@ -170,7 +134,7 @@ impl Cache {
     }
 
     fn insert_part(&self, part: Part, chunk: u32, bytes: &[u8]) -> Result<Inserted, DecodeError> {
-        let entry = &self.scope().layout.objects[part.object as usize];
+        let entry = &self.scope().table.objects[part.object as usize];
         let levels = match entry.kind {
             ObjectKind::Texture(t) if self.decoding => Some(decode::texture_levels(self.index(), t, part.part, bytes)?),
             _ => None,
@@ -200,7 +164,7 @@ impl Cache {
         }
     }
 
-    /// Puts a joined object in place. None when another part was joined meanwhile.
+    /// Stores a joined object. None if another part was joined in the meantime.
     fn install(&self, part: Part, chunk: u32, new: Value, version: u64) -> Option<Inserted> {
         let mut inner = self.lock();
         if inner.objects[part.object as usize].version != version {
@@ -208,44 +172,44 @@ impl Cache {
         }
         let entry = self.index().chunks[chunk as usize];
         let bytes = u64::from(entry.decoded_bytes);
-        if !inner.make_room(&self.scope().layout, bytes, part.object) {
+        if !inner.make_room(&self.scope().table, bytes, part.object) {
             let view = inner.view;
             inner.refused.insert(chunk, view);
             self.changed.notify_all();
             return Some(Inserted::NoRoom);
         }
-        inner.take_in(part.object, new, part.part, bytes, u64::from(entry.stored_bytes));
+        inner.store(part.object, new, part.part, bytes, u64::from(entry.stored_bytes));
         self.changed.notify_all();
         Some(Inserted::Held)
     }
 
-    /// Opens a new view: what it needs is pinned, what the last one needed no longer is.
+    /// Starts a new view: pins its needs, and unpins those of the last view.
     pub fn pin(&self, chunks: impl IntoIterator<Item = u32, IntoIter: Clone>) {
         let mut inner = self.lock();
-        inner.pin(&self.scope().layout, chunks.into_iter());
+        inner.pin(&self.scope().table, chunks.into_iter());
     }
 
     /// Whether the current view needs a chunk.
     pub fn is_pinned(&self, chunk: u32) -> bool {
         let inner = self.lock();
-        self.scope().layout.parts(chunk).iter().any(|p| inner.is_pinned(p.object))
+        self.scope().table.parts(chunk).iter().any(|p| inner.is_pinned(p.object))
     }
 
-    /// Counts what is held of these as used now.
+    /// Marks held chunks as used.
     pub fn touch(&self, chunks: impl IntoIterator<Item = u32>) {
         let mut inner = self.lock();
         for chunk in chunks {
-            for part in self.scope().layout.parts(chunk) {
+            for part in self.scope().table.parts(chunk) {
                 inner.use_now(part.object);
             }
         }
     }
 
-    /// Counts what is held of these as used by a frame, without giving it out.
+    /// Marks held chunks as used by a frame, without returning them.
     pub fn count_used(&self, chunks: impl IntoIterator<Item = u32>) {
         let mut inner = self.lock();
         for chunk in chunks {
-            for part in self.scope().layout.parts(chunk) {
+            for part in self.scope().table.parts(chunk) {
                 let object = &mut inner.objects[part.object as usize];
                 let fresh = object.present & !object.used & 1 << part.part;
                 object.used |= fresh;
@@ -256,33 +220,33 @@ impl Cache {
         }
     }
 
-    /// A chunk did not come over the network: that frames use it is not counted among [`Usage::useful_bytes`].
+    /// Excludes a chunk that was not received over the network from [`Usage::useful_bytes`].
     pub fn count_elsewhere(&self, chunk: u32) {
         let mut inner = self.lock();
-        for part in self.scope().layout.parts(chunk) {
+        for part in self.scope().table.parts(chunk) {
             let object = &mut inner.objects[part.object as usize];
             object.used |= object.present & 1 << part.part;
         }
     }
 
-    /// Whether a chunk is at hand.
+    /// Whether a chunk is held.
     pub fn holds(&self, chunk: u32) -> bool {
-        self.lock().holds(&self.scope().layout, chunk)
+        self.lock().holds(&self.scope().table, chunk)
     }
 
-    /// All chunks at hand, ascending.
+    /// All held chunks, ascending.
     pub fn held(&self) -> Vec<u32> {
         let inner = self.lock();
-        (0..self.index().chunks.len() as u32).filter(|c| inner.holds(&self.scope().layout, *c)).collect()
+        (0..self.index().chunks.len() as u32).filter(|c| inner.holds(&self.scope().table, *c)).collect()
     }
 
-    /// Those of `chunks` that are not at hand, damaged ones included.
+    /// The chunks of `chunks` that are not held, including damaged ones.
     pub fn missing(&self, chunks: impl IntoIterator<Item = u32>) -> Vec<u32> {
         let inner = self.lock();
-        chunks.into_iter().filter(|c| !inner.holds(&self.scope().layout, *c)).collect()
+        chunks.into_iter().filter(|c| !inner.holds(&self.scope().table, *c)).collect()
     }
 
-    /// A chunk came damaged so often that it is given up.
+    /// Gives up a chunk that repeatedly arrived damaged.
     pub fn mark_damaged(&self, chunk: u32) {
         if let Some(flag) = self.lock().damaged.get_mut(chunk as usize) {
             *flag = true;
@@ -290,7 +254,7 @@ impl Cache {
         self.changed.notify_all();
     }
 
-    /// How many chunks were given up.
+    /// Number of chunks given up.
     pub fn damaged(&self) -> usize {
         self.lock().damaged.iter().filter(|d| **d).count()
     }
@@ -300,26 +264,26 @@ impl Cache {
         self.lock().damaged.get(chunk as usize).copied().unwrap_or(false)
     }
 
-    /// Nothing will arrive any more. None: a new connection is up.
+    /// Sets the reason why nothing will arrive any more. None: a connection is established.
     pub fn set_disconnected(&self, reason: Option<String>) {
         self.lock().disconnected = reason;
         self.changed.notify_all();
     }
 
-    /// Why nothing will arrive any more; None while a connection is up.
+    /// The reason why nothing will arrive any more; None while a connection is up.
     pub fn disconnected(&self) -> Option<String> {
         self.lock().disconnected.clone()
     }
 
-    /// Waits until all of `chunks` are at hand, or will not come.
+    /// Waits until all of `chunks` are held, or cannot arrive.
     ///
     /// # Errors
-    /// [`Incomplete`]; damaged chunks are an error only after everything else has arrived.
+    /// See [`Incomplete`]. Damaged chunks are an error only after all others have arrived.
     pub fn wait(&self, chunks: &[u32], timeout: Duration) -> Result<(), Incomplete> {
         let deadline = Instant::now() + timeout;
         let mut inner = self.lock();
         loop {
-            let missing: Vec<u32> = chunks.iter().copied().filter(|c| !inner.holds(&self.scope().layout, *c)).collect();
+            let missing: Vec<u32> = chunks.iter().copied().filter(|c| !inner.holds(&self.scope().table, *c)).collect();
             let (damaged, coming): (Vec<u32>, Vec<u32>) =
                 missing.into_iter().partition(|c| inner.damaged.get(*c as usize).copied().unwrap_or(true));
             if coming.is_empty() {
@@ -339,7 +303,8 @@ impl Cache {
         }
     }
 
-    /// Chunks that left since the last call, ascending, for the server to know. Refused ones are told once in a while only.
+    /// Takes the chunks evicted since the last call, ascending. Refused ones are included only at
+    /// intervals.
     pub fn take_evicted(&self, now: Instant) -> Vec<u32> {
         let mut inner = self.lock();
         let mut out = std::mem::take(&mut inner.evicted);
@@ -347,24 +312,24 @@ impl Cache {
             inner.refusals_told = Some(now);
             out.extend(std::mem::take(&mut inner.refused).into_keys());
         }
-        out.retain(|c| !inner.holds(&self.scope().layout, *c));
+        out.retain(|c| !inner.holds(&self.scope().table, *c));
         out.sort_unstable();
         out.dedup();
         out
     }
 
-    /// The accounts.
+    /// The current usage.
     pub fn usage(&self) -> Usage {
         self.lock().usage
     }
 
-    /// What must hold after every call: accounts equal the sum of what is there, within the cap; the order lists exactly the
-    /// objects that hold something and are not pinned.
+    /// Checks the invariants: byte counts equal the sums of what is held, within the capacity; the
+    /// eviction order lists exactly the unpinned objects that hold data.
     ///
     /// # Errors
-    /// The first account that is off.
+    /// Describes the first violation.
     pub fn check(&self) -> Result<(), String> {
-        self.lock().check(&self.scope().layout, self.index())
+        self.lock().check(&self.scope().table, self.index())
     }
 
     fn object<T>(&self, number: Option<u32>, pick: impl Fn(&Value) -> Option<T>) -> Option<T> {
@@ -375,7 +340,7 @@ impl Cache {
         let fresh = object.present & !object.used;
         object.used |= fresh;
         if fresh != 0 {
-            let chunks = &self.scope().layout.objects[number as usize].chunks;
+            let chunks = &self.scope().table.objects[number as usize].chunks;
             inner.usage.useful_bytes += (0..chunks.len())
                 .filter(|p| fresh >> p & 1 == 1)
                 .map(|p| u64::from(self.index().chunks[chunks[p] as usize].stored_bytes))
@@ -391,19 +356,19 @@ impl Resident for Cache {
         self.bundle(self.index().cells.get(cell as usize)?.chunk)
     }
     fn bundle(&self, chunk: u32) -> Option<Arc<CellGeometry>> {
-        let number = *self.scope().layout.geometry_of_chunk.get(chunk as usize)?;
+        let number = *self.scope().table.geometry_of_chunk.get(chunk as usize)?;
         self.object(number, |v| if let Value::Geometry(g) = v { Some(g.clone()) } else { None })
     }
     fn texture(&self, texture: u32) -> Option<Arc<Texture>> {
-        let number = *self.scope().layout.of_texture.get(texture as usize)?;
+        let number = *self.scope().table.of_texture.get(texture as usize)?;
         self.object(number, |v| if let Value::Texture(t) = v { Some(t.clone()) } else { None })
     }
     fn ldi(&self, image: u32) -> Option<Arc<Ldi>> {
-        let number = *self.scope().layout.of_image.get(image as usize)?;
+        let number = *self.scope().table.of_image.get(image as usize)?;
         self.object(number, |v| if let Value::Ldi(l) = v { Some(l.clone()) } else { None })
     }
     fn brood(&self, chunk: u32) -> Option<Arc<Brood>> {
-        let number = *self.scope().layout.brood_of_chunk.get(chunk as usize)?;
+        let number = *self.scope().table.brood_of_chunk.get(chunk as usize)?;
         self.object(number, |v| if let Value::Brood(b) = v { Some(b.clone()) } else { None })
     }
 }

@@ -1,6 +1,10 @@
-//! `connect`: arguments to a window, and whom to trust.
+//! The command `connect`: opens a window, after checking the server's certificate.
 
-use super::{Failure, disk, parse_size, read_path, signals::stop_at_signal, token};
+use super::{
+    failure::Failure,
+    input::{disk, parse_size, read_path, token},
+    signals::stop_at_signal,
+};
 use clap::Args;
 use glam::DVec3;
 use ldi_client::{
@@ -27,62 +31,71 @@ use std::{
 pub struct ConnectArgs {
     /// HOST or HOST:PORT of the server.
     server: String,
-    /// Fingerprint of the server's certificate, as the server prints it: trust this one, and look
-    /// nothing up. Two with a comma between them while the certificate changes.
+    /// Fingerprint of the server's certificate, as the server prints it: only this certificate is
+    /// trusted, and the list of known servers is not used. Two with a comma between them while the
+    /// certificate changes.
     #[arg(long, value_name = "HEX[,HEX]")]
     fingerprint: Option<String>,
-    /// File of the servers that were trusted before [default: known_hosts in the user's configuration folder, ~/.config/ldi on Linux].
+    /// File of known servers [default: known_hosts in the user's configuration folder,
+    /// ~/.config/ldi on Linux].
     #[arg(long, value_name = "FILE")]
     known_hosts: Option<PathBuf>,
-    /// Trust a server that was never seen before, without asking. One whose certificate has changed is refused all the same.
+    /// Trust an unknown server without asking. A known server whose certificate has changed is
+    /// still refused.
     #[arg(long)]
     accept_new: bool,
-    /// File with the shared secret that the server asks for [default: the environment variable LDI_TOKEN].
+    /// File with the shared secret, if the server requires one [default: the environment variable
+    /// LDI_TOKEN].
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
-    /// What to be called on the maps of others and the server's page [default: the program and its version].
+    /// Name shown on other walkers' maps and on the server's page [default: the program and its
+    /// version].
     #[arg(long, value_name = "NAME", value_parser = parse_name)]
     name: Option<String>,
     /// Size of the window in pixels.
     #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "1280x720")]
     size: (u32, u32),
-    /// What draws.
+    /// Device that renders.
     #[arg(long, value_enum, default_value = "auto")]
     renderer: Renderer,
-    /// With a graphics card: what warps images.
+    /// Device that warps images, if a GPU renders.
     #[arg(long, value_enum, default_value = "auto")]
     warp_on: WarpOn,
-    /// Time for a picture while moving, milliseconds: pictures get smaller inside until they keep it.
+    /// Intended frame time while moving, milliseconds: the picture's resolution adapts to it.
     #[arg(long, value_name = "MS", default_value_t = 16.7)]
     frame_ms: f64,
-    /// Where to begin: position in metres, yaw and pitch in degrees [default: amid the largest storey].
+    /// Start pose: position in metres, yaw and pitch in degrees [default: chosen on the largest
+    /// storey].
     #[arg(long, value_name = "X,Y,Z[,YAW[,PITCH]]", value_parser = parse_pose, allow_hyphen_values = true)]
     start: Option<Pose>,
-    /// Folder of the screenshots; made if absent.
+    /// Folder of the screenshots, created if absent.
     #[arg(long, value_name = "DIR", default_value = ".")]
     shots: PathBuf,
-    /// Most decoded bytes that are held [default: 1 GiB].
+    /// Capacity of the cache, decoded bytes [default: 1 GiB].
     #[arg(long, value_name = "N")]
     cache_bytes: Option<u64>,
-    /// Folder where what was received is kept for the next visit [default: the user's cache folder, ~/.cache/ldi on Linux].
+    /// Folder of the disk cache for later visits [default: the user's cache folder, ~/.cache/ldi on
+    /// Linux].
     #[arg(long, value_name = "DIR")]
     disk_cache: Option<PathBuf>,
-    /// Most bytes in that folder; 0: nothing is kept.
+    /// Capacity of the disk cache, bytes; 0: no disk cache.
     #[arg(long, value_name = "N", default_value_t = DEFAULT_DISK_BYTES)]
     disk_cache_bytes: u64,
-    /// How far around the eye data is sent ahead of need, metres.
+    /// Radius around the eye in which data is prefetched, metres.
     #[arg(long, value_name = "M", default_value_t = 10.0)]
     prefetch_m: f64,
-    /// Path file to walk along once the first view is complete; P walks it again.
+    /// Path file to replay once the first view is complete, and again with P.
     #[arg(long, value_name = "PATH.json")]
     replay: Option<PathBuf>,
-    /// Device file of the gamepad, or `off` [default: the first of /dev/input/js0 to js3, on Linux; plugged in later, too].
+    /// Device file of the gamepad, or `off` [default: the first of /dev/input/js0 to js3, on Linux;
+    /// plugged in later, too].
     #[arg(long, value_name = "FILE")]
     gamepad: Option<PathBuf>,
-    /// File of the places kept with Ctrl and a digit [default: one named after the scene in the user's configuration folder].
+    /// File of the bookmarks [default: one named after the scene in the user's configuration
+    /// folder].
     #[arg(long, value_name = "FILE")]
     bookmarks: Option<PathBuf>,
-    /// Write what happens in the window, a JSON object per line: for tests.
+    /// Write an event log, one JSON object per line: for tests.
     #[arg(long, value_name = "FILE", hide = true)]
     events: Option<PathBuf>,
 }
@@ -122,7 +135,7 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
     }
     trust(args, &mut config)?;
     if args.disk_cache_bytes > 0 {
-        // A folder that was asked for must work; without the usual one a walk goes on.
+        // A folder given by the user must work; a default one is optional.
         config.disk = match (&args.disk_cache, DiskCache::default_folder()) {
             (Some(folder), _) => Some(disk(folder, args.disk_cache_bytes)?),
             (None, Some(folder)) => match disk(&folder, args.disk_cache_bytes) {
@@ -135,14 +148,14 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
             (None, None) => None,
         };
     }
-    let painter = args.renderer.painter(args.warp_on)?;
+    let renderer = args.renderer.renderer(args.warp_on)?;
     let app = AppConfig {
         connect: config,
         size: args.size,
         frame_ms: args.frame_ms,
-        // A walk that is walked at once begins at its own place.
+        // A replayed walk starts at its own pose.
         begin: args.start.or_else(|| replay.as_ref().and_then(|walk| walk.poses.first()).map(|p| p.pose)),
-        shots: args.shots.clone(),
+        screenshots: args.shots.clone(),
         replay,
         gamepad: match &args.gamepad {
             None => GamepadAt::Any,
@@ -153,12 +166,12 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
         events: args.events.clone(),
         stop: stop_at_signal("closing the window").map_err(|e| Failure { code: 1, error: e.into() })?,
     };
-    app::run(app, painter)?;
+    app::run(app, renderer)?;
     Ok(())
 }
 
-/// Sets the certificate to accept: the one given, or the one that the server shows if it is known or
-/// becomes so now.
+/// Sets the accepted certificate: the given one, or the one that the server shows if it is known or
+/// is accepted now.
 fn trust(args: &ConnectArgs, config: &mut ConnectConfig) -> Result<(), Failure> {
     if let Some(hex) = &args.fingerprint {
         let (now, next) = Fingerprint::pair(hex)?;
@@ -169,7 +182,7 @@ fn trust(args: &ConnectArgs, config: &mut ConnectConfig) -> Result<(), Failure> 
         Failure::usage("this user has no home folder: give --known-hosts FILE or the server's --fingerprint")
     })?;
     let known = KnownHosts::load(&path)?;
-    // Whoever expects no certificate gets to know the one there is, and nothing more is said.
+    // A connection without an expected certificate fails and reports the one found.
     let found = match Connection::connect(ConnectConfig { fingerprint: None, ..config.clone() }) {
         Err(ConnectError::UnknownServer { fingerprint }) => fingerprint.parse::<Fingerprint>()?,
         Err(e) => return Err(e.into()),
@@ -191,7 +204,7 @@ fn trust(args: &ConnectArgs, config: &mut ConnectConfig) -> Result<(), Failure> 
 fn ask(server: &str, found: Fingerprint) -> Result<(), Failure> {
     let stranger = || ConnectError::UnknownServer { fingerprint: found.to_string() };
     if !std::io::stdin().is_terminal() {
-        // Nobody to ask.
+        // No user to ask.
         let e = anyhow::Error::from(stranger()).context("--accept-new trusts a server at first sight");
         return Err(Failure { code: 2, error: e });
     }

@@ -1,4 +1,4 @@
-//! SIGINT and SIGTERM, as walks with and without a window take them.
+//! SIGINT and SIGTERM: the first signal ends a walk in order, the next one ends the process.
 
 use std::{
     sync::{
@@ -8,16 +8,18 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// What a shell takes for a process that SIGINT ended.
+/// Exit code of a process that SIGINT ended, by the shell's convention.
 const INTERRUPTED: i32 = 130;
 
-/// Signals that come within this time of the first are the same one: what started the client (`timeout`, for one) passes on what the terminal sends to all.
+/// Signals within this time of the first count as the same one: a parent process (such as
+/// `timeout`) may forward a signal that the terminal sends as well.
 const SAME: Duration = Duration::from_millis(500);
 
-/// Becomes true at the first signal, which `said` answers on the terminal; the next one, after a moment, ends the process at once.
+/// Returns a flag that the first signal sets; `said` is then printed. The next signal ends the
+/// process at once.
 ///
 /// # Errors
-/// If the system grants no signal handler or no thread.
+/// If the system gives no signal handler or no thread.
 pub fn stop_at_signal(said: &'static str) -> std::io::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;

@@ -1,7 +1,8 @@
 //! Averaging of supersampled frames.
 //!
-//! In: a frame at twice the output's resolution. Out: what [`Frame::resolve`] gives, which is the definition (a test
-//! compares them), by rows on all threads and without arithmetic where a block is of one colour.
+//! In: a frame at twice the output's resolution. Out: the result of [`Frame::resolve`], which is
+//! the definition (a test compares them), computed in parallel and without arithmetic for blocks of
+//! one colour.
 
 use crate::frame::{Frame, Source};
 use ldi_protocol::shade::{linear_from_srgb8_table, srgb8_from_linear};
@@ -53,7 +54,7 @@ fn mean(linear: &[f32; 256], [a, b, c, d]: [u32; 4]) -> u32 {
     channel(0) | channel(8) | channel(16)
 }
 
-/// The most frequent source; ties go to the more doubtful.
+/// The most frequent source; ties go to the more uncertain.
 fn most_frequent(block: [Source; 4]) -> Source {
     let votes = |source: Source| block.iter().filter(|s| **s == source).count();
     block.into_iter().max_by_key(|s| (votes(*s), *s)).unwrap_or_default()

@@ -1,34 +1,38 @@
-//! The composite: near geometry, warped images and sky become one picture.
+//! The composite: merges near geometry, warped images and sky to one picture.
 //!
-//! In: a [`Frame`] that the rasterizer has drawn near geometry into, and what stands for everything else
-//! ([`Far`]). Out: the same frame, finished, and [`CompositeStats`].
+//! In: a [`Frame`] with near geometry, and the representation of everything else ([`Far`]). Out:
+//! the finished frame, and [`CompositeStats`].
 //!
-//! 1. **By depth** ([`composite`]): cells that were not culled can lie beside or behind the LDI's samples, so the two are
-//!    merged by disparity. Near geometry wins within one quantization step of the image's disparity codes, as nearly as those
-//!    know where the far surface is, and not beyond: a rug of the images must stay above the floor of the geometry.
-//! 2. **Seams** (`seams`): gaps of one pixel within a surface, where images of it or near geometry meet, are closed.
-//! 3. **Sky**: a pixel that nothing reached is sky where no image knows of anything else in its direction. Sky lies at infinity, so
-//!    the lookup is a rotation. Without an LDI nothing was culled, and what is left is sky.
-//!    Where all images are there, sky grows into openings that it borders on (`grow`).
-//! 4. **Under it** (`under`): where pixels are left, or data is missing, the LDI tree shows through.
-//! 5. **Fill** (`fill`, optional): remaining holes take the colour of the nearest farther surface, of sky around them, or of the last frame, and are marked
+//! 1. **Depth** ([`composite`]): cells that were not culled can lie beside or behind the LDI's
+//!    samples, so that both are merged by disparity. Near geometry wins within one quantization
+//!    step of the image's disparity codes, the uncertainty of the far surface, and not beyond: a
+//!    rug of the image must stay above the floor of the geometry.
+//! 2. **Seams** (`seams`): closes gaps of one pixel within a surface, where its images or near
+//!    geometry meet.
+//! 3. **Sky**: an open pixel is sky if no image contains anything else in its direction. Sky lies
+//!    at infinity, so that the lookup is a rotation. Without culling, all open pixels are sky.
+//!    Where all images are present, sky also fills openings that it borders on (`sky_fill`).
+//! 4. **Underlay** (`tree_underlay`): open pixels, and pixels with missing data, show the LDI tree.
+//! 5. **Hole filling** (`hole_fill`, optional): remaining holes take the colour of the nearest
+//!    farther surface, of sky around them, or of the previous frame, and are marked
 //!    [`Source::Filled`].
-//! 6. **Smoothing** (`smooth`, optional): the 3 x 3 kernel of Aliaga and Lastra's system, over far pixels.
+//! 6. **Smoothing** (`smooth`, optional): the 3 x 3 kernel of Aliaga and Lastra's system, over far
+//!    pixels.
 //! 7. **Averaging** ([`downsample()`]): a supersampled frame is averaged in linear light.
 //!
-//! All stages run on the current rayon pool by rows; their results do not depend on its size.
+//! All stages run by rows on the current rayon pool; their results do not depend on its size.
 
 mod downsample;
-mod fill;
-mod grow;
+mod hole_fill;
 mod seams;
+mod sky_fill;
 mod smooth;
-mod under;
+mod tree_underlay;
 
 pub use downsample::downsample;
-pub use fill::Fill;
-pub use grow::grow_sky;
-pub use under::{Doubt, lay_under, wanted_under};
+pub use hole_fill::Fill;
+pub use sky_fill::fill_sky;
+pub use tree_underlay::{ImageGaps, pixels_for_tree, underlay_tree};
 
 use crate::{
     frame::{Frame, SKY, Source},
@@ -41,51 +45,52 @@ use ldi_protocol::{
 use rayon::prelude::*;
 use seams::Seam;
 
-/// What stands for the cells that were not drawn.
+/// The representation of cells that were not drawn.
 #[derive(Debug, Clone, Copy)]
 pub enum Far<'a> {
-    /// Nothing was culled: what the near geometry leaves is sky.
+    /// Nothing was culled: open pixels are sky.
     Nothing,
-    /// Something was culled and its image is not there: what the near geometry leaves stays unpainted.
+    /// Something was culled and its image is absent: open pixels stay unpainted.
     Missing,
     /// Warped images.
     Images {
-        /// The warps' common result.
+        /// The combined warp of all images.
         picture: &'a FarFrame,
-        /// All images of the placement that are in view, absent ones too.
+        /// All images of the placement in view, including absent ones.
         images: &'a [FarImage<'a>],
-        /// Where the placement's eyes see sky, also beside its images.
+        /// Where the placement's eyes see sky, also outside of its images.
         sky: Option<&'a SkyMap>,
     },
-    /// Warped images of portals: what near geometry leaves open is seen through one of them, or is sky.
+    /// Warped images of portals: open pixels are seen through a portal, or are sky.
     Portals {
-        /// The warps' common result.
+        /// The combined warp of all images.
         picture: &'a FarFrame,
-        /// All portals whose images show what lies beyond.
+        /// All portals that images show.
         portals: &'a [FarPortal<'a>],
-        /// Whether all else was drawn, so that where no portal is there is sky.
+        /// Whether everything else was drawn, so that directions without a portal are sky.
         complete: bool,
     },
 }
 
-/// A portal that takes part in a frame.
+/// A portal that images show in this frame.
 #[derive(Debug, Clone, Copy)]
 pub struct FarPortal<'a> {
-    /// What is seen of it from the eye.
+    /// The visible part of the portal, as seen from the eye.
     pub cones: &'a [Cone],
-    /// The images in view, absent ones too.
+    /// Its images in view, including absent ones.
     pub images: &'a [FarImage<'a>],
-    /// Where its eyes see sky through it, also beside its images.
+    /// Where its eyes see sky through it, also outside of its images.
     pub sky: &'a SkyMap,
 }
 
-/// An image that takes part in a frame.
+/// An image of this frame.
 #[derive(Debug, Clone, Copy)]
 pub enum FarImage<'a> {
-    /// It was warped; its sky bits, camera and disparity codes count. It may hold less than the window it was planned for, left, right, bottom,
-    /// top as tangents: nobody was found to look at the rest, so nothing is known of it.
+    /// A warped image: its sky bits, camera and disparity codes apply. Its planned window (left,
+    /// right, bottom, top as tangents) may be larger than its content: nothing is known of the
+    /// rest.
     Here(&'a Ldi, [f64; 4]),
-    /// It is not there: what lies in its window is unknown.
+    /// An absent image: the content of its window is unknown.
     Absent(&'a ImageEntry),
 }
 
@@ -99,15 +104,16 @@ impl<'a> FarImage<'a> {
 /// Settings of the composite.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct CompositeOptions<'a> {
-    /// What holes show.
+    /// Content of holes.
     pub fill: Fill,
-    /// Colours of the last frame, for [`Fill::Last`]; without them, or of another size, holes stay.
+    /// Colours of the previous frame, for [`Fill::Last`]. Without them, or with another size, holes
+    /// stay.
     pub last: &'a [u32],
-    /// Smooth far pixels with a 3 x 3 kernel.
+    /// Whether far pixels are smoothed with a 3 x 3 kernel.
     pub smooth: bool,
 }
 
-/// Pixels by origin after the composite.
+/// Pixels by source after the composite.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct CompositeStats {
     /// Pixels of the frame.
@@ -120,7 +126,7 @@ pub struct CompositeStats {
     pub tree: u64,
     /// Known sky.
     pub sky: u64,
-    /// Reached by nothing that is known, before the fill.
+    /// Pixels without known content, before filling.
     pub hole_before_fill: u64,
     /// Filled by extrapolation.
     pub filled: u64,
@@ -134,7 +140,8 @@ impl CompositeStats {
         if self.pixels == 0 { 0.0 } else { count as f64 / self.pixels as f64 }
     }
 
-    /// Whether what is left is worth filling. `known`: an image or the tree was there, so that it is gaps in that.
+    /// Whether the remaining holes are to be filled. `known`: whether an image or the tree was
+    /// present.
     pub fn is_worth_filling(&self, known: bool) -> bool {
         known && self.unpainted > 0 && self.unpainted * FILL_UP_TO < self.pixels
     }
@@ -152,16 +159,17 @@ impl CompositeStats {
     }
 }
 
-/// Rows per task: few enough to balance, many enough to cost nothing.
+/// Rows per task. Smaller: more overhead; larger: less balance between threads.
 const ROWS_PER_TASK: usize = 16;
 
-/// Holes are filled while they are less than one pixel in this many: where half the picture is missing, extrapolating it
-/// would cost more than drawing it and show nothing true.
+/// Holes are filled while they are less than one pixel in this many. Larger pieces are missing
+/// data, which extrapolation cannot show.
 const FILL_UP_TO: u64 = 2;
 
-/// Merges `far` into `frame`, which holds the near geometry of the same pose and camera, and fills what is left.
+/// Merges `far` into `frame`, which holds the near geometry of the same pose and camera, and fills
+/// holes.
 ///
-/// A far picture of another size than the frame counts as missing.
+/// A far picture of another size counts as missing.
 pub fn composite(
     frame: &mut Frame,
     far: Far<'_>,
@@ -180,7 +188,7 @@ pub fn composite(
     stats
 }
 
-/// The first half of [`composite()`]: near, far and sky.
+/// The first half of [`composite()`]: near geometry, images and sky.
 pub fn merge(frame: &mut Frame, far: Far<'_>, pose: &Pose, camera: &OutputCamera) -> CompositeStats {
     let far = match far {
         Far::Images { picture, .. } | Far::Portals { picture, .. }
@@ -221,7 +229,7 @@ pub fn merge(frame: &mut Frame, far: Far<'_>, pose: &Pose, camera: &OutputCamera
     rows.into_iter().fold(CompositeStats::default(), CompositeStats::add)
 }
 
-/// What `of_row` says of each row, by its number.
+/// Applies `of_row` to every row, in parallel.
 fn by_rows<T: Send>(frame: &mut Frame, of_row: impl Fn(usize, Row<'_>) -> T + Sync) -> Vec<T> {
     let width = frame.width as usize;
     let planes = frame.colour.par_chunks_mut(width).zip(frame.disparity.par_chunks_mut(width));
@@ -229,12 +237,13 @@ fn by_rows<T: Send>(frame: &mut Frame, of_row: impl Fn(usize, Row<'_>) -> T + Sy
     rows.map(|(number, ((colour, disparity), source))| of_row(number, Row { colour, disparity, source })).collect()
 }
 
-/// The second half: fill and smoothing. `known`: an image or the tree was there, so that holes are gaps in it.
+/// The second half of [`composite()`]: filling and smoothing. `known`: whether an image or the tree
+/// was present, so that holes are gaps in it.
 pub fn finish(frame: &mut Frame, known: bool, stats: &mut CompositeStats, options: &CompositeOptions<'_>) {
     if stats.is_worth_filling(known) {
         stats.filled = match options.fill {
-            Fill::Surface => fill::fill(frame),
-            Fill::Last if options.last.len() == frame.len() => fill::from_last(frame, options.last),
+            Fill::Surface => hole_fill::fill(frame),
+            Fill::Last if options.last.len() == frame.len() => hole_fill::from_last(frame, options.last),
             Fill::Off | Fill::Last => 0,
         };
         stats.unpainted -= stats.filled;
@@ -282,16 +291,16 @@ impl Row<'_> {
 struct Merge<'a> {
     picture: &'a FarFrame,
     groups: Vec<Group<'a>>,
-    /// Whether a direction that is in no group is sky.
+    /// Whether directions in no group are sky.
     complete: bool,
     world: Directions,
 }
 
-/// Images that together hold what is replaced in some directions.
+/// Images that together replace the cells in some directions.
 struct Group<'a> {
     faces: Vec<Face<'a>>,
     sky: Option<&'a SkyMap>,
-    /// The cones around those directions; None: all.
+    /// The cones of those directions; None: all directions.
     cones: Option<&'a [Cone]>,
 }
 
@@ -301,7 +310,7 @@ impl Group<'_> {
         self.cones.is_none_or(|cones| cones.iter().any(within))
     }
 
-    /// As [`Merge::is_sky`], of this group alone.
+    /// As [`Merge::is_sky`], for this group alone.
     fn is_sky(&self, row: usize, column: usize, direction: DVec3) -> bool {
         if self.faces.iter().any(|f| f.misses(row, column)) {
             return false;
@@ -321,16 +330,16 @@ impl Group<'_> {
     }
 }
 
-/// Directions of output pixels' centres in some frame: affine in column and row.
+/// Directions of pixel centres in a local frame: affine in column and row.
 pub struct Directions {
-    /// At pixel (0, 0).
+    /// Direction at pixel (0, 0).
     first: [f64; 3],
     per_column: [f64; 3],
     per_row: [f64; 3],
 }
 
 impl Directions {
-    /// `local` takes a direction in the world to the frame.
+    /// `local` converts a world direction to the frame.
     fn new(pose: &Pose, camera: &OutputCamera, local: impl Fn(DVec3) -> [f64; 3]) -> Self {
         let basis = pose.basis();
         let at = |u: f64, v: f64| local(camera.ray(&basis, u, v));
@@ -348,36 +357,38 @@ impl Directions {
     }
 }
 
-/// Parts of one plane as seen from one centre: where directions of output pixels meet them is found once for all.
+/// Images on one plane with one centre: the intersection of pixel directions with the plane is
+/// shared.
 struct Face<'a> {
     basis: ViewBasis,
-    /// Centre of projection, and pixels per unit at distance 1, of images that are there; None: what is absent.
+    /// Centre of projection, and pixels per unit at distance 1; None for absent images.
     camera: Option<(DVec3, f64)>,
     /// In the images' frame: right, down, forward.
     directions: Directions,
-    /// Eye's depth in the images' frame, m; 0 for absent ones.
+    /// Depth of the eye in the images' frame, m; 0 for absent images.
     eye_depth_m: f64,
-    /// Largest step of the images' disparity codes; 0 for absent ones.
+    /// Largest step of the images' disparity codes; 0 for absent images.
     step: f64,
-    /// The images that are there, and the windows they were planned for.
+    /// Present images, and their planned windows.
     here: Vec<(&'a Ldi, [f64; 4])>,
-    /// Windows of those that are not.
+    /// Windows of absent images.
     absent: Vec<[f64; 4]>,
 }
 
-/// How well the disparities of images of one plane are known: one step of their codes moves a disparity d of the picture at a column and a row by
-/// step (d eye depth + forward), where forward is affine in both.
+/// Precision of the disparities of images on one plane: one step of their codes moves a disparity d
+/// of the picture by step (d eye depth + forward), where forward is affine in column and row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CodeStep {
-    /// Component of a pixel's direction along the plane's normal: at pixel (0, 0), per column, per row.
+    /// Component of a pixel's direction along the plane's normal: at pixel (0, 0), per column, per
+    /// row.
     pub forward: [f64; 3],
-    /// The eye's depth as the plane sees it, m.
+    /// Depth of the eye relative to the plane, m.
     pub eye_depth_m: f64,
     /// Step of the codes, 1/m.
     pub step: f64,
 }
 
-/// The steps of those images that are there.
+/// Code steps of the present images.
 pub fn code_steps(images: &[FarImage<'_>], pose: &Pose, camera: &OutputCamera) -> Vec<CodeStep> {
     faces(images, pose, camera).iter().filter(|f| f.step > 0.0).map(Face::code_step).collect()
 }
@@ -428,7 +439,7 @@ impl<'a> Merge<'a> {
         CompositeStats { hole_before_fill: unpainted, unpainted, ..stats }
     }
 
-    /// Merges a row by depth; returns how many of its pixels are near geometry, and how many the images'.
+    /// Merges a row by depth. Returns the numbers of near and far pixels.
     fn by_depth(&self, row: usize, pixels: &mut Row<'_>) -> [u64; 2] {
         let width = pixels.colour.len();
         let first = row * width;
@@ -454,7 +465,7 @@ impl<'a> Merge<'a> {
         [near_count, far_count].map(u64::from)
     }
 
-    /// Turns unpainted pixels whose directions are known to be sky into sky; returns how many.
+    /// Turns unpainted pixels of known sky into sky. Returns their number.
     fn sky_row(&self, row: usize, pixels: &mut Row<'_>) -> u64 {
         let mut sky = 0;
         for (column, (source, colour)) in pixels.source.iter_mut().zip(&mut *pixels.colour).enumerate() {
@@ -466,8 +477,11 @@ impl<'a> Merge<'a> {
         sky
     }
 
-    /// Whether sky is known in a pixel's direction: an image holds some, the placement's eyes see it, or none could hold anything. An image that is
-    /// not there may hold a surface. Of several portals all must agree; where none is, there is sky if everything else was drawn.
+    /// Whether a pixel's direction is known to be sky: an image contains sky there, the placement's
+    /// eyes see sky, or no image could contain anything. An absent image may contain a surface. All
+    /// portals of a direction must agree; without a portal it is sky if everything else was drawn.
+    /// not there may hold a surface. Of several portals all must agree; where none is, there is sky
+    /// if everything else was drawn.
     fn is_sky(&self, row: usize, column: usize) -> bool {
         let direction = DVec3::from_array(self.world.of(row, column));
         let mut any = false;
@@ -480,7 +494,7 @@ impl<'a> Merge<'a> {
         any || self.complete
     }
 
-    /// Whether a triangle behind the far surface is as near as the far surface's disparity is known.
+    /// Whether a triangle behind the far surface lies within the precision of the far disparity.
     fn near_wins(&self, row: usize, column: usize, near: f32, far: f32) -> bool {
         let step =
             self.groups.iter().flat_map(|g| &g.faces).map(|f| f.step(row, column, far)).fold(0.0, f64::max) as f32;
@@ -508,27 +522,28 @@ impl Face<'_> {
         CodeStep { forward: [first[2], per_column[2], per_row[2]], eye_depth_m: self.eye_depth_m, step: self.step }
     }
 
-    /// How far one step of the images' disparity codes moves the disparity of a far surface in the picture.
+    /// Change of a far disparity in the picture for one step of the images' codes.
     fn step(&self, row: usize, column: usize, far: f32) -> f64 {
         let [.., forward] = self.directions.of(row, column);
-        // d2 = d1 / W and W = depth2 / depth1, so that a step in d1 becomes step * d2 * depth1 in d2, and
-        // d2 * depth1 = d2 (eye depth + forward / d2).
+        // d2 = d1 / W and W = depth2 / depth1, so that a step in d1 becomes step * d2 * depth1 in
+        // d2, and d2 * depth1 = d2 (eye depth + forward / d2).
         (self.step * (f64::from(far) * self.eye_depth_m + forward)).max(0.0)
     }
 
-    /// Where a pixel's direction meets the plane at distance 1: right and down; None behind it.
+    /// Intersection of a pixel's direction with the plane at distance 1: right and down; None
+    /// behind it.
     fn meets(&self, row: usize, column: usize) -> Option<(f64, f64)> {
         let [right, down, forward] = self.directions.of(row, column);
         (forward > 0.0).then(|| (right / forward, down / forward))
     }
 
-    /// Whether an image that is not there would hold a pixel's direction.
+    /// Whether an absent image would contain a pixel's direction.
     fn misses(&self, row: usize, column: usize) -> bool {
         !self.absent.is_empty()
             && self.meets(row, column).is_some_and(|(x, y)| self.absent.iter().any(|w| within(w, x, y)))
     }
 
-    /// What the images that are there say of a pixel's direction.
+    /// What the present images contain in a pixel's direction.
     fn knows(&self, row: usize, column: usize) -> Knows {
         let (Some((_, pixels_per_unit)), Some((x, y))) = (self.camera, self.meets(row, column)) else {
             return Knows::Beside;
@@ -548,19 +563,20 @@ impl Face<'_> {
     }
 }
 
-/// Whether a window, left, right, bottom, top as tangents, holds a place on the plane at distance 1, right and down.
+/// Whether a window (left, right, bottom, top as tangents) contains a point of the plane at
+/// distance 1.
 fn within([l, r, b, t]: &[f64; 4], x: f64, y: f64) -> bool {
     x >= *l && x <= *r && -y >= *b && -y <= *t
 }
 
-/// What images say of a direction in which they show nothing.
+/// Content of images in a direction without a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Knows {
-    /// Someone sees sky there.
+    /// An eye sees sky there.
     Sky,
-    /// They hold the direction, and nothing was found there.
+    /// The images contain the direction, and no surface or sky was found there.
     Nothing,
-    /// They do not hold the direction: what is replaced lies inside their windows, or in another's.
+    /// The images do not contain the direction.
     Beside,
 }
 

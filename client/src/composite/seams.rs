@@ -1,28 +1,30 @@
-//! Seams: gaps of one pixel in one surface, where near geometry and a warped image of it meet, or two images, or two parts of one.
+//! Seams: gaps of one pixel within one surface, where near geometry and an image of the surface
+//! meet, or two images, or two parts of one.
 //!
-//! In: a frame merged by depth. Out: the pixels that neither reached and that lie between both, with what they show.
+//! In: a frame merged by depth. Out: open pixels between both sides, with the pixel whose content
+//! they take.
 //!
-//! A triangle of near geometry covers a pixel if it covers its centre; what an image shows of the surface beside it ends with its last sample. Between both a pixel's centre may stay
-//! uncovered, and a look through it goes past the surface: often into the sky, which images know there, of eyes that looked through a window beside it. A pixel that has images
-//! on one side, and images or near geometry on the opposite one, at about the same disparity, shows the farther of the two. Gaps between triangles alone are as the scene has them.
-//!
-//! What it costs are views of the sky through leaves: over 52 frames of black_forest 1,115 of 9,599 pixels that were brighter than all of the truth within a pixel are gone, and to the
-//! 8,295 that were darker 210 have come (`docs/benchmarks/warp.md`).
+//! A triangle covers a pixel if it covers its centre; an image's surface ends with its last sample.
+//! A pixel centre between both may stay uncovered and show what lies behind the surface, often sky.
+//! An open pixel with an image on one side, and an image or near geometry at about the same
+//! disparity on the opposite one, takes the farther of the two. Gaps between triangles alone belong
+//! to the scene. Thin gaps in foliage, through which sky is seen, are closed as well.
 
 use crate::frame::{Frame, Source};
 use rayon::prelude::*;
 
-/// Disparities on both sides of a seam differ by at most this share of the larger: surfaces may be steep, and beyond two that have nothing to do with each other there may be sky. By judgement.
+/// Largest difference in disparity between both sides of a seam, as a share of the larger. Larger:
+/// unrelated surfaces are joined; smaller: steep surfaces keep their seams. A judgement.
 const SAME_SURFACE: f32 = 0.1;
 
-/// A pixel of a seam, by number, and the one beside it whose colour, disparity and source it takes.
+/// A seam pixel, and the neighbour whose colour, disparity and source it takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Seam {
     pub at: usize,
     pub of: usize,
 }
 
-/// The seams of those rows that have `open` pixels, a count for each row.
+/// The seams of rows with open pixels; `open` counts those of each row.
 pub(super) fn find(frame: &Frame, open: &[u64]) -> Vec<Seam> {
     let width = frame.width as usize;
     let of_row = |row: usize| {
@@ -33,7 +35,7 @@ pub(super) fn find(frame: &Frame, open: &[u64]) -> Vec<Seam> {
     rows.flat_map_iter(|(row, _)| of_row(row)).collect()
 }
 
-/// What an open pixel takes its colour from, if it is a seam.
+/// The seam at an open pixel, if it is one.
 fn seam(frame: &Frame, at: usize) -> Option<Seam> {
     let (width, height) = (frame.width as usize, frame.height as usize);
     let (row, column) = (at / width, at % width);
@@ -43,7 +45,7 @@ fn seam(frame: &Frame, at: usize) -> Option<Seam> {
     Some(Seam { at, of: if frame.disparity[of[0]] <= frame.disparity[of[1]] { of[0] } else { of[1] } })
 }
 
-/// Whether the sides show the same surface, and one of them an image of it.
+/// Whether both sides show the same surface, at least one of them from an image.
 fn joins(frame: &Frame, sides: &[usize; 2]) -> bool {
     let [a, b] = sides.map(|at| frame.disparity[at]);
     matches!(sides.map(|at| frame.source[at]), [Source::Far, Source::Far | Source::Near] | [Source::Near, Source::Far])
@@ -54,7 +56,8 @@ fn joins(frame: &Frame, sides: &[usize; 2]) -> bool {
 mod tests {
     use super::*;
 
-    /// Rows of a frame: `n` and `N` near geometry 1 and 2 m away, `f` and `F` of images there, `t` of the tree at 1 m, `.` nothing.
+    /// Rows of a frame: `n` and `N` near geometry 1 and 2 m away, `f` and `F` of images there, `t`
+    /// of the tree at 1 m, `.` nothing.
     fn found(rows: &[&str]) -> Vec<(usize, usize)> {
         let mut frame = Frame::new(rows[0].len() as u32, rows.len() as u32);
         for (at, pixel) in rows.iter().flat_map(|r| r.bytes()).enumerate() {

@@ -1,9 +1,9 @@
 //! Smoothing of far pixels.
 //!
-//! In: a finished frame. Out: far and filled pixels replaced by the 3 x 3 binomial mean (1 2 1) x (1 2 1) / 16, which
-//! calms what one-pixel stamps leave rough. Aliaga and Lastra convolve the whole warped image; here neighbours
-//! of another surface (near geometry, sky, disparity off by more than a tenth) take no part, so that silhouettes stay
-//! sharp. Means are taken in linear light.
+//! In: a finished frame. Out: far and filled pixels replaced by the 3 x 3 binomial mean (1 2 1) x
+//! (1 2 1) / 16, which reduces the noise of one-pixel stamps. Aliaga and Lastra convolve the whole
+//! warped image; here neighbours of another surface (near geometry, sky, a different disparity) are
+//! left out, so that silhouettes stay sharp. Means are taken in linear light.
 
 use crate::frame::{Frame, Source, pack_rgb, unpack_rgb};
 use ldi_protocol::shade::{linear_from_srgb8_table, srgb8_from_linear};

@@ -88,7 +88,8 @@ fn the_nearer_surface_wins_within_the_step() {
     }
 }
 
-/// Near geometry on the left, the image's wall at 10 m on the right, and a column between that neither reaches, where the image knows sky.
+/// Near geometry on the left, the image's wall at 10 m on the right, and a column between that
+/// neither reaches, where the image knows sky.
 #[test]
 fn a_gap_of_one_pixel_between_near_geometry_and_an_image_of_it_is_no_sky() {
     let mut ldi = image("frontal");
@@ -117,7 +118,8 @@ fn a_gap_of_one_pixel_between_near_geometry_and_an_image_of_it_is_no_sky() {
     }
 }
 
-/// A rug lies millimetres above its floor, and both are steep: less than half a pixel's slope apart.
+/// A rug lies millimetres above its floor, and both are steep: less than half a pixel's slope
+/// apart.
 #[test]
 fn steep_surfaces_get_no_more_tolerance_than_the_step() {
     let ldi = image("slanted");
@@ -160,7 +162,8 @@ fn outside_the_image_is_sky_and_a_missing_image_is_not() {
     let (frame, _) = near_after(&ldi, 1.0, &back);
     assert_eq!(frame.count(Source::Sky), frame.len() / 2);
     let options = CompositeOptions::default();
-    // A window that reaches farther right than the image: nobody looked there, so it is not known to be sky.
+    // A window that reaches farther right than the image: nobody looked there, so it is not known
+    // to be sky.
     let mut narrow = ldi.clone();
     narrow.layers.clear();
     narrow.camera.width /= 2;
@@ -194,13 +197,13 @@ fn holes_take_the_farther_neighbour() {
     put(3, 20, 0.1, Source::Far);
     put(6, 198, 0.0, Source::Sky);
     put(8, 30, 0.2, Source::Near);
-    assert_eq!(fill::fill(&mut frame), 5);
+    assert_eq!(hole_fill::fill(&mut frame), 5);
     let grey: Vec<u32> = frame.colour.iter().map(|c| c & 255).collect();
     // Between 0 and 3 the farther; between 3 and sky the surface; right of the sky the triangle.
     assert_eq!(grey, [10, 20, 20, 20, 20, 20, 198, 30, 30]);
     assert_eq!(frame.count(Source::Filled), 5);
     // Nothing to fill from.
-    assert_eq!(fill::fill(&mut Frame::new(3, 3)), 0);
+    assert_eq!(hole_fill::fill(&mut Frame::new(3, 3)), 0);
 }
 
 #[test]
@@ -213,7 +216,7 @@ fn a_hole_amid_sky_is_sky() {
         frame
             .source
             .copy_from_slice(&[[Source::Sky; 3], [Source::Near, Source::Unpainted, right], [Source::Near; 3]].concat());
-        assert_eq!(fill::fill(&mut frame), 1);
+        assert_eq!(hole_fill::fill(&mut frame), 1);
         assert_eq!((frame.colour[4], frame.source[4]), (expected, Source::Filled));
     }
 }
@@ -398,7 +401,8 @@ fn sky_beside_the_images_is_sky() {
     }
 }
 
-/// Two halves of an image that overlap by two pixels each way, as tiles do, draw what the whole draws.
+/// Two halves of an image that overlap by two pixels each way, as tiles do, draw what the whole
+/// draws.
 #[test]
 fn tiles_join_without_a_seam() {
     let whole = ldi_camera(DVec3::ZERO, 320, 240, 90.0);
@@ -434,7 +438,8 @@ fn tiles_join_without_a_seam() {
     }
 }
 
-/// A portal's images answer for what is seen through it; beside it there is sky if all else was drawn, and nothing is known if not.
+/// A portal's images answer for what is seen through it; beside it there is sky if all else was
+/// drawn, and nothing is known if not.
 #[test]
 fn a_portal_answers_for_its_cone_alone() {
     let mut silent = image("frontal");
@@ -442,7 +447,8 @@ fn a_portal_answers_for_its_cone_alone() {
     let picture = FarFrame::new(CAMERA.width, CAMERA.height);
     let nowhere = SkyMap::default();
     let everywhere = SkyMap::of(&vec![true; SkyMap::SQUARES as usize]);
-    // The right half of the picture: a cone between its middle, its right border and beyond above and below.
+    // The right half of the picture: a cone between its middle, its right border and beyond above
+    // and below.
     let b = ahead().basis();
     let cone =
         Cone { apex: DVec3::ZERO, edges: vec![], normals: vec![b.right, (b.forward - b.right).normalize(), b.forward] };

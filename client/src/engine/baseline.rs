@@ -1,13 +1,14 @@
-//! All geometry at the poses of the walk: what the images are measured against.
+//! Measures the same poses with all geometry, for comparison with the images.
 //!
-//! The same rasterizer draws every cell in the frustum, with the same supersampling. Its data comes over the same
-//! connection, after the walk, and is counted apart.
+//! The same rasterizer draws every cell in the frustum, with the same supersampling. The data comes
+//! over the same connection, after the walk, and is counted separately.
 
 use super::{
-    feed::Feed,
+    data_source::{DataSource, PATIENCE},
+    frame_renderer::FrameRenderer,
     options::{Method, WalkOptions},
-    painter::{Painter, view_of},
-    walk::{PATIENCE, WalkError},
+    view::view_of,
+    walk_error::WalkError,
 };
 use crate::{
     cache::Incomplete,
@@ -18,24 +19,25 @@ use glam::DVec3;
 use ldi_protocol::{OutputCamera, Pose, need::Sight};
 use std::{collections::BTreeSet, time::Duration};
 
-/// All-geometry frames of some of the walk's poses.
+/// Frame times with all geometry, at some of the walk's poses.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Baseline {
     /// Milliseconds of each complete frame.
     pub all_geometry_ms: Vec<f64>,
-    /// Milliseconds of our frames at the same poses.
+    /// Milliseconds of the walk's frames at the same poses.
     pub ours_ms: Vec<f64>,
-    /// Stored bytes of all chunks that the frames needed.
+    /// Stored bytes of all chunks that these frames needed.
     pub bytes: u64,
 }
 
-/// A line that is down for so long is not waited for: the report is.
+/// Longest time that the comparison waits for a lost connection. The report must not be delayed by
+/// it.
 const LOST_FOR: Duration = Duration::from_secs(10);
 
-/// Waits for chunks, or until the line is lost: then why.
-fn lost_while_waiting(feed: &dyn Feed, needed: &[u32]) -> Option<String> {
+/// Waits for chunks. Returns the reason if the connection is lost.
+fn lost_while_waiting(data: &dyn DataSource, needed: &[u32]) -> Option<String> {
     for _ in 0..PATIENCE.as_secs() / LOST_FOR.as_secs() {
-        match feed.wait_for(needed, LOST_FOR) {
+        match data.wait_for(needed, LOST_FOR) {
             Err(Incomplete::Disconnected(reason)) => return Some(reason),
             Err(Incomplete::Timeout(_)) => {}
             _ => return None,
@@ -44,11 +46,11 @@ fn lost_while_waiting(feed: &dyn Feed, needed: &[u32]) -> Option<String> {
     None
 }
 
-/// Draws up to `options.baseline_frames` of the kept frames again with all geometry. Frames that stay incomplete (a cache too
-/// small for them) are left out: they would look fast.
+/// Draws up to `options.baseline_frames` of the kept frames again with all geometry. Incomplete
+/// frames (the cache is too small for them) are left out, as their times would be too short.
 pub(super) fn measure(
-    feed: &dyn Feed,
-    painter: &mut Painter,
+    data: &dyn DataSource,
+    renderer: &mut FrameRenderer,
     kept: &[FrameReport],
     camera: &OutputCamera,
     options: &WalkOptions,
@@ -62,26 +64,26 @@ pub(super) fn measure(
         let pose =
             Pose { position: DVec3::from_array(frame.position), yaw_deg: frame.yaw_deg, pitch_deg: frame.pitch_deg };
         let mut ms = StageMs::default();
-        let view = view_of(feed.index(), &pose, camera, Method::Geometry, &mut ms);
-        let view_needs = view.needed(feed.index(), &Sight::new(&pose, camera, options.supersample));
+        let view = view_of(data.index(), &pose, camera, Method::Geometry, &mut ms);
+        let view_needs = view.needed(data.index(), &Sight::new(&pose, camera, options.supersample));
         let needed: Vec<u32> = view_needs.all().collect();
         chunks.extend(needed.iter().copied());
-        feed.look(&pose, &view_needs);
-        // The server knows nothing of this detour: it would push images.
-        let absent: Vec<u32> = needed.iter().copied().filter(|c| !feed.holds(*c)).collect();
-        feed.ask(&absent);
-        // The walk itself is done, and its report is worth more than this comparison.
-        if let Some(reason) = lost_while_waiting(feed, &needed) {
+        data.update_view(&pose, &view_needs);
+        // The server plans images for this pose, so that geometry must be requested by number.
+        let absent: Vec<u32> = needed.iter().copied().filter(|c| !data.holds(*c)).collect();
+        data.request(&absent);
+        // The walk is complete: its report is written even without this comparison.
+        if let Some(reason) = lost_while_waiting(data, &needed) {
             tracing::warn!("the comparison with all geometry ends early: {reason}");
             break;
         }
-        let painted = painter.paint(feed.index(), feed, &view, &pose, camera, options, ms, &mut picture)?;
-        if painted.missing_chunks.is_empty() {
-            out.all_geometry_ms.push(painted.ms.total);
+        let frame_stats = renderer.render(data.index(), data, &view, &pose, camera, options, ms, &mut picture)?;
+        if frame_stats.missing_chunks.is_empty() {
+            out.all_geometry_ms.push(frame_stats.ms.total);
             out.ours_ms.push(frame.ms.total);
         }
     }
     out.bytes =
-        chunks.iter().filter_map(|c| feed.index().chunks.get(*c as usize)).map(|c| u64::from(c.stored_bytes)).sum();
+        chunks.iter().filter_map(|c| data.index().chunks.get(*c as usize)).map(|c| u64::from(c.stored_bytes)).sum();
     Ok(out)
 }

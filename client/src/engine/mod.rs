@@ -1,38 +1,50 @@
-//! The walk: poses along a path, each turned into a frame, judged and reported.
+//! The engine: renders frames along a path, evaluates and reports them.
 //!
-//! In: a [`Feed`] (a connection with its cache; memory in tests), a path, options. Out: numbered pictures in a folder and a
-//! [`Report`](crate::report::Report). After Aliaga and Lastra 1999, Figure 12: per frame select the grid point and the
-//! angular range, draw what is not culled, warp the image of what is, compose by depth.
+//! In: a [`DataSource`] (a connection with its cache; memory in tests), a path, options. Out:
+//! numbered pictures in a folder and a [`Report`](crate::report::Report). After Aliaga and Lastra
+//! 1999, Figure 12: per frame select the grid point and the angular range, draw the cells that are
+//! not culled, warp the image of those that are, composite by depth.
 //!
-//! - [`painter`](Painter): one frame from resident data; never waits.
-//! - `stand_in`: what shows while a view is on its way. `layouts`: images laid out for the warp. `landing`: what goes to a card with which picture. `hand`: who draws, the processor or a graphics card.
-//! - `walk`: paces frames, asks the feed for what they need, keeps every Nth.
+//! - `view`: selects what a pose draws. `frame_renderer`: one frame from resident data; never
+//!   waits.
+//! - `fallback_view`: the previous placement, while the current one is not ready.
+//! - `image_layouts`: images laid out for the warp; `layout_worker`: the thread that lays them out;
+//!   `upload_queue`: uploads to the GPU under a budget per frame.
+//! - `render_backend`: runs each stage on the CPU or the GPU.
+//! - `walk_loop`: paces frames, requests their data, keeps every Nth. `data_source`: its data.
 //! - `baseline`: the same poses with all geometry, for the speedup.
-//! - `judge`: kept frames against the truth. `save`: pictures on disk. `views`: the same frame in other colours.
+//! - `evaluation`: kept frames against ground truth. `save`: pictures on disk.
+//! - `display_mode`: false colours.
 
 mod baseline;
-mod feed;
-mod hand;
-mod judge;
-mod landing;
-mod layouts;
+mod data_source;
+mod display_mode;
+mod evaluation;
+mod fallback_view;
+mod frame_renderer;
+mod image_layouts;
+mod layout_worker;
 mod options;
-mod painter;
+mod render_backend;
+mod renderer_choice;
 mod save;
-mod stand_in;
 #[cfg(test)]
 mod tests;
-mod views;
-mod walk;
-mod workshop;
+mod upload_queue;
+mod view;
+mod walk_error;
+mod walk_loop;
 
-pub use feed::{Feed, LOST_FOR, Traffic};
-pub use hand::{PaintError, Renderer};
-pub use judge::{JudgeError, Truth, Verdict, pictures_of};
-pub use landing::Ahead;
+pub use data_source::{DataSource, LOST_FOR, Traffic};
+pub use display_mode::DisplayMode;
+pub use evaluation::{EvaluationError, Scores, Truth, pictures_of};
+pub use frame_renderer::{FrameRenderer, FrameStats};
 pub use options::{Cull, Method, Pace, WalkOptions};
-pub use painter::{Painted, Painter, View, view_of};
+pub use render_backend::RenderError;
+pub use renderer_choice::Renderer;
 pub(crate) use save::save_rgb;
 pub use save::{SaveError, save_debug_views, save_frame};
-pub use views::Shows;
-pub use walk::{Progress, WalkError, WalkJob, run};
+pub use upload_queue::Anticipated;
+pub use view::{View, select_view, view_of};
+pub use walk_error::WalkError;
+pub use walk_loop::{Progress, WalkJob, run};

@@ -1,6 +1,6 @@
-//! What a walk is asked to do.
+//! Options of a walk.
 
-use super::views::Shows;
+use super::display_mode::DisplayMode;
 use crate::{
     composite::Fill,
     warp::{Order, Stamp},
@@ -11,40 +11,43 @@ use ldi_protocol::{
 };
 use serde::Serialize;
 
-/// How far geometry is represented.
+/// The representation of distant geometry.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
-    /// What the dataset offers: images where a placement names one, geometry elsewhere.
+    /// The representation that the dataset offers: images where a placement names one, geometry
+    /// elsewhere.
     Auto,
-    /// Draw every cell in the frustum.
+    /// All cells in the frustum as geometry.
     Geometry,
-    /// Portal textures: the central reference image painted onto each portal.
+    /// Flat portal textures: the central reference image of each portal.
     Texture,
-    /// The nearest of the reference images painted onto each portal.
+    /// Flat portal textures: the nearest reference image of each portal.
     #[value(skip)]
     Textures,
-    /// Beyond portals the nearest reference image, warped.
+    /// The nearest reference image of each portal, warped.
     Warp1,
-    /// Beyond portals the two nearest reference images.
+    /// The two nearest reference images of each portal, warped.
     Warp2,
-    /// Layered depth images: of portals, merged from reference images, in a dataset with rooms; of the grid in others.
+    /// Layered depth images: in a dataset with rooms those merged from reference images of portals,
+    /// otherwise those of the grid.
     Ldi,
-    /// The same.
+    /// Layered depth images of the grid.
     Grid,
-    /// Layered depth images at portals, made for boxes of eyes.
+    /// Layered depth images of portals, made for zones of eye positions.
     Portals,
-    /// The same wherever a portal has one, even where geometry would fit the budget.
+    /// Layered depth images of portals, even where geometry would fit the budget.
     #[value(skip)]
     PortalsEverywhere,
-    /// The tree of layered depth images.
+    /// The LDI tree.
     Tree,
-    /// Geometry, and what is far from images that frames before have made.
+    /// Geometry, and distant parts as images cached from previous frames.
     Cache,
 }
 
 impl Method {
-    /// What it shows. Images of portals as of 1998 show wherever there are some, as they did then.
+    /// What the selection shows. The portal images of 1998 are shown wherever they exist, as in the
+    /// paper.
     pub fn show(self) -> Show {
         let (images, everywhere) = match self {
             Self::Texture => (PortalImages::Texture, true),
@@ -65,25 +68,26 @@ impl Method {
     }
 }
 
-/// Whether samples that cannot be seen are rejected by groups before the warp.
+/// Whether invisible samples are rejected by groups before the warp.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Cull {
-    /// As it pays; today the same as `on`.
+    /// Chosen by the client; currently the same as `on`.
     Auto,
     /// Tiles of samples outside the picture are rejected.
     On,
-    /// Every sample is warped: to measure what culling saves.
+    /// All samples are warped, to measure the gain of culling.
     Off,
 }
 
-/// How the walk treats the network.
+/// Whether frames wait for the network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Pace {
-    /// The walk does not wait: all poses are drawn when they are due from what is there; every Nth is kept.
+    /// Frames never wait: each pose is drawn when it is due, from the data that is resident. Every
+    /// Nth frame is kept.
     Realtime,
-    /// Each frame complete; only poses 0, N, 2N, ... are drawn.
+    /// Each frame waits for all its data. Only poses 0, N, 2N, ... are drawn.
     Wait,
 }
 
@@ -94,9 +98,9 @@ pub struct WalkOptions {
     pub width: u32,
     /// Output rows.
     pub height: u32,
-    /// Representation of what is far.
+    /// Representation of distant geometry.
     pub method: Method,
-    /// With [`Method::Cache`]: how far off a cached image may show things, pixels.
+    /// With [`Method::Cache`]: largest displacement that a cached image may show, pixels.
     pub cache_error_px: f64,
     /// Reconstruction of warped samples.
     #[serde(serialize_with = "by_name_stamp")]
@@ -106,11 +110,11 @@ pub struct WalkOptions {
     pub order: Order,
     /// Rejection of samples by groups.
     pub cull: Cull,
-    /// What holes show.
+    /// Content of holes.
     pub fill: Fill,
     /// Smooth warped pixels with a 3 x 3 kernel.
     pub smooth: bool,
-    /// Milliseconds that the LDI tree may take of a frame; None for as many as its finest samples in view take.
+    /// Time for the LDI tree per frame, milliseconds; None for its finest samples without a limit.
     pub frame_ms: Option<f64>,
     /// Samples per output pixel along each side: 1 or 2.
     pub supersample: u32,
@@ -122,12 +126,14 @@ pub struct WalkOptions {
     pub cache_bytes: Option<u64>,
     /// Write pictures of the parts of each frame.
     pub debug_views: bool,
-    /// What pictures show.
-    pub shows: Shows,
-    /// Images that have come are laid out on a thread of their own, and frames show them when they are ready; pictures of half the size that the dataset was made for, or smaller, show them at
-    /// half their resolution, where samples cover no more pixels than was promised. Otherwise the frame that needs them lays them out as they are.
-    pub beside: bool,
-    /// Frames of the all-geometry comparison; 0 skips it.
+    /// Colours of the picture.
+    pub shows: DisplayMode,
+    /// Images are laid out by the layout worker, and frames show them when they are ready. Pictures
+    /// of at most half the dataset's resolution show images at half resolution, where the footprint
+    /// bound still holds. Without this option the frame that needs an image lays it out.
+    #[serde(rename = "beside")]
+    pub background_layout: bool,
+    /// Frames that are compared with all geometry; 0 skips the comparison.
     pub baseline_frames: usize,
 }
 

@@ -1,6 +1,6 @@
-//! Pictures on disk: frames, and what they are made of.
+//! Pictures on disk: frames and debug views.
 
-use super::views::Shows;
+use super::display_mode::DisplayMode;
 use crate::frame::Frame;
 use image::{
     ExtendedColorType, ImageEncoder,
@@ -24,7 +24,7 @@ pub struct SaveError {
 pub(crate) fn save_rgb(path: &Path, width: u32, height: u32, rgb: &[u8]) -> Result<(), SaveError> {
     let failed = |source: image::ImageError| SaveError { path: path.to_owned(), source };
     let file = fs::File::create(path).map_err(|e| failed(e.into()))?;
-    // Fast: a walk writes hundreds of them while it runs.
+    // Fast compression: a walk writes hundreds of pictures while it runs.
     PngEncoder::new_with_quality(BufWriter::new(file), CompressionType::Fast, FilterType::Adaptive)
         .write_image(rgb, width, height, ExtendedColorType::Rgb8)
         .map_err(failed)
@@ -35,10 +35,10 @@ pub fn save_frame(folder: &Path, index: usize, frame: &Frame) -> Result<(), Save
     save_rgb(&folder.join(format!("frame_{index:05}.png")), frame.width, frame.height, &frame.to_rgb8())
 }
 
-/// Writes `frame_NNNNN.near.png` (what was drawn as geometry), `.far.png` (what came from images) and `.source.png` (which is
-/// which: orange geometry, blue images, green the LDI tree, pink filled, red unpainted, sky as sky).
+/// Writes `frame_NNNNN.near.png` (geometry), `.far.png` (images) and `.source.png` (orange
+/// geometry, blue images, green the LDI tree, pink filled, red unpainted, sky in its own colour).
 pub fn save_debug_views(folder: &Path, index: usize, frame: &Frame) -> Result<(), SaveError> {
-    for (name, shows) in [("near", Shows::Near), ("far", Shows::Far), ("source", Shows::Sources)] {
+    for (name, shows) in [("near", DisplayMode::Near), ("far", DisplayMode::Far), ("source", DisplayMode::Sources)] {
         let mut view = frame.clone();
         shows.recolour(&mut view);
         save_rgb(&folder.join(format!("frame_{index:05}.{name}.png")), view.width, view.height, &view.to_rgb8())?;

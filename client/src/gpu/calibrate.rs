@@ -1,61 +1,38 @@
-//! Which warps faster, the card or the processor? Decided once, by warping the same image on both.
+//! Calibration: warps the same image on the GPU and the CPU, once, to choose the faster one.
 
-use super::{Gpu, GpuError};
-use crate::warp::{FarFrame, PreparedLdi, Shown, WarpError, WarpOptions, analytic, warp};
+use super::{Calibration, Gpu, GpuError, WarpOn};
+use crate::warp::{FarFrame, ImageInView, PreparedLdi, WarpError, WarpOptions, analytic, warp};
 use glam::DVec3;
 use ldi_protocol::{OutputCamera, Pose, ldi::Ldi};
-use serde::Serialize;
 use std::time::Instant;
 
-/// Who warps.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
-pub enum WarpOn {
-    /// The faster one.
-    #[default]
-    Auto,
-    /// The processor.
-    Cpu,
-    /// The card.
-    Gpu,
-}
-
-/// What was found.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Calibration {
-    /// Whether the card warps.
-    pub on_card: bool,
-    /// Milliseconds of the calibration's image on the card; None where nothing was compared.
-    pub card_ms: Option<f64>,
-    /// On the processor.
-    pub processor_ms: Option<f64>,
-}
-
-impl std::fmt::Display for Calibration {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(if self.on_card { "the card" } else { "the processor" })?;
-        match (self.card_ms, self.processor_ms) {
-            (Some(card), Some(processor)) => {
-                write!(f, " ({card:.1} ms on the card, {processor:.1} ms on the processor)")
-            }
-            _ => Ok(()),
-        }
-    }
-}
-
-/// Warps of each, of which the fastest counts: the first ones pay for what is made once.
+/// Number of warps on each device, of which the fastest counts: the first ones include one-time
+/// costs.
 const ROUNDS: usize = 4;
-/// Side of the calibration's image, samples: large enough for the warp to outweigh what a call costs, small enough to take no noticeable time.
+/// Side of the calibration image, samples: large enough for the warp to exceed the cost of a call,
+/// small enough to be fast.
 const SIDE: u32 = 512;
 const CAMERA: OutputCamera = OutputCamera { width: 640, height: 640, fov_deg: 60.0 };
 
-/// Compares both, or takes the caller's word.
-pub fn calibrate(gpu: &mut Gpu, on: WarpOn) -> Result<Calibration, GpuError> {
-    if on != WarpOn::Auto {
-        return Ok(Calibration { on_card: on == WarpOn::Gpu, card_ms: None, processor_ms: None });
+impl Gpu {
+    /// Chooses the device that warps, by a comparison or as given.
+    ///
+    /// # Errors
+    /// If the GPU fails.
+    pub fn calibrate(&mut self, on: WarpOn) -> Result<Calibration, GpuError> {
+        let calibration = match on {
+            WarpOn::Auto => compare(self)?,
+            chosen => Calibration { on_card: chosen == WarpOn::Gpu, card_ms: None, processor_ms: None },
+        };
+        self.calibration = Some(calibration);
+        Ok(calibration)
     }
+}
+
+/// Warps the same image on both devices.
+fn compare(gpu: &mut Gpu) -> Result<Calibration, GpuError> {
     let laid_out = PreparedLdi::new(&image());
-    let image = Shown::from(&laid_out);
+    let image = ImageInView::from(&laid_out);
     let pose = Pose { position: DVec3::new(0.1, 0.05, -0.1), yaw_deg: 3.0, pitch_deg: -2.0 };
     let options = WarpOptions::default();
     let mut far = FarFrame::default();
@@ -75,7 +52,7 @@ pub fn calibrate(gpu: &mut Gpu, on: WarpOn) -> Result<Calibration, GpuError> {
     Ok(Calibration { on_card: best[0] < best[1], card_ms: Some(best[0]), processor_ms: Some(best[1]) })
 }
 
-/// Two walls, one behind the other, and a ball.
+/// The calibration image: two walls, one behind the other, and a sphere.
 fn image() -> Ldi {
     let scene = analytic::Scene {
         surfaces: vec![

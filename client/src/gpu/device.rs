@@ -1,44 +1,44 @@
-//! The card: adapter, device, queue, and how failures of the driver become errors.
+//! The GPU device: adapter, device, queue, and conversion of driver failures to errors.
 
 use crate::warp::{Order, Stamp};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// The card cannot draw.
+/// The GPU cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum GpuError {
-    /// No driver at all.
+    /// There is no driver.
     #[error(
         "no driver for Vulkan, Metal or Direct3D 12 can draw ({0}); install one (on Debian: mesa-vulkan-drivers, which also draws without a graphics card), or use --renderer cpu"
     )]
     NoAdapter(String),
-    /// The driver lacks something.
+    /// The driver lacks a feature.
     #[error("the graphics driver {adapter} {reason}; use --renderer cpu")]
     Lacking {
         /// Its name.
         adapter: String,
-        /// What it cannot do.
+        /// The missing feature.
         reason: String,
     },
-    /// The driver gave up.
+    /// The driver failed.
     #[error("the graphics driver {adapter} failed: {reason}; start again, or use --renderer cpu")]
     Failed {
         /// Its name.
         adapter: String,
-        /// What it said.
+        /// The driver's message.
         reason: String,
     },
-    /// A stamp that only the processor draws.
+    /// The stamp is only implemented on the CPU.
     #[error(
         "the graphics card does not draw stamp `{0}`; use quads, 1px, 2x2, cross or 3x3 with --renderer gpu, or --renderer cpu"
     )]
     Stamp(Stamp),
-    /// An order that only the processor keeps.
+    /// The order is only implemented on the CPU.
     #[error("the graphics card keeps the nearest sample: order `{}` needs --renderer cpu", .0.name())]
     Order(Order),
 }
 
 impl GpuError {
-    /// What is wrong, without what to do about it.
+    /// The cause, without the remedy.
     pub fn reason(&self) -> String {
         match self {
             Self::NoAdapter(_) => "no driver can draw".into(),
@@ -48,46 +48,46 @@ impl GpuError {
     }
 }
 
-/// How the nearest of many samples is kept in a pixel.
+/// The way to keep the nearest of several samples in a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Atomics {
-    /// The best way that the adapter has.
+    /// The best supported way.
     #[default]
     Best,
     /// One pass: disparity above colour in 64 bits.
     Wide,
-    /// Two passes of 32 bits: the largest disparity, then the colour of the sample that has it.
+    /// Two passes of 32 bits: the largest disparity, then the colour of its sample.
     Narrow,
 }
 
-/// Whether an adapter may be the processor in disguise.
+/// Whether a software adapter is accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Software {
     Too,
     No,
 }
 
-/// See the module.
-pub struct Card {
+/// An open device.
+pub struct GpuDevice {
     pub device: wgpu::Device,
     pub queue: wgpu::Queue,
-    /// Name of the adapter and how it is driven.
+    /// Name of the adapter and its graphics interface.
     pub name: String,
     pub software: bool,
     /// Never [`Atomics::Best`].
     pub atomics: Atomics,
-    /// What the driver said last and nobody has heard yet.
-    said: Arc<Mutex<Option<String>>>,
+    /// The driver's first error since the last check.
+    last_error: Arc<Mutex<Option<String>>>,
 }
 
-/// What 64-bit atomics take.
+/// Features that 64-bit atomics require.
 const WIDE: wgpu::Features = wgpu::Features::SHADER_INT64.union(wgpu::Features::SHADER_INT64_ATOMIC_MIN_MAX);
 
-impl Card {
-    /// Opens the fastest adapter there is; `WGPU_BACKEND`, `WGPU_POWER_PREF` and `WGPU_ADAPTER_NAME` as everywhere.
+impl GpuDevice {
+    /// Opens the fastest adapter. `WGPU_BACKEND`, `WGPU_POWER_PREF` and `WGPU_ADAPTER_NAME` apply.
     pub fn open(atomics: Atomics, software: Software) -> Result<Self, GpuError> {
         let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
-        // Depths are read back and draws are numbered, which OpenGL does not offer everywhere.
+        // OpenGL does not support depth read-back and draw indices everywhere.
         descriptor.backends.remove(wgpu::Backends::GL);
         let instance = wgpu::Instance::new(descriptor);
         let wanted = wgpu::RequestAdapterOptions {
@@ -117,17 +117,17 @@ impl Card {
             ..Default::default()
         }))
         .map_err(|e| GpuError::Failed { adapter: name.clone(), reason: e.to_string() })?;
-        let said = Arc::new(Mutex::new(None));
-        let heard = said.clone();
+        let last_error = Arc::new(Mutex::new(None));
+        let heard = last_error.clone();
         device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| {
             heard.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(e.to_string());
         }));
-        Ok(Self { device, queue, name, software: is_software, atomics, said })
+        Ok(Self { device, queue, name, software: is_software, atomics, last_error })
     }
 
-    /// What went wrong since the last time, if anything.
+    /// Takes the driver's first error since the last check.
     pub fn check(&self) -> Result<(), GpuError> {
-        match self.said.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        match self.last_error.lock().unwrap_or_else(PoisonError::into_inner).take() {
             Some(reason) => Err(self.failed(reason)),
             None => Ok(()),
         }
@@ -137,15 +137,15 @@ impl Card {
         GpuError::Failed { adapter: self.name.clone(), reason: reason.into() }
     }
 
-    /// A small buffer with something in it, whole words.
+    /// A buffer with content, in whole words.
     pub fn buffer(&self, label: &str, content: &[u8], usage: wgpu::BufferUsages) -> wgpu::Buffer {
-        let buffer = self.room(label, content.len() as u64, usage | wgpu::BufferUsages::COPY_DST);
+        let buffer = self.allocate(label, content.len() as u64, usage | wgpu::BufferUsages::COPY_DST);
         self.queue.write_buffer(&buffer, 0, content);
         buffer
     }
 
     /// An empty buffer.
-    pub fn room(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+    pub fn allocate(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
         self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
             size,
@@ -161,14 +161,14 @@ impl Card {
         })
     }
 
-    /// Does what was encoded, and waits for it.
+    /// Submits an encoder and waits for it.
     pub fn run(&self, encoder: wgpu::CommandEncoder) -> Result<(), GpuError> {
         let submission = self.queue.submit([encoder.finish()]);
         self.check()?;
         self.wait(submission)
     }
 
-    /// Waits until the card has done something.
+    /// Waits for a submission.
     pub fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), GpuError> {
         let wait = wgpu::PollType::Wait { submission_index: Some(submission), timeout: None };
         self.device.poll(wait).map(drop).map_err(|e| self.failed(e.to_string()))
@@ -179,28 +179,28 @@ impl Card {
     }
 }
 
-/// A buffer that grows as needed and is written anew each frame.
-pub struct Growing {
+/// A buffer that grows as needed, written again each frame.
+pub struct GrowableBuffer {
     label: &'static str,
     usage: wgpu::BufferUsages,
     buffer: Option<wgpu::Buffer>,
 }
 
-impl Growing {
+impl GrowableBuffer {
     pub fn new(label: &'static str, usage: wgpu::BufferUsages) -> Self {
         Self { label, usage, buffer: None }
     }
 
-    /// Room for `size` bytes.
-    pub fn room(&mut self, card: &Card, size: u64) -> &wgpu::Buffer {
+    /// The buffer, with room for `size` bytes.
+    pub fn allocate(&mut self, card: &GpuDevice, size: u64) -> &wgpu::Buffer {
         let size = size.max(256);
         let held = self.buffer.take().filter(|b| b.size() >= size);
-        self.buffer.insert(held.unwrap_or_else(|| card.room(self.label, size.next_power_of_two(), self.usage)))
+        self.buffer.insert(held.unwrap_or_else(|| card.allocate(self.label, size.next_power_of_two(), self.usage)))
     }
 
-    /// The content, in room for it.
-    pub fn write(&mut self, card: &Card, content: &[u8]) -> &wgpu::Buffer {
-        let buffer = self.room(card, content.len() as u64);
+    /// The buffer, with this content.
+    pub fn write(&mut self, card: &GpuDevice, content: &[u8]) -> &wgpu::Buffer {
+        let buffer = self.allocate(card, content.len() as u64);
         if !content.is_empty() {
             card.queue.write_buffer(buffer, 0, content);
         }

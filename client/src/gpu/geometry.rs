@@ -1,20 +1,21 @@
-//! Clusters on the card: one vertex and one index buffer per chunk of geometry, made when it is first wanted.
+//! Geometry on the GPU: one vertex and one index buffer per chunk, uploaded when first needed.
 //!
-//! What is kept is bounded in bytes; the chunks that were drawn longest ago go first. A chunk that the cache has let go goes as well.
+//! The memory is bounded; the least recently drawn chunks are evicted first. A chunk that the cache
+//! has evicted is removed as well.
 
 use super::{
-    device::Card,
-    shelf::Shelf,
-    transfer::{Allowance, Transfer},
+    device::GpuDevice,
+    lru::GpuLru,
+    transfer::{Transfer, UploadBudget},
 };
 use bytemuck::{Pod, Zeroable};
 use ldi_protocol::mesh::{CellGeometry, Cluster, MAX_CLUSTER_TRIANGLES};
 use std::sync::{Arc, Weak};
 
-/// Bytes of geometry that stay on the card when they are not drawn: some five million vertices.
+/// Bytes of geometry that are kept without being drawn.
 const KEPT_BYTES: u64 = 256 << 20;
 
-/// A corner of triangles, as `near.wgsl` reads it.
+/// A vertex in the layout of `near.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub struct Corner {
@@ -24,7 +25,7 @@ pub struct Corner {
     colour: [f32; 3],
 }
 
-/// Where a cluster lies in its chunk's buffers.
+/// The range of a cluster in its chunk's buffers.
 #[derive(Clone, Copy)]
 pub struct Span {
     pub first_index: u32,
@@ -32,18 +33,18 @@ pub struct Span {
     pub first_corner: i32,
 }
 
-/// A chunk on the card.
-pub struct Uploaded {
+/// A chunk on the GPU.
+pub struct UploadedGeometry {
     pub corners: wgpu::Buffer,
     pub indices: wgpu::Buffer,
-    /// By number of the cluster.
+    /// Ranges by cluster number.
     pub spans: Vec<Span>,
-    /// Held so that the address stays this chunk's.
+    /// Keeps the chunk's address from being used again.
     source: Weak<CellGeometry>,
 }
 
-/// See the module. By address.
-pub struct Geometry(Shelf<usize, Uploaded>);
+/// Uploaded chunks, by address.
+pub struct Geometry(GpuLru<usize, UploadedGeometry>);
 
 fn address(geometry: &Arc<CellGeometry>) -> usize {
     Arc::as_ptr(geometry) as usize
@@ -51,29 +52,30 @@ fn address(geometry: &Arc<CellGeometry>) -> usize {
 
 impl Geometry {
     pub fn new() -> Self {
-        Self(Shelf::new(KEPT_BYTES))
+        Self(GpuLru::new(KEPT_BYTES))
     }
 
     pub fn begin_frame(&mut self) {
         self.0.begin_frame(|u| u.source.strong_count() > 0);
     }
 
-    /// Puts a chunk onto the card, as much of it as is allowed; returns whether all of it is there.
-    pub fn bring(&mut self, card: &Card, chunk: &Arc<CellGeometry>, allowance: &mut Allowance) -> bool {
-        self.0.bring(address(chunk), card, allowance, || Uploaded::new(card, chunk))
+    /// Uploads a chunk within the budget. Returns whether it is complete.
+    pub fn upload(&mut self, card: &GpuDevice, chunk: &Arc<CellGeometry>, budget: &mut UploadBudget) -> bool {
+        self.0.upload(address(chunk), card, budget, || UploadedGeometry::new(card, chunk))
     }
 
-    /// Whether a chunk is there, on its way, or can stay besides what the frame has wanted so far.
+    /// Whether a chunk is uploaded, being uploaded, or fits beside everything that the frame has
+    /// used so far.
     pub fn has_room(&self, chunk: &Arc<CellGeometry>) -> bool {
         self.0.has(address(chunk)) || self.0.has_room(bytes(chunk))
     }
 
-    /// A chunk that is there.
-    pub fn get(&self, chunk: &Arc<CellGeometry>) -> Option<&Uploaded> {
+    /// A completely uploaded chunk.
+    pub fn get(&self, chunk: &Arc<CellGeometry>) -> Option<&UploadedGeometry> {
         self.0.get(address(chunk))
     }
 
-    /// Bytes on the card.
+    /// Bytes on the GPU.
     pub fn bytes(&self) -> u64 {
         self.0.bytes()
     }
@@ -83,20 +85,20 @@ impl Geometry {
     }
 }
 
-/// Of a chunk on the card.
+/// Bytes of a chunk on the GPU.
 fn bytes(chunk: &CellGeometry) -> u64 {
     let of = |c: &Cluster| size_of::<Corner>() * c.positions.len() + 6 * c.triangles.len().min(MAX_CLUSTER_TRIANGLES);
     chunk.clusters.iter().map(|c| of(c) as u64).sum()
 }
 
-impl Uploaded {
-    /// Also its bytes, and what must be sent.
-    fn new(card: &Card, chunk: &Arc<CellGeometry>) -> (Self, u64, Transfer) {
+impl UploadedGeometry {
+    /// Also returns its bytes and the transfer.
+    fn new(card: &GpuDevice, chunk: &Arc<CellGeometry>) -> (Self, u64, Transfer) {
         let (mut corners, mut indices, mut spans) = (Vec::<Corner>::new(), Vec::<u16>::new(), Vec::new());
         for cluster in &chunk.clusters {
             let first_index = indices.len() as u32;
             let count = cluster.positions.len();
-            // Triangles that name corners which are not there are left out, as on the processor.
+            // Triangles with invalid corners are left out, as on the CPU.
             let whole = |t: &&[u16; 3]| t.iter().all(|c| usize::from(*c) < count);
             indices.extend(cluster.triangles.iter().take(MAX_CLUSTER_TRIANGLES).filter(whole).flatten());
             let span =

@@ -1,10 +1,11 @@
-//! Images on the card: the arrays of a [`PreparedLdi`], one buffer each over all of its tiles, put there once.
+//! Images on the GPU: the arrays of a [`PreparedLdi`], one buffer each for all its tiles, uploaded
+//! once.
 
-use super::{device::Card, transfer::Transfer};
+use super::{device::GpuDevice, transfer::Transfer};
 use crate::warp::PreparedLdi;
 use bytemuck::{Pod, Zeroable};
 
-/// A tile's places in the buffers, as `warp.wgsl` reads it.
+/// Ranges of a tile in the layout of `warp.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct Tile {
@@ -16,7 +17,7 @@ struct Tile {
     pieces: u32,
 }
 
-/// A sample, likewise.
+/// A sample in the layout of `warp.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct Sample {
@@ -26,14 +27,14 @@ struct Sample {
     colour: u32,
 }
 
-/// Bits of a sample's number in a tile: there are at most 1,105.
+/// Bits of a sample's number in a tile.
 const NUMBER_BITS: u32 = 11;
-/// Marks the quads whose sides are counted, one in eight.
+/// Marks the quads whose sides are measured.
 const COUNTED: u32 = 1 << 31;
 const COUNTED_EVERY: u32 = 8;
 
-/// An image on the card.
-pub struct Uploaded {
+/// An image on the GPU.
+pub struct UploadedImage {
     pub tiles: wgpu::Buffer,
     pub samples: wgpu::Buffer,
     pub quads: wgpu::Buffer,
@@ -42,7 +43,7 @@ pub struct Uploaded {
     first_tile: Vec<u32>,
 }
 
-/// An image as a card reads it, not there yet: it can be made on any thread.
+/// An image in the GPU's format, not uploaded yet; can be packed on any thread.
 pub struct Packed {
     tiles: Vec<Tile>,
     samples: Vec<Sample>,
@@ -87,7 +88,7 @@ impl Packed {
                     samples: count,
                     first_quad,
                     quads: quads.len() as u32 - first_quad,
-                    // 128 words each.
+                    // Groups have 128 words each.
                     first_group: (groups.len() / 128) as u32,
                     pieces: tile.pieces as u32,
                 });
@@ -102,16 +103,16 @@ impl Packed {
         Self { tiles, samples, quads, groups, first_tile }
     }
 
-    /// Bytes on the card, nearly.
+    /// Approximate bytes on the GPU.
     pub fn bytes(&self) -> u64 {
         let [tiles, samples] = [size_of_val(&*self.tiles), size_of_val(&*self.samples)];
         (tiles + samples + size_of_val(&*self.quads) + size_of_val(&*self.groups)) as u64
     }
 }
 
-impl Uploaded {
-    /// Also its bytes, and what must be sent.
-    pub fn new(card: &Card, packed: Packed) -> (Self, u64, Transfer) {
+impl UploadedImage {
+    /// Also returns its bytes and the transfer.
+    pub fn new(card: &GpuDevice, packed: Packed) -> (Self, u64, Transfer) {
         let storage = wgpu::BufferUsages::STORAGE;
         let bytes = packed.bytes();
         let Packed { tiles, samples, quads, groups, first_tile } = packed;
@@ -126,13 +127,13 @@ impl Uploaded {
         (uploaded, bytes, transfer)
     }
 
-    /// The number of a tile among all, from its part's and its own there.
+    /// The number of a tile among all, from its part's and its own number.
     pub fn tile(&self, [part, tile]: [u32; 2]) -> u32 {
         self.first_tile.get(part as usize).map_or(0, |first| first + tile)
     }
 }
 
-/// Bytes that an image takes on the card in its largest buffer: cards cannot bind any size.
+/// Bytes of an image's largest buffer on the GPU: bindings have a limited size.
 pub fn largest_buffer(laid_out: &PreparedLdi) -> u64 {
     let (mut samples, mut quads, mut groups) = (0, 0, 0);
     for part in &laid_out.parts {

@@ -1,14 +1,16 @@
-//! Near geometry by the card's rasterizer (`near.wgsl`).
+//! Near geometry on the hardware rasterizer (`near.wgsl`).
 //!
-//! In: the cells to draw, as for [`crate::near::Rasterizer`]. Out: the same picture, on the card; and read back, the same frame. Depth on the card is disparity times the near plane's distance, greater is nearer, the first of
-//! equally near triangles wins; placements come to the card in f32 relative to the eye, formed in f64, so that a scene far from the world's origin looks the same.
+//! In: the cells to draw, as for [`crate::near::Rasterizer`]. Out: the same picture, on the GPU,
+//! and read back on request. Depth on the GPU is disparity times the near plane's distance: greater
+//! is nearer, and the first of equally near triangles wins. Placements are relative to the eye,
+//! formed in f64, so that a scene far from the world's origin looks the same.
 
 use super::{
-    device::{Card, GpuError, Growing},
+    device::{GpuDevice, GpuError, GrowableBuffer},
     geometry::Geometry,
     read_back::{ROW_ALIGNMENT, ReadBack},
     textures::Textures,
-    transfer::Allowance,
+    transfer::UploadBudget,
 };
 use crate::{
     frame::{Frame, SKY, Source},
@@ -28,16 +30,16 @@ use ldi_protocol::{
 use rayon::prelude::*;
 
 const COLOUR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
-/// The same codes, not decoded when they are read.
+/// The same format, read without decoding.
 pub const COLOUR_CODES: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
-/// Bytes per pixel of either.
+/// Bytes per pixel of both targets.
 const PIXEL: u32 = 4;
 
 /// The camera, as `near.wgsl` reads it.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
-struct View {
+struct ViewUniform {
     scale: [f32; 2],
     near_m: f32,
     unused: f32,
@@ -53,7 +55,7 @@ struct Placed {
     kind: [f32; 4],
 }
 
-/// A draw with what it takes.
+/// A draw with its resources.
 struct Item {
     geometry: u32,
     cluster: u32,
@@ -61,24 +63,24 @@ struct Item {
     masked: bool,
 }
 
-/// Where pictures are drawn.
+/// Render targets.
 struct Targets {
     size: [u32; 2],
     colour: wgpu::Texture,
     depth: wgpu::Texture,
 }
 
-/// See the module.
-pub struct Near {
+/// Pipelines, targets and objects of near geometry.
+pub struct NearPass {
     solid: wgpu::RenderPipeline,
     masked: wgpu::RenderPipeline,
     view: wgpu::Buffer,
     view_group: wgpu::BindGroup,
     pub geometry: Geometry,
     pub textures: Textures,
-    placed: Growing,
+    placed: GrowableBuffer,
     targets: Option<Targets>,
-    /// Nothing was drawn into them.
+    /// Whether the targets are empty.
     is_empty: bool,
     read_back: ReadBack,
 }
@@ -89,8 +91,8 @@ const PLACED: [wgpu::VertexAttribute; 8] = wgpu::vertex_attr_array![
     4 => Float32x4, 5 => Float32x4, 6 => Float32x4, 7 => Float32x3, 8 => Float32x3, 9 => Float32x3, 10 => Float32x4, 11 => Float32x4
 ];
 
-impl Near {
-    pub fn new(card: &Card) -> Self {
+impl NearPass {
+    pub fn new(card: &GpuDevice) -> Self {
         let textures = Textures::new(card);
         let view_layout = card.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("view"),
@@ -152,8 +154,11 @@ impl Near {
                 cache: None,
             })
         };
-        let view =
-            card.room("view", size_of::<View>() as u64, wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST);
+        let view = card.allocate(
+            "view",
+            size_of::<ViewUniform>() as u64,
+            wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+        );
         let view_group = card.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("view"),
             layout: &view_layout,
@@ -166,7 +171,7 @@ impl Near {
             view_group,
             geometry: Geometry::new(),
             textures,
-            placed: Growing::new("placed", wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_DST),
+            placed: GrowableBuffer::new("placed", wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_DST),
             targets: None,
             is_empty: true,
             read_back: ReadBack::new(),
@@ -178,18 +183,18 @@ impl Near {
         self.textures.clear();
     }
 
-    /// A frame begins.
+    /// Starts a frame.
     pub fn begin_frame(&mut self) {
         self.geometry.begin_frame();
         self.textures.begin_frame();
     }
 
-    /// See [`super::Gpu::draw`]; of textures no more than is allowed goes to the card.
+    /// See [`super::Gpu::draw`]. Textures are uploaded within the budget.
     #[expect(clippy::too_many_arguments, reason = "the card and what a frame depends on")]
     pub fn draw(
         &mut self,
-        card: &Card,
-        allowance: &mut Allowance,
+        card: &GpuDevice,
+        budget: &mut UploadBudget,
         index: &Index,
         resident: &dyn Resident,
         cells: &[u32],
@@ -203,13 +208,13 @@ impl Near {
             return Ok(scene.stats);
         }
         for chunk in &scene.held {
-            allowance.without_bound(|a| self.geometry.bring(card, chunk, a));
+            budget.without_bound(|a| self.geometry.upload(card, chunk, a));
         }
         for (number, texture) in scene.textures() {
-            self.textures.bring(card, number, texture, allowance);
+            self.textures.upload(card, number, texture, budget);
         }
         let (items, placed) = arrange(&scene, pose);
-        let view = View {
+        let view = ViewUniform {
             scale: [1.0 / camera.half_tan_x() as f32, 1.0 / camera.half_tan_y() as f32],
             near_m: NEAR_PLANE_M as f32,
             unused: 0.0,
@@ -224,17 +229,17 @@ impl Near {
         Ok(scene.stats)
     }
 
-    /// Bytes of geometry and textures on the card.
+    /// Bytes of geometry and textures on the GPU.
     pub fn bytes(&self) -> u64 {
         self.geometry.bytes() + self.textures.bytes()
     }
 
-    /// Colours and depths of the last picture, on the card.
+    /// Colours and depths of the last picture.
     pub fn textures(&self) -> Option<[&wgpu::Texture; 2]> {
         self.targets.as_ref().map(|t| [&t.colour, &t.depth])
     }
 
-    fn encode(&mut self, card: &Card, encoder: &mut wgpu::CommandEncoder, scene: &Gathered<'_>, items: &[Item]) {
+    fn encode(&mut self, card: &GpuDevice, encoder: &mut wgpu::CommandEncoder, scene: &Gathered<'_>, items: &[Item]) {
         let Some(targets) = &self.targets else { return };
         let [colour, depth] =
             [&targets.colour, &targets.depth].map(|t| t.create_view(&wgpu::TextureViewDescriptor::default()));
@@ -256,10 +261,10 @@ impl Near {
             multiview_mask: None,
         });
         pass.set_bind_group(0, &self.view_group, &[]);
-        pass.set_vertex_buffer(1, self.placed.room(card, 0).slice(..));
+        pass.set_vertex_buffer(1, self.placed.allocate(card, 0).slice(..));
         for (masked, pipeline) in [(false, &self.solid), (true, &self.masked)] {
             pass.set_pipeline(pipeline);
-            // What is bound already need not be bound again.
+            // Skips redundant bindings.
             let (mut geometry, mut texture) = (None, None);
             for (number, item) in (0u32..).zip(items).filter(|(_, i)| i.masked == masked) {
                 let Some(uploaded) = self.geometry.get(&scene.held[item.geometry as usize]) else { continue };
@@ -277,8 +282,8 @@ impl Near {
         }
     }
 
-    /// Reads colours and depths of the last picture back.
-    pub fn read(&mut self, card: &Card, camera: &OutputCamera, frame: &mut Frame) -> Result<(), GpuError> {
+    /// Reads colours and depths of the last picture.
+    pub fn read(&mut self, card: &GpuDevice, camera: &OutputCamera, frame: &mut Frame) -> Result<(), GpuError> {
         let [width, height] = [camera.width, camera.height].map(|n| n.min(MAX_SIDE_PX));
         frame.reset(width, height);
         let Some(targets) = self.targets.as_ref().filter(|t| !self.is_empty && t.size == [width, height]) else {
@@ -322,7 +327,7 @@ impl Near {
 }
 
 impl Targets {
-    fn new(card: &Card, size: [u32; 2]) -> Self {
+    fn new(card: &GpuDevice, size: [u32; 2]) -> Self {
         let target = |label, format, view_formats| {
             card.device.create_texture(&wgpu::TextureDescriptor {
                 label: Some(label),
@@ -370,7 +375,7 @@ fn arrange(scene: &Gathered<'_>, pose: &Pose) -> (Vec<Item>, Vec<Placed>) {
     (items, placed)
 }
 
-/// How a material continues its texture across and down, as `near.wgsl` reads it.
+/// The wrap modes of a material, in the encoding of `near.wgsl`.
 fn wrap_code([across, down]: [Wrap; 2]) -> f32 {
     let code = |wrap| match wrap {
         Wrap::Repeat => 0u8,

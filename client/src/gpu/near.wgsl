@@ -1,9 +1,11 @@
-// Near geometry: clusters in mesh space to shaded pixels. Colours in linear light; the target encodes them.
+// Near geometry: clusters in mesh space to shaded pixels. Colours in linear light; the target
+// encodes them.
 
 struct View {
     // Clip x and y per eye-space x and y: focal length over half the picture.
     scale: vec2f,
-    // Near plane, metres: with it depth is disparity times this, 1 at the near plane, 0 at infinity.
+    // Near plane, metres: with it depth is disparity times this, 1 at the near plane, 0 at
+    // infinity.
     near_m: f32,
     unused: f32,
 }
@@ -103,9 +105,11 @@ fn tap(u: f32, n: i32, wrap: u32) -> Tap {
     return Tap(clamp(first, 0, last), clamp(second, 0, last), x - below);
 }
 
-// The twin of the processor's sampler. Samplers of cards know places between texels to a 256th only, which beside bright texels shows by several codes in dark ones.
+// The twin of the processor's sampler. Samplers of cards know places between texels to a 256th
+// only, which beside bright texels shows by several codes in dark ones.
 fn bilinear(uv: vec2f, level: u32, wrap: u32) -> vec4f {
-    // Not asked for by level: Mesa's software driver would answer all pixels that it draws at once for the level of the first.
+    // Not asked for by level: Mesa's software driver would answer all pixels that it draws at once
+    // for the level of the first.
     let size = max(vec2i(textureDimensions(texels) >> vec2u(level)), vec2i(1));
     let x = tap(uv.x, size.x, wrap % 3u);
     let y = tap(uv.y, size.y, wrap / 3u);
@@ -146,7 +150,8 @@ fn shade(in: Between, lod: f32) -> vec4f {
     return vec4f(colour * amount, 1.0);
 }
 
-// Level of detail by the longer of the steps to the next pixel across and down, relative to the finest level here.
+// Level of detail by the longer of the steps to the next pixel across and down, relative to the
+// finest level here.
 fn level(across: vec2f, down: vec2f) -> f32 {
     let longest2 = max(dot(across, across), dot(down, down));
     return max(clamp(0.5 * log2(max(longest2, 1e-30)), 0.0, 32.0) - image.first_level, 0.0);

@@ -1,36 +1,37 @@
-//! From the card back to the processor.
+//! Reading buffers of the GPU.
 
-use super::device::{Card, GpuError, Growing};
+use super::device::{GpuDevice, GpuError, GrowableBuffer};
 use std::sync::mpsc;
 
-/// Rows of textures are copied to buffers at multiples of this.
+/// Alignment of texture rows in buffers.
 pub const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
 
-/// Buffers of the card whose content is read each frame.
+/// A buffer for reading back, reused every frame.
 pub struct ReadBack {
-    staging: Growing,
+    staging: GrowableBuffer,
 }
 
 impl ReadBack {
     pub fn new() -> Self {
-        Self { staging: Growing::new("read back", wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ) }
+        Self { staging: GrowableBuffer::new("read back", wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ) }
     }
 
-    /// Submits `encoder` after `fill` has copied `size` bytes into the buffer it is given, waits, and shows them to `see`.
+    /// Submits `encoder` after `fill` has copied `size` bytes into the given buffer, waits, and
+    /// passes them to `see`.
     pub fn run<T>(
         &mut self,
-        card: &Card,
+        card: &GpuDevice,
         mut encoder: wgpu::CommandEncoder,
         size: u64,
         fill: impl FnOnce(&mut wgpu::CommandEncoder, &wgpu::Buffer),
         see: impl FnOnce(&[u8]) -> T,
     ) -> Result<T, GpuError> {
-        let staging = self.staging.room(card, size);
+        let staging = self.staging.allocate(card, size);
         fill(&mut encoder, staging);
         let submission = card.queue.submit([encoder.finish()]);
         card.check()?;
         let (told, done) = mpsc::channel();
-        // The receiver waits below: it is there.
+        // The receiver waits below.
         staging.map_async(wgpu::MapMode::Read, 0..size, move |mapped| drop(told.send(mapped)));
         card.wait(submission)?;
         done.recv().map_err(|e| card.failed(e.to_string()))?.map_err(|e| card.failed(e.to_string()))?;

@@ -1,4 +1,5 @@
-//! The card's pictures against the processor's, on whatever adapter there is; a software one will do.
+//! The card's pictures against the processor's, on whatever adapter there is; a software one will
+//! do.
 
 use super::*;
 use crate::{
@@ -6,7 +7,7 @@ use crate::{
     frame::{Source, pack_rgb, unpack_rgb},
     near::Rasterizer,
     test_support::{Memory, dataset, plain_material, quad_cluster},
-    warp::{Order, Shown, Stamp, analytic, warp_images},
+    warp::{ImageInView, Order, Stamp, analytic, warp_images},
 };
 use glam::{DAffine3, DVec3, Vec3};
 use ldi_protocol::{
@@ -41,13 +42,13 @@ fn the_shaders_are_valid() {
     use naga::valid::Capabilities as C;
     assert_eq!(validate(include_str!("near.wgsl"), C::empty()), Ok(3));
     let with = |keep: &str| format!("{}\n{keep}", include_str!("warp.wgsl"));
-    for keep in [include_str!("keep_depth.wgsl"), include_str!("keep_colour.wgsl")] {
+    for keep in [include_str!("nearest_depth.wgsl"), include_str!("nearest_colour.wgsl")] {
         assert_eq!(validate(&with(keep), C::empty()), Ok(1));
     }
-    let wide = with(include_str!("keep_wide.wgsl"));
+    let wide = with(include_str!("nearest_wide.wgsl"));
     assert_eq!(validate(&wide, C::SHADER_INT64 | C::SHADER_INT64_ATOMIC_MIN_MAX), Ok(1));
     assert!(validate(&wide, C::empty()).is_err(), "what a card must have for it is asked for");
-    assert_eq!(validate(include_str!("join.wgsl"), C::empty()), Ok(5));
+    assert_eq!(validate(include_str!("composite.wgsl"), C::empty()), Ok(5));
 }
 
 /// PSNR of two pictures' colours, dB.
@@ -66,13 +67,16 @@ fn disagree(a: &Frame, b: &Frame) -> f64 {
     n as f64 / a.len() as f64
 }
 
-/// Pixels whose disparities differ by more than rounding and places of corners explain; alpha tests and edges may differ in single ones.
+/// Pixels whose disparities differ by more than rounding and places of corners explain; alpha tests
+/// and edges may differ in single ones.
 ///
-/// Cards round corners to a 256th of a pixel. Some lay the plane of depths through the rounded corners, others, and the processor, through the exact ones: up to a 512th of what
-/// disparity changes by from pixel to pixel, along each axis.
+/// Cards round corners to a 256th of a pixel. Some lay the plane of depths through the rounded
+/// corners, others, and the processor, through the exact ones: up to a 512th of what disparity
+/// changes by from pixel to pixel, along each axis.
 fn far_off(a: &Frame, b: &Frame) -> usize {
     let (width, d) = (a.width as usize, &a.disparity);
-    // The smaller of the changes to both sides, where there are both: the other one may lead over an edge.
+    // The smaller of the changes to both sides, where there are both: the other one may lead over
+    // an edge.
     let step = |at: usize, apart: usize| {
         let changes = [at.checked_sub(apart), Some(at + apart)].map(|o| Some((d[at] - d.get(o?)?).abs()));
         changes.into_iter().flatten().fold(f32::INFINITY, f32::min)
@@ -97,7 +101,8 @@ fn texture() -> Texture {
     Texture::from_base(MipLevel { width, height, rgba }, true)
 }
 
-/// Textured, masked, lit, coloured and absent things, some turned and scaled, `far_m` metres from the world's origin along each axis.
+/// Textured, masked, lit, coloured and absent things, some turned and scaled, `far_m` metres from
+/// the world's origin along each axis.
 fn scene(far_m: f64) -> (Index, Memory) {
     let at = DVec3::splat(far_m);
     let lit = Material { unlit: false, base_colour: [0.9, 0.5, 0.3, 1.0], ..plain_material() };
@@ -248,7 +253,7 @@ fn image(name: &str, side: u32) -> PreparedLdi {
 }
 
 fn warped(gpu: &mut Gpu, images: &[&PreparedLdi], pose: &Pose, stamp: Stamp) -> (FarFrame, WarpStats) {
-    let images: Vec<Shown<'_>> = images.iter().map(|i| Shown::from(*i)).collect();
+    let images: Vec<ImageInView<'_>> = images.iter().map(|i| ImageInView::from(*i)).collect();
     let mut far = FarFrame::new(CAMERA.width, CAMERA.height);
     let options = WarpOptions { stamp, ..WarpOptions::default() };
     let stats = gpu.warp_images(&images, pose, &CAMERA, &options).expect("warped");
@@ -275,7 +280,7 @@ fn warped_images_are_the_processors() {
                     // The card's own depth test leaves out what is hidden.
                     let options = WarpOptions { stamp, keep_hidden: true, ..WarpOptions::default() };
                     let of_processor = warp_images(
-                        &[Shown::from(&laid_out)],
+                        &[ImageInView::from(&laid_out)],
                         &[],
                         &pose,
                         &CAMERA,
@@ -292,7 +297,8 @@ fn warped_images_are_the_processors() {
                         (footprints.0 - footprints.1).abs() < 1e-3 * footprints.1,
                         "{name} {stamp}: {footprints:?}"
                     );
-                    // One sample on the other side of a pixel's border moves a whole stamp; a quad's pixels hardly change.
+                    // One sample on the other side of a pixel's border moves a whole stamp; a
+                    // quad's pixels hardly change.
                     let lost =
                         far.packed.iter().zip(&expected.packed).filter(|(a, b)| (**a == 0) != (**b == 0)).count();
                     assert!((lost as f64) < 1e-3 * far.packed.len() as f64, "{name} {stamp}: {lost} pixels");
@@ -325,7 +331,8 @@ fn both_ways_to_keep_the_nearest_sample_give_the_same_picture() {
     }
 }
 
-/// What stands in for the tree: every seventh pixel that nothing reached, and none of the leftmost columns, which stay for the fill.
+/// What stands in for the tree: every seventh pixel that nothing reached, and none of the leftmost
+/// columns, which stay for the fill.
 fn lay_some(frame: &mut Frame) -> u64 {
     let open = |frame: &Frame, at: usize| frame.source[at] == Source::Unpainted && at as u32 % frame.width > 40;
     let given: Vec<usize> = (0..frame.len()).filter(|at| at % 7 == 0 && open(frame, *at)).collect();
@@ -347,12 +354,14 @@ fn what_the_card_joins_is_what_the_processor_joins() {
         // Coarser than it is, so that near geometry often lies within a step.
         ldi.codes.step = 0.1;
         let shown = [FarImage::Here(&ldi, [-0.7, 0.7, -0.5, 0.5])];
-        // Whether near wins by a step, whether seams, sky and holes are there: each has to happen somewhere.
+        // Whether near wins by a step, whether seams, sky and holes are there: each has to happen
+        // somewhere.
         let (mut by_step, mut seams, mut sky, mut filled_in_all, mut from_tree) = (0, 0, 0, 0, 0);
         for (number, pose) in poses(0.0).into_iter().enumerate() {
             for (warped, drawn) in [(true, true), (true, false), (false, true)] {
                 let cells = if drawn { &cells[..] } else { &[] };
-                // Of every other pose samples as small as a pixel, between which the picture has gaps.
+                // Of every other pose samples as small as a pixel, between which the picture has
+                // gaps.
                 let stamp = if number % 2 == 0 { Stamp::OnePixel } else { Stamp::default() };
                 let options = WarpOptions { stamp, ..WarpOptions::default() };
                 gpu.draw(&index, &memory, cells, &CAMERA, &pose).expect("drawn");
@@ -360,7 +369,7 @@ fn what_the_card_joins_is_what_the_processor_joins() {
                 gpu.read_near(&CAMERA, &mut frame).expect("read back");
                 let mut picture = FarFrame::new(CAMERA.width, CAMERA.height);
                 if warped {
-                    gpu.warp_images(&[Shown::from(&laid_out)], &pose, &CAMERA, &options).expect("warped");
+                    gpu.warp_images(&[ImageInView::from(&laid_out)], &pose, &CAMERA, &options).expect("warped");
                     gpu.read_warped(&mut picture).expect("read back");
                 }
                 let untouched = FarFrame::new(CAMERA.width, CAMERA.height);
@@ -440,14 +449,15 @@ fn images_stay_on_the_card() {
     let Some(mut gpu) = card(Atomics::Best) else { return };
     let (a, b) = (image("sphere", 64), image("sphere", 64));
     let mut brought = |laid_out: &PreparedLdi| {
-        let before = gpu.brought_bytes();
-        assert!(gpu.bring_image(laid_out, &mut None, false).expect("brought"));
-        gpu.brought_bytes() > before
+        let before = gpu.uploaded_bytes();
+        assert!(gpu.upload_image(laid_out, &mut None, false).expect("brought"));
+        gpu.uploaded_bytes() > before
     };
     assert_eq!([&a, &a, &b, &a, &b].map(&mut brought), [true, false, true, false, false], "each layout once");
 }
 
-/// Each frame sends what it may; until all is there, nothing is shown of geometry and images, and small levels of a texture.
+/// Each frame sends what it may; until all is there, nothing is shown of geometry and images, and
+/// small levels of a texture.
 #[test]
 fn what_is_large_goes_to_the_card_in_slices() {
     let Some(mut gpu) = card(Atomics::Best) else { return };
@@ -457,7 +467,7 @@ fn what_is_large_goes_to_the_card_in_slices() {
         loop {
             gpu.begin_frame(allowed);
             let there = bring(&mut gpu);
-            sent.push(gpu.brought_bytes());
+            sent.push(gpu.uploaded_bytes());
             if there {
                 return sent;
             }
@@ -467,32 +477,32 @@ fn what_is_large_goes_to_the_card_in_slices() {
     let picture = image("sphere", 64);
     let (mut whole, mut sliced) =
         (FarFrame::new(CAMERA.width, CAMERA.height), FarFrame::new(CAMERA.width, CAMERA.height));
-    let sent = frames(10_000, &mut |gpu| gpu.bring_image(&picture, &mut None, false).expect("brought"));
+    let sent = frames(10_000, &mut |gpu| gpu.upload_image(&picture, &mut None, false).expect("brought"));
     let bytes = Packed::new(&picture).bytes();
     assert!(sent.len() as u64 == bytes.div_ceil(10_000) && sent.iter().sum::<u64>() == bytes, "{sent:?} of {bytes}");
     let (_, memory) = scene(0.0);
     let ball = &memory.cells[&1];
-    let sent = frames(1000, &mut |gpu| gpu.bring_geometry(ball, false).expect("brought"));
+    let sent = frames(1000, &mut |gpu| gpu.upload_geometry(ball, false).expect("brought"));
     assert!(sent.len() > 3 && sent.iter().all(|s| *s <= 1000), "{sent:?}");
     let (width, height) = (1000, 300);
     let rgba = (0..width * height).map(|i| [(i % 251) as u8, (i / width) as u8, 0, 255]).collect();
     let large = Arc::new(Texture::from_base(MipLevel { width, height, rgba }, false));
     let mut arrived = Vec::new();
     let sent = frames(100_000, &mut |gpu| {
-        arrived.push(gpu.bring_texture(5, &large).expect("brought"));
-        arrived.last() == Some(&Arrived::All)
+        arrived.push(gpu.upload_texture(5, &large).expect("brought"));
+        arrived.last() == Some(&TextureUpload::All)
     });
     // Small levels are 250 x 75 texels, a third more in all; else up to a row too many.
     assert!(sent.len() > 10 && sent.iter().all(|s| *s <= 104_000), "{sent:?}");
-    assert!(arrived[..arrived.len() - 1].iter().all(|a| *a == Arrived::Coarse), "{arrived:?}");
+    assert!(arrived[..arrived.len() - 1].iter().all(|a| *a == TextureUpload::Coarse), "{arrived:?}");
     // Levels that are not as large as they say are not sent.
     let level = |width, height, texels| Some(MipLevel { width, height, rgba: vec![[0; 4]; texels] });
     let faulty = Arc::new(Texture { levels: vec![level(8, 8, 63), level(4, 4, 16), level(2, 2, 0), level(1, 1, 1)] });
-    let sent = frames(1000, &mut |gpu| gpu.bring_texture(6, &faulty).expect("brought") == Arrived::All);
+    let sent = frames(1000, &mut |gpu| gpu.upload_texture(6, &faulty).expect("brought") == TextureUpload::All);
     assert_eq!(sent, [4 * (16 + 1)]);
     // What came in slices is what comes at once.
     let warp = |gpu: &mut Gpu, into: &mut FarFrame| {
-        let images = [Shown::from(&picture)];
+        let images = [ImageInView::from(&picture)];
         gpu.warp_images(&images, &poses(0.0)[0], &CAMERA, &WarpOptions::default()).expect("warped");
         gpu.read_warped(into).expect("read");
     };
@@ -509,14 +519,14 @@ fn what_is_not_seen_yet_does_not_drive_out_what_is() {
     let images: Vec<PreparedLdi> = (0..3).map(|_| image("sphere", 64)).collect();
     let bytes = Packed::new(&images[0]).bytes();
     gpu.warp.images.kept_bytes = 2 * bytes;
-    let bring = |gpu: &mut Gpu, i: usize, ahead| gpu.bring_image(&images[i], &mut None, ahead).expect("brought");
+    let bring = |gpu: &mut Gpu, i: usize, ahead| gpu.upload_image(&images[i], &mut None, ahead).expect("brought");
     gpu.begin_frame(u64::MAX);
     assert!(bring(&mut gpu, 0, false) && bring(&mut gpu, 1, true));
     assert!(!bring(&mut gpu, 2, true), "there is no room");
     assert_eq!((gpu.held_bytes(), gpu.holds(&images[2])), (2 * bytes, false));
     gpu.begin_frame(100);
     assert!(bring(&mut gpu, 0, false));
-    assert!(!bring(&mut gpu, 2, true) && gpu.brought_bytes() == 100, "begun instead of the one that nobody wants now");
+    assert!(!bring(&mut gpu, 2, true) && gpu.uploaded_bytes() == 100, "begun instead of the one that nobody wants now");
     assert!(gpu.warp.images.has(images[2].serial));
     for _ in 0..=PATIENCE + 1 {
         gpu.begin_frame(100);

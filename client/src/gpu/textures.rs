@@ -1,9 +1,9 @@
-//! Textures on the card: the levels that are here, put there anew when finer ones have come.
+//! Textures on the GPU: resident levels, uploaded again when finer ones arrive.
 
 use super::{
-    device::Card,
-    shelf::PATIENCE,
-    transfer::{Allowance, Transfer},
+    device::GpuDevice,
+    lru::PATIENCE,
+    transfer::{Transfer, UploadBudget},
 };
 use bytemuck::{Pod, Zeroable};
 use ldi_protocol::texture::{MipLevel, Texture};
@@ -12,7 +12,7 @@ use std::{
     sync::{Arc, Weak},
 };
 
-/// Levels of a texture up to this side go to the card at once, a third of a megabyte: it shows something from then on.
+/// Largest side of levels that are uploaded at once, so that every texture shows something.
 const SMALL_PX: u32 = 256;
 
 /// As `near.wgsl` reads it.
@@ -24,41 +24,41 @@ struct ImageInfo {
     unused: f32,
 }
 
-struct Uploaded {
-    /// Held so that the address stays this texture's.
+struct UploadedTexture {
+    /// Keeps the texture's address from being used again.
     source: Weak<Texture>,
     group: wgpu::BindGroup,
     bytes: u64,
-    /// All levels that are here and that the card can take.
+    /// Whether all resident levels that the GPU supports are uploaded.
     whole: bool,
-    /// The frame that wanted it last.
+    /// The frame that used it last.
     used: u64,
 }
 
-/// What of a texture is on the card.
+/// The state of a texture on the GPU.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Arrived {
-    /// It does not show.
+pub enum TextureUpload {
+    /// Nothing is uploaded.
     Nothing,
-    /// Levels show that are coarser than what has come.
+    /// Coarser levels than the resident ones are uploaded.
     Coarse,
-    /// All levels that have come.
+    /// All resident levels are uploaded.
     All,
 }
 
-/// See the module.
+/// The textures on the GPU.
 pub struct Textures {
     pub layout: wgpu::BindGroupLayout,
-    held: HashMap<u32, Uploaded>,
-    /// More of them, and what is still to be sent.
-    arriving: HashMap<u32, (Uploaded, Transfer)>,
+    held: HashMap<u32, UploadedTexture>,
+    /// Finer versions of textures, being uploaded.
+    arriving: HashMap<u32, (UploadedTexture, Transfer)>,
     frame: u64,
-    /// For materials without a texture.
+    /// Bound for materials without a texture.
     none: wgpu::BindGroup,
 }
 
 impl Textures {
-    pub fn new(card: &Card) -> Self {
+    pub fn new(card: &GpuDevice) -> Self {
         let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
             binding,
             visibility: wgpu::ShaderStages::FRAGMENT,
@@ -83,46 +83,53 @@ impl Textures {
         Self { layout, held: HashMap::new(), arriving: HashMap::new(), frame: 0, none }
     }
 
-    /// A frame begins.
+    /// Starts a frame.
     pub fn begin_frame(&mut self) {
         let last = self.frame;
         self.frame += 1;
         self.arriving.retain(|_, (u, _)| u.used + PATIENCE >= last);
-        // Those in sight a moment ago may come back at once; those that the cache has let go will not.
+        // Textures used recently may return at once; those that the cache has evicted will not.
         self.held.retain(|_, u| u.used == last || u.source.strong_count() > 0);
     }
 
-    /// Puts a texture onto the card, as much of it as is allowed: small levels first, which show until all are there.
-    pub fn bring(&mut self, card: &Card, number: u32, texture: &Arc<Texture>, allowance: &mut Allowance) -> Arrived {
-        let is = |u: &Uploaded| u.source.as_ptr() == Arc::as_ptr(texture);
+    /// Uploads a texture within the budget: small levels first, which are shown until all levels
+    /// are uploaded.
+    pub fn upload(
+        &mut self,
+        card: &GpuDevice,
+        number: u32,
+        texture: &Arc<Texture>,
+        budget: &mut UploadBudget,
+    ) -> TextureUpload {
+        let is = |u: &UploadedTexture| u.source.as_ptr() == Arc::as_ptr(texture);
         let held = self.held.get_mut(&number);
         let (any, all) = (held.is_some(), held.as_ref().is_some_and(|u| is(u) && u.whole));
         held.into_iter().for_each(|u| u.used = self.frame);
         if all {
-            return Arrived::All;
+            return TextureUpload::All;
         }
-        let Some(finest) = finest(card, texture) else { return Arrived::All };
-        if !any && allowance.left > 0 && bytes_from(texture, finest) > allowance.left {
+        let Some(finest) = finest(card, texture) else { return TextureUpload::All };
+        if !any && budget.left > 0 && bytes_from(texture, finest) > budget.left {
             let small = |l: &Option<MipLevel>| l.as_ref().is_some_and(|l| l.width.max(l.height) <= SMALL_PX);
             let first = texture.levels.iter().position(small).filter(|first| *first > finest);
             if let Some((uploaded, mut transfer)) = first.and_then(|first| self.begin(card, texture, first)) {
-                allowance.without_bound(|a| transfer.push(card, a));
-                self.held.insert(number, Uploaded { whole: false, ..uploaded });
+                budget.without_bound(|a| transfer.push(card, a));
+                self.held.insert(number, UploadedTexture { whole: false, ..uploaded });
             }
         }
         let mut arriving = self.arriving.remove(&number).filter(|(u, _)| is(u));
-        if arriving.is_none() && allowance.left > 0 {
+        if arriving.is_none() && budget.left > 0 {
             arriving = self.begin(card, texture, finest);
         }
         if let Some((mut uploaded, mut transfer)) = arriving {
-            if transfer.push(card, allowance) {
+            if transfer.push(card, budget) {
                 self.held.insert(number, uploaded);
-                return Arrived::All;
+                return TextureUpload::All;
             }
             uploaded.used = self.frame;
             self.arriving.insert(number, (uploaded, transfer));
         }
-        if self.held.contains_key(&number) { Arrived::Coarse } else { Arrived::Nothing }
+        if self.held.contains_key(&number) { TextureUpload::Coarse } else { TextureUpload::Nothing }
     }
 
     /// The texture of a material.
@@ -130,7 +137,7 @@ impl Textures {
         number.and_then(|n| self.held.get(&n)).map_or(&self.none, |u| &u.group)
     }
 
-    /// Bytes on the card, those on their way included.
+    /// Bytes on the GPU, including incomplete uploads.
     pub fn bytes(&self) -> u64 {
         self.held.values().chain(self.arriving.values().map(|(u, _)| u)).map(|u| u.bytes).sum()
     }
@@ -140,11 +147,11 @@ impl Textures {
         self.arriving.clear();
     }
 
-    /// The levels from `first` on, and what must be sent.
-    fn begin(&self, card: &Card, texture: &Arc<Texture>, first: usize) -> Option<(Uploaded, Transfer)> {
+    /// The levels from `first` on, and their transfer.
+    fn begin(&self, card: &GpuDevice, texture: &Arc<Texture>, first: usize) -> Option<(UploadedTexture, Transfer)> {
         let levels: Vec<_> = texture.levels[first..].iter().map_while(Option::as_ref).collect();
         let finest = levels.first()?;
-        let on_card = room(card, finest.width, finest.height, levels.len() as u32);
+        let on_card = allocate(card, finest.width, finest.height, levels.len() as u32);
         let mut transfer = Transfer::default();
         for number in 0..levels.len() {
             transfer.level(texture, first + number, &on_card, number as u32);
@@ -154,29 +161,29 @@ impl Textures {
         let group = group(card, &self.layout, &on_card, info);
         let bytes = bytes_from(texture, first);
         let source = Arc::downgrade(texture);
-        Some((Uploaded { source, group, bytes, whole: true, used: self.frame }, transfer))
+        Some((UploadedTexture { source, group, bytes, whole: true, used: self.frame }, transfer))
     }
 }
 
-/// The finest level that is here and that the card can take.
-fn finest(card: &Card, texture: &Texture) -> Option<usize> {
+/// The finest resident level that the GPU supports.
+fn finest(card: &GpuDevice, texture: &Texture) -> Option<usize> {
     let most = card.device.limits().max_texture_dimension_2d;
     texture.levels.iter().position(|l| l.as_ref().is_some_and(|l| l.width.max(l.height) <= most))
 }
 
-/// Bytes of the levels from the `first` on.
+/// Bytes of the levels from `first` on.
 fn bytes_from(texture: &Texture, first: usize) -> u64 {
     texture.levels[first..].iter().map_while(Option::as_ref).map(|l| size_of_val(&*l.rgba) as u64).sum()
 }
 
-fn white(card: &Card) -> wgpu::Texture {
-    let texture = room(card, 1, 1, 1);
+fn white(card: &GpuDevice) -> wgpu::Texture {
+    let texture = allocate(card, 1, 1, 1);
     let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4), rows_per_image: None };
     card.queue.write_texture(texture.as_image_copy(), &[255; 4], layout, texture.size());
     texture
 }
 
-fn room(card: &Card, width: u32, height: u32, levels: u32) -> wgpu::Texture {
+fn allocate(card: &GpuDevice, width: u32, height: u32, levels: u32) -> wgpu::Texture {
     card.device.create_texture(&wgpu::TextureDescriptor {
         label: Some("texels"),
         size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
@@ -189,7 +196,12 @@ fn room(card: &Card, width: u32, height: u32, levels: u32) -> wgpu::Texture {
     })
 }
 
-fn group(card: &Card, layout: &wgpu::BindGroupLayout, texture: &wgpu::Texture, info: ImageInfo) -> wgpu::BindGroup {
+fn group(
+    card: &GpuDevice,
+    layout: &wgpu::BindGroupLayout,
+    texture: &wgpu::Texture,
+    info: ImageInfo,
+) -> wgpu::BindGroup {
     let info = card.buffer("texture", bytemuck::bytes_of(&info), wgpu::BufferUsages::UNIFORM);
     let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
     card.device.create_bind_group(&wgpu::BindGroupDescriptor {

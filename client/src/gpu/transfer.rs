@@ -1,20 +1,21 @@
-//! Arrays on their way to the card, a slice with every picture: no picture waits for more than it may put there.
+//! Uploads in slices: each frame sends a part within its budget, so that no frame waits for a large
+//! object.
 
-use super::device::Card;
+use super::device::GpuDevice;
 use bytemuck::Pod;
 use ldi_protocol::texture::{MipLevel, Texture};
 use std::sync::Arc;
 
-/// What a frame may put onto the card.
+/// The upload budget of a frame.
 #[derive(Debug)]
-pub struct Allowance {
-    /// Bytes that are left.
+pub struct UploadBudget {
+    /// Remaining bytes.
     pub left: u64,
-    /// Bytes that it has put there.
+    /// Bytes sent.
     pub spent: u64,
 }
 
-impl Allowance {
+impl UploadBudget {
     pub fn new(left: u64) -> Self {
         Self { left, spent: 0 }
     }
@@ -24,7 +25,7 @@ impl Allowance {
         self.spent += bytes;
     }
 
-    /// Does what must be done, whatever is left.
+    /// Runs `f` without a limit, for objects that must be drawn now.
     pub fn without_bound<T>(&mut self, f: impl FnOnce(&mut Self) -> T) -> T {
         let (left, spent) = (std::mem::replace(&mut self.left, u64::MAX), self.spent);
         let done = f(self);
@@ -33,7 +34,7 @@ impl Allowance {
     }
 }
 
-/// What a buffer or a level of a texture is to hold.
+/// Content of a buffer or of a texture level.
 trait Content: Send + Sync {
     fn bytes(&self) -> &[u8];
 }
@@ -55,7 +56,7 @@ impl Content for Texels {
 
 enum To {
     Buffer(wgpu::Buffer),
-    /// Row after row of so many texels.
+    /// Rows of this many texels.
     Level {
         texture: wgpu::Texture,
         level: u32,
@@ -68,35 +69,35 @@ struct Part {
     content: Box<dyn Content>,
 }
 
-/// See the module.
+/// The parts of an object that are still to be sent.
 #[derive(Default)]
 pub struct Transfer {
-    /// The next one last.
+    /// The parts; the next one is last.
     parts: Vec<Part>,
-    /// Bytes of that one which are there.
+    /// Bytes of the next part already sent.
     sent: usize,
 }
 
 impl Transfer {
-    /// An array, for the buffer that is returned; never empty, which bindings do not allow.
+    /// Adds an array. Returns its buffer, which is never empty, as bindings require.
     pub fn array<T: Pod + Send + Sync>(
         &mut self,
-        card: &Card,
+        card: &GpuDevice,
         label: &str,
         mut content: Vec<T>,
         usage: wgpu::BufferUsages,
     ) -> wgpu::Buffer {
-        // Writes come in fours.
+        // Writes have multiples of four bytes.
         while !(content.len() * size_of::<T>()).is_multiple_of(4) {
             content.push(T::zeroed());
         }
         let size = (content.len() * size_of::<T>()).max(16) as u64;
-        let buffer = card.room(label, size, usage | wgpu::BufferUsages::COPY_DST);
+        let buffer = card.allocate(label, size, usage | wgpu::BufferUsages::COPY_DST);
         self.parts.push(Part { to: To::Buffer(buffer.clone()), content: Box::new(content) });
         buffer
     }
 
-    /// A level of a texture, number `from` there and `to` on the card.
+    /// Adds texture level `from` as level `to` on the GPU.
     pub fn level(&mut self, texture: &Arc<Texture>, from: usize, on_card: &wgpu::Texture, to: u32) {
         let whole = |l: &&MipLevel| l.width > 0 && l.rgba.len() == l.width as usize * l.height as usize;
         let Some(level) = texture.levels.get(from).and_then(Option::as_ref).filter(whole) else { return };
@@ -104,8 +105,9 @@ impl Transfer {
         self.parts.push(Part { to, content: Box::new(Texels(texture.clone(), from)) });
     }
 
-    /// Sends on, as much as is allowed, rounded up to words or rows. Returns whether all is there.
-    pub fn push(&mut self, card: &Card, allowance: &mut Allowance) -> bool {
+    /// Sends parts within the budget, rounded up to words or rows. Returns whether everything was
+    /// sent.
+    pub fn push(&mut self, card: &GpuDevice, budget: &mut UploadBudget) -> bool {
         while let Some(part) = self.parts.last() {
             let rest = &part.content.bytes()[self.sent..];
             if rest.is_empty() {
@@ -113,14 +115,14 @@ impl Transfer {
                 self.sent = 0;
                 continue;
             }
-            if allowance.left == 0 {
+            if budget.left == 0 {
                 return false;
             }
             let unit = match &part.to {
                 To::Buffer(_) => 4,
                 To::Level { width, .. } => 4 * *width as usize,
             };
-            let most = usize::try_from(allowance.left).unwrap_or(usize::MAX).min(rest.len());
+            let most = usize::try_from(budget.left).unwrap_or(usize::MAX).min(rest.len());
             let slice = &rest[..most.next_multiple_of(unit).min(rest.len())];
             match &part.to {
                 To::Buffer(buffer) => card.queue.write_buffer(buffer, self.sent as u64, slice),
@@ -135,7 +137,7 @@ impl Transfer {
                 }
             }
             self.sent += slice.len();
-            allowance.spend(slice.len() as u64);
+            budget.spend(slice.len() as u64);
         }
         true
     }

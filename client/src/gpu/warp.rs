@@ -1,41 +1,43 @@
-//! The warp by compute shaders (`warp.wgsl`): a workgroup per tile that reaches the picture.
+//! The warp by compute shaders (`warp.wgsl`): one workgroup per tile that reaches the picture.
 //!
-//! In: images that lie on the card, a pose. Out: the same picture as the processor's, on the card; and read back. What a frame sends is a matrix per tile; which tiles reach the picture the processor finds out, as it does for
-//! its own warp. Samples are written as maxima, so that the picture depends on no order.
+//! In: images on the GPU, a pose. Out: the same picture as the CPU's, on the GPU, and read back on
+//! request. The CPU finds the tiles that reach the picture, and sends one matrix per tile. Samples
+//! are written as maxima, so that the picture does not depend on their order.
 
 use super::{
-    device::{Atomics, Card, GpuError, Growing},
-    images::{Packed, Uploaded},
+    device::{Atomics, GpuDevice, GpuError, GrowableBuffer},
+    images::{Packed, UploadedImage},
+    lru::GpuLru,
     read_back::ReadBack,
-    shelf::Shelf,
-    transfer::Allowance,
+    transfer::UploadBudget,
 };
 use crate::warp::{
-    FarFrame, PreparedLdi, Shown, Stamp, StretchHistogram, TileJob, WarpOptions, WarpStats, picture_bytes, tile_jobs,
+    FarFrame, ImageInView, Order, PreparedLdi, Stamp, StretchHistogram, TileJob, WarpOptions, WarpStats, picture_bytes,
+    tile_jobs,
 };
 use bytemuck::{Pod, Zeroable};
 use ldi_protocol::{OutputCamera, Pose};
 use rayon::prelude::*;
 
-/// Bytes of images that stay on the card, or those of the frame if they are more.
+/// Bytes of images that are kept; the current frame may exceed them.
 const KEPT_BYTES: u64 = 256 << 20;
-/// Workgroups along one axis of a dispatch, at most, on any card.
+/// Largest number of workgroups along one axis of a dispatch.
 const ACROSS: u32 = 65_535;
 
-/// Of a pixel: disparity and colour.
+/// Bytes of a pixel: disparity and colour.
 pub const PIXEL_BYTES: u64 = 8;
 
-/// As `warp.wgsl` reads it.
+/// Picture parameters in the layout of `warp.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
-struct Picture {
+struct PictureUniform {
     width: u32,
     height: u32,
     stamp: u32,
     unused: u32,
 }
 
-/// Likewise.
+/// A batch of tiles in the layout of `warp.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct Batch {
@@ -45,7 +47,7 @@ struct Batch {
     unused: u32,
 }
 
-/// Likewise.
+/// A tile's matrix in the layout of `warp.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct Job {
@@ -53,24 +55,24 @@ struct Job {
     tile: [u32; 4],
 }
 
-/// See the module.
-pub struct Warp {
-    /// One pass, or two.
+/// Pipelines, buffers and images of the warp.
+pub struct WarpPass {
+    /// One pass with 64-bit atomics, otherwise two.
     passes: Vec<wgpu::ComputePipeline>,
     frame_layout: wgpu::BindGroupLayout,
     image_layout: wgpu::BindGroupLayout,
     target_layout: wgpu::BindGroupLayout,
-    picture: Growing,
-    jobs: Growing,
+    picture: GrowableBuffer,
+    jobs: GrowableBuffer,
     figures: wgpu::Buffer,
     /// One plane of 64 bits, or two of 32.
-    targets: [Growing; 2],
-    /// By serial number.
-    pub images: Shelf<u64, Uploaded>,
+    targets: [GrowableBuffer; 2],
+    /// Images by serial number.
+    pub images: GpuLru<u64, UploadedImage>,
     read_back: ReadBack,
 }
 
-/// Words of the figures: the footprint and the histogram.
+/// Words of the statistics: footprint and histogram.
 const FIGURES: u64 = 1 + StretchHistogram::BINS as u64;
 
 fn storage(binding: u32, read_only: bool) -> wgpu::BindGroupLayoutEntry {
@@ -86,7 +88,7 @@ fn entry(binding: u32, ty: wgpu::BufferBindingType) -> wgpu::BindGroupLayoutEntr
     }
 }
 
-/// What the card knows a stamp as.
+/// The stamp's number in `warp.wgsl`.
 pub fn number_of(stamp: Stamp) -> Result<u32, GpuError> {
     match stamp {
         Stamp::Quads => Ok(0),
@@ -98,8 +100,14 @@ pub fn number_of(stamp: Stamp) -> Result<u32, GpuError> {
     }
 }
 
-impl Warp {
-    pub fn new(card: &Card) -> Self {
+/// Checks whether the shaders implement the stamp and the order.
+pub fn check_options(options: &WarpOptions) -> Result<(), GpuError> {
+    number_of(options.stamp)?;
+    if options.order == Order::Z { Ok(()) } else { Err(GpuError::Order(options.order)) }
+}
+
+impl WarpPass {
+    pub fn new(card: &GpuDevice) -> Self {
         let layout = |label, entries: &[wgpu::BindGroupLayoutEntry]| {
             card.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries })
         };
@@ -116,8 +124,8 @@ impl Warp {
             immediate_size: 0,
         });
         let keeps: &[&str] = match wide {
-            true => &[include_str!("keep_wide.wgsl")],
-            false => &[include_str!("keep_depth.wgsl"), include_str!("keep_colour.wgsl")],
+            true => &[include_str!("nearest_wide.wgsl")],
+            false => &[include_str!("nearest_depth.wgsl"), include_str!("nearest_colour.wgsl")],
         };
         let passes = keeps.iter().map(|keep| {
             let module = card.shader("warp", &format!("{}\n{keep}", include_str!("warp.wgsl")));
@@ -131,29 +139,29 @@ impl Warp {
             })
         });
         let (copy, storage) = (wgpu::BufferUsages::COPY_DST, wgpu::BufferUsages::STORAGE);
-        let target = || Growing::new("picture", storage | copy | wgpu::BufferUsages::COPY_SRC);
+        let target = || GrowableBuffer::new("picture", storage | copy | wgpu::BufferUsages::COPY_SRC);
         Self {
             passes: passes.collect(),
             frame_layout,
             image_layout,
             target_layout,
-            picture: Growing::new("warp", wgpu::BufferUsages::UNIFORM | copy),
-            jobs: Growing::new("tiles of the frame", storage | copy),
-            figures: card.room("figures", 4 * FIGURES, storage | copy | wgpu::BufferUsages::COPY_SRC),
+            picture: GrowableBuffer::new("warp", wgpu::BufferUsages::UNIFORM | copy),
+            jobs: GrowableBuffer::new("tiles of the frame", storage | copy),
+            figures: card.allocate("figures", 4 * FIGURES, storage | copy | wgpu::BufferUsages::COPY_SRC),
             targets: [target(), target()],
-            images: Shelf::new(KEPT_BYTES),
+            images: GpuLru::new(KEPT_BYTES),
             read_back: ReadBack::new(),
         }
     }
 
-    /// See [`super::Gpu::bring_image`].
-    pub fn bring(
+    /// See [`super::Gpu::upload_image`].
+    pub fn upload(
         &mut self,
-        card: &Card,
+        card: &GpuDevice,
         laid_out: &PreparedLdi,
         packed: &mut Option<Packed>,
         ahead: bool,
-        allowance: &mut Allowance,
+        budget: &mut UploadBudget,
     ) -> bool {
         let serial = laid_out.serial;
         if ahead && !self.images.has(serial) {
@@ -162,26 +170,26 @@ impl Warp {
                 return false;
             }
         }
-        self.images.bring(serial, card, allowance, || {
-            Uploaded::new(card, packed.take().unwrap_or_else(|| Packed::new(laid_out)))
+        self.images.upload(serial, card, budget, || {
+            UploadedImage::new(card, packed.take().unwrap_or_else(|| Packed::new(laid_out)))
         })
     }
 
     /// See [`super::Gpu::warp_images`].
     pub fn warp_images(
         &mut self,
-        card: &Card,
-        images: &[Shown<'_>],
+        card: &GpuDevice,
+        images: &[ImageInView<'_>],
         pose: &Pose,
         camera: &OutputCamera,
         options: &WarpOptions,
-        allowance: &mut Allowance,
+        budget: &mut UploadBudget,
     ) -> Result<WarpStats, GpuError> {
-        super::Gpu::can_warp(options)?;
+        check_options(options)?;
         let stamp = number_of(options.stamp)?;
         let (mut stats, mut jobs, mut batches) = (WarpStats::default(), Vec::<Job>::new(), Vec::new());
         for image in images {
-            allowance.without_bound(|a| self.bring(card, image.laid_out, &mut None, false, a));
+            budget.without_bound(|a| self.upload(card, image.laid_out, &mut None, false, a));
             let (tiles, more) = tile_jobs(image, pose, camera, options);
             stats.add(&more);
             let Some(uploaded) = self.images.get(image.laid_out.serial) else { continue };
@@ -194,7 +202,7 @@ impl Warp {
             ));
         }
         stats.bytes += picture_bytes(camera);
-        let picture = Picture { width: camera.width, height: camera.height, stamp, unused: 0 };
+        let picture = PictureUniform { width: camera.width, height: camera.height, stamp, unused: 0 };
         let encoder = self.encode(card, &picture, &jobs, &batches);
         let figures = &self.figures;
         let copy = |encoder: &mut wgpu::CommandEncoder, to: &wgpu::Buffer| {
@@ -210,16 +218,16 @@ impl Warp {
 
     fn encode(
         &mut self,
-        card: &Card,
-        picture: &Picture,
+        card: &GpuDevice,
+        picture: &PictureUniform,
         jobs: &[Job],
         batches: &[(u64, Batch)],
     ) -> wgpu::CommandEncoder {
         let pixels = u64::from(picture.width) * u64::from(picture.height);
         let [first, second] = &mut self.targets;
         let planes = match card.atomics {
-            Atomics::Wide => vec![first.room(card, PIXEL_BYTES * pixels)],
-            _ => [first, second].map(|plane| plane.room(card, PIXEL_BYTES / 2 * pixels)).to_vec(),
+            Atomics::Wide => vec![first.allocate(card, PIXEL_BYTES * pixels)],
+            _ => [first, second].map(|plane| plane.allocate(card, PIXEL_BYTES / 2 * pixels)).to_vec(),
         };
         let bind = |layout, buffers: &[&wgpu::Buffer]| {
             let entries: Vec<wgpu::BindGroupEntry<'_>> = (0u32..)
@@ -247,7 +255,7 @@ impl Warp {
                 Some((bind(&self.image_layout, &buffers), batch))
             })
             .collect();
-        // All depths come before any colour.
+        // All depths are written before any colour.
         for pipeline in &self.passes {
             let mut pass = encoder
                 .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("warp"), timestamp_writes: None });
@@ -262,21 +270,21 @@ impl Warp {
         encoder
     }
 
-    /// The planes of the last picture, on the card: colours, disparities, and the words between a pixel and the next.
-    pub fn planes(&mut self, card: &Card) -> ([&wgpu::Buffer; 2], u32) {
+    /// The planes of the last picture: colours, disparities, and words from one pixel to the next.
+    pub fn planes(&mut self, card: &GpuDevice) -> ([&wgpu::Buffer; 2], u32) {
         let wide = card.atomics == Atomics::Wide;
         let [first, second] = &mut self.targets;
-        let first = first.room(card, 0);
-        // Disparity is the upper half of 64 bits; of two planes it is the first.
-        if wide { ([first, first], 2) } else { ([second.room(card, 0), first], 1) }
+        let first = first.allocate(card, 0);
+        // Disparity is the upper half of 64 bits, or the first of two planes.
+        if wide { ([first, first], 2) } else { ([second.allocate(card, 0), first], 1) }
     }
 
-    /// Reads the last picture back into one of the same size.
-    pub fn read(&mut self, card: &Card, into: &mut FarFrame) -> Result<(), GpuError> {
+    /// Reads the last picture into one of the same size.
+    pub fn read(&mut self, card: &GpuDevice, into: &mut FarFrame) -> Result<(), GpuError> {
         let size = PIXEL_BYTES * into.packed.len() as u64;
         let wide = card.atomics == Atomics::Wide;
         let [first, second] = &mut self.targets;
-        let planes = [first.room(card, 0), second.room(card, 0)];
+        let planes = [first.allocate(card, 0), second.allocate(card, 0)];
         let copy = |encoder: &mut wgpu::CommandEncoder, to: &wgpu::Buffer| {
             if wide {
                 encoder.copy_buffer_to_buffer(planes[0], 0, to, 0, size);

@@ -1,5 +1,7 @@
-// The warp of tiles, one workgroup each: transform the tile's samples, then draw its micro-quads and border pieces, or its samples' stamps. The twin of the
-// processor's `transform` and `quads`, whose names it keeps. What keeps the nearest sample of a pixel, `put`, comes with one of the files keep_*.wgsl.
+// The warp of tiles, one workgroup each: transform the tile's samples, then draw its micro-quads
+// and border pieces, or its samples' stamps. The twin of the processor's `transform` and `quads`,
+// whose names it keeps. What keeps the nearest sample of a pixel, `put`, comes with one of the
+// files keep_*.wgsl.
 
 const TILE_ROWS = 16u;
 const TILE_COLUMNS = 64u;
@@ -44,7 +46,8 @@ struct Tile {
     pieces: u32,
 }
 
-// A tile that reaches the picture: X, Y and W as functions of (u, v, 1, d), relative to its upper left corner.
+// A tile that reaches the picture: X, Y and W as functions of (u, v, 1, d), relative to its upper
+// left corner.
 struct Job {
     x: vec4f,
     y: vec4f,
@@ -66,7 +69,8 @@ struct Sample {
 
 @group(1) @binding(0) var<storage, read> tiles: array<Tile>;
 @group(1) @binding(1) var<storage, read> samples: array<Sample>;
-// Numbers of the upper left and the lower left sample, 11 bits each; the highest bit: counts for the figures.
+// Numbers of the upper left and the lower left sample, 11 bits each; the highest bit: counts for
+// the figures.
 @group(1) @binding(2) var<storage, read> quads: array<u32>;
 // Groups of eight border pieces: u, v, disparity and colour, each by corner, then by piece.
 @group(1) @binding(3) var<storage, read> groups: array<u32>;

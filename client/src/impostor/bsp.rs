@@ -1,15 +1,18 @@
 //! A BSP tree whose planes lie in gaps between objects (Shade et al. 1996, section 4).
 //!
-//! In: boxes with how many triangles they hold. Out: a binary tree over them, so that as few as possible are cut, halves hold about as many triangles, and boxes of nodes are
-//! about as long as wide.
+//! In: boxes with their triangle counts. Out: a binary tree over them that cuts few objects, halves
+//! the triangles, and has nodes of compact shape.
 //!
-//! Objects are extended along each of some directions; an interval in which fewer objects lie than on both sides of it is a gap. Of all gaps that is taken which cuts the fewest objects, halves the
-//! triangles best, and lies across the longest extent. An object that is cut nevertheless goes to the side of its middle, whole: it was a cell of the dataset, and its triangles stay together.
+//! Objects are projected to each of several directions; an interval with fewer objects than on both
+//! sides of it is a gap. The chosen gap cuts the fewest objects, halves the triangles best, and
+//! lies across the longest extent. An object that is cut nevertheless goes as a whole to the side
+//! of its middle: it is a cell of the dataset.
 
 use glam::DVec3;
 use ldi_protocol::Aabb;
 
-/// Directions of planes, as the paper's for landscapes: around the vertical axis; and the vertical one, for buildings.
+/// Directions of planes: around the vertical axis, as in the paper for landscapes, and the vertical
+/// one for buildings.
 const DIRECTIONS: [DVec3; 5] = [
     DVec3::X,
     DVec3::Z,
@@ -17,32 +20,32 @@ const DIRECTIONS: [DVec3; 5] = [
     DVec3::new(std::f64::consts::FRAC_1_SQRT_2, 0.0, std::f64::consts::FRAC_1_SQRT_2),
     DVec3::new(std::f64::consts::FRAC_1_SQRT_2, 0.0, -std::f64::consts::FRAC_1_SQRT_2),
 ];
-/// What a gap that cuts costs more than any that does not: the other terms together reach 6.
+/// Cost of a gap that cuts objects, above the sum of all other terms.
 const CUTS: f64 = 10.0;
-/// What it costs to cut all objects, where halving badly costs 1, and so does a short extent.
+/// Cost of cutting all objects, relative to the other terms.
 const CUTS_ALL: f64 = 4.0;
 
-/// Something to be partitioned.
+/// An object to be partitioned.
 #[derive(Debug, Clone, Copy)]
 pub struct Object {
-    /// Metres.
+    /// Bounds, metres.
     pub bounds: Aabb,
-    /// How many it holds.
+    /// Number of triangles.
     pub triangles: u64,
 }
 
-/// A part of the scene.
+/// A node of the tree.
 #[derive(Debug, Clone)]
 pub struct Node {
-    /// Around all that it holds, metres.
+    /// Bounds of its objects, metres.
     pub bounds: Aabb,
-    /// How many it holds.
+    /// Number of triangles of its objects.
     pub triangles: u64,
-    /// What it holds.
+    /// Objects or children.
     pub content: Content,
 }
 
-/// What a node holds.
+/// Content of a node.
 #[derive(Debug, Clone)]
 pub enum Content {
     /// Numbers of objects.
@@ -51,16 +54,16 @@ pub enum Content {
     Inner([u32; 2]),
 }
 
-/// The tree. Node 0 is the root; none for no objects.
+/// The tree. Node 0 is the root; there are no nodes without objects.
 #[derive(Debug, Clone, Default)]
 pub struct Bsp {
     /// Parents before children.
     pub nodes: Vec<Node>,
-    /// How often a plane cut an object.
+    /// Number of objects cut by planes.
     pub cuts: usize,
 }
 
-/// Where to cut: objects that lie before the place along the direction, by their middles, are one half.
+/// A place to cut: objects whose middles lie before it along the direction are one half.
 #[derive(Debug, Clone, Copy)]
 struct Gap {
     direction: DVec3,
@@ -70,7 +73,7 @@ struct Gap {
 }
 
 impl Bsp {
-    /// Partitions objects until a leaf holds one, or at most so many triangles.
+    /// Partitions objects until a leaf holds one, or at most `leaf_triangles`.
     pub fn new(objects: &[Object], leaf_triangles: u64) -> Self {
         let mut tree = Self::default();
         if !objects.is_empty() {
@@ -95,7 +98,7 @@ impl Bsp {
 
     /// Objects of a node and all below it.
     pub fn objects_of(&self, node: u32, visit: &mut impl FnMut(u32)) {
-        // No recursion: whoever makes up an index can make the tree as deep as it has cells.
+        // Not recursive: the index may make the tree as deep as it has cells.
         let mut open = vec![node];
         while let Some(node) = open.pop() {
             match &self.nodes[node as usize].content {
@@ -112,7 +115,7 @@ fn node_of(objects: &[Object], held: Vec<u32>) -> Node {
     Node { bounds, triangles: of().map(|o| o.triangles).sum(), content: Content::Leaf(held) }
 }
 
-/// Both halves, neither of them empty, and how many objects the plane between them cuts.
+/// Both halves, none of them empty, and the number of objects that the plane cuts.
 fn halves(objects: &[Object], held: &[u32]) -> ([Vec<u32>; 2], usize) {
     let longest = DIRECTIONS.iter().map(|n| extent_of(objects, held, *n)).fold(0.0, f64::max);
     let gaps = DIRECTIONS.iter().filter_map(|n| best_gap(objects, held, *n, longest));
@@ -121,7 +124,7 @@ fn halves(objects: &[Object], held: &[u32]) -> ([Vec<u32>; 2], usize) {
         let before = |o: &u32| gap.direction.dot(objects[*o as usize].bounds.centre()) < gap.at;
         return (<[_; 2]>::from(held.iter().copied().partition::<Vec<u32>, _>(before)), gap.cut);
     }
-    // All lie within each other: by the order of their middles.
+    // All objects overlap: they are split by the order of their middles.
     let mut sorted = held.to_vec();
     let size = objects[held[0] as usize].bounds.size();
     sorted.sort_by(|a, b| {
@@ -146,7 +149,7 @@ fn extent_of(objects: &[Object], held: &[u32], direction: DVec3) -> f64 {
     high - low
 }
 
-/// The best gap across a direction that leaves something on both sides.
+/// The best gap across a direction with objects on both sides.
 fn best_gap(objects: &[Object], held: &[u32], direction: DVec3, longest: f64) -> Option<Gap> {
     let extents: Vec<[f64; 2]> = held.iter().map(|o| extent(&objects[*o as usize], direction)).collect();
     let sorted = |end: usize| {
@@ -164,13 +167,13 @@ fn best_gap(objects: &[Object], held: &[u32], direction: DVec3, longest: f64) ->
     let mut best: Option<Gap> = None;
     let mut begun = 0;
     for (ended, high) in (1..).zip(&highs) {
-        // What begins just where another ends does not overlap it.
+        // An object that begins where another ends does not overlap it.
         while lows.get(begun).is_some_and(|low| low < high) {
             begun += 1;
         }
         let Some(low) = lows.get(begun) else { break };
         if highs.get(ended).is_some_and(|next| next <= low && next > high) {
-            // Another ends before the next begins: fewer lie there.
+            // Another object ends before the next one begins: the following interval has fewer.
             continue;
         }
         let at = 0.5 * (high + low);
@@ -207,7 +210,8 @@ mod tests {
         tree.nodes.iter().filter_map(leaf).collect()
     }
 
-    /// A row of trees on level ground that is cut into squares: no plane cuts a tree, halves are even.
+    /// A row of trees on level ground that is cut into squares: no plane cuts a tree, halves are
+    /// even.
     #[test]
     fn an_even_row_is_halved_again_and_again_and_nothing_is_cut() {
         let objects: Vec<Object> =
@@ -219,7 +223,8 @@ mod tests {
         assert!(Bsp::new(&objects, 6400).nodes.len() == 1 && Bsp::new(&[], 1).nodes.is_empty());
     }
 
-    /// Across the short side the halves would be even, across the long one they are nearly: long nodes are halved first.
+    /// Across the short side the halves would be even, across the long one they are nearly: long
+    /// nodes are halved first.
     #[test]
     fn a_long_node_is_cut_across() {
         let mut objects = Vec::new();
@@ -244,7 +249,8 @@ mod tests {
     }
 
     proptest! {
-        /// All objects are in one leaf each, boxes hold what is below them, and where any plane of a direction cuts nothing, the one that was taken cuts nothing.
+        /// All objects are in one leaf each, boxes hold what is below them, and where any plane of
+        /// a direction cuts nothing, the one that was taken cuts nothing.
         #[test]
         fn nothing_is_lost_and_nothing_cut_where_a_gap_is(
             places in prop::collection::vec((prop::array::uniform3(0u32..40), prop::array::uniform3(1u32..9), 1u64..50), 1..40)

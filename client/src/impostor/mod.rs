@@ -1,17 +1,26 @@
-//! Hierarchical image caching (Shade, Lischinski, Salesin, DeRose, Snyder 1996): what is far is drawn from images that frames before have made.
+//! Hierarchical image caching (Shade, Lischinski, Salesin, DeRose, Snyder 1996): distant geometry
+//! is drawn from images of previous frames.
 //!
-//! In: the cells of a dataset, whatever of them is resident, and a pose. Out: colour and disparity of what is nearest at every pixel. Nothing is precomputed: a [BSP tree](bsp) over the cells'
-//! boxes is made when the dataset is known, and a node of it that will look alike for a while is drawn into an [image](picture), which stands for it as long as no corner of its box is seen farther than some pixels from where the image shows it ([`zone`]).
+//! In: the cells of a dataset, resident data, a pose. Out: colour and disparity of the nearest
+//! surface at every pixel. Nothing is precomputed: a BSP tree (`bsp`) over the cells' boxes is
+//! built when the dataset is known. A node whose appearance will stay valid for some time is drawn
+//! to an image (`image`), which replaces it as long as no corner of its box is displaced by more
+//! than some pixels (`safety_zone`).
 //!
-//! As in the paper each frame first decides for every node in view: draw its cached image, its geometry, or what is below it; then draws. Otherwise than in the paper:
-//! - of the images worth making those come first that save the most, and as many as take no more than [`Settings::spare_ms`] or [`Settings::spare_share`] longer than drawing the same: no frame stalls, the first neither;
-//! - what is drawn is composited by depth, which images know by the pixel, instead of back to front: near geometry would else stand out of the images' planes;
-//! - planes of images face the eye instead of lying along the picture, so that turning the head costs nothing.
+//! As in the paper each frame first decides for every visible node: draw its cached image, its
+//! geometry, or its children; then it draws. Changes against the paper:
+//! - Of the images worth making, those that save the most are made first, for at most
+//!   [`ImpostorSettings::spare_ms`] or [`ImpostorSettings::spare_share`] of additional time: no
+//!   frame stalls.
+//! - Images and geometry are composited by depth per pixel instead of back to front, as near
+//!   geometry may intersect the images' planes.
+//! - Image planes face the eye instead of being parallel to the picture, so that turning the head
+//!   costs nothing.
 
 mod bsp;
 mod costs;
-mod picture;
-mod zone;
+mod image;
+mod safety_zone;
 
 use crate::{
     frame::Frame,
@@ -21,33 +30,36 @@ use crate::{
 use bsp::{Bsp, Content, Object};
 use costs::Costs;
 use glam::DVec3;
+use image::{Framing, ImpostorImage};
 use ldi_protocol::{
     Aabb, OutputCamera, Pose,
     index::{CellEntry, Index},
     select::DrawFrusta,
 };
-use picture::{Framing, Picture};
+use safety_zone::{EyeMotion, both};
 use std::{collections::BTreeMap, time::Instant};
-use zone::{Way, both};
 
-/// How images are cached.
+/// Settings of image caching.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
-    /// How far off a corner of a node's box may be seen, pixels.
+pub struct ImpostorSettings {
+    /// Largest displacement of a corner of a node's box, pixels.
     pub error_px: f64,
-    /// Milliseconds that a frame may take longer for making images: by default half of a frame at 60 per second.
+    /// Additional time of a frame for making images, milliseconds.
     pub spare_ms: f64,
-    /// The same as a share of what the frame before took to draw, where that is more: who waits half a second for a frame is not served by images that never get made. The default, a quarter, is a guess; other shares were not tried.
+    /// Additional time as a share of the previous frame's time, if that is more, so that slow
+    /// scenes get images as well. The default is a judgement.
     pub spare_share: f64,
-    /// Most bytes of images: by default half of what the cache of chunks may hold, room for some hundred images as large as the picture.
+    /// Capacity for images, bytes.
     pub bytes: usize,
-    /// A leaf holds one cell, or several with at most so many triangles: an image each would cost more than drawing them. The default is 16 clusters or more, which take some milliseconds.
+    /// Largest number of triangles of a leaf with several cells. Smaller: images cost more than the
+    /// geometry they replace.
     pub leaf_triangles: u64,
-    /// What of the neighbourhood an image holds beyond its node, as a share of the node's size to each side, so that no cracks open between nodes (the paper: 17 percent in all).
+    /// Margin around a node in its image, as a share of the node's size per side, so that no cracks
+    /// open between nodes (the paper: 17 percent in all).
     pub inflated: f64,
 }
 
-impl Default for Settings {
+impl Default for ImpostorSettings {
     fn default() -> Self {
         Self {
             error_px: 2.0,
@@ -60,34 +72,34 @@ impl Default for Settings {
     }
 }
 
-/// What a frame did with images.
+/// Statistics of cached images in a frame.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Drawn {
-    /// That it shows.
+pub struct ImpostorStats {
+    /// Images drawn.
     pub images: u32,
-    /// That it made.
+    /// Images made.
     pub made: u32,
-    /// Milliseconds of geometry.
+    /// Milliseconds for geometry.
     pub near_ms: f64,
-    /// Of drawing images.
+    /// Milliseconds for drawing images.
     pub images_ms: f64,
-    /// Of making them.
+    /// Milliseconds for making images.
     pub made_ms: f64,
-    /// Bytes of all that are cached.
+    /// Memory of all cached images, bytes.
     pub bytes: usize,
 }
 
 /// Cached images of the nodes of a dataset.
 #[derive(Debug, Default)]
 pub struct Impostors {
-    /// How images are cached.
-    pub settings: Settings,
+    /// Settings.
+    pub settings: ImpostorSettings,
     nodes: Nodes,
     cached: BTreeMap<u32, Cached>,
     costs: Costs,
-    way: Way,
+    eye_motion: EyeMotion,
     frame: u64,
-    /// What the frame before took to draw, without making images, milliseconds.
+    /// Time of the previous frame without making images, milliseconds.
     drew_ms: f64,
     rasterizer: Rasterizer,
     drawing: Frame,
@@ -97,40 +109,40 @@ pub struct Impostors {
 /// The tree of a dataset.
 #[derive(Debug, Default)]
 struct Nodes {
-    /// Cells and triangles that it was made for.
+    /// Number of cells and triangles that the tree was built for.
     of: (usize, u64),
     tree: Bsp,
     parents: Vec<u32>,
-    /// Boxes with some of what is around.
+    /// Inflated boxes of the nodes.
     inflated: Vec<Aabb>,
-    /// About how many triangles of others lie in these.
+    /// Estimated number of other nodes' triangles in the inflated boxes.
     around: Vec<u64>,
 }
 
 #[derive(Debug)]
 struct Cached {
-    picture: Picture,
-    /// Where the images that it was made from are right.
+    picture: ImpostorImage,
+    /// Zone in which its source images are valid.
     parts: Aabb,
-    /// Its safety zone, within that.
+    /// Its safety zone within `parts`.
     zone: Aabb,
-    /// Frame in which it was last shown.
+    /// Frame in which it was last drawn.
     used: u64,
 }
 
-/// What a frame looks at.
-struct Look<'a> {
+/// Inputs of a frame.
+struct FrameInputs<'a> {
     index: &'a Index,
     resident: &'a dyn Resident,
     camera: &'a OutputCamera,
     pose: &'a Pose,
     frusta: DrawFrusta,
-    way: Way,
+    eye_motion: EyeMotion,
     angle: f64,
 }
 
-impl Look<'_> {
-    /// Whether a cell is here with all that it draws, be its textures as coarse as they may.
+impl FrameInputs<'_> {
+    /// Whether a cell is resident with all its geometry and textures, at any level.
     fn has(&self, cell: u32) -> bool {
         let entry = &self.index.cells[cell as usize];
         let texture = |material: &u32| self.index.materials.get(*material as usize)?.texture;
@@ -140,12 +152,12 @@ impl Look<'_> {
     }
 }
 
-/// What becomes of the nodes of a frame.
+/// The decision for each node of a frame.
 #[derive(Debug, Default)]
-struct Plan {
-    /// Leaves that are drawn as geometry.
+struct DrawPlan {
+    /// Leaves drawn as geometry.
     geometry: Vec<u32>,
-    /// Nodes whose images are.
+    /// Nodes drawn from images.
     images: Vec<u32>,
     /// Images worth making.
     candidates: Vec<Candidate>,
@@ -155,26 +167,27 @@ struct Plan {
 struct Candidate {
     node: u32,
     framing: Framing,
-    /// Where its parts are right.
+    /// Zone in which its source images are valid.
     parts: Aabb,
-    /// Its safety zone, within that.
+    /// Its safety zone within `parts`.
     zone: Aabb,
-    /// Frames that it is expected to last.
+    /// Expected number of frames of use.
     life: f64,
-    /// Of making it.
+    /// Expected time of making it.
     ms: f64,
-    /// What it saves each frame.
+    /// Time saved per frame.
     saved_ms: f64,
 }
 
 impl Candidate {
-    /// What it saves in its life, made and all (the paper's amortized cost against that of what it holds).
+    /// Time saved over its life, minus the time of making it (the paper's amortized cost compared
+    /// with that of its content).
     fn gain_ms(&self) -> f64 {
         self.saved_ms * self.life - self.ms
     }
 }
 
-/// Everywhere.
+/// The unbounded box.
 const ANYWHERE: Aabb = Aabb { min: DVec3::NEG_INFINITY, max: DVec3::INFINITY };
 
 fn ms_since(start: Instant) -> f64 {
@@ -182,7 +195,7 @@ fn ms_since(start: Instant) -> f64 {
 }
 
 impl Nodes {
-    fn new(index: &Index, settings: &Settings) -> Self {
+    fn new(index: &Index, settings: &ImpostorSettings) -> Self {
         let objects: Vec<Object> =
             index.cells.iter().map(|c| Object { bounds: c.bounds, triangles: c.triangles.into() }).collect();
         let tree = Bsp::new(&objects, settings.leaf_triangles);
@@ -210,7 +223,8 @@ impl Nodes {
         }
     }
 
-    /// How many triangles of other nodes lie in a node's inflated box, if they lie evenly in the boxes of their cells.
+    /// Number of other nodes' triangles in a node's inflated box, assuming a uniform distribution
+    /// in cells.
     fn triangles_around(&self, index: &Index, node: u32) -> u64 {
         let bounds = &self.inflated[node as usize];
         let cells = self.cells_around(index, node);
@@ -218,7 +232,7 @@ impl Nodes {
         cells.iter().map(|c| within(&index.cells[*c as usize])).sum::<f64>().ceil() as u64
     }
 
-    /// Cells that touch a node's inflated box and are no part of it.
+    /// Cells outside of a node that touch its inflated box.
     fn cells_around(&self, index: &Index, but: u32) -> Vec<u32> {
         let bounds = &self.inflated[but as usize];
         let mut found = Vec::new();
@@ -239,60 +253,60 @@ impl Nodes {
     }
 }
 
-/// Which share of a box lies in another, 0 to 1; of a flat one, of its area.
+/// Share of a box that lies in another, 0 to 1; for a flat one, of its area.
 fn share(of: &Aabb, within: &Aabb) -> f64 {
     let (size, part) = (of.size(), both(of, within).size());
     (0..3).map(|k| if size[k] > 0.0 { (part[k] / size[k]).max(0.0) } else { 1.0 }).product()
 }
 
 impl Impostors {
-    /// Draws `index`'s cells that are in view into `frame`, which it resizes and clears first: as geometry, or from images. `may_make`: the frame before lacked nothing, so that what is drawn will hardly get
-    /// finer; images are made only then.
+    /// Draws the visible cells into `frame`, which is resized and cleared: as geometry, or from
+    /// images. `may_make`: the previous frame was complete, so that images made now stay valid.
     pub fn draw(
         &mut self,
         (index, resident): (&Index, &dyn Resident),
         (camera, pose): (&OutputCamera, &Pose),
         may_make: bool,
         frame: &mut Frame,
-    ) -> (NearStats, Drawn) {
+    ) -> (NearStats, ImpostorStats) {
         if self.nodes.of != (index.cells.len(), index.scene.triangles) {
             (self.nodes, self.cached) = (Nodes::new(index, &self.settings), BTreeMap::new());
         }
         self.frame += 1;
-        self.way = self.way.then(pose.position);
-        let look = Look {
+        self.eye_motion = self.eye_motion.then(pose.position);
+        let inputs = FrameInputs {
             index,
             resident,
             camera,
             pose,
             frusta: DrawFrusta::new(&index.settings, pose, (camera.half_tan_x(), camera.half_tan_y())),
-            way: self.way,
+            eye_motion: self.eye_motion,
             angle: self.settings.error_px / camera.focal_px(),
         };
-        let mut drawn = Drawn::default();
+        let mut drawn = ImpostorStats::default();
         let start = Instant::now();
-        let mut plan = self.plan(&look, may_make);
+        let mut plan = self.plan(&inputs, may_make);
         if !plan.candidates.is_empty() {
-            drawn.made = self.make_best(std::mem::take(&mut plan.candidates), &look);
+            drawn.made = self.make_best(std::mem::take(&mut plan.candidates), &inputs);
             if drawn.made > 0 {
-                plan = self.plan(&look, false);
+                plan = self.plan(&inputs, false);
             }
         }
         drawn.made_ms = ms_since(start);
         let start = Instant::now();
-        let cells = self.cells_of(&plan.geometry, &look);
+        let cells = self.cells_of(&plan.geometry, &inputs);
         let stats = self.rasterizer.draw(index, resident, &cells, camera, pose, frame);
         drawn.near_ms = ms_since(start);
         self.costs.drew_geometry(drawn.near_ms, stats.triangles);
         let start = Instant::now();
-        drawn.images = self.draw_images(&plan.images, &look, frame);
+        drawn.images = self.draw_images(&plan.images, &inputs, frame);
         drawn.images_ms = ms_since(start);
         self.drew_ms = drawn.near_ms + drawn.images_ms;
         drawn.bytes = self.evict();
         (stats, drawn)
     }
 
-    /// Whether a node's image is right for an eye.
+    /// Whether a node's image is valid for an eye.
     fn is_valid(&self, node: u32, eye: DVec3, angle: f64) -> bool {
         self.cached.get(&node).is_some_and(|c| {
             let framing = &c.picture.framing;
@@ -301,17 +315,18 @@ impl Impostors {
         })
     }
 
-    /// The paper's first traversal.
-    fn plan(&self, look: &Look<'_>, may_make: bool) -> Plan {
+    /// The first traversal of the paper: decides on every node.
+    fn plan(&self, inputs: &FrameInputs<'_>, may_make: bool) -> DrawPlan {
         let nodes = &self.nodes.tree.nodes;
-        let mut plan = Plan::default();
-        let eye = look.pose.position;
-        let valid: Vec<bool> = (0..nodes.len() as u32).map(|n| self.is_valid(n, eye, look.angle)).collect();
-        // Milliseconds of what is in a node, all of it and what is in view. Children come after their parents.
+        let mut plan = DrawPlan::default();
+        let eye = inputs.pose.position;
+        let valid: Vec<bool> = (0..nodes.len() as u32).map(|n| self.is_valid(n, eye, inputs.angle)).collect();
+        // Cost of each node's content, visible and in total, milliseconds. Children come after
+        // their parents.
         let mut contents = vec![[0.0; 2]; nodes.len()];
         let mut as_drawn = contents.clone();
         for (number, node) in nodes.iter().enumerate().rev().filter(|_| may_make) {
-            let seen = |ms: f64| [ms, if look.frusta.admit(&node.bounds) { ms } else { 0.0 }];
+            let seen = |ms: f64| [ms, if inputs.frusta.admit(&node.bounds) { ms } else { 0.0 }];
             contents[number] = match node.content {
                 Content::Leaf(_) => seen(self.costs.geometry_ms(node.triangles)),
                 Content::Inner([a, b]) => [0, 1].map(|k| as_drawn[a as usize][k] + as_drawn[b as usize][k]),
@@ -322,7 +337,7 @@ impl Impostors {
         }
         let mut open = if nodes.is_empty() { Vec::new() } else { vec![0u32] };
         while let Some(node) = open.pop() {
-            if !look.frusta.admit(&nodes[node as usize].bounds) {
+            if !inputs.frusta.admit(&nodes[node as usize].bounds) {
                 continue;
             }
             if valid[node as usize] {
@@ -334,19 +349,19 @@ impl Impostors {
                 None => plan.geometry.push(node),
             }
             if may_make && self.costs.are_known() {
-                plan.candidates.extend(self.candidate(node, look, contents[node as usize]));
+                plan.candidates.extend(self.candidate(node, inputs, contents[node as usize]));
             }
         }
         plan
     }
 
-    /// An image of a node, if it is worth making.
-    fn candidate(&self, node: u32, look: &Look<'_>, contents_ms: [f64; 2]) -> Option<Candidate> {
+    /// A candidate for an image of a node, if it is worth making.
+    fn candidate(&self, node: u32, inputs: &FrameInputs<'_>, contents_ms: [f64; 2]) -> Option<Candidate> {
         let bounds = &self.nodes.inflated[node as usize];
-        let framing = Framing::new(bounds, look.pose.position, look.camera)?;
-        let parts = self.parts_zone(node, look);
-        let zone = both(&framing.plane.safety_zone(bounds, look.angle)?, &parts);
-        let life = look.way.life_span(&zone);
+        let framing = Framing::new(bounds, inputs.pose.position, inputs.camera)?;
+        let parts = self.parts_zone(node, inputs);
+        let zone = both(&framing.plane.safety_zone(bounds, inputs.angle)?, &parts);
+        let life = inputs.eye_motion.life_span(&zone);
         let shown_ms = self.costs.image_ms(framing.pixels());
         let [all_ms, seen_ms] = contents_ms;
         let around_ms = self.costs.geometry_ms(self.nodes.around[node as usize]);
@@ -356,16 +371,16 @@ impl Impostors {
         (candidate.gain_ms() > 0.0).then_some(candidate)
     }
 
-    /// Whether a node's image can be part of another: the eye is in its zone, which those that are merely right for the eye may have left.
-    fn is_part(&self, node: u32, look: &Look<'_>) -> bool {
-        let eye = look.pose.position;
-        self.cached.get(&node).is_some_and(|c| c.zone.contains(eye)) && self.is_valid(node, eye, look.angle)
+    /// Whether a node's image can be part of another: the eye must be in its safety zone.
+    fn is_part(&self, node: u32, inputs: &FrameInputs<'_>) -> bool {
+        let eye = inputs.pose.position;
+        self.cached.get(&node).is_some_and(|c| c.zone.contains(eye)) && self.is_valid(node, eye, inputs.angle)
     }
 
-    /// Where all the images are right that an image of a node would be made from.
-    fn parts_zone(&self, node: u32, look: &Look<'_>) -> Aabb {
+    /// The zone in which all source images of a node's image are valid.
+    fn parts_zone(&self, node: u32, inputs: &FrameInputs<'_>) -> Aabb {
         let mut zone = ANYWHERE;
-        self.parts_of(node, look, &mut |below, is_image| {
+        self.parts_of(node, inputs, &mut |below, is_image| {
             if let Some(cached) = self.cached.get(&below).filter(|_| is_image) {
                 zone = both(&zone, &cached.zone);
             }
@@ -373,47 +388,47 @@ impl Impostors {
         zone
     }
 
-    /// What an image of a node is made from: images and leaves below it.
-    fn parts_of(&self, node: u32, look: &Look<'_>, visit: &mut impl FnMut(u32, bool)) {
+    /// The sources of a node's image: images and leaves below it.
+    fn parts_of(&self, node: u32, inputs: &FrameInputs<'_>, visit: &mut impl FnMut(u32, bool)) {
         let mut open = vec![node];
         while let Some(below) = open.pop() {
             match self.nodes.children(below) {
-                _ if below != node && self.is_part(below, look) => visit(below, true),
+                _ if below != node && self.is_part(below, inputs) => visit(below, true),
                 Some(children) => open.extend(children),
                 None => visit(below, false),
             }
         }
     }
 
-    /// Cells of leaves that are in view, near to far.
-    fn cells_of(&self, leaves: &[u32], look: &Look<'_>) -> Vec<u32> {
+    /// Visible cells of leaves, near to far.
+    fn cells_of(&self, leaves: &[u32], inputs: &FrameInputs<'_>) -> Vec<u32> {
         let mut cells = Vec::new();
         leaves.iter().for_each(|leaf| self.nodes.tree.objects_of(*leaf, &mut |cell| cells.push(cell)));
-        cells.retain(|c| look.frusta.admit(&look.index.cells[*c as usize].bounds));
-        near_to_far(look.index, &mut cells, look.pose.position);
+        cells.retain(|c| inputs.frusta.admit(&inputs.index.cells[*c as usize].bounds));
+        near_to_far(inputs.index, &mut cells, inputs.pose.position);
         cells
     }
 
-    fn draw_images(&mut self, nodes: &[u32], look: &Look<'_>, frame: &mut Frame) -> u32 {
+    fn draw_images(&mut self, nodes: &[u32], inputs: &FrameInputs<'_>, frame: &mut Frame) -> u32 {
         let start = Instant::now();
         let mut pixels = 0;
         for node in nodes {
             if let Some(image) = self.cached.get_mut(node) {
                 image.used = self.frame;
-                pixels += image.picture.draw(look.camera, look.pose, frame);
+                pixels += image.picture.draw(inputs.camera, inputs.pose, frame);
             }
         }
         self.costs.drew_images(ms_since(start), pixels);
         nodes.len() as u32
     }
 
-    /// Makes images, those that save the most first, none of a node above or below another.
-    fn make_best(&mut self, mut candidates: Vec<Candidate>, look: &Look<'_>) -> u32 {
+    /// Makes the images that save the most, none of them above or below another.
+    fn make_best(&mut self, mut candidates: Vec<Candidate>, inputs: &FrameInputs<'_>) -> u32 {
         candidates.sort_by(|a, b| {
             let gain = |c: &Candidate| c.gain_ms() / c.ms;
             gain(b).total_cmp(&gain(a)).then(a.node.cmp(&b.node))
         });
-        // What the frame takes longer: what was made by the clock, what it saves by what things cost.
+        // Additional time of the frame: measured for making, estimated for savings.
         let mut longer_ms = 0.0;
         let spare_ms = self.settings.spare_ms.max(self.settings.spare_share * self.drew_ms);
         let mut made: Vec<u32> = Vec::new();
@@ -432,7 +447,7 @@ impl Impostors {
             };
             let start = Instant::now();
             if !made.iter().any(related)
-                && let Some(picture) = self.make(&candidate, look)
+                && let Some(picture) = self.make(&candidate, inputs)
             {
                 longer_ms += ms_since(start) - candidate.saved_ms;
                 self.cached.insert(
@@ -445,25 +460,26 @@ impl Impostors {
         made.len() as u32
     }
 
-    /// An image of all that is in a node, from images where there are some. None if something of it is not here.
-    fn make(&mut self, candidate: &Candidate, look: &Look<'_>) -> Option<Picture> {
+    /// Makes the image of a node, from other images if possible. None if some of its content is
+    /// absent.
+    fn make(&mut self, candidate: &Candidate, inputs: &FrameInputs<'_>) -> Option<ImpostorImage> {
         let start = Instant::now();
         let Candidate { node, framing, .. } = candidate;
         let (mut own, mut images) = (Vec::new(), Vec::new());
-        self.parts_of(*node, look, &mut |below, is_image| match is_image {
+        self.parts_of(*node, inputs, &mut |below, is_image| match is_image {
             true => images.push(below),
             false => self.nodes.tree.objects_of(below, &mut |cell| own.push(cell)),
         });
         let inflated = self.nodes.inflated[*node as usize];
-        if !own.iter().all(|cell| look.has(*cell)) {
+        if !own.iter().all(|cell| inputs.has(*cell)) {
             return None;
         }
-        // What of it is not here is not in view either, and no crack opens beside it.
-        let mut around = self.nodes.cells_around(look.index, *node);
-        around.retain(|cell| look.has(*cell));
+        // Absent cells around it are not visible, and cause no cracks.
+        let mut around = self.nodes.cells_around(inputs.index, *node);
+        around.retain(|cell| inputs.has(*cell));
         let (camera, pose) = (&framing.camera, &framing.pose);
-        [&mut own, &mut around].into_iter().for_each(|cells| near_to_far(look.index, cells, look.pose.position));
-        let (index, resident) = (look.index, look.resident);
+        [&mut own, &mut around].into_iter().for_each(|cells| near_to_far(inputs.index, cells, inputs.pose.position));
+        let (index, resident) = (inputs.index, inputs.resident);
         let stats = self.rasterizer.draw(index, resident, &own, camera, pose, &mut self.drawing);
         let gathered = gather_within(index, resident, &around, &inflated);
         let neighbours = self.rasterizer.draw_gathered(gathered, (camera, pose), &mut self.neighbours);
@@ -475,10 +491,10 @@ impl Impostors {
             }
         }
         self.costs.made_image(ms_since(start), triangles, framing.pixels());
-        Some(Picture::new(*framing, &self.drawing))
+        Some(ImpostorImage::new(*framing, &self.drawing))
     }
 
-    /// Forgets images that were not shown for the longest, until the rest fits. Bytes of what is left.
+    /// Evicts images that were not drawn for longest, until the rest fits. Returns its bytes.
     fn evict(&mut self) -> usize {
         let mut bytes: usize = self.cached.values().map(|c| c.picture.bytes()).sum();
         while bytes > self.settings.bytes {

@@ -39,11 +39,11 @@ fn at(x: f64) -> Pose {
 
 /// One that believes geometry to be dear, so that all that may be cached is.
 fn eager(error_px: f64) -> Impostors {
-    let settings = Settings { error_px, spare_ms: 1e6, leaf_triangles: 250, ..Settings::default() };
+    let settings = ImpostorSettings { error_px, spare_ms: 1e6, leaf_triangles: 250, ..ImpostorSettings::default() };
     Impostors { settings, costs: Costs::fixed(1e-2), ..Impostors::default() }
 }
 
-fn draw(impostors: &mut Impostors, scene: &(Index, Memory), pose: &Pose) -> (Frame, NearStats, Drawn) {
+fn draw(impostors: &mut Impostors, scene: &(Index, Memory), pose: &Pose) -> (Frame, NearStats, ImpostorStats) {
     let mut frame = Frame::default();
     let (stats, drawn) = impostors.draw((&scene.0, &scene.1), (&CAMERA, pose), true, &mut frame);
     (frame, stats, drawn)
@@ -56,7 +56,8 @@ fn anew(scene: &(Index, Memory), pose: &Pose) -> Frame {
     frame
 }
 
-/// Share of pixels that show something in one of both frames and nothing within `around` pixels in the other.
+/// Share of pixels that show something in one of both frames and nothing within `around` pixels in
+/// the other.
 fn strays(a: &Frame, b: &Frame, around: i64) -> f64 {
     let shows = |f: &Frame, x: i64, y: i64| {
         x >= 0
@@ -122,7 +123,8 @@ fn an_image_seen_from_its_own_eye_is_the_picture() {
     }
 }
 
-/// A wall that is its image's own plane, so that every depth has a closed form, for an eye that came nearer, stepped aside and turned.
+/// A wall that is its image's own plane, so that every depth has a closed form, for an eye that
+/// came nearer, stepped aside and turned.
 #[test]
 fn images_know_how_far_away_things_are_for_another_eye() {
     let wall_z = -60.0;
@@ -132,7 +134,7 @@ fn images_know_how_far_away_things_are_for_another_eye() {
     let mut drawing = Frame::new(framing.camera.width, framing.camera.height);
     drawing.disparity.fill(-1.0 / wall_z as f32);
     drawing.colour.fill(0x0033_2211);
-    let picture = Picture::new(framing, &drawing);
+    let picture = ImpostorImage::new(framing, &drawing);
     let pose = Pose { position: DVec3::new(3.0, 1.0, -9.0), yaw_deg: 6.0, pitch_deg: -3.0 };
     let mut frame = Frame::new(CAMERA.width, CAMERA.height);
     picture.draw(&CAMERA, &pose, &mut frame);
@@ -235,7 +237,7 @@ fn images_wait_for_time_to_spare_which_grows_with_the_frame() {
     let scene = scene();
     let made = |spare_share: f64| {
         let mut impostors = eager(2.0);
-        impostors.settings = Settings { spare_ms: 0.0, spare_share, ..impostors.settings };
+        impostors.settings = ImpostorSettings { spare_ms: 0.0, spare_share, ..impostors.settings };
         (0..6).map(|_| draw(&mut impostors, &scene, &at(0.0)).2.made).sum::<u32>()
     };
     assert_eq!(made(0.0), 0);

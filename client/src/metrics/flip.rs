@@ -1,10 +1,11 @@
-//! FLIP: how different two pictures look when one is flipped to the other on a screen (Andersson et al., "FLIP: A Difference
-//! Evaluator for Alternating Images", HPG 2020), by NVIDIA's implementation.
+//! FLIP: the visible difference between two pictures that alternate on a screen (Andersson et al.,
+//! "FLIP: A Difference Evaluator for Alternating Images", HPG 2020), by NVIDIA's implementation.
 
-use super::{MetricError, Picture};
+use super::{MetricError, RgbImage};
 use nv_flip::{FlipImageRgb8, flip};
 
-/// Pixels per degree of the viewer's field: 0.7 m from a 0.7 m wide screen of 3840 pixels, the authors' default.
+/// Pixels per degree of the viewer's field of view: the authors' default, 0.7 m from a 0.7 m wide
+/// screen of 3840 pixels.
 pub const PIXELS_PER_DEGREE: f32 = 67.0;
 
 /// The error of each pixel, 0 (alike) to 1.
@@ -15,9 +16,9 @@ pub struct FlipMap {
 
 impl FlipMap {
     /// Compares `test` with `truth`.
-    pub fn new(truth: &Picture, test: &Picture) -> Result<Self, MetricError> {
+    pub fn new(truth: &RgbImage, test: &RgbImage) -> Result<Self, MetricError> {
         truth.same_size(test)?;
-        let image = |p: &Picture| FlipImageRgb8::with_data(p.width, p.height, &p.rgb);
+        let image = |p: &RgbImage| FlipImageRgb8::with_data(p.width, p.height, &p.rgb);
         Ok(Self { errors: flip(image(truth), image(test), PIXELS_PER_DEGREE).to_vec() })
     }
 
@@ -31,7 +32,7 @@ impl FlipMap {
         self.errors.iter().map(|e| f64::from(*e)).sum::<f64>() / self.errors.len() as f64
     }
 
-    /// Mean over the pixels whose number satisfies `wanted`; None when there is none.
+    /// Mean over the pixels whose index satisfies `wanted`; None if there is none.
     pub fn mean_where(&self, wanted: impl Fn(usize) -> bool) -> Option<f64> {
         let (sum, n) = self
             .errors

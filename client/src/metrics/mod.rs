@@ -1,7 +1,7 @@
-//! How far a picture is from the truth: PSNR, SSIM and FLIP, all over 8-bit sRGB.
+//! Picture quality metrics: PSNR, SSIM and FLIP, over 8-bit sRGB.
 //!
-//! In: two pictures of one size, as RGB bytes row by row. Out: numbers, and for FLIP the error of every pixel, so that means
-//! over parts of the picture (the pixels that came from a warp) can be taken.
+//! In: two pictures of one size, as RGB bytes row by row. Out: scores, and for FLIP the error of
+//! every pixel, so that means over parts of the picture (warped pixels) can be taken.
 
 mod flip;
 mod psnr;
@@ -11,9 +11,9 @@ pub use flip::{FlipMap, PIXELS_PER_DEGREE};
 pub use psnr::{LARGEST_DB, psnr_db};
 pub use ssim::ssim;
 
-/// A picture of RGB bytes; the constructor is the only door and checks the length.
+/// A picture of RGB bytes; the constructor checks the length.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Picture {
+pub struct RgbImage {
     width: u32,
     height: u32,
     rgb: Vec<u8>,
@@ -22,7 +22,7 @@ pub struct Picture {
 /// The pictures cannot be compared.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum MetricError {
-    /// Another number of bytes than three per pixel.
+    /// The number of bytes is not three per pixel.
     #[error("a picture of {width} x {height} pixels has {bytes} bytes; three per pixel are expected")]
     Length {
         /// Columns.
@@ -37,7 +37,7 @@ pub enum MetricError {
     Size((u32, u32), (u32, u32)),
 }
 
-impl Picture {
+impl RgbImage {
     /// Takes `3 * width * height` bytes.
     pub fn new(width: u32, height: u32, rgb: Vec<u8>) -> Result<Self, MetricError> {
         if rgb.is_empty() || rgb.len() as u64 != 3 * u64::from(width) * u64::from(height) {

@@ -1,12 +1,14 @@
-//! Structural similarity after Wang, Bovik, Sheikh and Simoncelli ("Image Quality Assessment", IEEE TIP 2004, equation 13): 11 x 11
-//! Gaussian window of sigma 1.5, K1 = 0.01, K2 = 0.03, data range 255; the mean over all positions where the window lies
-//! inside the picture. As in their reference implementation it is taken on luma: Y = 0.299 R + 0.587 G + 0.114 B of the
-//! 8-bit codes, not rounded.
+//! Structural similarity after Wang, Bovik, Sheikh and Simoncelli ("Image Quality Assessment", IEEE
+//! TIP 2004, equation 13): 11 x 11 Gaussian window of sigma 1.5, K1 = 0.01, K2 = 0.03, data range
+//! 255; the mean over all positions where the window lies inside the picture. As in their reference
+//! implementation it is taken on luma: Y = 0.299 R + 0.587 G + 0.114 B of the 8-bit codes, not
+//! rounded.
 //!
-//! The window is separable: each of the five moments (x, y, x^2, y^2, xy) is filtered along rows, then along columns.
-//! Rows of the result are independent and summed in order, so that the value does not depend on the number of threads.
+//! The window is separable: each of the five moments (x, y, x^2, y^2, xy) is filtered along rows,
+//! then along columns. Rows of the result are independent and summed in order, so that the value
+//! does not depend on the number of threads.
 
-use super::{MetricError, Picture};
+use super::{MetricError, RgbImage};
 use rayon::prelude::*;
 
 const WINDOW: usize = 11;
@@ -21,7 +23,7 @@ fn weights() -> [f32; WINDOW] {
     raw.map(|w| (w / sum) as f32)
 }
 
-fn luma(p: &Picture) -> Vec<f32> {
+fn luma(p: &RgbImage) -> Vec<f32> {
     // Centred on 128: variances are differences of moments, and smaller numbers cancel less.
     p.rgb
         .chunks_exact(3)
@@ -30,7 +32,7 @@ fn luma(p: &Picture) -> Vec<f32> {
 }
 
 /// Mean SSIM in [-1, 1]; None for pictures smaller than the window.
-pub fn ssim(a: &Picture, b: &Picture) -> Result<Option<f64>, MetricError> {
+pub fn ssim(a: &RgbImage, b: &RgbImage) -> Result<Option<f64>, MetricError> {
     a.same_size(b)?;
     let (width, height) = (a.width as usize, a.height as usize);
     if width < WINDOW || height < WINDOW {

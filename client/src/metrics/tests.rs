@@ -2,12 +2,12 @@
 
 use super::*;
 
-fn picture(width: u32, height: u32, f: impl Fn(u32, u32, u32) -> u8) -> Picture {
+fn picture(width: u32, height: u32, f: impl Fn(u32, u32, u32) -> u8) -> RgbImage {
     let rgb = (0..height)
         .flat_map(|y| (0..width).map(move |x| (x, y)))
         .flat_map(|(x, y)| [f(x, y, 0), f(x, y, 1), f(x, y, 2)])
         .collect();
-    Picture::new(width, height, rgb).expect("three bytes per pixel")
+    RgbImage::new(width, height, rgb).expect("three bytes per pixel")
 }
 
 /// Any texture will do.
@@ -35,8 +35,8 @@ fn psnr_of_a_constant_offset() {
 }
 
 /// Equation 13 straight from its definition, in f64, every window on its own.
-fn ssim_by_definition(a: &Picture, b: &Picture) -> f64 {
-    let luma = |p: &Picture, x: usize, y: usize| {
+fn ssim_by_definition(a: &RgbImage, b: &RgbImage) -> f64 {
+    let luma = |p: &RgbImage, x: usize, y: usize| {
         let c = &p.rgb()[3 * (y * p.size().0 as usize + x)..];
         0.299 * f64::from(c[0]) + 0.587 * f64::from(c[1]) + 0.114 * f64::from(c[2])
     };
@@ -92,7 +92,7 @@ fn flip_knows_black_from_white_and_where() {
 
 #[test]
 fn sizes_and_lengths_are_checked() {
-    assert!(matches!(Picture::new(2, 2, vec![0; 11]), Err(MetricError::Length { bytes: 11, .. })));
+    assert!(matches!(RgbImage::new(2, 2, vec![0; 11]), Err(MetricError::Length { bytes: 11, .. })));
     let (a, b) = (picture(12, 11, noise), picture(11, 12, noise));
     assert!(matches!(psnr_db(&a, &b), Err(MetricError::Size(..))));
     assert!(ssim(&a, &b).is_err() && FlipMap::new(&a, &b).is_err());

@@ -1,8 +1,8 @@
-//! Alpha tests by blocks: most of a cut-out texture is plainly there or plainly not.
+//! Alpha tests by blocks: most of a cut-out texture is fully opaque or fully transparent.
 //!
-//! In: a texture. Out: per block of 4 x 4 texels of its finest level the least and the greatest alpha that a bilinear sample
-//! inside can have. A test then reads two bytes, and the four texels only where the block does not decide. On a forest of
-//! alpha-masked leaves that is one test in ten.
+//! In: a texture. Out: for each block of 4 x 4 texels of its finest level the smallest and largest
+//! alpha of bilinear samples inside. A test reads two bytes, and the texels only where the block
+//! does not decide.
 
 use glam::Vec2;
 use ldi_protocol::{
@@ -10,12 +10,12 @@ use ldi_protocol::{
     texture::{MipLevel, Texture, sample_alpha},
 };
 
-/// Texels along a side of a block. Larger decides less often, smaller reads more memory.
+/// Texels along a side of a block. Larger: decides less often; smaller: reads more memory.
 const BLOCK: usize = 4;
 /// Bilinear weights are rounded: blocks decide only this far from the cutoff, in alpha.
 const MARGIN: f32 = 1e-4;
 
-/// See the module.
+/// The blocks of a texture.
 #[derive(Debug, Default)]
 pub(super) struct AlphaBlocks {
     columns: usize,
@@ -27,7 +27,7 @@ pub(super) struct AlphaBlocks {
 }
 
 impl AlphaBlocks {
-    /// Blocks of the finest level that is there; none for a texture without levels.
+    /// Blocks of the finest resident level; none for a texture without levels.
     pub fn new(texture: &Texture) -> Self {
         let Some(level) = texture.level_or_coarser(0) else { return Self::default() };
         let (columns, rows) = ((level.width as usize).div_ceil(BLOCK), (level.height as usize).div_ceil(BLOCK));
@@ -37,10 +37,11 @@ impl AlphaBlocks {
         Self { columns, rows, per_unit, range }
     }
 
-    /// Whether the texture's alpha at `uv` times `factor` reaches `cutoff`: what [`sample_alpha`] says, sooner.
+    /// Whether the texture's alpha at `uv` times `factor` reaches `cutoff`: equals
+    /// [`sample_alpha`], but faster.
     #[inline]
     pub fn passes(&self, texture: &Texture, uv: Vec2, wrap: [Wrap; 2], factor: f32, cutoff: f32) -> bool {
-        // Saturating casts: coordinates that are not finite read block 0, which decides nothing wrong that matters.
+        // Saturating casts: coordinates that are not finite read block 0.
         let column = ((fold(uv.x, wrap[0]) * self.per_unit.x) as usize).min(self.columns.wrapping_sub(1));
         let row = ((fold(uv.y, wrap[1]) * self.per_unit.y) as usize).min(self.rows.wrapping_sub(1));
         if let Some(range) = self.range.get(row.wrapping_mul(self.columns).wrapping_add(column)) {
@@ -74,8 +75,9 @@ fn fold(u: f32, wrap: Wrap) -> f32 {
     }
 }
 
-/// Extremes over a block and the ring around it, which bilinear samples near its border read. At the picture's border the ring
-/// holds the border itself (clamped, mirrored) and the opposite one (tiled).
+/// Extremes of a block and the ring around it, which bilinear samples near its border read. At the
+/// texture's border the ring contains the border itself (clamped, mirrored) and the opposite one
+/// (tiled).
 fn block_range(level: &MipLevel, column: usize, row: usize) -> [u8; 2] {
     let ring = |block: usize, size: u32| {
         let size = size as usize;

@@ -1,6 +1,6 @@
-//! From cells to draws: which clusters are drawn, where, with which material.
+//! Gathers draws from cells: clusters, their placements and materials.
 
-use super::{NearStats, alpha::AlphaBlocks};
+use super::{alpha::AlphaBlocks, stats::NearStats};
 use crate::resident::Resident;
 use glam::{DAffine3, Vec3};
 use ldi_protocol::{
@@ -11,8 +11,8 @@ use ldi_protocol::{
 };
 use std::{collections::BTreeMap, ops::Range, sync::Arc};
 
-/// Largest number of draws in a frame: a triangle's number is 24 bits of draw and 8 bits of triangle, and the last is
-/// reserved for "none".
+/// Largest number of draws in a frame: a triangle's number has 24 bits for the draw and 8 bits for
+/// the triangle; the last number is reserved.
 const MAX_DRAWS: usize = (1 << 24) - 1;
 
 /// A cluster in the world.
@@ -26,7 +26,8 @@ pub(crate) struct Draw {
     pub world_from_mesh: DAffine3,
 }
 
-/// Alpha blocks of the textures in use, kept from frame to frame; made anew when a texture gets finer.
+/// Alpha blocks of the textures in use, kept between frames, and computed again when a texture gets
+/// finer.
 pub(super) type BlockCache = BTreeMap<u32, (Arc<Texture>, Arc<AlphaBlocks>)>;
 
 /// A texture, with alpha blocks if a mask needs them.
@@ -35,15 +36,15 @@ struct Held {
     blocks: Option<Arc<AlphaBlocks>>,
 }
 
-/// Everything that one frame draws, held so that the cache cannot take it away.
+/// Everything that one frame draws, held so that the cache cannot evict it.
 pub(crate) struct Gathered<'a> {
     materials: &'a [Material],
-    /// The chunks that the draws' clusters lie in.
+    /// The chunks that contain the draws' clusters.
     pub held: Vec<Arc<CellGeometry>>,
     textures: BTreeMap<u32, Option<Held>>,
-    /// In the order of the cells.
+    /// Draws in the order of the cells.
     pub draws: Vec<Draw>,
-    /// Counts so far: all but the pixels.
+    /// Counts, without pixels.
     pub stats: NearStats,
 }
 
@@ -52,7 +53,7 @@ pub(crate) fn gather<'a>(index: &'a Index, resident: &dyn Resident, cells: &[u32
     gather_if(index, resident, cells, |_, _| true)
 }
 
-/// Collects those draws of `cells` whose clusters touch a box of the world.
+/// Collects the draws of `cells` whose clusters touch a world-space box.
 pub(crate) fn gather_within<'a>(
     index: &'a Index,
     resident: &dyn Resident,
@@ -62,7 +63,7 @@ pub(crate) fn gather_within<'a>(
     gather_if(index, resident, cells, |cluster, world_from_mesh| bounds(cluster, world_from_mesh).intersects(within))
 }
 
-/// Around a cluster in the world; wider than need be where it is turned.
+/// Bounds of a cluster in the world; not tight if it is rotated.
 fn bounds(cluster: &Cluster, world_from_mesh: &DAffine3) -> Aabb {
     let points = || cluster.positions.iter();
     let (min, max) = (points().copied().reduce(Vec3::min), points().copied().reduce(Vec3::max));
@@ -156,7 +157,7 @@ impl<'a> Gathered<'a> {
         self.draws.push(Draw { geometry, cluster, world_from_mesh: *world_from_mesh });
     }
 
-    /// Finds or makes the alpha blocks of masked textures, and forgets those of textures that are no longer drawn.
+    /// Finds or computes the alpha blocks of masked textures, and drops those of unused textures.
     pub(super) fn hold_blocks(&mut self, cache: &mut BlockCache) {
         cache.retain(|number, _| self.textures.contains_key(number));
         for material in self.materials.iter().filter(|m| matches!(m.alpha, Alpha::Mask(_))) {
@@ -182,12 +183,12 @@ impl<'a> Gathered<'a> {
         &self.materials[cluster.material as usize]
     }
 
-    /// The texture of a material, if it has one and any level of it is here.
+    /// The texture of a material, if any level of it is resident.
     pub fn texture(&self, material: &Material) -> Option<&Texture> {
         Some(&*self.textures.get(&material.texture?)?.as_ref()?.texture)
     }
 
-    /// The textures in use that are here, by number.
+    /// The resident textures in use, by number.
     pub fn textures(&self) -> impl Iterator<Item = (u32, &Arc<Texture>)> {
         self.textures.iter().filter_map(|(number, held)| Some((*number, &held.as_ref()?.texture)))
     }
@@ -197,7 +198,7 @@ impl<'a> Gathered<'a> {
         self.textures.get(&material.texture?)?.as_ref()?.blocks.as_deref()
     }
 
-    /// How the alpha of a cluster's material decides: by texel, or for the whole triangle.
+    /// The alpha test of a cluster's material: per texel, or for the whole triangle.
     pub fn mask(&self, cluster: &Cluster) -> Mask {
         let material = self.material(cluster);
         match material.alpha {
@@ -208,7 +209,8 @@ impl<'a> Gathered<'a> {
         }
     }
 
-    /// Consecutive ranges of draws: about `first` triangles, then twice as many each time up to `largest`.
+    /// Consecutive ranges of draws: about `first` triangles, then twice as many each time up to
+    /// `largest`.
     pub fn batches(&self, first: usize, largest: usize) -> Vec<Range<usize>> {
         self.ranges(0..self.draws.len(), first, largest)
     }
@@ -234,13 +236,13 @@ impl<'a> Gathered<'a> {
     }
 }
 
-/// What alpha makes of a material.
+/// Alpha test of a material.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Mask {
-    /// Every covered pixel is there.
+    /// Every covered pixel is drawn.
     Solid,
-    /// A pixel is there where the texture's alpha times the factor reaches the cutoff.
+    /// A pixel is drawn if the texture's alpha times the factor reaches the cutoff.
     ByTexel(f32),
-    /// No pixel is there.
+    /// No pixel is drawn.
     Nothing,
 }

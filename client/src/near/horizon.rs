@@ -1,16 +1,20 @@
-//! What earlier batches hide: the farthest depth per tile, against which later clusters and triangles are rejected.
+//! Occlusion by earlier batches: the farthest depth per tile, against which later clusters and
+//! triangles are rejected.
 //!
-//! In: the depth buffer after a batch. Out: an answer that is never wrong in one direction: what is called hidden cannot win a
-//! single pixel. After the hierarchical depth buffer of Greene, Kass and Miller ("Hierarchical Z-Buffer Visibility", SIGGRAPH 1993),
-//! with one level instead of a pyramid: cells come near to far, so that a batch of walls hides most of what
+//! In: the depth buffer after a batch. Out: a conservative test: rejected objects cannot win a
+//! single pixel. After the hierarchical depth buffer of Greene, Kass and Miller ("Hierarchical
+//! Z-Buffer Visibility", SIGGRAPH 1993), with one level instead of a pyramid: cells come near to
+//! far, so that a batch of walls hides most of what follows, and a screen has few tiles. The
+//! picture is the same with and without.
 //! follows, and a screen has only some thousand tiles. The picture is the same with and without.
 
 use rayon::prelude::*;
 
-/// Pixels along a side of a tile. Larger hides less behind small occluders, smaller takes longer to build and to ask.
+/// Pixels along a side of a tile. Larger: hides less behind small occluders; smaller: takes longer
+/// to build and to query.
 const TILE: usize = 16;
 
-/// See the module. Starts out hiding nothing.
+/// The farthest depths. Initially nothing is hidden.
 #[derive(Debug, Default)]
 pub(super) struct Horizon {
     columns: usize,
@@ -19,27 +23,28 @@ pub(super) struct Horizon {
 }
 
 impl Horizon {
-    /// Forgets everything, for a picture of this size.
+    /// Resets to nothing hidden, for a picture of this size.
     pub fn reset(&mut self, width: usize, height: usize) {
         self.columns = width.div_ceil(TILE);
         self.farthest.clear();
         self.farthest.resize(self.columns * height.div_ceil(TILE), 0.0);
     }
 
-    /// Takes in the depth buffer, rows of `width` disparities.
+    /// Updates from the depth buffer, rows of `width` disparities.
     pub fn update(&mut self, disparity: &[f32], width: usize) {
         self.farthest.par_chunks_mut(self.columns).zip(disparity.par_chunks(width * TILE)).for_each(|(tiles, rows)| {
             tiles.fill(f32::INFINITY);
             for row in rows.chunks(width) {
                 for (tile, pixels) in tiles.iter_mut().zip(row.chunks(TILE)) {
-                    // Not `f32::min`: its care for NaN does not vectorize.
+                    // Not `f32::min`: its NaN handling does not vectorize.
                     *tile = pixels.iter().fold(*tile, |least, d| if *d < least { *d } else { least });
                 }
             }
         });
     }
 
-    /// Whether nothing at most as near as `nearest` (a disparity) can show in the pixels of `columns` x `rows` (half-open).
+    /// Whether everything up to disparity `nearest` is hidden in the pixels of `columns` x `rows`
+    /// (half-open).
     #[inline]
     pub fn hides(&self, columns: [usize; 2], rows: [usize; 2], nearest: f32) -> bool {
         if columns[0] >= columns[1] || rows[0] >= rows[1] {

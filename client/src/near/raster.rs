@@ -1,16 +1,13 @@
-//! Triangles to visible pixels: which triangle is nearest at each pixel centre of a band.
+//! Rasterization: the nearest triangle at each pixel centre of a band.
 //!
-//! In a row a triangle covers an interval of columns. Its ends are found in f64 from the edge functions, so that the loop
-//! over the columns is left with the depth test alone, free of branches.
+//! In a row a triangle covers an interval of columns. Its ends are found in f64 from the edge
+//! functions, so that the loop over the columns contains only the depth test, without branches.
 
 use super::{
+    attributes::Attributes,
     gather::Gathered,
-    setup::{Task, Triangle, View},
-    shade::Attributes,
+    triangle_setup::{BAND_ROWS, Projection, Task, Triangle},
 };
-
-/// Rows of a band, the unit of parallel work. Fewer rows list triangles more often, more rows balance worse.
-pub(super) const BAND_ROWS: usize = 32;
 
 /// One band of the frame's disparity and triangle numbers.
 pub(super) struct Band<'a> {
@@ -42,9 +39,10 @@ impl<'a> Edges<'a> {
 
     /// The columns of [left, right) whose centres in the row at `centre` are inside.
     ///
-    /// What decides is the sign of `a x + (b y + c)` as f64 rounds it. The neighbour across an edge evaluates the same
-    /// expression with every term negated and so gets the exact opposite: no gap, no overlap. The division only
-    /// guesses where the sign changes; the sign itself is then looked up beside the guess.
+    /// The sign of `a x + (b y + c)`, as f64 rounds it, decides. The neighbour across an edge
+    /// evaluates the same expression with every term negated and gets the exact opposite: no gap,
+    /// no overlap. The division only estimates where the sign changes; the sign itself is evaluated
+    /// near the estimate.
     #[inline]
     fn columns(&self, centre: f64, left: usize, right: usize) -> (usize, usize) {
         let (mut left, mut right) = (left, right);
@@ -96,7 +94,7 @@ impl Row {
     fn at(&self, column: usize) -> f32 {
         // Through i32: the conversion from usize does not vectorize on x86-64 before AVX-512.
         let d = self.slope * (column as i32 as f32 + 0.5) + self.at_zero;
-        // Not `clamp`, `max` or `min`: their care for bounds and NaN takes three times as many instructions.
+        // Not `clamp`, `max` or `min`, whose NaN handling takes more instructions.
         let d = if d > self.range[0] { d } else { self.range[0] };
         if d < self.range[1] { d } else { self.range[1] }
     }
@@ -107,26 +105,26 @@ impl<'a> Band<'a> {
         Self { number, first_row: number * BAND_ROWS, width, disparity, ids }
     }
 
-    /// Draws a task's triangles of this band, those with an alpha test or those without.
-    pub fn draw(&mut self, task: &Task, masked: bool, scene: &Gathered<'_>, view: &View) {
+    /// Draws a task's triangles in this band, either those with an alpha test or those without.
+    pub fn draw(&mut self, task: &Task, masked: bool, scene: &Gathered<'_>, projection: &Projection) {
         if masked && !task.any_masked {
             return;
         }
         for &i in task.band(self.number) {
             let triangle = &task.triangles[i as usize];
             if (triangle.cutoff >= 0.0) == masked {
-                self.draw_triangle(triangle, scene, view);
+                self.draw_triangle(triangle, scene, projection);
             }
         }
     }
 
-    fn draw_triangle(&mut self, t: &Triangle, scene: &Gathered<'_>, view: &View) {
+    fn draw_triangle(&mut self, t: &Triangle, scene: &Gathered<'_>, projection: &Projection) {
         let rows = self.ids.len() / self.width;
         let first = (t.rows[0] as usize).max(self.first_row);
         let last = (t.rows[1] as usize).min(self.first_row + rows);
         let edges = Edges::new(t);
-        // Attributes are wanted here only for the alpha test.
-        let masked = (t.cutoff >= 0.0).then(|| Attributes::new(scene, view, t.id)).flatten();
+        // Attributes are needed only for the alpha test.
+        let masked = (t.cutoff >= 0.0).then(|| Attributes::new(scene, projection, t.id)).flatten();
         for y in first..last {
             let centre = y as f64 + 0.5;
             let (left, right) = edges.columns(centre, t.columns[0] as usize, t.columns[1] as usize);
@@ -144,26 +142,26 @@ impl<'a> Band<'a> {
             match &masked {
                 None => solid_row(&row, left, disparity, ids, t.id),
                 Some(attributes) => masked_row(&row, left, disparity, ids, t.id, |column| {
-                    attributes.passes(view, column as f32 + 0.5, centre as f32, t.cutoff)
+                    attributes.passes(projection, column as f32 + 0.5, centre as f32, t.cutoff)
                 }),
             }
         }
     }
 }
 
-/// Takes every pixel where the triangle is nearer.
+/// Writes every pixel where the triangle is nearer.
 #[inline]
 fn solid_row(row: &Row, left: usize, disparity: &mut [f32], ids: &mut [u32], id: u32) {
     for (i, (d, n)) in disparity.iter_mut().zip(ids).enumerate() {
         let new = row.at(left + i);
-        // By masks: from an `if` the compiler makes a branch per pixel.
+        // Masks instead of an `if`, which the compiler turns into a branch per pixel.
         let visible = u32::from(new > *d).wrapping_neg();
         *d = f32::from_bits((new.to_bits() & visible) | (d.to_bits() & !visible));
         *n = (id & visible) | (*n & !visible);
     }
 }
 
-/// The same where the alpha test agrees.
+/// As [`solid_row`], for pixels that pass the alpha test.
 fn masked_row(row: &Row, left: usize, disparity: &mut [f32], ids: &mut [u32], id: u32, there: impl Fn(usize) -> bool) {
     for (i, (d, n)) in disparity.iter_mut().zip(ids).enumerate() {
         let new = row.at(left + i);

@@ -1,197 +1,53 @@
-//! Colours of the visible pixels: attributes by homogeneous planes, textures by mip level, light.
-//!
-//! With p the first corner, e1 and e2 the edges from it and r = (x, y, 1) the eye-space ray of a pixel, the ray meets the
-//! triangle's plane where the second and third barycentric weights are (A . r) / (D . r) and (B . r) / (D . r), with
-//! A = e2 x p, B = p x e1, D = e1 x e2 (Cramer's rule on p + u e1 + v e2 = z r). Linear over linear: perspective-correct,
-//! and differentiable for the mip level.
+//! Colours of the visible pixels of a band of rows.
 
 use super::{
-    alpha::AlphaBlocks,
+    attributes::Attributes,
     gather::Gathered,
-    setup::{NO_TRIANGLE, View},
-    shade8::shade8,
+    shade_simd::shade8,
+    triangle_setup::{NO_TRIANGLE, Projection},
 };
-use crate::{
-    frame::pack_rgb,
-    lanes::{LANES, Lanes, Portable},
-};
-use glam::{Mat3, Vec2, Vec3};
-use ldi_protocol::{
-    mesh::Wrap,
-    shade::{light, srgb8_from_linear},
-    texture::{Texture, lod_of, sample},
-};
+use crate::simd::{LANES, Lanes, Portable};
 
-/// Slots of a band's table of attributes; direct-mapped. A triangle spans several rows, and neighbours come back
-/// row after row: 256 slots hold what a row of a dense scene shows.
+/// Slots of a band's attribute table; direct-mapped. A triangle spans several rows, and its
+/// neighbours recur row after row. Fewer: attributes are computed again; more: more memory to
+/// initialize.
 const SLOTS: usize = 256;
 
-/// Linear grey shown in place of a texture that is not here at all: sRGB 128.
-pub(crate) const ABSENT_TEXEL: [f32; 3] = [0.216; 3];
-
-/// What a triangle needs to be shaded anywhere.
-#[derive(Clone)]
-pub(super) struct Attributes<'a> {
-    id: u32,
-    pub a: Vec3,
-    pub b: Vec3,
-    pub d: Vec3,
-    /// The colour, where it is the same everywhere.
-    constant: Option<u32>,
-    /// Value at the first corner, differences to the second and to the third.
-    pub normal: [Vec3; 3],
-    pub colour: [Vec3; 3],
-    pub uv: [Vec2; 3],
-    pub texture: Option<&'a Texture>,
-    blocks: Option<&'a AlphaBlocks>,
-    pub texture_size: (u32, u32),
-    pub wrap: [Wrap; 2],
-    alpha: f32,
-    pub unlit: bool,
-}
-
-/// Corner values as the first one and differences, for `f0 + u f1 + v f2`.
-fn differences<T: Copy + std::ops::Sub<Output = T>>([p, q, r]: [T; 3]) -> [T; 3] {
-    [p, q - p, r - p]
-}
-
-impl<'a> Attributes<'a> {
-    /// Attributes of a triangle by its number; None when the number names none.
-    pub fn new(scene: &'a Gathered<'_>, view: &View, id: u32) -> Option<Self> {
-        let draw = scene.draws.get((id >> 8) as usize)?;
-        let cluster = scene.cluster(draw);
-        let material = scene.material(cluster);
-        let corners = cluster.triangles.get((id & 255) as usize)?.map(usize::from);
-        let to_eye = view.eye_from_mesh(draw);
-        let positions = match corners.map(|c| cluster.positions.get(c)) {
-            [Some(p), Some(q), Some(r)] => [p, q, r].map(|p| to_eye.vertex(cluster.origin, *p)),
-            _ => return None,
-        };
-        let [p, q, r] = positions;
-        // Subtract in f64: edges of small, distant triangles keep their digits.
-        let (e1, e2, p) = ((q - p).as_vec3(), (r - p).as_vec3(), p.as_vec3());
-        let textured = material.texture.filter(|_| !cluster.uvs.is_empty());
-        let factor = Vec3::from_slice(&material.base_colour);
-        let factor = if textured.is_some() && scene.texture(material).is_none() {
-            factor * Vec3::from(ABSENT_TEXEL)
-        } else {
-            factor
-        };
-        let texture = textured.and_then(|_| scene.texture(material));
-        let colour = corners.map(|c| factor * cluster.colours.get(c).map_or(Vec3::ONE, |c| Vec3::from(*c)));
-        // Normals turn by the inverse transpose; its scale is irrelevant.
-        let turn: Mat3 = draw.world_from_mesh.matrix3.inverse().transpose().as_mat3();
-        let normal = corners.map(|c| turn * cluster.normals.get(c).copied().unwrap_or(Vec3::Y));
-        let mut out = Self {
-            id,
-            a: e2.cross(p),
-            b: p.cross(e1),
-            d: e1.cross(e2),
-            constant: None,
-            normal: differences(normal),
-            colour: differences(colour),
-            uv: differences(corners.map(|c| cluster.uvs.get(c).copied().unwrap_or(Vec2::ZERO))),
-            texture,
-            blocks: texture.and_then(|_| scene.blocks(material)),
-            texture_size: texture.and_then(Texture::size).unwrap_or((1, 1)),
-            wrap: material.wrap,
-            alpha: material.base_colour[3],
-            unlit: material.unlit,
-        };
-        let flat = |v: [Vec3; 3]| v[1] == Vec3::ZERO && v[2] == Vec3::ZERO;
-        if texture.is_none() && flat(out.colour) && (material.unlit || flat(out.normal)) {
-            out.constant = Some(out.lit(out.colour[0], out.normal[0]));
-        }
-        Some(out)
-    }
-
-    /// The ray of a pixel centre, component 1 along forward.
-    #[inline]
-    fn ray(view: &View, x: f32, y: f32) -> Vec3 {
-        let s = 1.0 / view.focal_px as f32;
-        Vec3::new((x - view.centre_px[0] as f32) * s, (view.centre_px[1] as f32 - y) * s, 1.0)
-    }
-
-    /// Second and third barycentric weight, and 1 / (D . ray). Held in [0, 1]: the centre may lie a hair outside.
-    #[inline]
-    fn weights(&self, ray: Vec3) -> (f32, f32, f32) {
-        let inverse = 1.0 / self.d.dot(ray);
-        // Not `clamp`: the NaN of an edge-on triangle becomes 0.
-        let hold = |w: f32| if w > 0.0 { w.min(1.0) } else { 0.0 };
-        (hold(self.a.dot(ray) * inverse), hold(self.b.dot(ray) * inverse), inverse)
-    }
-
-    /// Texture coordinates at a pixel centre.
-    pub fn uv_at(&self, view: &View, x: f32, y: f32) -> Vec2 {
-        let (u, v, _) = self.weights(Self::ray(view, x, y));
-        self.uv[0] + self.uv[1] * u + self.uv[2] * v
-    }
-
-    /// Whether texture alpha times factor at a pixel centre reaches the cutoff.
-    pub fn passes(&self, view: &View, x: f32, y: f32, cutoff: f32) -> bool {
-        match (self.texture, self.blocks) {
-            (Some(texture), Some(blocks)) => {
-                blocks.passes(texture, self.uv_at(view, x, y), self.wrap, self.alpha, cutoff)
-            }
-            _ => self.alpha >= cutoff,
-        }
-    }
-
-    /// The colour at a pixel centre.
-    #[inline]
-    pub fn shade(&self, view: &View, x: f32, y: f32) -> u32 {
-        let (u, v, inverse) = self.weights(Self::ray(view, x, y));
-        let mut colour = self.colour[0] + self.colour[1] * u + self.colour[2] * v;
-        if let Some(texture) = self.texture {
-            let uv = self.uv[0] + self.uv[1] * u + self.uv[2] * v;
-            // Derivatives of (A . r) / (D . r) by columns and rows.
-            let step = inverse / view.focal_px as f32;
-            let along = |i: usize, sign: f32| {
-                let (du, dv) = (self.a[i] - u * self.d[i], self.b[i] - v * self.d[i]);
-                (self.uv[1] * du + self.uv[2] * dv) * (step * sign)
-            };
-            let lod = lod_of(self.texture_size, along(0, 1.0), along(1, -1.0));
-            colour *= Vec3::from(sample(texture, uv, lod, self.wrap).0);
-        }
-        self.lit(colour, self.normal[0] + self.normal[1] * u + self.normal[2] * v)
-    }
-
-    #[inline]
-    fn lit(&self, colour: Vec3, normal: Vec3) -> u32 {
-        let amount = if self.unlit { 1.0 } else { light(normal.normalize_or_zero().to_array()) };
-        pack_rgb((colour * amount).to_array().map(srgb8_from_linear))
-    }
-}
-
-/// Shades the covered pixels of a band that starts at `first_row`; leaves the others alone.
-pub(super) fn shade_band(scene: &Gathered<'_>, view: &View, first_row: usize, ids: &[u32], colour: &mut [u32]) {
+/// Shades the covered pixels of a band that starts at `first_row`.
+pub(super) fn shade_band(
+    scene: &Gathered<'_>,
+    projection: &Projection,
+    first_row: usize,
+    ids: &[u32],
+    colour: &mut [u32],
+) {
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") {
         // SAFETY: AVX2 was detected.
-        return unsafe { shade_band_avx2(scene, view, first_row, ids, colour) };
+        return unsafe { shade_band_avx2(scene, projection, first_row, ids, colour) };
     }
-    shade_band_with::<Portable>(scene, view, first_row, ids, colour);
+    shade_band_with::<Portable>(scene, projection, first_row, ids, colour);
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn shade_band_avx2(scene: &Gathered<'_>, view: &View, first_row: usize, ids: &[u32], colour: &mut [u32]) {
-    shade_band_with::<crate::lanes::Avx2>(scene, view, first_row, ids, colour);
+fn shade_band_avx2(scene: &Gathered<'_>, projection: &Projection, first_row: usize, ids: &[u32], colour: &mut [u32]) {
+    shade_band_with::<crate::simd::Avx2>(scene, projection, first_row, ids, colour);
 }
 
-/// Shorter runs of one triangle are shaded pixel by pixel: eight at a time cost as much as three or four alone.
+/// Shorter runs of one triangle are shaded pixel by pixel, which is faster for them.
 const SHORTEST_RUN: usize = 3;
 
 #[inline(always)]
 pub(super) fn shade_band_with<L: Lanes>(
     scene: &Gathered<'_>,
-    view: &View,
+    projection: &Projection,
     first_row: usize,
     ids: &[u32],
     colour: &mut [u32],
 ) {
     let mut slots: Vec<Option<Attributes<'_>>> = vec![None; SLOTS];
-    for (row, (ids, colour)) in ids.chunks(view.width).zip(colour.chunks_mut(view.width)).enumerate() {
+    for (row, (ids, colour)) in ids.chunks(projection.width).zip(colour.chunks_mut(projection.width)).enumerate() {
         let y = (first_row + row) as f32 + 0.5;
         let mut column = 0;
         for run in ids.chunk_by(|a, b| a == b) {
@@ -202,7 +58,7 @@ pub(super) fn shade_band_with<L: Lanes>(
             }
             let slot = &mut slots[slot_of(id)];
             if slot.as_ref().is_none_or(|s| s.id != id) {
-                *slot = Attributes::new(scene, view, id);
+                *slot = Attributes::new(scene, projection, id);
             }
             let Some(attributes) = slot else { continue };
             let colour = &mut colour[first..column];
@@ -210,12 +66,12 @@ pub(super) fn shade_band_with<L: Lanes>(
                 Some(constant) => colour.fill(constant),
                 None if run.len() < SHORTEST_RUN => {
                     for (x, colour) in (first..).zip(colour) {
-                        *colour = attributes.shade(view, x as f32 + 0.5, y);
+                        *colour = attributes.shade(projection, x as f32 + 0.5, y);
                     }
                 }
                 None => {
                     for (x, colour) in (first..).step_by(LANES).zip(colour.chunks_mut(LANES)) {
-                        shade8::<L>(attributes, view, x, y, colour);
+                        shade8::<L>(attributes, projection, x, y, colour);
                     }
                 }
             }

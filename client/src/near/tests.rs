@@ -26,8 +26,8 @@ fn draw(index: &Index, memory: &Memory, camera: &OutputCamera, pose: &Pose) -> (
     (frame, rasterizer.ids, stats)
 }
 
-/// The nearest triangle in front of the near plane that the ray through pixel coordinates (x, y) meets: (number, disparity,
-/// disparity of the next one).
+/// The nearest triangle in front of the near plane that the ray through pixel coordinates (x, y)
+/// meets: (number, disparity, disparity of the next one).
 fn cast(triangles: &[[Vec3; 3]], camera: &OutputCamera, pose: &Pose, x: f64, y: f64) -> Option<(usize, f64, f64)> {
     let ray = camera.ray(&pose.basis(), x, y);
     let mut hits: Vec<(f64, usize)> = triangles
@@ -49,10 +49,12 @@ fn cast(triangles: &[[Vec3; 3]], camera: &OutputCamera, pose: &Pose, x: f64, y: 
     hits.first().map(|h| (h.1, h.0, hits.get(1).map_or(0.0, |s| s.0)))
 }
 
-/// Corners are taken to a 256th of a pixel, so an edge is off by half of that at most, across and down.
+/// Corners are taken to a 256th of a pixel, so an edge is off by half of that at most, across and
+/// down.
 const OFF_PX: f64 = 1.0 / 512.0 + 1e-6;
 
-/// Compares a frame with the ray caster wherever the caster gives one answer within [`OFF_PX`] around the centre.
+/// Compares a frame with the ray caster wherever the caster gives one answer within [`OFF_PX`]
+/// around the centre.
 fn compare(triangles: &[[Vec3; 3]], drawn: &[[Vec3; 3]], pose: &Pose) -> Result<usize, TestCaseError> {
     let (index, memory) =
         dataset(CAMERA, vec![plain_material()], drawn.iter().map(|t| loose_cluster(0, &[*t])).collect());
@@ -71,7 +73,7 @@ fn compare(triangles: &[[Vec3; 3]], drawn: &[[Vec3; 3]], pose: &Pose) -> Result<
                 continue;
             }
             let i = (row * CAMERA.width + column) as usize;
-            let drawn = (ids[i] != setup::NO_TRIANGLE).then_some((ids[i] >> 8) as usize);
+            let drawn = (ids[i] != triangle_setup::NO_TRIANGLE).then_some((ids[i] >> 8) as usize);
             let drawn_disparity = f64::from(frame.disparity[i]);
             if let Some((_, nearest, second)) = answers[0] {
                 // Within f32 rounding of each other either may win.
@@ -125,7 +127,8 @@ fn the_comparison_can_fail() {
     assert!(compare(&triangles, &moved, &AHEAD).is_err());
 }
 
-/// A sheet at depth f / 64 whose vertices lie on multiples of 1/2 px, many exactly on pixel centres, cut into triangles both ways.
+/// A sheet at depth f / 64 whose vertices lie on multiples of 1/2 px, many exactly on pixel
+/// centres, cut into triangles both ways.
 #[test]
 fn shared_edges_cover_each_pixel_once() {
     let focal = CAMERA.focal_px();
@@ -209,7 +212,8 @@ fn gradient_texture(side: u32) -> Texture {
     Texture { levels: (0..=side.ilog2()).map(|k| Some(level(side >> k))).collect() }
 }
 
-/// Floor plane y = -1 with u = (x + 8) / 16, v = (z + 16) / 16: the shaded texel is the one that the ray meets.
+/// Floor plane y = -1 with u = (x + 8) / 16, v = (z + 16) / 16: the shaded texel is the one that
+/// the ray meets.
 #[test]
 fn texture_coordinates_are_perspective_correct() {
     let camera = OutputCamera { width: 160, height: 120, fov_deg: 75.0 };
@@ -220,15 +224,15 @@ fn texture_coordinates_are_perspective_correct() {
     let (index, mut memory) = dataset(camera, vec![material], vec![floor]);
     memory.textures.insert(0, Arc::new(gradient_texture(1)));
     let pose = Pose { position: DVec3::new(0.25, 0.1, 0.5), yaw_deg: 20.0, pitch_deg: -25.0 };
-    let view = setup::View::new(&camera, &pose);
+    let view = triangle_setup::Projection::new(&camera, &pose);
     let scene = gather::gather(&index, &memory, &all_cells(&index));
     let (_, ids, _) = draw(&index, &memory, &camera, &pose);
     let mut seen = 0;
-    for (i, id) in ids.iter().enumerate().filter(|(_, id)| **id != setup::NO_TRIANGLE) {
+    for (i, id) in ids.iter().enumerate().filter(|(_, id)| **id != triangle_setup::NO_TRIANGLE) {
         let (x, y) = ((i % 160) as f64 + 0.5, (i / 160) as f64 + 0.5);
         let ray = camera.ray(&pose.basis(), x, y);
         let hit = pose.position + ray * ((-1.0 - pose.position.y) / ray.y);
-        let uv = shade::Attributes::new(&scene, &view, *id).expect("a triangle").uv_at(&view, x as f32, y as f32);
+        let uv = attributes::Attributes::new(&scene, &view, *id).expect("a triangle").uv_at(&view, x as f32, y as f32);
         let truth = ((hit.x + 8.0) / 16.0, (hit.z + 16.0) / 32.0);
         let error = (f64::from(uv.x) - truth.0).abs().max((f64::from(uv.y) - truth.1).abs());
         assert!(error < 2e-6 * hit.distance(pose.position).max(1.0), "{uv} instead of {truth:?} at {x} {y}");
@@ -303,13 +307,15 @@ fn masked_texels_let_through_what_lies_behind() {
     let at = |column: usize| crate::frame::unpack_rgb(frame.colour[36 * 96 + column]);
     assert_eq!((at(38), at(58)), ([255; 3], [255, 0, 0]));
     assert_eq!(stats.coarse_textures, Vec::<u32>::new());
-    // Without the texture nothing is known of the alpha: the triangle is drawn whole, and the lack is reported.
+    // Without the texture nothing is known of the alpha: the triangle is drawn whole, and the lack
+    // is reported.
     memory.textures.clear();
     let (_, _, stats) = draw(&index, &memory, &CAMERA, &AHEAD);
     assert_eq!(stats.missing_textures, vec![0]);
 }
 
-/// Lit and textured surfaces of all wraps, near and far, smooth and facetted: eight pixels at a time, with AVX2 or without, show what one at a time shows.
+/// Lit and textured surfaces of all wraps, near and far, smooth and facetted: eight pixels at a
+/// time, with AVX2 or without, show what one at a time shows.
 #[test]
 fn eight_pixels_at_a_time_are_shaded_as_one() {
     use ldi_protocol::mesh::Wrap;
@@ -352,18 +358,18 @@ fn eight_pixels_at_a_time_are_shaded_as_one() {
         let pose = Pose { position: DVec3::new(0.2, 0.3, 0.4), yaw_deg: 4.0, pitch_deg: -6.0 };
         let (_, ids, _) = draw(&index, &memory, &camera, &pose);
         let scene = gather::gather(&index, &memory, &all_cells(&index));
-        let view = setup::View::new(&camera, &pose);
+        let view = triangle_setup::Projection::new(&camera, &pose);
         let mut alone = vec![0; ids.len()];
-        for (i, id) in ids.iter().enumerate().filter(|(_, id)| **id != setup::NO_TRIANGLE) {
-            let attributes = shade::Attributes::new(&scene, &view, *id).expect("a triangle");
+        for (i, id) in ids.iter().enumerate().filter(|(_, id)| **id != triangle_setup::NO_TRIANGLE) {
+            let attributes = attributes::Attributes::new(&scene, &view, *id).expect("a triangle");
             alone[i] = attributes.shade(&view, (i % 203) as f32 + 0.5, (i / 203) as f32 + 0.5);
         }
         let mut portable = vec![0; ids.len()];
-        shade::shade_band_with::<crate::lanes::Portable>(&scene, &view, 0, &ids, &mut portable);
+        shade::shade_band_with::<crate::simd::Portable>(&scene, &view, 0, &ids, &mut portable);
         let mut dispatched = vec![0; ids.len()];
         shade::shade_band(&scene, &view, 0, &ids, &mut dispatched);
         assert_eq!(portable, dispatched, "the picture does not depend on the machine");
-        let covered = ids.iter().filter(|id| **id != setup::NO_TRIANGLE).count();
+        let covered = ids.iter().filter(|id| **id != triangle_setup::NO_TRIANGLE).count();
         assert!(covered > ids.len() / 3, "{covered}");
         let off = |a: u32, b: u32| (0..3).map(|k| a.to_le_bytes()[k].abs_diff(b.to_le_bytes()[k])).max().unwrap_or(0);
         let worst = portable.iter().zip(&alone).map(|(a, b)| off(*a, *b)).max();
@@ -418,8 +424,8 @@ fn one_thread_and_three_give_the_same_picture() {
     assert_eq!(one.1, three.1);
 }
 
-/// A wall of many triangles before a crowd: with the crowd in later batches most of it is rejected unseen, and the picture is
-/// the one that a depth buffer alone gives.
+/// A wall of many triangles before a crowd: with the crowd in later batches most of it is rejected
+/// unseen, and the picture is the one that a depth buffer alone gives.
 #[test]
 fn what_is_hidden_makes_no_difference() {
     let mut clusters = Vec::new();
@@ -447,12 +453,12 @@ fn what_is_hidden_makes_no_difference() {
     let (index, memory) = dataset(CAMERA, vec![plain_material()], clusters);
     let (frame, ids, _) = draw(&index, &memory, &CAMERA, &AHEAD);
     // The reference: every cell alone, joined by depth in the same order.
-    let mut best = vec![(0.0f32, setup::NO_TRIANGLE); frame.len()];
+    let mut best = vec![(0.0f32, triangle_setup::NO_TRIANGLE); frame.len()];
     let (mut rasterizer, mut one) = (Rasterizer::default(), Frame::default());
     for cell in all_cells(&index) {
         rasterizer.draw(&index, &memory, &[cell], &CAMERA, &AHEAD, &mut one);
         for (best, (d, id)) in best.iter_mut().zip(one.disparity.iter().zip(&rasterizer.ids)) {
-            if *id != setup::NO_TRIANGLE && *d > best.0 {
+            if *id != triangle_setup::NO_TRIANGLE && *d > best.0 {
                 *best = (*d, cell << 8 | id & 255);
             }
         }
@@ -461,7 +467,7 @@ fn what_is_hidden_makes_no_difference() {
     // Both show: the wall, and those of the crowd that stand beside it.
     let crowd = best
         .iter()
-        .filter(|b| b.1 >> 8 >= (FIRST_BATCH_TRIANGLES / 200 + 2) as u32 && b.1 != setup::NO_TRIANGLE)
+        .filter(|b| b.1 >> 8 >= (FIRST_BATCH_TRIANGLES / 200 + 2) as u32 && b.1 != triangle_setup::NO_TRIANGLE)
         .count();
     assert!(crowd > 200 && crowd < 6000, "{crowd}");
 }

@@ -1,11 +1,13 @@
-//! Verifies and decodes chunks on threads of their own, what the view waits for first.
+//! The decoder: verifies and decodes chunks on its own threads, most urgent first.
 //!
-//! Decoding an image takes tens of milliseconds, so the order matters as much here as on the wire: in one queue for all, a cell that the view
-//! lacks waits behind images that nobody looks at yet. Chunks that the view waits for have a queue of their own, most urgent first; when it is full
-//! reading stops, and QUIC's windows stop the server. What was sent ahead comes after, those first that the view has come to need meanwhile;
-//! when too much of it waits, the rest is given up and the server is told, so that it never takes the streams that the view needs.
+//! Decoding an image takes long, so that order matters: in a single queue, a cell that the view
+//! lacks would wait behind images that no view needs yet. Chunks that the view waits for have their
+//! own queue, sorted by urgency. While it is full, reading stops, and QUIC's flow control stops the
+//! server. Chunks sent ahead follow, first those that the view has come to need. If too many of
+//! them wait, the rest is abandoned and the server is told, so that they never occupy the streams
+//! that the view needs.
 
-use super::{behind::Behind, shelf::Shelf, stats::Collector};
+use super::{decode_backlog::DecodeBacklog, disk_chunks::DiskChunks, stats::Collector};
 use crate::cache::{Cache, Inserted};
 use ldi_protocol::wire::Urgency;
 use std::{
@@ -20,75 +22,77 @@ use std::{
 };
 use tokio::sync::{Semaphore, mpsc};
 
-/// Chunks per thread that the view waits for. With the streams being read they bound the memory of what is not decoded yet.
+/// Queue places per thread for chunks that the view waits for. Together with the open streams they
+/// bound the memory of undecoded chunks.
 const PRESSING: usize = 8;
-/// Bytes of whole chunks of one connection that wait for such a place, beyond which no further stream is begun. Bytes that are still to come must not count: the server may have put
-/// that chunk off for the one that would then wait for it, for ever.
+/// Bytes of complete chunks that may wait for a queue place before no further stream is accepted.
+/// Bytes still to be received must not count: the server may have suspended that chunk in favour of
+/// one that would then wait forever.
 const WAITING_BYTES: usize = 32 << 20;
-/// Bytes of chunks of one connection that were sent ahead and wait, beside those of the cache. Larger: more memory; smaller: more of what a fast link
-/// brings at the beginning is given up and sent again.
+/// Bytes of chunks sent ahead that may wait, per connection. Larger: more memory; smaller: on a
+/// fast connection more chunks are abandoned and sent again at the start.
 const AHEAD_BYTES: usize = 32 << 20;
-/// How many of those sent ahead are looked through for one that the view has come to need.
+/// Number of chunks sent ahead that are searched for one that the view needs.
 const LOOK_THROUGH: usize = 512;
 
-/// Where the chunks of one connection go.
+/// The destination of one connection's chunks.
 #[derive(Debug)]
-pub(super) struct Target {
+pub(super) struct DecodeTarget {
     pub cache: Arc<Cache>,
     pub stats: Arc<Collector>,
-    /// Numbers of chunks whose hash is wrong.
+    /// Receives numbers of chunks with a wrong hash.
     pub damaged: mpsc::UnboundedSender<u32>,
     /// See [`super::ConnectConfig::arrivals`].
     pub arrivals: Option<mpsc::UnboundedSender<(u32, Instant)>>,
-    /// Bytes of chunks sent ahead that wait.
+    /// Bytes of waiting chunks that were sent ahead.
     pub ahead_bytes: AtomicUsize,
-    /// Bytes of chunks that the view waits for and that have no place yet.
+    /// Bytes of chunks that wait for a queue place.
     pub waiting_bytes: AtomicUsize,
-    /// All that waits.
-    pub behind: Behind,
-    /// What lies on disk.
-    pub shelf: Option<Arc<Shelf>>,
-    /// Chunks that were given up and not told yet.
-    pub given_up: Mutex<Vec<u32>>,
+    /// Backlog and rate of decoding.
+    pub backlog: DecodeBacklog,
+    /// Chunks on disk.
+    pub disk_chunks: Option<Arc<DiskChunks>>,
+    /// Abandoned chunks that the server has not been told about.
+    pub abandoned: Mutex<Vec<u32>>,
 }
 
-impl Target {
-    /// Whether no further stream is to be begun, until a chunk has found its place.
+impl DecodeTarget {
+    /// Whether no further stream is accepted until a chunk has found a queue place.
     pub fn is_full(&self) -> bool {
         self.waiting_bytes.load(Relaxed) > WAITING_BYTES
     }
 
-    /// Given up chunks that the server should send again: those that the view has come to need, or all once the decoding has caught up. Told
-    /// earlier, the rest would come again at once and be given up again.
-    pub fn to_tell(&self) -> Vec<u32> {
-        let mut given_up = self.given_up.lock().unwrap_or_else(PoisonError::into_inner);
+    /// Takes the abandoned chunks that the server should send again: those that the view needs now,
+    /// or all once the backlog is small. Earlier, they would arrive and be abandoned again.
+    pub fn take_abandoned(&self) -> Vec<u32> {
+        let mut abandoned = self.abandoned.lock().unwrap_or_else(PoisonError::into_inner);
         if self.ahead_bytes.load(Relaxed) <= AHEAD_BYTES / 4 {
-            return std::mem::take(&mut given_up);
+            return std::mem::take(&mut abandoned);
         }
-        given_up.extract_if(.., |c| self.cache.is_pinned(*c)).collect()
+        abandoned.extract_if(.., |c| self.cache.is_pinned(*c)).collect()
     }
 }
 
-/// A chunk as it arrived, or one to be read from disk.
+/// A received chunk, or one to be read from disk.
 #[derive(Debug)]
-pub(super) struct Job {
+pub(super) struct DecodeJob {
     pub chunk: u32,
     pub urgency: Urgency,
-    /// None: it lies on the target's shelf, and was taken from it.
+    /// The chunk's bytes; None if it was claimed on disk and is to be read.
     pub bytes: Option<Vec<u8>>,
-    pub target: Arc<Target>,
+    pub target: Arc<DecodeTarget>,
 }
 
 #[derive(Debug, Default)]
 struct Waiting {
-    pressing: Vec<Job>,
-    ahead: VecDeque<Job>,
+    pressing: Vec<DecodeJob>,
+    ahead: VecDeque<DecodeJob>,
     closed: bool,
 }
 
 impl Waiting {
-    /// The next job, most urgent first; among equals the one that came first.
-    fn take(&mut self) -> Option<Job> {
+    /// The most urgent job; among equals the oldest.
+    fn claim(&mut self) -> Option<DecodeJob> {
         if let Some(at) = (0..self.pressing.len()).min_by_key(|i| self.pressing[*i].urgency) {
             return Some(self.pressing.remove(at));
         }
@@ -100,8 +104,8 @@ impl Waiting {
 #[derive(Debug)]
 struct Queue {
     waiting: Mutex<Waiting>,
-    came: Condvar,
-    /// Places for pressing chunks, waiting or being decoded.
+    arrived: Condvar,
+    /// Places for urgent chunks, waiting or being decoded.
     places: Semaphore,
 }
 
@@ -110,7 +114,7 @@ impl Queue {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What a thread does.
+    /// Body of a decoding thread.
     fn work(&self) {
         loop {
             let mut waiting = self.lock();
@@ -118,9 +122,9 @@ impl Queue {
                 if waiting.closed {
                     return;
                 }
-                match waiting.take() {
+                match waiting.claim() {
                     Some(job) => break job,
-                    None => waiting = self.came.wait(waiting).unwrap_or_else(PoisonError::into_inner),
+                    None => waiting = self.arrived.wait(waiting).unwrap_or_else(PoisonError::into_inner),
                 }
             };
             drop(waiting);
@@ -130,23 +134,24 @@ impl Queue {
             };
             let begin = Instant::now();
             decode(&job, bytes);
-            job.target.behind.done(bytes.len(), begin.elapsed());
+            job.target.backlog.record_decoded(bytes.len(), begin.elapsed());
             if job.urgency.is_pressing() {
                 self.places.add_permits(1);
             } else {
                 job.target.ahead_bytes.fetch_sub(bytes.len(), Relaxed);
             }
-            // The view need not wait for the disk.
-            if let Some(shelf) = &job.target.shelf
+            // Writing to disk comes last, so that the view does not wait for it.
+            if let Some(disk_chunks) = &job.target.disk_chunks
                 && job.target.cache.holds(job.chunk)
             {
-                shelf.keep(job.chunk, bytes);
+                disk_chunks.store(job.chunk, bytes);
             }
         }
     }
 }
 
-/// Threads that verify and decode, for one connection or for many. They end, and are waited for, when the last owner drops the pool.
+/// Decoding threads, for one connection or several. Dropping the last handle ends them and waits
+/// for them.
 #[derive(Debug)]
 pub struct DecodePool {
     queue: Arc<Queue>,
@@ -161,7 +166,7 @@ impl DecodePool {
     pub fn new(count: usize) -> io::Result<Self> {
         let count = count.max(1);
         let places = Semaphore::new(PRESSING * count);
-        let queue = Arc::new(Queue { waiting: Mutex::default(), came: Condvar::new(), places });
+        let queue = Arc::new(Queue { waiting: Mutex::default(), arrived: Condvar::new(), places });
         let mut pool = Self { queue, threads: Vec::new() };
         for i in 0..count {
             let queue = pool.queue.clone();
@@ -170,15 +175,16 @@ impl DecodePool {
         Ok(pool)
     }
 
-    /// How many there are.
+    /// Number of threads.
     pub(super) fn threads(&self) -> usize {
         self.threads.len()
     }
 
-    /// Hands over a chunk. Waits for a place if the view waits for the chunk; gives it up if it was sent ahead and there is none.
-    pub(super) async fn send(&self, job: Job) {
+    /// Queues a chunk. Waits for a place if the view needs the chunk; abandons it if it was sent
+    /// ahead and there is none.
+    pub(super) async fn send(&self, job: DecodeJob) {
         let bytes = job.bytes.as_ref().map_or(0, Vec::len);
-        job.target.behind.came(bytes);
+        job.target.backlog.arrived(bytes);
         if job.urgency.is_pressing() {
             job.target.waiting_bytes.fetch_add(bytes, Relaxed);
             // The semaphore is never closed.
@@ -192,48 +198,49 @@ impl DecodePool {
             if target.ahead_bytes.fetch_add(bytes, Relaxed) + bytes > AHEAD_BYTES && !target.cache.is_pinned(job.chunk)
             {
                 target.ahead_bytes.fetch_sub(bytes, Relaxed);
-                target.behind.left(bytes);
-                target.stats.given_up(bytes as u64);
-                return target.given_up.lock().unwrap_or_else(PoisonError::into_inner).push(job.chunk);
+                target.backlog.remove(bytes);
+                target.stats.abandoned(bytes as u64);
+                return target.abandoned.lock().unwrap_or_else(PoisonError::into_inner).push(job.chunk);
             }
             self.queue.lock().ahead.push_back(job);
         }
-        self.queue.came.notify_one();
+        self.queue.arrived.notify_one();
     }
 
-    /// Has a chunk read from disk. Takes no place and no memory until then; each waits once, so the index bounds them.
-    pub(super) fn read(&self, job: Job) {
+    /// Queues a chunk to be read from disk. It takes no place and no memory until then; the index
+    /// bounds their number.
+    pub(super) fn read(&self, job: DecodeJob) {
         let mut waiting = self.queue.lock();
         match job.urgency.is_pressing() {
             true => waiting.pressing.push(job),
             false => waiting.ahead.push_back(job),
         }
         drop(waiting);
-        self.queue.came.notify_one();
+        self.queue.arrived.notify_one();
     }
 }
 
 impl Drop for DecodePool {
     fn drop(&mut self) {
         self.queue.lock().closed = true;
-        self.queue.came.notify_all();
+        self.queue.arrived.notify_all();
         for t in self.threads.drain(..) {
             let _ = t.join();
         }
     }
 }
 
-/// Reads a chunk from disk and takes it in.
-fn read(job: &Job) {
-    let Target { cache, stats, shelf, arrivals, given_up, .. } = &*job.target;
-    let Some(shelf) = shelf else { return };
-    let bytes = shelf.read(job.chunk);
+/// Reads a chunk from disk and decodes it.
+fn read(job: &DecodeJob) {
+    let DecodeTarget { cache, stats, disk_chunks, arrivals, abandoned, .. } = &*job.target;
+    let Some(disk_chunks) = disk_chunks else { return };
+    let bytes = disk_chunks.read(job.chunk);
     let read = bytes.as_ref().map_or(0, |b| b.len() as u64);
-    // Counted first: who waits for the chunk may look at the statistics as soon as it is there.
+    // Counted before it is visible to those who wait for the chunk.
     stats.read_from_disk(read);
     let taken = bytes.and_then(|bytes| cache.insert(job.chunk, &bytes).ok());
     if taken == Some(Inserted::Held) {
-        // A frame that uses it uses nothing that came over the network.
+        // The chunk's use does not count as use of received bytes.
         cache.count_elsewhere(job.chunk);
         if let Some(arrivals) = arrivals {
             let _ = arrivals.send((job.chunk, Instant::now()));
@@ -241,14 +248,14 @@ fn read(job: &Job) {
     } else {
         stats.not_read_from_disk(read);
     }
-    shelf.put_back(job.chunk, job.urgency, taken.is_some());
+    disk_chunks.release(job.chunk, job.urgency, taken.is_some());
     if taken.is_none() {
-        given_up.lock().unwrap_or_else(PoisonError::into_inner).push(job.chunk);
+        abandoned.lock().unwrap_or_else(PoisonError::into_inner).push(job.chunk);
     }
 }
 
-fn decode(job: &Job, chunk_bytes: &[u8]) {
-    let Target { cache, stats, damaged, arrivals, .. } = &*job.target;
+fn decode(job: &DecodeJob, chunk_bytes: &[u8]) {
+    let DecodeTarget { cache, stats, damaged, arrivals, .. } = &*job.target;
     let Some(entry) = cache.index().chunks.get(job.chunk as usize) else { return };
     let bytes = chunk_bytes.len() as u64;
     if blake3::hash(chunk_bytes).as_bytes() != &entry.hash.0 {
@@ -256,10 +263,10 @@ fn decode(job: &Job, chunk_bytes: &[u8]) {
         let _ = damaged.send(job.chunk);
         return;
     }
-    // Counted first: who waits for the chunk may look at the statistics as soon as it is there.
+    // Counted before it is visible to those who wait for the chunk.
     stats.arrived(job.chunk, entry.stored_bytes, job.urgency);
     match cache.insert(job.chunk, chunk_bytes) {
-        // Refused for want of room is received all the same; no frame uses it.
+        // A refused chunk counts as received and unused.
         Ok(Inserted::NoRoom) => {}
         Ok(Inserted::Held) => {
             if let Some(arrivals) = arrivals {
@@ -271,7 +278,7 @@ fn decode(job: &Job, chunk_bytes: &[u8]) {
             stats.duplicate(bytes);
         }
         Err(e) => {
-            // The hash is right, so asking again would bring the same bytes.
+            // The hash is correct, so that a retry would bring the same bytes.
             stats.take_back(entry.stored_bytes);
             stats.damaged(bytes);
             cache.mark_damaged(job.chunk);
@@ -285,29 +292,29 @@ mod tests {
     use super::*;
     use crate::cache::fixture::{FIRST_CELL, LDI, street};
 
-    /// Chunks of a street whose far half is an image; nothing decodes.
-    fn target() -> (Arc<Target>, mpsc::UnboundedReceiver<u32>) {
+    /// Chunks of a street whose far half is an image; none of them can be decoded.
+    fn target() -> (Arc<DecodeTarget>, mpsc::UnboundedReceiver<u32>) {
         let (damaged, damage) = mpsc::unbounded_channel();
         let cache = Arc::new(Cache::new(Arc::new(street(60, 8).index), 1 << 30));
         let stats = Arc::new(Collector::new());
         (
-            Arc::new(Target {
+            Arc::new(DecodeTarget {
                 cache,
                 stats,
                 damaged,
                 arrivals: None,
                 ahead_bytes: AtomicUsize::new(0),
                 waiting_bytes: AtomicUsize::new(0),
-                behind: Behind::default(),
-                shelf: None,
-                given_up: Mutex::default(),
+                backlog: DecodeBacklog::default(),
+                disk_chunks: None,
+                abandoned: Mutex::default(),
             }),
             damage,
         )
     }
 
-    fn job(target: &Arc<Target>, chunk: u32, urgency: Urgency) -> Job {
-        Job { chunk, urgency, bytes: Some(vec![0; 10]), target: target.clone() }
+    fn job(target: &Arc<DecodeTarget>, chunk: u32, urgency: Urgency) -> DecodeJob {
+        DecodeJob { chunk, urgency, bytes: Some(vec![0; 10]), target: target.clone() }
     }
 
     #[test]
@@ -317,15 +324,15 @@ mod tests {
         let now = |chunk| job(&target, chunk, Urgency::Now);
         waiting.ahead.extend([10, 11, 12].map(|c| job(&target, c, Urgency::Around)));
         waiting.pressing.extend([job(&target, 20, Urgency::Fine), now(21), now(22)]);
-        // The view has come to need one of those sent ahead.
+        // The view has come to need a chunk that was sent ahead.
         target.cache.pin([11]);
-        let order: Vec<u32> = std::iter::from_fn(|| waiting.take()).map(|j| j.chunk).collect();
+        let order: Vec<u32> = std::iter::from_fn(|| waiting.claim()).map(|j| j.chunk).collect();
         assert_eq!(order, [21, 22, 20, 11, 10, 12]);
     }
 
     /// Without threads: nothing leaves the queue.
     fn idle() -> DecodePool {
-        let queue = Queue { waiting: Mutex::default(), came: Condvar::new(), places: Semaphore::new(PRESSING) };
+        let queue = Queue { waiting: Mutex::default(), arrived: Condvar::new(), places: Semaphore::new(PRESSING) };
         DecodePool { queue: Arc::new(queue), threads: Vec::new() }
     }
 
@@ -334,7 +341,7 @@ mod tests {
         const MORE: usize = 6;
         let (target, _damage) = target();
         let pool = Arc::new(idle());
-        let big = |chunk| Job { bytes: Some(vec![0; WAITING_BYTES / 4]), ..job(&target, chunk, Urgency::Now) };
+        let big = |chunk| DecodeJob { bytes: Some(vec![0; WAITING_BYTES / 4]), ..job(&target, chunk, Urgency::Now) };
         for chunk in 0..PRESSING as u32 {
             pool.send(big(FIRST_CELL + chunk)).await;
         }
@@ -349,7 +356,7 @@ mod tests {
         }
         assert_eq!(full, [false, false, false, false, true, true], "beyond four quarters");
         assert_eq!(pool.queue.lock().pressing.len(), PRESSING);
-        // Two are decoded: so many find their place, and streams are begun again.
+        // Two chunks are decoded: two others get their places, and streams are accepted again.
         pool.queue.places.add_permits(2);
         for _ in 0..2 {
             tasks.join_next().await;
@@ -365,7 +372,7 @@ mod tests {
     async fn too_much_sent_ahead_is_given_up_and_told_and_what_the_view_needs_is_not() {
         let (target, _damage) = target();
         let pool = idle();
-        let big = |chunk| Job { bytes: Some(vec![0; AHEAD_BYTES / 4]), ..job(&target, chunk, Urgency::Around) };
+        let big = |chunk| DecodeJob { bytes: Some(vec![0; AHEAD_BYTES / 4]), ..job(&target, chunk, Urgency::Around) };
         for chunk in 0..6 {
             pool.send(big(FIRST_CELL + chunk)).await;
         }
@@ -377,12 +384,12 @@ mod tests {
             assert_eq!((waiting.ahead.len(), waiting.pressing.len()), (4 + 1, 1));
         }
         assert_eq!(target.stats.snapshot(0).lost_bytes, AHEAD_BYTES as u64 / 2);
-        assert!(target.to_tell().is_empty(), "it would come again at once");
+        assert!(target.take_abandoned().is_empty(), "it would come again at once");
         target.cache.pin([FIRST_CELL + 5]);
-        assert_eq!(target.to_tell(), [FIRST_CELL + 5], "the view has come to need it");
+        assert_eq!(target.take_abandoned(), [FIRST_CELL + 5], "the view has come to need it");
         target.ahead_bytes.store(0, Relaxed);
-        assert_eq!(target.to_tell(), [FIRST_CELL + 4]);
-        assert!(target.to_tell().is_empty(), "once");
+        assert_eq!(target.take_abandoned(), [FIRST_CELL + 4]);
+        assert!(target.take_abandoned().is_empty(), "once");
     }
 
     #[test]
@@ -396,10 +403,10 @@ mod tests {
                 pool.send(job(&target, FIRST_CELL + chunk, urgency)).await;
             }
         });
-        // Their bytes are not what the index says: each is told as damaged, or was given up.
+        // Their bytes do not match the index: each is reported as damaged, or was abandoned.
         let mut damaged = 0;
         let until = Instant::now() + std::time::Duration::from_secs(20);
-        while target.stats.snapshot(0).damaged + target.stats.snapshot(0).given_up < 40 && Instant::now() < until {
+        while target.stats.snapshot(0).damaged + target.stats.snapshot(0).abandoned < 40 && Instant::now() < until {
             std::thread::yield_now();
         }
         while damage.try_recv().is_ok() {

@@ -1,17 +1,20 @@
-//! Chunks kept on disk between visits: what was received once is read from here the next time.
+//! The disk cache: chunks kept between visits.
 //!
 //! ```text
 //!   DIR/chunks/ab/ab12...   stored bytes of a chunk or a page, named by their BLAKE3 hash
-//!   DIR/roots/ab12...       the root of a manifest, named likewise: the server sends none of it to a client that has it
+//!   DIR/roots/ab12...       the root of a manifest, named likewise; clients announce these roots,
+//!                           so that the server does not send their manifests again
 //! ```
 //!
-//! Several clients may share a folder, and none of them is trusted with the others' data: a file appears whole (written beside its place, then
-//! renamed), is read with the length that the index states, and is believed only if its hash is its name. What is damaged is removed and fetched
-//! anew. There are no locks; a file that somebody else removed meanwhile is one that is not there.
+//! Several clients may share a folder, and none trusts the others' data: a file is written to a
+//! temporary name and renamed, is read with the length that the index states, and is accepted only
+//! if its hash is its name. Damaged files are removed and fetched again. There are no locks; a file
+//! removed by another client is simply absent.
 //!
-//! The sum of all files stays below the cap: before a file is written that would exceed it, the least recently used ones go until an eighth of the cap is
-//! free. Reading a file counts as use, by its time of modification. Each client counts what it adds, and looks at the folder again after a sixteenth of the cap: so
-//! two clients at once may exceed the cap by that much, and no more for long.
+//! The total size stays below the capacity: before a file would exceed it, the least recently used
+//! files are removed until an eighth of the capacity is free. Reading a file counts as use, through
+//! its modification time. Each client counts the bytes it adds, and lists the folder again after a
+//! sixteenth of the capacity; two clients can exceed the capacity by that much for a short time.
 
 use ldi_protocol::{
     index::ChunkHash,
@@ -29,32 +32,32 @@ use std::{
     time::SystemTime,
 };
 
-/// Roots that a client says it has; the newest ones.
+/// Largest number of roots that a client announces, newest first.
 pub(super) const MAX_ROOTS: usize = 4;
-/// Files that are looked at in one folder; a folder with more was not made here, and the rest of it is left alone.
+/// Largest number of files listed per folder; any others are ignored.
 const MAX_FILES: usize = 1 << 20;
-/// The default cap: some datasets of the size of the shared scenes.
+/// Default capacity, bytes.
 pub const DEFAULT_DISK_BYTES: u64 = 2 << 30;
 
-/// A folder of chunks. Cloning is not needed: connections share it.
+/// A folder of chunks, shared by connections.
 #[derive(Debug)]
 pub struct DiskCache {
     folder: PathBuf,
     cap_bytes: u64,
     known: Mutex<Known>,
-    /// Makes names of unfinished files differ within this process.
+    /// Makes temporary names unique within this process.
     next: AtomicU64,
 }
 
 #[derive(Debug, Default)]
 struct Known {
-    /// Bytes of all files when the folder was looked at, and of what was added since.
+    /// Bytes of all files at the last listing, plus those added since.
     bytes: u64,
-    /// Of that, what was added since.
+    /// Bytes added since the last listing.
     added: u64,
 }
 
-/// A disk cache cannot be used.
+/// The disk cache cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[error("{folder}: {source}; give --disk-cache a folder that can be written, or leave it out")]
 pub struct DiskError {
@@ -70,52 +73,54 @@ struct Entry {
 }
 
 impl DiskCache {
-    /// Opens a folder, and makes it if it is not there.
+    /// Opens a folder, and creates it if absent.
     ///
     /// # Errors
-    /// A folder that cannot be made or read.
+    /// If the folder cannot be created or read.
     pub fn open(folder: &Path, cap_bytes: u64) -> Result<Self, DiskError> {
         let error = |source| DiskError { folder: folder.into(), source };
         for kind in ["chunks", "roots"] {
             fs::create_dir_all(folder.join(kind)).map_err(error)?;
         }
         let cache = Self { folder: folder.into(), cap_bytes, known: Mutex::default(), next: AtomicU64::new(0) };
-        // One that was filled under a larger cap shrinks now.
+        // The capacity may be smaller than before.
         cache.make_room(0);
         Ok(cache)
     }
 
-    /// The user's cache folder: `$XDG_CACHE_HOME/ldi`, else `$HOME/.cache/ldi` on Linux. None without a home.
+    /// The user's cache folder: `$XDG_CACHE_HOME/ldi`, else `$HOME/.cache/ldi` on Linux. None
+    /// without a home.
     pub fn default_folder() -> Option<PathBuf> {
         directories::ProjectDirs::from("", "", "ldi").map(|d| d.cache_dir().to_path_buf())
     }
 
-    /// Bytes of all files, unfinished ones included.
+    /// Bytes of all files, including temporary ones.
     pub fn bytes(&self) -> u64 {
         self.entries().iter().map(|e| e.bytes).sum()
     }
 
-    /// Whether a file of this name and length is there. Its bytes are not looked at.
+    /// Whether there is a file of this name and length, without reading it.
     pub fn has(&self, name: &ChunkHash, bytes: u32) -> bool {
         fs::metadata(self.path_of(name)).is_ok_and(|m| m.is_file() && m.len() == u64::from(bytes))
     }
 
-    /// The bytes of a chunk or page. None: not there, or not what its name says, and then it is gone now.
+    /// Reads a chunk or page. None if it is absent, or damaged (it is then removed).
     pub fn load(&self, name: &ChunkHash, bytes: u32) -> Option<Vec<u8>> {
         read_checked(&self.path_of(name), name, bytes as usize)
     }
 
-    /// Keeps a chunk or page whose hash was checked. A full or broken disk is no reason to stop a walk: it is logged.
+    /// Stores a verified chunk or page. Errors are logged: a full or broken disk does not stop a
+    /// walk.
     pub fn store(&self, name: &ChunkHash, bytes: &[u8]) {
         self.put(&self.path_of(name), bytes);
     }
 
-    /// Keeps the root of a manifest.
+    /// Stores the root of a manifest.
     pub(super) fn store_root(&self, name: &ChunkHash, bytes: &[u8]) {
         self.put(&self.folder.join("roots").join(name.to_string()), bytes);
     }
 
-    /// Manifests that are here whole and sound, the newest first: root and pages.
+    /// Complete and valid manifests, newest first: root and pages.
     pub(super) fn manifests(&self) -> Vec<(Root, Vec<Vec<u8>>)> {
         let mut roots = Vec::new();
         list(&self.folder.join("roots"), &mut roots);
@@ -147,7 +152,7 @@ impl DiskCache {
             if let Some(parent) = path.parent() {
                 fs::create_dir_all(parent)?;
             }
-            // Not synced: what a crash leaves behind does not have its hash.
+            // Not synced: after a crash an incomplete file fails its hash.
             File::create(&beside)?.write_all(bytes)?;
             fs::rename(&beside, path)
         };
@@ -157,14 +162,15 @@ impl DiskCache {
         }
     }
 
-    /// Makes room for so many bytes. False: there is none, as the cap is smaller.
+    /// Makes room for `bytes`. Returns whether the capacity suffices.
     fn make_room(&self, bytes: u64) -> bool {
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         let fits = known.bytes + bytes <= self.cap_bytes;
         if bytes > self.cap_bytes {
             return false;
         }
-        // The first time, when it is full, and once in a while as others may add files too.
+        // Lists the folder at first use, when it is full, and regularly, as other clients may add
+        // files.
         if !fits || bytes == 0 || known.added + bytes > self.cap_bytes / 16 {
             let mut entries = self.entries();
             let mut sum: u64 = entries.iter().map(|e| e.bytes).sum();
@@ -174,7 +180,7 @@ impl DiskCache {
                     if sum + bytes <= self.cap_bytes - self.cap_bytes / 8 {
                         break;
                     }
-                    // Whoever removed it first: it is gone.
+                    // Another client may have removed it.
                     let _ = fs::remove_file(&e.path);
                     sum = sum.saturating_sub(e.bytes);
                 }
@@ -210,7 +216,7 @@ fn list(folder: &Path, out: &mut Vec<Entry>) {
     }
 }
 
-/// Reads a file of exactly this length and hash; one that differs is removed.
+/// Reads a file of this length and hash. A file that differs is removed.
 fn read_checked(path: &Path, name: &ChunkHash, length: usize) -> Option<Vec<u8>> {
     let file = File::open(path).ok()?;
     let mut bytes = Vec::new();
@@ -219,7 +225,7 @@ fn read_checked(path: &Path, name: &ChunkHash, length: usize) -> Option<Vec<u8>>
         let _ = (&file).take(length as u64).read_to_end(&mut bytes);
     }
     if bytes.len() == length && blake3::hash(&bytes).as_bytes() == &name.0 {
-        // The time of use. Where it cannot be set, eviction is by age.
+        // The time of use. If it cannot be set, eviction is by age.
         let _ = file.set_modified(SystemTime::now());
         return Some(bytes);
     }

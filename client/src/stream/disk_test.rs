@@ -75,8 +75,8 @@ fn the_cap_is_kept_and_the_least_recently_used_go() {
     let _ = fs::remove_dir_all(folder);
 }
 
-/// Four clients store, load and evict the same chunks at once: whatever is loaded is right, nothing unfinished is left, and the cap holds within what
-/// the module says.
+/// Four clients store, load and evict the same chunks at once: whatever is loaded is right, nothing
+/// unfinished is left, and the cap holds within what the module says.
 #[test]
 fn clients_share_a_folder() {
     let folder = folder("shared");

@@ -1,49 +1,49 @@
-//! Why there is no connection, or no longer one. Texts of the server are escaped where they are shown.
+//! Connection errors. Texts sent by the server are escaped before they are shown.
 
 use ldi_protocol::{said::escaped, wire::RefusalCode};
 
 /// Errors of [`super::Connection`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ConnectError {
-    /// The address is none, or its name is unknown.
+    /// The address is invalid, or its name is unknown.
     #[error("{address}: {reason}; give HOST or HOST:PORT")]
     Address {
-        /// As given.
+        /// The address as given.
         address: String,
-        /// What is wrong.
+        /// The cause.
         reason: String,
     },
     /// A fingerprint that is not 64 hexadecimal digits.
     #[error("\"{0}\" is no fingerprint: 64 hexadecimal digits, as the server prints them")]
     FingerprintText(String),
-    /// Nobody answers there.
+    /// No server answers.
     #[error("{address} does not answer: {}; is the server running, and may UDP pass?", escaped(reason))]
     Unreachable {
-        /// Where.
+        /// The address.
         address: String,
-        /// What was seen.
+        /// The cause.
         reason: String,
     },
-    /// The server answers, but nobody said which certificate to expect.
+    /// The server answers, but no certificate was given to compare with.
     #[error("unknown server; if it prints fingerprint={fingerprint}, pass --fingerprint {fingerprint}")]
     UnknownServer {
-        /// Of the certificate that it showed.
+        /// Fingerprint of its certificate.
         fingerprint: String,
     },
-    /// The server shows another certificate than expected.
+    /// The server's certificate is not the expected one.
     #[error("the server's fingerprint is {found}, expected {expected}: another server, or someone in between")]
     Fingerprint {
-        /// As given.
+        /// Expected fingerprint.
         expected: String,
-        /// As shown.
+        /// Found fingerprint.
         found: String,
     },
-    /// The server refuses this client.
+    /// The server refuses the connection.
     #[error("the server refuses: {}", escaped(message))]
     Refused {
-        /// Why.
+        /// Reason.
         code: RefusalCode,
-        /// In its words.
+        /// The server's message.
         message: String,
     },
     /// The server has no room, or too many connections from this address broke its rules.
@@ -51,7 +51,7 @@ pub enum ConnectError {
         "the server lets nobody else in from here for now: it is full, or connections from this address broke its rules; try again in a minute"
     )]
     Busy,
-    /// The server breaks the protocol or sends a manifest that cannot be used.
+    /// The server violates the protocol, or sends an unusable manifest.
     #[error("the server sends what cannot be used: {}", escaped(.0))]
     Protocol(String),
     /// The connection ended.
@@ -63,7 +63,7 @@ pub enum ConnectError {
 }
 
 impl ConnectError {
-    /// The server's refusal.
+    /// Converts the server's refusal.
     pub(super) fn refused(code: RefusalCode, message: String) -> Self {
         match code {
             RefusalCode::Busy => Self::Busy,

@@ -1,11 +1,11 @@
-//! From an address to a connection with a manifest.
+//! The handshake: connects to an address and fetches the manifest.
 
 use super::{
-    ConnectConfig, ConnectError, Fingerprint, Kept,
-    link_socket::LinkSocket,
-    pages::{Pages, is_listed},
+    ConnectConfig, ConnectError, Fingerprint, ResumeState,
+    chunk_stream::{self, StreamError},
+    index_pages::{IndexPages, is_listed},
     progress::Phase,
-    receive::{self, Broken},
+    simulated_socket::SimulatedSocket,
     transport,
     trust::PinnedVerifier,
 };
@@ -18,18 +18,18 @@ use quinn::{Connection, ConnectionError, Endpoint, RecvStream, SendStream};
 use std::{net::SocketAddr, sync::Arc, time::Duration};
 use tokio::time::timeout;
 
-/// An open connection whose manifest is here.
+/// An open connection with its manifest.
 pub(super) struct Opened {
     pub endpoint: Endpoint,
-    pub link: Option<Arc<LinkSocket>>,
+    pub link: Option<Arc<SimulatedSocket>>,
     pub connection: Connection,
     pub send: SendStream,
     pub recv: RecvStream,
     pub dataset: ChunkHash,
     pub index: Arc<Index>,
-    /// The manifest as far as it is here, when the index is that of a first picture.
-    pub rest: Option<Pages>,
-    /// Whether the server tells where other walkers are.
+    /// The pages that have arrived, if the index is a partial one.
+    pub rest: Option<IndexPages>,
+    /// Whether the server sends the other walkers' poses.
     pub tells_others: bool,
 }
 
@@ -40,7 +40,7 @@ pub(super) async fn open(config: &ConnectConfig) -> Result<Opened, ConnectError>
     for address in transport::resolve(&config.server)? {
         match dial(config, address).await {
             Ok(dialed) => return converse(config, dialed).await,
-            // Only silence makes another address worth a try.
+            // Only a missing answer makes another address worth trying.
             Err(e @ ConnectError::Unreachable { .. }) => last = Some(e),
             Err(e) => return Err(e),
         }
@@ -48,7 +48,7 @@ pub(super) async fn open(config: &ConnectConfig) -> Result<Opened, ConnectError>
     Err(last.unwrap_or_else(|| ConnectError::Local("no address".into())))
 }
 
-type Dialed = (Endpoint, Option<Arc<LinkSocket>>, Connection);
+type Dialed = (Endpoint, Option<Arc<SimulatedSocket>>, Connection);
 
 async fn dial(config: &ConnectConfig, address: SocketAddr) -> Result<Dialed, ConnectError> {
     let provider = Arc::new(rustls::crypto::ring::default_provider());
@@ -69,7 +69,8 @@ async fn dial(config: &ConnectConfig, address: SocketAddr) -> Result<Dialed, Con
     }
 }
 
-/// A step of the conversation. Each has its own limit: a manifest of megabytes takes long over a slow line, but something comes.
+/// A step of the conversation with its own timeout: a large manifest takes long over a slow
+/// connection, but data keeps arriving.
 async fn step<T>(
     config: &ConnectConfig,
     what: impl Future<Output = Result<T, ConnectError>>,
@@ -81,7 +82,7 @@ async fn step<T>(
 async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) -> Result<Opened, ConnectError> {
     let (mut send, mut recv) = connection.open_bi().await.map_err(|e| lost(&e))?;
     let known = config.disk.as_ref().map_or_else(Vec::new, |d| d.manifests());
-    // Of an earlier connection, in memory.
+    // A manifest in memory, from an earlier connection.
     let resumed = config.resume.as_ref().filter(|k| k.cache.index().is_whole());
     let names = resumed.map(|k| k.dataset).into_iter().chain(known.iter().map(|(root, _)| root.hash));
     let names = names.take(MAX_MANIFESTS).collect();
@@ -99,7 +100,7 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
     });
     let hello = wire::encode(&hello).map_err(|e| ConnectError::Local(e.to_string()))?;
     config.progress.enter(Phase::Asking);
-    // A refusal may come before the message is out: then reading says why.
+    // The server may refuse before the message is sent: reading returns the reason.
     let _ = send.write_all(&hello).await;
     let welcome = match step(config, read_message::<ServerMessage>(&mut recv, &connection)).await? {
         ServerMessage::Welcome(w) => w,
@@ -126,7 +127,7 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
 
 /// The index of a dataset whose manifest was named in the hello.
 fn named(
-    resumed: Option<&Kept>,
+    resumed: Option<&ResumeState>,
     known: &[(Root, Vec<Vec<u8>>)],
     dataset: ChunkHash,
 ) -> Result<Arc<Index>, ConnectError> {
@@ -138,25 +139,25 @@ fn named(
     manifest::assemble(root, pages).map(Arc::new).map_err(|e| ConnectError::Protocol(e.to_string()))
 }
 
-/// The index, and what is still to come of the manifest when it is that of a first picture.
+/// Fetches the index, and returns the pages still to come if it is a partial one.
 async fn fetch_manifest(
     config: &ConnectConfig,
     welcome: &Welcome,
     recv: &mut RecvStream,
     connection: &Connection,
-) -> Result<(Index, Option<Pages>), ConnectError> {
+) -> Result<(Index, Option<IndexPages>), ConnectError> {
     let protocol = |reason: String| ConnectError::Protocol(reason);
-    let mut pages = Pages::new(step(config, read_frame(recv, connection, MAX_ROOT_BYTES)).await?, welcome)?;
+    let mut pages = IndexPages::new(step(config, read_frame(recv, connection, MAX_ROOT_BYTES)).await?, welcome)?;
     config.progress.pages(pages.stored_bytes());
     let listed = pages.listed();
     while !pages.are_whole() {
         let page = async {
-            let mut stream = connection.accept_uni().await.map_err(|_| Broken::Off { bytes: 0 })?;
-            let header = receive::header(&mut stream).await?;
+            let mut stream = connection.accept_uni().await.map_err(|_| StreamError::Off { bytes: 0 })?;
+            let header = chunk_stream::header(&mut stream).await?;
             if !is_listed(&listed, &header) {
-                return Err(Broken::Wrong("not a page of the manifest".into()));
+                return Err(StreamError::Wrong("not a page of the manifest".into()));
             }
-            Ok((header.number, receive::body(&mut stream, &header).await?))
+            Ok((header.number, chunk_stream::body(&mut stream, &header).await?))
         };
         let page = async {
             page.await.map_err(|e| match connection.close_reason() {
@@ -178,7 +179,7 @@ async fn fetch_manifest(
     Ok((pages.assemble(config.disk.as_deref())?, None))
 }
 
-/// The next frame of the control stream.
+/// Reads the next message of the control stream.
 pub(super) async fn read_message<M: Message>(
     recv: &mut RecvStream,
     connection: &Connection,
@@ -199,7 +200,7 @@ async fn read_frame(recv: &mut RecvStream, connection: &Connection, limit: usize
     match read.await {
         Ok(()) => Ok(body),
         Err(e @ ConnectError::Protocol(_)) => Err(e),
-        // The stream ends a moment before the connection does, and only the connection says why.
+        // The stream ends before the connection does, which holds the reason.
         Err(e) => Err(match timeout(Duration::from_millis(500), connection.closed()).await {
             Ok(reason) => lost(&reason),
             Err(_) => e,
@@ -207,7 +208,7 @@ async fn read_frame(recv: &mut RecvStream, connection: &Connection, limit: usize
     }
 }
 
-/// What the end of a connection means.
+/// Converts the end of a connection to an error.
 pub(super) fn lost(e: &ConnectionError) -> ConnectError {
     let ConnectionError::ApplicationClosed(close) = e else { return ConnectError::Lost(e.to_string()) };
     let message = String::from_utf8_lossy(&close.reason).into_owned();

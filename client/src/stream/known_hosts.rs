@@ -1,8 +1,9 @@
-//! Servers that were trusted before: trust on first use, as ssh has it.
+//! Known servers: trust on first use, as in ssh.
 //!
-//! A text file, one server per line: `HOST:PORT FINGERPRINT`. Empty lines and lines that begin with `#` say nothing. Lines are only
-//! ever added by this program; to forget a server, remove its line. A server may have several lines:
-//! one that is about to change its certificate announces the next one, which is added.
+//! A text file with one server per line: `HOST:PORT FINGERPRINT`. Empty lines and lines that begin
+//! with `#` are ignored. The program only appends lines; to forget a server, remove its line. A
+//! server may have several lines: before it changes its certificate it announces the next one,
+//! which is appended.
 
 use super::Fingerprint;
 use ldi_protocol::wire::DEFAULT_PORT;
@@ -12,12 +13,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Largest file that is read: some ten thousand servers.
+/// Largest file that is read, bytes.
 const MAX_BYTES: u64 = 1 << 20;
-/// Certificates of one server beyond which none is learned from it: its lines must not fill the file.
+/// Largest number of certificates learned per server: a server must not fill the file.
 const MAX_LEARNED: usize = 16;
 
-/// The file cannot be used, or speaks against a server.
+/// The file cannot be used, or contradicts a server's certificate.
 #[derive(Debug, thiserror::Error)]
 pub enum KnownHostsError {
     /// It cannot be read or written.
@@ -25,26 +26,26 @@ pub enum KnownHostsError {
     File {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The cause.
         source: std::io::Error,
     },
-    /// A line is not as it should be.
+    /// A line is malformed.
     #[error("{path}, line {line}: expected `HOST:PORT FINGERPRINT`; mend or remove the line")]
     Line {
         /// The file.
         path: PathBuf,
-        /// Counted from 1.
+        /// Line number, from 1.
         line: usize,
     },
-    /// It is far too large to be the right file.
+    /// The file is too large to be a list of servers.
     #[error("{path}: {bytes} bytes; this is no file of known servers")]
     TooLarge {
         /// The file.
         path: PathBuf,
-        /// Its size.
+        /// Its size, bytes.
         bytes: u64,
     },
-    /// The server shows another certificate than before.
+    /// The server's certificate has changed.
     #[error(
         "{path}, line {line}: {host} is known by the fingerprint {known}, but now shows {found}: it has a new certificate, or someone \
          stands in between. Ask whoever runs it; if the new one is right, remove the line and connect again"
@@ -52,27 +53,27 @@ pub enum KnownHostsError {
     Changed {
         /// The file.
         path: PathBuf,
-        /// Counted from 1.
+        /// Line number, from 1.
         line: usize,
-        /// As in the file.
+        /// Host in the file.
         host: String,
-        /// As in the file.
+        /// Fingerprint in the file.
         known: Fingerprint,
-        /// As shown now.
+        /// Fingerprint found.
         found: Fingerprint,
     },
 }
 
-/// What a file says of a server.
+/// The file's knowledge of a server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Acquaintance {
-    /// This very certificate.
+    /// The same certificate is known.
     Same,
-    /// Never seen.
+    /// The server is unknown.
     Stranger,
 }
 
-/// The file, as it was when it was read.
+/// The file's content when it was read.
 #[derive(Debug, Clone)]
 pub struct KnownHosts {
     path: PathBuf,
@@ -81,12 +82,13 @@ pub struct KnownHosts {
 }
 
 impl KnownHosts {
-    /// Where the file lies when nobody says: `~/.config/ldi/known_hosts`, or what the system has for that. None without a home.
+    /// Default path: `~/.config/ldi/known_hosts`, or the system's equivalent. None without a home
+    /// folder.
     pub fn default_path() -> Option<PathBuf> {
         Some(directories::ProjectDirs::from("", "", "ldi")?.config_dir().join("known_hosts"))
     }
 
-    /// Reads the file; one that is not there knows nobody.
+    /// Reads the file. An absent file knows no servers.
     ///
     /// # Errors
     /// If it cannot be read, or a line is not `HOST:PORT FINGERPRINT`.
@@ -114,10 +116,10 @@ impl KnownHosts {
         Ok(Self { path: path.to_owned(), entries })
     }
 
-    /// What the file says of a server (HOST or HOST:PORT) that shows this certificate.
+    /// Compares a server's certificate with the file. `server`: HOST or HOST:PORT.
     ///
     /// # Errors
-    /// [`KnownHostsError::Changed`] if it knows the server by another certificate only.
+    /// [`KnownHostsError::Changed`] if only other certificates of the server are known.
     pub fn check(&self, server: &str, found: Fingerprint) -> Result<Acquaintance, KnownHostsError> {
         let host = name_of(server);
         let mut of_host = self.entries.iter().filter(|e| e.1 == host).peekable();
@@ -129,7 +131,7 @@ impl KnownHosts {
         Err(KnownHostsError::Changed { path, line, host, known, found })
     }
 
-    /// Remembers a server. The line is appended at once, so that several clients can do it at the same time.
+    /// Appends a server, at once, so that several clients can do so concurrently.
     ///
     /// # Errors
     /// If the file or its folder cannot be written.
@@ -139,7 +141,7 @@ impl KnownHosts {
                 fs::create_dir_all(folder)?;
             }
             let text = fs::read(&self.path).unwrap_or_default();
-            // A last line without an end would swallow the new one.
+            // Terminates an unterminated last line.
             let start = if text.last().is_none_or(|b| *b == b'\n') { "" } else { "\n" };
             let line = format!("{start}{} {print}\n", name_of(server));
             fs::OpenOptions::new().append(true).create(true).open(&self.path)?.write_all(line.as_bytes())
@@ -147,8 +149,8 @@ impl KnownHosts {
         add().map_err(|source| KnownHostsError::File { path: self.path.clone(), source })
     }
 
-    /// Remembers the certificate that will replace a known server's, unless it is known. Reads the
-    /// file again, as others may have written to it.
+    /// Appends the certificate that will replace a known server's, unless it is known. Reads the
+    /// file again, as other clients may have written to it.
     ///
     /// # Errors
     /// If the file cannot be read or written.
@@ -162,7 +164,7 @@ impl KnownHosts {
         self.remember(server, next)
     }
 
-    /// A certificate that is known for a server, other than this one: the latest.
+    /// The latest known certificate of a server, other than this one.
     pub fn other(&self, server: &str, than: Fingerprint) -> Option<Fingerprint> {
         let host = name_of(server);
         self.entries.iter().rev().find(|e| e.1 == host && e.2 != than).map(|e| e.2)

@@ -1,26 +1,26 @@
-//! How far connecting is: written by the streaming thread, read by whoever shows it.
+//! Progress of connecting, from the streaming thread to the start screen.
 
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering::Relaxed};
 
-/// What connecting is at.
+/// Phase of connecting.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Phase {
-    /// Not begun.
+    /// Not started.
     #[default]
     Idle,
-    /// Looking for the server.
+    /// Resolving the address and connecting.
     Dialling,
-    /// The server answered and was asked in.
+    /// Waiting for the server's acceptance.
     Asking,
-    /// The dataset's index is coming.
+    /// Receiving the dataset's index.
     Index,
-    /// It is here and being put together.
+    /// Assembling the index.
     Assembling,
 }
 
 const PHASES: [Phase; 5] = [Phase::Idle, Phase::Dialling, Phase::Asking, Phase::Index, Phase::Assembling];
 
-/// Counters of one attempt after another.
+/// Progress of the current attempt.
 #[derive(Debug, Default)]
 pub struct ConnectProgress {
     phase: AtomicU8,
@@ -29,12 +29,12 @@ pub struct ConnectProgress {
 }
 
 impl ConnectProgress {
-    /// What it is at.
+    /// The current phase.
     pub fn phase(&self) -> Phase {
         PHASES[usize::from(self.phase.load(Relaxed)) % PHASES.len()]
     }
 
-    /// Stored bytes of the index that came, and of all of it; 0 of 0 before that is known.
+    /// Received and total stored bytes of the index; zero until the total is known.
     pub fn index_bytes(&self) -> (u64, u64) {
         (self.bytes.load(Relaxed), self.total.load(Relaxed))
     }

@@ -1,17 +1,18 @@
-//! The streaming thread: one loop that owns the control stream, and one task per chunk that arrives.
+//! The session: one loop that owns the control stream, and one task per received stream.
 
 use super::{
     ConnectConfig, ConnectError,
-    behind::Behind,
-    decoder::{DecodePool, Job, Target},
+    chunk_stream::{self, StreamError},
+    decode_backlog::DecodeBacklog,
+    decoder::{DecodeJob, DecodePool, DecodeTarget},
     disk::DiskCache,
+    disk_chunks::DiskChunks,
+    disk_loader::DiskLoader,
     handshake::{self, Opened},
-    others::{Others, Wish},
-    pages::{Pages, is_listed},
-    poses::Poses,
+    index_pages::{IndexPages, is_listed},
+    other_walkers::{OtherWalkers, OthersRequest},
+    pose_updates::PoseUpdates,
     progress::ConnectProgress,
-    receive::{self, Broken},
-    shelf::{Loader, Shelf},
     stats::{Collector, SAMPLE_EVERY},
     transport::MAX_STREAMS,
 };
@@ -36,40 +37,41 @@ use tokio::{
     time::{interval, timeout},
 };
 
-/// How often a damaged chunk is asked for again. The wire has checksums, so damage is nearly always on the server's disk.
+/// Number of retries of a damaged chunk. QUIC verifies its packets, so that the damage is nearly
+/// always on the server's disk.
 pub const MAX_RETRIES: u8 = 2;
-/// After this much movement, metres, what lies around the eye is counted as used anew.
+/// Movement after which data around the eye is marked as used again, metres.
 const TOUCH_STEP_M: f64 = 0.5;
-/// So far around the eye data is kept in memory and read from disk unasked, metres.
+/// Radius around the eye in which data is kept in memory and loaded from disk, metres.
 const AROUND_M: f64 = 5.0;
-/// Time for the goodbye.
+/// Timeout of the goodbye.
 const GOODBYE: Duration = Duration::from_millis(500);
 
-/// What the render thread wants.
+/// Commands of the render thread.
 pub(super) enum Command {
     Want(Vec<u32>),
     Fetch(Request, oneshot::Sender<Result<(u32, Vec<u8>), ConnectError>>),
     Close,
 }
 
-/// The connection is up.
+/// An established connection.
 pub(super) struct Ready {
     pub dataset: ChunkHash,
     pub cache: Arc<Cache>,
-    /// Where there is a disk cache.
-    pub loader: Option<Loader>,
+    /// The disk loader, with a disk cache.
+    pub loader: Option<DiskLoader>,
 }
 
-/// Says once how connecting went.
-pub(super) type SayReady = Box<dyn FnOnce(Result<Ready, ConnectError>) + Send>;
+/// Receives the outcome of connecting, once.
+pub(super) type ReadyCallback = Box<dyn FnOnce(Result<Ready, ConnectError>) + Send>;
 
-/// The body of a thread of its own: a small runtime with one connection.
+/// Body of the streaming thread: a runtime with one connection.
 pub(super) fn run(
     config: ConnectConfig,
     stats: Arc<Collector>,
-    poses: Arc<Poses>,
+    poses: Arc<PoseUpdates>,
     commands: mpsc::UnboundedReceiver<Command>,
-    ready: SayReady,
+    ready: ReadyCallback,
 ) {
     match tokio::runtime::Builder::new_current_thread().enable_all().build() {
         Ok(runtime) => runtime.block_on(stream(config, stats, poses, commands, ready)),
@@ -77,13 +79,13 @@ pub(super) fn run(
     }
 }
 
-/// One connection from the first to the last byte.
+/// Runs one connection until it ends.
 pub(super) async fn stream(
     config: ConnectConfig,
     stats: Arc<Collector>,
-    poses: Arc<Poses>,
+    poses: Arc<PoseUpdates>,
     commands: mpsc::UnboundedReceiver<Command>,
-    ready: SayReady,
+    ready: ReadyCallback,
 ) {
     let pool = match &config.decode_pool {
         Some(shared) => Ok(shared.clone()),
@@ -101,20 +103,20 @@ pub(super) async fn stream(
         opened.index = known.clone();
     }
     let cache = cache_for(&config, &opened);
-    let shelf = config.disk.as_ref().map(|d| Arc::new(Shelf::new(d.clone(), cache.clone())));
+    let disk_chunks = config.disk.as_ref().map(|d| Arc::new(DiskChunks::new(d.clone(), cache.clone())));
     let (damaged, damage) = mpsc::unbounded_channel();
-    let target = Arc::new(Target {
+    let target = Arc::new(DecodeTarget {
         cache: cache.clone(),
         stats: stats.clone(),
         damaged,
         arrivals: config.arrivals.clone(),
         ahead_bytes: AtomicUsize::new(0),
         waiting_bytes: AtomicUsize::new(0),
-        behind: Behind::default(),
-        shelf: shelf.clone(),
-        given_up: Mutex::default(),
+        backlog: DecodeBacklog::default(),
+        disk_chunks: disk_chunks.clone(),
+        abandoned: Mutex::default(),
     });
-    let loader = shelf.map(|shelf| Loader { shelf, target: target.clone(), pool: pool.clone() });
+    let loader = disk_chunks.map(|disk_chunks| DiskLoader { disk_chunks, target: target.clone(), pool: pool.clone() });
     stats.watch(opened.connection.clone(), opened.link.clone());
     cache.set_disconnected(None);
     ready(Ok(Ready { dataset: opened.dataset, cache: cache.clone(), loader: loader.clone() }));
@@ -138,7 +140,7 @@ pub(super) async fn stream(
         rest: opened.rest,
         assembling: None,
         others: config.others.clone(),
-        others_wish: opened.tells_others.then(Wish::default),
+        others_requested: opened.tells_others.then(OthersRequest::default),
     };
     let end = session.run(opened.recv, poses, commands, damage).await;
     let reason = end.map_or_else(|e| e.to_string(), |()| "the connection was closed".into());
@@ -148,7 +150,7 @@ pub(super) async fn stream(
     let _ = timeout(GOODBYE, endpoint.wait_idle()).await;
 }
 
-/// The cache of an earlier connection when it is of the same dataset, else a new one.
+/// The cache of an earlier connection to the same dataset, or a new one.
 fn cache_for(config: &ConnectConfig, opened: &Opened) -> Arc<Cache> {
     if let Some(old) = &config.resume
         && old.dataset == opened.dataset
@@ -171,50 +173,52 @@ struct Session {
     touched_at: Option<DVec3>,
     prefetch_m: f64,
     pool: Arc<DecodePool>,
-    target: Arc<Target>,
-    loader: Option<Loader>,
-    /// What lies around the eye, near to far, for the disk.
+    target: Arc<DecodeTarget>,
+    loader: Option<DiskLoader>,
+    /// Chunks around the eye, near to far, for the disk loader.
     around: Vec<u32>,
     disk: Option<Arc<DiskCache>>,
     progress: Arc<ConnectProgress>,
-    /// The manifest, while pages of it are to come.
-    rest: Option<Pages>,
-    /// The whole index is being put together.
+    /// The manifest, until all pages have arrived.
+    rest: Option<IndexPages>,
+    /// The task that assembles the complete index.
     assembling: Option<JoinHandle<Result<Index, ConnectError>>>,
-    others: Arc<Others>,
-    /// The wish that the server knows of; None for one that does not tell.
-    others_wish: Option<Wish>,
+    others: Arc<OtherWalkers>,
+    /// The request that the server knows; None if the server does not send other walkers.
+    others_requested: Option<OthersRequest>,
 }
 
 impl Session {
     async fn run(
         mut self,
         recv: RecvStream,
-        poses: Arc<Poses>,
+        poses: Arc<PoseUpdates>,
         mut commands: mpsc::UnboundedReceiver<Command>,
         mut damage: mpsc::UnboundedReceiver<u32>,
     ) -> Result<(), ConnectError> {
         match self.rest {
-            None => self.tell_whole().await?,
-            Some(_) => self.tell_held().await?,
+            None => self.send_whole().await?,
+            Some(_) => self.send_held().await?,
         }
-        let (messages, mut heard) = mpsc::channel(16);
-        let (paged, mut pages) = mpsc::channel(MAX_STREAMS as usize);
-        let listed = self.rest.as_ref().map_or_else(Vec::new, Pages::listed);
-        let intake = Arc::new(Intake { target: self.target.clone(), pool: self.pool.clone(), listed, paged });
+        let (messages, mut received_messages) = mpsc::channel(16);
+        let (page_sender, mut pages) = mpsc::channel(MAX_STREAMS as usize);
+        let listed = self.rest.as_ref().map_or_else(Vec::new, IndexPages::listed);
+        let intake =
+            Arc::new(ChunkReceiver { target: self.target.clone(), pool: self.pool.clone(), listed, page_sender });
         let mut tasks = JoinSet::new();
-        tasks.spawn(listen(recv, self.connection.clone(), messages));
+        tasks.spawn(read_messages(recv, self.connection.clone(), messages));
         let mut tick = interval(SAMPLE_EVERY);
         loop {
             tokio::select! {
-                // A stream that was read to its end no longer counts for QUIC: chunks that wait for a decoder must count here.
+                // QUIC does not count streams that were read to the end: chunks that wait for
+                // decoding are counted here.
                 stream = self.connection.accept_uni(), if tasks.len() <= MAX_STREAMS as usize && !self.target.is_full() => {
                     let stream = stream.map_err(|e| handshake::lost(&e))?;
-                    tasks.spawn(intake.clone().take_in(stream));
+                    tasks.spawn(intake.clone().receive_chunk(stream));
                 }
                 pose = poses.next() => self.send_pose(pose),
                 command = commands.recv() => match command {
-                    Some(Command::Want(chunks)) => self.tell(chunks, |chunks| ClientMessage::Want { chunks }).await?,
+                    Some(Command::Want(chunks)) => self.send_list(chunks, |chunks| ClientMessage::Want { chunks }).await?,
                     Some(Command::Fetch(request, answer)) => {
                         tasks.spawn(fetch(self.connection.clone(), request, answer));
                     }
@@ -225,29 +229,29 @@ impl Session {
                         return Ok(());
                     }
                 },
-                Some((number, bytes)) = pages.recv() => self.take_page(number, bytes),
-                index = assembled(&mut self.assembling) => self.become_whole(index?).await?,
-                Some(message) = heard.recv() => self.hear(message?),
-                Some(chunk) = damage.recv() => self.ask_again(chunk).await?,
-                _ = tick.tick() => self.tick(poses.newest()).await?,
+                Some((number, bytes)) = pages.recv() => self.on_page(number, bytes),
+                index = assembled(&mut self.assembling) => self.on_whole_index(index?).await?,
+                Some(message) = received_messages.recv() => self.on_message(message?),
+                Some(chunk) = damage.recv() => self.retry_damaged(chunk).await?,
+                _ = tick.tick() => self.sample(poses.newest()).await?,
                 Some(_) = tasks.join_next() => {}
             }
         }
     }
 
-    /// Tells what is held from before.
-    async fn tell_held(&mut self) -> Result<(), ConnectError> {
+    /// Tells the server which chunks are held.
+    async fn send_held(&mut self) -> Result<(), ConnectError> {
         let mut have = self.cache.held();
         if let Some(loader) = &self.loader {
-            have.extend(loader.shelf.numbers());
+            have.extend(loader.disk_chunks.chunk_numbers());
             have.sort_unstable();
             have.dedup();
         }
-        self.tell(have, |chunks| ClientMessage::Have { chunks }).await
+        self.send_list(have, |chunks| ClientMessage::Have { chunks }).await
     }
 
-    /// A page after the walk has begun; with the last one the index is put together, which takes a moment and a thread.
-    fn take_page(&mut self, number: u32, bytes: Vec<u8>) {
+    /// Adds a page. The last one starts a task that assembles the index.
+    fn on_page(&mut self, number: u32, bytes: Vec<u8>) {
         let Some(rest) = &mut self.rest else { return };
         self.progress.page(bytes.len() as u64);
         rest.take(number, bytes);
@@ -257,43 +261,43 @@ impl Session {
         }
     }
 
-    async fn become_whole(&mut self, index: Index) -> Result<(), ConnectError> {
+    async fn on_whole_index(&mut self, index: Index) -> Result<(), ConnectError> {
         self.cache.complete(Arc::new(index));
         if let Some(loader) = &self.loader {
-            loader.shelf.look();
+            loader.disk_chunks.refresh();
         }
-        self.tell_whole().await
+        self.send_whole().await
     }
 
-    /// The server may send whatever views need, and knows before what is held.
-    async fn tell_whole(&mut self) -> Result<(), ConnectError> {
-        self.tell_held().await?;
-        self.say(&ClientMessage::Whole).await
+    /// Tells the server that the index is complete, after the held chunks.
+    async fn send_whole(&mut self) -> Result<(), ConnectError> {
+        self.send_held().await?;
+        self.ready_callback(&ClientMessage::Whole).await
     }
 
     fn send_pose(&mut self, pose: Pose) {
         self.sequence = self.sequence.wrapping_add(1);
         let sent_us = self.started.elapsed().as_micros() as u64;
         let datagram = PoseDatagram { sequence: self.sequence, sent_us, pose };
-        // A full buffer drops the oldest pose, which is the right one to lose.
+        // A full buffer drops the oldest pose, which is the right one to drop.
         if let Err(e) = self.connection.send_datagram(datagram.encode().to_vec().into()) {
             tracing::debug!("pose: {e}");
         }
     }
 
-    /// Sends lists in parts that fit a message.
-    async fn tell(
+    /// Sends a list in parts that fit a message.
+    async fn send_list(
         &mut self,
         chunks: Vec<u32>,
         message: impl Fn(Vec<u32>) -> ClientMessage,
     ) -> Result<(), ConnectError> {
         for part in chunks.chunks(MAX_LIST) {
-            self.say(&message(part.to_vec())).await?;
+            self.ready_callback(&message(part.to_vec())).await?;
         }
         Ok(())
     }
 
-    async fn say(&mut self, message: &ClientMessage) -> Result<(), ConnectError> {
+    async fn ready_callback(&mut self, message: &ClientMessage) -> Result<(), ConnectError> {
         let frame = wire::encode(message).map_err(|e| ConnectError::Protocol(e.to_string()))?;
         self.send.write_all(&frame).await.map_err(|e| match self.connection.close_reason() {
             Some(reason) => handshake::lost(&reason),
@@ -301,19 +305,19 @@ impl Session {
         })
     }
 
-    fn hear(&mut self, message: ServerMessage) {
+    fn on_message(&mut self, message: ServerMessage) {
         match message {
             ServerMessage::Unavailable { chunks } => {
                 tracing::warn!("the server cannot read {} chunks, the first is {:?}", chunks.len(), chunks.first());
                 chunks.into_iter().for_each(|c| self.cache.mark_damaged(c));
             }
-            ServerMessage::Others { walkers } => self.others.told(walkers),
-            // Of the handshake: they mean nothing now.
+            ServerMessage::Others { walkers } => self.others.set(walkers),
+            // Handshake messages have no meaning here.
             ServerMessage::Welcome(_) | ServerMessage::Refused { .. } => {}
         }
     }
 
-    async fn ask_again(&mut self, chunk: u32) -> Result<(), ConnectError> {
+    async fn retry_damaged(&mut self, chunk: u32) -> Result<(), ConnectError> {
         let tries = self.tries.entry(chunk).or_default();
         *tries += 1;
         if *tries > MAX_RETRIES {
@@ -325,14 +329,14 @@ impl Session {
                 "arrived damaged {tries} times and is given up; check the dataset with `ldi-server verify`"
             );
             self.cache.mark_damaged(chunk);
-            // Or it would come with every pose that needs it.
-            return self.tell(vec![chunk], |chunks| ClientMessage::Have { chunks }).await;
+            // Otherwise it would be sent with every pose that needs it.
+            return self.send_list(vec![chunk], |chunks| ClientMessage::Have { chunks }).await;
         }
         tracing::info!(chunk, "arrived damaged, asked for again");
-        self.tell(vec![chunk], |chunks| ClientMessage::Want { chunks }).await
+        self.send_list(vec![chunk], |chunks| ClientMessage::Want { chunks }).await
     }
 
-    async fn tick(&mut self, pose: Option<Pose>) -> Result<(), ConnectError> {
+    async fn sample(&mut self, pose: Option<Pose>) -> Result<(), ConnectError> {
         self.stats.tick();
         if let Some(p) = pose
             && self.prefetch_m > 0.0
@@ -345,28 +349,32 @@ impl Session {
             self.cache.touch(self.around.iter().copied());
         }
         if let Some(loader) = &self.loader {
-            loader.bring_around(&self.around);
+            loader.load_around(&self.around);
         }
-        if let Some(news) = self.target.behind.news(self.pool.threads()) {
-            self.say(&news).await?;
+        if let Some(news) = self.target.backlog.update_message(self.pool.threads()) {
+            self.ready_callback(&news).await?;
         }
-        let wish = self.others.wish();
-        if self.others_wish.is_some_and(|said| said != wish) {
-            self.others_wish = Some(wish);
-            self.say(&ClientMessage::Others { shown: wish.wanted }).await?;
+        let request_state = self.others.request_state();
+        if self.others_requested.is_some_and(|said| said != request_state) {
+            self.others_requested = Some(request_state);
+            self.ready_callback(&ClientMessage::Others { shown: request_state.wanted }).await?;
         }
         let mut gone = self.cache.take_evicted(Instant::now());
         if let Some(loader) = &self.loader {
-            // It leaves the memory, not this machine.
-            gone.retain(|c| !loader.shelf.holds(*c));
+            // Evicted chunks that are on disk stay held.
+            gone.retain(|c| !loader.disk_chunks.holds(*c));
         }
-        gone.extend(self.target.to_tell());
-        self.tell(gone, |chunks| ClientMessage::Drop { chunks }).await
+        gone.extend(self.target.take_abandoned());
+        self.send_list(gone, |chunks| ClientMessage::Drop { chunks }).await
     }
 }
 
 /// Reads the control stream until it ends.
-async fn listen(mut recv: RecvStream, connection: Connection, out: mpsc::Sender<Result<ServerMessage, ConnectError>>) {
+async fn read_messages(
+    mut recv: RecvStream,
+    connection: Connection,
+    out: mpsc::Sender<Result<ServerMessage, ConnectError>>,
+) {
     loop {
         let message = handshake::read_message(&mut recv, &connection).await;
         let last = message.is_err();
@@ -376,7 +384,7 @@ async fn listen(mut recv: RecvStream, connection: Connection, out: mpsc::Sender<
     }
 }
 
-/// The whole index, when it is put together.
+/// The complete index, when its task is done.
 async fn assembled(assembling: &mut Option<JoinHandle<Result<Index, ConnectError>>>) -> Result<Index, ConnectError> {
     let Some(task) = assembling else { return std::future::pending().await };
     let done = task.await;
@@ -384,51 +392,54 @@ async fn assembled(assembling: &mut Option<JoinHandle<Result<Index, ConnectError
     done.unwrap_or_else(|e| Err(ConnectError::Local(e.to_string())))
 }
 
-/// Where streams go.
-struct Intake {
-    target: Arc<Target>,
+/// The destination of received streams.
+struct ChunkReceiver {
+    target: Arc<DecodeTarget>,
     pool: Arc<DecodePool>,
-    /// Pages that may come.
+    /// Pages that may arrive.
     listed: Vec<PageEntry>,
-    paged: mpsc::Sender<(u32, Vec<u8>)>,
+    page_sender: mpsc::Sender<(u32, Vec<u8>)>,
 }
 
-impl Intake {
-    /// Takes in one page, for the session, or one chunk, for the decoding threads.
-    async fn take_in(self: Arc<Self>, mut stream: RecvStream) {
+impl ChunkReceiver {
+    /// Receives a page for the session, or a chunk for the decoder.
+    async fn receive_chunk(self: Arc<Self>, mut stream: RecvStream) {
         match self.receive(&mut stream).await {
             Ok(()) => {}
-            Err(Broken::Off { bytes }) => self.target.stats.broken_off(bytes),
-            Err(e @ Broken::Wrong(_)) => tracing::warn!("a stream was refused: {e}"),
+            Err(StreamError::Off { bytes }) => self.target.stats.broken_off(bytes),
+            Err(e @ StreamError::Wrong(_)) => tracing::warn!("a stream was refused: {e}"),
         }
     }
 
-    async fn receive(&self, stream: &mut RecvStream) -> Result<(), Broken> {
-        let Target { cache, stats, .. } = &*self.target;
-        let header = receive::header(stream).await?;
+    async fn receive(&self, stream: &mut RecvStream) -> Result<(), StreamError> {
+        let DecodeTarget { cache, stats, .. } = &*self.target;
+        let header = chunk_stream::header(stream).await?;
         let entry = cache.index().chunks.get(header.number as usize).filter(|_| header.kind == StreamKind::Chunk);
         if entry.is_none_or(|e| e.stored_bytes != header.bytes) && !is_listed(&self.listed, &header) {
-            receive::refuse(stream, code::BAD_STREAM);
-            return Err(Broken::Wrong(format!("{:?} {} is not as the index lists it", header.kind, header.number)));
+            chunk_stream::refuse(stream, code::BAD_STREAM);
+            return Err(StreamError::Wrong(format!(
+                "{:?} {} is not as the index lists it",
+                header.kind, header.number
+            )));
         }
         if header.kind == StreamKind::Chunk && cache.holds(header.number) {
-            receive::refuse(stream, code::DUPLICATE);
+            chunk_stream::refuse(stream, code::DUPLICATE);
             stats.duplicate(0);
             return Ok(());
         }
-        let bytes = receive::body(stream, &header).await?;
+        let bytes = chunk_stream::body(stream, &header).await?;
         if header.kind == StreamKind::Page {
-            // The session is gone when nobody takes it.
-            let _ = self.paged.send((header.number, bytes)).await;
+            // Nobody receives pages after the session has ended.
+            let _ = self.page_sender.send((header.number, bytes)).await;
             return Ok(());
         }
         let target = self.target.clone();
-        self.pool.send(Job { chunk: header.number, urgency: header.urgency, bytes: Some(bytes), target }).await;
+        self.pool.send(DecodeJob { chunk: header.number, urgency: header.urgency, bytes: Some(bytes), target }).await;
         Ok(())
     }
 }
 
-/// One request on a stream of its own.
+/// Performs a request on its own stream.
 async fn fetch(
     connection: Connection,
     request: Request,

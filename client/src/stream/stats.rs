@@ -1,14 +1,14 @@
-//! What came over the wire and what it was good for.
+//! Statistics of received data, and of its use.
 
-use super::{link::LinkCounts, link_socket::LinkSocket};
+use super::{simulated_link::LinkCounts, simulated_socket::SimulatedSocket};
 use std::{
     sync::{Arc, Mutex, OnceLock, PoisonError},
     time::{Duration, Instant},
 };
 
-/// How often the wire's byte count is read. Rates over one second are exact to this.
+/// Interval at which the received bytes are sampled, the precision of rates over one second.
 pub(super) const SAMPLE_EVERY: Duration = Duration::from_millis(100);
-/// Samples kept: 24 hours; then the list stops growing.
+/// Largest number of samples.
 const MAX_SAMPLES: usize = 864_000;
 /// Samples in a one-second window.
 const WINDOW: usize = 10;
@@ -16,22 +16,22 @@ const WINDOW: usize = 10;
 /// A chunk's arrival.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Arrival {
-    /// Since the connection began.
+    /// Time since the connection began.
     pub at: Duration,
-    /// Its number.
+    /// Chunk number.
     pub chunk: u32,
     /// Stored bytes.
     pub bytes: u32,
-    /// Why it was sent.
+    /// The reason for sending it.
     pub urgency: ldi_protocol::wire::Urgency,
 }
 
-/// The state of the statistics.
+/// Statistics of a connection.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Stats {
-    /// Since the connection began.
+    /// Time since the connection began.
     pub elapsed: Duration,
-    /// Bytes received on the wire, UDP payload: handshake, pages, chunks, retransmissions and all.
+    /// Received UDP payload, including handshake, pages, chunks and retransmissions.
     pub bytes_total: u64,
     /// Bytes sent on the wire.
     pub bytes_sent: u64,
@@ -41,34 +41,35 @@ pub struct Stats {
     pub chunks: u64,
     /// Stored bytes received in vain: duplicates, damaged chunks, streams that broke off.
     pub lost_bytes: u64,
-    /// Chunks whose hash was wrong.
+    /// Chunks with a wrong hash.
     pub damaged: u64,
-    /// Chunks that came although they were at hand.
+    /// Chunks that were already held.
     pub duplicates: u64,
-    /// Streams that the server gave up.
+    /// Streams that the server reset.
     pub broken_off: u64,
-    /// Chunks sent ahead of need that the client gave up, because it was behind with decoding.
-    pub given_up: u64,
-    /// Chunks that were read from disk instead.
+    /// Chunks sent ahead that were abandoned because of the decode backlog.
+    pub abandoned: u64,
+    /// Chunks read from disk.
     pub disk_chunks: u64,
-    /// Their stored bytes.
+    /// Stored bytes of chunks read from disk.
     pub disk_bytes: u64,
-    /// [`Stats::lost_bytes`], and chunks that no frame has used.
+    /// [`Stats::lost_bytes`], plus chunks that no frame used.
     pub wasted_bytes: u64,
-    /// Mean over the connection.
+    /// Mean rate of the connection.
     pub mbit_per_s_mean: f64,
-    /// 99th percentile over windows of one second, a new one every tenth.
+    /// 99th percentile over windows of one second, one per tenth of a second.
     pub mbit_per_s_p99_1s: f64,
     /// Round trip, milliseconds.
     pub rtt_ms: f64,
-    /// Packets that the client's own sending lost.
+    /// Sent packets that were lost.
     pub lost_packets: u64,
-    /// What became of the packets on [`super::ConnectConfig::link`], up and down; None without one.
+    /// Packet counts of [`super::ConnectConfig::link`], up and down; None without a link.
     pub link: Option<[LinkCounts; 2]>,
 }
 
 impl Stats {
-    /// Those of two connections with one cache, `next` after this one; `useful_bytes` as of [`Collector::snapshot`], of both.
+    /// Combines the statistics of two connections with one cache. `useful_bytes` as in
+    /// [`Collector::snapshot`], of both.
     pub fn and_then(&self, next: &Self, useful_bytes: u64) -> Self {
         let (elapsed, bytes_total) = (self.elapsed + next.elapsed, self.bytes_total + next.bytes_total);
         let (chunk_bytes, lost_bytes) = (self.chunk_bytes + next.chunk_bytes, self.lost_bytes + next.lost_bytes);
@@ -86,7 +87,7 @@ impl Stats {
             damaged: self.damaged + next.damaged,
             duplicates: self.duplicates + next.duplicates,
             broken_off: self.broken_off + next.broken_off,
-            given_up: self.given_up + next.given_up,
+            abandoned: self.abandoned + next.abandoned,
             disk_chunks: self.disk_chunks + next.disk_chunks,
             disk_bytes: self.disk_bytes + next.disk_bytes,
             wasted_bytes: chunk_bytes.saturating_sub(useful_bytes) + lost_bytes,
@@ -103,17 +104,17 @@ impl Stats {
 struct Inner {
     stats: Stats,
     arrivals: Vec<Arrival>,
-    /// Wire bytes at multiples of [`SAMPLE_EVERY`].
+    /// Received bytes at multiples of [`SAMPLE_EVERY`].
     samples: Vec<u64>,
 }
 
-/// Collects; shared by the tasks and threads of a connection.
+/// Collects statistics from the tasks and threads of a connection.
 #[derive(Debug)]
 pub(super) struct Collector {
     start: Instant,
-    /// Once it is open.
+    /// Set once the connection is open.
     wire: OnceLock<quinn::Connection>,
-    link: OnceLock<Arc<LinkSocket>>,
+    link: OnceLock<Arc<SimulatedSocket>>,
     inner: Mutex<Inner>,
 }
 
@@ -155,9 +156,9 @@ impl Collector {
             i.stats.lost_bytes += bytes;
         });
     }
-    pub fn given_up(&self, bytes: u64) {
+    pub fn abandoned(&self, bytes: u64) {
         self.with(|i| {
-            i.stats.given_up += 1;
+            i.stats.abandoned += 1;
             i.stats.lost_bytes += bytes;
         });
     }
@@ -167,28 +168,28 @@ impl Collector {
             i.stats.disk_bytes += bytes;
         });
     }
-    /// What counted as read from disk was there before, or is damaged.
+    /// Undoes the count of a chunk read from disk that was already held, or damaged.
     pub fn not_read_from_disk(&self, bytes: u64) {
         self.with(|i| {
             i.stats.disk_chunks -= 1;
             i.stats.disk_bytes -= bytes;
         });
     }
-    /// What counted as arrived was there before, or is no object.
+    /// Undoes the count of an arrival that was already held, or could not be decoded.
     pub fn take_back(&self, bytes: u32) {
         self.with(|i| {
             i.stats.chunks -= 1;
             i.stats.chunk_bytes -= u64::from(bytes);
         });
     }
-    /// The connection whose bytes are counted, and the link before it.
-    pub fn watch(&self, connection: quinn::Connection, link: Option<Arc<LinkSocket>>) {
+    /// Sets the connection whose bytes are counted, and its link.
+    pub fn watch(&self, connection: quinn::Connection, link: Option<Arc<SimulatedSocket>>) {
         let _ = self.wire.set(connection);
         if let Some(link) = link {
             let _ = self.link.set(link);
         }
     }
-    /// A tenth of a second has passed.
+    /// Samples the received bytes; called every [`SAMPLE_EVERY`].
     pub fn tick(&self) {
         let bytes = self.received();
         self.with(|i| {
@@ -197,7 +198,7 @@ impl Collector {
             }
         });
     }
-    /// Bytes on the wire so far.
+    /// Received bytes so far.
     pub fn received(&self) -> u64 {
         self.wire.get().map_or(0, |c| c.stats().udp_rx.bytes)
     }
@@ -208,7 +209,7 @@ impl Collector {
     pub fn arrivals(&self) -> Vec<Arrival> {
         self.with(|i| i.arrivals.clone())
     }
-    /// The statistics; `useful_bytes` are stored bytes of chunks that frames used.
+    /// A snapshot of the statistics. `useful_bytes`: stored bytes of chunks that frames used.
     pub fn snapshot(&self, useful_bytes: u64) -> Stats {
         let elapsed = self.elapsed();
         self.with(|i| {
@@ -229,7 +230,8 @@ impl Collector {
     }
 }
 
-/// 99th percentile (nearest rank) of the rate over all windows of one second, Mbit/s; the whole time when it was shorter.
+/// 99th percentile (nearest rank) of the rate over all windows of one second, Mbit/s; or the mean
+/// of a shorter time.
 fn p99_of_windows(samples: &[u64]) -> f64 {
     let window = WINDOW.min(samples.len().saturating_sub(1));
     if window == 0 {
@@ -268,7 +270,8 @@ mod tests {
             mbit_per_s_p99_1s: chunk_bytes as f64,
             ..Stats::default()
         };
-        // 70 of 100 bytes were useful; then 20 more came, and frames used them and 10 of those before.
+        // 70 of 100 bytes were useful; then 20 more came, and frames used them and 10 of those
+        // before.
         let both = of(100, 30, 3).and_then(&of(20, 0, 1), 100);
         assert_eq!((both.chunk_bytes, both.wasted_bytes, both.bytes_total), (120, 20, 140));
         assert_eq!((both.elapsed.as_secs(), both.mbit_per_s_p99_1s), (4, 100.0));

@@ -1,6 +1,7 @@
-//! The client's endpoint: a socket with large buffers, windows that bound memory, the pinned certificate.
+//! The client's QUIC endpoint: socket buffers, flow control that bounds memory, the pinned
+//! certificate.
 
-use super::{ConnectError, LinkSpec, link_socket::LinkSocket, trust::PinnedVerifier};
+use super::{ConnectError, LinkSpec, simulated_socket::SimulatedSocket, trust::PinnedVerifier};
 use ldi_protocol::wire::{ALPN, DEFAULT_PORT, PoseDatagram};
 use quinn::{ClientConfig, Endpoint, EndpointConfig, IdleTimeout, Runtime as _, TransportConfig, VarInt};
 use std::{
@@ -9,23 +10,24 @@ use std::{
     time::Duration,
 };
 
-/// As the server's.
+/// Idle timeout, as the server's.
 const IDLE: Duration = Duration::from_secs(30);
-/// Keeps an idle connection alive through address translators, which forget UDP after about 30 s.
+/// Interval of keep-alives: address translators forget idle UDP flows.
 const KEEP_ALIVE: Duration = Duration::from_secs(8);
-/// Chunks that may be on their way: in a round trip no more come than that, however small they are. 512 of a packet each fill 25 Mbit/s for 0.2 s.
+/// Largest number of concurrent streams, and thus of chunks per round trip. Smaller: small chunks
+/// do not fill a connection with a long round trip; larger: more memory.
 pub(super) const MAX_STREAMS: u32 = 512;
-/// Bytes ahead of the reader on one stream, and on all: 1.25 MB is a gigabit for 10 ms.
+/// Flow control window of a stream and of the connection, bytes.
 const STREAM_WINDOW: u32 = 1_250_000;
 const WINDOW: u32 = 8 << 20;
-/// A few poses: with a full buffer the oldest gives way, so the latest wins.
+/// Poses in the send buffer. When it is full the oldest is dropped.
 const POSES_WAITING: usize = 4;
 const SOCKET_BUFFER_BYTES: usize = 4 << 20;
 
-/// HOST, HOST:PORT, `[v6]:PORT` or a bare v6 address, resolved.
+/// Resolves HOST, HOST:PORT, `[v6]:PORT` or a bare v6 address.
 ///
 /// # Errors
-/// A text that is no address, or a name that nobody knows.
+/// If the text is no address, or the name is unknown.
 pub fn resolve(text: &str) -> Result<Vec<SocketAddr>, ConnectError> {
     let wrong = |reason: String| ConnectError::Address { address: text.to_owned(), reason };
     let bare_v6 = text.parse::<Ipv6Addr>().is_ok();
@@ -39,12 +41,13 @@ pub fn resolve(text: &str) -> Result<Vec<SocketAddr>, ConnectError> {
     if found.is_empty() { Err(wrong("no address".into())) } else { Ok(found) }
 }
 
-/// A socket of the right family, behind a link if one is asked for, and an endpoint on it. Call within a tokio runtime.
+/// Opens a socket of the right family, with a simulated link if given, and an endpoint. Call within
+/// a tokio runtime.
 pub(super) fn open(
     remote: SocketAddr,
     verifier: Arc<PinnedVerifier>,
     link: Option<LinkSpec>,
-) -> Result<(Endpoint, Option<Arc<LinkSocket>>), ConnectError> {
+) -> Result<(Endpoint, Option<Arc<SimulatedSocket>>), ConnectError> {
     let local = |e: &dyn std::fmt::Display| ConnectError::Local(e.to_string());
     let provider = Arc::new(rustls::crypto::ring::default_provider());
     let mut crypto = rustls::ClientConfig::builder_with_provider(provider)
@@ -70,7 +73,7 @@ pub(super) fn open(
     }
     let runtime = Arc::new(quinn::TokioRuntime);
     let bare = runtime.wrap_udp_socket(socket).map_err(|e| local(&e))?;
-    let link = link.map(|spec| LinkSocket::new(bare.clone(), spec));
+    let link = link.map(|spec| SimulatedSocket::new(bare.clone(), spec));
     let socket = link.clone().map_or(bare, |l| l);
     let mut endpoint =
         Endpoint::new_with_abstract_socket(EndpointConfig::default(), None, socket, runtime).map_err(|e| local(&e))?;

@@ -1,4 +1,5 @@
-//! Whom to trust: exactly the certificate whose fingerprint was given, no authority in between.
+//! Certificate verification: exactly the certificate with the given fingerprint is trusted, without
+//! any authority.
 
 use super::ConnectError;
 use rustls::{
@@ -33,10 +34,11 @@ impl std::fmt::Display for Fingerprint {
 }
 
 impl Fingerprint {
-    /// One fingerprint, or two with a comma between them while a server's certificate changes.
+    /// Parses one fingerprint, or two with a comma between them while a server's certificate
+    /// changes.
     ///
     /// # Errors
-    /// A text that is none.
+    /// If the text is no fingerprint.
     pub fn pair(text: &str) -> Result<(Self, Option<Self>), ConnectError> {
         match text.split_once(',') {
             Some((now, next)) => Ok((now.parse()?, Some(next.parse()?))),
@@ -45,7 +47,8 @@ impl Fingerprint {
     }
 }
 
-/// Accepts one certificate, or the one that will replace it. The handshake's signature is checked as usual, so that the server must hold its key.
+/// Accepts one certificate, or the one that will replace it. The handshake's signature is verified
+/// as usual, so that the server must hold the key.
 #[derive(Debug)]
 pub(super) struct PinnedVerifier {
     expected: Option<Fingerprint>,
@@ -59,7 +62,7 @@ impl PinnedVerifier {
         Arc::new(Self { expected, next, found: OnceLock::new(), provider })
     }
 
-    /// Why the certificate was refused, once one was shown.
+    /// The reason why the certificate was refused, if one was shown.
     pub fn refusal(&self) -> Option<ConnectError> {
         let found = *self.found.get()?;
         match self.expected {

@@ -1,9 +1,10 @@
-//! The reference: output as lists per pixel (section 3.3).
+//! The reference: depth lists per pixel (Chang, Bishop, Lastra 1999, section 3.3).
 //!
-//! Every tile adds an entry to the list of each pixel that its wide tile covers. A list is sorted by depth; entries within the coarser one's merge threshold of the
-//! first are one surface, their weights add up; surfaces are blended front to back. Slow, and no z-buffer decides anything.
+//! Every splat adds an entry to the list of each pixel that its wide form covers. A list is sorted
+//! by depth; entries within the coarser one's merge threshold of the first are one surface, whose
+//! weights add up; surfaces are blended front to back. Slow, and without a z-buffer.
 
-use super::{TreeOptions, paint::Wanted, tiles};
+use super::{TreeOptions, pixel_mask::PixelMask, splat_projection::SplatProjection};
 use crate::{frame::pack_rgb, resident::Resident, warp::FarFrame};
 use ldi_protocol::{
     OutputCamera, Pose,
@@ -20,7 +21,7 @@ struct Entry {
     colour: [f32; 3],
 }
 
-/// Draws a tree without gap filling. Returns the picture and the mean length of lists that are not empty.
+/// Draws a tree without gap filling. Returns the picture and the mean length of non-empty lists.
 pub fn draw(
     tree: &Tree,
     resident: &dyn Resident,
@@ -28,25 +29,25 @@ pub fn draw(
     camera: &OutputCamera,
     options: &TreeOptions,
 ) -> (FarFrame, f64) {
-    let view = tiles::Eye::new(pose, camera);
+    let view = SplatProjection::new(pose, camera);
     let nodes = cut(tree, pose, &Lens::from(camera), &options.cut, |c| resident.brood(c).is_some());
-    let wanted = Wanted::all(camera.width, camera.height);
+    let wanted = PixelMask::all(camera.width, camera.height);
     let mut lists: Vec<Vec<Entry>> = vec![Vec::new(); camera.width as usize * camera.height as usize];
     let linear = linear_from_srgb8_table();
     for n in &nodes.nodes {
         let Some(brood) = resident.brood(n.home.0) else { continue };
         let mut found = Vec::new();
         let samples = &brood.nodes[usize::from(n.home.1)].samples;
-        view.tiles(tree, &tree.nodes[n.node as usize], n.filtered, samples, &wanted, &mut found);
-        for tile in &found {
-            for row in tile.rows[0]..=tile.rows[1] {
-                for column in tile.columns[0]..=tile.columns[1] {
-                    let Some((disparity, s, t)) = tile.at(column as f32 + 0.5, row as f32 + 0.5) else { continue };
+        view.splats(tree, &tree.nodes[n.node as usize], n.filtered, samples, &wanted, &mut found);
+        for splat in &found {
+            for row in splat.rows[0]..=splat.rows[1] {
+                for column in splat.columns[0]..=splat.columns[1] {
+                    let Some((disparity, s, t)) = splat.at(column as f32 + 0.5, row as f32 + 0.5) else { continue };
                     lists[row as usize * camera.width as usize + column as usize].push(Entry {
                         depth_m: 1.0 / disparity,
-                        merge_m: tile.merge_m,
-                        weight: (1.0 - s.abs()) * (1.0 - t.abs()) * tile.alpha,
-                        colour: tile.rgb.map(|c| linear[usize::from(c)]),
+                        merge_m: splat.merge_m,
+                        weight: (1.0 - s.abs()) * (1.0 - t.abs()) * splat.alpha,
+                        colour: splat.rgb.map(|c| linear[usize::from(c)]),
                     });
                 }
             }
@@ -65,7 +66,8 @@ pub fn draw(
     (out, entries as f64 / filled.max(1) as f64)
 }
 
-/// A list's colour and the depth of the surface that gives the most of it; None if hardly anything covers the pixel.
+/// The blended colour of a list, and the depth of the surface with the largest weight; None if
+/// hardly anything covers the pixel.
 fn blend(list: &mut [Entry]) -> Option<([f32; 3], f32)> {
     list.sort_by(|a, b| a.depth_m.total_cmp(&b.depth_m));
     let (mut colour, mut left) = ([0.0f32; 3], 1.0f32);

@@ -1,51 +1,59 @@
-//! Draws the LDI tree (Chang, Bishop, Lastra 1999): what stands where nothing better is at hand.
+//! Draws the LDI tree (Chang, Bishop, Lastra 1999), which is shown where finer data is missing.
 //!
-//! In: a [`Cut`], the nodes at hand, a pose, and which blocks of the picture want something. Out: a [`FarFrame`] of colours and disparities.
+//! In: a cut of the tree, resident nodes, a pose, the pixels to draw. Out: a [`FarFrame`] of
+//! colours and disparities.
 //!
-//! 1. `tiles`: every sample is a parallelogram on its surface, one pitch wide, projected as a quadrilateral with the plane's own disparity at every pixel.
-//! 2. `paint`: opaque tiles into a z-buffer; then all tiles once more, twice as wide and with bilinear weights, into what lies within a merge threshold
-//!    of the z-buffer: between samples colours run over smoothly, and what is partly covered mixes with what lies behind.
-//! 3. Gap filling (section 3.5): pixels that nothing reached are drawn again from coarser cuts, filtered samples included. What stays open then is wider than a few
-//!    samples: there is no surface.
+//! 1. `splat_projection`: every sample is a parallelogram on its surface, one pitch wide, projected
+//!    as a quadrilateral with the plane's disparity at every pixel.
+//! 2. `splat`: opaque splats into a z-buffer; then all splats again, twice as wide and with
+//!    bilinear weights, within a merge threshold of the z-buffer. Colours are interpolated between
+//!    samples, and partly covered pixels are blended with what lies behind.
+//! 3. Gap filling (section 3.5): pixels that nothing reached are drawn again from coarser cuts,
+//!    including filtered samples. Gaps that remain are wider than a few samples: there is no
+//!    surface.
+//! 4. While the eye rests (section 3.4), `progressive` keeps the picture: a finer one is drawn over
+//!    several frames (`pass`) and shown when it is finished.
 //!
-//! 4. While the eye stands still (section 3.4), `still` keeps the picture and the traversal: a finer picture is drawn wave by wave over several frames (`pass`), and shown
-//!    when it is done, so that nothing shown ever gets coarser.
-//!
-//! `lists` is the reference of steps 1 and 2: lists per pixel, sorted by depth, merged by the coarser level's threshold and blended front to back (section 3.3).
+//! `lists` is the reference of steps 1 and 2.
 
 pub mod lists;
-mod paint;
 mod pass;
-mod still;
+mod pixel_mask;
+mod progressive;
 #[cfg(test)]
-mod still_test;
+mod progressive_test;
+mod splat;
+mod splat_projection;
+mod stats;
 #[cfg(test)]
 mod tests;
-mod tiles;
+mod view;
 
 use crate::{resident::Resident, warp::FarFrame};
 use ldi_protocol::{
     OutputCamera, Pose,
-    tree::{Cut, CutOptions, Lens, Tree, cut},
+    tree::{CutOptions, Tree},
 };
-use paint::Painting;
-pub use paint::{BLOCK, Wanted};
 use pass::Pass;
-pub use still::StillPainter;
+pub use pixel_mask::{BLOCK, PixelMask};
+pub use progressive::ProgressivePainter;
+use splat::SplatBuffers;
+pub use stats::TreeStats;
+use view::TreeView;
 
-/// Stamps may be so many times larger in each pass of gap filling.
+/// Growth of the largest stamp in each pass of gap filling.
 const GAP_STEP: f64 = 4.0;
-/// Passes of gap filling. More: the sky between beams is filled with the beams' colours. Fewer: holes stay (docs/adr/0023-open-tree-pixels-are-sky.md).
+/// Passes of gap filling. More: the sky between beams takes their colours; fewer: holes stay.
 pub const GAP_PASSES: u32 = 2;
-/// The last of so many draws the root: the paper fills from all filtered samples.
+/// Number of passes of which the last draws the root, as in the paper.
 pub const ALL_GAP_PASSES: u32 = 5;
 
-/// How the tree is drawn.
+/// Options of drawing the tree.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TreeOptions {
-    /// How far to refine.
+    /// Refinement.
     pub cut: CutOptions,
-    /// How often gaps are filled from filtered samples, each time four times as large.
+    /// Passes of gap filling.
     pub gap_passes: u32,
 }
 
@@ -55,58 +63,17 @@ impl Default for TreeOptions {
     }
 }
 
-/// What is looked at, and from where.
-#[derive(Clone, Copy)]
-struct View<'a> {
-    tree: &'a Tree,
-    resident: &'a dyn Resident,
-    pose: &'a Pose,
-    camera: &'a OutputCamera,
-}
-
-impl View<'_> {
-    fn holds(&self, chunk: u32) -> bool {
-        self.resident.brood(chunk).is_some()
-    }
-
-    fn cut(&self, options: &CutOptions) -> Cut {
-        cut(self.tree, self.pose, &Lens::from(self.camera), options, |chunk| self.holds(chunk))
-    }
-}
-
-/// What drawing took.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct TreeStats {
-    /// Samples looked at.
-    pub samples: u64,
-    /// Samples of the cut that the picture shows.
-    pub shown: u64,
-    /// Whether a bound on samples kept it from being finer.
-    pub limited: bool,
-    /// Tiles in the picture.
-    pub tiles: u64,
-    /// Pixels that the first pass painted.
-    pub painted: u64,
-    /// Pixels that gap filling painted.
-    pub gaps_filled: u64,
-    /// Chunks that would have sharpened it.
-    pub missing: Vec<u32>,
-    /// Pixels of the frame that show it.
-    pub given: u64,
-    /// Milliseconds, with what it takes to lay it under the frame.
-    pub ms: f64,
-}
-
-/// Draws trees; keeps memory between frames.
+/// Draws trees; keeps buffers between frames.
 #[derive(Debug, Default)]
 pub struct TreePainter {
-    painting: Painting,
+    painting: SplatBuffers,
     pass: Pass,
 }
 
 impl TreePainter {
-    /// Draws into the wanted pixels of `out`, which is reset to the camera's size. `no_gap` says of a row and a column that
-    /// nothing missing there is to be filled: it is painted otherwise, or sky.
+    /// Draws into the wanted pixels of `out`, which is reset to the camera's size. `no_gap`:
+    /// whether a pixel at a row and column must not be gap filled, because it is painted otherwise,
+    /// or sky.
     #[expect(clippy::too_many_arguments, reason = "each is another thing that a picture depends on")]
     pub fn draw(
         &mut self,
@@ -115,7 +82,7 @@ impl TreePainter {
         pose: &Pose,
         camera: &OutputCamera,
         options: &TreeOptions,
-        wanted: &mut Wanted,
+        wanted: &mut PixelMask,
         no_gap: &(dyn Fn(usize, usize) -> bool + Sync),
         out: &mut FarFrame,
     ) -> TreeStats {
@@ -125,7 +92,7 @@ impl TreePainter {
         if wanted.is_empty() {
             return stats;
         }
-        let view = View { tree, resident, pose, camera };
+        let view = TreeView { tree, resident, pose, camera };
         self.pass.begin(view.cut(&options.cut));
         self.pass.advance(&view, u64::MAX, wanted, out, &mut self.painting, &mut stats);
         self.finish(&view, options, wanted, no_gap, out, &mut stats);
@@ -135,9 +102,9 @@ impl TreePainter {
     /// Counts what the finished pass painted and fills gaps.
     fn finish(
         &mut self,
-        view: &View<'_>,
+        view: &TreeView<'_>,
         options: &TreeOptions,
-        wanted: &mut Wanted,
+        wanted: &mut PixelMask,
         no_gap: &(dyn Fn(usize, usize) -> bool + Sync),
         out: &mut FarFrame,
         stats: &mut TreeStats,

@@ -28,7 +28,7 @@ impl Made {
 
     fn draw(&self, pose: &Pose, options: &TreeOptions) -> (FarFrame, TreeStats) {
         let mut out = FarFrame::default();
-        let mut wanted = Wanted::all(CAMERA.width, CAMERA.height);
+        let mut wanted = PixelMask::all(CAMERA.width, CAMERA.height);
         let stats = TreePainter::default().draw(
             &self.tree,
             &self.memory,
@@ -43,7 +43,8 @@ impl Made {
     }
 }
 
-/// A wall that fills the plane z = `depth` steps of the root's +z face, sloping by `slope`, coloured by column.
+/// A wall that fills the plane z = `depth` steps of the root's +z face, sloping by `slope`,
+/// coloured by column.
 fn wall(depth: f64, slope: [i8; 2], colour: impl Fn(u8, u8) -> [u8; 3]) -> Vec<TreeSample> {
     let mut out = Vec::new();
     for row in 0..SIDE as u8 {
@@ -137,15 +138,18 @@ fn the_fast_path_shows_what_lists_show() {
                 _ => only_one += 1,
             }
         }
-        // Where one opaque surface is in front, to rounding. They differ under what is half covered, and along outlines: lists end where they cover a quarter of a
-        // pixel, 0.75 pitches from the last sample's middle, opaque tiles 0.55 pitches. A pitch is 1.5 pixels here, and outlines are some 700 pixels long.
+        // Where one opaque surface is in front, to rounding. They differ under what is half
+        // covered, and along outlines: lists end where they cover a quarter of a pixel, 0.75
+        // pitches from the last sample's middle, opaque tiles 0.55 pitches. A pitch is 1.5 pixels
+        // here, and outlines are some 700 pixels long.
         assert!(same > 6000 && apart * 5 < same && only_one < 300, "{same} same, {apart} apart, {only_one} in one");
     }
 }
 
 #[test]
 fn gaps_are_filled_from_filtered_samples_and_only_there() {
-    // Children of the root: one octant holds a wall, of which the root has a copy that goes on beyond it.
+    // Children of the root: one octant holds a wall, of which the root has a copy that goes on
+    // beyond it.
     let coarse: Vec<TreeSample> =
         wall(2048.0, [0, 0], |_, _| [100, 100, 100]).into_iter().map(|s| TreeSample { filtered: true, ..s }).collect();
     let mut made = Made::new(10.0, coarse);
@@ -180,7 +184,8 @@ fn gaps_are_filled_from_filtered_samples_and_only_there() {
         }
     }
     assert!(kept > 500 && gaps > 2000 && stats.gaps_filled == gaps, "{kept}, {gaps}, {stats:?}");
-    // From nearby the root's samples are larger than a gap may be: what they show may as well be air.
+    // From nearby the root's samples are larger than a gap may be: what they show may as well be
+    // air.
     let near = ahead(5.5);
     let (bare, _) = made.draw(&near, &ONCE);
     let (filled, stats) = made.draw(&near, &TreeOptions { gap_passes: GAP_PASSES, ..ONCE });
@@ -195,7 +200,8 @@ fn an_eye_within_a_cell_beside_a_wall_and_far_out_in_the_world_sees_it_whole() {
     for offset in [0.0, 1e6, 1e7] {
         let mut made = Made::new(10.0, wall(2048.0, [0, 0], |_, _| [90, 120, 150]));
         made.tree.origin += DVec3::splat(offset);
-        // 0.1 m from the wall: tiles of 0.16 m, larger than the picture is wide at that distance, some partly behind the eye.
+        // 0.1 m from the wall: tiles of 0.16 m, larger than the picture is wide at that distance,
+        // some partly behind the eye.
         for (distance, yaw) in [(0.1, 0.0), (0.1, 60.0), (3.0, 0.0)] {
             let pose = Pose { position: DVec3::new(offset, offset, offset + distance), yaw_deg: yaw, pitch_deg: 0.0 };
             let (picture, _) = made.draw(&pose, &ONCE);
@@ -223,7 +229,7 @@ fn what_turns_away_or_is_not_wanted_is_not_drawn() {
     let made = Made::new(10.0, wall(2048.0, [0, 0], |_, _| [90, 120, 150]));
     let behind = Pose { position: DVec3::new(0.0, 0.0, -12.0), yaw_deg: 180.0, pitch_deg: 0.0 };
     assert_eq!(made.draw(&behind, &ONCE).1.painted, 0);
-    let mut wanted = Wanted::new(160, 120, (0..160 * 120).map(|at| at % 160 < 40).collect(), &[]);
+    let mut wanted = PixelMask::new(160, 120, (0..160 * 120).map(|at| at % 160 < 40).collect(), &[]);
     let mut out = FarFrame::default();
     let stats = TreePainter::default().draw(
         &made.tree,
@@ -238,7 +244,7 @@ fn what_turns_away_or_is_not_wanted_is_not_drawn() {
     assert!(stats.painted > 0 && (0..out.packed.len()).all(|at| out.get(at).is_none() || at % 160 < 40));
     // The wall fills the picture, 7 to 8.6 m away.
     let painted_beyond = |metres: f32| {
-        let mut wanted = Wanted::all(160, 120).beyond(metres);
+        let mut wanted = PixelMask::all(160, 120).beyond(metres);
         let none = |_: usize, _: usize| true;
         let mut out = FarFrame::default();
         let mut painter = TreePainter::default();
@@ -254,7 +260,7 @@ fn what_turns_away_or_is_not_wanted_is_not_drawn() {
         &ahead(14.0),
         &CAMERA,
         &ONCE,
-        &mut Wanted::all(160, 120),
+        &mut PixelMask::all(160, 120),
         &|_, _| false,
         &mut out,
     );
@@ -273,7 +279,7 @@ fn whether_something_shows_is_the_same_however_little_is_wanted() {
         let mut pixels = vec![false; width * height];
         (0..wanted_pixels).for_each(|_| pixels[random(width * height)] = true);
         let hidden_below: Vec<f32> = (0..width * height).map(|_| random(1000) as f32 * 1e-3).collect();
-        let wanted = Wanted::new(width as u32, height as u32, pixels.clone(), &hidden_below);
+        let wanted = PixelMask::new(width as u32, height as u32, pixels.clone(), &hidden_below);
         assert_eq!(wanted.count(), pixels.iter().filter(|w| **w).count() as u64);
         let mut shown = 0;
         for _ in 0..300 {

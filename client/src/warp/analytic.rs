@@ -1,5 +1,5 @@
-//! Analytic scenes that judge the warp: planes, spheres and fences with a smooth texture, their layered depth images by ray
-//! casting, and their true pictures from anywhere. Used by tests and by `ldi-bench numerics`; no frame comes here.
+//! Analytic scenes: planes, spheres and fences with a smooth texture, their layered depth images by
+//! ray casting, and ground truth from any eye. Used by tests and by `ldi-bench numerics` only.
 
 use glam::DVec3;
 use ldi_protocol::{

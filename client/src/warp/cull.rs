@@ -1,16 +1,20 @@
-//! Clipping before the warp: which tiles can reach the picture, and which of its rows.
+//! Culling before the warp: the tiles that can reach the picture, and the rows they can reach.
 //!
-//! In: the tiles of an image, a warp. Out: those that may paint something, with the rows that they may reach and what bounds them in the picture.
+//! In: the tiles of an image, a warp. Out: tiles that may reach the picture, with their rows and
+//! bounds.
 //!
-//! After the recursive clipping of columns by their smallest and largest disparity (Rafferty, Aliaga, Popescu and Lastra 1998, section 4), with
-//! boxes in place of columns: u, v and disparity of all that a block of tiles draws are bounded by a box; W is affine in them, x and y are monotone in
-//! each where W > 0, so that the box's eight corners bound its picture. A block that misses the picture is left out as a whole, one that
-//! may reach it is looked into, down to single tiles. Boxes only grow upward, so nothing that a single tile's test keeps is lost.
+//! After the recursive clipping of columns by their smallest and largest disparity (Rafferty,
+//! Aliaga, Popescu and Lastra 1998, section 4), with boxes instead of columns: u, v and disparity
+//! of a block of tiles are bounded by a box. W is affine in them, and x and y are monotone in each
+//! where W > 0, so that the box's eight corners bound its picture. A block that misses the picture
+//! is rejected as a whole; one that may reach it is subdivided, down to single tiles. Boxes grow
+//! only toward the root, so that no tile is lost that its own test would keep.
 
 use super::{
     Stamp,
+    bounds::Bounds,
     matrix::{WarpMatrix, largest_singular_value},
-    prepared::{Part, Tile},
+    tiles::{Part, Tile},
     transform::Window,
 };
 use std::ops::Range;
@@ -34,7 +38,7 @@ pub struct Within {
     pub from: u32,
     /// After the last row.
     pub to: u32,
-    /// Where it lies in the picture; None where some of it may lie in the eye's plane, and no bound is known.
+    /// Bounds in the picture; None if the box may cross the eye's plane, where there are none.
     pub silhouette: Option<Silhouette>,
 }
 
@@ -45,15 +49,17 @@ pub struct Silhouette {
     pub low: [f64; 2],
     /// Lower right corner, output pixels.
     pub high: [f64; 2],
-    /// The largest disparity that the picture may show of it, 1/m.
+    /// The largest disparity in the picture, 1/m.
     pub nearest: f64,
     /// Smallest and largest depth over that in its image.
     w: [f64; 2],
 }
 
 impl Silhouette {
-    /// What footprints in a window are at most, output pixels: each entry of the Jacobian, (slope - p slope of W) / W, is bounded over where p and W may lie; the largest
-    /// singular value of the matrix in the middle of these bounds and the norm of what it may be off by bound that of all between (Weyl's inequality).
+    /// Upper bound of footprints in a window, output pixels: each entry of the Jacobian, (slope - p
+    /// slope of W) / W, is bounded over the ranges of p and W; the largest singular value of the
+    /// matrix of middles plus the norm of the half ranges bounds that of all matrices between
+    /// (Weyl's inequality).
     pub fn largest_footprint(&self, matrix: &WarpMatrix, window: &Window) -> f64 {
         let (first, end) = (f64::from(window.first_row), f64::from(window.first_row + window.rows));
         let places = [
@@ -87,34 +93,9 @@ enum Place {
     Ahead(Silhouette),
 }
 
-/// What bounds something that is drawn.
-#[derive(Debug, Clone, Copy)]
-pub struct Bounds {
-    /// LDI pixels of the image: u from, v from, u to, v to.
-    pub place: [f32; 4],
-    /// Smallest and largest disparity, 1/m.
-    pub disparity: [f32; 2],
-}
-
 impl Bounds {
-    /// Of nothing.
-    pub const NONE: Self = Self { place: [f32::MAX, f32::MAX, f32::MIN, f32::MIN], disparity: [f32::MAX, 0.0] };
-
-    /// Extends them by a point.
-    pub fn grow(&mut self, u: f32, v: f32, disparity: f32) {
-        self.join(&Self { place: [u, v, u, v], disparity: [disparity, disparity] });
-    }
-
-    /// Extends them by others.
-    pub fn join(&mut self, other: &Self) {
-        let [u0, v0, u1, v1] = &mut self.place;
-        let [from_u, from_v, to_u, to_v] = other.place;
-        (*u0, *v0) = (u0.min(from_u), v0.min(from_v));
-        (*u1, *v1) = (u1.max(to_u), v1.max(to_v));
-        self.disparity = [self.disparity[0].min(other.disparity[0]), self.disparity[1].max(other.disparity[1])];
-    }
-
-    /// Where the picture shows it. W is affine in u, v and disparity, and x, y and disparity over W are monotone in each of them where W > 0, so that the corners bound all.
+    /// Bounds in the picture. W is affine in u, v and disparity, and x, y and disparity over W are
+    /// monotone in each of them where W > 0, so that the corners bound everything.
     fn place(&self, matrix: &WarpMatrix) -> Place {
         let [u0, v0, u1, v1] = self.place.map(f64::from);
         let mut out = Silhouette { low: [f64::MAX; 2], high: [f64::MIN; 2], nearest: 0.0, w: [f64::MAX, 0.0] };
@@ -141,7 +122,8 @@ impl Bounds {
         }
     }
 
-    /// What a rectangle of the output (from column, from row, to column, to row) can show of it; None where no pixel of it can be reached.
+    /// The part of a box that a rectangle of the output (left, top, right, bottom) can show; None
+    /// if it reaches no pixel.
     pub fn within(&self, matrix: &WarpMatrix, [left, top, right, bottom]: [u32; 4]) -> Option<Within> {
         let silhouette = match self.place(matrix) {
             Place::Behind => return None,
@@ -163,7 +145,7 @@ impl Bounds {
 /// Tiles in a block that is not divided further.
 const TILES_PER_BLOCK: usize = 4;
 
-/// Blocks of tiles around blocks, before what they consist of.
+/// A tree of blocks of tiles, parents before children.
 #[derive(Debug, Default)]
 pub struct Blocks {
     blocks: Vec<Block>,
@@ -174,7 +156,7 @@ pub struct Blocks {
 #[derive(Debug)]
 struct Block {
     bounds: Bounds,
-    /// Where the next block lies that is not part of this one.
+    /// The next block that is not part of this one.
     next: usize,
     /// Its tiles if it is not divided.
     tiles: Range<usize>,
@@ -202,7 +184,7 @@ impl Blocks {
             let middle = range.start + range.len() / 2;
             let wide = u1 - u0 >= v1 - v0;
             let place = |t: &[u32; 2]| if wide { tile(t).column } else { tile(t).row };
-            // Numbers break ties: which tiles make a block does not depend on how they are sorted.
+            // Ties are broken by number, so that blocks do not depend on the sorting algorithm.
             self.tiles[range.clone()].select_nth_unstable_by_key(range.len() / 2, |t| (place(t), *t));
             self.divide(parts, range.start..middle);
             self.divide(parts, middle..range.end);
@@ -212,7 +194,8 @@ impl Blocks {
         self.blocks[at].next = self.blocks.len();
     }
 
-    /// The tiles that may reach a rectangle of the picture (from column, from row, to column, to row), always in the same order; with `all` every tile, as if it could
+    /// The tiles that may reach a rectangle of the picture (left, top, right, bottom), always in
+    /// the same order; with `all` every tile, as if it could
     /// reach every row.
     pub fn reaching<'a>(&self, parts: &'a [Part], matrix: &WarpMatrix, within: [u32; 4], all: bool) -> Vec<Reach<'a>> {
         let mut out = Vec::new();
@@ -276,7 +259,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(400))]
 
-        /// Blocks keep exactly the tiles that their own bounds keep, and no point of a dropped one lands on the picture or above its rows.
+        /// Blocks keep exactly the tiles that their own bounds keep, and no point of a dropped one
+        /// lands on the picture or above its rows.
         #[test]
         fn what_is_clipped_cannot_be_seen(
             tiles in proptest::collection::vec(bounds(), 1..60),

@@ -1,29 +1,32 @@
 //! Elliptical weighted means: the colours of [`super::Stamp::Ewa`].
 //!
-//! In: a picture in which every sample's cell has decided what is seen (`stamps`, as for parallelograms). Out: the same pixels with other colours:
-//! means over all samples near enough, in depth and on the picture. After Zwicker, Pfister, van Baar and Gross,
-//! Surface splatting (2001): a round Gaussian around each sample is turned into an ellipse by the warp's Jacobian and widened by the
-//! pixel's own; its tail is cut.
+//! In: a picture in which every sample's cell has decided visibility (`stamps`, as for
+//! parallelograms). Out: the same pixels with other colours: means over all samples near enough, in
+//! depth and on the picture. After Zwicker, Pfister, van Baar and Gross, Surface splatting (2001):
+//! a round Gaussian around each sample is transformed to an ellipse by the warp's Jacobian and
+//! widened by the pixel's own; its tail is cut.
 //!
-//! What is seen, and at which depth, is left as it is: silhouettes stay as sharp as the cells are, holes stay holes.
-//! Samples add in the order of the tiles, whatever the number of threads, and no function of a platform's library takes part.
+//! Visibility and depth do not change: silhouettes stay as sharp as the cells are, holes stay
+//! holes. Samples are added in the order of the tiles, whatever the number of threads, and no
+//! library function is used that differs between platforms.
 
 use super::{
-    prepared::{Part, Tile},
-    quads::Target,
+    quad_raster::Target,
     stamps::{Splat, own_rows},
+    tiles::{Part, Tile},
     transform::{Scratch, TileTransform},
 };
 use crate::frame::{pack_rgb, unpack_rgb};
 
-/// Variance of a sample's Gaussian, squared LDI pixels: 0.4 of their distance. By judgement: narrower ones show the samples, wider ones blur.
+/// Variance of a sample's Gaussian, squared LDI pixels. Smaller: single samples become visible;
+/// larger: blur. A judgement.
 pub const SAMPLE_VARIANCE: f32 = 0.16;
 /// Variance of a pixel's Gaussian, squared output pixels: about that of a box one pixel wide, 1/12.
 pub const PIXEL_VARIANCE: f32 = 0.09;
 /// Squared distance, in standard deviations, where the tail is cut.
 pub const CUT: f32 = 8.0;
-/// Samples whose disparities differ from the pixel's by more than this fraction belong to another surface. By judgement: a row of a
-/// floor at a grazing angle is nearly as much apart.
+/// Samples whose disparities differ from the pixel's by more than this fraction belong to another
+/// surface. By judgement: a row of a floor at a grazing angle is nearly as much apart.
 pub const SAME_SURFACE: f32 = 1.0 / 16.0;
 
 /// Weighted sums for the pixels of a band.
@@ -32,7 +35,7 @@ pub struct Means {
     sums: Vec<[f32; 4]>,
 }
 
-/// The ellipse of a sample: what its weight at an offset on the picture is.
+/// The ellipse of a sample: its weight at an offset on the picture.
 struct Ellipse {
     /// Inverse of the variance: xx, xy, yy, per squared pixel.
     inverse: [f32; 3],
@@ -93,7 +96,7 @@ impl Means {
         }
     }
 
-    /// Replaces the colours of pixels that samples were added to.
+    /// Replaces the colours of pixels with samples.
     pub fn write(self, target: &mut Target<'_>) {
         for (at, [r, g, b, w]) in self.sums.into_iter().enumerate().filter(|(_, s)| s[3] > 0.0) {
             let disparity = (target.pixels[at] >> 32) as u32;

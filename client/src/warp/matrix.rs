@@ -1,12 +1,13 @@
 //! McMillan's warp as one 3 x 4 matrix.
 //!
-//! In: the LDI's camera, the pose and the output camera. Out: the matrix M with
-//! (X, Y, W) = M (u, v, 1, d), so that a sample at image coordinates (u, v) with disparity d lands on output
-//! coordinates (X/W, Y/W) with disparity d/W. It is the equation (X, Y, W) = P2^-1 P1 (u, v, 1) + d P2^-1 (C1 - C2) with
-//! its two terms written side by side. The difference C1 - C2 is formed in f64 before anything else, so that the
-//! result does not depend on where in the world both cameras are.
+//! In: the LDI's camera, the pose and the output camera. Out: the matrix M with (X, Y, W) = M (u,
+//! v, 1, d), so that a sample at image coordinates (u, v) with disparity d lands on output
+//! coordinates (X/W, Y/W) with disparity d/W. It is the equation (X, Y, W) = P2^-1 P1 (u, v, 1) + d
+//! P2^-1 (C1 - C2) with its two terms written side by side. The difference C1 - C2 is formed in f64
+//! before anything else, so that the result does not depend on where in the world both cameras are.
 //!
-//! W is the eye-space depth over the LDI-space depth: a sample with W <= 0 lies behind the eye or in its plane.
+//! W is the eye-space depth over the LDI-space depth: a sample with W <= 0 lies behind the eye or
+//! in its plane.
 
 use glam::DVec3;
 use ldi_protocol::{OutputCamera, Pose, ldi::LdiCamera};
@@ -55,13 +56,15 @@ impl WarpMatrix {
         self.rows.map(|r| r[0] * u + r[1] * v + r[2] + r[3] * disparity)
     }
 
-    /// The warped sample; None behind the eye or in its plane (W <= 0), and None at infinity (disparity 0 is sky).
+    /// The warped sample; None behind the eye or in its plane (W <= 0), and None at infinity
+    /// (disparity 0 is sky).
     pub fn warp(&self, u: f64, v: f64, disparity: f64) -> Option<Warped> {
         let [x, y, w] = self.homogeneous(u, v, disparity);
         (w > 0.0 && disparity > 0.0).then(|| Warped { x: x / w, y: y / w, disparity: disparity / w })
     }
 
-    /// d(x, y)/d(u, v) at fixed disparity, output pixels per LDI pixel: xu, xv, yu, yv. None where [`Self::warp`] has none.
+    /// d(x, y)/d(u, v) at fixed disparity, output pixels per LDI pixel: xu, xv, yu, yv. None where
+    /// [`Self::warp`] has none.
     pub fn jacobian(&self, u: f64, v: f64, disparity: f64) -> Option<[f64; 4]> {
         let p = self.warp(u, v, disparity)?;
         let w = self.homogeneous(u, v, disparity)[2];
@@ -74,7 +77,8 @@ impl WarpMatrix {
         ])
     }
 
-    /// The footprint of a sample, in output pixels: the largest singular value of [`Self::jacobian`].
+    /// The footprint of a sample, in output pixels: the largest singular value of
+    /// [`Self::jacobian`].
     pub fn footprint(&self, u: f64, v: f64, disparity: f64) -> Option<f64> {
         self.jacobian(u, v, disparity).map(largest_singular_value)
     }

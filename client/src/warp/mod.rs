@@ -1,52 +1,62 @@
 //! The warp: layered depth images to the picture, on the CPU.
 //!
-//! In: a [`PreparedLdi`] (a decoded image laid out in tiles), a pose, the output camera. Out: a [`FarFrame`], colour
-//! and disparity per pixel, and [`WarpStats`].
+//! In: a [`PreparedLdi`] (a decoded image laid out in tiles), a pose, the output camera. Out: a
+//! [`FarFrame`], colour and disparity per pixel, and [`WarpStats`].
 //!
-//! **Theory.** McMillan's planar-to-planar warp (`matrix`): (X, Y, W) = P2^-1 P1 (u, v, 1) + d P2^-1 (C1 - C2), projected
-//! to (X/W, Y/W) with disparity d/W. Samples with W <= 0 lie behind the eye and never reach a pixel.
-//! Reconstruction is where quality and time go: [`Stamp::Quads`] joins linked samples to micro-quads (`layout` tells
-//! how they meet, `quads` how they are drawn), the others write fixed sets of pixels (`stamps`).
+//! **Theory.** McMillan's planar-to-planar warp (`matrix`): (X, Y, W) = P2^-1 P1 (u, v, 1) + d
+//! P2^-1 (C1 - C2), projected to (X/W, Y/W) with disparity d/W. Samples with W <= 0 lie behind the
+//! eye and never reach a pixel. The reconstruction determines quality and time: [`Stamp::Quads`]
+//! joins linked samples to micro-quads (`tile_builder` constructs, `quad_raster` draws them), the
+//! other stamps write fixed sets of pixels (`stamps`).
 //!
-//! **Practice.** Tiles that cannot reach the picture are clipped by blocks (`cull`), those that near geometry or what is painted already hides are left out (`occlusion`). The output is cut into bands of rows with
-//! about equal numbers of samples; a task owns a band and draws every tile that reaches into it. No two tasks
-//! share a pixel, and a pixel takes a maximum over (disparity, colour): pictures do not depend on the number of
-//! threads, on the order of tiles, nor on whether AVX2 is there. Where disparities tie to the bit, the larger packed colour wins.
+//! **Practice.** Tiles that cannot reach the picture are culled by blocks (`cull`), and those
+//! hidden by near geometry or painted pixels are left out (`occlusion`). The output is cut into
+//! bands of rows with about equal numbers of samples (`row_bands`); a task owns a band and draws
+//! every tile that reaches it. No two tasks share a pixel, and a pixel takes a maximum over
+//! (disparity, colour): pictures do not depend on the number of threads, on the order of tiles, nor
+//! on AVX2. At equal disparity the larger packed colour wins.
 //!
-//! What was changed against the papers: they warp segments in painter's order without a z-buffer; order `epipole`
-//! keeps that for the stamps that are small. Micro-quads need depth: neighbouring quads overlap at folds.
+//! Changes against the papers: they warp segments in painter's order without a z-buffer; order
+//! `epipole` keeps that for small stamps. Micro-quads need depth: neighbouring quads overlap at
+//! folds.
 
 pub mod analytic;
-mod bands;
+mod bounds;
 mod cull;
-pub mod debug;
+pub mod debug_colours;
 mod ewa;
-mod halve;
-mod layout;
+mod half_resolution;
 mod matrix;
 mod occlusion;
+mod occlusion_order;
 #[cfg(test)]
 mod occlusion_tests;
 pub mod octree;
-mod order;
+mod portal_texture;
 mod prepared;
-mod quads;
+mod quad_raster;
 pub mod reference;
+mod row_bands;
 mod stamps;
 #[cfg(test)]
 mod tests;
-mod texture;
+mod tile_builder;
+mod tiles;
 mod transform;
 
-pub(crate) use bands::picture_bytes;
-pub use bands::{TileJob, tile_jobs, transform_only, transformed, warp, warp_images};
-pub use halve::halved;
+pub use half_resolution::halved;
 pub use matrix::{WarpMatrix, Warped};
+pub use portal_texture::painted_onto;
 pub use prepared::PreparedLdi;
-pub use texture::painted_onto;
+pub(crate) use row_bands::picture_bytes;
+pub use row_bands::{TileJob, tile_jobs, transform_only, transformed, warp, warp_images};
 pub use transform::Transformed;
 
 use std::{fmt, str::FromStr};
+
+/// Largest side of a footprint stamp, pixels, above the footprints that images guarantee. Larger:
+/// one sample covers others that are more accurate.
+pub(crate) const LARGEST_FOOTPRINT_STAMP: f32 = 8.0;
 
 /// How a warped sample becomes pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
@@ -61,9 +71,9 @@ pub enum Stamp {
     Cross,
     /// An axis-aligned square as large as the sample's footprint.
     Footprint,
-    /// The sample's square cell as the warp turns and stretches it, at the sample's disparity.
+    /// The sample's square cell, as transformed by the warp, at the sample's disparity.
     Parallelogram,
-    /// Elliptical Gaussians: the same cells decide what is seen, colours are their weighted means.
+    /// Elliptical Gaussians: visibility as for parallelograms, colours are weighted means.
     Ewa,
     /// Linked neighbours joined to small quads.
     #[default]
@@ -113,7 +123,8 @@ impl FromStr for Stamp {
 }
 
 impl Stamp {
-    /// How far from where a sample lands it may paint, output pixels, at most: of quads the sample is a corner, of other stamps a point within. The additional pixel covers f32 rounding.
+    /// Largest distance that a stamp paints from its sample, output pixels: of quads the sample is
+    /// a corner, of other stamps an inner point. The additional pixel covers f32 rounding.
     const fn reach_px(self) -> f64 {
         match self {
             Self::OnePixel | Self::Quads => 1.0,
@@ -123,7 +134,7 @@ impl Stamp {
     }
 
     /// Of all stamps.
-    const LARGEST_REACH_PX: f64 = 0.5 * stamps::LARGEST_FOOTPRINT_STAMP as f64 + 1.0;
+    const LARGEST_REACH_PX: f64 = 0.5 * LARGEST_FOOTPRINT_STAMP as f64 + 1.0;
 }
 
 /// How samples that meet in a pixel are ordered.
@@ -159,15 +170,16 @@ impl FromStr for Order {
 
 /// An image that takes part in a picture.
 #[derive(Debug, Clone, Copy)]
-pub struct Shown<'a> {
+pub struct ImageInView<'a> {
     /// The image.
     pub laid_out: &'a PreparedLdi,
-    /// Nothing of it is wanted outside of this rectangle of the picture (from column, from row, to column, to row): samples that cannot reach it are left out, as they are outside of
-    /// the picture. None: the whole picture.
+    /// Nothing of it is wanted outside of this rectangle of the picture (from column, from row, to
+    /// column, to row): samples that cannot reach it are left out, as they are outside of the
+    /// picture. None: the whole picture.
     pub within: Option<[u32; 4]>,
 }
 
-impl<'a> From<&'a PreparedLdi> for Shown<'a> {
+impl<'a> From<&'a PreparedLdi> for ImageInView<'a> {
     fn from(laid_out: &'a PreparedLdi) -> Self {
         Self { laid_out, within: None }
     }
@@ -180,11 +192,13 @@ pub struct WarpOptions {
     pub stamp: Stamp,
     /// Visibility.
     pub order: Order,
-    /// Draw also the tiles that cannot reach the picture, and those that something nearer hides: to measure what culling saves. What shows is the same.
+    /// Whether to draw tiles that cannot reach the picture, and hidden ones, for measuring the gain
+    /// of culling. The picture is the same.
     pub keep_all_tiles: bool,
-    /// Draw also the tiles that something nearer hides: to measure what leaving them out saves. What shows is the same.
+    /// Whether to draw hidden tiles, for measuring the gain of occlusion culling. The picture is
+    /// the same.
     pub keep_hidden: bool,
-    /// Use the portable kernels even where better ones are at hand: to compare them. The picture is the same.
+    /// Whether to use the portable kernels, for comparisons. The picture is the same.
     pub portable: bool,
 }
 
@@ -211,25 +225,27 @@ pub struct WarpStats {
     pub samples_warped: u64,
     /// Samples in tiles that cannot reach the picture, or that something nearer hides.
     pub samples_culled: u64,
-    /// Of these, the hidden ones. Threads ask for the rows that they draw, so that a tile on their border counts as hidden if what is above it is.
+    /// Hidden samples among these. Each thread tests its own rows, so that a tile on a border
+    /// counts as hidden if its upper part is.
     pub samples_hidden: u64,
     /// Micro-quads and border pieces, or stamps, of the tiles that were drawn.
     pub primitives: u64,
-    /// What any warp of these tiles has to move: their arrays read once, the picture cleared and written once.
+    /// Bytes that any warp of these tiles moves: their arrays read once, the picture cleared and
+    /// written once.
     pub bytes: u64,
-    /// Largest footprint of a sample that landed on the picture, output pixels: the largest singular value of
-    /// d(x, y)/d(u, v) at fixed disparity.
+    /// Largest footprint of a sample that landed on the picture, output pixels: the largest
+    /// singular value of d(x, y)/d(u, v) at fixed disparity.
     pub footprint_max_px: f32,
-    /// Longest sides of one quad in eight, counted by size: how much surfaces are stretched.
+    /// Histogram of the longest sides of every eighth quad, a measure of stretched surfaces.
     pub stretch: StretchHistogram,
 }
 
 impl WarpStats {
     /// Counts a tile that is drawn.
-    fn count_tile(&mut self, part: &prepared::Part, tile: &prepared::Tile, stamp: Stamp) {
+    fn count_tile(&mut self, part: &tiles::Part, tile: &tiles::Tile, stamp: Stamp) {
         self.samples_warped += u64::from(tile.own);
-        self.primitives += if stamp == Stamp::Quads { PreparedLdi::quads(part, tile) } else { u64::from(tile.own) };
-        self.bytes += PreparedLdi::bytes(tile, stamp);
+        self.primitives += if stamp == Stamp::Quads { part.quads(tile) } else { u64::from(tile.own) };
+        self.bytes += tile.bytes(stamp == Stamp::Quads);
     }
 
     /// Adds another image's or band's figures.
@@ -281,7 +297,8 @@ impl StretchHistogram {
         self.0[bin.min(Self::BINS - 1)] += u32::from(counts);
     }
 
-    /// The side, in pixels, that a fraction `q` of the quads does not exceed, to an eighth of a pixel; 0 without quads.
+    /// The side, in pixels, that a fraction `q` of the quads does not exceed, to an eighth of a
+    /// pixel; 0 without quads.
     pub fn quantile_px(&self, q: f64) -> f32 {
         let total: u64 = self.0.iter().map(|n| u64::from(*n)).sum();
         let wanted = (total as f64 * q).ceil() as u64;
@@ -296,8 +313,9 @@ impl StretchHistogram {
     }
 }
 
-/// The warped picture: per pixel, disparity in the upper 32 bits (an f32, 1/m, positive, so that its bits order as it
-/// does), colour in the lower ([`crate::frame::pack_rgb`]); 0 where no sample came.
+/// The warped picture: per pixel, disparity in the upper 32 bits (an f32, 1/m, positive, so that
+/// its bits order as it does), colour in the lower ([`crate::frame::pack_rgb`]); 0 where no sample
+/// came.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct FarFrame {
     /// Columns.
@@ -306,7 +324,7 @@ pub struct FarFrame {
     pub height: u32,
     /// Row-major pixels.
     pub packed: Vec<u64>,
-    /// Whether the pixels hold an older picture that the next warp must clear first.
+    /// Whether the pixels hold an older picture, which the next warp clears.
     stale: bool,
 }
 
@@ -318,20 +336,20 @@ impl FarFrame {
         frame
     }
 
-    /// Starts a new picture; the memory is kept, and cleared by the first warp into it.
+    /// Starts a new picture. The buffer is kept, and cleared by the first warp.
     pub fn reset(&mut self, width: u32, height: u32) {
         (self.width, self.height) = (width, height);
         self.packed.resize(width as usize * height as usize, 0);
         self.stale = true;
     }
 
-    /// Makes every pixel empty at once, to be written to directly.
+    /// Makes every pixel empty at once, for direct writes.
     pub fn clear(&mut self) {
         self.packed.fill(0);
         self.stale = false;
     }
 
-    /// An element of `packed`: of two the larger is nearer. Disparity (1/m) must be positive.
+    /// An element of `packed`; the larger of two is nearer. Disparity (1/m) must be positive.
     #[inline]
     pub fn pack(disparity: f32, colour: u32) -> u64 {
         u64::from(disparity.to_bits()) << 32 | u64::from(colour)
@@ -354,7 +372,7 @@ impl FarFrame {
         if self.stale { 0 } else { self.packed.iter().filter(|p| **p != 0).count() }
     }
 
-    /// Takes over the pixels of another picture of the same size that are nearer than this one's.
+    /// Takes the pixels of another picture of the same size that are nearer.
     pub fn take_nearer(&mut self, other: &Self) {
         if other.stale || self.packed.len() != other.packed.len() {
             return;

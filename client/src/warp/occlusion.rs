@@ -1,24 +1,27 @@
-//! Occlusion culling: tiles that something nearer hides are not warped.
+//! Occlusion culling: tiles hidden by nearer content are not warped.
 //!
-//! In: what is painted so far, the near geometry of the same pose, bounds of a tile in the picture. Out: whether every pixel that the tile may paint shows something nearer.
+//! In: the pixels painted so far, near geometry of the same pose, bounds of a tile in the picture.
+//! Out: whether every pixel that the tile may paint shows something nearer.
 //!
-//! After the occlusion culling of LDI samples by an octree, an unfinished proposal (section 3.2.2: what is warped front to back fills an occlusion buffer, and a node is not
-//! warped where the rectangle around its eight warped corners is full). Their test looks at the picture alone, trusts the order, and accepts that seen samples are lost. Here it
-//! is conservative: a pixel counts only if what it shows is nearer than the nearest corner of the tile's box, so that no order is needed and not a pixel that shows changes.
-//! The picture itself is the buffer. Near geometry, which is drawn before, is most of what hides, and is asked alone before the work is shared among threads.
+//! After a proposal to cull LDI samples by an octree (front-to-back warping fills an occlusion
+//! buffer, and a node is not warped if the rectangle around its eight warped corners is full). That
+//! test uses the picture alone, relies on the order, and loses visible samples. This one is
+//! conservative: a pixel counts only if its content is nearer than the nearest corner of the tile's
+//! box, so that no order is needed and no pixel changes. The picture itself is the buffer. Near
+//! geometry, which hides the most, is tested alone before the work is distributed to threads.
 
 use super::{
     Stamp,
     cull::{Silhouette, Within},
     ewa,
-    quads::Target,
+    quad_raster::Target,
 };
 use ldi_protocol::OutputCamera;
 use std::ops::Range;
 
-/// Relative slack of disparities: thrice the bound of the kernels' errors (`ldi-bench numerics`, disparities after the warp).
+/// Relative slack of disparities: three times the error bound of the kernels.
 const ROUNDING: f64 = 1.2e-5;
-/// Pixels that are looked at before it is asked whether to go on.
+/// Pixels tested between two checks for an early exit.
 const AT_ONCE: usize = 8;
 
 /// What stands before the images.
@@ -28,18 +31,18 @@ pub struct Before<'a> {
     near: &'a [f32],
     /// Columns and rows of the picture.
     size: [usize; 2],
-    /// How far a tile paints beyond where its samples land, pixels.
+    /// Distance that a tile paints beyond its samples, pixels.
     reach_px: f64,
     /// What hides is nearer by this factor.
     nearer: f64,
 }
 
 impl<'a> Before<'a> {
-    /// Near geometry of another size than the picture counts as none.
+    /// Near geometry of another size than the picture is ignored.
     pub fn new(near: &'a [f32], stamp: Stamp, camera: &OutputCamera) -> Self {
         let size = [camera.width, camera.height].map(|n| n as usize);
         let whole = near.len() == size[0] * size[1];
-        // Gaussians take part in pixels that show something a little nearer.
+        // Gaussians contribute to pixels that show something slightly nearer.
         let nearer = if stamp == Stamp::Ewa { 1.0 / (1.0 - f64::from(ewa::SAME_SURFACE)) } else { 1.0 };
         Self {
             near: if whole { near } else { &[] },
@@ -58,7 +61,7 @@ impl<'a> Before<'a> {
             && rows.all(|row| self.row(row, &columns).chunks(AT_ONCE).all(|near| all(near, |n| *n > disparity)))
     }
 
-    /// Whether nothing of a tile shows in the rows of a target. What is painted later only hides more.
+    /// Whether a tile is hidden in the rows of a target. Later pixels only hide more.
     #[inline(always)]
     pub fn hides(&self, target: &Target<'_>, tile: &Within) -> bool {
         let Some(silhouette) = &tile.silhouette else { return false };
@@ -108,7 +111,7 @@ impl<'a> Before<'a> {
     }
 }
 
-/// Whether something holds for all of a few, without a branch for each.
+/// Whether a predicate holds for all elements, without a branch for each.
 #[inline(always)]
 fn all<T>(few: impl IntoIterator<Item = T>, holds: impl Fn(T) -> bool) -> bool {
     few.into_iter().fold(true, |all, x| all & holds(x))

@@ -1,4 +1,5 @@
-//! What something nearer hides may be left out: what shows is the same, whatever is before, from wherever it is seen.
+//! What something nearer hides may be left out: what shows is the same, whatever is before, from
+//! wherever it is seen.
 
 use super::{
     tests::{CAMERA, SCENES, image, pose, poses, with, with_ends_and_slivers},
@@ -6,7 +7,8 @@ use super::{
 };
 use ldi_protocol::Pose;
 
-/// Rectangles of near geometry: columns and rows as shares of the picture, disparity from 1/m at the left to 1/m at the right.
+/// Rectangles of near geometry: columns and rows as shares of the picture, disparity from 1/m at
+/// the left to 1/m at the right.
 fn near_geometry(rectangles: &[([f32; 4], [f32; 2])]) -> Vec<f32> {
     let (w, h) = (CAMERA.width as f32, CAMERA.height as f32);
     let mut near = vec![0.0f32; (CAMERA.width * CAMERA.height) as usize];
@@ -21,11 +23,13 @@ fn near_geometry(rectangles: &[([f32; 4], [f32; 2])]) -> Vec<f32> {
     near
 }
 
-/// Warps an image behind near geometry with and without what is hidden; the pixels that show must be the same. The share of the samples in reach that was left out.
+/// Warps an image behind near geometry with and without what is hidden; the pixels that show must
+/// be the same. The share of the samples in reach that was left out.
 fn hidden(image: &PreparedLdi, near: &[f32], pose: &Pose, stamp: Stamp) -> f64 {
     let warped = |options: WarpOptions| {
         let (mut far, mut spare) = (FarFrame::new(CAMERA.width, CAMERA.height), FarFrame::default());
-        let stats = warp_images(&[Shown::from(image)], near, pose, &CAMERA, &options, &mut far, &mut spare).unwrap();
+        let stats =
+            warp_images(&[ImageInView::from(image)], near, pose, &CAMERA, &options, &mut far, &mut spare).unwrap();
         (far, stats)
     };
     let all = warped(WarpOptions { keep_hidden: true, ..with(stamp) });

@@ -1,16 +1,24 @@
-//! The octree over an image's samples, after the proposal to cull hidden samples of LDIs by an octree, which was published before it was finished: to measure what it gains and loses (`ldi-bench occlusion`).
+//! An octree over an image's samples, after a proposal to cull hidden samples of LDIs by an octree.
+//! Used by `ldi-bench occlusion` to measure its gain and losses.
 //!
-//! In: a decoded [`Ldi`], a pose. Out: its samples by nodes in front-to-back order, those left out that an occlusion buffer takes to be hidden.
+//! In: a decoded [`Ldi`], a pose. Out: its samples by nodes in front-to-back order, without those
+//! that an occlusion buffer considers hidden.
 //!
-//! **Theory** (sections 3.1 and 3.2). A node is a box of columns, rows and disparities; it is halved along all three until it holds few samples or is small. Occlusion-compatible order draws from back to front, away from or
-//! toward the epipole, deeper samples first; its inverse is front to back. So of a node's children those in the quadrant of columns and rows that comes first for the eye are visited first, and of a quadrant the nearer in disparity;
-//! the quadrants next to the epipole's column and row, which the sheets meet in ("isometric nodes"), come first or last as wholes. Warped samples make their pixel opaque in the occlusion buffer and add
-//! less and less to those around, as far as their splat reaches; a node is taken to be hidden where the rectangle around its eight warped corners is opaque.
+//! **Theory.** A node is a box of columns, rows and disparities; it is halved along all three axes
+//! until it holds few samples or is small. Occlusion-compatible order draws back to front, away
+//! from or toward the epipole, deeper samples first; its inverse is front to back. Of a node's
+//! children those in the quadrant of columns and rows nearest to the eye are visited first, and
+//! within a quadrant the nearer in disparity; quadrants next to the epipole's column and row, where
+//! the sheets meet, come first or last as wholes. Warped samples make their pixel opaque in the
+//! occlusion buffer, and add decreasing weights to pixels within their splat; a node is considered
+//! hidden if the rectangle around its eight warped corners is opaque.
 //!
-//! The text leaves open: sizes of splats (here a square as wide as a sample at its depth, weights falling linearly), how weights add (to at most 1), and where to stop.
-//! It accepts two faults: the order fails where a large node lies behind small ones, and skirts cover what they only touch. What frames use instead is `occlusion`, which has neither.
+//! The proposal leaves open: sizes of splats (here a square of a sample's width at its depth,
+//! weights falling linearly), the sum of weights (here at most 1), and when to stop. It accepts two
+//! faults: the order fails where a large node lies behind small ones, and splats cover pixels that
+//! they only touch. Frames use `occlusion` instead, which has neither.
 
-use super::{cull::Bounds, matrix::WarpMatrix, order::Epipole};
+use super::{bounds::Bounds, matrix::WarpMatrix, occlusion_order::Epipole};
 use ldi_protocol::{
     OutputCamera, Pose,
     ldi::{Ldi, LdiCamera},
@@ -53,7 +61,8 @@ pub struct OctreeNode {
     first: usize,
     /// Number of its samples.
     pub count: usize,
-    /// Children that hold samples, by which half they lie in: bit 0 the right, 1 the lower, 2 the nearer one. None of a leaf.
+    /// Children with samples, by octant: bit 0 the right half, 1 the lower, 2 the nearer one. None
+    /// for a leaf.
     children: [Option<usize>; 8],
 }
 
@@ -63,14 +72,14 @@ impl OctreeNode {
         self.children.iter().all(Option::is_none)
     }
 
-    /// Columns and rows of the image that its samples lie in: from column, from row, to column, to row.
+    /// Columns and rows of the image with its samples: left, top, right, bottom.
     pub fn area(&self) -> [u32; 4] {
         let [u0, v0, u1, v1] = self.bounds.place;
         [u0.floor() as u32, v0.floor() as u32, u1.ceil() as u32, v1.ceil() as u32]
     }
 }
 
-/// See the module.
+/// An octree over the samples of an image.
 #[derive(Debug)]
 pub struct SampleOctree {
     camera: LdiCamera,
@@ -114,7 +123,7 @@ impl SampleOctree {
         tree
     }
 
-    /// Makes the node of some samples, which lie in a box, and all below it.
+    /// Creates the node of samples within a box, and all nodes below it.
     fn divide(&mut self, range: std::ops::Range<usize>, of: [[f32; 2]; 3], stop: Stop) -> usize {
         let mut bounds = Bounds::NONE;
         self.samples[range.clone()].iter().for_each(|s| bounds.grow(s.u, s.v, s.disparity));
@@ -163,7 +172,8 @@ impl SampleOctree {
         &self.nodes
     }
 
-    /// Visits nodes front to back for an eye: `visit` says what becomes of each, `draw` gets the samples of leaves that are entered; both get the `state`.
+    /// Visits nodes front to back for an eye: `visit` decides on each, `draw` gets the samples of
+    /// entered leaves; both get the `state`.
     pub fn front_to_back<S>(
         &self,
         eye: &Pose,
@@ -196,7 +206,8 @@ impl SampleOctree {
         node.bounds.within(matrix, [0, 0, camera.width, camera.height]).is_some()
     }
 
-    /// The pixels around a node's eight warped corners (columns from, to, rows from, to) and the largest disparity it may show, 1/m; None where some lie behind the eye.
+    /// The pixels around a node's eight warped corners (columns from, to, rows from, to) and the
+    /// largest disparity it may show, 1/m; None where some lie behind the eye.
     pub fn rectangle(node: &OctreeNode, matrix: &WarpMatrix, camera: &OutputCamera) -> Option<([usize; 4], f64)> {
         let silhouette = node.bounds.within(matrix, [0, 0, camera.width, camera.height])?.silhouette?;
         // Saturating conversions.
@@ -291,7 +302,8 @@ mod tests {
         }
     }
 
-    /// Samples in the order in which they are drawn, with where they land and how near they are there.
+    /// Samples in the order in which they are drawn, with where they land and how near they are
+    /// there.
     fn drawn(tree: &SampleOctree, order_of: &Pose, pose: &Pose) -> Vec<(usize, f64)> {
         let matrix = WarpMatrix::new(&tree.camera, pose, &CAMERA);
         let draw = |out: &mut Vec<(usize, f64)>, s: &OctreeSample| {
@@ -326,7 +338,8 @@ mod tests {
         for eye in [pose(0.0, -1.5), pose(0.9, -1.0), pose(0.1, 1.5), pose(-0.8, 0.9), pose(0.9, 0.0)] {
             let samples = drawn(&tree, &eye, &eye);
             assert!(samples.len() > 10_000);
-            // The faults that the proposal accepts: a large node of the wall behind small ones of the fence.
+            // The faults that the proposal accepts: a large node of the wall behind small ones of
+            // the fence.
             let right = late(&samples);
             assert!(right < 0.02, "{eye:?}: {right}");
         }

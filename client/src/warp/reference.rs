@@ -1,13 +1,13 @@
-//! The warp, slow and obvious, in f64: what the fast one is judged by.
+//! The reference warp in f64, slow and simple, to which the fast one is compared.
 //!
-//! In: a decoded image, a pose, the output camera. Out: a [`FarFrame`]. No tiles, no culling, no bands; every
-//! sample, square and pixel is looked at by the rules that `prepared` and `stamps` state, straight from the layers.
+//! In: a decoded image, a pose, the output camera. Out: a [`FarFrame`]. No tiles, no culling, no
+//! bands: every sample, square and pixel is processed by the rules of `tile_builder` and `stamps`,
+//! directly from the layers.
 
 use super::{
-    FarFrame, Stamp, WarpMatrix, Warped,
+    FarFrame, LARGEST_FOOTPRINT_STAMP, Stamp, WarpMatrix, Warped,
     ewa::{CUT, PIXEL_VARIANCE, SAME_SURFACE, SAMPLE_VARIANCE},
-    prepared::OVERLAP,
-    stamps::LARGEST_FOOTPRINT_STAMP,
+    tiles::OVERLAP,
 };
 use crate::frame::{pack_rgb, unpack_rgb};
 use ldi_protocol::{
@@ -105,7 +105,8 @@ fn paint_stamp(matrix: &WarpMatrix, (row, column): (i64, i64), s: &Sample, stamp
     }
 }
 
-/// Pixel centres around a warped sample, within half of the largest stamp along each axis: column, row, offset.
+/// Pixel centres around a warped sample, within half of the largest stamp along each axis: column,
+/// row, offset.
 fn around(p: Warped) -> impl Iterator<Item = (i64, i64, [f64; 2])> {
     let half = 0.5 * f64::from(LARGEST_FOOTPRINT_STAMP);
     let reach = half as i64 + 1;
@@ -129,7 +130,8 @@ fn paint_parallelogram(matrix: &WarpMatrix, (row, column): (i64, i64), s: &Sampl
     }
 }
 
-/// The colours of [`Stamp::Ewa`] over a picture of parallelograms, by the formulas that `ewa` states.
+/// The colours of [`Stamp::Ewa`] over a picture of parallelograms, by the formulas that `ewa`
+/// states.
 fn weighted_means(matrix: &WarpMatrix, ldi: &Ldi, frame: &mut FarFrame) {
     let [sample, pixel, cut, same] = [SAMPLE_VARIANCE, PIXEL_VARIANCE, CUT, SAME_SURFACE].map(f64::from);
     let mut sums = vec![[0.0f64; 4]; frame.packed.len()];
@@ -195,7 +197,8 @@ impl Grid {
         self.samples.contains_key(&(r, c)) && self.samples.contains_key(&other) && self.samples[&first].links & bit != 0
     }
 
-    /// What lies half a cell from a sample along an axis: (extent, change of disparity, change of squared codes).
+    /// What lies half a cell from a sample along an axis: (extent, change of disparity, change of
+    /// squared codes).
     fn half(&self, at: (i64, i64), step: (i64, i64)) -> (f64, f64, [f64; 3]) {
         if step == (0, 0) {
             return (0.0, 0.0, [0.0; 3]);

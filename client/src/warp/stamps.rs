@@ -1,25 +1,21 @@
 //! Stamps: every sample paints a fixed set of pixels, with its own colour and disparity.
 //!
-//! In: a transformed tile. Out: pixels, as 64-bit maxima like the quads'. The cheap reconstructions of image-based
-//! rendering since McMillan: one pixel, 2 x 2, 3 x 3, the five-pixel cross, the axis-aligned square as large as
-//! the sample's footprint, and the parallelogram that the sample's own square becomes. Even-sized stamps centre on the
-//! sample to half a pixel.
+//! In: a transformed tile. Out: pixels, as 64-bit maxima like the quads'. The inexpensive
+//! reconstructions of image-based rendering since McMillan: one pixel, 2 x 2, 3 x 3, the five-pixel
+//! cross, the axis-aligned square of the sample's footprint, and the parallelogram of the sample's
+//! transformed cell. Even-sized stamps centre on the sample to half a pixel.
 
 use super::{
-    Stamp,
+    LARGEST_FOOTPRINT_STAMP, Stamp,
     matrix::WarpMatrix,
-    prepared::{OVERLAP, Part, TILE_ROWS, Tile},
-    quads::Target,
+    quad_raster::Target,
+    tiles::{OVERLAP, Part, TILE_ROWS, Tile},
     transform::{Inside, Largest, Scratch, Slopes, TileTransform, Window, first_lanes},
 };
-use crate::lanes::{LANES, Lanes};
+use crate::simd::{LANES, Lanes};
 use std::ops::Range;
 
-/// Largest side of a footprint stamp, pixels. The image guarantee keeps footprints at about 2, or 4 supersampled; beyond
-/// 8 a stamp would smear one sample over what other samples know better.
-pub const LARGEST_FOOTPRINT_STAMP: f32 = 8.0;
-
-/// Stamps all samples of a tile that are its own.
+/// Stamps all samples of a tile without its halo.
 #[inline(always)]
 pub fn stamp_tile<L: Lanes>(
     target: &mut Target<'_>,
@@ -50,7 +46,8 @@ pub fn stamp_tile<L: Lanes>(
     }
 }
 
-/// The one-pixel stamp without arrays between: what [`super::transform::transform_tile`] and [`stamp_tile`] do for it, in one go.
+/// The one-pixel stamp without intermediate arrays: [`super::transform::transform_tile`] and
+/// [`stamp_tile`] combined.
 #[inline(always)]
 pub fn pixels_of_tile<L: Lanes>(
     target: &mut Target<'_>,
@@ -79,12 +76,12 @@ pub fn pixels_of_tile<L: Lanes>(
     }
 }
 
-/// Tile-local numbers of the samples of each row that are no halo.
+/// Tile-local numbers of the samples of each row, without halo.
 pub fn own_rows<'a>(part: &'a Part, tile: &'a Tile) -> impl Iterator<Item = Range<usize>> + 'a {
     (0..TILE_ROWS).map(|row| part.row_of(tile, row, false))
 }
 
-/// A sample with what the warp does to its surroundings in the image.
+/// A sample with the warp's Jacobian.
 #[derive(Debug, Clone, Copy)]
 pub struct Splat {
     /// Output pixels.
@@ -113,8 +110,9 @@ impl Splat {
         Some(Self { x, y, disparity, jacobian })
     }
 
-    /// Calls `visit` with the place in the window and the offset from the sample, pixels, of every pixel centre that is at most `reach` away along each axis, and
-    /// at most half of [`LARGEST_FOOTPRINT_STAMP`].
+    /// Calls `visit` with the index in the window and the offset from the sample, pixels, of every
+    /// pixel centre at most `reach` away along each axis, and at most half of
+    /// [`LARGEST_FOOTPRINT_STAMP`].
     #[inline(always)]
     pub fn pixels(&self, window: Window, reach: [f32; 2], mut visit: impl FnMut(usize, [f32; 2])) {
         let [rx, ry] = reach.map(|r| r.min(0.5 * LARGEST_FOOTPRINT_STAMP));
@@ -149,7 +147,8 @@ impl Splat {
     }
 }
 
-/// Pixels of a stamp relative to the one that contains the sample's position less the stamp's shift.
+/// Pixels of a stamp relative to the one that contains the sample's position less the stamp's
+/// shift.
 type Offsets = [(i8, i8)];
 const ONE_PIXEL: [(i8, i8); 1] = [(0, 0)];
 const TWO_BY_TWO: [(i8, i8); 4] = [(0, 0), (1, 0), (0, 1), (1, 1)];
@@ -189,8 +188,8 @@ fn offsets8<L: Lanes>(
     }
 }
 
-/// Squares of the footprints' sizes, each placed so that its centre is nearest to its sample, at eight samples, of which those with
-/// colours count.
+/// Squares of the footprints' sizes, each placed so that its centre is nearest to its sample, at
+/// eight samples, of which those with colours count.
 #[inline(always)]
 fn footprint8<L: Lanes>(target: &mut Target<'_>, scratch: &Scratch, (colours, count): (&[u32], usize), i: usize) {
     let window = target.window;

@@ -2,12 +2,12 @@
 
 use super::{
     analytic::*,
-    prepared::{OVERLAP, TILE_SAMPLES},
+    tiles::{OVERLAP, TILE_SAMPLES},
     transform::{Largest, Scratch, Wanted, Window, transform_tile},
     *,
 };
 use crate::frame::{pack_rgb, unpack_rgb};
-use crate::lanes::Portable;
+use crate::simd::Portable;
 use glam::DVec3;
 use ldi_protocol::{
     OutputCamera, Pose,
@@ -92,11 +92,13 @@ fn quads_match_the_truth_from_shifted_eyes() {
     for name in SCENES {
         for p in &poses() {
             let d = against_truth(name, p, Stamp::Quads);
-            // The floor's texture is finer than a pixel near the horizon, where no sampling agrees with another.
+            // The floor's texture is finer than a pixel near the horizon, where no sampling agrees
+            // with another.
             let mean = if name == "floor" { 5.0 } else { 0.3 };
             assert!(d.mean < mean, "{name}: {d:?}");
             assert_eq!(d.one_only, 0, "{name}: no holes inside, nothing outside: {d:?}");
-            // Silhouettes: less than a pixel along every edge; fences have 10 to 20 edges of 120 pixels.
+            // Silhouettes: less than a pixel along every edge; fences have 10 to 20 edges of 120
+            // pixels.
             assert!(d.other_surface <= 120, "{name}: {d:?}");
         }
     }
@@ -279,7 +281,8 @@ fn small(samples: &[(u16, u8, u8)], disparity: f64) -> Ldi {
 
 #[test]
 fn a_layer_covers_the_union_of_its_cells() {
-    // The output is ten times finer than the image: a cell is a square of 10 pixels, more by the overlap.
+    // The output is ten times finer than the image: a cell is a square of 10 pixels, more by the
+    // overlap.
     let (r, d) = (LINK_RIGHT, LINK_DOWN);
     let shapes: [&[(u16, u8, u8)]; 7] = [
         &[(5, 7, 0)],
@@ -312,7 +315,8 @@ fn a_layer_covers_the_union_of_its_cells() {
 
 #[test]
 fn a_strip_as_wide_as_its_pixels_lies_on_its_slope() {
-    // Along a row, and along a column. The picture is ten times finer and sees the strip from its centre: disparity is affine across it.
+    // Along a row, and along a column. The picture is ten times finer and sees the strip from its
+    // centre: disparity is affine across it.
     for (shape, axis) in [([(5, 7, LINK_RIGHT), (5, 8, 0)], 1), ([(5, 7, LINK_DOWN), (6, 7, 0)], 0)] {
         let mut ldi = small(&shape, 0.1);
         for slopes in &mut ldi.layers[0].slopes {
@@ -356,7 +360,8 @@ fn links_to_nothing_are_ignored() {
 
 #[test]
 fn samples_at_and_behind_the_eye_never_paint() {
-    // The only sample lies on the axis at 10 m (half a sample aside). Eyes at it, beyond it, and in the image's plane.
+    // The only sample lies on the axis at 10 m (half a sample aside). Eyes at it, beyond it, and in
+    // the image's plane.
     let ldi = small(&[(6, 8, 0)], 0.1);
     for stamp in Stamp::ALL {
         // Culling would hide what the kernels do with such samples.
@@ -498,7 +503,8 @@ fn matrix_agrees_with_the_cameras() {
 
 #[test]
 fn occlusion_compatible_order_agrees_with_depth() {
-    // Eyes ahead of the image's centre, behind it, in its plane, at it; epipoles inside, beside and at infinity.
+    // Eyes ahead of the image's centre, behind it, in its plane, at it; epipoles inside, beside and
+    // at infinity.
     let eyes = [
         pose(0.0, 0.0, -1.5, 0.0, 0.0),
         pose(0.9, 0.2, -1.0, 6.0, 0.0),
@@ -516,8 +522,9 @@ fn occlusion_compatible_order_agrees_with_depth() {
                 let z = render(&ldi, p, &options(stamp, Order::Z));
                 let painter = render(&ldi, p, &options(stamp, Order::Epipole));
                 let d = compare(pixels(&z.0), pixels(&painter.0));
-                // One pixel: where the picture is coarser than the image, two lines meet in a pixel. 2 x 2: a stamp of a
-                // farther sample may come after a nearer neighbour, at silhouettes.
+                // One pixel: where the picture is coarser than the image, two lines meet in a
+                // pixel. 2 x 2: a stamp of a farther sample may come after a nearer neighbour, at
+                // silhouettes.
                 let allowed = if stamp == Stamp::OnePixel { 4 } else { d.pixels / 12 };
                 assert!(d.one_only == 0 && d.other_surface <= allowed, "{name} {stamp} {p:?}: {d:?}");
                 // Its tiles hold all layers of their place, so that fewer are clipped.
@@ -530,7 +537,7 @@ fn occlusion_compatible_order_agrees_with_depth() {
         let z = render(&ldi, &eyes[1], &options(Stamp::OnePixel, Order::Z)).0;
         let mut wrong = FarFrame::new(CAMERA.width, CAMERA.height);
         let prepared = PreparedLdi::new(&ldi);
-        bands::warp_in_order(&prepared, &eyes[1], &mirrored, &CAMERA, &mut wrong);
+        row_bands::warp_in_order(&prepared, &eyes[1], &mirrored, &CAMERA, &mut wrong);
         let d = compare(pixels(&z), pixels(&wrong));
         assert!(d.other_surface > 200, "{name}: {d:?}");
     }
@@ -545,18 +552,20 @@ fn debug_views_colour_what_they_say() {
     let ldi = image("fence");
     let seen =
         |ldi: &Ldi, at: usize| render(ldi, &poses()[0], &WarpOptions::default()).0.get(at).map(|p| unpack_rgb(p.0));
-    // From the image's own centre only the first layer is seen; from the side the wall behind bars as well.
-    let layers = debug::coloured_by_layer(&ldi);
-    assert!((0..19_200).step_by(777).all(|at| seen(&layers, at) == Some(debug::LAYER_COLOURS[0])));
+    // From the image's own centre only the first layer is seen; from the side the wall behind bars
+    // as well.
+    let layers = debug_colours::coloured_by_layer(&ldi);
+    assert!((0..19_200).step_by(777).all(|at| seen(&layers, at) == Some(debug_colours::LAYER_COLOURS[0])));
     let side = render(&layers, &poses()[1], &WarpOptions::default()).0;
-    let second = pack_rgb(debug::LAYER_COLOURS[1]);
+    let second = pack_rgb(debug_colours::LAYER_COLOURS[1]);
     assert!(pixels(&side).flatten().any(|(c, _)| c == second));
     // A frontal wall at its own centre: footprint 0.87; halfway there 1.73.
     let wall = image("frontal");
-    let cold = seen(&debug::coloured_by_footprint(&wall, &poses()[0], &CAMERA), 9_600).unwrap();
-    let hot = seen(&debug::coloured_by_footprint(&wall, &pose(0.0, 0.0, -5.0, 0.0, 0.0), &CAMERA), 9_600).unwrap();
+    let cold = seen(&debug_colours::coloured_by_footprint(&wall, &poses()[0], &CAMERA), 9_600).unwrap();
+    let hot =
+        seen(&debug_colours::coloured_by_footprint(&wall, &pose(0.0, 0.0, -5.0, 0.0, 0.0), &CAMERA), 9_600).unwrap();
     assert!(cold[2] > cold[0] && hot[0] == 255 && hot[2] < 100, "{cold:?} {hot:?}");
-    let inner = seen(&debug::coloured_by_links(&wall), 9_600).unwrap();
+    let inner = seen(&debug_colours::coloured_by_links(&wall), 9_600).unwrap();
     assert_eq!(inner, [40; 3]);
 }
 
@@ -601,7 +610,8 @@ fn names_round_trip_and_errors_help() {
     assert!("zz".parse::<Order>().unwrap_err().to_string().contains("epipole"));
 }
 
-/// A picture at half the size: drawn from an image at half the resolution it is as near to the truth as drawn from the whole one, or nearly.
+/// A picture at half the size: drawn from an image at half the resolution it is as near to the
+/// truth as drawn from the whole one, or nearly.
 #[test]
 fn an_image_at_half_its_resolution_shows_the_same_at_half_the_size() {
     for name in SCENES {

@@ -1,16 +1,17 @@
 //! The f32 transform of a tile's samples, eight at a time.
 //!
-//! In: the f64 [`WarpMatrix`]. Out: per tile, coefficients relative to the tile's upper left corner, so that f32
-//! multiplies small column and row numbers only; per row, one affine function of (column, disparity) for each of X, Y,
-//! W; per sample one division. Stated error against f64, tested on rows of 8,192: 1/64 pixel for samples
-//! that land within 4,096 pixels of the picture's origin and whose footprint is at most 4 pixels (the error comes from rounding
-//! X to 24 bits, about X 2^-23, and grows with magnification as 1/W does); 2^-18 relative in disparity.
+//! In: the f64 [`WarpMatrix`]. Out: per tile, coefficients relative to the tile's upper left
+//! corner, so that f32 multiplies small column and row numbers only; per row, one affine function
+//! of (column, disparity) for each of X, Y, W; per sample one division. Stated error against f64,
+//! tested on rows of 8,192: 1/64 pixel for samples that land within 4,096 pixels of the picture's
+//! origin and whose footprint is at most 4 pixels (the error comes from rounding X to 24 bits,
+//! about X 2^-23, and grows with magnification as 1/W does); 2^-18 relative in disparity.
 
 use super::{
     matrix::WarpMatrix,
-    prepared::{Part, TILE_ROWS, TILE_SAMPLES, Tile},
+    tiles::{Part, TILE_ROWS, TILE_SAMPLES, Tile},
 };
-use crate::lanes::{LANES, Lanes};
+use crate::simd::{LANES, Lanes};
 use std::ops::Range;
 
 /// Relative error of footprints, at most (`ldi-bench numerics`, footprints).
@@ -43,7 +44,8 @@ impl TileTransform {
     }
 }
 
-/// A tile's samples on the output: pixels and 1/m. Disparity is -1 for samples at or behind the eye's plane.
+/// A tile's samples on the output: pixels and 1/m. Disparity is -1 for samples at or behind the
+/// eye's plane.
 pub struct Scratch {
     /// Output column coordinates.
     pub x: [f32; TILE_SAMPLES + LANES],
@@ -51,7 +53,8 @@ pub struct Scratch {
     pub y: [f32; TILE_SAMPLES + LANES],
     /// Output disparities.
     pub disparity: [f32; TILE_SAMPLES + LANES],
-    /// Footprints, squared output pixels: the larger singular value of d(x, y)/d(u, v) at fixed disparity, squared.
+    /// Footprints, squared output pixels: the larger singular value of d(x, y)/d(u, v) at fixed
+    /// disparity, squared.
     pub footprint2: [f32; TILE_SAMPLES + LANES],
 }
 
@@ -62,7 +65,7 @@ impl Default for Scratch {
     }
 }
 
-/// One sample before and after the f32 kernels, for those who judge them.
+/// One sample before and after the f32 kernels, for tests.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Transformed {
     /// Column of its centre in the image, LDI pixels.
@@ -81,7 +84,7 @@ pub struct Transformed {
     pub footprint: f32,
 }
 
-/// What lies on the picture: columns from 0, rows from `first_row`.
+/// The visible area: columns from 0, rows from `first_row`.
 #[derive(Debug, Clone, Copy)]
 pub struct Window {
     /// Columns.
@@ -112,7 +115,7 @@ fn entry<L: Lanes>(slope: L::F, p: L::F, slope_w: L::F, inverse: L::F) -> L::F {
     L::mul(L::sub(slope, L::mul(p, slope_w)), inverse)
 }
 
-/// What the singular values of eight Jacobians [[a, b], [c, d]] follow from.
+/// Values that determine the singular values of eight Jacobians [[a, b], [c, d]].
 #[derive(Clone, Copy)]
 pub struct Stretch<L: Lanes> {
     /// Sum of their squares.
@@ -136,7 +139,8 @@ impl<L: Lanes> Stretch<L> {
         L::mul(L::splat(0.5), L::add(self.sum, L::sqrt(L::max(discriminant, L::splat(0.0)))))
     }
 
-    /// Where the larger singular value, squared, exceeds `m`: without a root, which takes as long as all else. Of x^2 - sum x + product2, whose zeros the squares are,
+    /// Whether the larger squared singular value exceeds `m`, without a square root. The squares
+    /// are the zeros of x^2 - sum x + product2:
     /// one zero lies above m if its value there is negative, or both do if their mean does.
     #[inline(always)]
     fn exceeds(&self, m: L::F) -> L::I {
@@ -156,7 +160,7 @@ impl<L: Lanes> Largest<L> {
         Self(L::splat(0.0))
     }
 
-    /// Takes eight more, of which those of a mask count.
+    /// Adds eight footprints, of which those of a mask count.
     #[inline(always)]
     pub fn see(&mut self, seen: L::I, stretch: &Stretch<L>) {
         let larger = L::and(seen, stretch.exceeds(self.0));
@@ -166,7 +170,7 @@ impl<L: Lanes> Largest<L> {
         }
     }
 
-    /// Whether footprints of at most `bound` output pixels change nothing, as they come out of f32.
+    /// Whether footprints of at most `bound` output pixels cannot change the maximum.
     #[inline(always)]
     pub fn is_at_least(&self, bound: f64) -> bool {
         f64::from(self.squared()) >= (bound * (1.0 + FOOTPRINT_ERROR)).powi(2)
@@ -208,7 +212,8 @@ impl<L: Lanes> Slopes<L> {
         Self { u: column(0), v: column(1), d: column(3) }
     }
 
-    /// Warps eight samples of one row from its constants, their columns in the tile and their disparities.
+    /// Warps eight samples of one row, from its constants, their columns in the tile and their
+    /// disparities.
     #[inline(always)]
     pub fn warp(&self, constants: [L::F; 3], u: L::F, d: L::F) -> Points<L> {
         let [xu, yu, wu] = self.u;
@@ -222,7 +227,7 @@ impl<L: Lanes> Slopes<L> {
         Points { x, y, disparity: L::select(ahead, L::mul(d, inverse), L::splat(-1.0)), inverse }
     }
 
-    /// How the warp stretches the image around eight samples, at fixed disparity.
+    /// The stretch of the image around eight samples, at fixed disparity.
     #[inline(always)]
     pub fn stretch(&self, p: &Points<L>) -> Stretch<L> {
         let ([xu, yu, wu], [xv, yv, wv]) = (self.u, self.v);
@@ -235,7 +240,7 @@ impl<L: Lanes> Slopes<L> {
     }
 }
 
-/// Tells which points lie in a window, ahead of the eye.
+/// Tests which points lie in a window, in front of the eye.
 #[derive(Clone, Copy)]
 pub struct Inside<L: Lanes> {
     right: L::F,
@@ -281,7 +286,8 @@ pub struct Wanted {
     pub largest: bool,
 }
 
-/// Transforms a tile's samples into `scratch`; `largest` sees the footprints of those that land inside the window, if wanted.
+/// Transforms a tile's samples into `scratch`; `largest` gets the footprints of those inside of the
+/// window, if wanted.
 #[inline(always)]
 pub fn transform_tile<L: Lanes>(
     matrix: &WarpMatrix,
@@ -297,7 +303,7 @@ pub fn transform_tile<L: Lanes>(
     for row in 0..TILE_ROWS + usize::from(wanted.halo) {
         let constants = transform.row_constants(matrix, row).map(L::splat);
         let Range { start: from, end: to } = part.row_of(tile, row, wanted.halo);
-        // The last group may spill into the next row's places, which are written afterwards.
+        // The last group may write into the next row's elements, which are written afterwards.
         for i in (from..to).step_by(LANES) {
             let at = tile.first + i;
             let p = slopes.warp(constants, L::load_bytes(&part.column[at..]), L::load(&part.disparity[at..]));
@@ -314,8 +320,8 @@ pub fn transform_tile<L: Lanes>(
             if !wanted.largest {
                 continue;
             }
-            // Lanes past the row's end hold another row's samples with this row's constants: harmless on the picture,
-            // because they are overwritten, but not for the maximum.
+            // Lanes past the row's end hold another row's samples with this row's constants:
+            // harmless on the picture, because they are overwritten, but not for the maximum.
             largest.see(L::and(inside.test(&p), first_lanes::<L>(to - i)), &stretch);
         }
     }
@@ -327,7 +333,7 @@ pub const LANE_NUMBERS: [u32; LANES] = [0, 1, 2, 3, 4, 5, 6, 7];
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lanes::Portable;
+    use crate::simd::Portable;
 
     #[test]
     fn the_largest_footprint_is_found_without_taking_every_root() {
@@ -337,7 +343,8 @@ mod tests {
             (state >> 40) as f32 / (1u32 << 24) as f32
         };
         for round in 0..2_000 {
-            // From turned scalings, whose product is nearly the half of the sum, to lines, whose product is none.
+            // From turned scalings, whose product is nearly the half of the sum, to lines, whose
+            // product is none.
             let flatness = (round % 20) as f32 / 19.0;
             let mut largest = Largest::<Portable>::none();
             let mut expected = 0.0f64;

@@ -7,7 +7,7 @@ use super::speed_error::{OneView, PLAIN, median, resident};
 use anyhow::Result;
 use ldi_client::{
     cache::Cache,
-    engine::{Painter, Verdict, view_of},
+    engine::{FrameRenderer, Scores, view_of},
     frame::Frame,
     report::StageMs,
     resident::Resident,
@@ -106,17 +106,17 @@ pub fn compare(scene: &str, dataset: &Dataset, camera: &OutputCamera, views: &[O
     for profile in ColourProfile::ALL {
         let (bytes, seconds, decoded) = coded(exact.values().map(|l| Ldi::clone(l)), profile)?;
         let images = exact.keys().copied().zip(decoded).collect();
-        let (mut painter, mut picture) = (Painter::default(), Frame::default());
+        let (mut renderer, mut picture) = (FrameRenderer::default(), Frame::default());
         let verdicts = views
             .iter()
             .zip(&seen)
             .map(|(v, (cache, view))| {
                 let shown = Recoded { cache, images: &images };
-                painter.paint(index, &shown, view, &v.pose, camera, &options, StageMs::default(), &mut picture)?;
-                Ok(v.truth.judge(&picture, painter.full(), None)?)
+                renderer.render(index, &shown, view, &v.pose, camera, &options, StageMs::default(), &mut picture)?;
+                Ok(v.truth.evaluate(&picture, renderer.full(), None)?)
             })
             .collect::<Result<Vec<_>>>()?;
-        let mean = |of: fn(&Verdict) -> Option<f64>| {
+        let mean = |of: fn(&Scores) -> Option<f64>| {
             let known: Vec<f64> = verdicts.iter().filter_map(of).collect();
             known.iter().sum::<f64>() / known.len().max(1) as f64
         };

@@ -324,7 +324,7 @@ fn occluders() -> Scene {
     Scene { surfaces: vec![wall, fence, sphere], wavelength_m: 4.0 }
 }
 
-fn painted(ldi: &PreparedLdi, pose: &Pose, options: &WarpOptions) -> FarFrame {
+fn frame_stats(ldi: &PreparedLdi, pose: &Pose, options: &WarpOptions) -> FarFrame {
     let mut frame = FarFrame::new(SMALL.width, SMALL.height);
     // One pixel is drawn in any order, every stamp by depth.
     warp(ldi, pose, &SMALL, options, &mut frame).map_or_else(|_| FarFrame::new(SMALL.width, SMALL.height), |_| frame)
@@ -343,8 +343,8 @@ fn orders(place: Place, cases: u64, seed: u64) -> Case {
             pitch_deg: random.between(-8.0, 8.0),
         };
         let one = WarpOptions { stamp: Stamp::OnePixel, ..WarpOptions::default() };
-        let by_depth = painted(&ldi, &pose, &one);
-        let in_order = painted(&ldi, &pose, &WarpOptions { order: Order::Epipole, ..one });
+        let by_depth = frame_stats(&ldi, &pose, &one);
+        let in_order = frame_stats(&ldi, &pose, &WarpOptions { order: Order::Epipole, ..one });
         for i in 0..by_depth.packed.len() {
             pixels += 1;
             wrong += u64::from(match (by_depth.get(i), in_order.get(i)) {
@@ -380,8 +380,11 @@ fn crossing(cases: u64, seed: u64) -> Case {
         let along = across * random.sign();
         let yaw_deg = (-along.x).atan2(-along.z).to_degrees() + random.between(-40.0, 40.0);
         let pose = Pose { position: eye, yaw_deg, pitch_deg: random.between(-20.0, 20.0) };
-        let fast =
-            painted(&PreparedLdi::new(&ldi), &pose, &WarpOptions { keep_all_tiles: true, ..WarpOptions::default() });
+        let fast = frame_stats(
+            &PreparedLdi::new(&ldi),
+            &pose,
+            &WarpOptions { keep_all_tiles: true, ..WarpOptions::default() },
+        );
         let exact = reference::warp(&ldi, &pose, &SMALL, Stamp::Quads);
         // Nothing to see is no case.
         if fast.painted() + exact.painted() == 0 {
@@ -515,7 +518,7 @@ fn double_walls(cases: u64, seed: u64) -> Case {
             yaw_deg: random.between(-10.0, 10.0),
             pitch_deg: random.between(-10.0, 10.0),
         };
-        let frame = painted(&PreparedLdi::new(&ldi), &pose, &WarpOptions::default());
+        let frame = frame_stats(&PreparedLdi::new(&ldi), &pose, &WarpOptions::default());
         for (colour, _) in (0..frame.packed.len()).filter_map(|i| frame.get(i)) {
             pixels += 1;
             wrong += u64::from(colour & 255 < 100);

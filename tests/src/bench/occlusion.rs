@@ -14,7 +14,7 @@ use ldi_client::{
     report::StageMs,
     resident::Resident as _,
     warp::{
-        FarFrame, PreparedLdi, Shown, WarpMatrix, WarpOptions,
+        FarFrame, ImageInView, PreparedLdi, WarpMatrix, WarpOptions,
         octree::{OcclusionBuffer, OctreeNode, OctreeSample, SampleOctree, Stop, Visit},
         warp_images,
     },
@@ -165,7 +165,7 @@ fn of_view(
     let mut near = Frame::default();
     Rasterizer::default().draw(index, &cache, &view.cells, camera, pose, &mut near);
     let laid_out: Vec<PreparedLdi> = images.iter().map(|ldi| PreparedLdi::new(ldi)).collect();
-    let shown: Vec<Shown<'_>> = laid_out.iter().map(Shown::from).collect();
+    let shown: Vec<ImageInView<'_>> = laid_out.iter().map(ImageInView::from).collect();
     let (mut far, mut spare) = (FarFrame::new(camera.width, camera.height), FarFrame::default());
     let mut warp = |near: &[f32], keep_hidden: bool| {
         let options = WarpOptions { keep_hidden, ..WarpOptions::default() };

@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result, bail};
 use ldi_client::{
     cache::Cache,
     composite::Fill,
-    engine::{Cull, Method, Pace, Painter, Shows, Truth, Verdict, WalkOptions, view_of},
+    engine::{Cull, DisplayMode, FrameRenderer, Method, Pace, Scores, Truth, WalkOptions, view_of},
     frame::Frame,
     report::StageMs,
     warp::{Order, Stamp},
@@ -308,12 +308,12 @@ pub fn walk_by(
         every: 1,
         cache_bytes: None,
         debug_views: false,
-        shows: Shows::Scene,
-        beside: false,
+        shows: DisplayMode::Scene,
+        background_layout: false,
         baseline_frames: 0,
     };
     let cache = Cache::new(Arc::clone(dataset.index()), u64::MAX);
-    let (mut painter, mut picture) = (Painter::default(), Frame::default());
+    let (mut renderer, mut picture) = (FrameRenderer::default(), Frame::default());
     if let Some(folder) = pictures {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
@@ -325,10 +325,10 @@ pub fn walk_by(
             let bytes = dataset.chunk(chunk)?;
             cache.insert(chunk, &bytes).with_context(|| format!("chunk {chunk}"))?;
         }
-        let painted = painter.paint(index, &cache, &view, &at.pose, camera, &options, ms, &mut picture)?;
+        let frame_stats = renderer.render(index, &cache, &view, &at.pose, camera, &options, ms, &mut picture)?;
         let verdict = match truth {
-            Some([truth, baseline]) => truth.judge(&picture, painter.full(), Some(baseline))?,
-            None => Verdict::default(),
+            Some([truth, baseline]) => truth.evaluate(&picture, renderer.full(), Some(baseline))?,
+            None => Scores::default(),
         };
         if let Some(folder) = pictures.filter(|_| truth.is_some()) {
             let rgb: Vec<u8> = picture.colour.iter().flat_map(|c| ldi_client::frame::unpack_rgb(*c)).collect();
@@ -336,7 +336,7 @@ pub fn walk_by(
             image::save_buffer(&file, &rgb, camera.width, camera.height, image::ExtendedColorType::Rgb8)
                 .with_context(|| format!("cannot write {}", file.display()))?;
         }
-        let m = &painted.ms;
+        let m = &frame_stats.ms;
         rows.push(FrameRow {
             frame: i,
             ms: m.total,
@@ -344,9 +344,9 @@ pub fn walk_by(
             near_ms: m.near,
             warp_ms: m.warp,
             prepare_ms: m.prepare,
-            triangles: painted.triangles,
+            triangles: frame_stats.triangles,
             portals: view.portals.len(),
-            samples: painted.warp.as_ref().map_or([0; 2], |w| [w.samples_warped, w.samples_culled]),
+            samples: frame_stats.warp.as_ref().map_or([0; 2], |w| [w.samples_warped, w.samples_culled]),
             psnr_db: verdict.psnr_db,
             flip: verdict.flip,
             flip_far: verdict.flip_far,

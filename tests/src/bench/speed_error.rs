@@ -14,12 +14,12 @@ use anyhow::{Context as _, Result, bail};
 use ldi_client::{
     cache::Cache,
     composite::Fill,
-    engine::{Cull, Method, Pace, Painter, Shows, Truth, Verdict, View, WalkOptions, view_of},
+    engine::{Cull, DisplayMode, FrameRenderer, Method, Pace, Scores, Truth, View, WalkOptions, view_of},
     frame::{Frame, Source, supersampled},
     near::Rasterizer,
     report::StageMs,
     resident::Resident as _,
-    warp::{FarFrame, Order, PreparedLdi, Shown, Stamp, WarpOptions, WarpStats, transform_only, warp_images},
+    warp::{FarFrame, ImageInView, Order, PreparedLdi, Stamp, WarpOptions, WarpStats, transform_only, warp_images},
 };
 use ldi_protocol::{OutputCamera, Pose, codec::ColourProfile, need::Sight, path::Walk};
 use ldi_server::{
@@ -227,8 +227,8 @@ impl Setting {
             every: 1,
             cache_bytes: None,
             debug_views: false,
-            shows: Shows::Scene,
-            beside: false,
+            shows: DisplayMode::Scene,
+            background_layout: false,
             baseline_frames: 0,
         }
     }
@@ -325,7 +325,7 @@ fn shows_images(dataset: &Dataset, pose: &Pose, camera: &OutputCamera) -> Result
     }
     let options = PLAIN.walk_options((small.width, small.height));
     let (cache, mut picture) = (resident(dataset, &view, &Sight::new(pose, &small, 1))?, Frame::default());
-    Painter::default().paint(index, &cache, &view, pose, &small, &options, StageMs::default(), &mut picture)?;
+    FrameRenderer::default().render(index, &cache, &view, pose, &small, &options, StageMs::default(), &mut picture)?;
     Ok(picture.count(Source::Far) * 100 >= picture.len())
 }
 
@@ -398,14 +398,14 @@ fn measure(
     let mut verdicts = Vec::new();
     let mut differ = Vec::new();
     let (mut far, mut spare, mut picture) = (FarFrame::default(), FarFrame::default(), Frame::default());
-    let mut painter = Painter::default();
+    let mut renderer = FrameRenderer::default();
     for v in views {
         let view = view_of(index, &v.pose, &camera, options.method, &mut StageMs::default());
         let cache = resident(dataset, &view, &Sight::new(&v.pose, &full, 1))?;
         if setting.stamp.is_some() {
             let images: Vec<PreparedLdi> =
                 view.images.iter().filter_map(|i| cache.ldi(*i)).map(|ldi| PreparedLdi::new(&ldi)).collect();
-            let images: Vec<Shown<'_>> = images.iter().map(Shown::from).collect();
+            let images: Vec<ImageInView<'_>> = images.iter().map(ImageInView::from).collect();
             let mut timed =
                 |f: &mut dyn FnMut(&mut FarFrame) -> Result<WarpStats>| timed(job.repeat, &full, &mut far, f);
             let transformed = |far: &mut FarFrame| {
@@ -432,20 +432,20 @@ fn measure(
         }
         let mut times = Vec::new();
         for _ in 0..job.repeat.div_ceil(2) {
-            let painted =
-                painter.paint(index, &cache, &view, &v.pose, &camera, &options, StageMs::default(), &mut picture)?;
-            times.push(painted.ms.total);
+            let frame_stats =
+                renderer.render(index, &cache, &view, &v.pose, &camera, &options, StageMs::default(), &mut picture)?;
+            times.push(frame_stats.ms.total);
         }
         frame_ms.push(median(times));
-        verdicts.push(v.truth.judge(&picture, painter.full(), Some(&v.baseline))?);
+        verdicts.push(v.truth.evaluate(&picture, renderer.full(), Some(&v.baseline))?);
     }
     let n = views.len() as f64;
     let (warp, compute) = (median(warp_ms), median(compute_ms));
-    let mean = |of: fn(&Verdict) -> Option<f64>| {
+    let mean = |of: fn(&Scores) -> Option<f64>| {
         let known: Vec<f64> = verdicts.iter().filter_map(of).collect();
         known.iter().sum::<f64>() / known.len().max(1) as f64
     };
-    let most = |of: fn(&Verdict) -> Option<f64>| verdicts.iter().filter_map(of).fold(0.0, f64::max);
+    let most = |of: fn(&Scores) -> Option<f64>| verdicts.iter().filter_map(of).fold(0.0, f64::max);
     let samples = stats.samples_warped as f64 / n;
     Ok(Row {
         scene: name_of(spec),

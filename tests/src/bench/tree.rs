@@ -8,7 +8,7 @@ use anyhow::{Context as _, Result, bail};
 use glam::DVec3;
 use ldi_client::{
     resident::Resident,
-    tree::{ALL_GAP_PASSES, TreeOptions, TreePainter, Wanted},
+    tree::{ALL_GAP_PASSES, PixelMask, TreeOptions, TreePainter},
     warp::FarFrame,
 };
 use ldi_protocol::{
@@ -208,7 +208,7 @@ pub fn run(study: &Study, mut heard: impl FnMut(&Row)) -> Result<Vec<Row>> {
             error: 0.0,
         };
         let held = hold(&built.tree, &built.chunks.iter().map(|c| &c.bytes[..]).collect::<Vec<_>>())?;
-        let mut painter = TreePainter::default();
+        let mut renderer = TreePainter::default();
         let mut picture = FarFrame::default();
         let n = poses.len() as f64;
         for (pose, truth) in poses.iter().zip(&truths) {
@@ -216,11 +216,11 @@ pub fn run(study: &Study, mut heard: impl FnMut(&Row)) -> Result<Vec<Row>> {
                 // As in the paper: until the root fills.
                 let gap_passes = if fill_gaps { ALL_GAP_PASSES } else { 0 };
                 let options = TreeOptions { gap_passes, ..TreeOptions::default() };
-                let mut wanted = Wanted::all(camera.width, camera.height);
+                let mut wanted = PixelMask::all(camera.width, camera.height);
                 let start = Instant::now();
                 let tree = &built.tree;
                 let stats =
-                    painter.draw(tree, &held, pose, &camera, &options, &mut wanted, &|_, _| false, &mut picture);
+                    renderer.draw(tree, &held, pose, &camera, &options, &mut wanted, &|_, _| false, &mut picture);
                 let ms = start.elapsed().as_secs_f64() * 1e3;
                 let (holes, error) = truth.judge(&picture);
                 row.holes[usize::from(fill_gaps)] += holes / n;

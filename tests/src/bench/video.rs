@@ -4,7 +4,7 @@
 //! bytes of the first frame of each, and what each needs for a given FLIP. `ffmpeg` encodes and decodes; settings are those of an interactive stream: no frame waits for a later one, one key frame.
 
 use anyhow::{Context as _, Result, bail, ensure};
-use ldi_client::metrics::{FlipMap, Picture, psnr_db};
+use ldi_client::metrics::{FlipMap, RgbImage, psnr_db};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::{
@@ -131,9 +131,9 @@ fn pictures(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-fn load(file: &Path) -> Result<Picture> {
+fn load(file: &Path) -> Result<RgbImage> {
     let image = image::open(file).with_context(|| file.display().to_string())?.into_rgb8();
-    Ok(Picture::new(image.width(), image.height(), image.into_raw())?)
+    Ok(RgbImage::new(image.width(), image.height(), image.into_raw())?)
 }
 
 /// Mean FLIP and PSNR of files against their truths.

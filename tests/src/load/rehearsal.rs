@@ -5,13 +5,13 @@
 //! the frame. [`Policy::Clairvoyant`] knows the walk in advance: earliest deadline first is late for no chunk if any order is, so what it misses nobody
 //! brings in time.
 //!
-//! The planner and the cache's accounts are those of the real programs, the link is [`Link`]. What is simple here: congestion control is perfect (a
+//! The planner and the cache's accounts are those of the real programs, the link is [`SimulatedLink`]. What is simple here: congestion control is perfect (a
 //! window of bandwidth times round trip and [`QUEUE`]), acknowledgements are not lost, a lost packet is sent again after a round trip.
 
 use super::hindsight::{Everything, Hindsight};
 use ldi_client::{
     cache::Cache,
-    stream::{Direction, Fate, HEADER_BYTES, Link, LinkSpec, PoseClock},
+    stream::{Direction, Fate, HEADER_BYTES, LinkSpec, PoseClock, SimulatedLink},
 };
 use ldi_protocol::{
     Pose,
@@ -157,7 +157,7 @@ struct Rehearsal<'a> {
     clock: PoseClock,
     epoch: Instant,
     now: Duration,
-    link: Link,
+    link: SimulatedLink,
     pushes: BTreeMap<u32, Push>,
     streams: BTreeMap<u64, Stream>,
     opened: u64,
@@ -208,7 +208,7 @@ pub fn rehearse(script: &Script, setting: &Setting, views: Arc<dyn Views>) -> Sc
         clock: PoseClock::default(),
         epoch: Instant::now(),
         now: Duration::ZERO,
-        link: Link::new(LinkSpec { queue: Duration::from_secs(10), ..setting.link }, Direction::Down),
+        link: SimulatedLink::new(LinkSpec { queue: Duration::from_secs(10), ..setting.link }, Direction::Down),
         pushes: BTreeMap::new(),
         streams: BTreeMap::new(),
         opened: 0,
@@ -343,7 +343,7 @@ impl Rehearsal<'_> {
             self.score.settled_incomplete += usize::from(incomplete);
             self.score.settled_gaps += usize::from(gap);
         }
-        self.clock.look(&self.script.poses[frame].1, self.now);
+        self.clock.update_view(&self.script.poses[frame].1, self.now);
     }
 
     /// The newest pose, that of frame number `newest`, goes if its time has come.

@@ -91,7 +91,7 @@ pub fn report(load: &Load, seen: &Seen) -> Value {
             "unfinished_at_the_end": sum(&|w| w.unfinished),
             "damaged": sum(&|w| w.stats.damaged),
             "duplicates": sum(&|w| w.stats.duplicates),
-            "given_up_undecoded": sum(&|w| w.stats.given_up),
+            "given_up_undecoded": sum(&|w| w.stats.abandoned),
             "broken_off": sum(&|w| w.stats.broken_off),
         },
         "chunk_bytes": sum(&|w| w.stats.chunk_bytes),

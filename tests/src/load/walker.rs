@@ -193,7 +193,7 @@ impl Walker<'_> {
 
     fn frame(&mut self, frame: usize, track: &Track) {
         let needed = track.needed(frame, &self.course.index, &self.course.camera);
-        self.connection.look(&track.pose(frame), &needed);
+        self.connection.update_view(&track.pose(frame), &needed);
         let cache = self.connection.cache();
         let now = Instant::now();
         let missing = cache.missing(needed.all());

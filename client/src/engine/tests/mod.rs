@@ -36,7 +36,7 @@ use std::{
     time::Duration,
 };
 
-mod beside;
+mod background_layout;
 
 const CAMERA: OutputCamera = OutputCamera { width: 64, height: 48, fov_deg: 60.0 };
 /// Stored bytes of every chunk.
@@ -108,20 +108,20 @@ impl Resident for MemoryFeed {
     }
 }
 
-impl Feed for MemoryFeed {
+impl DataSource for MemoryFeed {
     fn index(&self) -> &Index {
         &self.index
     }
     fn dataset_hash(&self) -> String {
         "00".repeat(32)
     }
-    fn look(&self, _: &Pose, needed: &Needed) {
+    fn update_view(&self, _: &Pose, needed: &Needed) {
         *self.looks.lock().expect("no test panics while it holds the lock") += 1;
         if self.pushes && self.dead().is_none() {
             assert_eq!(self.wait_for(&needed.all().collect::<Vec<_>>(), Duration::ZERO), Ok(()));
         }
     }
-    fn ask(&self, _: &[u32]) {}
+    fn request(&self, _: &[u32]) {}
     fn wait_for(&self, chunks: &[u32], _: Duration) -> Result<(), Incomplete> {
         let mut waits = self.waits.lock().expect("no test panics while it holds the lock");
         *waits += 1;
@@ -142,7 +142,7 @@ impl Feed for MemoryFeed {
         state.0.drain(..surplus);
         Ok(())
     }
-    fn lost(&self, patience: Duration) -> Option<String> {
+    fn lost_reason(&self, patience: Duration) -> Option<String> {
         self.dead()?.filter(|down| *down > patience).map(|_| "the server is gone".into())
     }
     fn holds(&self, chunk: u32) -> bool {
@@ -173,7 +173,8 @@ fn coloured(base_colour: [f32; 4]) -> Material {
     Material { base_colour, ..plain_material() }
 }
 
-/// A red square at 2 m, a green one at 10 m, its image from the origin, and a grid point that uses it when looking along -Z.
+/// A red square at 2 m, a green one at 10 m, its image from the origin, and a grid point that uses
+/// it when looking along -Z.
 fn scene() -> MemoryFeed {
     let materials = vec![coloured([1.0, 0.0, 0.0, 1.0]), coloured([0.0, 1.0, 0.0, 1.0])];
     let (mut index, mut memory) = dataset(CAMERA, materials, vec![quad(-2.0, 0.3, 0), quad(-10.0, 3.0, 1)]);
@@ -251,8 +252,8 @@ fn options(pace: Pace) -> WalkOptions {
         every: 2,
         cache_bytes: None,
         debug_views: true,
-        shows: Shows::Scene,
-        beside: false,
+        shows: DisplayMode::Scene,
+        background_layout: false,
         baseline_frames: 2,
     }
 }
@@ -276,30 +277,31 @@ fn colour_at(frame: &Frame, x: u32, y: u32) -> [u8; 3] {
     unpack_rgb(frame.colour[(y * frame.width + x) as usize])
 }
 
-fn paint(feed: &MemoryFeed, pose: &Pose, options: &WalkOptions) -> (Frame, Painted, View) {
+fn render(data: &MemoryFeed, pose: &Pose, options: &WalkOptions) -> (Frame, FrameStats, View) {
     let mut ms = StageMs::default();
-    let view = view_of(&feed.index, pose, &CAMERA, options.method, &mut ms);
-    feed.wait_for(
-        &view.needed(&feed.index, &Sight::new(pose, &CAMERA, options.supersample)).all().collect::<Vec<_>>(),
+    let view = view_of(&data.index, pose, &CAMERA, options.method, &mut ms);
+    data.wait_for(
+        &view.needed(&data.index, &Sight::new(pose, &CAMERA, options.supersample)).all().collect::<Vec<_>>(),
         Duration::ZERO,
     )
     .expect("memory does not fail");
     let mut frame = Frame::default();
-    let painted =
-        Painter::default().paint(&feed.index, feed, &view, pose, &CAMERA, options, ms, &mut frame).expect("quads by z");
-    (frame, painted, view)
+    let frame_stats = FrameRenderer::default()
+        .render(&data.index, data, &view, pose, &CAMERA, options, ms, &mut frame)
+        .expect("quads by z");
+    (frame, frame_stats, view)
 }
 
 #[test]
 fn near_and_far_come_together() {
-    let feed = scene();
+    let data = scene();
     let ahead = Pose { position: DVec3::new(0.05, 0.0, 0.0), yaw_deg: 0.0, pitch_deg: 0.0 };
     for supersample in [1, 2] {
         let options = WalkOptions { supersample, ..options(Pace::Wait) };
-        let (frame, painted, view) = paint(&feed, &ahead, &options);
+        let (frame, frame_stats, view) = render(&data, &ahead, &options);
         assert_eq!((frame.width, frame.height), (CAMERA.width, CAMERA.height));
         assert_eq!((view.selection.placement, &view.cells, view.triangles_in_frustum), (Some(0), &vec![0], 4));
-        assert_eq!((painted.triangles, painted.missing_chunks.len()), (2, 0));
+        assert_eq!((frame_stats.triangles, frame_stats.missing_chunks.len()), (2, 0));
         // The image is blue where the geometry is green: what is blue came from the warp.
         assert_eq!(
             (colour_at(&frame, 31, 24), colour_at(&frame, 18, 24), colour_at(&frame, 2, 2)),
@@ -308,19 +310,20 @@ fn near_and_far_come_together() {
         assert_eq!(frame.count(Source::Unpainted), 0);
     }
     let geometry = WalkOptions { method: Method::Geometry, ..options(Pace::Wait) };
-    let (frame, painted, view) = paint(&feed, &ahead, &geometry);
-    assert_eq!((view.selection.placement, view.cells, painted.triangles), (None, vec![0, 1], 4));
-    assert_eq!((colour_at(&frame, 18, 24), painted.warp.is_none()), ([0, 255, 0], true));
+    let (frame, frame_stats, view) = render(&data, &ahead, &geometry);
+    assert_eq!((view.selection.placement, view.cells, frame_stats.triangles), (None, vec![0, 1], 4));
+    assert_eq!((colour_at(&frame, 18, 24), frame_stats.warp.is_none()), ([0, 255, 0], true));
 }
 
-/// A painter on a card, or None with the reason on the screen where this machine has none that could.
-fn on_card() -> Option<Painter> {
+/// A painter on a card, or None with the reason on the screen where this machine has none that
+/// could.
+fn on_card() -> Option<FrameRenderer> {
     match Gpu::open() {
         Err(e @ (GpuError::NoAdapter(_) | GpuError::Lacking { .. })) => {
             eprintln!("SKIPPED: {e}");
             None
         }
-        opened => Some(Painter::on(opened.expect("an adapter that draws"))),
+        opened => Some(FrameRenderer::on(opened.expect("an adapter that draws"))),
     }
 }
 
@@ -332,12 +335,13 @@ fn differing(a: &Frame, b: &Frame) -> usize {
     a.colour.iter().zip(&b.colour).filter(off).count()
 }
 
-/// A card joins a frame that lacks nothing; what is missing, debug views and what only the processor does are the processor's. The pictures are the same.
+/// A card joins a frame that lacks nothing; what is missing, debug views and what only the
+/// processor does are the processor's. The pictures are the same.
 #[test]
 fn a_card_joins_what_it_drew() {
     let Some(mut on_card) = on_card() else { return };
-    let feed = scene();
-    let beside = Pose { position: DVec3::new(0.13, 0.0, 0.0), yaw_deg: 4.0, pitch_deg: 0.0 };
+    let data = scene();
+    let background_layout = Pose { position: DVec3::new(0.13, 0.0, 0.0), yaw_deg: 4.0, pitch_deg: 0.0 };
     let plain = options(Pace::Wait);
     let cases = [
         (plain.clone(), true, true),
@@ -347,20 +351,21 @@ fn a_card_joins_what_it_drew() {
         (WalkOptions { fill: Fill::Last, ..plain.clone() }, true, false),
         (WalkOptions { smooth: true, ..plain.clone() }, true, false),
         (WalkOptions { stamp: Stamp::Ewa, ..plain.clone() }, true, false),
-        (WalkOptions { shows: Shows::Depth, ..plain.clone() }, true, false),
+        (WalkOptions { shows: DisplayMode::Depth, ..plain.clone() }, true, false),
         (plain, false, false),
     ];
     for (number, (options, whole, joins)) in cases.into_iter().enumerate() {
         let mut ms = StageMs::default();
-        let view = view_of(&feed.index, &beside, &CAMERA, options.method, &mut ms);
+        let view = view_of(&data.index, &background_layout, &CAMERA, options.method, &mut ms);
         // All, or the near square alone.
-        feed.state().0 = if whole { vec![0, 1, 2] } else { vec![0] };
-        let painted = |painter: &mut Painter| {
+        data.state().0 = if whole { vec![0, 1, 2] } else { vec![0] };
+        let frame_stats = |renderer: &mut FrameRenderer| {
             let mut frame = Frame::default();
-            let done = painter.paint(&feed.index, &feed, &view, &beside, &CAMERA, &options, ms, &mut frame);
-            (done.expect("painted"), frame, painter.unknown_fractions())
+            let done =
+                renderer.render(&data.index, &data, &view, &background_layout, &CAMERA, &options, ms, &mut frame);
+            (done.expect("painted"), frame, renderer.unknown_fractions())
         };
-        let (theirs, ours) = (painted(&mut on_card), painted(&mut Painter::default()));
+        let (theirs, ours) = (frame_stats(&mut on_card), frame_stats(&mut FrameRenderer::default()));
         assert_eq!((theirs.0.on_card, ours.0.on_card), (joins, false), "case {number}");
         assert_eq!(theirs.0.missing_chunks, ours.0.missing_chunks, "case {number}");
         assert_eq!(theirs.2, ours.2, "case {number}: what nothing known reached");
@@ -371,11 +376,12 @@ fn a_card_joins_what_it_drew() {
     }
 }
 
-/// What the upper half of the image does not show is sky, as it borders on sky; but not while a deeper layer may hold it.
+/// What the upper half of the image does not show is sky, as it borders on sky; but not while a
+/// deeper layer may hold it.
 #[test]
 fn sky_grows_where_all_layers_are_there() {
-    let mut feed = scene();
-    let mut ldi = (*feed.memory.ldis[&0]).clone();
+    let mut data = scene();
+    let mut ldi = (*data.memory.ldis[&0]).clone();
     let LdiLayer { mut segments, mut column, mut disparity, mut rgb, mut links, .. } = ldi.layers.remove(0);
     let left = 24 * 48;
     segments.truncate(24);
@@ -387,61 +393,62 @@ fn sky_grows_where_all_layers_are_there() {
     let half = LdiLayer { segments, column, disparity, rgb, links, ends: vec![], slopes: vec![] };
     ldi.layers.push(half.with_half_ends());
     assert_eq!(ldi.check(), Ok(()));
-    feed.memory.ldis.insert(0, Arc::new(ldi));
+    data.memory.ldis.insert(0, Arc::new(ldi));
     let ahead = Pose { position: DVec3::new(0.05, 0.0, 0.0), yaw_deg: 0.0, pitch_deg: 0.0 };
     let options = WalkOptions { fill: Fill::Off, ..options(Pace::Wait) };
-    let (frame, painted, _) = paint(&feed, &ahead, &options);
-    assert_eq!((frame.count(Source::Unpainted), painted.missing_chunks.len()), (0, 0));
+    let (frame, frame_stats, _) = render(&data, &ahead, &options);
+    assert_eq!((frame.count(Source::Unpainted), frame_stats.missing_chunks.len()), (0, 0));
     assert_eq!((colour_at(&frame, 18, 20), colour_at(&frame, 18, 28)), ([0, 0, 255], [198, 214, 235]));
-    feed.index.images[0].chunks.push(0);
-    feed.index.images[0].samples_by_layer.push(1);
-    let (frame, painted, _) = paint(&feed, &ahead, &options);
-    assert!(frame.count(Source::Unpainted) > 50 && !painted.missing_chunks.is_empty());
+    data.index.images[0].chunks.push(0);
+    data.index.images[0].samples_by_layer.push(1);
+    let (frame, frame_stats, _) = render(&data, &ahead, &options);
+    assert!(frame.count(Source::Unpainted) > 50 && !frame_stats.missing_chunks.is_empty());
 }
 
 #[test]
 fn views_show_images_in_other_colours() {
-    let feed = scene();
+    let data = scene();
     let ahead = Pose { position: DVec3::new(0.05, 0.0, 0.0), yaw_deg: 0.0, pitch_deg: 0.0 };
-    let shown = |shows: Shows| {
-        let (frame, ..) = paint(&feed, &ahead, &WalkOptions { shows, ..options(Pace::Wait) });
+    let shown = |shows: DisplayMode| {
+        let (frame, ..) = render(&data, &ahead, &WalkOptions { shows, ..options(Pace::Wait) });
         // A pixel of geometry, one of the image's first layer.
         [colour_at(&frame, 31, 24), colour_at(&frame, 18, 24)]
     };
-    assert_eq!(shown(Shows::Scene), [[255, 0, 0], [0, 0, 255]]);
-    assert_eq!(shown(Shows::Layers), [[85, 0, 0], crate::warp::debug::LAYER_COLOURS[0]]);
-    let [_, footprint] = shown(Shows::Footprints);
+    assert_eq!(shown(DisplayMode::Scene), [[255, 0, 0], [0, 0, 255]]);
+    assert_eq!(shown(DisplayMode::Layers), [[85, 0, 0], crate::warp::debug_colours::LAYER_COLOURS[0]]);
+    let [_, footprint] = shown(DisplayMode::Footprints);
     assert!(footprint[2] > footprint[0], "below a pixel: {footprint:?}");
-    assert!(shown(Shows::Age)[1].iter().all(|c| *c > 240), "just laid out");
-    assert_eq!(shown(Shows::Ends)[1], [40; 3], "amid a surface");
+    assert!(shown(DisplayMode::Age)[1].iter().all(|c| *c > 240), "just laid out");
+    assert_eq!(shown(DisplayMode::Ends)[1], [40; 3], "amid a surface");
 }
 
 #[test]
 fn what_is_absent_is_named_and_not_called_sky() {
-    let mut feed = scene();
-    feed.lost = BTreeSet::from([2]);
+    let mut data = scene();
+    data.lost = BTreeSet::from([2]);
     let ahead = Pose { position: DVec3::ZERO, yaw_deg: 0.0, pitch_deg: 0.0 };
-    let (frame, painted, _) = paint(&feed, &ahead, &options(Pace::Wait));
-    assert_eq!(painted.missing_chunks, vec![2]);
+    let (frame, frame_stats, _) = render(&data, &ahead, &options(Pace::Wait));
+    assert_eq!(frame_stats.missing_chunks, vec![2]);
     // All of its window that the near square leaves.
     assert_eq!((frame.source[24 * 64 + 18], frame.source[2 * 64 + 2]), (Source::Unpainted, Source::Sky));
     assert!(frame.count(Source::Unpainted) > 500);
-    let mut feed = scene();
-    feed.lost = BTreeSet::from([0]);
-    let (frame, painted, _) = paint(&feed, &ahead, &options(Pace::Wait));
-    assert_eq!((painted.missing_chunks, frame.count(Source::Near)), (vec![0], 0));
+    let mut data = scene();
+    data.lost = BTreeSet::from([0]);
+    let (frame, frame_stats, _) = render(&data, &ahead, &options(Pace::Wait));
+    assert_eq!((frame_stats.missing_chunks, frame.count(Source::Near)), (vec![0], 0));
 }
 
 #[test]
 fn a_walk_writes_numbered_frames_and_counts() {
-    let (feed, path) = (scene(), five_poses());
+    let (data, path) = (scene(), five_poses());
     for pace in [Pace::Wait, Pace::Realtime] {
         let folder = folder(if pace == Pace::Wait { "wait" } else { "realtime" });
         let options = options(pace);
         // First walk: no truth. Its frames are the truth of the second.
         let job = WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None, stop: None };
         let mut lines = Vec::new();
-        let (summary, frames) = run(&feed, &job, Painter::default(), &mut |p| lines.push(p.done)).expect("a walk");
+        let (summary, frames) =
+            run(&data, &job, FrameRenderer::default(), &mut |p| lines.push(p.done)).expect("a walk");
         assert_eq!(frames.iter().map(|f| f.index).collect::<Vec<_>>(), vec![0, 2, 4]);
         assert_eq!(lines.len(), if pace == Pace::Wait { 3 } else { 5 });
         for name in [
@@ -463,7 +470,7 @@ fn a_walk_writes_numbered_frames_and_counts() {
         assert!((summary.bytes_per_metre.expect("it moved") - summary.bytes_total as f64 / 0.4).abs() < 1e-6);
         let truth = folder.with_extension("truth");
         let job = WalkJob { folder: &truth, truth: Some(&folder), baseline: Some(&folder), ..job };
-        let (summary, frames) = run(&feed, &job, Painter::default(), &mut |_| {}).expect("a walk");
+        let (summary, frames) = run(&data, &job, FrameRenderer::default(), &mut |_| {}).expect("a walk");
         assert_eq!(summary.min_psnr_db, Some(crate::metrics::LARGEST_DB));
         assert!(frames.iter().all(|f| f.flip.is_some_and(|e| e < 1e-6) && f.method == "grid"));
         assert!(summary.far_fraction_mean > 0.1 && summary.mean_flip_far.is_some());
@@ -475,7 +482,7 @@ fn a_walk_writes_numbered_frames_and_counts() {
 
 #[test]
 fn a_walk_that_is_stopped_reports_the_frames_so_far() {
-    let (feed, path) = (scene(), five_poses());
+    let (data, path) = (scene(), five_poses());
     for after in [0, 2] {
         let stop = AtomicBool::new(after == 0);
         let folder = folder(&format!("stopped{after}"));
@@ -483,7 +490,7 @@ fn a_walk_that_is_stopped_reports_the_frames_so_far() {
         let job =
             WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None, stop: Some(&stop) };
         let progress = &mut |p: Progress| stop.store(p.done == after, Ordering::Relaxed);
-        let (summary, frames) = run(&feed, &job, Painter::default(), progress).expect("a walk");
+        let (summary, frames) = run(&data, &job, FrameRenderer::default(), progress).expect("a walk");
         // Every second pose is kept; and nothing is measured beside the walk.
         assert_eq!(frames.iter().map(|f| f.index).collect::<Vec<_>>(), if after == 0 { vec![] } else { vec![0] });
         assert_eq!((summary.frames, summary.all_geometry_bytes), (frames.len(), None));
@@ -497,8 +504,8 @@ fn a_walk_whose_server_is_gone_reports_the_frames_so_far() {
     let options = WalkOptions { baseline_frames: 5, ..options(Pace::Wait) };
     let job = WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None, stop: None };
     let walked = |waits| {
-        let feed = MemoryFeed { gone_after: Some(waits), pushes: false, ..scene() };
-        run(&feed, &job, Painter::default(), &mut |_| {})
+        let data = MemoryFeed { gone_after: Some(waits), pushes: false, ..scene() };
+        run(&data, &job, FrameRenderer::default(), &mut |_| {})
     };
     // One wait for each pose, of which every second is drawn.
     let (summary, frames) = walked(2).expect("a report");
@@ -521,9 +528,9 @@ fn a_walk_in_real_time_says_that_its_server_is_gone() {
         // Only the chunks of the last view have room, so that each frame lacks something when none
         // comes.
         let dead_after = Some((looks, down.map(Duration::from_secs)));
-        let feed = MemoryFeed { dead_after, ..scene() };
-        let forget = &mut |_| feed.state().0.clear();
-        run(&feed, &job, Painter::default(), forget)
+        let data = MemoryFeed { dead_after, ..scene() };
+        let forget = &mut |_| data.state().0.clear();
+        run(&data, &job, FrameRenderer::default(), forget)
     };
     let (summary, frames) = walked(2, Some(31)).expect("a report");
     let lost = summary.lost.expect("it ended early");
@@ -549,8 +556,8 @@ fn a_walk_that_no_chunk_reaches_ends_at_its_first_pose() {
     let (path, folder) = (five_poses(), folder("starved"));
     let options = WalkOptions { baseline_frames: 0, ..options(Pace::Wait) };
     let job = WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None, stop: None };
-    let feed = MemoryFeed { pushes: false, starves: true, ..scene() };
-    let ended = run(&feed, &job, Painter::default(), &mut |_| {});
+    let data = MemoryFeed { pushes: false, starves: true, ..scene() };
+    let ended = run(&data, &job, FrameRenderer::default(), &mut |_| {});
     assert!(
         matches!(&ended, Err(WalkError::Disconnected { pose: 0, reason }) if reason.contains("no chunk has come")),
         "{ended:?}"
@@ -560,20 +567,21 @@ fn a_walk_that_no_chunk_reaches_ends_at_its_first_pose() {
 
 #[test]
 fn chunks_that_come_again_are_counted() {
-    let mut feed = scene();
+    let mut data = scene();
     // Room for one chunk only: each frame drops what the next one needs.
-    (feed.room, feed.pushes) = (1, false);
+    (data.room, data.pushes) = (1, false);
     let (path, folder) = (five_poses(), folder("revisit"));
     let options = WalkOptions { baseline_frames: 0, debug_views: false, ..options(Pace::Wait) };
     let (summary, _) = run(
-        &feed,
+        &data,
         &WalkJob { path: &path, options: &options, folder: &folder, truth: None, baseline: None, stop: None },
-        Painter::default(),
+        FrameRenderer::default(),
         &mut |_| {},
     )
     .expect("a walk");
     assert_eq!(summary.frames_incomplete, 3);
-    // The first frame has the cell, the second the image in its place, the third the cell again: one that comes back.
+    // The first frame has the cell, the second the image in its place, the third the cell again:
+    // one that comes back.
     assert_eq!((summary.revisit_bytes, summary.bytes_total), (CHUNK_BYTES, 4 * CHUNK_BYTES));
     assert_eq!(summary.ms_first_frame, Some(1000.0));
     assert_eq!((summary.ms_full_quality, summary.all_geometry_bytes, summary.speedup), (None, None, None));
@@ -598,9 +606,9 @@ fn a_picture_of_a_first_index_shows_the_tree_and_without_its_root_takes_nothing_
         let view = view_of(index, &pose, &CAMERA, Method::Auto, &mut ms);
         assert_eq!(view.needed(index, &Sight::new(&pose, &CAMERA, 1)).all().collect::<Vec<_>>(), [root]);
         let options = options(Pace::Realtime);
-        let painted = Painter::default().paint(index, &cache, &view, &pose, &CAMERA, &options, ms, &mut out);
-        let painted = painted.expect("a picture");
-        assert!(!painted.is_complete());
+        let frame_stats = FrameRenderer::default().render(index, &cache, &view, &pose, &CAMERA, &options, ms, &mut out);
+        let frame_stats = frame_stats.expect("a picture");
+        assert!(!frame_stats.is_complete());
         assert_eq!(out.count(Source::Tree) > 20, seen, "{} pixels of the tree", out.count(Source::Tree));
         assert_eq!(out.count(Source::Sky) > 0, held, "only the tree knows where nothing is");
     }

@@ -1,0 +1,143 @@
+//! What a pose draws: the cells, images and portals that the selection shows.
+
+use super::options::Method;
+use crate::{report::StageMs, resident::Resident};
+use ldi_protocol::{
+    OutputCamera, Pose,
+    index::Index,
+    need::{Needed, Sight, needed},
+    room_index::PortalImages,
+    rooms::{CellId, Portal},
+    select::{DrawFrusta, DrawList, FarBy, Selection, ShownPortal, draw_list_showing, is_planned, select},
+};
+use std::time::Instant;
+
+/// The objects that a pose draws.
+#[derive(Debug, Clone, PartialEq)]
+pub struct View {
+    /// Selected grid point and placement.
+    pub selection: Selection,
+    /// Cells to draw, near to far.
+    pub cells: Vec<u32>,
+    /// Images of the placement in view, nearest to the line of sight first.
+    pub images: Vec<u32>,
+    /// Cells left out because they exceed the budget; 0 wherever the build guarantees the budget.
+    pub dropped: u32,
+    /// Distance below which `cells` holds all geometry in view, metres; see
+    /// [`DrawList::complete_m`].
+    pub complete_m: f64,
+    /// Triangles of all cells in the frustum, drawn or culled; 0 unless [`view_of`] counted them.
+    pub triangles_in_frustum: u64,
+    /// Whether the LDI tree shows everything except `cells`.
+    pub by_tree: bool,
+    /// Chunks that refine the LDI tree.
+    pub tree: Vec<u32>,
+    /// Rooms drawn as geometry; empty in a dataset without rooms.
+    pub rooms: Vec<CellId>,
+    /// Portals shown by images, nearest first.
+    pub portals: Vec<ShownPortal>,
+    /// The kind of portal images shown.
+    pub portal_images: PortalImages,
+}
+
+impl View {
+    /// Whether the dataset has images but none for this eye position, so that geometry and the LDI
+    /// tree are shown.
+    pub fn is_unplanned(&self, index: &Index, pose: &Pose) -> bool {
+        !self.by_tree && !index.placements.is_empty() && !is_planned(index, pose)
+    }
+}
+
+/// Milliseconds since a moment.
+pub(super) fn ms_since(start: Instant) -> f64 {
+    start.elapsed().as_secs_f64() * 1e3
+}
+
+/// Selects the objects that a pose draws, with the statistics of a walk's report: times go to `ms`,
+/// and [`View::triangles_in_frustum`] is counted. Costs more than [`select_view`].
+pub fn view_of(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method, ms: &mut StageMs) -> View {
+    if method.show().far == FarBy::Offered {
+        // The draw list includes the selection: its time is measured separately.
+        let start = Instant::now();
+        std::hint::black_box(select(index, pose));
+        ms.select = ms_since(start);
+    }
+    let start = Instant::now();
+    let view = select_view(index, pose, camera, method);
+    ms.cull = (ms_since(start) - ms.select).max(0.0);
+    let in_frustum = cells_in_frustum(index, pose, (camera.half_tan_x(), camera.half_tan_y()));
+    let triangles = in_frustum.iter().map(|c| u64::from(index.cells[*c as usize].triangles));
+    View { triangles_in_frustum: triangles.sum(), ..view }
+}
+
+/// Selects the objects that a pose draws. [`View::triangles_in_frustum`] is 0.
+pub fn select_view(index: &Index, pose: &Pose, camera: &OutputCamera, method: Method) -> View {
+    let show = method.show();
+    let list = draw_list_showing(index, pose, (camera.half_tan_x(), camera.half_tan_y()), show);
+    let by_tree = show.far.is_tree(index);
+    let DrawList { selection, cells, images, dropped, complete_m, tree, rooms, portals, .. } = list;
+    let wanted = show.portals.images;
+    let portal_images = index.rooms.as_ref().map_or(wanted, |r| r.resolve(wanted));
+    View {
+        selection,
+        cells,
+        images,
+        dropped,
+        complete_m,
+        triangles_in_frustum: 0,
+        by_tree,
+        tree,
+        rooms,
+        portals,
+        portal_images,
+    }
+}
+
+/// The cells to draw, and the absent texture chunks that prevent the others from being drawn. While
+/// the LDI tree shows a cell in its colours, untextured geometry would look worse.
+pub(super) fn drawable(index: &Index, resident: &dyn Resident, cells: &[u32]) -> (Vec<u32>, Vec<u32>) {
+    if index.tree.is_none() {
+        return (cells.to_vec(), Vec::new());
+    }
+    let absent: Vec<Option<u32>> = (0u32..)
+        .zip(&index.textures)
+        .map(|(t, entry)| entry.chunks.first().filter(|_| resident.texture(t).is_none()).map(|c| c.chunk))
+        .collect();
+    let wants = |cell: &u32| -> Vec<u32> {
+        let materials = index.cells.get(*cell as usize).map_or(&[][..], |c| &c.materials);
+        let textures = materials.iter().filter_map(|m| index.materials.get(*m as usize)?.texture);
+        textures.filter_map(|t| *absent.get(t as usize)?).collect()
+    };
+    let (mut drawn, mut lacking_textures) = (Vec::new(), Vec::new());
+    for cell in cells {
+        let wanted = wants(cell);
+        if wanted.is_empty() {
+            drawn.push(*cell);
+        }
+        lacking_textures.extend(wanted);
+    }
+    (drawn, lacking_textures)
+}
+
+fn cells_in_frustum(index: &Index, pose: &Pose, half_tan: (f64, f64)) -> Vec<u32> {
+    let frusta = DrawFrusta::new(&index.settings, pose, half_tan);
+    (0u32..).zip(&index.cells).filter(|(_, c)| frusta.admit(&c.bounds)).map(|(i, _)| i).collect()
+}
+
+impl View {
+    /// The chunks that a complete view needs.
+    pub fn needed(&self, index: &Index, sight: &Sight) -> Needed {
+        needed(index, &self.images, &self.cells, &self.tree, sight)
+    }
+
+    /// The needed chunks, limited to a cache of `cap_bytes`.
+    pub fn needed_within(&self, index: &Index, sight: &Sight, cap_bytes: u64) -> Needed {
+        self.needed(index, sight).within(index, cap_bytes)
+    }
+
+    /// The portal that an image is drawn onto as a flat texture.
+    pub(super) fn canvas<'a>(&self, index: &'a Index, image: u32) -> Option<&'a Portal> {
+        let shown = self.portals.iter().find(|p| self.portal_images.is_texture() && p.images.contains(&image))?;
+        index.rooms.as_ref()?.rooms.portals().get(shown.portal as usize)
+    }
+}
