@@ -159,7 +159,8 @@ fn bombs() -> Vec<(PageKind, u32, Vec<Vec<u8>>)> {
 fn forged_pages_are_refused_before_they_take_memory() {
     let valid = (Target::named("manifest_root").seeds)().remove(0);
     let checksum = blake3::hash(&valid);
-    let mut root = manifest::decode_root(&[&valid, checksum.as_bytes()].concat()[..]).expect("a root");
+    let sealed = [&valid[..], checksum.as_bytes()].concat();
+    let mut root = manifest::decode_root(&sealed).expect("a root");
     let tree = root.pages.iter().find(|p| p.kind == PageKind::Tree).copied().expect("a page of the tree");
     let (scene, whole) = (street(4, 16).with_tree().index, root.pages.clone());
     let tree_page = manifest::encode(&scene).expect("encodes");
