@@ -57,6 +57,12 @@ impl Room {
     }
 }
 
+/// Appends the entries of a page.
+fn append<T>(list: &mut Vec<T>, mut page: Vec<T>) {
+    // The first page is not copied: it may be most of what fits.
+    if list.is_empty() { *list = page } else { list.append(&mut page) }
+}
+
 /// Takes `count` values of type `T` from the bytes that entries and lists may still have in memory.
 fn charge<T>(decoded: &mut usize, field: &'static str, count: usize) -> Result<(), CodecError> {
     let left = count.checked_mul(size_of::<T>()).and_then(|bytes| decoded.checked_sub(bytes));
@@ -114,27 +120,27 @@ pub(super) fn decode_into(
     let n = entry.count as usize;
     let decoded = &mut room.decoded;
     match entry.kind {
-        PageKind::Chunks => index.chunks.extend(take_chunks(&mut r, n, decoded)?),
-        PageKind::Cells => index.cells.extend(take_cells(&mut r, n, decoded)?),
+        PageKind::Chunks => append(&mut index.chunks, take_chunks(&mut r, n, decoded)?),
+        PageKind::Cells => append(&mut index.cells, take_cells(&mut r, n, decoded)?),
         PageKind::Materials => {
             charge::<Material>(decoded, "materials", n)?;
             let materials: Vec<Material> = take_packed(&mut r, "materials", n.saturating_mul(MATERIAL_BYTES))?;
             if materials.len() != n {
                 return Err(CodecError::mismatch("materials", format!("{} instead of {n}", materials.len())));
             }
-            index.materials.extend(materials);
+            append(&mut index.materials, materials);
         }
-        PageKind::Textures => index.textures.extend(take_textures(&mut r, n, decoded)?),
-        PageKind::Points => index.points.extend(take_points(&mut r, n, decoded)?),
+        PageKind::Textures => append(&mut index.textures, take_textures(&mut r, n, decoded)?),
+        PageKind::Points => append(&mut index.points, take_points(&mut r, n, decoded)?),
         PageKind::Placements => {
             let (placements, images) = take_placements(&mut r, n, index.images.len(), decoded)?;
-            index.placements.extend(placements);
-            index.images.extend(images);
+            append(&mut index.placements, placements);
+            append(&mut index.images, images);
         }
         PageKind::Volume => index.volume = take_packed(&mut r, "walk volume", MAX_SECTION)?,
         PageKind::Tree => index.tree = Some(tree::take_head(&mut r)?),
         PageKind::TreeNodes => match &mut index.tree {
-            Some(t) => t.nodes.extend(tree::take_nodes(&mut r, n, decoded)?),
+            Some(t) => append(&mut t.nodes, tree::take_nodes(&mut r, n, decoded)?),
             None => return Err(CodecError::mismatch("tree nodes", "there are nodes without a tree")),
         },
         PageKind::Rooms => rooms::take_rooms(&mut r, n, &mut room.rooms, decoded)?,
@@ -354,7 +360,7 @@ fn put_textures(w: &mut Writer, textures: &[TextureEntry]) -> Result<(), CodecEr
 fn take_textures(r: &mut Reader<'_>, n: usize, decoded: &mut usize) -> Result<Vec<TextureEntry>, CodecError> {
     charge::<TextureEntry>(decoded, "page count", n)?;
     let mut numbers = Numbers::take(r, "textures")?;
-    let mut textures = Vec::new();
+    let mut textures = Vec::with_capacity(n);
     for _ in 0..n {
         let (width, height) = (numbers.next("texture width")?, numbers.next("texture height")?);
         let count = numbers.count("texture chunks", 32)?;

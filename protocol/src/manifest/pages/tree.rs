@@ -53,7 +53,7 @@ pub(super) fn take_nodes(r: &mut Reader<'_>, n: usize, decoded: &mut usize) -> R
     charge::<TreeNode>(decoded, "page count", n)?;
     let mut numbers = Numbers::take(r, "tree nodes")?;
     let mut last = [0i64; 5];
-    let mut nodes = Vec::new();
+    let mut nodes = Vec::with_capacity(n);
     for _ in 0..n {
         let level = numbers.count("tree level", 255)? as u8;
         let children = numbers.count("tree children", 8)? as u8;
