@@ -236,7 +236,7 @@ impl FakeServer {
     pub fn config(&self) -> ConnectConfig {
         let mut config = ConnectConfig::new(self.address.to_string(), crate::host::PICTURE);
         config.fingerprint = Some(self.fingerprint);
-        config.timeout = Duration::from_millis(200);
+        config.timeout = Duration::from_millis(500);
         config
     }
 }
@@ -284,7 +284,7 @@ async fn play(connection: Connection, script: Script) {
                 open.push(stream);
             }
             Step::Datagram(bytes) => drop(connection.send_datagram(bytes.into())),
-            Step::Stall => tokio::time::sleep(Duration::from_millis(500)).await,
+            Step::Stall => tokio::time::sleep(Duration::from_secs(1)).await,
             Step::Finish => drop(control.finish()),
             Step::Close(reason) => connection.close(VarInt::from_u32(9), &reason),
         }
