@@ -35,6 +35,9 @@ use crate::{
 /// Version of root and pages. Raised with every change that an older reader would misunderstand.
 /// 10: sections of all chunks and pages may be coded by rANS.
 pub const VERSION: u8 = 14;
+/// Stored bytes of all pages of a manifest together: what a reader holds of them before it decodes
+/// them.
+pub const MAX_PAGE_BYTES: u64 = 64 << 20;
 /// Largest root that a build writes.
 pub const MAX_ROOT_BYTES: usize = 256_000;
 
@@ -140,8 +143,18 @@ pub struct Encoded {
 /// Encodes an index, after validating it.
 ///
 /// # Errors
-/// If the index breaks a rule of [`validate()`], or a value has no exact stored form.
+/// If the index breaks a rule of [`validate()`], a value has no exact stored form, or the pages
+/// exceed what a reader takes.
 pub fn encode(index: &Index) -> Result<Encoded, CodecError> {
+    encode_at(index, LEVEL)
+}
+
+/// [`encode`] at a zstd level of 1 to 19; 0 stores sections uncompressed, for tests that damage
+/// what is in them.
+///
+/// # Errors
+/// As [`encode`].
+pub fn encode_at(index: &Index, level: i32) -> Result<Encoded, CodecError> {
     validate(index)?;
     let lengths = [
         index.chunks.len(),
@@ -164,7 +177,7 @@ pub fn encode(index: &Index) -> Result<Encoded, CodecError> {
     for (kind, &length) in PageKind::ALL.into_iter().zip(&lengths) {
         for first in (0..length).step_by(per_page) {
             let range = first..length.min(first + per_page);
-            let bytes = pages::encode(index, kind, range.clone(), LEVEL)?;
+            let bytes = pages::encode(index, kind, range.clone(), level)?;
             entries.push(PageEntry {
                 kind,
                 first: first as u32,
@@ -176,7 +189,7 @@ pub fn encode(index: &Index) -> Result<Encoded, CodecError> {
             pages.push(bytes);
         }
     }
-    let mut w = Writer::new(LEVEL)?;
+    let mut w = Writer::new(level)?;
     w.raw(&ROOT);
     w.u8(VERSION);
     let settings = rmp_serde::to_vec(&(&index.scene, &index.settings))
@@ -198,6 +211,8 @@ pub fn encode(index: &Index) -> Result<Encoded, CodecError> {
     if w.bytes.len() > MAX_ROOT_BYTES {
         return Err(CodecError::range("manifest", w.bytes.len(), "the root has at most 256,000 bytes"));
     }
+    // What no reader takes is found by the build, not by those who come to walk.
+    assemble(&decode_root(&w.bytes)?, &pages)?;
     Ok(Encoded { root: w.bytes, pages })
 }
 
@@ -324,8 +339,8 @@ impl Root {
         }
         // Before anything is fetched. Sections that do not shrink are stored as they are.
         let stored: u64 = self.pages.iter().map(|p| u64::from(p.stored_bytes)).sum();
-        if stored > pages::INDEX_BYTES as u64 {
-            return Err(CodecError::range("page bytes", stored, "all pages together have at most 256 MiB"));
+        if stored > MAX_PAGE_BYTES {
+            return Err(CodecError::range("page bytes", stored, "all pages together have at most 64 MiB"));
         }
         Ok(())
     }

@@ -61,7 +61,7 @@ impl WalkVolume {
     /// Most columns along x and along z.
     pub const MAX_SIDE: u32 = 1 << 20;
     /// Most runs of layers.
-    pub const MAX_RUNS: u64 = 1 << 24;
+    pub const MAX_RUNS: u64 = 1 << 23;
 
     /// A volume from runs per column (ascending, disjoint, `first < end`), row-major over `columns`. `cut` limits x and z.
     pub fn new(
@@ -398,30 +398,35 @@ impl TryFrom<Packed> for WalkVolume {
         let raw = zstd::bulk::decompress(&p.tokens, most as usize)
             .map_err(|_| VolumeError("the token stream does not decompress"))?;
         let mut rest = raw.as_slice();
-        let mut numbers = |n: u64| -> Result<Vec<u32>, VolumeError> {
-            (0..n).map(|_| take(&mut rest).ok_or(VolumeError("the token stream ends too early"))).collect()
+        // Planes stay encoded: as vectors of numbers they would take several times the volume.
+        let mut plane = |n: u64| -> Result<Plane<'_>, VolumeError> {
+            let whole = rest;
+            for _ in 0..n {
+                take(&mut rest).ok_or(VolumeError("the token stream ends too early"))?;
+            }
+            Ok(Plane(&whole[..whole.len() - rest.len()]))
         };
-        let first_column = ends(&numbers(u64::from(rows))?, p.stored)?;
-        let steps = numbers(p.stored)?;
-        let first_run = ends(&numbers(p.stored)?, p.runs)?;
-        let (gaps, lengths) = (numbers(p.runs)?, numbers(p.runs)?);
+        let first_column = ends(plane(u64::from(rows))?, rows as usize, p.stored)?;
+        let mut steps = plane(p.stored)?;
+        let first_run = ends(plane(p.stored)?, p.stored as usize, p.runs)?;
+        let (mut gaps, mut lengths) = (plane(p.runs)?, plane(p.runs)?);
         if !rest.is_empty() {
             return Err(VolumeError("the token stream is too long"));
         }
-        let mut column_x = Vec::with_capacity(steps.len());
+        let mut column_x = Vec::with_capacity(p.stored as usize);
         for row in first_column.windows(2) {
             let mut at = 0u32;
-            for step in &steps[row[0] as usize..row[1] as usize] {
-                column_x.push(at.saturating_add(*step));
-                at = at.saturating_add(*step).saturating_add(1);
+            for step in steps.by_ref().take((row[1] - row[0]) as usize) {
+                column_x.push(at.saturating_add(step));
+                at = at.saturating_add(step).saturating_add(1);
             }
         }
-        let mut runs = Vec::with_capacity(gaps.len());
+        let mut runs = Vec::with_capacity(p.runs as usize);
         for w in first_run.windows(2) {
             let mut at = 0u32;
-            for r in w[0] as usize..w[1] as usize {
-                let first = at.saturating_add(gaps[r]);
-                let end = first.saturating_add(lengths[r]);
+            for (gap, length) in gaps.by_ref().zip(lengths.by_ref()).take((w[1] - w[0]) as usize) {
+                let first = at.saturating_add(gap);
+                let end = first.saturating_add(length);
                 let (Ok(first), Ok(end)) = (u16::try_from(first), u16::try_from(end)) else {
                     return Err(VolumeError("a run lies outside the layers"));
                 };
@@ -444,13 +449,23 @@ impl TryFrom<Packed> for WalkVolume {
     }
 }
 
-/// Positions where each of several parts begins, and the end of the last, which must be `total`.
-fn ends(counts: &[u32], total: u64) -> Result<Vec<u32>, VolumeError> {
-    let mut out = Vec::with_capacity(counts.len() + 1);
+/// Numbers of the token stream that were found to be whole.
+struct Plane<'a>(&'a [u8]);
+
+impl Iterator for Plane<'_> {
+    type Item = u32;
+    fn next(&mut self) -> Option<u32> {
+        take(&mut self.0)
+    }
+}
+
+/// Positions where each of `parts` parts begins, and the end of the last, which must be `total`.
+fn ends(counts: Plane<'_>, parts: usize, total: u64) -> Result<Vec<u32>, VolumeError> {
+    let mut out = Vec::with_capacity(parts + 1);
     let mut at = 0u64;
     out.push(0);
     for n in counts {
-        at += u64::from(*n);
+        at += u64::from(n);
         if at > total {
             return Err(VolumeError("more columns or runs than announced"));
         }

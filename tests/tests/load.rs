@@ -61,12 +61,17 @@ fn two_walkers_for_two_seconds_leave_a_whole_report() {
     }
     assert!(r["server_rss_bytes"].as_u64() > Some(1_000_000), "{}", r["server_rss_bytes"]);
     assert!(r["server_cpu_s"].is_number());
+    for slope in ["rss_bytes", "anonymous_bytes", "descriptors", "threads"] {
+        assert!(r["server_per_hour"][slope].is_number(), "{slope}: {}", r["server_per_hour"]);
+    }
+    assert!(n(&r["by_second"][1]["server_descriptors"]) > 3 && n(&r["by_second"][1]["server_threads"]) > 1);
     // What so short a run cannot tell is null, and a reason says why.
     for field in ["bytes_per_server_cpu_s", "raw_quic_bytes_per_server_cpu_s"] {
         assert!(r[field].is_number() || r["reasons"][field].is_string(), "{field}");
     }
     let page = std::fs::read_to_string(folder.join("load.html")).expect("a page");
     assert!(page.contains("2 walkers for 2") && page.contains("<svg") && page.contains("ldi-load"));
+    assert!(page.contains("Growth of the server") && page.contains("descriptors"));
 }
 
 #[test]
@@ -78,7 +83,13 @@ fn without_the_server_s_process_its_cost_is_null_with_a_reason() {
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
     let text = std::fs::read_to_string(folder.join("load.json")).expect("a report");
     let r: Value = serde_json::from_str(&text).expect("JSON");
-    for field in ["server_rss_bytes", "server_cpu_s", "bytes_per_server_cpu_s", "raw_quic_bytes_per_server_cpu_s"] {
+    for field in [
+        "server_rss_bytes",
+        "server_per_hour",
+        "server_cpu_s",
+        "bytes_per_server_cpu_s",
+        "raw_quic_bytes_per_server_cpu_s",
+    ] {
         assert!(r[field].is_null() && r["reasons"][field].is_string(), "{field}: {}", r[field]);
     }
     assert_eq!(r["options"]["decoding"], false);

@@ -8,6 +8,7 @@ mod host;
 #[path = "streaming/stranger.rs"]
 mod stranger;
 
+use bytes::Bytes;
 use fixture::{FIRST_CELL, LDI, STEP_M, Street, street};
 use host::{Host, Memory, PATIENCE, PICTURE, folder};
 use ldi_client::{
@@ -20,15 +21,15 @@ use ldi_client::{
 use ldi_protocol::{
     Pose,
     codec::ColourProfile,
-    index::{BuildSettings, ChunkHash, ChunkKind},
+    index::{BuildSettings, ChunkHash, ChunkKind, Index},
     need::{Needed, Sight},
     select::{CELLS, CellGroups, FarBy, Show, select},
     wire::{RefusalCode, Request},
 };
 use ldi_server::{
     build::{self, BuildOptions, Represent},
-    serve::{GUESSED_FINER, SelectViews, ServeConfig, planner::Views},
-    store::Dataset,
+    serve::{ChunkSource, GUESSED_FINER, SelectViews, ServeConfig, planner::Views},
+    store::{Dataset, StoreError},
 };
 use std::{collections::BTreeSet, sync::Arc, time::Duration};
 
@@ -540,4 +541,49 @@ fn the_page_shows_plan_and_walkers() {
     assert_eq!(walkers[0]["position"][2], -3.0);
     assert!(host.get("/metrics").1.contains("ldi_chunks_total"));
     assert!(host.get("/nothing").0.starts_with("HTTP/1.1 404"));
+}
+
+/// A dataset with a page that cannot be read.
+struct Torn {
+    dataset: Memory,
+    page: u32,
+}
+
+impl ChunkSource for Torn {
+    fn index(&self) -> &Arc<Index> {
+        self.dataset.index()
+    }
+    fn root(&self) -> &[u8] {
+        self.dataset.root()
+    }
+    fn pages(&self) -> u32 {
+        self.dataset.pages()
+    }
+    fn page(&self, number: u32) -> Result<Bytes, StoreError> {
+        match number == self.page {
+            true => Err(StoreError::NoSuch { what: "page", number }),
+            false => self.dataset.page(number),
+        }
+    }
+    fn chunk(&self, number: u32) -> Result<Bytes, StoreError> {
+        self.dataset.chunk(number)
+    }
+}
+
+#[test]
+fn a_page_that_cannot_be_read_ends_the_walk_with_that_reason() {
+    // The cells' page: not among those of a first picture.
+    let torn = || Torn { dataset: Memory::new(street(2, 16).with_tree()), page: 1 };
+    let host = Host::start("torn", torn());
+    let reason = "page 1 of the manifest cannot be read; tell whoever runs the server";
+    let e = Connection::connect(host.config()).unwrap_err();
+    assert_eq!(e, ConnectError::Lost(reason.into()));
+    let early = Connection::connect(ConnectConfig { early: true, ..host.config() });
+    match early {
+        Err(e) => assert_eq!(e, ConnectError::Lost(reason.into())),
+        Ok(connection) => {
+            let ended = connection.cache().wait(&[FIRST_CELL], PATIENCE).unwrap_err();
+            assert!(matches!(&ended, Incomplete::Disconnected(e) if e.contains(reason)), "{ended}");
+        }
+    }
 }

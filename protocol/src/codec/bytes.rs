@@ -14,15 +14,17 @@ const SMALLEST_COMPRESSED: usize = 24;
 pub(crate) struct Writer {
     /// What was written so far.
     pub bytes: Vec<u8>,
-    zstd: zstd::bulk::Compressor<'static>,
+    /// None: sections are stored as they are.
+    zstd: Option<zstd::bulk::Compressor<'static>>,
 }
 
 impl Writer {
-    /// An empty chunk whose sections are compressed at this zstd level, 1 to 19.
+    /// An empty chunk whose sections are compressed at this zstd level, 1 to 19; 0 stores them
+    /// uncompressed, for tests that damage what is in them.
     pub fn new(level: i32) -> Result<Self, CodecError> {
         let failed = |e: std::io::Error| CodecError::Compression { field: "compressor", reason: e.to_string() };
-        let zstd = zstd::bulk::Compressor::new(level.clamp(1, 19)).map_err(failed)?;
-        Ok(Self { bytes: Vec::new(), zstd })
+        let zstd = || zstd::bulk::Compressor::new(level.clamp(1, 19)).map_err(failed);
+        Ok(Self { bytes: Vec::new(), zstd: if level == 0 { None } else { Some(zstd()?) } })
     }
     pub fn raw(&mut self, b: &[u8]) {
         self.bytes.extend_from_slice(b);
@@ -51,9 +53,9 @@ impl Writer {
     }
     /// Compresses a section that is not appended yet.
     pub fn packed(&mut self, field: &'static str, raw: &[u8]) -> Result<Packed, CodecError> {
-        if raw.len() >= SMALLEST_COMPRESSED {
+        if let Some(zstd) = self.zstd.as_mut().filter(|_| raw.len() >= SMALLEST_COMPRESSED) {
             let failed = |e: std::io::Error| CodecError::Compression { field, reason: e.to_string() };
-            let (zstd, coded) = (self.zstd.compress(raw).map_err(failed)?, rans::encode(raw));
+            let (zstd, coded) = (zstd.compress(raw).map_err(failed)?, rans::encode(raw));
             let packed = if coded.len() < zstd.len() { coded } else { zstd };
             return Ok(Packed((packed.len() < raw.len()).then_some(packed)));
         }

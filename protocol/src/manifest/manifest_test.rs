@@ -395,17 +395,17 @@ fn what_all_pages_hold_together_is_bounded() {
         (done.is_none(), room)
     };
     let all = pages::Room::of_index();
-    let room = |bytes, numbers| pages::Room { bytes, numbers, ..pages::Room::of_index() };
+    let room = |bytes, decoded| pages::Room { bytes, decoded, ..pages::Room::of_index() };
     let (fine, left) = with(pages::Room::of_index());
-    let (bytes, numbers) = (all.bytes - left.bytes, all.numbers - left.numbers);
-    assert!(fine && bytes > 1000 && numbers > 40, "{bytes} bytes, {numbers} numbers");
+    let (bytes, decoded) = (all.bytes - left.bytes, all.decoded - left.decoded);
+    assert!(fine && bytes > 1000 && decoded > bytes, "{bytes} bytes, {decoded} decoded");
     // What each page holds alone would fit.
-    assert!(with(room(bytes, numbers)).0);
-    assert!(!with(room(bytes - 1, numbers)).0);
-    assert!(!with(room(bytes, numbers - 1)).0);
+    assert!(with(room(bytes, decoded)).0);
+    assert!(!with(room(bytes - 1, decoded)).0);
+    assert!(!with(room(bytes, decoded - 1)).0);
     // And nothing of that size is fetched.
     let mut huge = root.clone();
-    huge.pages.iter_mut().for_each(|p| p.stored_bytes = 200 << 20);
+    huge.pages.iter_mut().for_each(|p| p.stored_bytes = 40 << 20);
     assert!(huge.check_pages().is_err() && root.check_pages().is_ok());
 }
 

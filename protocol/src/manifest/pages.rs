@@ -18,23 +18,28 @@ use crate::{
         AngularRange, CellEntry, ChunkEntry, ChunkHash, ChunkKind, GridPoint, ImageEntry, Index, Placement,
         TextureChunk, TextureEntry,
     },
+    mesh::Material,
     sky::SkyMap,
 };
 use glam::DVec3;
 use std::ops::Range;
 
 const MAGIC: [u8; 3] = *b"LDP";
-/// Longest section of a page, raw.
-const MAX_SECTION: usize = INDEX_BYTES;
-/// Raw bytes of all sections of all pages together: bounds what a forged manifest can make a reader allocate. The largest index so far has some 20 MB.
-pub(super) const INDEX_BYTES: usize = 256 << 20;
+/// Longest section of a page, raw bytes.
+const MAX_SECTION: usize = SECTION_BYTES;
+/// Raw bytes of all sections of all pages together. Larger: a forged manifest costs a reader more.
+/// Smaller: large scenes do not fit.
+const SECTION_BYTES: usize = 64 << 20;
+/// Bytes in memory of all entries and lists that pages decode to. Few bytes expand to many: a run
+/// of numbers to a list, an empty band of a grid point to a vector.
+const DECODED_BYTES: usize = 192 << 20;
 
 /// What the pages of one index may still hold.
 pub(super) struct Room {
     /// Raw bytes of sections.
     pub bytes: usize,
-    /// Numbers that ascending lists expand to: runs make long lists from few bytes.
-    pub numbers: usize,
+    /// Bytes in memory of entries and lists.
+    pub decoded: usize,
     /// Rooms and portals so far: rules tie them together, so the index gets them once all pages are read.
     pub rooms: rooms::Draft,
 }
@@ -42,7 +47,7 @@ pub(super) struct Room {
 impl Room {
     /// For a whole index.
     pub fn of_index() -> Self {
-        Self { bytes: INDEX_BYTES, numbers: 1 << 26, rooms: rooms::Draft::default() }
+        Self { bytes: SECTION_BYTES, decoded: DECODED_BYTES, rooms: rooms::Draft::default() }
     }
 
     /// What is done when all pages are read.
@@ -51,6 +56,22 @@ impl Room {
         Ok(())
     }
 }
+
+/// Appends the entries of a page.
+fn append<T>(list: &mut Vec<T>, mut page: Vec<T>) {
+    // The first page is not copied: it may be most of what fits.
+    if list.is_empty() { *list = page } else { list.append(&mut page) }
+}
+
+/// Takes `count` values of type `T` from the bytes that entries and lists may still have in memory.
+fn charge<T>(decoded: &mut usize, field: &'static str, count: usize) -> Result<(), CodecError> {
+    let left = count.checked_mul(size_of::<T>()).and_then(|bytes| decoded.checked_sub(bytes));
+    *decoded = left.ok_or_else(|| CodecError::range(field, count, "all pages together decode to at most 192 MiB"))?;
+    Ok(())
+}
+
+/// Longest packed material, raw bytes: thirteen fields of at most nine bytes, and their lists.
+const MATERIAL_BYTES: usize = 256;
 const KINDS: [ChunkKind; 6] =
     [ChunkKind::Page, ChunkKind::Cell, ChunkKind::Bundle, ChunkKind::Ldi, ChunkKind::Texture, ChunkKind::Tree];
 
@@ -97,31 +118,33 @@ pub(super) fn decode_into(
         return Err(CodecError::mismatch("page", "it holds other entries than the root lists"));
     }
     let n = entry.count as usize;
+    let decoded = &mut room.decoded;
     match entry.kind {
-        PageKind::Chunks => index.chunks.extend(take_chunks(&mut r, n)?),
-        PageKind::Cells => index.cells.extend(take_cells(&mut r, n, &mut room.numbers)?),
+        PageKind::Chunks => append(&mut index.chunks, take_chunks(&mut r, n, decoded)?),
+        PageKind::Cells => append(&mut index.cells, take_cells(&mut r, n, decoded)?),
         PageKind::Materials => {
-            let materials: Vec<_> = take_packed(&mut r, "materials")?;
+            charge::<Material>(decoded, "materials", n)?;
+            let materials: Vec<Material> = take_packed(&mut r, "materials", n.saturating_mul(MATERIAL_BYTES))?;
             if materials.len() != n {
                 return Err(CodecError::mismatch("materials", format!("{} instead of {n}", materials.len())));
             }
-            index.materials.extend(materials);
+            append(&mut index.materials, materials);
         }
-        PageKind::Textures => index.textures.extend(take_textures(&mut r, n)?),
-        PageKind::Points => index.points.extend(take_points(&mut r, n)?),
+        PageKind::Textures => append(&mut index.textures, take_textures(&mut r, n, decoded)?),
+        PageKind::Points => append(&mut index.points, take_points(&mut r, n, decoded)?),
         PageKind::Placements => {
-            let (placements, images) = take_placements(&mut r, n, index.images.len(), &mut room.numbers)?;
-            index.placements.extend(placements);
-            index.images.extend(images);
+            let (placements, images) = take_placements(&mut r, n, index.images.len(), decoded)?;
+            append(&mut index.placements, placements);
+            append(&mut index.images, images);
         }
-        PageKind::Volume => index.volume = take_packed(&mut r, "walk volume")?,
+        PageKind::Volume => index.volume = take_packed(&mut r, "walk volume", MAX_SECTION)?,
         PageKind::Tree => index.tree = Some(tree::take_head(&mut r)?),
         PageKind::TreeNodes => match &mut index.tree {
-            Some(t) => t.nodes.extend(tree::take_nodes(&mut r, n)?),
+            Some(t) => append(&mut t.nodes, tree::take_nodes(&mut r, n, decoded)?),
             None => return Err(CodecError::mismatch("tree nodes", "there are nodes without a tree")),
         },
-        PageKind::Rooms => rooms::take_rooms(&mut r, n, &mut room.rooms, &mut room.numbers)?,
-        PageKind::Portals => rooms::take_portals(&mut r, n, &mut room.rooms)?,
+        PageKind::Rooms => rooms::take_rooms(&mut r, n, &mut room.rooms, decoded)?,
+        PageKind::Portals => rooms::take_portals(&mut r, n, &mut room.rooms, decoded)?,
     }
     room.bytes = r.room();
     r.finish("manifest page")
@@ -132,8 +155,12 @@ fn put_packed<T: serde::Serialize + ?Sized>(w: &mut Writer, field: &'static str,
     w.section(field, &bytes)
 }
 
-fn take_packed<T: serde::de::DeserializeOwned>(r: &mut Reader<'_>, field: &'static str) -> Result<T, CodecError> {
-    let bytes = r.section(field, MAX_SECTION)?;
+fn take_packed<T: serde::de::DeserializeOwned>(
+    r: &mut Reader<'_>,
+    field: &'static str,
+    most_bytes: usize,
+) -> Result<T, CodecError> {
+    let bytes = r.section(field, most_bytes.min(MAX_SECTION))?;
     rmp_serde::from_slice(&bytes).map_err(|e| CodecError::mismatch(field, e.to_string()))
 }
 
@@ -186,21 +213,25 @@ fn put_ascending(out: &mut Vec<u8>, list: &[u32]) {
     }
 }
 
-/// Reads an ascending list; `budget` counts down what the index's lists may hold together.
-fn take_ascending(n: &mut Numbers, field: &'static str, budget: &mut usize) -> Result<Vec<u32>, CodecError> {
-    let runs = n.count(field, *budget)?;
-    let mut out = Vec::new();
-    let mut next = 0u64;
+/// Reads an ascending list; `decoded` counts down what lists may have in memory.
+fn take_ascending(n: &mut Numbers, field: &'static str, decoded: &mut usize) -> Result<Vec<u32>, CodecError> {
+    let runs = n.next(field)?;
+    let mut spans = Vec::new();
+    let (mut next, mut total) = (0u64, 0);
     for _ in 0..runs {
         let first = next + u64::from(n.next(field)?);
-        let length = n.count(field, budget.saturating_sub(1))? as u64 + 1;
-        if first + length > u64::from(u32::MAX) {
-            return Err(CodecError::range(field, first + length, "numbers have 32 bits"));
-        }
-        *budget = budget.saturating_sub(length as usize);
-        out.extend(first as u32..(first + length) as u32);
+        let length = u64::from(n.next(field)?) + 1;
         next = first + length;
+        if next > u64::from(u32::MAX) {
+            return Err(CodecError::range(field, next, "numbers have 32 bits"));
+        }
+        charge::<u32>(decoded, field, length as usize)?;
+        total += length as usize;
+        spans.push(first as u32..next as u32);
     }
+    // A list that grows would hold up to twice its numbers.
+    let mut out = Vec::with_capacity(total);
+    spans.into_iter().for_each(|span| out.extend(span));
     Ok(out)
 }
 
@@ -215,9 +246,9 @@ fn put_sky(out: &mut Vec<u8>, sky: &SkyMap) {
     }
 }
 
-fn take_sky(n: &mut Numbers, budget: &mut usize) -> Result<SkyMap, CodecError> {
-    let count = n.count("sky runs", (*budget / 2).min(SkyMap::SQUARES as usize))?;
-    *budget -= 2 * count;
+fn take_sky(n: &mut Numbers, decoded: &mut usize) -> Result<SkyMap, CodecError> {
+    let count = n.count("sky runs", SkyMap::SQUARES as usize)?;
+    charge::<[u32; 2]>(decoded, "sky runs", count)?;
     let mut runs = Vec::new();
     let mut next = 0u32;
     for _ in 0..count {
@@ -241,10 +272,8 @@ fn put_chunks(w: &mut Writer, chunks: &[ChunkEntry]) -> Result<(), CodecError> {
     w.section("chunk sizes", &sizes)
 }
 
-fn take_chunks(r: &mut Reader<'_>, n: usize) -> Result<Vec<ChunkEntry>, CodecError> {
-    if n > MAX_SECTION / 32 {
-        return Err(CodecError::range("page count", n, "more than a page may hold"));
-    }
+fn take_chunks(r: &mut Reader<'_>, n: usize, decoded: &mut usize) -> Result<Vec<ChunkEntry>, CodecError> {
+    charge::<ChunkEntry>(decoded, "page count", n)?;
     let hashes = r.section_of("chunk hashes", n * 32)?;
     let kinds = r.section_of("chunk kinds", n)?;
     let mut sizes = Numbers::take(r, "chunk sizes")?;
@@ -288,10 +317,8 @@ fn put_cells(w: &mut Writer, cells: &[CellEntry]) -> Result<(), CodecError> {
     w.section("cells", &numbers)
 }
 
-fn take_cells(r: &mut Reader<'_>, n: usize, budget: &mut usize) -> Result<Vec<CellEntry>, CodecError> {
-    if n > MAX_SECTION / 24 {
-        return Err(CodecError::range("page count", n, "more than a page may hold"));
-    }
+fn take_cells(r: &mut Reader<'_>, n: usize, decoded: &mut usize) -> Result<Vec<CellEntry>, CodecError> {
+    charge::<CellEntry>(decoded, "page count", n)?;
     let bytes = r.section_of("cell bounds", n * 24)?;
     let bound = |k: usize, i: usize| f64::from(f32::from_le_bytes(std::array::from_fn(|b| bytes[(b * 6 + k) * n + i])));
     let mut numbers = Numbers::take(r, "cells")?;
@@ -299,8 +326,9 @@ fn take_cells(r: &mut Reader<'_>, n: usize, budget: &mut usize) -> Result<Vec<Ce
     for i in 0..n {
         let corner = |k| DVec3::new(bound(k, i), bound(k + 1, i), bound(k + 2, i));
         let (triangles, chunk) = (numbers.next("cell triangles")?, numbers.next("cell chunk")?);
-        let bundles = take_ascending(&mut numbers, "cell bundles", budget)?;
-        let materials = take_ascending(&mut numbers, "cell materials", budget)?;
+        let bundles = take_ascending(&mut numbers, "cell bundles", decoded)?;
+        let materials = take_ascending(&mut numbers, "cell materials", decoded)?;
+        charge::<u8>(decoded, "texel density", materials.len())?;
         let mut density = |_: &u32| {
             let code = numbers.next("texel density")?;
             let code = u8::try_from(code).map_err(|_| CodecError::range("texel density", code, "0 to 255"))?;
@@ -329,12 +357,15 @@ fn put_textures(w: &mut Writer, textures: &[TextureEntry]) -> Result<(), CodecEr
     w.section("textures", &numbers)
 }
 
-fn take_textures(r: &mut Reader<'_>, n: usize) -> Result<Vec<TextureEntry>, CodecError> {
+fn take_textures(r: &mut Reader<'_>, n: usize, decoded: &mut usize) -> Result<Vec<TextureEntry>, CodecError> {
+    charge::<TextureEntry>(decoded, "page count", n)?;
     let mut numbers = Numbers::take(r, "textures")?;
-    let mut textures = Vec::new();
+    let mut textures = Vec::with_capacity(n);
     for _ in 0..n {
         let (width, height) = (numbers.next("texture width")?, numbers.next("texture height")?);
-        let chunks = (0..numbers.count("texture chunks", 32)?)
+        let count = numbers.count("texture chunks", 32)?;
+        charge::<TextureChunk>(decoded, "texture chunks", count)?;
+        let chunks = (0..count)
             .map(|_| {
                 Ok(TextureChunk {
                     chunk: numbers.next("texture chunk")?,
@@ -373,16 +404,20 @@ fn put_points(w: &mut Writer, points: &[GridPoint]) -> Result<(), CodecError> {
     put_numbers(w, "yaw starts", yaws)
 }
 
-fn take_points(r: &mut Reader<'_>, n: usize) -> Result<Vec<GridPoint>, CodecError> {
+fn take_points(r: &mut Reader<'_>, n: usize, decoded: &mut usize) -> Result<Vec<GridPoint>, CodecError> {
+    charge::<GridPoint>(decoded, "page count", n)?;
     let places = take_numbers(r, "point positions", n * 4)?;
     let mut numbers = Numbers::take(r, "point bands")?;
     let (mut points, mut ranges, mut last) = (Vec::with_capacity(n), 0usize, 0i64);
     for place in places.as_chunks::<4>().0 {
         let level = numbers.count("point level", 255)? as u8;
-        let bands = (0..numbers.count("bands", 1024)?)
+        let count = numbers.count("bands", 1024)?;
+        charge::<Vec<AngularRange>>(decoded, "bands", count)?;
+        let bands = (0..count)
             .map(|_| {
                 let count = numbers.count("ranges", MAX_SECTION)?;
-                let mut band = Vec::new();
+                charge::<AngularRange>(decoded, "ranges", count)?;
+                let mut band = Vec::with_capacity(count);
                 for _ in 0..count {
                     let code = u64::from(numbers.next("range placement")?);
                     let placement = match code.checked_sub(1).map(|z| last + unzigzag(z)) {
@@ -464,9 +499,10 @@ fn take_placements(
     r: &mut Reader<'_>,
     n: usize,
     first_image: usize,
-    budget: &mut usize,
+    decoded: &mut usize,
 ) -> Result<(Vec<Placement>, Vec<ImageEntry>), CodecError> {
     let vector = |row: &[f64], k: usize| DVec3::new(row[3 * k], row[3 * k + 1], row[3 * k + 2]);
+    charge::<Placement>(decoded, "page count", n)?;
     let rows = take_rows::<PLACEMENT_NUMBERS>(r, "placement numbers", n)?;
     let mut numbers = Numbers::take(r, "placements")?;
     let mut culled = Numbers::take(r, "culled cells")?;
@@ -482,20 +518,23 @@ fn take_placements(
             cop: vector(row, 0),
             users: Aabb { min: vector(row, 1), max: vector(row, 2) },
             footprint_px: row[9],
-            culled: take_ascending(&mut culled, "culled cells", budget)?,
+            culled: take_ascending(&mut culled, "culled cells", decoded)?,
             images: first as u32..(first_image + total) as u32,
-            sky: take_sky(&mut sky, budget)?,
+            sky: take_sky(&mut sky, decoded)?,
         });
     }
     numbers.finish("placements")?;
     culled.finish("culled cells")?;
     sky.finish("sky")?;
+    charge::<ImageEntry>(decoded, "placement images", total)?;
     let rows = take_rows::<IMAGE_NUMBERS>(r, "image numbers", total)?;
     let mut numbers = Numbers::take(r, "images")?;
     let mut images = Vec::with_capacity(total);
     for row in &rows {
         let mut list = |field| -> Result<Vec<u32>, CodecError> {
-            (0..numbers.count(field, 255)?).map(|_| numbers.next(field)).collect()
+            let count = numbers.count(field, 255)?;
+            charge::<u32>(decoded, field, count)?;
+            (0..count).map(|_| numbers.next(field)).collect()
         };
         images.push(ImageEntry {
             chunks: list("image chunks")?,

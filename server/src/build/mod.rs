@@ -18,6 +18,8 @@ mod key;
 mod references;
 mod report;
 mod rooms;
+#[cfg(test)]
+mod stop_test;
 
 use images::Indexed;
 use rooms::{RoomPlan, Site};

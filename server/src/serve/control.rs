@@ -26,6 +26,8 @@ pub(super) enum SessionError {
     Silent,
     #[error("the control stream ended: {0}")]
     Control(String),
+    #[error("page {0} of the manifest cannot be read; tell whoever runs the server")]
+    Page(u32),
 }
 
 impl From<WireError> for SessionError {

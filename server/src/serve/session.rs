@@ -51,6 +51,9 @@ const OTHERS_EVERY: Duration = Duration::from_millis(500);
 /// Poses per second beyond which a client is thrown out: a client sends at most 100.
 const POSES_PER_SECOND: f64 = 250.0;
 
+/// Longest reason in a closing frame, bytes. QUIC cuts what does not fit one packet.
+const MAX_REASON: usize = 256;
+
 /// Target of the access log: who came, left, or was not let in, and why. Shown by default.
 pub const ACCESS: &str = "access";
 
@@ -119,10 +122,19 @@ pub async fn run(shared: Arc<Shared>, incoming: quinn::Incoming, entrance: Entra
         Ok(()) => connection.close(VarInt::from_u32(code::BYE), b"bye"),
         Err(SessionError::Refused { code, message }) => {
             metrics::counter!("ldi_refused_total").increment(1);
-            connection.close(VarInt::from_u32(*code as u32), message.as_bytes());
+            connection.close(VarInt::from_u32(*code as u32), escaped(message).as_bytes());
         }
-        Err(_) => connection.close(VarInt::from_u32(code::BYE), b""),
+        Err(e) => connection.close(VarInt::from_u32(code::BYE), close_reason(e).as_bytes()),
     }
+}
+
+/// Why a session ended, for the frame that closes the connection: one line of at most
+/// [`MAX_REASON`] bytes.
+fn close_reason(end: &SessionError) -> String {
+    let text = end.to_string();
+    let mut reason = escaped(&text).into_owned();
+    reason.truncate(reason.floor_char_boundary(MAX_REASON));
+    reason
 }
 
 /// The handshake, which proves the address.
@@ -433,7 +445,7 @@ impl Session {
         async move {
             for number in numbers {
                 let Some(bytes) = offer.served.page(number) else {
-                    return Err(SessionError::Control(format!("page {number} of the manifest cannot be read")));
+                    return Err(SessionError::Page(number));
                 };
                 let header =
                     StreamHeader { kind: StreamKind::Page, urgency: Urgency::Now, number, bytes: bytes.len() as u32 };

@@ -94,7 +94,7 @@ pub(super) fn change<T>(
     call: impl FnOnce() -> io::Result<T>,
 ) -> Result<T, StoreError> {
     #[cfg(test)]
-    super::tests::faults::before_change().map_err(StoreError::io(path, action))?;
+    super::tests::faults::before_change(path).map_err(StoreError::io(path, action))?;
     call().map_err(StoreError::io(path, action))
 }
 
@@ -120,7 +120,7 @@ impl PendingFile {
     /// Appends bytes.
     pub fn write(&mut self, bytes: &[u8]) -> Result<(), StoreError> {
         #[cfg(test)]
-        if super::tests::faults::is_next() {
+        if super::tests::faults::is_next(&self.part) {
             // A write that fails has written something, as a rule.
             let _ = self.file.write_all(&bytes[..bytes.len() / 2]);
         }
@@ -232,7 +232,7 @@ pub(super) fn list(path: &Path) -> Result<Vec<Entry>, StoreError> {
 /// Bytes that may still be written to the disk of a folder; None where the system does not say.
 pub(super) fn free_bytes(folder: &Path) -> Option<u64> {
     #[cfg(test)]
-    if let Some(bytes) = super::tests::faults::free_bytes() {
+    if let Some(bytes) = super::tests::faults::free_bytes(folder) {
         return Some(bytes);
     }
     let disk = rustix::fs::statvfs(folder).ok()?;

@@ -48,4 +48,4 @@ pub use verify::{Fault, Verification, verify};
 pub use writer::{DatasetWriter, Written};
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -1,6 +1,6 @@
 //! A small dataset: written, opened, damaged byte by byte, stopped at every step.
 
-pub(super) mod faults;
+pub(crate) mod faults;
 mod publish;
 
 use super::{files::DataFiles, *};

@@ -5,6 +5,7 @@
 //! - [`track`]: where walkers go; pure. [`walker`]: one of them, a task.
 //! - [`hostile`]: who comes to harm the server; [`stranger`]: how they get in.
 //! - [`process`]: processor time and memory of the server. [`raw`]: a bare QUIC transfer in the same run to compare with.
+//! - [`soak`]: how fast the server's memory, descriptors and threads grow.
 //! - [`report`], [`page`]: what is left.
 //! - [`rehearsal`]: a walk over a link in virtual time, to compare ways to send ahead; [`hindsight`]: what it is compared with;
 //!   [`eviction`]: what leaves a full cache.
@@ -17,6 +18,7 @@ pub mod process;
 pub mod raw;
 pub mod rehearsal;
 pub mod report;
+pub mod soak;
 pub mod stranger;
 pub mod track;
 pub mod walker;
@@ -92,15 +94,21 @@ pub struct Load {
     pub raw: bool,
 }
 
-/// The server's process over one second.
+/// The server's process at one second.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ServerSecond {
+    /// Seconds since the run began.
+    pub at_s: f64,
     /// Processor seconds so far, since the run began.
     pub cpu_s: f64,
     /// Resident bytes.
     pub rss_bytes: u64,
     /// Resident bytes without mapped files, as the dataset is.
     pub anonymous_bytes: u64,
+    /// Open file descriptors; None for a process of another user.
+    pub descriptors: Option<u64>,
+    /// Threads.
+    pub threads: u64,
 }
 
 /// What was seen.
@@ -163,7 +171,15 @@ pub async fn run(load: &Load, mut progress: impl FnMut(f64, usize)) -> Result<Se
         let p = load.server?;
         let cpu_s = p.cpu_s()?;
         let (rss_bytes, anonymous_bytes) = (p.rss_bytes()?, p.anonymous_bytes()?);
-        Some(ServerSecond { cpu_s, rss_bytes, anonymous_bytes })
+        let (descriptors, threads) = (p.descriptors(), p.threads()?);
+        Some(ServerSecond {
+            at_s: start.elapsed().as_secs_f64(),
+            cpu_s,
+            rss_bytes,
+            anonymous_bytes,
+            descriptors,
+            threads,
+        })
     };
     let server_before = server_now().unwrap_or_default();
     let own_cpu_before = Process::this().cpu_s();

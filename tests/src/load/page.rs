@@ -102,6 +102,26 @@ pub fn html(report: &Value, seen: &Seen, command: &str) -> String {
         }
         h.push_str("</table>");
     }
+    let slopes = &report["server_per_hour"];
+    if slopes.is_object() {
+        let _ = write!(
+            h,
+            "<h2>Growth of the server</h2><p>Slopes of the least-squares line over {} samples in {}, per hour. Over \
+             less than some minutes they show how memory settles, not whether it grows.</p><table>",
+            slopes["samples"],
+            shown(&slopes["seconds"], "s")
+        );
+        for (field, unit, scale) in [
+            ("rss_bytes", "MB resident", 1e-6),
+            ("anonymous_bytes", "MB of its own", 1e-6),
+            ("descriptors", "descriptors", 1.0),
+            ("threads", "threads", 1.0),
+        ] {
+            let value = number((f(&slopes[field]) * scale * 100.0).round() / 100.0);
+            let _ = write!(h, "<tr><th>{unit}</th><td>{}</td></tr>", escape(&value));
+        }
+        h.push_str("</table>");
+    }
     h.push_str("<h2>Plots</h2><div class=\"plots\">");
     for plot in plots(report, seen) {
         let _ = write!(h, "<figure>{}</figure>", plot.svg());
@@ -181,6 +201,16 @@ fn plots(report: &Value, seen: &Seen) -> Vec<Plot<'static>> {
             x: "second",
             y: "MB resident",
             series: vec![series("resident", &|r| Some(r["server_rss_bytes"].as_f64()? * 1e-6))],
+            bound: None,
+        },
+        Plot {
+            title: "The server's descriptors and threads",
+            x: "second",
+            y: "number",
+            series: vec![
+                series("descriptors", &|r| r["server_descriptors"].as_f64()),
+                series("threads", &|r| r["server_threads"].as_f64()),
+            ],
             bound: None,
         },
     ]

@@ -1,6 +1,6 @@
 //! What a load test leaves: the fields of the contract, and what explains them. What could not be measured is null, and `reasons` says why.
 
-use super::{Load, Seen, walker::Outcome};
+use super::{Load, Seen, soak, walker::Outcome};
 use hdrhistogram::Histogram;
 use ldi_client::stream::LinkCounts;
 use serde_json::{Map, Value, json};
@@ -24,6 +24,7 @@ pub fn report(load: &Load, seen: &Seen) -> Value {
     let fraction = |part: u64, of: u64| (of > 0).then(|| json!(part as f64 / of as f64));
 
     let no_pid = "no --server-pid: the server's process is not known";
+    let no_slope = if load.server.is_some() { "fewer than two seconds after all came in" } else { no_pid };
     let cpu_s = seen.server.last().map(|s| s.cpu_s);
     let rss = seen.server.iter().map(|s| s.rss_bytes).max();
     let per_cpu = cpu_s.filter(|s| *s >= LEAST_CPU_S).map(|s| bytes_total as f64 / s);
@@ -58,6 +59,7 @@ pub fn report(load: &Load, seen: &Seen) -> Value {
         },
         "wasted_fraction": known("wasted_fraction", fraction(sum(&|w| w.stats.wasted_bytes), bytes_total), "no byte came"),
         "server_rss_bytes": known("server_rss_bytes", rss.map(Value::from), no_pid),
+        "server_per_hour": known("server_per_hour", soak::slopes(&seen.server, load.ramp_s), no_slope),
         "server_cpu_s": known("server_cpu_s", cpu_s.map(Value::from), no_pid),
         "bytes_per_server_cpu_s": known("bytes_per_server_cpu_s", per_cpu.map(Value::from), if cpu_s.is_none() { no_pid } else { &short }),
         "raw_quic_bytes_per_server_cpu_s": known("raw_quic_bytes_per_server_cpu_s", raw_per_cpu.map(Value::from), &raw_reason),
@@ -160,6 +162,8 @@ fn by_second(load: &Load, walkers: &[&Outcome], seen: &Seen) -> Vec<Value> {
                 "server_cpu_s": cpu(i).map(|c| c - if i == 0 { 0.0 } else { cpu(i - 1).unwrap_or_default() }),
                 "server_rss_bytes": seen.server.get(i).map(|s| s.rss_bytes),
                 "server_anonymous_bytes": seen.server.get(i).map(|s| s.anonymous_bytes),
+                "server_descriptors": seen.server.get(i).map(|s| s.descriptors),
+                "server_threads": seen.server.get(i).map(|s| s.threads),
             })
         })
         .collect()

@@ -61,11 +61,11 @@ pub struct Host {
 }
 
 impl Host {
-    pub fn start(name: &str, dataset: Memory) -> Self {
+    pub fn start(name: &str, dataset: impl ChunkSource) -> Self {
         Self::start_with(name, dataset, ServeConfig::default())
     }
 
-    pub fn start_with(name: &str, dataset: Memory, config: ServeConfig) -> Self {
+    pub fn start_with(name: &str, dataset: impl ChunkSource, config: ServeConfig) -> Self {
         let folder = folder(name);
         let any = SocketAddr::from(([127, 0, 0, 1], 0));
         let config = ServeConfig { listen: any, http: any.into(), identity: Some(folder.join("identity")), ..config };

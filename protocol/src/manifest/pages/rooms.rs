@@ -1,6 +1,6 @@
 //! Rooms and portals in the manifest: pages of rooms with their cells, the outside last, and pages of portals with their placements.
 
-use super::{MAX_SECTION, Numbers, put_ascending, put_numbers, take_ascending, take_numbers};
+use super::{Numbers, charge, put_ascending, put_numbers, take_ascending, take_numbers};
 use crate::{
     Aabb,
     codec::{
@@ -93,8 +93,9 @@ pub(super) fn take_rooms(
     r: &mut Reader<'_>,
     n: usize,
     draft: &mut Draft,
-    budget: &mut usize,
+    decoded: &mut usize,
 ) -> Result<(), CodecError> {
+    charge::<(Cell, Vec<u32>, bool)>(decoded, "page count", n)?;
     let found = take_numbers(r, "rooms' distances", 2)?;
     let so_far = [draft.margin_m, draft.near_m];
     if !draft.cells.is_empty() && found.iter().zip(so_far).any(|(a, b)| a.to_bits() != b.to_bits()) {
@@ -122,6 +123,7 @@ pub(super) fn take_rooms(
         let name = numbers.count("room name", MAX_NAME_BYTES)?;
         let of_room = numbers.count("room boxes", MAX_BOXES - boxes)?;
         boxes += of_room;
+        charge::<Aabb>(decoded, "room boxes", of_room)?;
         shape.push((name, of_room));
         if told {
             draft.by_grid.push(match numbers.next("the grid's rooms")? {
@@ -129,7 +131,7 @@ pub(super) fn take_rooms(
                 n => return Err(CodecError::range("the grid's rooms", n, "0 or 1")),
             });
         }
-        draft.cells_of.push(take_ascending(&mut numbers, "room cells", budget)?);
+        draft.cells_of.push(take_ascending(&mut numbers, "room cells", decoded)?);
     }
     numbers.finish("rooms")?;
     let names = r.section_of("room names", shape.iter().map(|s| s.0).sum())?;
@@ -178,10 +180,13 @@ pub(super) fn put_portals(w: &mut Writer, rooms: &RoomIndex, range: Range<usize>
     put_numbers(w, "portal corners", corners)
 }
 
-pub(super) fn take_portals(r: &mut Reader<'_>, n: usize, draft: &mut Draft) -> Result<(), CodecError> {
-    if n > MAX_SECTION / 8 {
-        return Err(CodecError::range("page count", n, "more than a page may hold"));
-    }
+pub(super) fn take_portals(
+    r: &mut Reader<'_>,
+    n: usize,
+    draft: &mut Draft,
+    decoded: &mut usize,
+) -> Result<(), CodecError> {
+    charge::<(Portal, [Range<u32>; 2], [SideImages; 2])>(decoded, "page count", n)?;
     let mut numbers = Numbers::take(r, "portals")?;
     let mut lengths = Vec::new();
     for _ in 0..n {
@@ -190,7 +195,9 @@ pub(super) fn take_portals(r: &mut Reader<'_>, n: usize, draft: &mut Draft) -> R
         let kind = numbers.next("portal kind")?;
         let kind =
             *KINDS.get(kind as usize).ok_or_else(|| CodecError::range("portal kind", kind, "there are five kinds"))?;
-        lengths.push(numbers.count("portal corners", MAX_CORNERS)?);
+        let corners = numbers.count("portal corners", MAX_CORNERS)?;
+        charge::<DVec3>(decoded, "portal corners", corners)?;
+        lengths.push(corners);
         let mut side = || -> Result<Range<u32>, CodecError> {
             let start = numbers.next("portal placements")?;
             Ok(start..start.saturating_add(numbers.count("portal placements", MAX_PLACEMENTS)? as u32))

@@ -1,6 +1,6 @@
 //! The LDI tree in the manifest: one page for what it is, pages of nodes.
 
-use super::{MAX_SECTION, Numbers, put_numbers, take_numbers};
+use super::{Numbers, charge, put_numbers, take_numbers};
 use crate::{
     codec::{
         CodecError,
@@ -49,13 +49,11 @@ pub(super) fn put_nodes(w: &mut Writer, nodes: &[TreeNode]) -> Result<(), CodecE
     w.section("tree nodes", &numbers)
 }
 
-pub(super) fn take_nodes(r: &mut Reader<'_>, n: usize) -> Result<Vec<TreeNode>, CodecError> {
-    if n > MAX_SECTION / 9 {
-        return Err(CodecError::range("page count", n, "more than a page may hold"));
-    }
+pub(super) fn take_nodes(r: &mut Reader<'_>, n: usize, decoded: &mut usize) -> Result<Vec<TreeNode>, CodecError> {
+    charge::<TreeNode>(decoded, "page count", n)?;
     let mut numbers = Numbers::take(r, "tree nodes")?;
     let mut last = [0i64; 5];
-    let mut nodes = Vec::new();
+    let mut nodes = Vec::with_capacity(n);
     for _ in 0..n {
         let level = numbers.count("tree level", 255)? as u8;
         let children = numbers.count("tree children", 8)? as u8;

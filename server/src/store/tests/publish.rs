@@ -175,13 +175,13 @@ fn stopped_at_every_change(name: &str, old: Option<&Sample>, new: &Sample) {
     };
     let changes = {
         let (folder, _) = fresh();
-        faults::changes_of(|| drop(build(new, &folder.0).unwrap()))
+        faults::changes_of(&folder.0, || drop(build(new, &folder.0).unwrap()))
     };
     assert!(changes > 30, "{changes} changes: not all of them are counted");
     for (at, for_good) in (0..changes).flat_map(|at| [(at, false), (at, true)]) {
         let (folder, old) = fresh();
         let served = old.map(|_| Dataset::open(&folder.0).unwrap());
-        let result = faults::failing_at(at, for_good, || build(new, &folder.0));
+        let result = faults::failing_at(&folder.0, at, for_good, || build(new, &folder.0));
         let place = format!("{name}, change {at} of {changes}, for good: {for_good}: {:?}", result.as_ref().err());
         match (Dataset::open(&folder.0), old) {
             (Ok(found), _) if found.hash() == hash => {}
@@ -217,7 +217,7 @@ fn a_full_disk_is_found_before_anything_is_written() {
     old.write(&folder.0).unwrap();
     new.index.settings.budget = 5;
     let before = contents(&folder.0);
-    let error = faults::with_free_bytes(10_000, || new.write(&folder.0)).unwrap_err();
+    let error = faults::with_free_bytes(&folder.0, 10_000, || new.write(&folder.0)).unwrap_err();
     assert!(!error.permanent() && error.to_string().contains("10000 bytes left"), "{error}");
     fs::remove_dir_all(folder.0.join(files::WORK)).unwrap();
     assert_eq!(contents(&folder.0), before);
