@@ -193,7 +193,7 @@ fn a_walk_over_damaged_chunks_goes_on_and_says_so() {
         let opened = Dataset::open(&dataset).expect("its manifest is whole");
         let host = host::Host::start("damage-walk-server", opened);
         let connection = Connection::connect(host.config()).expect("the server runs");
-        connection.want(&chunks);
+        connection.request(&chunks);
         let missing = match connection.cache().wait(&chunks, PATIENCE) {
             Err(Incomplete::Damaged(missing)) => missing,
             other => panic!("seed {seed}: {other:?}"),

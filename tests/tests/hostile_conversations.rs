@@ -57,7 +57,7 @@ fn line_of(e: &ConnectError) -> String {
 fn visit(config: ConnectConfig) -> Result<(), ConnectError> {
     let connection = Connection::connect(config)?;
     let chunks: Vec<u32> = (0..connection.index().chunks.len() as u32).collect();
-    connection.want(&chunks);
+    connection.request(&chunks);
     let _ = connection.cache().wait(&chunks, Duration::from_millis(100));
     connection.fetch(Request::Number(FIRST_CELL)).map(drop)
 }
