@@ -190,6 +190,9 @@ pub struct AuditSize {
     pub adversarial: u64,
 }
 
+/// Cells in a run that is tested against a picture as one first: the octree's order makes runs compact.
+const RUN: usize = 64;
+
 /// Audits a dataset over poses drawn from `seed`.
 ///
 /// `recounted`: triangles per cell, counted by the caller over the scene's own triangles (not the index's numbers). `camera_of`: the LDI
@@ -205,6 +208,8 @@ pub fn audit(
     let Some(volume) = index.volume.as_ref().filter(|v| !v.is_empty()) else { return report };
     let sampler = volume.sampler();
     let cameras: Vec<Option<LdiCamera>> = (0..index.images.len() as u32).into_par_iter().map(camera_of).collect();
+    let runs: Vec<Aabb> =
+        index.cells.chunks(RUN).map(|cells| cells.iter().fold(Aabb::EMPTY, |all, c| all.union(c.bounds))).collect();
     // Bounded batches, folded in order: the same report from any number of threads.
     let poses = size.random.saturating_add(size.adversarial);
     for first in (0..poses).step_by(4096) {
@@ -223,7 +228,7 @@ pub fn audit(
                     kind = adversary.name();
                     pose = adversarial(index, volume, adversary, pose, other, &mut random);
                 }
-                Some(check(index, recounted, &cameras, (i, kind), &pose, &mut random))
+                Some(check(index, recounted, &runs, &cameras, (i, kind), &pose, &mut random))
             })
             .collect();
         for p in batch {
@@ -355,6 +360,7 @@ fn triangles_in(index: &Index, recounted: &[u64], cells: &[u32]) -> u64 {
 fn check(
     index: &Index,
     recounted: &[u64],
+    runs: &[Aabb],
     cameras: &[Option<LdiCamera>],
     (number, kind): (u64, &'static str),
     pose: &Pose,
@@ -377,13 +383,17 @@ fn check(
     }
     let square = tx.max(ty);
     let mut triangles = 0;
-    for (cell, entry) in (0u32..).zip(&index.cells) {
-        let culled = placement.is_some_and(|p| p.culled.binary_search(&cell).is_ok());
-        if !culled
-            && in_view(&entry.bounds, pose.position, &basis, tx.min(square), ty.min(square))
-            && in_view(&entry.bounds, pose.position, &basis, square, square)
-        {
-            triangles += triangles_in(index, recounted, &[cell]);
+    let in_picture = |b: &Aabb| in_view(b, pose.position, &basis, tx.min(square), ty.min(square));
+    let run_shows: Vec<bool> = runs.iter().map(in_picture).collect();
+    for run in (0..runs.len()).filter(|run| run_shows[*run]) {
+        for (cell, entry) in (run * RUN..).zip(&index.cells[run * RUN..]).take(RUN) {
+            let cell = cell as u32;
+            if in_picture(&entry.bounds)
+                && in_view(&entry.bounds, pose.position, &basis, square, square)
+                && !placement.is_some_and(|p| p.culled.binary_search(&cell).is_ok())
+            {
+                triangles += triangles_in(index, recounted, &[cell]);
+            }
         }
     }
     // Where all else comes from the tree the nearest cells are drawn; what a build had no time for is promised no more than that.
@@ -412,10 +422,9 @@ fn check(
         let beyond =
             |i: &ImageEntry, b: &Aabb| -b.support(-i.basis.forward) >= p.cop.dot(i.basis.forward) + i.plane_distance;
         // Faces that nobody looks at have no image: what lies beyond them alone is in no picture.
-        let stray = |b: &Aabb| {
-            in_view(b, pose.position, &basis, tx.min(square), ty.min(square)) && !images.iter().any(|i| beyond(i, b))
-        };
-        if p.culled.iter().any(|c| stray(&index.cells[*c as usize].bounds)) {
+        let stray = |b: &Aabb| in_picture(b) && !images.iter().any(|i| beyond(i, b));
+        let mut shown = p.culled.iter().map(|c| *c as usize).filter(|c| run_shows[c / RUN]);
+        if shown.any(|c| stray(&index.cells[c].bounds)) {
             faults.push("a replaced cell in the picture reaches before all image planes".to_string());
         }
         match largest_footprint(index, p, cameras, pose, &basis, random) {

@@ -15,7 +15,7 @@ use super::{
     bvh::{Bvh, EMPTY, ITEM, LEAF},
     cell_set::Masks,
     lanes::Lanes,
-    single::{Branch, DISTANCE_SLACK, Nearest, Stack},
+    single::{Branch, DISTANCE_SLACK, Nearest, Stack, side},
     triangles::{Rays, Triangles, Vec3L, axes_of, intersect, load3, map3, relative_corners, splat3},
 };
 
@@ -225,11 +225,13 @@ impl Packet {
                 continue;
             }
             if child & LEAF == 0 {
-                let (boxes, present) = branch.boxes::<F8>(child);
+                let (node, present) = branch.node(child);
+                let placed = if ITEMS { None } else { branch.placed::<F8>(node) };
                 let (mut enter, mut leave) = (start, F8::splat(reach));
-                for side in &sides {
-                    let depth = boxes[side.plane].sub(origin[side.axis]).mul(F8::splat(side.inverse));
-                    if side.is_entered {
+                for s in &sides {
+                    let plane = side(node, &placed, s.plane);
+                    let depth = plane.sub(origin[s.axis]).mul(F8::splat(s.inverse));
+                    if s.is_entered {
                         // Of a NaN (a plane through the origin, a slope of 0) and a number, these keep the number.
                         enter = depth.mul(nearer).max(enter);
                     } else {
@@ -240,14 +242,14 @@ impl Packet {
                 if bits != 0 {
                     let mut distances = [0.0; 8];
                     enter.store(&mut distances);
-                    stack.push_sorted(bits, &distances, &branch.branches.nodes[child as usize].children);
+                    stack.push_sorted(bits, &distances, &node.children);
                 }
             } else if child == EMPTY {
             } else if ITEMS && child & ITEM != 0 {
                 let item = Branch::of_item(bvh, child & !(LEAF | ITEM));
                 reach = self.descend::<F8, F4, false>(bvh, item, reach, is_there);
             } else {
-                let improved = self.block::<F8, F4>(&branch, child & !LEAF, reach, is_there);
+                let improved = self.block::<F8, F4, ITEMS>(&branch, child & !LEAF, reach, is_there);
                 if improved != 0 {
                     reach = self.reach::<F8>(improved);
                 }
@@ -258,7 +260,7 @@ impl Packet {
 
     /// Tests a block's triangles against all rays; bits of the groups with a nearer hit than before.
     #[inline(always)]
-    fn block<F8: Lanes<8>, F4: Lanes<4>>(
+    fn block<F8: Lanes<8>, F4: Lanes<4>, const ITEMS: bool>(
         &mut self,
         branch: &Branch<'_>,
         number: u32,
@@ -266,13 +268,14 @@ impl Packet {
         is_there: &impl Fn(usize, &Nearest) -> bool,
     ) -> u32 {
         let (block, lanes) = branch.block(number);
-        let corners: [Vec3L<F4>; 3] = relative_corners(block, branch.place, self.origin);
+        let place = if ITEMS { None } else { branch.place };
+        let corners: [Vec3L<F4>; 3] = relative_corners(block, place, self.origin);
         let (mut bits, ranges) = self.cover(corners, reach);
         bits &= lanes;
         if bits == 0 {
             return 0;
         }
-        let four = Triangles::new(block, branch.place, corners);
+        let four = Triangles::new(block, place, corners);
         let mut stored = [[0.0f32; 4]; 13];
         for k in 0..3 {
             four.corners[0][k].store(&mut stored[k]);

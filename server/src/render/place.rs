@@ -3,11 +3,13 @@
 //! Rays stay in the world: boxes and triangles of a mesh are placed as rays meet them. So one packet
 //! of rays goes through the whole scene, t and depth mean the same everywhere, and single rays and
 //! packets see the same numbers.
+//!
+//! No closures here: they would be compiled without the widest vectors.
 
 use super::{
     bvh::{Block, Node},
     lanes::Lanes,
-    triangles::{Vec3L, splat3},
+    triangles::{Vec3L, load3, splat3},
 };
 use crate::scene::Instance;
 use glam::{DVec3, Mat3};
@@ -59,10 +61,9 @@ impl Place {
     #[inline(always)]
     pub fn boxes<F8: Lanes<8>>(&self, node: &Node) -> [F8; 6] {
         let half = F8::splat(0.5);
-        let side = |n: usize| F8::load(&node.bounds[n]);
-        let centre = |a: usize| side(a).add(side(a + 3)).mul(half);
-        let reach = |a: usize| side(a + 3).sub(side(a)).mul(half);
-        let (centre, reach) = ([centre(0), centre(1), centre(2)], [reach(0), reach(1), reach(2)]);
+        let [low, high]: [Vec3L<F8>; 2] = [sides(node, 0), sides(node, 3)];
+        let centre = [low[0].add(high[0]).mul(half), low[1].add(high[1]).mul(half), low[2].add(high[2]).mul(half)];
+        let reach = [high[0].sub(low[0]).mul(half), high[1].sub(low[1]).mul(half), high[2].sub(low[2]).mul(half)];
         let mut out = [half; 6];
         for k in 0..3 {
             let r = self.rows[k];
@@ -77,20 +78,30 @@ impl Place {
     #[inline(always)]
     pub fn relative_corners<F: Lanes<4>>(&self, block: &Block, origin: [f32; 3]) -> [Vec3L<F>; 3] {
         let shift: Vec3L<F> = splat3([self.shift[0] - origin[0], self.shift[1] - origin[1], self.shift[2] - origin[2]]);
-        let corner = |n: usize| {
-            let c: Vec3L<F> = super::triangles::load3(&block.corners[n]);
-            let axis = |k: usize| dot(self.rows[k], c).add(shift[k]);
-            [axis(0), axis(1), axis(2)]
-        };
-        [corner(0), corner(1), corner(2)]
+        [
+            self.placed(load3(&block.corners[0]), shift),
+            self.placed(load3(&block.corners[1]), shift),
+            self.placed(load3(&block.corners[2]), shift),
+        ]
+    }
+
+    #[inline(always)]
+    fn placed<F: Lanes<4>>(&self, p: Vec3L<F>, shift: Vec3L<F>) -> Vec3L<F> {
+        [dot(self.rows[0], p).add(shift[0]), dot(self.rows[1], p).add(shift[1]), dot(self.rows[2], p).add(shift[2])]
     }
 
     /// World normals of a block's triangles, not of unit length.
     #[inline(always)]
     pub fn normals<F: Lanes<4>>(&self, block: &Block) -> Vec3L<F> {
-        let n: Vec3L<F> = super::triangles::load3(&block.normal);
+        let n: Vec3L<F> = load3(&block.normal);
         [dot(self.normal_rows[0], n), dot(self.normal_rows[1], n), dot(self.normal_rows[2], n)]
     }
+}
+
+/// Three sides of a node's boxes from the `first` on.
+#[inline(always)]
+fn sides<F8: Lanes<8>>(node: &Node, first: usize) -> Vec3L<F8> {
+    [F8::load(&node.bounds[first]), F8::load(&node.bounds[first + 1]), F8::load(&node.bounds[first + 2])]
 }
 
 #[inline(always)]

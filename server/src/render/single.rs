@@ -3,7 +3,7 @@
 //! Boxes are tested by slabs (Williams et al. 2005) with the planes chosen by the signs of the direction.
 
 use super::{
-    bvh::{Block, Branches, Bvh, EMPTY, ITEM, LEAF},
+    bvh::{Block, Branches, Bvh, EMPTY, ITEM, LEAF, Node},
     cell_set::Masks,
     lanes::Lanes,
     place::Place,
@@ -76,24 +76,34 @@ impl<'a> Branch<'a> {
         Self { branches: &bvh.local, masks: None, root: item.root, place, item: number, first: item.first }
     }
 
-    /// The boxes of a node's children: min x, y, z, max x, y, z; and bits of the children that may be visited.
+    /// A node, and bits of the children that may be visited.
     #[inline(always)]
-    pub fn boxes<F8: Lanes<8>>(&self, number: u32) -> ([F8; 6], u32) {
+    pub fn node(&self, number: u32) -> (&'a Node, u32) {
         let node = &self.branches.nodes[number as usize];
-        match (self.place, self.masks) {
-            (Some(place), _) => (place.boxes(node), u32::from(node.used)),
-            (None, masks) => {
-                let side = |n: usize| F8::load(&node.bounds[n]);
-                let sides = [side(0), side(1), side(2), side(3), side(4), side(5)];
-                (sides, masks.map_or(0xff, |m| u32::from(m.children[number as usize])))
-            }
+        let present = match self.masks {
+            Some(masks) => u32::from(masks.children[number as usize]),
+            None => u32::from(node.used),
+        };
+        (node, present)
+    }
+
+    /// The boxes of a placed node; None in world space.
+    #[expect(clippy::manual_map, reason = "a closure would be compiled without the widest vectors")]
+    #[inline(always)]
+    pub fn placed<F8: Lanes<8>>(&self, node: &Node) -> Option<[F8; 6]> {
+        match self.place {
+            Some(place) => Some(place.boxes(node)),
+            None => None,
         }
     }
 
     /// A block, and bits of its lanes to test.
     #[inline(always)]
     pub fn block(&self, number: u32) -> (&'a Block, u32) {
-        let lanes = self.masks.map_or(0xf, |m| u32::from(m.lanes[number as usize]));
+        let lanes = match self.masks {
+            Some(masks) => u32::from(masks.lanes[number as usize]),
+            None => 0xf,
+        };
         (&self.branches.blocks[number as usize], lanes)
     }
 }
@@ -159,6 +169,21 @@ impl Stack {
     }
 }
 
+/// The side of a box on an axis that a ray enters through (`other` 0) or leaves through (3), of min x, y, z, max x, y, z.
+#[inline(always)]
+fn entered(inverse: [f32; 3], axis: usize, other: usize) -> usize {
+    if inverse[axis] < 0.0 { axis + 3 - other } else { axis + other }
+}
+
+/// One side of a node's boxes, of min x, y, z, max x, y, z.
+#[inline(always)]
+pub(super) fn side<F8: Lanes<8>>(node: &Node, placed: &Option<[F8; 6]>, number: usize) -> F8 {
+    match placed {
+        Some(boxes) => boxes[number],
+        None => F8::load(&node.bounds[number]),
+    }
+}
+
 /// What a ray needs at every box and triangle.
 struct Prepared<F8, F4> {
     origin: Vec3L<F8>,
@@ -175,14 +200,16 @@ impl<F8: Lanes<8>, F4: Lanes<4>> Prepared<F8, F4> {
     fn new(ray: &ShortRay) -> Self {
         // Infinite for components of zero: such a ray is in the slab for all t or for none, and 0 x infinity, on a border, is NaN and no limit.
         let inverse = ray.direction.map(|d| 1.0 / d);
-        let side = |k: usize, is_far: bool| if (inverse[k] < 0.0) != is_far { k + 3 } else { k };
         let axes = axes_of(ray.direction);
         let [k, i, j] = axes;
         let slopes = [ray.direction[i] / ray.direction[k], ray.direction[j] / ray.direction[k]];
         Self {
             origin: splat3(ray.origin),
             inverse: splat3(inverse),
-            planes: [false, true].map(|is_far| [side(0, is_far), side(1, is_far), side(2, is_far)]),
+            planes: [
+                [entered(inverse, 0, 0), entered(inverse, 1, 0), entered(inverse, 2, 0)],
+                [entered(inverse, 0, 3), entered(inverse, 1, 3), entered(inverse, 2, 3)],
+            ],
             axes,
             rays: Rays {
                 direction: splat3(ray.direction),
@@ -196,11 +223,11 @@ impl<F8: Lanes<8>, F4: Lanes<4>> Prepared<F8, F4> {
 
     /// t at which the ray crosses one plane of each slab, of eight boxes.
     #[inline(always)]
-    fn slabs(&self, boxes: &[F8; 6], planes: &[usize; 3]) -> Vec3L<F8> {
+    fn slabs(&self, node: &Node, placed: &Option<[F8; 6]>, planes: &[usize; 3]) -> Vec3L<F8> {
         [
-            boxes[planes[0]].sub(self.origin[0]).mul(self.inverse[0]),
-            boxes[planes[1]].sub(self.origin[1]).mul(self.inverse[1]),
-            boxes[planes[2]].sub(self.origin[2]).mul(self.inverse[2]),
+            side(node, placed, planes[0]).sub(self.origin[0]).mul(self.inverse[0]),
+            side(node, placed, planes[1]).sub(self.origin[1]).mul(self.inverse[1]),
+            side(node, placed, planes[2]).sub(self.origin[2]).mul(self.inverse[2]),
         ]
     }
 
@@ -223,17 +250,18 @@ impl<F8: Lanes<8>, F4: Lanes<4>> Prepared<F8, F4> {
                 continue;
             }
             if child & LEAF == 0 {
-                let (boxes, present) = branch.boxes::<F8>(child);
-                let [x, y, z] = self.slabs(&boxes, &self.planes[0]);
+                let (node, present) = branch.node(child);
+                let placed = if ITEMS { None } else { branch.placed::<F8>(node) };
+                let [x, y, z] = self.slabs(node, &placed, &self.planes[0]);
                 // Of a NaN and a number, these keep the number on the right.
                 let enter = z.mul(nearer).max(y.mul(nearer).max(x.mul(nearer).max(self.earliest)));
-                let [x, y, z] = self.slabs(&boxes, &self.planes[1]);
+                let [x, y, z] = self.slabs(node, &placed, &self.planes[1]);
                 let leave = z.mul(farther).min(y.mul(farther).min(x.mul(farther).min(F8::splat(nearest.t))));
                 let bits = F8::bits(enter.le(leave)) & present;
                 if bits != 0 {
                     let mut distances = [0.0; 8];
                     enter.store(&mut distances);
-                    stack.push_sorted(bits, &distances, &branch.branches.nodes[child as usize].children);
+                    stack.push_sorted(bits, &distances, &node.children);
                 }
                 continue;
             }
@@ -251,7 +279,8 @@ impl<F8: Lanes<8>, F4: Lanes<4>> Prepared<F8, F4> {
             let number = child & !LEAF;
             let (block, lanes) = branch.block(number);
             self.rays.t_max = F4::splat(nearest.t);
-            let triangles = Triangles::new(block, branch.place, relative_corners(block, branch.place, ray.origin));
+            let place = if ITEMS { None } else { branch.place };
+            let triangles = Triangles::new(block, place, relative_corners(block, place, ray.origin));
             let (bits, t) = intersect(self.axes, &triangles, &self.rays);
             let mut bits = bits & lanes;
             if bits == 0 {

@@ -103,6 +103,12 @@ pub(super) struct Rays<F> {
     pub t_max: F,
 }
 
+/// A corner sheared so that the ray is the axis k.
+#[inline(always)]
+fn sheared<const N: usize, F: Lanes<N>>(p: Vec3L<F>, [k, i, j]: [usize; 3], rays: &Rays<F>) -> [F; 2] {
+    [p[i].sub(rays.slopes[0].mul(p[k])), p[j].sub(rays.slopes[1].mul(p[k]))]
+}
+
 /// Where lanes hit: bits of the lanes with `t_min <= t <= t_max`, and t of all lanes. Either side may be the same in all lanes.
 #[inline(always)]
 pub(super) fn intersect<const N: usize, F: Lanes<N>>(
@@ -110,9 +116,8 @@ pub(super) fn intersect<const N: usize, F: Lanes<N>>(
     triangles: &Triangles<F>,
     rays: &Rays<F>,
 ) -> (u32, F) {
-    let [k, i, j] = axes;
-    let sheared = |p: Vec3L<F>| [p[i].sub(rays.slopes[0].mul(p[k])), p[j].sub(rays.slopes[1].mul(p[k]))];
-    let [a, b, c] = map3(triangles.corners, sheared);
+    let [a, b, c] = triangles.corners;
+    let (a, b, c) = (sheared(a, axes, rays), sheared(b, axes, rays), sheared(c, axes, rays));
     let u = c[0].mul(b[1]).sub(c[1].mul(b[0]));
     let v = a[0].mul(c[1]).sub(a[1].mul(c[0]));
     let w = b[0].mul(a[1]).sub(b[1].mul(a[0]));
