@@ -81,7 +81,7 @@ fn damage(file: &Path, random: &mut Random) -> Option<&'static str> {
             "truncation"
         }
         3 => {
-            bytes.extend((0..length).map(|_| random.next() as u8));
+            bytes.extend((0..length).map(|_| random.bits() as u8));
             "extension"
         }
         4 => {
@@ -104,7 +104,7 @@ fn damage(file: &Path, random: &mut Random) -> Option<&'static str> {
             return Some("removed file");
         }
         _ => {
-            bytes = (0..old.len()).map(|_| random.next() as u8).collect();
+            bytes = (0..old.len()).map(|_| random.bits() as u8).collect();
             "foreign file"
         }
     };

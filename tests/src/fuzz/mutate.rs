@@ -10,7 +10,7 @@ impl Random {
         Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
     }
     /// The next number.
-    pub fn next(&mut self) -> u64 {
+    pub fn bits(&mut self) -> u64 {
         self.0 ^= self.0 >> 12;
         self.0 ^= self.0 << 25;
         self.0 ^= self.0 >> 27;
@@ -18,7 +18,7 @@ impl Random {
     }
     /// A number from 0 to `n - 1`; 0 for `n = 0`.
     pub fn below(&mut self, n: usize) -> usize {
-        ((self.next() >> 33) as usize) % n.max(1)
+        ((self.bits() >> 33) as usize) % n.max(1)
     }
     /// One of a list.
     pub fn pick<'a, T>(&mut self, list: &'a [T]) -> &'a T {
@@ -74,7 +74,7 @@ fn change(bytes: &mut Vec<u8>, seeds: &[Vec<u8>], random: &mut Random) {
     match random.below(12) {
         _ if bytes.is_empty() => bytes.extend_from_slice(PIECES[random.below(PIECES.len())]),
         0..=2 => bytes[at] ^= 1 << random.below(8),
-        3 => bytes[at] = random.next() as u8,
+        3 => bytes[at] = random.bits() as u8,
         4 => bytes[at] = bytes[at].wrapping_add(1).wrapping_sub(2 * random.below(2) as u8),
         5 => bytes[at] = b'0' + random.below(10) as u8,
         6 => {

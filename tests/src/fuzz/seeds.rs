@@ -51,7 +51,7 @@ fn layer(side: u32, code: impl Fn(u32, u32) -> Option<u16>) -> LdiLayer {
             out.column.push(column as u8);
             out.disparity.extend(code(column, row));
             out.rgb.push([(column * 9) as u8, (row * 7) as u8, (column * row) as u8]);
-            out.links.push(u8::from(right) * LINK_RIGHT | u8::from(down) * LINK_DOWN);
+            out.links.push((u8::from(right) * LINK_RIGHT) | (u8::from(down) * LINK_DOWN));
         }
     }
     out.with_half_ends()
