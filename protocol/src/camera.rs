@@ -72,8 +72,8 @@ impl OutputCamera {
     pub fn half_tan_y(&self) -> f64 {
         self.half_tan_x() * f64::from(self.height) / f64::from(self.width)
     }
-    /// World direction of the ray through pixel coordinates (u, v), not normalized: its component along
-    /// `forward` is 1, so that `eye + t * ray` has eye-space depth t.
+    /// World direction of the ray through pixel coordinates (u, v), not normalized: its component
+    /// along `forward` is 1, so that `eye + t * ray` has eye-space depth t.
     pub fn ray(&self, basis: &ViewBasis, u: f64, v: f64) -> DVec3 {
         let f = self.focal_px();
         basis.forward + basis.right * ((u - f64::from(self.width) * 0.5) / f)

@@ -1,4 +1,5 @@
-//! What a dataset holds, decoded from its manifest and pages: chunks, cells, grid points, placements, materials.
+//! What a dataset holds, decoded from its manifest and pages: chunks, cells, grid points,
+//! placements, materials.
 //!
 //! Numbers that name things (`u32`) are positions in the vectors of [`Index`].
 
@@ -112,16 +113,20 @@ pub struct CellEntry {
     pub bundles: Vec<u32>,
     /// The materials it uses, ascending.
     pub materials: Vec<u32>,
-    /// For each of them, how many texels of its texture lie along a metre of what the cell draws with it, where they are fewest: four times the binary logarithm, rounded
-    /// down, of the root mean square over directions. [`EVERY_LEVEL`] where all levels of the texture count at any distance.
+    /// For each of them, how many texels of its texture lie along a metre of what the cell draws
+    /// with it, where they are fewest: four times the binary logarithm, rounded down, of the root
+    /// mean square over directions. [`EVERY_LEVEL`] where all levels of the texture count at any
+    /// distance.
     pub texel_density: Vec<i8>,
 }
 
-/// See [`CellEntry::texel_density`]: of alpha masks, whose finest level decides at any distance, and of coordinates that do not move.
+/// See [`CellEntry::texel_density`]: of alpha masks, whose finest level decides at any distance,
+/// and of coordinates that do not move.
 pub const EVERY_LEVEL: i8 = i8::MIN;
 
-/// One entry of a grid point's list for a pitch band: from `yaw_start_deg` on (to the next entry's start, the last
-/// one to the first's, around the circle), use `placement`, or draw everything when it is None.
+/// One entry of a grid point's list for a pitch band: from `yaw_start_deg` on (to the next entry's
+/// start, the last one to the first's, around the circle), use `placement`, or draw everything
+/// when it is None.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AngularRange {
     /// In [0, 360), ascending within the band.
@@ -139,25 +144,29 @@ pub struct GridPoint {
     pub level: u8,
     /// Certified: no eye of the walk volume farther than this selects the point, metres.
     pub radius: f64,
-    /// Per pitch band of [`Index::pitch_bands_deg`]; an empty list means: nothing culled in any direction.
+    /// Per pitch band of [`Index::pitch_bands_deg`]; an empty list means: nothing culled in any
+    /// direction.
     pub bands: Vec<Vec<AngularRange>>,
 }
 
 /// An image placement: a subset of the cells, replaced by LDIs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Placement {
-    /// The grid point it was solved at, or the first that uses it; None for one of a portal ([`RoomIndex::placements`]).
+    /// The grid point it was solved at, or the first that uses it; None for one of a portal
+    /// ([`RoomIndex::placements`]).
     pub grid_point: Option<u32>,
     /// Centre of projection of all its images, metres.
     pub cop: DVec3,
-    /// Cells that are not drawn, ascending. Each lies wholly beyond the plane of one of the images. Empty for a portal's: there it is
-    /// all that is seen through the portal but the cells of the room before it.
+    /// Cells that are not drawn, ascending. Each lies wholly beyond the plane of one of the
+    /// images. Empty for a portal's: there it is all that is seen through the portal but the cells
+    /// of the room before it.
     pub culled: Vec<u32>,
     /// Bound on the footprint of any sample from any eye that may use it, output pixels.
     pub footprint_px: f64,
     /// Box of all eyes that may use it. They lie before the planes of all images.
     pub users: Aabb,
-    /// Its images, as positions in [`Index::images`]; those of one placement follow those of the one before.
+    /// Its images, as positions in [`Index::images`]; those of one placement follow those of the
+    /// one before.
     pub images: Range<u32>,
     /// Where its eyes see sky, roughly: images know it by the pixel, but not all directions.
     pub sky: SkyMap,
@@ -168,14 +177,18 @@ pub struct Placement {
 pub struct ImageEntry {
     /// Orientation of the image plane.
     pub basis: ViewBasis,
-    /// Distance from the centre of projection to the plane along `basis.forward`, metres. No sample lies nearer.
+    /// Distance from the centre of projection to the plane along `basis.forward`, metres. No
+    /// sample lies nearer.
     pub plane_distance: f64,
-    /// Tangents of the window that it stands for: left, right (along `basis.right`), bottom, top (along `basis.up`). The LDI may be smaller: it
-    /// is cut to what eyes see. Windows of one placement may overlap: what lies beyond several planes is in one of the images.
+    /// Tangents of the window that it stands for: left, right (along `basis.right`), bottom, top
+    /// (along `basis.up`). The LDI may be smaller: it is cut to what eyes see. Windows of one
+    /// placement may overlap: what lies beyond several planes is in one of the images.
     pub window: [f64; 4],
-    /// 99th percentile of the stretch along surface tangents over samples and sampled eyes, output pixels; NaN if unknown.
+    /// 99th percentile of the stretch along surface tangents over samples and sampled eyes, output
+    /// pixels; NaN if unknown.
     pub stretch_p99_px: f64,
-    /// Chunks of the LDI: the first layer, then deeper ones. Empty: nothing of the subset can be seen in it.
+    /// Chunks of the LDI: the first layer, then deeper ones. Empty: nothing of the subset can be
+    /// seen in it.
     pub chunks: Vec<u32>,
     /// Samples per layer.
     pub samples_by_layer: Vec<u32>,
@@ -218,7 +231,8 @@ pub struct Index {
     pub materials: Vec<Material>,
     /// Textures.
     pub textures: Vec<TextureEntry>,
-    /// Borders of the pitch bands, degrees, ascending: band i spans borders i and i + 1. Empty without grid points.
+    /// Borders of the pitch bands, degrees, ascending: band i spans borders i and i + 1. Empty
+    /// without grid points.
     pub pitch_bands_deg: Vec<f64>,
     /// Grid points. Empty when the whole scene is within the budget from everywhere.
     pub points: Vec<GridPoint>,
@@ -226,22 +240,26 @@ pub struct Index {
     pub placements: Vec<Placement>,
     /// Images of all placements.
     pub images: Vec<ImageEntry>,
-    /// Where eyes may be: what every promise is made for. None in a dataset that promises nothing of the kind (tests).
+    /// Where eyes may be: what every promise is made for. None in a dataset that promises nothing
+    /// of the kind (tests).
     pub volume: Option<WalkVolume>,
-    /// The base layer: what stands in for whatever else is not there. None for a scene without surfaces that an eye sees.
+    /// The base layer: what stands in for whatever else is not there. None for a scene without
+    /// surfaces that an eye sees.
     pub tree: Option<Tree>,
     /// Rooms and portals, in a dataset that is walked by them.
     pub rooms: Option<RoomIndex>,
 }
 
 impl Index {
-    /// Whether what lies beyond the budget comes from the LDI tree: there are no placements that would replace it.
+    /// Whether what lies beyond the budget comes from the LDI tree: there are no placements that
+    /// would replace it.
     pub fn walks_by_tree(&self) -> bool {
         let other = !self.points.is_empty() || self.rooms.is_some();
         self.tree.is_some() && !other && self.scene.triangles > self.settings.budget
     }
 
-    /// Whether it is all of a dataset's index, and not that of a first picture ([`crate::manifest::early`]).
+    /// Whether it is all of a dataset's index, and not that of a first picture
+    /// ([`crate::manifest::early`]).
     pub fn is_whole(&self) -> bool {
         !self.cells.is_empty() || self.chunks.iter().all(|c| c.kind != ChunkKind::Page)
     }

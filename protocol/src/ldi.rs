@@ -1,7 +1,8 @@
 //! Layered depth images, decoded. The coding lives in `codec`.
 //!
-//! A sample at pixel centre (u, v) with disparity d lies at X = cop + (x right - y up + forward) / d with
-//! x = (left + u) / pixels_per_unit and y = (top + v) / pixels_per_unit (McMillan's X = C + (u a + v b + c) / d).
+//! A sample at pixel centre (u, v) with disparity d lies at X = cop + (x right - y up + forward) /
+//! d with x = (left + u) / pixels_per_unit and y = (top + v) / pixels_per_unit (McMillan's X = C +
+//! (u a + v b + c) / d).
 
 mod check;
 
@@ -38,7 +39,8 @@ impl LdiCamera {
             - self.basis.up * ((f64::from(self.top) + v) * s)
     }
 
-    /// Image coordinates (u, v) and disparity of a world point; None at or behind the centre of projection's plane.
+    /// Image coordinates (u, v) and disparity of a world point; None at or behind the centre of
+    /// projection's plane.
     pub fn project(&self, p: DVec3) -> Option<(f64, f64, f64)> {
         let e = p - self.cop;
         let z = e.dot(self.basis.forward);
@@ -104,26 +106,31 @@ pub struct LdiLayer {
     pub rgb: Vec<[u8; 3]>,
     /// [`LINK_RIGHT`] and [`LINK_DOWN`]: the neighbour in this layer continues the same surface.
     pub links: Vec<u8>,
-    /// How far the surface goes on beyond the sample's centre where no link leads on: [`END_BITS`] for each of [`SIDES`], in units of 1 / [`END_PARTS`] pixel,
-    /// at most [`END_PARTS`]; 0 where it is linked.
+    /// How far the surface goes on beyond the sample's centre where no link leads on: [`END_BITS`]
+    /// for each of [`SIDES`], in units of 1 / [`END_PARTS`] pixel, at most [`END_PARTS`]; 0 where
+    /// it is linked.
     pub ends: Vec<u16>,
-    /// By how much disparity changes more, per column and per row, than along the sample's link on that axis (than not at all without one), in units of [`SLOPE_CODES`] codes,
-    /// where the surface goes on beyond its centre on a side without a link; else 0.
+    /// By how much disparity changes more, per column and per row, than along the sample's link on
+    /// that axis (than not at all without one), in units of [`SLOPE_CODES`] codes, where the
+    /// surface goes on beyond its centre on a side without a link; else 0.
     pub slopes: Vec<[i8; 2]>,
 }
 
-/// Sides of a sample, in the order of [`LdiLayer::ends`] from the lowest bits: left, right, up, down.
+/// Sides of a sample, in the order of [`LdiLayer::ends`] from the lowest bits: left, right, up,
+/// down.
 pub const SIDES: [[i32; 2]; 4] = [[-1, 0], [1, 0], [0, -1], [0, 1]];
 /// Bits of an end.
 pub const END_BITS: usize = 4;
-/// Ends are told in this part of a pixel, so that they are off by an eighth of one at most. By judgement.
+/// Ends are told in this part of a pixel, so that they are off by an eighth of one at most. By
+/// judgement.
 pub const END_PARTS: u16 = 4;
 
-/// Slopes are told in this many codes per pixel: over half a pixel they are off by a quarter of an output pixel for the worst eye. By judgement; finer costs more bytes than
-/// it shows.
+/// Slopes are told in this many codes per pixel: over half a pixel they are off by a quarter of an
+/// output pixel for the worst eye. By judgement; finer costs more bytes than it shows.
 pub const SLOPE_CODES: i32 = 8;
 
-/// Whether a sample's surface goes on along an axis (0: columns, 1: rows) where no link leads: where a slope is told.
+/// Whether a sample's surface goes on along an axis (0: columns, 1: rows) where no link leads:
+/// where a slope is told.
 #[inline]
 pub fn is_loose(ends: u16, axis: usize) -> bool {
     end_of(ends, 2 * axis) | end_of(ends, 2 * axis + 1) != 0
@@ -137,7 +144,8 @@ pub fn end_of(ends: u16, side: usize) -> u16 {
 
 /// The sample in the next column of the same row and layer exists and continues this surface.
 pub const LINK_RIGHT: u8 = 1;
-/// The sample in the same column of the next row and the same layer exists and continues this surface.
+/// The sample in the same column of the next row and the same layer exists and continues this
+/// surface.
 pub const LINK_DOWN: u8 = 2;
 
 impl LdiLayer {
@@ -145,7 +153,8 @@ impl LdiLayer {
     pub fn len(&self) -> usize {
         self.disparity.len()
     }
-    /// Per sample, a bit for each of [`SIDES`] on which it is linked. The layer's segments must be sound.
+    /// Per sample, a bit for each of [`SIDES`] on which it is linked. The layer's segments must be
+    /// sound.
     pub fn linked_sides(&self) -> Vec<u8> {
         let mut out = vec![0; self.len()];
         let places = || {
@@ -171,7 +180,8 @@ impl LdiLayer {
         out
     }
 
-    /// The layer with surfaces that end at the borders of their last pixels and go on as links tell: where nobody knows better.
+    /// The layer with surfaces that end at the borders of their last pixels and go on as links
+    /// tell: where nobody knows better.
     pub fn with_half_ends(mut self) -> Self {
         let half =
             |linked: u8| (0..4).filter(|side| linked >> side & 1 == 0).map(|s| (END_PARTS / 2) << (s * END_BITS)).sum();
@@ -186,8 +196,8 @@ impl LdiLayer {
     }
 }
 
-/// A plane quadrilateral of one colour: a surface that the centre of projection sees so nearly edge-on, or so narrow, that its pixels cannot hold
-/// what eyes beside it see.
+/// A plane quadrilateral of one colour: a surface that the centre of projection sees so nearly
+/// edge-on, or so narrow, that its pixels cannot hold what eyes beside it see.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sliver {
     /// Corners a, b (across from a), e (below a) and f (below b), as some eye sees them.
@@ -199,7 +209,8 @@ pub struct Sliver {
 /// A corner of a [`Sliver`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SliverCorner {
-    /// Column of the image, in units of 1 / [`Sliver::PARTS`]; at most [`Sliver::MARGIN`] columns outside.
+    /// Column of the image, in units of 1 / [`Sliver::PARTS`]; at most [`Sliver::MARGIN`] columns
+    /// outside.
     pub u: i32,
     /// Row, likewise.
     pub v: i32,
@@ -208,18 +219,21 @@ pub struct SliverCorner {
 }
 
 impl Sliver {
-    /// Parts of a pixel that corners are rounded to: an eighth of a picture's pixel where an image's pixel is two.
+    /// Parts of a pixel that corners are rounded to: an eighth of a picture's pixel where an
+    /// image's pixel is two.
     pub const PARTS: i32 = 16;
-    /// Pixels that a corner may lie outside of the image: surfaces that it holds go on beside it; what reaches farther is another image's.
+    /// Pixels that a corner may lie outside of the image: surfaces that it holds go on beside it;
+    /// what reaches farther is another image's.
     pub const MARGIN: i32 = 256;
     /// Most slivers of an image: bounds what a forged chunk can make a reader allocate, to 10 MB.
     pub const MOST: usize = 1 << 18;
 }
 
-/// A layered depth image. Layer 0 holds the nearest samples as seen from the centre of projection; in a
-/// pixel, deeper layers hold farther samples; a deeper layer may repeat a sample of one above it, so that what
-/// continues behind an occluder is linked to what it continues. Layers may skip a pixel. Sky is no sample but a bit per pixel: a background pixel
-/// lies at infinity, so that looking it up needs a rotation only.
+/// A layered depth image. Layer 0 holds the nearest samples as seen from the centre of projection;
+/// in a pixel, deeper layers hold farther samples; a deeper layer may repeat a sample of one above
+/// it, so that what continues behind an occluder is linked to what it continues. Layers may skip a
+/// pixel. Sky is no sample but a bit per pixel: a background pixel lies at infinity, so that
+/// looking it up needs a rotation only.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ldi {
     /// Geometry of the image.
@@ -228,8 +242,8 @@ pub struct Ldi {
     pub codes: DisparityCodes,
     /// Nearest first. May be fewer than the image has, while deeper layers are still on their way.
     pub layers: Vec<LdiLayer>,
-    /// One bit per pixel, rows padded to whole u64 words ([`Ldi::sky_words_per_row`]): from some eye that may
-    /// use the image, nothing of the culled subset covers this direction.
+    /// One bit per pixel, rows padded to whole u64 words ([`Ldi::sky_words_per_row`]): from some
+    /// eye that may use the image, nothing of the culled subset covers this direction.
     pub sky: Vec<u64>,
     /// What the layers' pixels are too coarse for. Comes with the deeper layers.
     pub slivers: Vec<Sliver>,

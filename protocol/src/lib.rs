@@ -3,8 +3,9 @@
 //!
 //! Pure: no I/O, no async, no GPU, no unsafe code. Conventions that hold everywhere:
 //!
-//! - Right-handed world, Y up, metres. An eye with yaw 0 and pitch 0 looks along -Z; positive yaw turns
-//!   left (counter-clockwise seen from above), positive pitch looks up. Angles are in degrees at the doors.
+//! - Right-handed world, Y up, metres. An eye with yaw 0 and pitch 0 looks along -Z; positive yaw
+//!   turns left (counter-clockwise seen from above), positive pitch looks up. Angles are in
+//!   degrees at the doors.
 //! - Pixel centres lie at +0.5; rows count downward.
 //! - World positions are f64; chunks store values relative to their own origin.
 //! - Disparity is 1 / depth along the camera's forward axis, in 1/m; 0 is the sky.

@@ -1,18 +1,21 @@
 //! The manifest: an [`Index`] to one small root and pages, and back.
 //!
-//! The root names the dataset: version, scene, settings, counts and the list of pages with their hashes; it ends in a checksum
-//! of its own, and its BLAKE3 is the dataset's hash. Everything long lies in pages of at most about a thousand entries, each a
-//! chunk by its BLAKE3 like any other, so that the root stays below 256 kB however large the scene is.
+//! The root names the dataset: version, scene, settings, counts and the list of pages with their
+//! hashes; it ends in a checksum of its own, and its BLAKE3 is the dataset's hash. Everything long
+//! lies in pages of at most about a thousand entries, each a chunk by its BLAKE3 like any other,
+//! so that the root stays below 256 kB however large the scene is.
 //!
 //! ```text
 //!   root: "LDM" version | scene, settings | pitch bands | counts | page list | BLAKE3 of all before
 //!   page: "LDP" version | kind | first | count | sections
 //! ```
 //!
-//! Encoding is exact: what comes back equals the index that went in, bit for bit (cell bounds must be f32 values, which the
-//! octree makes them). Decoding validates everything ([`validate()`]), so that later code may index without looking.
+//! Encoding is exact: what comes back equals the index that went in, bit for bit (cell bounds must
+//! be f32 values, which the octree makes them). Decoding validates everything ([`validate()`]), so
+//! that later code may index without looking.
 //!
-//! Where a chunk lies in the packs is not written anywhere: [`layout`] says it, from the list of pages and the chunk table.
+//! Where a chunk lies in the packs is not written anywhere: [`layout`] says it, from the list of
+//! pages and the chunk table.
 
 mod content;
 mod early;
@@ -42,8 +45,8 @@ pub const MAX_PAGE_BYTES: u64 = 64 << 20;
 pub const MAX_ROOT_BYTES: usize = 256_000;
 
 const ROOT: [u8; 3] = *b"LDM";
-/// Entries of a page where that gives at most [`MAX_PAGES`] pages. Larger: a flipped byte costs more to fetch again and pages take
-/// longer to decode; smaller: the root grows.
+/// Entries of a page where that gives at most [`MAX_PAGES`] pages. Larger: a flipped byte costs
+/// more to fetch again and pages take longer to decode; smaller: the root grows.
 const ENTRIES_PER_PAGE: usize = 1024;
 /// Most pages: 40 to 50 bytes of root each.
 const MAX_PAGES: usize = 4096;
@@ -272,7 +275,8 @@ pub fn dataset_hash(root: &[u8]) -> ChunkHash {
 /// Decodes all pages, given in the order of the root's list, and joins them to the index.
 ///
 /// # Errors
-/// If a page is missing, has another hash than listed, is malformed, or the whole breaks a rule of [`validate()`].
+/// If a page is missing, has another hash than listed, is malformed, or the whole breaks a rule of
+/// [`validate()`].
 pub fn assemble<B: AsRef<[u8]>>(root: &Root, pages: &[B]) -> Result<Index, CodecError> {
     if pages.len() != root.pages.len() {
         return Err(CodecError::mismatch("pages", format!("{} of {} pages", pages.len(), root.pages.len())));

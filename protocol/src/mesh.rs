@@ -1,4 +1,5 @@
-//! Near geometry, decoded: clusters of triangles, and cells that place them. The coding lives in `codec`.
+//! Near geometry, decoded: clusters of triangles, and cells that place them. The coding lives in
+//! `codec`.
 
 use glam::{DAffine3, Vec2, Vec3};
 use serde::{Deserialize, Serialize};
@@ -48,8 +49,8 @@ pub enum ClusterRef {
     },
 }
 
-/// The content of a cell's chunk: clusters that no other cell uses, and the instances of all its clusters.
-/// A bundle chunk has the same form with no instances.
+/// The content of a cell's chunk: clusters that no other cell uses, and the instances of all its
+/// clusters. A bundle chunk has the same form with no instances.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct CellGeometry {
     /// Clusters stored here.
@@ -63,7 +64,8 @@ pub struct CellGeometry {
 pub enum Alpha {
     /// Ignored.
     Opaque,
-    /// Texels and factors whose alpha is below the cutoff are not there (blended materials: cutoff 0.5).
+    /// Texels and factors whose alpha is below the cutoff are not there (blended materials: cutoff
+    /// 0.5).
     Mask(f32),
 }
 
@@ -78,7 +80,8 @@ pub struct Material {
     pub alpha: Alpha,
     /// Takes light = 1 instead of [`crate::shade::light`].
     pub unlit: bool,
-    /// Whether back faces are drawn. Everything that judges pictures draws them as the material says.
+    /// Whether back faces are drawn. Everything that judges pictures draws them as the material
+    /// says.
     pub double_sided: bool,
     /// Sampler wrap modes across and down.
     pub wrap: [Wrap; 2],

@@ -1,16 +1,19 @@
-//! What a view needs, and what lies near: pure functions from the [`Index`] to ordered lists of chunk numbers.
+//! What a view needs, and what lies near: pure functions from the [`Index`] to ordered lists of
+//! chunk numbers.
 //!
-//! Server and client compute the same lists: the server to push, the client to pin, to ask for what is missing and to
-//! keep what the server would push again.
+//! Server and client compute the same lists: the server to push, the client to pin, to ask for
+//! what is missing and to keep what the server would push again.
 //!
-//! [`needed`]: the chunks of one view, in two classes. `now` leaves no gap: the first layers of the LDIs in view (they
-//! fill the most pixels per byte, so they go first), then the drawn cells, near to far, each with the bundles it
-//! refers to and the coarse levels of its textures. `fine` only sharpens: deeper layers, then finer texture levels in the
-//! same near-to-far order, those alone that can show from where the view looks ([`Sight`]).
+//! [`needed`]: the chunks of one view, in two classes. `now` leaves no gap: the first layers of
+//! the LDIs in view (they fill the most pixels per byte, so they go first), then the drawn cells,
+//! near to far, each with the bundles it refers to and the coarse levels of its textures. `fine`
+//! only sharpens: deeper layers, then finer texture levels in the same near-to-far order, those
+//! alone that can show from where the view looks ([`Sight`]).
 //!
-//! [`near_to_far`]: everything within a radius of the eye, whatever the direction (Aliaga and Lastra 1999, section 6: "all images
-//! within a radius are loaded near to far"; here cells as well as images), until the cache is full. A chunk that only sharpens
-//! counts as farther ([`FINE_FACTOR`], [`FINE_OFFSET_M`]), so that coarse data reaches farther than fine data.
+//! [`near_to_far`]: everything within a radius of the eye, whatever the direction (Aliaga and
+//! Lastra 1999, section 6: "all images within a radius are loaded near to far"; here cells as well
+//! as images), until the cache is full. A chunk that only sharpens counts as farther
+//! ([`FINE_FACTOR`], [`FINE_OFFSET_M`]), so that coarse data reaches farther than fine data.
 
 use crate::{
     OutputCamera, Pose,
@@ -18,20 +21,23 @@ use crate::{
 };
 use glam::DVec3;
 
-/// A fine chunk at distance d is loaded together with the coarse ones at `FINE_FACTOR * d + FINE_OFFSET_M`. Larger: a
-/// wider ring of coarse data before anything sharpens; 1 and 0: strictly by distance.
+/// A fine chunk at distance d is loaded together with the coarse ones at
+/// `FINE_FACTOR * d + FINE_OFFSET_M`. Larger: a wider ring of coarse data before anything
+/// sharpens; 1 and 0: strictly by distance.
 pub const FINE_FACTOR: f64 = 1.5;
 /// See [`FINE_FACTOR`]; metres.
 pub const FINE_OFFSET_M: f64 = 1.0;
 
-/// The share of a client's cache that may be filled unasked. The rest holds what the views themselves need. The client
-/// keeps this much around the eye from being evicted: were the server to push more, the two would work against each other.
+/// The share of a client's cache that may be filled unasked. The rest holds what the views
+/// themselves need. The client keeps this much around the eye from being evicted: were the server
+/// to push more, the two would work against each other.
 pub const PREFETCH_SHARE: f64 = 0.75;
 
 /// The chunks of one view; no number twice over both lists.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Needed {
-    /// The base layer: the pinned levels of the LDI tree. It comes before everything and stays, whatever the view.
+    /// The base layer: the pinned levels of the LDI tree. It comes before everything and stays,
+    /// whatever the view.
     pub base: Vec<u32>,
     /// Without these the view has gaps. In the order of sending.
     pub now: Vec<u32>,
@@ -46,13 +52,15 @@ impl Needed {
     }
 }
 
-/// Share of a client's cache that the needs of one view may take, decoded. The rest is for what is being decoded, and for the last view.
+/// Share of a client's cache that the needs of one view may take, decoded. The rest is for what is
+/// being decoded, and for the last view.
 pub const VIEW_SHARE: f64 = 0.9;
 
 impl Needed {
-    /// The same without what a cache of `cap_bytes` cannot hold beside the rest: levels that only sharpen go first, the last ones first,
-    /// then images, whose place the LDI tree takes, then the farthest cells. Without this a view would push out its own chunks and fetch
-    /// them again in every frame.
+    /// The same without what a cache of `cap_bytes` cannot hold beside the rest: levels that only
+    /// sharpen go first, the last ones first, then images, whose place the LDI tree takes, then
+    /// the farthest cells. Without this a view would push out its own chunks and fetch them again
+    /// in every frame.
     #[must_use]
     pub fn within(self, index: &Index, cap_bytes: u64) -> Self {
         let bytes = |c: &u32| index.chunks.get(*c as usize).map_or(0, |e| u64::from(e.decoded_bytes));
@@ -127,7 +135,8 @@ impl Sight {
         Self { eye: pose.position, forward, cos_corner, focal_log2: (focal_px / cos_corner).log2() }
     }
 
-    /// The same with pixels `factor` times as fine, above 1: of what shows from a little nearer, too.
+    /// The same with pixels `factor` times as fine, above 1: of what shows from a little nearer,
+    /// too.
     #[must_use]
     pub fn finer(self, factor: f64) -> Self {
         Self { focal_log2: self.focal_log2 + factor.log2(), ..self }
@@ -135,8 +144,10 @@ impl Sight {
 
     /// The finest level that any pixel shows of a texture with this density in this cell.
     ///
-    /// From one pixel to the next the eye's ray moves by `depth / focal` times the cosine of its angle off the axis on a surface, at least, whichever way that is turned. The longer of both pixels' steps
-    /// over the texture, which decides the level ([`crate::texture::lod_of`]), is as long as their root mean square at least.
+    /// From one pixel to the next the eye's ray moves by `depth / focal` times the cosine of its
+    /// angle off the axis on a surface, at least, whichever way that is turned. The longer of both
+    /// pixels' steps over the texture, which decides the level ([`crate::texture::lod_of`]), is as
+    /// long as their root mean square at least.
     fn finest_level(&self, cell: &CellEntry, density: i8) -> u8 {
         let (centre, half) = (cell.bounds.centre(), cell.bounds.size() * 0.5);
         let nearest = self.forward.dot(centre - self.eye) - self.forward.abs().dot(half);
@@ -149,7 +160,8 @@ impl Sight {
     }
 }
 
-/// What a view needs that draws `drawn_cells` (near to far), warps `images` and refines the LDI tree by the chunks `tree`, seen from `sight`.
+/// What a view needs that draws `drawn_cells` (near to far), warps `images` and refines the LDI
+/// tree by the chunks `tree`, seen from `sight`.
 pub fn needed(index: &Index, images: &[u32], drawn_cells: &[u32], tree: &[u32], sight: &Sight) -> Needed {
     let mut set = OrderedSet::new(index.chunks.len());
     index.tree.iter().flat_map(|t| t.pinned_chunks()).for_each(|c| set.insert(c));
@@ -201,8 +213,8 @@ pub struct Reach {
     pub decoded_bytes: u64,
 }
 
-/// Chunks around an eye, near to far, up to `reach`. The list ends before the first chunk that would exceed the bytes, so
-/// that what is near never gives way to something smaller and farther.
+/// Chunks around an eye, near to far, up to `reach`. The list ends before the first chunk that
+/// would exceed the bytes, so that what is near never gives way to something smaller and farther.
 pub fn near_to_far(index: &Index, eye: DVec3, reach: Reach) -> Vec<u32> {
     let fine = |d: f64| FINE_FACTOR * d + FINE_OFFSET_M;
     // Distance, then a rank and a number that make the order total and the same on every machine.

@@ -10,7 +10,8 @@ use proptest::prelude::*;
 
 const CELLS: usize = 4;
 
-/// Chunks 0..4 cells, 4 bundle, 5 and 6 the levels of texture 0, 7 and 8 the layers of LDI 0, 9 the one layer of LDI 1.
+/// Chunks 0..4 cells, 4 bundle, 5 and 6 the levels of texture 0, 7 and 8 the layers of LDI 0, 9
+/// the one layer of LDI 1.
 fn row_of_cells() -> Index {
     let chunk = |i: usize, kind| ChunkEntry {
         hash: ChunkHash([i as u8; 32]),
@@ -131,7 +132,8 @@ fn levels_finer_than_a_pixel_shows_are_left_out() {
     let fine = |index: &Index, pose: &Pose, supersample| {
         needed(index, &[], &[1], &[], &Sight::new(pose, &camera, supersample)).fine
     };
-    // Level 0 is the last to be needed where a pixel is less than two texels wide; steps from pixel to pixel may be 0.81 times as long at the corners.
+    // Level 0 is the last to be needed where a pixel is less than two texels wide; steps from
+    // pixel to pixel may be 0.81 times as long at the corners.
     let (few, many) = (0.9 * 2.0 / 0.18, 1.1 * 2.0 / (0.18 * 0.81));
     for (texels_per_m, expected) in [(few, &[6u32][..]), (many, &[])] {
         index.cells[1].texel_density = vec![(4.0 * f64::log2(texels_per_m)).round() as i8];
@@ -156,7 +158,8 @@ fn around_the_eye_near_comes_before_far_and_coarse_before_fine() {
     let index = row_of_cells();
     let everything = Reach { radius_m: 1e9, decoded_bytes: u64::MAX };
     let list = near_to_far(&index, DVec3::new(0.5, 0.5, 0.5), everything);
-    // Distances: cell 0 at 0; users of placement 0 at 4.6; cell 1 at 9.5, sharper at 15.2; cell 2 at 19.5; of placement 1 at 24.5; cell 3 at 29.5.
+    // Distances: cell 0 at 0; users of placement 0 at 4.6; cell 1 at 9.5, sharper at 15.2; cell 2
+    // at 19.5; of placement 1 at 24.5; cell 3 at 29.5.
     assert_eq!(list, [0, 7, 8, 1, 5, 6, 2, 4, 9, 3]);
     let near = near_to_far(&index, DVec3::new(0.5, 0.5, 0.5), Reach { radius_m: 5.0, ..everything });
     assert_eq!(near, [0, 7]);

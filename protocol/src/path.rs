@@ -1,20 +1,25 @@
 //! Path files: what `ldi-client walk`, `ldi-server render` and `plan` walk along.
 //!
-//! In: the JSON text of a path file (`docs/user/guide.md`). Out: a [`Walk`], one pose per frame, the same on every machine.
+//! In: the JSON text of a path file (`docs/user/guide.md`). Out: a [`Walk`], one pose per frame,
+//! the same on every machine.
 //!
 //! A file holds `poses`, taken as they are, or `waypoints`, walked like this:
 //!
-//! - Frame 0 stands at the first waypoint and looks along the first segment. Every frame goes `speed / fps` metres farther along the
-//!   polyline and looks along its segment, level (pitch 0).
-//! - A waypoint whose next heading differs by more than 1 degree is a stop: the frame that would pass it stands on it instead, still
-//!   looking along the old segment; the following frames turn the shorter way by `120 / fps` degrees each (left when both
-//!   are 180 degrees) until within 1 degree; the next frame walks on along the new segment. Other waypoints are passed without a stop.
-//! - Segments of no length are dropped. A segment straight up or down has no heading and keeps the one before it.
+//! - Frame 0 stands at the first waypoint and looks along the first segment. Every frame goes
+//!   `speed / fps` metres farther along the polyline and looks along its segment, level (pitch 0).
+//! - A waypoint whose next heading differs by more than 1 degree is a stop: the frame that would
+//!   pass it stands on it instead, still looking along the old segment; the following frames turn
+//!   the shorter way by `120 / fps` degrees each (left when both are 180 degrees) until within 1
+//!   degree; the next frame walks on along the new segment. Other waypoints are passed without a
+//!   stop.
+//! - Segments of no length are dropped. A segment straight up or down has no heading and keeps the
+//!   one before it.
 //! - The last frame stands on the last waypoint; a closed path goes on from there to the first one.
 //! - t = index / fps.
 //!
-//! Same on every machine: only +, -, *, / and square roots, which IEEE 754 rounds alike everywhere, decide positions; headings come
-//! from `atan2`, whose last bits differ between systems, and are therefore rounded to 2^-30 degrees.
+//! Same on every machine: only +, -, *, / and square roots, which IEEE 754 rounds alike
+//! everywhere, decide positions; headings come from `atan2`, whose last bits differ between
+//! systems, and are therefore rounded to 2^-30 degrees.
 
 use crate::Pose;
 use glam::DVec3;
@@ -23,9 +28,11 @@ use std::{collections::BTreeMap, io::Read};
 
 /// Longest text that is parsed.
 pub const MAX_TEXT_BYTES: usize = 256 << 20;
-/// Most poses of a walk: nine hours at 60 frames per second. More is taken for a mistake in `speed` or `fps`.
+/// Most poses of a walk: nine hours at 60 frames per second. More is taken for a mistake in
+/// `speed` or `fps`.
 pub const MAX_POSES: usize = 2_000_000;
-/// Largest coordinate, metres: beyond it f64 no longer resolves a nanometre and the file is surely not in metres.
+/// Largest coordinate, metres: beyond it f64 no longer resolves a nanometre and the file is surely
+/// not in metres.
 const MAX_COORDINATE_M: f64 = 1e7;
 /// The walker turns this fast.
 const TURN_DEG_PER_S: f64 = 120.0;
@@ -111,7 +118,8 @@ struct FilePose {
     pitch: f64,
 }
 
-/// Reads a path file, of bounded size, and walks it. `tell` gets what is no error but should be told.
+/// Reads a path file, of bounded size, and walks it. `tell` gets what is no error but should be
+/// told.
 ///
 /// # Errors
 /// If the file cannot be read, or as [`parse`].
@@ -128,8 +136,9 @@ pub fn read(file: impl Read, tell: impl FnOnce(&str)) -> Result<Walk, PathError>
 /// Fields of a [`PathFile`].
 const FIELDS: [&str; 6] = ["fps", "speed", "eye_height", "closed", "waypoints", "poses"];
 
-/// What says that fields of a path file mean nothing here, if some do: a slip of the pen in an optional one would else walk at the usual speed unnoticed. No
-/// error, as other programs may keep something of theirs in it.
+/// What says that fields of a path file mean nothing here, if some do: a slip of the pen in an
+/// optional one would else walk at the usual speed unnoticed. No error, as other programs may keep
+/// something of theirs in it.
 fn unknown_fields(json: &str) -> Option<String> {
     let fields: BTreeMap<String, serde::de::IgnoredAny> = serde_json::from_str(without_mark(json)).ok()?;
     let unknown: Vec<_> = fields.into_keys().filter(|k| !FIELDS.contains(&&**k)).map(|k| format!("`{k}`")).collect();
@@ -165,7 +174,8 @@ pub fn parse(json: &str) -> Result<Walk, PathError> {
 }
 
 impl Walk {
-    /// `n` pose numbers evenly spaced over the walk, from the first on (all of them if there are no more than `n`).
+    /// `n` pose numbers evenly spaced over the walk, from the first on (all of them if there are
+    /// no more than `n`).
     pub fn evenly_spaced(&self, n: usize) -> Vec<usize> {
         let n = n.min(self.poses.len());
         (0..n).map(|i| i * self.poses.len() / n).collect()

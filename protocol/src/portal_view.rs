@@ -1,9 +1,9 @@
-//! Recursive portal culling: what may be seen from an eye, cell by cell (Luebke and Georges 1995, "Portals and mirrors"; Rafferty et
-//! al. 1998, section 2.1).
+//! Recursive portal culling: what may be seen from an eye, cell by cell (Luebke and Georges 1995,
+//! "Portals and mirrors"; Rafferty et al. 1998, section 2.1).
 //!
-//! In: [`Rooms`], an eye with its frustum. Out: for each cell that may be seen the cones in which it may be seen. Unlike those sources, a
-//! portal is clipped as a polygon, not as the rectangle around it on the screen, so a cone is exactly what the portals on the way leave
-//! open:
+//! In: [`Rooms`], an eye with its frustum. Out: for each cell that may be seen the cones in which
+//! it may be seen. Unlike those sources, a portal is clipped as a polygon, not as the rectangle
+//! around it on the screen, so a cone is exactly what the portals on the way leave open:
 //!
 //! ```text
 //!   eye --<======|  portal 1   cone: apex and one plane per side of the clipped polygon
@@ -11,15 +11,21 @@
 //!                 \==|  portal 2, clipped by the cone of portal 1
 //! ```
 //!
-//! Nothing that can be seen is missed, if the rooms keep their promise (a line of sight leaves a cell only through portals):
-//! - A line of sight crosses portals in some order; its direction lies in every polygon's cone, hence in their intersection.
-//! - A portal is crossed only from the side on which the eye is: a straight line crosses a plane once.
-//! - A cell is not entered again with a cone that lies within one it was entered with: everything beyond was then found. This ends
-//!   cycles, and every path, since cones only shrink.
-//! - An eye closer to a portal than the margin of the rooms sees through it unclipped, and counts as being on both sides.
-//! - What exceeds [`MAX_CONES`] or [`MAX_VISITS`] is given the whole frustum instead of being dropped.
+//! Nothing that can be seen is missed, if the rooms keep their promise (a line of sight leaves a
+//! cell only through portals):
+//! - A line of sight crosses portals in some order; its direction lies in every polygon's cone,
+//!   hence in their intersection.
+//! - A portal is crossed only from the side on which the eye is: a straight line crosses a plane
+//!   once.
+//! - A cell is not entered again with a cone that lies within one it was entered with: everything
+//!   beyond was then found. This ends cycles, and every path, since cones only shrink.
+//! - An eye closer to a portal than the margin of the rooms sees through it unclipped, and counts
+//!   as being on both sides.
+//! - What exceeds [`MAX_CONES`] or [`MAX_VISITS`] is given the whole frustum instead of being
+//!   dropped.
 //!
-//! More may be reported than is seen: furniture and walls that stand within a cell hide nothing here.
+//! More may be reported than is seen: furniture and walls that stand within a cell hide nothing
+//! here.
 
 use crate::{
     camera::Frustum,
@@ -27,12 +33,14 @@ use crate::{
 };
 use glam::DVec3;
 
-/// Most cones of one cell; beyond it the cell counts as seen in the whole frustum. More: exacter, and slower where dozens of openings
-/// see each other. Fewer: open halls lose their narrow cones.
+/// Most cones of one cell; beyond it the cell counts as seen in the whole frustum. More: exacter,
+/// and slower where dozens of openings see each other. Fewer: open halls lose their narrow cones.
 pub const MAX_CONES: usize = 64;
-/// Most steps through portals for one view; beyond it every cell counts as seen. A bound on time, far above what buildings take.
+/// Most steps through portals for one view; beyond it every cell counts as seen. A bound on time,
+/// far above what buildings take.
 pub const MAX_VISITS: usize = 50_000;
-/// How far outside of a plane a point may be and still count as inside, as a part of its distance: rounding must not lose a sliver.
+/// How far outside of a plane a point may be and still count as inside, as a part of its distance:
+/// rounding must not lose a sliver.
 const TOLERANCE: f64 = 1.0e-9;
 
 /// A convex, semi-infinite pyramid.
@@ -50,7 +58,8 @@ impl Cone {
     /// The cone of a frustum.
     pub fn of_frustum(f: &Frustum) -> Self {
         let [left, right, bottom, top] = f.normals;
-        // Around: left, bottom, right, top. The sum of the normals points forward, which tells an edge from its opposite.
+        // Around: left, bottom, right, top. The sum of the normals points forward, which tells an
+        // edge from its opposite.
         let around = [left, bottom, right, top];
         let forward: DVec3 = around.iter().sum();
         let edge = |i: usize| {
@@ -110,7 +119,8 @@ impl Cone {
         self.normals.iter().all(|n| n.dot(v) + reach >= 0.0)
     }
 
-    /// The part of a convex polygon within the cone (Sutherland and Hodgman 1974); empty if there is none.
+    /// The part of a convex polygon within the cone (Sutherland and Hodgman 1974); empty if there
+    /// is none.
     pub fn clip(&self, polygon: &[DVec3]) -> Vec<DVec3> {
         let mut clipping = Clipping::default();
         clipping.clip(self, polygon);
@@ -204,8 +214,9 @@ impl PortalView {
     }
 }
 
-/// Steps through portals for one view of a frame. Beyond it everything counts as seen, which is right but costs budget. Larger: halls with hundreds of gaps are culled more exactly, and
-/// frames of them take longer: half a microsecond to one per step.
+/// Steps through portals for one view of a frame. Beyond it everything counts as seen, which is
+/// right but costs budget. Larger: halls with hundreds of gaps are culled more exactly, and frames
+/// of them take longer: half a microsecond to one per step.
 pub const VISITS_PER_VIEW: usize = 1_000;
 
 /// What an eye at the frustum's apex may see within the frustum.
@@ -214,8 +225,9 @@ pub fn portal_view(rooms: &Rooms, frustum: &Frustum) -> PortalView {
     portal_view_within(rooms, frustum, &start, &|_| true, MAX_VISITS)
 }
 
-/// The same, but only through cells that `enters` admits: portals into others are [`PortalView::thresholds`]. `start`: the cells of the eye,
-/// [`Rooms::cells_near`] within the margin; `most_visits` in place of [`MAX_VISITS`].
+/// The same, but only through cells that `enters` admits: portals into others are
+/// [`PortalView::thresholds`]. `start`: the cells of the eye, [`Rooms::cells_near`] within the
+/// margin; `most_visits` in place of [`MAX_VISITS`].
 pub fn portal_view_within(
     rooms: &Rooms,
     frustum: &Frustum,

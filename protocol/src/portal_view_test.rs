@@ -1,4 +1,5 @@
-//! Worlds of boxes with rectangular holes in their walls, judged by rays that step from box to box: no code is shared with the culling.
+//! Worlds of boxes with rectangular holes in their walls, judged by rays that step from box to
+//! box: no code is shared with the culling.
 
 use super::*;
 use crate::camera::ViewBasis;
@@ -6,7 +7,8 @@ use crate::rooms::{Cell, Portal, PortalKind};
 use crate::{Aabb, OutputCamera};
 use proptest::prelude::*;
 
-/// Boxes on a raster of unequal pitch. Some places have no cell: courtyards, which belong to the outside.
+/// Boxes on a raster of unequal pitch. Some places have no cell: courtyards, which belong to the
+/// outside.
 struct World {
     borders: [Vec<f64>; 3],
     cell: Vec<CellId>,
@@ -84,7 +86,8 @@ impl World {
                         (p[a], p[u], p[v]) = (b.max[a], pu, pv);
                         p
                     };
-                    // u x v is the axis, so this order points along it: from this cell into the other.
+                    // u x v is the axis, so this order points along it: from this cell into the
+                    // other.
                     let corners = vec![corner(u0, v0), corner(u1, v0), corner(u1, v1), corner(u0, v1)];
                     portals.push(Portal { cells: [this, other], kind: PortalKind::Given, corners });
                 }
@@ -204,7 +207,8 @@ proptest! {
     }
 }
 
-/// How many cells are reported that no ray of 320 x 200 reaches. Printed; the bound only says that the cones do cull.
+/// How many cells are reported that no ray of 320 x 200 reaches. Printed; the bound only says that
+/// the cones do cull.
 #[test]
 fn overestimates_little() {
     let (mut reported, mut reached, mut all, mut clipped) = (0, 0, 0, 0);
@@ -269,7 +273,8 @@ fn an_eye_in_a_doorway_sees_both_rooms_whichever_way_it_looks() {
     }
 }
 
-/// Points of the polygon lie in the clipped one exactly if they lie in the cone, and no polygon of which something is left is rejected by its ball.
+/// Points of the polygon lie in the clipped one exactly if they lie in the cone, and no polygon of
+/// which something is left is rejected by its ball.
 #[test]
 fn clipping_keeps_what_lies_in_the_cone_and_the_ball_rejects_nothing_of_it() {
     let mut r = Random(11);

@@ -1,14 +1,18 @@
-//! Rooms in a dataset: which of its cells lie in which room, and which images show what lies beyond which portal.
+//! Rooms in a dataset: which of its cells lie in which room, and which images show what lies
+//! beyond which portal.
 //!
-//! "Room" is a cell of [`Rooms`] here, or the outside; "cell" is a cell of the octree, the unit of near geometry. A cell lies in every room that it
-//! touches, so a wall lies in two; it is stored once and drawn once per frame.
+//! "Room" is a cell of [`Rooms`] here, or the outside; "cell" is a cell of the octree, the unit of
+//! near geometry. A cell lies in every room that it touches, so a wall lies in two; it is stored
+//! once and drawn once per frame.
 //!
-//! A portal has two sides. On each there may be placements for eyes of some boxes ([`Placement::users`](crate::index::Placement::users)): their images hold everything
-//! that is seen through the portal from there, but the cells of the room before it, which are drawn with that room. Of those eyes only the ones that face the portal
-//! use them ([`is_faced`]).
+//! A portal has two sides. On each there may be placements for eyes of some boxes
+//! ([`Placement::users`](crate::index::Placement::users)): their images hold everything that is
+//! seen through the portal from there, but the cells of the room before it, which are drawn with
+//! that room. Of those eyes only the ones that face the portal use them ([`is_faced`]).
 //!
-//! Besides these, or instead, a side may have the images of Rafferty, Aliaga, Popescu and Lastra 1998 ([`SideImages`]): depth images from a semicircle before the portal,
-//! and one layered image merged from them. Which of all these a frame shows is told by [`ShowPortals`].
+//! Besides these, or instead, a side may have the images of Rafferty, Aliaga, Popescu and Lastra
+//! 1998 ([`SideImages`]): depth images from a semicircle before the portal, and one layered image
+//! merged from them. Which of all these a frame shows is told by [`ShowPortals`].
 
 use crate::{
     index::Placement,
@@ -21,11 +25,14 @@ use std::ops::Range;
 /// Most placements on one side of a portal.
 pub const MAX_PLACEMENTS: usize = 4096;
 
-/// Eyes that see a portal more askew than this have no image of it: the distance from its plane over that from the portal, the sine of 30 degrees. What such eyes see
-/// through it is at most half as wide as the portal, and is geometry. Smaller: images for ever flatter views, each with more samples at its sides.
+/// Eyes that see a portal more askew than this have no image of it: the distance from its plane
+/// over that from the portal, the sine of 30 degrees. What such eyes see through it is at most
+/// half as wide as the portal, and is geometry. Smaller: images for ever flatter views, each with
+/// more samples at its sides.
 pub const LEAST_SINE: f64 = 0.5;
 
-/// Most reference images on one side of a portal: one for each degree of the semicircle (Rafferty et al. 1998, section 2.2: popping is gone at about one per degree).
+/// Most reference images on one side of a portal: one for each degree of the semicircle (Rafferty
+/// et al. 1998, section 2.2: popping is gone at about one per degree).
 pub const MAX_REFERENCES: usize = 181;
 
 /// What shows beyond a portal.
@@ -37,7 +44,8 @@ pub enum PortalImages {
     Offered,
     /// Layered images made for boxes of eyes, each with a bound on its samples' footprint.
     Zones,
-    /// The colours of the central reference image, painted onto the portal (Rafferty et al. 1998, section 2.2).
+    /// The colours of the central reference image, painted onto the portal (Rafferty et al. 1998,
+    /// section 2.2).
     Texture,
     /// Those of the nearest reference image.
     Textures,
@@ -67,7 +75,8 @@ pub struct ShowPortals {
     /// What shows beyond them.
     #[serde(default)]
     pub images: PortalImages,
-    /// Images wherever a portal has one for the eye, as in the system of 1998, even where geometry would fit the budget.
+    /// Images wherever a portal has one for the eye, as in the system of 1998, even where geometry
+    /// would fit the budget.
     #[serde(default)]
     pub everywhere: bool,
 }
@@ -99,10 +108,12 @@ impl BuiltImages {
     }
 }
 
-/// The images of one side of a portal as of Rafferty et al. 1998; each is a placement of one image, parallel to the portal.
+/// The images of one side of a portal as of Rafferty et al. 1998; each is a placement of one
+/// image, parallel to the portal.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SideImages {
-    /// Placements of the reference images, from left to right along the semicircle; empty where no eye can be before the portal.
+    /// Placements of the reference images, from left to right along the semicircle; empty where no
+    /// eye can be before the portal.
     pub references: Range<u32>,
     /// The reference image that looks most nearly straight at the portal: one of `references`.
     pub central: u32,
@@ -110,7 +121,8 @@ pub struct SideImages {
     pub layered: Option<u32>,
 }
 
-/// Whether an eye may have an image of a portal seen from one of its sides: far enough and not too askew.
+/// Whether an eye may have an image of a portal seen from one of its sides: far enough and not too
+/// askew.
 pub fn is_faced(portal: &Portal, side: usize, eye: DVec3, near_m: f64) -> bool {
     let before = (portal.corners[0] - eye).dot(portal.normal()) * if side == 0 { 1.0 } else { -1.0 };
     let distance = portal.distance_m(eye);
@@ -126,13 +138,16 @@ pub struct RoomIndex {
     pub near_m: f64,
     /// Per room the cells that touch it, ascending; those of the outside come last.
     pub cells_of: Vec<Vec<u32>>,
-    /// Per portal and side the placements for eyes that look through it from there: side 0 from the portal's first room.
+    /// Per portal and side the placements for eyes that look through it from there: side 0 from
+    /// the portal's first room.
     pub placements: Vec<[Range<u32>; 2]>,
     /// Which images were to be made.
     pub built: BuiltImages,
-    /// Per portal and side the images of 1998. Empty where none were to be made ([`BuiltImages::Ours`]).
+    /// Per portal and side the images of 1998. Empty where none were to be made
+    /// ([`BuiltImages::Ours`]).
     pub sides: Vec<[SideImages; 2]>,
-    /// Per room, the outside last, whether its eyes are served by the grid although rooms would do: walks need less so. Empty: in none.
+    /// Per room, the outside last, whether its eyes are served by the grid although rooms would
+    /// do: walks need less so. Empty: in none.
     #[serde(default)]
     pub by_grid: Vec<bool>,
 }
@@ -172,10 +187,12 @@ impl RoomIndex {
         }
     }
 
-    /// The placements whose images show a portal to an eye on one of its sides, best first; `images` is not [`PortalImages::Offered`]. Empty: none may, so that it sees geometry.
+    /// The placements whose images show a portal to an eye on one of its sides, best first;
+    /// `images` is not [`PortalImages::Offered`]. Empty: none may, so that it sees geometry.
     ///
-    /// Of reference images the nearest is the one whose place lies most nearly in the eye's horizontal direction from the portal: for other eyes in that direction, however far
-    /// away, the picture in the portal differs least.
+    /// Of reference images the nearest is the one whose place lies most nearly in the eye's
+    /// horizontal direction from the portal: for other eyes in that direction, however far away,
+    /// the picture in the portal differs least.
     pub fn shown(&self, all: &[Placement], images: PortalImages, portal: u32, side: usize, eye: DVec3) -> Vec<u32> {
         if images == PortalImages::Zones {
             return self.placement_for(all, portal, side, eye).into_iter().collect();
@@ -199,8 +216,9 @@ impl RoomIndex {
         nearest.into_iter().take(count).map(|n| n.1).collect()
     }
 
-    /// The rules: a list of cells for every room, ascending and of cells that exist; ranges of placements for every portal, of placements that
-    /// no grid point has; images of 1998 for every portal or for none, each side's central one among its references.
+    /// The rules: a list of cells for every room, ascending and of cells that exist; ranges of
+    /// placements for every portal, of placements that no grid point has; images of 1998 for every
+    /// portal or for none, each side's central one among its references.
     ///
     /// # Errors
     /// The first broken rule, in words.

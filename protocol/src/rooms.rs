@@ -1,9 +1,11 @@
 //! Rooms: cells and the portals between them (Rafferty et al. 1998, section 2.1).
 //!
-//! A cell is a part of space: the union of upright boxes, which may touch but share no volume with another cell's. What lies in no
-//! cell is the outside. A portal is a flat convex polygon in the border of two cells, or of a cell and the outside. The promise that
-//! culling rests on: **a straight line that no surface stops leaves a cell only through its portals** (or through the outer border of a
-//! margin around them, [`Rooms::margin_m`]: borders of cells follow a raster, portals do not).
+//! A cell is a part of space: the union of upright boxes, which may touch but share no volume with
+//! another cell's. What lies in no cell is the outside. A portal is a flat convex polygon in the
+//! border of two cells, or of a cell and the outside. The promise that culling rests on: **a
+//! straight line that no surface stops leaves a cell only through its portals** (or through the
+//! outer border of a margin around them, [`Rooms::margin_m`]: borders of cells follow a raster,
+//! portals do not).
 //!
 //! ```text
 //!    +-------+------+        cells: 0, 1, 2; the outside is None
@@ -13,7 +15,8 @@
 //!    outside |  2   |
 //! ```
 //!
-//! Pure data, read from strangers: [`Rooms::new`] is the only door, and checks numbers, names, shapes and references.
+//! Pure data, read from strangers: [`Rooms::new`] is the only door, and checks numbers, names,
+//! shapes and references.
 
 use crate::Aabb;
 use glam::DVec3;
@@ -112,7 +115,8 @@ impl Portal {
         }
     }
 
-    /// Where a line from its side `side` (0: of the first cell) passes through the polygon: factor of `ray`, above 0.
+    /// Where a line from its side `side` (0: of the first cell) passes through the polygon: factor
+    /// of `ray`, above 0.
     pub fn crossed(&self, side: usize, origin: DVec3, ray: DVec3) -> Option<f64> {
         let normal = self.normal();
         let toward = if side == 0 { normal } else { -normal };
@@ -145,7 +149,8 @@ impl Portal {
     }
 }
 
-/// Twice the area times the unit normal of a polygon, relative to its first corner, so that far-off polygons keep their precision.
+/// Twice the area times the unit normal of a polygon, relative to its first corner, so that
+/// far-off polygons keep their precision.
 pub fn newell(corners: &[DVec3]) -> DVec3 {
     let n = corners.len();
     (0..n).map(|i| (corners[i] - corners[0]).cross(corners[(i + 1) % n] - corners[0])).sum()
@@ -211,7 +216,8 @@ impl Rooms {
     /// `margin_m`: how far a cell's boxes may be off its portals' planes, metres, 0 or more.
     ///
     /// # Errors
-    /// Numbers out of range, empty or equal names, cells without a box, portals that are not flat and convex or lead nowhere.
+    /// Numbers out of range, empty or equal names, cells without a box, portals that are not flat
+    /// and convex or lead nowhere.
     pub fn new(margin_m: f64, cells: Vec<Cell>, portals: Vec<Portal>) -> Result<Self, RoomsError> {
         if !(0.0..=10.0).contains(&margin_m) {
             return fault("margin_m", format!("{margin_m} is not between 0 and 10 m"));
@@ -301,7 +307,8 @@ impl Rooms {
         (0..self.cells.len()).find(|c| holds(*c)).map(|c| c as u32)
     }
 
-    /// Every cell within `margin_m` of a point, and the outside when that may be: where a walk through the portals starts.
+    /// Every cell within `margin_m` of a point, and the outside when that may be: where a walk
+    /// through the portals starts.
     pub fn cells_near(&self, p: DVec3, margin_m: f64) -> Vec<CellId> {
         let mut near: Vec<CellId> = (0..self.cells.len() as u32)
             .filter(|c| self.bounds[*c as usize].distance(p) <= margin_m)
@@ -331,7 +338,8 @@ impl TryFrom<Raw> for Rooms {
     }
 }
 
-/// Whether the polygon has an area, lies in a plane, and turns the same way at every corner, once around.
+/// Whether the polygon has an area, lies in a plane, and turns the same way at every corner, once
+/// around.
 pub fn is_flat_convex(corners: &[DVec3]) -> bool {
     let n = corners.len();
     if n < 3 || !corners.iter().all(|c| c.is_finite()) {

@@ -2,7 +2,8 @@
 
 use std::{borrow::Cow, error::Error, io};
 
-/// Whether what keeps a file from being read or written stays so: a full disk may be emptied, a folder that is not there does not come by itself.
+/// Whether what keeps a file from being read or written stays so: a full disk may be emptied, a
+/// folder that is not there does not come by itself.
 pub fn is_lasting(e: &io::Error) -> bool {
     use io::ErrorKind as Kind;
     matches!(

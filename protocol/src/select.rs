@@ -1,10 +1,11 @@
-//! `select`: from a pose to what is drawn. A pure function over the [`Index`], so that the server plans with
-//! exactly what the client renders with (Aliaga and Lastra 1999, Figure 12).
+//! `select`: from a pose to what is drawn. A pure function over the [`Index`], so that the server
+//! plans with exactly what the client renders with (Aliaga and Lastra 1999, Figure 12).
 //!
-//! In a dataset with rooms: pose -> its room -> portals ([`portals`]); where that exceeds the budget, and in a dataset without rooms:
-//! pose -> closest grid point (in the reverse frustum, or anywhere: [`CELLS`]) -> pitch band -> angular range -> placement or none
-//! -> cells in view that the placement does not replace. The build counts for every grid point what these steps can draw for any of
-//! its users; [`draw_list`] keeps the budget for all other poses too.
+//! In a dataset with rooms: pose -> its room -> portals ([`portals`]); where that exceeds the
+//! budget, and in a dataset without rooms: pose -> closest grid point (in the reverse frustum, or
+//! anywhere: [`CELLS`]) -> pitch band -> angular range -> placement or none -> cells in view that
+//! the placement does not replace. The build counts for every grid point what these steps can draw
+//! for any of its users; [`draw_list`] keeps the budget for all other poses too.
 
 mod groups;
 mod portals;
@@ -26,8 +27,9 @@ use serde::{Deserialize, Serialize};
 /// Samples may lie before their image's plane by this share of its distance: depths are rounded.
 const PLANE_SLACK: f64 = 1e-3;
 
-/// Share of the budget for far cells that fill much of the picture, where not all cells in view fit into it. Larger: less of what is near
-/// is geometry; 0: hills behind a town are as soft as the town.
+/// Share of the budget for far cells that fill much of the picture, where not all cells in view
+/// fit into it. Larger: less of what is near is geometry; 0: hills behind a town are as soft as
+/// the town.
 const WIDE_SHARE: f64 = 0.1;
 
 /// So near is a direction beside another, degrees: less than a picture's pixel, more than rounding.
@@ -36,8 +38,8 @@ const BESIDE_DEG: f64 = 1e-3;
 /// An eye this close to a placement's users is one of them, metres: rounding.
 const USERS_SLACK_M: f64 = 1e-6;
 
-/// Value of `BuildSettings::grid` for view cells: the closest grid point counts, wherever it lies. Any other value: the paper's
-/// scheme, the closest one in the reverse frustum.
+/// Value of `BuildSettings::grid` for view cells: the closest grid point counts, wherever it lies.
+/// Any other value: the paper's scheme, the closest one in the reverse frustum.
 pub const CELLS: &str = "cells";
 
 /// Where a client takes what is far from.
@@ -78,13 +80,13 @@ pub struct Show {
 pub struct Selection {
     /// The closest grid point inside the reverse frustum; None without a grid.
     pub grid_point: Option<u32>,
-    /// The placement of the pose's angular range, if its images were made for this eye. None draws geometry alone, as far as the
-    /// budget goes.
+    /// The placement of the pose's angular range, if its images were made for this eye. None draws
+    /// geometry alone, as far as the budget goes.
     pub placement: Option<u32>,
 }
 
-/// The frusta that a cell must touch to be drawn: the planning square and the picture itself. Testing both makes the
-/// drawn cells a subset of those counted at the grid point, plane by plane.
+/// The frusta that a cell must touch to be drawn: the planning square and the picture itself.
+/// Testing both makes the drawn cells a subset of those counted at the grid point, plane by plane.
 #[derive(Debug, Clone, Copy)]
 pub struct DrawFrusta {
     square: Frustum,
@@ -92,7 +94,8 @@ pub struct DrawFrusta {
 }
 
 impl DrawFrusta {
-    /// Frusta of a pose under the build's settings. A picture wider or taller than planned is cut to the square.
+    /// Frusta of a pose under the build's settings. A picture wider or taller than planned is cut
+    /// to the square.
     pub fn new(settings: &BuildSettings, pose: &Pose, picture_half_tan: (f64, f64)) -> Self {
         let basis = pose.basis();
         let t = settings.square_half_tan();
@@ -106,13 +109,15 @@ impl DrawFrusta {
         self.square.may_intersect(b) && self.picture.may_intersect(b)
     }
 
-    /// The images of a placement whose cones beyond their planes the picture may touch, those nearest to the line of sight first.
+    /// The images of a placement whose cones beyond their planes the picture may touch, those
+    /// nearest to the line of sight first.
     fn images_in_view(&self, index: &Index, placement: u32, pose: &Pose) -> Vec<u32> {
         images_within(index, placement, pose, &self.picture.normals)
     }
 }
 
-/// The images of a placement whose cones beyond their planes a cone with these inward normals at the eye may touch, those nearest to the line of sight first.
+/// The images of a placement whose cones beyond their planes a cone with these inward normals at
+/// the eye may touch, those nearest to the line of sight first.
 fn images_within(index: &Index, placement: u32, pose: &Pose, normals: &[DVec3]) -> Vec<u32> {
     let Some(cop) = index.placements.get(placement as usize).map(|p| p.cop) else { return Vec::new() };
     let sight = pose.basis().forward;
@@ -121,7 +126,8 @@ fn images_within(index: &Index, placement: u32, pose: &Pose, normals: &[DVec3]) 
         let b = &image.basis;
         let [l, r, below, above] = image.window;
         let rays = [(l, below), (r, below), (l, above), (r, above)].map(|(x, y)| b.forward + b.right * x + b.up * y);
-        // The cone is the set of all (near corner + t * some ray), t >= 0: wholly outside a plane if its near corners and its rays are.
+        // The cone is the set of all (near corner + t * some ray), t >= 0: wholly outside a plane
+        // if its near corners and its rays are.
         let nearest = image.plane_distance * (1.0 - PLANE_SLACK);
         let outside =
             |n: &DVec3| rays.iter().all(|ray| n.dot(cop + *ray * nearest - pose.position) < 0.0 && n.dot(*ray) <= 0.0);
@@ -136,9 +142,9 @@ fn images_within(index: &Index, placement: u32, pose: &Pose, normals: &[DVec3]) 
 
 /// Selects the grid point and the placement of a pose.
 ///
-/// The grid point is the closest P with `eye in P + forward square frustum(direction)`, or simply the closest one when the dataset was
-/// built with view cells; ties go to the smaller number. An eye that is not among a placement's users is not shown its images: they
-/// may lack what it sees.
+/// The grid point is the closest P with `eye in P + forward square frustum(direction)`, or simply
+/// the closest one when the dataset was built with view cells; ties go to the smaller number. An
+/// eye that is not among a placement's users is not shown its images: they may lack what it sees.
 pub fn select(index: &Index, pose: &Pose) -> Selection {
     let basis = pose.basis();
     let t = index.settings.square_half_tan();
@@ -166,13 +172,14 @@ fn serves(index: &Index, placement: u32, eye: DVec3) -> bool {
     was_made(entry) && entry.users.inflated(USERS_SLACK_M).contains(eye)
 }
 
-/// Whether the images of a placement were made: one that a build had no time for names cells to replace and nothing to show instead.
+/// Whether the images of a placement were made: one that a build had no time for names cells to
+/// replace and nothing to show instead.
 pub fn was_made(placement: &Placement) -> bool {
     !placement.images.is_empty() || placement.culled.is_empty()
 }
 
-/// Whether an eye was planned for: it lies in the walk volume, or the images of its direction were made for it. Others see near
-/// geometry over the LDI tree.
+/// Whether an eye was planned for: it lies in the walk volume, or the images of its direction were
+/// made for it. Others see near geometry over the LDI tree.
 pub fn is_planned(index: &Index, pose: &Pose) -> bool {
     let selection = select(index, pose);
     let named = selection.grid_point.and_then(|g| placement_of(index, g, pose));
@@ -190,31 +197,35 @@ pub struct DrawList {
     pub selection: Selection,
     /// Cells to draw, near to far.
     pub cells: Vec<u32>,
-    /// Images of the placement that the picture may show something of, those nearest to the line of sight first.
+    /// Images of the placement that the picture may show something of, those nearest to the line
+    /// of sight first.
     pub images: Vec<u32>,
     /// Triangles in them; never more than the budget.
     pub triangles: u64,
-    /// Cells in view that were left out, farthest first, because the budget was used up. Always 0 for eyes of the walk volume that look
-    /// within the built range of pitch.
+    /// Cells in view that were left out, farthest first, because the budget was used up. Always 0
+    /// for eyes of the walk volume that look within the built range of pitch.
     pub dropped: u32,
-    /// What lies in view nearer than this is in `cells`, metres from the eye: infinite where nothing was left out, 0 where images show
-    /// some of it.
+    /// What lies in view nearer than this is in `cells`, metres from the eye: infinite where
+    /// nothing was left out, 0 where images show some of it.
     pub complete_m: f64,
-    /// Chunks that refine the LDI tree to this view, coarse ones first; empty where the tree is only what lies under images.
+    /// Chunks that refine the LDI tree to this view, coarse ones first; empty where the tree is
+    /// only what lies under images.
     pub tree: Vec<u32>,
-    /// Rooms whose cells are drawn, in the order in which they are seen; empty in a dataset without rooms.
+    /// Rooms whose cells are drawn, in the order in which they are seen; empty in a dataset
+    /// without rooms.
     pub rooms: Vec<CellId>,
     /// Portals whose images show what lies beyond, nearest first.
     pub portals: Vec<ShownPortal>,
 }
 
-/// The cells that a pose draws: those in view that its placement does not replace. `picture_half_tan`: tangents of half the picture's
-/// horizontal and vertical field of view.
+/// The cells that a pose draws: those in view that its placement does not replace.
+/// `picture_half_tan`: tangents of half the picture's horizontal and vertical field of view.
 pub fn draw_list(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> DrawList {
     draw_list_showing(index, pose, picture_half_tan, Show::default())
 }
 
-/// The same with a wish for what is shown. Images of portals that the dataset was not built with count as absent: geometry is drawn, as far as the budget goes.
+/// The same with a wish for what is shown. Images of portals that the dataset was not built with
+/// count as absent: geometry is drawn, as far as the budget goes.
 pub fn draw_list_showing(index: &Index, pose: &Pose, picture_half_tan: (f64, f64), show: Show) -> DrawList {
     draw_list_of(index, &CellGroups::default(), pose, picture_half_tan, show)
 }
@@ -255,14 +266,16 @@ pub fn draw_list_of(
     by_grid().unwrap_or(list)
 }
 
-/// Triangles of what rooms have to draw as geometry: above the budget the grid takes over. None in a dataset without rooms.
+/// Triangles of what rooms have to draw as geometry: above the budget the grid takes over. None in
+/// a dataset without rooms.
 pub fn least_by_rooms(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> Option<u64> {
     let rooms = index.rooms.as_ref()?;
     Some(portals::least(index, rooms, pose, picture_half_tan))
 }
 
-/// What a pose draws with a placement of the grid that need not be its own: for a stand-in while that one's images are on their way. `dropped` may be above 0 for eyes that
-/// are not among the placement's users, and footprints above the bound.
+/// What a pose draws with a placement of the grid that need not be its own: for a stand-in while
+/// that one's images are on their way. `dropped` may be above 0 for eyes that are not among the
+/// placement's users, and footprints above the bound.
 pub fn draw_list_by(index: &Index, placement: u32, pose: &Pose, picture_half_tan: (f64, f64)) -> DrawList {
     let grid_point = index.placements.get(placement as usize).and_then(|p| p.grid_point);
     let selection = Selection { grid_point, placement: Some(placement) };
@@ -312,7 +325,8 @@ fn cells_in_view(
     DrawList { selection, cells, images, triangles, dropped: 0, complete_m, tree, rooms, portals }
 }
 
-/// Cells that a pose draws where all else comes from the LDI tree, near to far, were the budget `share` times as large.
+/// Cells that a pose draws where all else comes from the LDI tree, near to far, were the budget
+/// `share` times as large.
 pub fn cells_before_tree(
     index: &Index,
     groups: &CellGroups,
@@ -325,8 +339,10 @@ pub fn cells_before_tree(
     within(index, budget, pose.position, cells_in_view(index, groups, nothing, pose, picture_half_tan)).cells
 }
 
-/// Of some cells and images, those that a pose draws, in no order. As [`draw_list_of`] finds them in a dataset with grid points, or where all that is far is geometry, but for
-/// cells that would be left out because the budget is used up. For whoever has all others already and asks for many poses. `images`: per image of the index, whether it is one of them.
+/// Of some cells and images, those that a pose draws, in no order. As [`draw_list_of`] finds them
+/// in a dataset with grid points, or where all that is far is geometry, but for cells that would
+/// be left out because the budget is used up. For whoever has all others already and asks for many
+/// poses. `images`: per image of the index, whether it is one of them.
 pub fn draws_among(
     index: &Index,
     groups: &CellGroups,
@@ -371,8 +387,9 @@ fn within_budget(index: &Index, eye: DVec3, list: DrawList) -> DrawList {
     within(index, index.settings.budget, eye, list)
 }
 
-/// The same for any budget: the farthest cells go, but [`WIDE_SHARE`] of it is for those of them that fill most of the picture per
-/// triangle: hills, walls and seas behind a town. A larger budget draws all that a smaller one draws.
+/// The same for any budget: the farthest cells go, but [`WIDE_SHARE`] of it is for those of them
+/// that fill most of the picture per triangle: hills, walls and seas behind a town. A larger
+/// budget draws all that a smaller one draws.
 fn within(index: &Index, budget: u64, eye: DVec3, mut list: DrawList) -> DrawList {
     if list.triangles <= budget {
         return list;
@@ -391,7 +408,8 @@ fn within(index: &Index, budget: u64, eye: DVec3, mut list: DrawList) -> DrawLis
     for (_, cell) in beyond {
         let entry = &index.cells[cell as usize];
         let triangles = u64::from(entry.triangles);
-        // What comes after the first that does not fit is left out, small or not: or else larger budgets would draw other cells.
+        // What comes after the first that does not fit is left out, small or not: or else larger
+        // budgets would draw other cells.
         is_full |= triangles <= largest && wide + triangles > for_wide;
         if triangles <= largest && !is_full {
             wide += triangles;
@@ -406,15 +424,16 @@ fn within(index: &Index, budget: u64, eye: DVec3, mut list: DrawList) -> DrawLis
     list
 }
 
-/// About how much of the picture a cell fills per triangle: the mean area of its box's outline over all directions, as seen from the
-/// eye. Only its order means something.
+/// About how much of the picture a cell fills per triangle: the mean area of its box's outline
+/// over all directions, as seen from the eye. Only its order means something.
 fn picture_per_triangle(cell: &CellEntry, eye: DVec3) -> f64 {
     let size = cell.bounds.size();
     let outline = 0.5 * (size.x * size.y + size.y * size.z + size.z * size.x);
     outline / (cell.bounds.centre().distance_squared(eye) * f64::from(cell.triangles.max(1))).max(1e-9)
 }
 
-/// The nearest cells in view that the budget allows: what is drawn as geometry where all else comes from the LDI tree.
+/// The nearest cells in view that the budget allows: what is drawn as geometry where all else
+/// comes from the LDI tree.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Nearest {
     /// Near to far.
@@ -425,7 +444,8 @@ pub struct Nearest {
     pub dropped: u32,
 }
 
-/// The nearest cells in view, up to the first that would exceed the budget. `picture_half_tan` as of [`draw_list`].
+/// The nearest cells in view, up to the first that would exceed the budget. `picture_half_tan` as
+/// of [`draw_list`].
 pub fn nearest_cells(
     cells: &[CellEntry],
     settings: &BuildSettings,
@@ -481,7 +501,8 @@ fn ranges_of<'a>(index: &'a Index, grid_point: u32, pose: &Pose) -> Option<&'a [
     index.points[grid_point as usize].bands.get(band).map(Vec::as_slice)
 }
 
-/// Yaws just before and just after each at which the grid point of a pose names another placement, degrees, in pairs: from one pair to the next the placement stays.
+/// Yaws just before and just after each at which the grid point of a pose names another placement,
+/// degrees, in pairs: from one pair to the next the placement stays.
 pub fn yaws_of_placements(index: &Index, pose: &Pose) -> Vec<f64> {
     let ranges = select(index, pose).grid_point.and_then(|g| ranges_of(index, g, pose)).unwrap_or_default();
     ranges.iter().flat_map(|r| [r.yaw_start_deg - BESIDE_DEG, r.yaw_start_deg + BESIDE_DEG]).collect()
@@ -504,8 +525,8 @@ mod tests {
         index::{BuildSettings, CellEntry, GridPoint, ImageEntry, SceneInfo},
     };
 
-    /// Ten cells of 100 triangles along -Z, one per metre from 2 m on; a grid point at the origin and one behind it; a placement that
-    /// replaces the last five when looking along -Z.
+    /// Ten cells of 100 triangles along -Z, one per metre from 2 m on; a grid point at the origin
+    /// and one behind it; a placement that replaces the last five when looking along -Z.
     fn index(grid: &str, budget: u64) -> Index {
         let cell = |i: u32| CellEntry {
             bounds: Aabb::from_points([
@@ -589,8 +610,8 @@ mod tests {
             "45 to 15 degrees left, half in view"
         );
         assert_eq!(draw_list(&index, &pose(-0.5, 0.0), (0.1, 0.1)).images, [0], "a narrow picture");
-        // From six metres to the left the cone of the image ahead lies to the right of a gaze to the left; the third one, hit at its
-        // corner and left at 70 degrees, crosses it.
+        // From six metres to the left the cone of the image ahead lies to the right of a gaze to
+        // the left; the third one, hit at its corner and left at 70 degrees, crosses it.
         let aside = Pose { position: DVec3::new(-6.0, 0.0, -0.5), yaw_deg: 45.0, pitch_deg: 0.0 };
         index.settings.grid = CELLS.into();
         index.points[1].position = aside.position;

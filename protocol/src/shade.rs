@@ -6,8 +6,9 @@ pub const SKY_SRGB: [u8; 3] = [198, 214, 235];
 /// Where the light comes from: normalize(0.4, 0.8, 0.45).
 pub const LIGHT_FROM: [f32; 3] = [0.399_667_94, 0.799_335_9, 0.449_626_43];
 
-/// Light that a surface with unit normal `n` reflects, in linear light: 0.35 + 0.25 (0.5 + 0.5 n_y) + 0.40 |n . l|
-/// with l = normalize(0.4, 0.8, 0.45). The normal is never flipped toward the eye. Unlit materials take 1 instead.
+/// Light that a surface with unit normal `n` reflects, in linear light: 0.35 + 0.25 (0.5 + 0.5
+/// n_y) + 0.40 |n . l| with l = normalize(0.4, 0.8, 0.45). The normal is never flipped toward the
+/// eye. Unlit materials take 1 instead.
 #[inline]
 pub fn light(n: [f32; 3]) -> f32 {
     let d = n[0] * LIGHT_FROM[0] + n[1] * LIGHT_FROM[1] + n[2] * LIGHT_FROM[2];
@@ -34,8 +35,8 @@ pub fn linear_from_srgb8_table() -> &'static [f32; 256] {
     &TABLE
 }
 
-/// Linear light to the nearest 8-bit sRGB code, by table: at most one code from the exact rounding, and
-/// exact for every value of [`linear_from_srgb8_table`].
+/// Linear light to the nearest 8-bit sRGB code, by table: at most one code from the exact
+/// rounding, and exact for every value of [`linear_from_srgb8_table`].
 #[inline]
 pub fn srgb8_from_linear(l: f32) -> u8 {
     srgb8_table()[(l.clamp(0.0, 1.0).sqrt() * SRGB8_TABLE_SCALE + 0.5) as usize]
@@ -45,7 +46,8 @@ pub fn srgb8_from_linear(l: f32) -> u8 {
 pub const SRGB8_TABLE_SCALE: f32 = SRGB8_STEPS as f32;
 const SRGB8_STEPS: usize = 1 << 14;
 
-/// The table behind [`srgb8_from_linear`]: the code of the light l is at sqrt(l) times [`SRGB8_TABLE_SCALE`], rounded. Square-root spacing: the curve is steep near black, where a
+/// The table behind [`srgb8_from_linear`]: the code of the light l is at sqrt(l) times
+/// [`SRGB8_TABLE_SCALE`], rounded. Square-root spacing: the curve is steep near black, where a
 /// uniform table would need 20 bits. Three bytes follow, so that four may be read anywhere.
 #[inline]
 pub fn srgb8_table() -> &'static [u8] {

@@ -1,13 +1,16 @@
 //! Directions in which eyes see nothing at all.
 //!
-//! An LDI holds sky as one bit per pixel ([`Ldi::sky`](crate::ldi::Ldi::sky)), but only within its window. A [`SkyMap`] says for all directions whether some eye of a placement sees
-//! sky there: squares of a cube of directions about the world's axes. Sky lies at infinity, so one map serves all eyes.
+//! An LDI holds sky as one bit per pixel ([`Ldi::sky`](crate::ldi::Ldi::sky)), but only within its
+//! window. A [`SkyMap`] says for all directions whether some eye of a placement sees sky there:
+//! squares of a cube of directions about the world's axes. Sky lies at infinity, so one map serves
+//! all eyes.
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// Squares of directions. Square (face f, row r, column c) has the number (f [`SkyMap::SIDE`] + r) [`SkyMap::SIDE`] + c; faces are -x, +x, -y, +y, -z, +z, columns
-/// and rows follow the other two axes in the order x, y, z, in equal steps of the tangent.
+/// Squares of directions. Square (face f, row r, column c) has the number (f [`SkyMap::SIDE`] + r)
+/// [`SkyMap::SIDE`] + c; faces are -x, +x, -y, +y, -z, +z, columns and rows follow the other two
+/// axes in the order x, y, z, in equal steps of the tangent.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SkyMap {
     /// First square and number of squares of each run; ascending, apart from each other.
@@ -15,7 +18,8 @@ pub struct SkyMap {
 }
 
 impl SkyMap {
-    /// Squares along each side of a face: 8 pixels in the middle of a face for pictures of 1280 pixels and 60 degrees.
+    /// Squares along each side of a face: 8 pixels in the middle of a face for pictures of 1280
+    /// pixels and 60 degrees.
     pub const SIDE: u32 = 256;
     /// Squares of all faces.
     pub const SQUARES: u32 = 6 * Self::SIDE * Self::SIDE;
@@ -32,7 +36,8 @@ impl SkyMap {
         Self { runs }
     }
 
-    /// The map of runs of squares. None: they are empty, not ascending, not apart, or not within the cube.
+    /// The map of runs of squares. None: they are empty, not ascending, not apart, or not within
+    /// the cube.
     pub fn of_runs(runs: Vec<[u32; 2]>) -> Option<Self> {
         let mut next = 0;
         for [first, length] in &runs {
@@ -72,7 +77,8 @@ impl SkyMap {
         (face * Self::SIDE + place(direction[b])) * Self::SIDE + place(direction[a])
     }
 
-    /// The direction through the middle of a square (world axes), with component 1 along its face's axis.
+    /// The direction through the middle of a square (world axes), with component 1 along its
+    /// face's axis.
     pub fn middle(square: u32) -> DVec3 {
         let (face, row, column) =
             (square / Self::SIDE / Self::SIDE, square / Self::SIDE % Self::SIDE, square % Self::SIDE);

@@ -1,4 +1,5 @@
-//! Random walks through a walk volume: what load tests walk, and what builds that choose a representation are judged by.
+//! Random walks through a walk volume: what load tests walk, and what builds that choose a
+//! representation are judged by.
 
 use crate::{Pose, volume::WalkVolume};
 use glam::DVec3;
@@ -14,8 +15,9 @@ const WHIM_S: f64 = 4.0;
 /// Thresholds are climbed up to this height within one step.
 const CLIMB_M: f64 = 0.05;
 
-/// Straight on until a wall or a whim, then a turn: `poses` of them, [`FPS`] per second, from somewhere in the volume, level. `free` says whether one can go straight from one place
-/// to the next, a few centimetres on: a volume knows floors, but no walls.
+/// Straight on until a wall or a whim, then a turn: `poses` of them, [`FPS`] per second, from
+/// somewhere in the volume, level. `free` says whether one can go straight from one place to the
+/// next, a few centimetres on: a volume knows floors, but no walls.
 pub fn stroll(
     volume: &WalkVolume,
     random: &mut Random,

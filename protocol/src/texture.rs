@@ -1,17 +1,22 @@
-//! Textures, decoded: mip levels of 8-bit sRGB texels, filtered in linear light; sampled by one function.
+//! Textures, decoded: mip levels of 8-bit sRGB texels, filtered in linear light; sampled by one
+//! function.
 //!
-//! In: 8-bit texels (sRGB colour, linear alpha). Out: a pyramid of mip levels ([`Texture::from_base`]) and samples of it
-//! in linear light ([`sample`], [`sample_bilinear`]), the same for the ray caster and the software rasterizer.
+//! In: 8-bit texels (sRGB colour, linear alpha). Out: a pyramid of mip levels
+//! ([`Texture::from_base`]) and samples of it in linear light ([`sample`], [`sample_bilinear`]),
+//! the same for the ray caster and the software rasterizer.
 //!
-//! - Texel (i, j) of a level with `width` columns has its centre at u = (i + 0.5) / width, and likewise down; row 0 is v = 0.
-//! - A level has half the columns and rows of the finer one, rounded down, at least 1. Its texels are means over the area
-//!   they cover (box filter; fractional weights where a size is odd), carried in f32 from level to level and rounded to
-//!   8 bits only for storage.
-//! - Colour is averaged with alpha as weight where the texture is alpha-masked: the colour behind cut-out texels is
-//!   arbitrary and must not bleed in. Where all alphas are 0 the plain mean is taken.
-//! - Between levels the filter is trilinear (Williams 1983), isotropic; `lod` counts levels, 0 is the finest ([`lod_of`]).
-//! - Alpha tests read the finest level present, whatever the level of the colour: averaged alpha against a fixed cutoff would
-//!   make distant foliage vanish.
+//! - Texel (i, j) of a level with `width` columns has its centre at u = (i + 0.5) / width, and
+//!   likewise down; row 0 is v = 0.
+//! - A level has half the columns and rows of the finer one, rounded down, at least 1. Its texels
+//!   are means over the area they cover (box filter; fractional weights where a size is odd),
+//!   carried in f32 from level to level and rounded to 8 bits only for storage.
+//! - Colour is averaged with alpha as weight where the texture is alpha-masked: the colour behind
+//!   cut-out texels is arbitrary and must not bleed in. Where all alphas are 0 the plain mean is
+//!   taken.
+//! - Between levels the filter is trilinear (Williams 1983), isotropic; `lod` counts levels, 0 is
+//!   the finest ([`lod_of`]).
+//! - Alpha tests read the finest level present, whatever the level of the colour: averaged alpha
+//!   against a fixed cutoff would make distant foliage vanish.
 
 use crate::{
     mesh::Wrap,
@@ -30,7 +35,8 @@ pub struct MipLevel {
     pub rgba: Vec<[u8; 4]>,
 }
 
-/// A texture; level 0 is the finest. While finer levels are still on their way the front entries are None.
+/// A texture; level 0 is the finest. While finer levels are still on their way the front entries
+/// are None.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Texture {
     /// All levels down to 1 x 1.
@@ -49,7 +55,8 @@ pub fn level_size(width: u32, height: u32, level: u32) -> (u32, u32) {
 }
 
 impl Texture {
-    /// The full pyramid over `base`; `masked` weights colour by alpha. A base without texels gives a texture without levels.
+    /// The full pyramid over `base`; `masked` weights colour by alpha. A base without texels gives
+    /// a texture without levels.
     pub fn from_base(base: MipLevel, masked: bool) -> Self {
         let count = level_count(base.width, base.height);
         Self::finest(base, masked, count)
@@ -85,7 +92,8 @@ impl Texture {
         }
     }
 
-    /// Columns and rows of level 0; when it is not here, estimated from the finest level present (exact for powers of two).
+    /// Columns and rows of level 0; when it is not here, estimated from the finest level present
+    /// (exact for powers of two).
     pub fn size(&self) -> Option<(u32, u32)> {
         self.levels.iter().enumerate().find_map(|(k, l)| {
             let l = l.as_ref()?;
@@ -94,8 +102,9 @@ impl Texture {
     }
 }
 
-/// Level of detail for a pixel across which the texture coordinate moves by `duv_dx` to the right neighbour and `duv_dy` to
-/// the one below: log2 of the longer one in texels of level 0, at least 0 (isotropic, as graphics hardware does it).
+/// Level of detail for a pixel across which the texture coordinate moves by `duv_dx` to the right
+/// neighbour and `duv_dy` to the one below: log2 of the longer one in texels of level 0, at least
+/// 0 (isotropic, as graphics hardware does it).
 #[inline]
 pub fn lod_of(size: (u32, u32), duv_dx: Vec2, duv_dy: Vec2) -> f32 {
     let size = Vec2::new(size.0 as f32, size.1 as f32);
@@ -104,8 +113,9 @@ pub fn lod_of(size: (u32, u32), duv_dx: Vec2, duv_dy: Vec2) -> f32 {
     if longest_squared.is_nan() { 0.0 } else { (0.5 * longest_squared.log2()).clamp(0.0, 32.0) }
 }
 
-/// Linear colour and alpha of a texture at `uv`, trilinear at level of detail `lod` (0 or less: bilinear in level 0).
-/// Levels that are not here are replaced by the next coarser one; a texture without levels is opaque white.
+/// Linear colour and alpha of a texture at `uv`, trilinear at level of detail `lod` (0 or less:
+/// bilinear in level 0). Levels that are not here are replaced by the next coarser one; a texture
+/// without levels is opaque white.
 #[inline]
 pub fn sample(texture: &Texture, uv: Vec2, lod: f32, wrap: [Wrap; 2]) -> ([f32; 3], f32) {
     let fine = lod.max(0.0) as usize;
@@ -126,7 +136,8 @@ pub fn sample_bilinear(texture: &Texture, uv: Vec2, wrap: [Wrap; 2]) -> ([f32; 3
     texture.level_or_coarser(0).map_or(([1.0; 3], 1.0), |l| bilinear(l, uv, wrap))
 }
 
-/// Alpha alone of the finest level present, bilinear: what alpha tests compare with the cutoff. 1 without levels.
+/// Alpha alone of the finest level present, bilinear: what alpha tests compare with the cutoff. 1
+/// without levels.
 #[inline]
 pub fn sample_alpha(texture: &Texture, uv: Vec2, wrap: [Wrap; 2]) -> f32 {
     let Some(l) = texture.level_or_coarser(0) else { return 1.0 };
@@ -142,8 +153,9 @@ fn bilinear_alpha(l: &MipLevel, x: &Tap, y: &Tap) -> f32 {
     (top * (1.0 - y.second_weight) + bottom * y.second_weight) * (1.0 / 255.0)
 }
 
-/// The alpha test of one material on the finest level of its texture, with the answer known in advance wherever the four texels of a bilinear
-/// sample agree. Two bits per texel fit into a cache where the texture does not.
+/// The alpha test of one material on the finest level of its texture, with the answer known in
+/// advance wherever the four texels of a bilinear sample agree. Two bits per texel fit into a
+/// cache where the texture does not.
 #[derive(Debug, Clone)]
 pub struct AlphaTest {
     wrap: [Wrap; 2],
@@ -203,7 +215,8 @@ impl AlphaTest {
         }
     }
 
-    /// Whether `factor * sample_alpha(texture, uv, wrap) >= cutoff`; `texture` is the one that the test was made for.
+    /// Whether `factor * sample_alpha(texture, uv, wrap) >= cutoff`; `texture` is the one that the
+    /// test was made for.
     #[inline]
     pub fn passes(&self, texture: &Texture, uv: Vec2) -> bool {
         let alpha = if self.answers.is_empty() {
@@ -282,8 +295,9 @@ fn tap(u: f32, n: u32, wrap: Wrap) -> Tap {
     Tap { first: first.max(0) as usize, second: second.max(0) as usize, second_weight }
 }
 
-/// Floor without the library call that baseline x86-64 makes of `f32::floor`. Exact below 2^31 in magnitude; beyond that, f32 has no
-/// fraction left, the cast saturates and the caller's clamps hold.
+/// Floor without the library call that baseline x86-64 makes of `f32::floor`. Exact below 2^31 in
+/// magnitude; beyond that, f32 has no fraction left, the cast saturates and the caller's clamps
+/// hold.
 #[inline]
 fn floor(x: f32) -> f32 {
     let whole = x as i32 as f32;
@@ -348,7 +362,8 @@ impl Linear {
     }
 
     fn to_level(&self, masked: bool) -> MipLevel {
-        // Below half an 8-bit step of alpha the quotient is mostly rounding noise: take the plain mean.
+        // Below half an 8-bit step of alpha the quotient is mostly rounding noise: take the plain
+        // mean.
         const ALPHA_MIN: f32 = 0.5 / 255.0;
         let rgba = self
             .weighted
@@ -371,8 +386,8 @@ impl Linear {
     }
 }
 
-/// Means over the areas that the texels of a coarser raster of `coarse` columns and rows cover, in each row first. `texel`: of the
-/// `fine` columns and rows, by column and row.
+/// Means over the areas that the texels of a coarser raster of `coarse` columns and rows cover, in
+/// each row first. `texel`: of the `fine` columns and rows, by column and row.
 fn box_filter<const N: usize>(
     fine: (usize, usize),
     coarse: (usize, usize),
@@ -406,7 +421,8 @@ fn box_filter<const N: usize>(
     out
 }
 
-/// Fine texels under one coarse texel along one axis, at most three of them, with weights that sum to 1.
+/// Fine texels under one coarse texel along one axis, at most three of them, with weights that sum
+/// to 1.
 struct Footprint {
     first: usize,
     weights: [f32; 3],
@@ -427,7 +443,8 @@ impl Footprint {
     }
 }
 
-/// Coarse texel i covers [i n / m, (i + 1) n / m): with m = floor(n / 2), at most three fine texels. In integers: exact.
+/// Coarse texel i covers [i n / m, (i + 1) n / m): with m = floor(n / 2), at most three fine
+/// texels. In integers: exact.
 fn footprints(n: usize, m: usize) -> Vec<Footprint> {
     (0..m)
         .map(|i| {

@@ -1,4 +1,5 @@
-//! The sampler against a direct f64 evaluation, the pyramid against hand-computed and brute-force means.
+//! The sampler against a direct f64 evaluation, the pyramid against hand-computed and brute-force
+//! means.
 
 use super::*;
 use crate::shade::linear_from_srgb;
@@ -88,7 +89,8 @@ proptest! {
             let level = level.as_ref().expect("a full pyramid");
             prop_assert_eq!((level.width, level.height), level_size(w, h, k as u32));
             for (c, want) in want.iter().enumerate() {
-                // One 8-bit code near white is 0.009 in linear light; rounding is at most half of one.
+                // One 8-bit code near white is 0.009 in linear light; rounding is at most half of
+                // one.
                 prop_assert!((mean(level, c) - want).abs() < 0.0046, "level {k}");
             }
         }

@@ -1,12 +1,16 @@
-//! The LDI tree (Chang, Bishop, Lastra 1999): an octree whose nodes hold orthographic layered depth images of what lies in them.
+//! The LDI tree (Chang, Bishop, Lastra 1999): an octree whose nodes hold orthographic layered
+//! depth images of what lies in them.
 //!
-//! A node of level l is a cube of edge `edge_m / 2^l`. Its LDI has [`SIDE`] x [`SIDE`] pixels of pitch edge / [`SIDE`] on each of **six** faces, not one as in the paper: a
-//! surface goes to the face that its normal points to most. One face sees surfaces beside it edge-on and keeps them as stacks of samples a pitch apart; by the
-//! normal, no surface is more than 55 degrees askew, and the two sides of a thin wall, which lie within one merge threshold of each other, never mix.
+//! A node of level l is a cube of edge `edge_m / 2^l`. Its LDI has [`SIDE`] x [`SIDE`] pixels of
+//! pitch edge / [`SIDE`] on each of **six** faces, not one as in the paper: a surface goes to the
+//! face that its normal points to most. One face sees surfaces beside it edge-on and keeps them as
+//! stacks of samples a pitch apart; by the normal, no surface is more than 55 degrees askew, and
+//! the two sides of a thin wall, which lie within one merge threshold of each other, never mix.
 //!
-//! Pixels of a level lie on one grid over the whole tree, so that what is splatted across a border of cells lands in the neighbour. *Unfiltered* samples
-//! come from reference pixels whose stamp matches the node's pitch; *filtered* ones from nodes below (section 3.1). The children of a node
-//! travel together, as one chunk: a node is drawn from them or from itself.
+//! Pixels of a level lie on one grid over the whole tree, so that what is splatted across a border
+//! of cells lands in the neighbour. *Unfiltered* samples come from reference pixels whose stamp
+//! matches the node's pitch; *filtered* ones from nodes below (section 3.1). The children of a
+//! node travel together, as one chunk: a node is drawn from them or from itself.
 //!
 //! ```text
 //!   face f = 2 axis + (normal points up the axis)     SkyMap's order: -x +x -y +y -z +z
@@ -28,7 +32,8 @@ use std::ops::Range;
 
 /// Pixels along each side of a node's faces; the paper's.
 pub const SIDE: u32 = 64;
-/// Steps of depth per pixel pitch. Coded depth errs by half of one: a 128th of what the sampling itself does.
+/// Steps of depth per pixel pitch. Coded depth errs by half of one: a 128th of what the sampling
+/// itself does.
 pub const DEPTH_STEPS: u32 = 64;
 /// Deepest level: a pixel of one has 20 bits along each axis, so that level, face and place fit 64.
 pub const MAX_LEVEL: u8 = 14;
@@ -171,7 +176,8 @@ impl Tree {
         codec::tree::decode(bytes, &listed)
     }
 
-    /// The rules of a tree: nodes by level, children together and within their parent, each node but the root child of one.
+    /// The rules of a tree: nodes by level, children together and within their parent, each node
+    /// but the root child of one.
     ///
     /// # Errors
     /// The first broken rule, in words.

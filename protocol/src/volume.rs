@@ -1,9 +1,10 @@
 //! The walk volume: where eyes may be. What every promise of a dataset is made for.
 //!
-//! By definition an eye is in the volume if the first surface below it lies between eye height - 0.5 m and eye height + 0.4 m
-//! down and it keeps 0.05 m from surfaces, or, for flying, if it is in the scene's box. What is stored is a superset made of
-//! upright boxes: columns on a square grid, each with runs of layers. The build certifies exactly this superset, so that a pose
-//! for which [`WalkVolume::contains`] holds has every guarantee.
+//! By definition an eye is in the volume if the first surface below it lies between eye height -
+//! 0.5 m and eye height + 0.4 m down and it keeps 0.05 m from surfaces, or, for flying, if it is
+//! in the scene's box. What is stored is a superset made of upright boxes: columns on a square
+//! grid, each with runs of layers. The build certifies exactly this superset, so that a pose for
+//! which [`WalkVolume::contains`] holds has every guarantee.
 //!
 //! ```text
 //!   layer  ^          ██    <- run (first, end) of column (i, k)
@@ -16,8 +17,9 @@ use crate::Aabb;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// Upright boxes that together hold every allowed eye. Sparse: only columns with eyes are stored, row by row, so that a wide scene
-/// costs what its walkable places cost. Serialized in a packed form (about three bytes per column).
+/// Upright boxes that together hold every allowed eye. Sparse: only columns with eyes are stored,
+/// row by row, so that a wide scene costs what its walkable places cost. Serialized in a packed
+/// form (about three bytes per column).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(into = "Packed", try_from = "Packed")]
 pub struct WalkVolume {
@@ -31,7 +33,8 @@ pub struct WalkVolume {
     layer_m: f64,
     /// Columns along x and z.
     columns: [u32; 2],
-    /// Per row (along z) the position of its first stored column, and one more: the number of stored columns.
+    /// Per row (along z) the position of its first stored column, and one more: the number of
+    /// stored columns.
     first_column: Vec<u32>,
     /// Place of each stored column along x, ascending within a row.
     column_x: Vec<u32>,
@@ -63,7 +66,8 @@ impl WalkVolume {
     /// Most runs of layers.
     pub const MAX_RUNS: u64 = 1 << 23;
 
-    /// A volume from runs per column (ascending, disjoint, `first < end`), row-major over `columns`. `cut` limits x and z.
+    /// A volume from runs per column (ascending, disjoint, `first < end`), row-major over
+    /// `columns`. `cut` limits x and z.
     pub fn new(
         origin: DVec3,
         pitch_m: f64,
@@ -80,7 +84,8 @@ impl WalkVolume {
         Self::of_columns(origin, pitch_m, layer_m, columns, stored, cut)
     }
 
-    /// A volume from columns in the order of rows (z, then x), each at most once; those without runs are left out.
+    /// A volume from columns in the order of rows (z, then x), each at most once; those without
+    /// runs are left out.
     pub fn of_columns(
         origin: DVec3,
         pitch_m: f64,
@@ -139,7 +144,8 @@ impl WalkVolume {
         self.runs_of(i, k).iter().any(|r| layer >= f64::from(r[0]) && layer <= f64::from(r[1]))
     }
 
-    /// Heights that eyes may have at (x, z): pairs of the lowest and the highest, metres, ascending and disjoint. None outside.
+    /// Heights that eyes may have at (x, z): pairs of the lowest and the highest, metres,
+    /// ascending and disjoint. None outside.
     pub fn heights(&self, x: f64, z: f64) -> impl Iterator<Item = [f64; 2]> + '_ {
         let b = &self.bounds;
         let inside = (b.min.x..=b.max.x).contains(&x) && (b.min.z..=b.max.z).contains(&z);
@@ -206,7 +212,8 @@ impl WalkVolume {
         })
     }
 
-    /// The same with some of its boxes only: those whose position among [`WalkVolume::boxes`] `keep` takes.
+    /// The same with some of its boxes only: those whose position among [`WalkVolume::boxes`]
+    /// `keep` takes.
     #[must_use]
     pub fn only(&self, keep: impl Fn(usize) -> bool) -> Self {
         let mut rows = Rows::default();
@@ -283,7 +290,8 @@ struct Rows {
 }
 
 impl Rows {
-    /// Adds the next column in the order of rows. One that is out of order is caught by [`WalkVolume::checked`].
+    /// Adds the next column in the order of rows. One that is out of order is caught by
+    /// [`WalkVolume::checked`].
     fn push(&mut self, [i, k]: [u32; 2], runs: &[[u16; 2]]) {
         let rows = (k.min(WalkVolume::MAX_SIDE) as usize + 1).max(self.first_column.len());
         self.first_column.resize(rows, self.column_x.len() as u32);
@@ -321,8 +329,9 @@ struct Packed {
     /// Columns with eyes.
     stored: u64,
     runs: u64,
-    /// zstd over LEB128 numbers in five planes: per row its number of columns; per column the gap along x before it; per column its
-    /// number of runs; per run the gap before it; per run its length.
+    /// zstd over LEB128 numbers in five planes: per row its number of columns; per column the gap
+    /// along x before it; per column its number of runs; per run the gap before it; per run its
+    /// length.
     tokens: Vec<u8>,
 }
 
@@ -368,7 +377,8 @@ impl From<WalkVolume> for Packed {
             }
         }
         let raw = [in_row, steps, counts, gaps, lengths].concat();
-        // Compression into memory cannot fail for want of space; an empty stream is refused on the way back.
+        // Compression into memory cannot fail for want of space; an empty stream is refused on the
+        // way back.
         let tokens = zstd::bulk::compress(&raw, 19).unwrap_or_default();
         Self {
             bounds: v.bounds,

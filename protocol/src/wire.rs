@@ -1,4 +1,5 @@
-//! What travels between server and client: control messages, pose datagrams, chunk streams, answers to requests.
+//! What travels between server and client: control messages, pose datagrams, chunk streams,
+//! answers to requests.
 //!
 //! One QUIC connection carries four things, each in the form that suits it:
 //!
@@ -9,11 +10,13 @@
 //! | chunks and pages | one unidirectional stream each | [`StreamHeader`], 12 bytes, then the bytes as stored |
 //! | requests by number or by name ([`Request`]) | one bidirectional stream each | a frame; then an [`Answer`] frame and the bytes |
 //!
-//! A frame is a little-endian u32 length and that many bytes. Every decoder here takes bytes from a stranger: it
-//! bounds lengths before it allocates, refuses numbers that are not finite, and never panics.
+//! A frame is a little-endian u32 length and that many bytes. Every decoder here takes bytes from
+//! a stranger: it bounds lengths before it allocates, refuses numbers that are not finite, and
+//! never panics.
 //!
-//! Control messages are maps with field names, so that a later version may add optional fields; what an old peer cannot
-//! ignore raises [`VERSION`]. Everything bulky travels raw: MessagePack would copy it.
+//! Control messages are maps with field names, so that a later version may add optional fields;
+//! what an old peer cannot ignore raises [`VERSION`]. Everything bulky travels raw: MessagePack
+//! would copy it.
 
 mod binary;
 
@@ -27,21 +30,24 @@ use crate::{
 };
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-/// Raised when a peer of the previous version could not understand the next one.
-/// 4: sections of chunks and manifests may be coded by rANS, and tree chunks are of version 2.
-/// 2: clients say how far behind their decoding is ([`ClientMessage::Decoding`]) and which manifests they have ([`Hello::manifests`]).
+/// Raised when a peer of the previous version could not understand the next one. 4: sections of
+/// chunks and manifests may be coded by rANS, and tree chunks are of version 2. 2: clients say how
+/// far behind their decoding is ([`ClientMessage::Decoding`]) and which manifests they have
+/// ([`Hello::manifests`]).
 pub const VERSION: u16 = 4;
 /// The application protocol that TLS agrees on.
 pub const ALPN: &[u8] = b"ldi/1";
 /// The port that a client tries when none is given.
 pub const DEFAULT_PORT: u16 = 4433;
-/// Longest frame that a client may send. Room for [`MAX_LIST`] numbers; larger lets a stranger hold more memory.
+/// Longest frame that a client may send. Room for [`MAX_LIST`] numbers; larger lets a stranger
+/// hold more memory.
 pub const MAX_CLIENT_FRAME: usize = 64 * 1024;
 /// Longest control frame that a server may send.
 pub const MAX_SERVER_FRAME: usize = 64 * 1024;
 /// Longest manifest root: twice what a build may write.
 pub const MAX_ROOT_BYTES: usize = 512 * 1024;
-/// Longest chunk. Longer ones are a broken dataset: the largest real ones, first layers of LDIs, hold a few MiB.
+/// Longest chunk. Longer ones are a broken dataset: the largest real ones, first layers of LDIs,
+/// hold a few MiB.
 pub const MAX_CHUNK_BYTES: u32 = 256 << 20;
 /// Longest list of chunks in one message; longer ones are sent in parts.
 pub const MAX_LIST: usize = 8_192;
@@ -90,7 +96,8 @@ pub struct Picture {
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Horizontal field of view in degrees; None: the one that the dataset is made for, which a client learns only later.
+    /// Horizontal field of view in degrees; None: the one that the dataset is made for, which a
+    /// client learns only later.
     #[serde(default)]
     pub fov_deg: Option<f64>,
 }
@@ -115,42 +122,49 @@ pub struct Hello {
     pub picture: Picture,
     /// Decoded bytes that the client's cache may hold.
     pub cache_bytes: u64,
-    /// How far around the eye the server may push what no view has asked for yet, metres. 0: nothing.
+    /// How far around the eye the server may push what no view has asked for yet, metres. 0:
+    /// nothing.
     pub prefetch_m: f64,
     /// What the client calls itself, for the server's page.
     #[serde(default)]
     pub name: String,
-    /// Datasets whose whole manifest the client has from before, at most [`MAX_MANIFESTS`]. If the served one is among them, nothing is sent until [`ClientMessage::Whole`]: the client
-    /// says first what it has of it.
+    /// Datasets whose whole manifest the client has from before, at most [`MAX_MANIFESTS`]. If the
+    /// served one is among them, nothing is sent until [`ClientMessage::Whole`]: the client says
+    /// first what it has of it.
     #[serde(default)]
     pub manifests: Vec<ChunkHash>,
-    /// How the client shows portals, which decides what a pose needs in a dataset with rooms. A server that does not know of it sends what it would show, and the client asks for the rest.
+    /// How the client shows portals, which decides what a pose needs in a dataset with rooms. A
+    /// server that does not know of it sends what it would show, and the client asks for the rest.
     #[serde(default)]
     pub portals: ShowPortals,
-    /// Where the client takes what is far from, which decides what a pose needs too. A server that does not know of it sends what the dataset offers, and the client asks for the rest.
+    /// Where the client takes what is far from, which decides what a pose needs too. A server that
+    /// does not know of it sends what the dataset offers, and the client asks for the rest.
     #[serde(default)]
     pub far: FarBy,
-    /// The walk begins before the whole manifest is there: until [`ClientMessage::Whole`] only the LDI tree's coarse levels are sent beside it. A server that does not know of it
-    /// sends the pages first.
+    /// The walk begins before the whole manifest is there: until [`ClientMessage::Whole`] only the
+    /// LDI tree's coarse levels are sent beside it. A server that does not know of it sends the
+    /// pages first.
     #[serde(default)]
     pub early: bool,
 }
 
-/// The server's answer to [`Hello`]; a frame with the manifest's root follows it on the control stream, and all pages
-/// follow on unidirectional streams.
+/// The server's answer to [`Hello`]; a frame with the manifest's root follows it on the control
+/// stream, and all pages follow on unidirectional streams.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Welcome {
     /// [`VERSION`] of the server.
     pub version: u16,
     /// BLAKE3 of the manifest's root: two servers with the same hash serve the same dataset.
     pub dataset: ChunkHash,
-    /// Bytes of the root that follows. 0: nothing follows, as [`Hello::manifests`] names this dataset.
+    /// Bytes of the root that follows. 0: nothing follows, as [`Hello::manifests`] names this
+    /// dataset.
     pub root_bytes: u32,
     /// Pages that follow.
     pub pages: u32,
     /// Number of this walker on the server's page.
     pub walker: u64,
-    /// Whether [`ClientMessage::Others`] will be answered. A server that does not know of it does not say so.
+    /// Whether [`ClientMessage::Others`] will be answered. A server that does not know of it does
+    /// not say so.
     #[serde(default)]
     pub others: bool,
     /// Fingerprint of the certificate that will replace the server's: clients that remember servers
@@ -192,16 +206,19 @@ pub enum ClientMessage {
         /// Numbers of chunks, at most [`MAX_LIST`].
         chunks: Vec<u32>,
     },
-    /// How far behind the client's decoding is, so that no more is sent ahead than it can take in. Told when it changes, ten times per second at most.
+    /// How far behind the client's decoding is, so that no more is sent ahead than it can take in.
+    /// Told when it changes, ten times per second at most.
     Decoding {
         /// Stored bytes that wait for decoding.
         waiting_bytes: u32,
         /// Stored bytes that are decoded per second while something waits; 0: not known.
         bytes_per_s: u32,
     },
-    /// The whole manifest is here and what is held from before is told, after a Hello with [`Hello::early`].
+    /// The whole manifest is here and what is held from before is told, after a Hello with
+    /// [`Hello::early`].
     Whole,
-    /// The client shows where other walkers are, or no longer. Only to a server with [`Welcome::others`].
+    /// The client shows where other walkers are, or no longer. Only to a server with
+    /// [`Welcome::others`].
     Others {
         /// Whether it does.
         shown: bool,
@@ -237,7 +254,8 @@ pub enum ServerMessage {
         /// Their numbers.
         chunks: Vec<u32>,
     },
-    /// Where the other walkers are, to clients that said [`ClientMessage::Others`]: when it changes, twice per second at most.
+    /// Where the other walkers are, to clients that said [`ClientMessage::Others`]: when it
+    /// changes, twice per second at most.
     Others {
         /// The nearest ones, at most [`MAX_OTHERS`].
         walkers: Vec<Other>,
@@ -363,7 +381,8 @@ impl Message for ClientMessage {
             Self::Want { chunks } | Self::Drop { chunks } | Self::Have { chunks } => {
                 in_range("chunks", chunks.len() as f64, 0.0..=MAX_LIST as f64)
             }
-            // Any numbers will do: they only shift what is sent ahead, within bounds of the server's own.
+            // Any numbers will do: they only shift what is sent ahead, within bounds of the
+            // server's own.
             Self::Decoding { .. } | Self::Whole | Self::Others { .. } | Self::Bye => Ok(()),
         }
     }

@@ -3,8 +3,9 @@
 //!     cargo bench -p ldi-tests --bench warp
 //!     LDI_BENCH_DATASET=house.ldi LDI_BENCH_PATH=house.path.json cargo bench -p ldi-tests --bench warp
 //!
-//! Without these two the built-in house at a tenth of its triangles is built first, and looked at from everywhere. Samples per second are those of tiles that may reach the picture.
-//! What the pictures are worth is no matter of this bench: `ldi-bench speed-error`.
+//! Without these two the built-in house at a tenth of its triangles is built first, and looked at
+//! from everywhere. Samples per second are those of tiles that may reach the picture. What the
+//! pictures are worth is no matter of this bench: `ldi-bench speed-error`.
 
 use divan::{Bencher, counter::ItemsCount};
 use ldi_client::{

@@ -9,7 +9,8 @@ use std::{
 
 /// Geometry budget of the dataset: about a third of the house.
 pub const BUDGET: &str = "8500";
-/// Its images are the grid's: by default the house would be walked by its rooms, which fit the budget nearly everywhere.
+/// Its images are the grid's: by default the house would be walked by its rooms, which fit the
+/// budget nearly everywhere.
 pub const REPRESENT: [&str; 2] = ["--represent", "grid"];
 /// Picture that it is made for.
 pub const SIZE: &str = "320x180";
@@ -24,7 +25,8 @@ pub struct Fixture {
     pub dataset: PathBuf,
 }
 
-/// A folder below `tmp` that `make` filled, once for this very build of the server: each test may run in a process of its own, and all but the first wait.
+/// A folder below `tmp` that `make` filled, once for this very build of the server: each test may
+/// run in a process of its own, and all but the first wait.
 ///
 /// # Panics
 /// If it cannot be made, or is not done after ten minutes.
@@ -47,7 +49,8 @@ pub fn made_once(tmp: &Path, name: &str, make: impl FnOnce(&Path)) -> PathBuf {
     dir
 }
 
-/// A file of the shared scenes, which lie beside the project or where `LDI_SHARED` says; None where they are not.
+/// A file of the shared scenes, which lie beside the project or where `LDI_SHARED` says; None
+/// where they are not.
 pub fn shared_scene(file: &str) -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared");
     let shared = std::env::var_os("LDI_SHARED").map_or_else(beside, PathBuf::from);

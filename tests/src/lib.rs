@@ -1,4 +1,5 @@
-//! What the end-to-end tests, the demo and the benchmarks share: running the real binaries, plots, pages, sweeps.
+//! What the end-to-end tests, the demo and the benchmarks share: running the real binaries, plots,
+//! pages, sweeps.
 
 pub mod allocation;
 pub mod args;

@@ -1,4 +1,5 @@
-//! A command behind a bad link: it runs in a network namespace whose only way out is a TUN device, and a relay carries its packets.
+//! A command behind a bad link: it runs in a network namespace whose only way out is a TUN device,
+//! and a relay carries its packets.
 //!
 //! ```text
 //!   this namespace                                     namespace of the command
@@ -6,8 +7,10 @@
 //!                           └──▶ Lane down ─┴──┘
 //! ```
 //!
-//! In: a [`LinkSpec`] and a command. Out: how it ended, and what became of the packets. The link is that of `--link`, but outside of the program that is tried: with the kernel's own sockets,
-//! buffers and offloads, for any protocol over IPv4. Linux only, and only for whoever may make namespaces and devices.
+//! In: a [`LinkSpec`] and a command. Out: how it ended, and what became of the packets. The link
+//! is that of `--link`, but outside of the program that is tried: with the kernel's own sockets,
+//! buffers and offloads, for any protocol over IPv4. Linux only, and only for whoever may make
+//! namespaces and devices.
 
 use anyhow::{Result, bail};
 use ldi_client::stream::{LinkCounts, LinkSpec};
@@ -25,7 +28,8 @@ pub struct Ended {
     pub counts: [LinkCounts; 2],
 }
 
-/// Runs a command behind a link, to its end. [`HOST`] in its arguments becomes the address at which it reaches this side.
+/// Runs a command behind a link, to its end. [`HOST`] in its arguments becomes the address at
+/// which it reaches this side.
 ///
 /// # Errors
 /// An empty command, one that cannot be started, or a system that gives no namespace or device.

@@ -1,7 +1,8 @@
-//! The page a demo run leaves: what was drawn as geometry, what came from images, the truth beside it, and the plots.
+//! The page a demo run leaves: what was drawn as geometry, what came from images, the truth beside
+//! it, and the plots.
 //!
-//! In: the reports of `build` and `walk`, and frames on disk. Out: one `index.html` that refers to the pictures beside it
-//! and needs no network.
+//! In: the reports of `build` and `walk`, and frames on disk. Out: one `index.html` that refers to
+//! the pictures beside it and needs no network.
 
 use crate::plot::{Plot, Series, escape, number};
 use serde_json::Value;

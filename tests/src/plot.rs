@@ -1,4 +1,5 @@
-//! Line plots as SVG, readable in light and dark: colours come from the page's style sheet by class.
+//! Line plots as SVG, readable in light and dark: colours come from the page's style sheet by
+//! class.
 
 use std::fmt::Write as _;
 
@@ -113,7 +114,8 @@ pub struct Dot {
     pub series: usize,
 }
 
-/// Points over a logarithmic horizontal axis, less of both being better: those that nothing beats in both are named and joined.
+/// Points over a logarithmic horizontal axis, less of both being better: those that nothing beats
+/// in both are named and joined.
 pub struct Scatter<'a> {
     /// Heading.
     pub title: &'a str,

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-/// Where the binaries of this build lie: beside the running program, or one up where that is a test.
+/// Where the binaries of this build lie: beside the running program, or one up where that is a
+/// test.
 pub fn bin_dir() -> Result<PathBuf> {
     let exe = std::env::current_exe().context("the running program's own path is unknown")?;
     let dir = exe.parent().context("the running program has no folder")?;
@@ -32,7 +33,8 @@ pub fn run(mut c: Command) -> Result<Output> {
     Ok(out)
 }
 
-/// A command as one would type it, with paths relative to the working directory where they lie below it.
+/// A command as one would type it, with paths relative to the working directory where they lie
+/// below it.
 pub fn show(c: &Command) -> String {
     let name = Path::new(c.get_program()).file_name().unwrap_or_default().to_string_lossy().into_owned();
     let quote =
@@ -52,7 +54,8 @@ pub struct Server {
 }
 
 impl Server {
-    /// Serves a dataset on free ports of the loopback and waits, at most a minute, until it listens.
+    /// Serves a dataset on free ports of the loopback and waits, at most a minute, until it
+    /// listens.
     pub fn start(dataset: &Path) -> Result<Self> {
         Self::start_at(dataset, "127.0.0.1:0")
     }

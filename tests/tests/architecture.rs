@@ -151,7 +151,8 @@ fn displays_and_graphics_cards_only_where_they_belong() {
     let mut users = BTreeSet::new();
     for folder in ["server/src", "client/src", "protocol/src", "tests/src"] {
         for (file, text) in sources(folder) {
-            // Drawing on the card and showing pictures know wgpu; windows and what is drawn over pictures belong to the latter alone.
+            // Drawing on the card and showing pictures know wgpu; windows and what is drawn over
+            // pictures belong to the latter alone.
             for (library, stages) in [
                 ("wgpu::", &["client/src/gpu/", "client/src/app/"][..]),
                 ("winit::", &["client/src/app/"]),
@@ -234,14 +235,16 @@ fn a_circle_of_files_is_found() {
 
 /// The import graph of a crate's files, read from their text.
 ///
-/// - A file imports another when it names an item that the other defines: in a `use` declaration, or
-///   inline in a path that begins with `crate::`, `super::`, `self::` or the name of a child module.
-/// - `use` lists are expanded. A name that a file passes on with `use` or `pub use` counts for the file
-///   that defines it, so a `mod.rs` that passes on its children's names imports nothing by that.
+/// - A file imports another when it names an item that the other defines: in a `use` declaration,
+///   or inline in a path that begins with `crate::`, `super::`, `self::` or the name of a child
+///   module.
+/// - `use` lists are expanded. A name that a file passes on with `use` or `pub use` counts for the
+///   file that defines it, so a `mod.rs` that passes on its children's names imports nothing by
+///   that.
 /// - A declaration `mod child;` is no import. A path that ends in a module (`use crate::walker;`)
 ///   counts where the module's items are named.
-/// - Comments, test files and test modules are left out; a module in braces belongs to its file. Names
-///   that macros make and glob imports are not followed.
+/// - Comments, test files and test modules are left out; a module in braces belongs to its file.
+///   Names that macros make and glob imports are not followed.
 mod imports {
     use std::collections::{BTreeMap, BTreeSet};
 
@@ -264,13 +267,14 @@ mod imports {
         module
     }
 
-    /// The text without comments. Text in quotes that looks like a comment is cut as well, which can only
-    /// hide an import behind it on the same line.
+    /// The text without comments. Text in quotes that looks like a comment is cut as well, which
+    /// can only hide an import behind it on the same line.
     fn without_comments(text: &str) -> String {
         text.lines().map(|l| l.split("//").next().unwrap_or_default()).collect::<Vec<_>>().join("\n")
     }
 
-    /// The single paths of a `use` tree: `a::{b, c::D as E}` gives `a::b` and `a::c::D`, the latter named `E`.
+    /// The single paths of a `use` tree: `a::{b, c::D as E}` gives `a::b` and `a::c::D`, the
+    /// latter named `E`.
     fn expand(tree: &str) -> Vec<(String, String)> {
         let tree = tree.trim();
         let Some(open) = tree.find('{') else {

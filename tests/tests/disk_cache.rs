@@ -48,7 +48,8 @@ fn visit(host: &Host, disk: &Path) -> Connection {
     connection
 }
 
-/// What a client holds is told on a stream, where it is in a datagram, which may overtake it: then a few chunks come that it has.
+/// What a client holds is told on a stream, where it is in a datagram, which may overtake it: then
+/// a few chunks come that it has.
 fn settle() {
     std::thread::sleep(Duration::from_millis(300));
 }
@@ -127,7 +128,8 @@ fn a_damaged_file_is_fetched_anew() {
         let name = first.index().chunks[chunk as usize].hash.to_string();
         disk.join("chunks").join(&name[..2]).join(name)
     };
-    // One of the right length with a wrong byte, and one that is gone after the client has looked what is there.
+    // One of the right length with a wrong byte, and one that is gone after the client has looked
+    // what is there.
     let (wrong, gone) = (path(LDI[0]), path(FIRST_CELL));
     let mut bytes = std::fs::read(&wrong).expect("a file");
     bytes[20] ^= 4;

@@ -158,7 +158,8 @@ fn a_walk_over_a_bad_link_draws_the_same_frames() {
     assert!(code == Some(2) && said.contains("for example rate=20mbit,delay=20ms"), "{code:?} {said}");
 }
 
-/// The server ends in the middle of a walk and comes back at the same address: the walk waits for it, and is sent the rest.
+/// The server ends in the middle of a walk and comes back at the same address: the walk waits for
+/// it, and is sent the rest.
 #[test]
 fn a_walk_outlives_its_connection() {
     let f = fixture();
@@ -193,13 +194,15 @@ fn a_walk_outlives_its_connection() {
         let [a, b] = ["whole", "broken"].map(|n| std::fs::read(picture(n, pose)).expect("a picture"));
         assert!(a == b, "pose {pose}");
     }
-    // What was sent before the loss is not sent again: of the whole walk's bytes a second handshake more.
+    // What was sent before the loss is not sent again: of the whole walk's bytes a second
+    // handshake more.
     let bytes =
         |name: &str| json(&out.join(format!("{name}.json")))["summary"]["bytes_total"].as_f64().expect("a count");
     assert!(bytes("broken") < 1.2 * bytes("whole"), "{} of {}", bytes("broken"), bytes("whole"));
 }
 
-/// Ctrl-C reaches a client twice when what started it passes signals on: the walk ends once, with its report.
+/// Ctrl-C reaches a client twice when what started it passes signals on: the walk ends once, with
+/// its report.
 #[test]
 fn two_signals_at_once_leave_a_report() {
     let f = fixture();
@@ -359,7 +362,8 @@ fn a_flipped_byte_is_named_and_the_walk_goes_on() {
     let damaged = out.join("dataset");
     copy_dataset(&f.dataset, &damaged);
     run::run(server(&["verify", damaged.to_str().expect("UTF-8")])).expect("a copy is whole");
-    // A chunk that the walk needs: the first image of the placement that its first pose with images uses.
+    // A chunk that the walk needs: the first image of the placement that its first pose with
+    // images uses.
     let dataset = Dataset::open(&damaged).expect("opens");
     let path = ldi_protocol::path::parse(&std::fs::read_to_string(&f.poses).expect("readable")).expect("a path");
     let half_tan = {
@@ -542,7 +546,8 @@ fn the_audit_counts_over_the_scene_and_tells_another_scene() {
     assert!(stderr.contains("was not built from"), "{stderr}");
 }
 
-/// A client that makes images of what is far from frames before: fewer triangles, nearly the same pictures.
+/// A client that makes images of what is far from frames before: fewer triangles, nearly the same
+/// pictures.
 #[test]
 fn cached_images_stand_for_what_is_far() {
     let out = folder("cached");

@@ -1,4 +1,5 @@
-//! `--renderer gpu` from end to end: the same pictures as the processor's, and what is said where there is no driver.
+//! `--renderer gpu` from end to end: the same pictures as the processor's, and what is said where
+//! there is no driver.
 
 use ldi_tests::{
     fixture::Fixture,
@@ -60,7 +61,8 @@ fn a_card_draws_what_the_processor_draws() {
         let (cpu, gpu) = (report(&dir, &on_processor), report(&dir, &on_card));
         assert_eq!((&cpu["options"]["renderer"], &gpu["options"]["renderer"]), (&"cpu".into(), &"gpu".into()));
         assert_eq!(gpu["options"]["gpu"]["calibration"]["on_card"], true);
-        // What is drawn does not depend on who does it; the processor warps less of it, as it leaves out what near geometry hides.
+        // What is drawn does not depend on who does it; the processor warps less of it, as it
+        // leaves out what near geometry hides.
         let counts = |r: &Value, name: &str| -> Vec<u64> {
             r["frames"].as_array().expect("frames").iter().map(|f| f[name].as_u64().expect("a number")).collect()
         };

@@ -1,5 +1,5 @@
-//! Peers that want a server or client no good: what they cannot take from others, and what of theirs
-//! never reaches a log, a terminal or a page as it is.
+//! Peers that want a server or client no good: what they cannot take from others, and what of
+//! theirs never reaches a log, a terminal or a page as it is.
 
 #[path = "../../client/src/cache/fixture.rs"]
 #[allow(dead_code, reason = "shared with other tests, which use the rest")]

@@ -1,4 +1,5 @@
-//! Server and client in network namespaces of their own, joined by links of every kind: the kernel's sockets, buffers and offloads take part, which no link within a process has.
+//! Server and client in network namespaces of their own, joined by links of every kind: the
+//! kernel's sockets, buffers and offloads take part, which no link within a process has.
 
 use ldi_tests::{
     fixture::{Fixture, SIZE},

@@ -1,4 +1,5 @@
-//! Rooms and portals from scene to walked frames, by the real binaries, on a small built-in house; the judges are rays over the scene.
+//! Rooms and portals from scene to walked frames, by the real binaries, on a small built-in house;
+//! the judges are rays over the scene.
 
 use ldi_client::{
     engine::{Method, Truth, view_of},
@@ -143,7 +144,8 @@ fn walk(served: &Server, h: &House, out: &Path, more: &[&str]) -> Command {
     c
 }
 
-/// Each way of 1998 to show what lies beyond a portal, from the build to judged frames: the more it knows, the less it errs.
+/// Each way of 1998 to show what lies beyond a portal, from the build to judged frames: the more
+/// it knows, the less it errs.
 #[test]
 fn the_more_an_image_of_a_portal_knows_the_less_it_errs() {
     let (h, out) = (paper_house(), folder("portal-paper"));
@@ -174,8 +176,9 @@ fn the_more_an_image_of_a_portal_knows_the_less_it_errs() {
     assert!(textures < 0.8 * texture, "the nearest of 13 textures against the central one: {flips:?}");
     assert!(warp1 < 0.8 * textures, "depth against none: {flips:?}");
     assert!(warp2 <= 1.02 * warp1, "a second image: {flips:?}");
-    // One image for all eyes: what no reference sees is not what it errs by, as the nearest of 13 is at most five degrees away, but that samples were taken by other cameras. So it errs a little more than the
-    // nearest image, and far less than the one image whose camera it has.
+    // One image for all eyes: what no reference sees is not what it errs by, as the nearest of 13
+    // is at most five degrees away, but that samples were taken by other cameras. So it errs a
+    // little more than the nearest image, and far less than the one image whose camera it has.
     assert!(ldi < 0.8 * textures && ldi < 1.4 * warp1, "layers: {flips:?}");
     let central = flip_of_the_central_image(h, &out);
     assert!(ldi < 0.6 * central, "layers {ldi}, the central image alone {central}");
@@ -286,7 +289,8 @@ fn a_walk_by_portals_keeps_the_budget_and_looks_like_the_truth() {
     assert!(s["hole_fraction_max"].as_f64().expect("a figure") < 0.01, "{}", s["hole_fraction_max"]);
 }
 
-/// What a ray of a picture meets first is drawn, or lies beyond a portal that shows an image; in a picture of 320 x 200 from random places.
+/// What a ray of a picture meets first is drawn, or lies beyond a portal that shows an image; in a
+/// picture of 320 x 200 from random places.
 #[test]
 fn no_surface_that_is_seen_is_neither_drawn_nor_beyond_a_shown_portal() {
     let h = house();
@@ -309,7 +313,8 @@ fn no_surface_that_is_seen_is_neither_drawn_nor_beyond_a_shown_portal() {
     };
     let (mut by_portal, mut drawn, mut by_grid) = (0u64, 0u64, 0);
     for _ in 0..120 {
-        // Indoors: from outside a twentieth of the house is less than its walls, and the grid serves.
+        // Indoors: from outside a twentieth of the house is less than its walls, and the grid
+        // serves.
         let inside = |p: &glam::DVec3| rooms.rooms.cell_at(*p).is_some();
         let Some(position) = (0..200).find_map(|_| sampler.point(std::array::from_fn(|_| unit())).filter(inside))
         else {
@@ -408,7 +413,8 @@ fn rooms_may_come_from_a_file_and_what_does_not_fit_is_named() {
     assert_eq!(path::parse(&std::fs::read_to_string(&h.poses).expect("readable")).expect("a path").poses.len(), 8);
 }
 
-/// By default rooms that the scene names are weighed against the grid alone; what was chosen is what was built, and the report says why.
+/// By default rooms that the scene names are weighed against the grid alone; what was chosen is
+/// what was built, and the report says why.
 #[test]
 fn rooms_are_weighed_against_the_grid_alone() {
     let out = folder("portal-auto");
@@ -439,7 +445,8 @@ fn rooms_are_weighed_against_the_grid_alone() {
     assert_eq!(report["guarantee"]["violations"], 0);
 }
 
-/// Who asks for rooms to be looked for where there are none gets the grid and is told so, whether or not anything else was asked for.
+/// Who asks for rooms to be looked for where there are none gets the grid and is told so, whether
+/// or not anything else was asked for.
 #[test]
 fn the_grid_is_taken_where_no_rooms_are_found() {
     let out = folder("portal-none");

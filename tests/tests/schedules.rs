@@ -1,8 +1,10 @@
-//! Bad links by schedule: loss, reordering, duplication, black-outs, each from a seed. Every chunk arrives intact or the connection ends with an error
-//! that says why, and then another one brings the rest; nothing hangs.
+//! Bad links by schedule: loss, reordering, duplication, black-outs, each from a seed. Every chunk
+//! arrives intact or the connection ends with an error that says why, and then another one brings
+//! the rest; nothing hangs.
 //!
-//! Server, client and link run in one thread in virtual time: waiting costs nothing, so a black-out of a minute takes milliseconds. `LDI_SCHEDULES=1000` runs as many
-//! schedules; a few run always.
+//! Server, client and link run in one thread in virtual time: waiting costs nothing, so a
+//! black-out of a minute takes milliseconds. `LDI_SCHEDULES=1000` runs as many schedules; a few
+//! run always.
 
 #[path = "../../client/src/cache/fixture.rs"]
 #[allow(dead_code, reason = "shared with other tests")]
@@ -122,7 +124,8 @@ async fn walk(config: &ConnectConfig, link: LinkSpec) -> Result<Ended, String> {
         if whole {
             cache.check()?;
             let held = cache.held().len() as u64;
-            // What was held when a connection was lost did not come again, but for what was just being decoded then.
+            // What was held when a connection was lost did not come again, but for what was just
+            // being decoded then.
             if ended.chunks < held || ended.chunks > held + u64::from(ended.lost) {
                 return Err(format!("{} chunks came, {held} are held: {ended:?}", ended.chunks));
             }

@@ -1,4 +1,5 @@
-//! Server and client over loopback, in one process: what is needed arrives, once; what is wrong stays with whom it is wrong.
+//! Server and client over loopback, in one process: what is needed arrives, once; what is wrong
+//! stays with whom it is wrong.
 
 #[path = "../../client/src/cache/fixture.rs"]
 mod fixture;
@@ -102,7 +103,8 @@ fn who_shows_no_images_is_sent_none() {
     }
 }
 
-/// Forecasts look only at what lacks something: they find what a look at everything finds, and that is what the client draws, wherever it takes from what is far.
+/// Forecasts look only at what lacks something: they find what a look at everything finds, and
+/// that is what the client draws, wherever it takes from what is far.
 #[test]
 fn what_is_lacking_is_what_is_needed_and_absent() {
     let folder = folder("lacking");
@@ -170,7 +172,8 @@ fn what_is_lacking_is_what_is_needed_and_absent() {
                 list
             };
             let expected = sorted(now.into_iter().chain(fine).filter(|c| absent(*c)).collect());
-            // The base layer is on its way before anything else, named or not; of the tree it may name a chunk without samples in view, and before it cells in view beyond the budget.
+            // The base layer is on its way before anything else, named or not; of the tree it may
+            // name a chunk without samples in view, and before it cells in view beyond the budget.
             let beyond = |c: &u32| match index.chunks[*c as usize].kind {
                 ChunkKind::Tree => true,
                 ChunkKind::Cell => method == Method::Tree && all.contains(c),
@@ -254,7 +257,8 @@ fn until(what: &str, so: impl Fn() -> bool) {
     }
 }
 
-/// A street of so many cells that its pages take seconds over the link below; the tree's are among the last of the manifest.
+/// A street of so many cells that its pages take seconds over the link below; the tree's are among
+/// the last of the manifest.
 fn long_street() -> Street {
     street(6000, 16).with_tree()
 }
@@ -342,7 +346,8 @@ fn an_address_gets_no_more_than_its_bytes_per_second() {
         let chunk = connections[round % 2].fetch(Request::Number(FIRST_CELL)).unwrap().1;
         bytes += chunk.len();
     }
-    // Never more, however fast or slow this machine is: a tenth of a second's worth goes at once, and one chunk before it is counted.
+    // Never more, however fast or slow this machine is: a tenth of a second's worth goes at once,
+    // and one chunk before it is counted.
     let most = LIMIT * (started.elapsed().as_secs_f64() + 0.1) + (bytes / 30) as f64;
     assert!(bytes as f64 <= most, "{bytes} bytes, {most} at most");
     assert!(bytes as f64 > 0.3 * LIMIT, "{bytes} bytes are no test of the limit");
@@ -359,12 +364,14 @@ fn who_asks_for_everything_gets_two_megabytes_per_second() {
         let chunk = asking.fetch(Request::Number(LDI[0])).unwrap().1;
         (bytes, largest) = (bytes + chunk.len(), largest.max(chunk.len()));
     }
-    // Never more, however fast or slow this machine is: half a second's worth goes at once, and one chunk before it is counted.
+    // Never more, however fast or slow this machine is: half a second's worth goes at once, and
+    // one chunk before it is counted.
     let most = 2e6 * (started.elapsed().as_secs_f64() + 0.5) + largest as f64;
     assert!(bytes as f64 <= most, "{bytes} bytes, {most} at most");
 }
 
-/// What a client's map knows of the others, once it is `expected`: walkers by name, and where they are along the street.
+/// What a client's map knows of the others, once it is `expected`: walkers by name, and where they
+/// are along the street.
 fn others_become(others: &OtherWalkers, expected: Option<&[(&str, f64)]>) {
     let seen = || {
         let list = others.list()?;

@@ -1,4 +1,5 @@
-//! The window, driven by a real keyboard and mouse on a display without a screen; and whom it trusts.
+//! The window, driven by a real keyboard and mouse on a display without a screen; and whom it
+//! trusts.
 
 #[path = "window/display.rs"]
 mod display;
@@ -90,7 +91,8 @@ impl Walk {
         self.all().iter().filter(|e| e["event"] == event).count()
     }
 
-    /// The newest screenshot, once there is one, and where it lies; it shows more than a few plain surfaces.
+    /// The newest screenshot, once there is one, and where it lies; it shows more than a few plain
+    /// surfaces.
     fn shot(&mut self) -> (PathBuf, image::RgbImage) {
         let path = PathBuf::from(self.wait_for("screenshot")["path"].as_str().expect("a path"));
         let picture = image::open(&path).expect("a picture").into_rgb8();
@@ -176,7 +178,8 @@ fn a_visit_with_keyboard_and_mouse() {
     display.hand(&["keyup", "w"]);
     display.hand(&["key", "Escape"]);
     walk.wait_for("released");
-    // A screenshot: as large as the window, neither sky alone nor one colour, with its pose beside it.
+    // A screenshot: as large as the window, neither sky alone nor one colour, with its pose beside
+    // it.
     display.hand(&["key", "F12"]);
     let (path, picture) = walk.shot();
     assert_eq!(picture.dimensions(), SIZE);
@@ -220,7 +223,8 @@ fn a_visit_with_keyboard_and_mouse() {
     assert_eq!(known.trim(), format!("{} {}", served.quic, served.fingerprint));
 }
 
-/// Filling the window costs as much as drawing a small picture: it is filled for pictures, and otherwise only as often as figures are written.
+/// Filling the window costs as much as drawing a small picture: it is filled for pictures, and
+/// otherwise only as often as figures are written.
 #[test]
 fn a_window_at_rest_rests_and_ends_when_it_is_asked_to() {
     let Some(display) = display() else { return };
@@ -386,7 +390,8 @@ fn a_gamepad_walks() {
     });
 }
 
-/// From a room of a real building through two doors, with the keys alone; then by the map to the other end of the storey.
+/// From a room of a real building through two doors, with the keys alone; then by the map to the
+/// other end of the storey.
 #[test]
 fn three_rooms_of_the_clinic() {
     let Some(scene) = shared_scene("clinic.glb") else {

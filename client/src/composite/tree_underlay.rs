@@ -15,8 +15,9 @@ use crate::{
     warp::FarFrame,
 };
 
-/// Share of the depth by which a sample must be nearer than a painted pixel to hide it. Smaller: rough
-/// samples of foliage hide leaves that are drawn exactly. Larger: rooms show through missing walls.
+/// Share of the depth by which a sample must be nearer than a painted pixel to hide it. Smaller:
+/// rough samples of foliage hide leaves that are drawn exactly. Larger: rooms show through missing
+/// walls.
 const NEARER: f32 = 0.02;
 
 /// Whether painted pixels can be trusted.

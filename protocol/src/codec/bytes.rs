@@ -1,9 +1,11 @@
 //! Reading and writing little-endian fields, LEB128 numbers and compressed sections.
 //!
-//! A *section* is `raw length (LEB128) | stored length (LEB128) | stored bytes`. Where the two lengths are equal the bytes
-//! are stored as they are, else they are one zstd frame or coded by [`rans`], whichever is shorter: the one finds what repeats, the other costs noise no
-//! more than its entropy. The reader is told the largest raw length that makes sense at this place and refuses a larger one before it allocates. Planes of
-//! different statistics go into sections of their own, since each has one table.
+//! A *section* is `raw length (LEB128) | stored length (LEB128) | stored bytes`. Where the two
+//! lengths are equal the bytes are stored as they are, else they are one zstd frame or coded by
+//! [`rans`], whichever is shorter: the one finds what repeats, the other costs noise no more than
+//! its entropy. The reader is told the largest raw length that makes sense at this place and
+//! refuses a larger one before it allocates. Planes of different statistics go into sections of
+//! their own, since each has one table.
 
 use super::{CodecError, rans};
 
@@ -107,7 +109,8 @@ impl BitWriter {
     }
 }
 
-/// Reads fields of a chunk in order; every method fails with the field's name instead of reading past the end.
+/// Reads fields of a chunk in order; every method fails with the field's name instead of reading
+/// past the end.
 pub(crate) struct Reader<'a> {
     rest: &'a [u8],
     /// Raw bytes that sections may still hold.
@@ -287,7 +290,8 @@ impl BitReader<'_> {
     }
 }
 
-/// Appends a LEB128 number: seven bits a byte, low bits first, the high bit set on all bytes but the last.
+/// Appends a LEB128 number: seven bits a byte, low bits first, the high bit set on all bytes but
+/// the last.
 pub(crate) fn put_varint(out: &mut Vec<u8>, mut v: u64) {
     while v >= 128 {
         out.push(v as u8 | 128);

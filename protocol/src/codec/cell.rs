@@ -1,16 +1,19 @@
 //! Cell and bundle chunks: a [`CellGeometry`] to bytes and back.
 //!
-//! - Positions lie on a lattice of mesh space whose step is a power of two, the same for all clusters of a mesh
-//!   ([`position_step_log2`]): neighbouring clusters, wherever they are stored, share their border vertices exactly, and
-//!   decoding is exact in f32. Normals are octahedral, 12 bits a coordinate (Meyer et al. 2010): at most 0.04 degrees off, so
-//!   light is off by less than a third of an 8-bit code. Texture coordinates lie on a lattice of 1/16 texel ([`uv_step_log2`]).
-//! - Vertices are numbered in the order of first use, so that most indices say "the next new vertex", and each plane is
-//!   delta-coded along that order. Planes of equal meaning are joined over the chunk's clusters, cut into bytes by
-//!   significance, and compressed as zstd sections ([`planes`](super::planes)).
+//! - Positions lie on a lattice of mesh space whose step is a power of two, the same for all
+//!   clusters of a mesh ([`position_step_log2`]): neighbouring clusters, wherever they are stored,
+//!   share their border vertices exactly, and decoding is exact in f32. Normals are octahedral, 12
+//!   bits a coordinate (Meyer et al. 2010): at most 0.04 degrees off, so light is off by less than
+//!   a third of an 8-bit code. Texture coordinates lie on a lattice of 1/16 texel
+//!   ([`uv_step_log2`]).
+//! - Vertices are numbered in the order of first use, so that most indices say "the next new
+//!   vertex", and each plane is delta-coded along that order. Planes of equal meaning are joined
+//!   over the chunk's clusters, cut into bytes by significance, and compressed as zstd sections
+//!   ([`planes`](super::planes)).
 //! - Instances share transforms: most clusters of a mesh instance carry the same one.
 //!
-//! Triangles keep their order and their winding; vertices no triangle uses are dropped. Encoding what was decoded gives the
-//! same bytes again.
+//! Triangles keep their order and their winding; vertices no triangle uses are dropped. Encoding
+//! what was decoded gives the same bytes again.
 
 use super::{
     CodecError,
@@ -28,7 +31,8 @@ pub const VERSION: u8 = 2;
 pub const MAX_CLUSTERS: usize = 1 << 16;
 /// Most instances in a cell.
 pub const MAX_INSTANCES: usize = 1 << 20;
-/// Most vertices in a chunk: bounds what a forged chunk can make a reader allocate, to about 200 MB.
+/// Most vertices in a chunk: bounds what a forged chunk can make a reader allocate, to about 200
+/// MB.
 pub const MAX_VERTICES: usize = 1 << 22;
 
 const MAGIC: [u8; 3] = *b"CEL";
@@ -44,21 +48,25 @@ const STEPS_LOG2: std::ops::RangeInclusive<i64> = -64..=32;
 pub struct ClusterSteps {
     /// Positions: step 2^k in mesh units; the same for all clusters of a mesh.
     pub position_log2: i8,
-    /// Texture coordinates: step 2^k. A cluster whose coordinates span more than 2^24 steps gets a larger one.
+    /// Texture coordinates: step 2^k. A cluster whose coordinates span more than 2^24 steps gets a
+    /// larger one.
     pub uv_log2: i8,
 }
 
-/// Step of a mesh's positions from its extent (longest edge of its mesh-space box) and the largest scale of its instances: 0.1 mm
-/// in the world, but never finer than 2^-20 nor coarser than 2^-14 of the extent. Coarser shows on close inspection; finer is
-/// more than the picture can show and costs a byte per vertex and axis every 8 steps of the exponent.
+/// Step of a mesh's positions from its extent (longest edge of its mesh-space box) and the largest
+/// scale of its instances: 0.1 mm in the world, but never finer than 2^-20 nor coarser than 2^-14
+/// of the extent. Coarser shows on close inspection; finer is more than the picture can show and
+/// costs a byte per vertex and axis every 8 steps of the exponent.
 pub fn position_step_log2(extent: f64, largest_scale: f64) -> i8 {
     let wanted = 1e-4 / largest_scale.max(f64::MIN_POSITIVE);
     let step = wanted.clamp(extent * 2f64.powi(-20), (extent * 2f64.powi(-14)).max(extent * 2f64.powi(-20)));
-    // Rounded down, except where that would be finer than 2^-20 of the extent: positions must fit 24 bits.
+    // Rounded down, except where that would be finer than 2^-20 of the extent: positions must fit
+    // 24 bits.
     if step > 0.0 && step.is_finite() { step.log2().floor().clamp(-64.0, 32.0) as i8 } else { -14 }
 }
 
-/// Step of texture coordinates for a texture whose longer side has this many texels: at most 1/16 texel.
+/// Step of texture coordinates for a texture whose longer side has this many texels: at most 1/16
+/// texel.
 pub fn uv_step_log2(side: u32) -> i8 {
     -(side.max(1).next_power_of_two().ilog2() as i8) - 4
 }
@@ -66,7 +74,8 @@ pub fn uv_step_log2(side: u32) -> i8 {
 /// Encodes a cell or a bundle; `steps` has one entry per cluster. `level` is zstd's, 1 to 19.
 ///
 /// # Errors
-/// If a value is not finite, a cluster is too large for its step, or a limit of the format is exceeded.
+/// If a value is not finite, a cluster is too large for its step, or a limit of the format is
+/// exceeded.
 pub fn encode(geometry: &CellGeometry, steps: &[ClusterSteps], level: i32) -> Result<Vec<u8>, CodecError> {
     let g = geometry;
     if steps.len() != g.clusters.len() {
@@ -94,8 +103,9 @@ pub fn encode(geometry: &CellGeometry, steps: &[ClusterSteps], level: i32) -> Re
     Ok(w.bytes)
 }
 
-/// Decodes a cell or a bundle. Every index is in range within the chunk and every number finite; whether materials and
-/// shared clusters exist is for [`crate::manifest::check_cell`] to say, which knows the index.
+/// Decodes a cell or a bundle. Every index is in range within the chunk and every number finite;
+/// whether materials and shared clusters exist is for [`crate::manifest::check_cell`] to say,
+/// which knows the index.
 ///
 /// # Errors
 /// If anything is missing, out of range or left over.

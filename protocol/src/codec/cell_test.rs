@@ -154,7 +154,8 @@ fn truncation_and_damage_never_panic() {
     assert!(refused > 500, "{refused}");
 }
 
-/// Where octahedral coordinates are coarsest, around the middle of each face, at a tenth of a step: the bound holds, and is nearly reached.
+/// Where octahedral coordinates are coarsest, around the middle of each face, at a tenth of a
+/// step: the bound holds, and is nearly reached.
 #[test]
 fn normals_in_the_middles_of_faces_are_off_by_no_more_than_the_bound() {
     let mut most = 0f32;

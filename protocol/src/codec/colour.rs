@@ -1,17 +1,21 @@
 //! Colour planes of LDI layers and textures.
 //!
-//! G is predicted by the median-edge rule; R and B are predicted as differences to the *decoded* G, so that in the
-//! near-lossless modes a channel's error is its own quantization only: less than its step.
+//! G is predicted by the median-edge rule; R and B are predicted as differences to the *decoded*
+//! G, so that in the near-lossless modes a channel's error is its own quantization only: less than
+//! its step.
 //!
-//! Where the neighbourhood varies little, how little depends on the mode, all three are exact: there an error lies over whole surfaces and is seen, and
-//! residuals are small and cheap; amid detail errors differ from pixel to pixel, the eye averages them away, and most bits are saved.
+//! Where the neighbourhood varies little, how little depends on the mode, all three are exact:
+//! there an error lies over whole surfaces and is seen, and residuals are small and cheap; amid
+//! detail errors differ from pixel to pixel, the eye averages them away, and most bits are saved.
 //!
-//! Holes: a row buffer keeps, per column, the last colour seen in it, however many rows above. Where old values stand
-//! beside each other they are equal or nearly so, and then the median-edge rule gives the left neighbour. A run starts
-//! from the sample above if the row above has one, else from the end of the run before it, else from the row buffer.
+//! Holes: a row buffer keeps, per column, the last colour seen in it, however many rows above.
+//! Where old values stand beside each other they are equal or nearly so, and then the median-edge
+//! rule gives the left neighbour. A run starts from the sample above if the row above has one,
+//! else from the end of the run before it, else from the row buffer.
 //!
-//! Contexts: for G how much the neighbourhood varies, in steps; for R and B the residual that G (and R) just had, which
-//! tells edges that colour differences follow, and the variation of the difference itself.
+//! Contexts: for G how much the neighbourhood varies, in steps; for R and B the residual that G
+//! (and R) just had, which tells edges that colour differences follow, and the variation of the
+//! difference itself.
 
 use super::{
     CodecError,
@@ -21,7 +25,8 @@ use super::{
 };
 use std::cell::Cell;
 
-/// How exactly colours are kept amid detail: quantizer steps of the prediction residuals. One mechanism, many settings.
+/// How exactly colours are kept amid detail: quantizer steps of the prediction residuals. One
+/// mechanism, many settings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ColourMode {
     /// Step of G, 1 to 32. The error is less than that.
@@ -62,21 +67,25 @@ impl ColourMode {
     }
 }
 
-/// What colours may cost: a build's `--colour`. Each image gets the first mode of a ladder, from exact on, with which it takes no more bytes than the profile grants.
+/// What colours may cost: a build's `--colour`. Each image gets the first mode of a ladder, from
+/// exact on, with which it takes no more bytes than the profile grants.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ColourProfile {
     /// Exact, whatever it costs.
     Lossless,
-    /// Exact as long as an image takes at most 0.95 bytes per sample; errors up to 3 codes in G and 7 in R and B.
+    /// Exact as long as an image takes at most 0.95 bytes per sample; errors up to 3 codes in G
+    /// and 7 in R and B.
     High,
-    /// Exact as long as an image takes at most 0.55 bytes per sample; errors up to 15 codes in G and 23 in R and B.
+    /// Exact as long as an image takes at most 0.55 bytes per sample; errors up to 15 codes in G
+    /// and 23 in R and B.
     Compact,
 }
 
 impl ColourProfile {
     /// All profiles, the exact one first.
     pub const ALL: [Self; 3] = [Self::Lossless, Self::High, Self::Compact];
-    /// Ever fewer bytes and larger errors; by judgement (docs/adr/0015-bytes-per-sample-profiles.md).
+    /// Ever fewer bytes and larger errors; by judgement
+    /// (docs/adr/0015-bytes-per-sample-profiles.md).
     const LADDER: [ColourMode; 11] = [
         ColourMode::LOSSLESS,
         ColourMode::new(2, 2, 2),
@@ -114,8 +123,9 @@ impl ColourProfile {
         }
     }
 
-    /// Bytes that an image may take per sample before a mode with larger errors is tried: what indoor scenes take with exact colours and a textured one nearly, and half of
-    /// what exact colours of a textured one take.
+    /// Bytes that an image may take per sample before a mode with larger errors is tried: what
+    /// indoor scenes take with exact colours and a textured one nearly, and half of what exact
+    /// colours of a textured one take.
     pub fn bytes_per_sample(self) -> f64 {
         match self {
             Self::Lossless => f64::INFINITY,
@@ -124,7 +134,8 @@ impl ColourProfile {
         }
     }
 
-    /// The mode of textures, which are drawn near the eye, where an error of one code is seen as FLIP 0.02: exact unless bytes come first.
+    /// The mode of textures, which are drawn near the eye, where an error of one code is seen as
+    /// FLIP 0.02: exact unless bytes come first.
     pub fn of_textures(self) -> ColourMode {
         if self == Self::Compact { ColourMode::new(3, 5, 1) } else { ColourMode::LOSSLESS }
     }
@@ -137,21 +148,23 @@ const OTHER: usize = 9;
 /// Streams that `walk` uses.
 pub(super) const STREAMS: usize = GREEN + 2 * OTHER;
 
-/// Upper ends of the contexts of G: variation in codes. Finer gains less than a hundredth of a byte, and each stream costs
-/// its tables; coarser mixes flat walls with foliage.
+/// Upper ends of the contexts of G: variation in codes. Finer gains less than a hundredth of a
+/// byte, and each stream costs its tables; coarser mixes flat walls with foliage.
 const GREEN_BORDERS: [i32; GREEN - 1] = [1, 3, 6, 11, 20, 36, 70];
 
 /// One column of the row buffer: G, R - G, B - G as decoded.
 type Decoded = [i32; 3];
 
-/// A table by the sum of at most four absolute differences of 8-bit values, or of two of colour differences.
+/// A table by the sum of at most four absolute differences of 8-bit values, or of two of colour
+/// differences.
 type ByVariation = [u8; 1024];
 
 /// Rows and contexts of a walk, shared by the layers of a chunk.
 pub(super) struct Walker {
     mode: ColourMode,
     green_context: ByVariation,
-    /// What the variation of a colour difference adds to the context of R and B: where colours are exact, and amid detail.
+    /// What the variation of a colour difference adds to the context of R and B: where colours are
+    /// exact, and amid detail.
     other_context: [ByVariation; 2],
     /// What the residual just before, a byte, adds to it.
     residual_context: [u8; 256],
@@ -169,8 +182,8 @@ impl Walker {
         }
     }
 
-    /// Codes the colours of all samples. A decoder passes black ones and gets the colours; an encoder passes the colours and gets
-    /// them as the decoder will.
+    /// Codes the colours of all samples. A decoder passes black ones and gets the colours; an
+    /// encoder passes the colours and gets them as the decoder will.
     pub fn walk(&self, runs: &[Run], width: u32, rgb: &mut [[u8; 3]], coder: &mut impl Coder) {
         let ColourMode { green_step, red_blue_step, exact_contexts } = self.mode;
         if (green_step, red_blue_step) == (1, 1) || usize::from(exact_contexts) == GREEN {

@@ -1,7 +1,8 @@
 //! The one error of all chunk and manifest decoders.
 
-/// Why bytes could not be decoded (or, rarely, why a value cannot be encoded). `field` names the place in the format
-/// as `docs/reference/format.md` calls it. The caller adds which chunk or file it was.
+/// Why bytes could not be decoded (or, rarely, why a value cannot be encoded). `field` names the
+/// place in the format as `docs/reference/format.md` calls it. The caller adds which chunk or file
+/// it was.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CodecError {
     /// The data stops before the field does.

@@ -1,5 +1,6 @@
-//! The instances of a cell: transforms and bundles once each, in the order of first use; then per instance its cluster and the
-//! difference of its transform's number to that of the instance before.
+//! The instances of a cell: transforms and bundles once each, in the order of first use; then per
+//! instance its cluster and the difference of its transform's number to that of the instance
+//! before.
 
 use super::{
     CodecError,

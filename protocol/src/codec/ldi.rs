@@ -1,9 +1,11 @@
 //! LDI chunks: an [`Ldi`] to two chunks and back.
 //!
-//! The first chunk holds the camera, the disparity codes, the sky bits and layer 0, so that it alone is a useful picture;
-//! the second holds the deeper layers and the [slivers](super::slivers). Per chunk: occupancy ([`runs`](super::runs)), links, ends, slopes and disparities
-//! ([`surface`](super::surface)), colours ([`colour`](super::colour)); each stream is a section shared by the chunk's
-//! layers, since deep layers are small. Disparities, links, ends and slopes are exact; colours as the [`ColourMode`] says.
+//! The first chunk holds the camera, the disparity codes, the sky bits and layer 0, so that it
+//! alone is a useful picture; the second holds the deeper layers and the
+//! [slivers](super::slivers). Per chunk: occupancy ([`runs`](super::runs)), links, ends, slopes
+//! and disparities ([`surface`](super::surface)), colours ([`colour`](super::colour)); each stream
+//! is a section shared by the chunk's layers, since deep layers are small. Disparities, links,
+//! ends and slopes are exact; colours as the [`ColourMode`] says.
 
 use super::{
     CodecError, ColourMode, ColourProfile,
@@ -21,14 +23,15 @@ use glam::DVec3;
 
 /// Version of both LDI chunks.
 pub const VERSION: u8 = 6;
-/// Most samples in one chunk: bounds what a forged chunk can make a reader allocate, about 150 MB. An LDI of the largest
-/// planned kind (2560 x 1440 at density 2) has 15 million.
+/// Most samples in one chunk: bounds what a forged chunk can make a reader allocate, about 150 MB.
+/// An LDI of the largest planned kind (2560 x 1440 at density 2) has 15 million.
 pub const MAX_SAMPLES: usize = 1 << 24;
 
 const FIRST: [u8; 3] = *b"LDF";
 const DEEPER: [u8; 3] = *b"LDD";
 
-/// Encodes an LDI as a profile asks: its first chunk and, if there are deeper layers or slivers, its second. `level` is zstd's, 1 to 19.
+/// Encodes an LDI as a profile asks: its first chunk and, if there are deeper layers or slivers,
+/// its second. `level` is zstd's, 1 to 19.
 ///
 /// # Errors
 /// As [`encode_first`].
@@ -36,7 +39,8 @@ pub fn encode(ldi: &Ldi, profile: ColourProfile, level: i32) -> Result<Vec<Vec<u
     Ok(encode_all(&[ldi], profile, level)?.concat())
 }
 
-/// Encodes several LDIs as [`encode`] does one, with the bytes that they are granted together: where one is plain, another may have exact textures. The chunks of each.
+/// Encodes several LDIs as [`encode`] does one, with the bytes that they are granted together:
+/// where one is plain, another may have exact textures. The chunks of each.
 ///
 /// # Errors
 /// As [`encode_first`].
@@ -59,7 +63,8 @@ pub fn encode_all(ldis: &[&Ldi], profile: ColourProfile, level: i32) -> Result<V
         let fits = chunks.iter().flatten().map(Vec::len).sum::<usize>() as f64 <= granted;
         Ok((chunks, fits))
     };
-    // Exact colours suit most images. Of the others each takes fewer bytes than the one before: the first that fits is found by halving.
+    // Exact colours suit most images. Of the others each takes fewer bytes than the one before:
+    // the first that fits is found by halving.
     let (mut best, mut fits) = coded(profile.modes()[0])?;
     let mut rest = if fits { &[] } else { &profile.modes()[1..] };
     while !rest.is_empty() {
@@ -81,7 +86,8 @@ pub fn encode_first(ldi: &Ldi, mode: ColourMode, level: i32) -> Result<Vec<u8>, 
     Shape::first(ldi, level)?.coloured(mode, level)
 }
 
-/// Encodes the layers behind layer 0, and the slivers; None when there are none of either. `level` is zstd's, 1 to 19.
+/// Encodes the layers behind layer 0, and the slivers; None when there are none of either. `level`
+/// is zstd's, 1 to 19.
 ///
 /// # Errors
 /// As [`encode_first`].
@@ -232,8 +238,8 @@ pub fn decode_first(bytes: &[u8]) -> Result<Ldi, CodecError> {
 /// Decodes the deeper layers and appends them to the LDI whose first chunk was decoded before.
 ///
 /// # Errors
-/// If the chunk is malformed, belongs to an image of another size, or the LDI has its deeper layers already. Then `ldi` is
-/// as before.
+/// If the chunk is malformed, belongs to an image of another size, or the LDI has its deeper
+/// layers already. Then `ldi` is as before.
 pub fn decode_deeper(bytes: &[u8], ldi: &mut Ldi) -> Result<(), CodecError> {
     let mut r = Reader::new(bytes);
     r.magic("deeper LDI layers", DEEPER, VERSION)?;
@@ -257,7 +263,8 @@ pub fn decode_deeper(bytes: &[u8], ldi: &mut Ldi) -> Result<(), CodecError> {
     })
 }
 
-/// Bytes that an LDI takes in memory, for [`crate::index::ChunkEntry::decoded_bytes`]: of the first chunk's part, and of the rest.
+/// Bytes that an LDI takes in memory, for [`crate::index::ChunkEntry::decoded_bytes`]: of the
+/// first chunk's part, and of the rest.
 pub fn decoded_bytes(ldi: &Ldi) -> [usize; 2] {
     let layer = |l: &LdiLayer| l.len() * (1 + 2 + 3 + 1 + 2 + 2) + size_of_val(&l.segments[..]);
     let first = ldi.sky.len() * 8 + size_of::<Ldi>() + ldi.layers.first().map_or(0, layer);

@@ -1,4 +1,5 @@
-//! LDI chunks on a synthetic image: two slanted walls, a sparse deep layer, holes, textured and noisy colours.
+//! LDI chunks on a synthetic image: two slanted walls, a sparse deep layer, holes, textured and
+//! noisy colours.
 
 use super::*;
 use crate::ldi::{END_BITS, LINK_DOWN, LINK_RIGHT, Sliver, SliverCorner, end_of, is_loose};
@@ -18,7 +19,8 @@ impl Random {
     }
 }
 
-/// A layer of the pixels that `code` gives a disparity for, with random links where they are allowed.
+/// A layer of the pixels that `code` gives a disparity for, with random links where they are
+/// allowed.
 fn layer(width: u32, height: u32, random: &mut Random, code: impl Fn(u32, u32) -> Option<u16>) -> LdiLayer {
     let mut runs: Vec<Run> = Vec::new();
     let mut out = LdiLayer::default();
@@ -146,7 +148,8 @@ fn an_image_is_exact_as_long_as_its_profile_grants_the_bytes() {
         );
     }
     assert_eq!(ColourProfile::from_name("exact"), None);
-    // Noise of less and less contrast: the first mode that fits, as trying all of them in order finds it.
+    // Noise of less and less contrast: the first mode that fits, as trying all of them in order
+    // finds it.
     let mut found = std::collections::BTreeSet::new();
     for contrast in [3, 5, 6, 8, 11, 16, 40] {
         let mut faint = noisy.clone();

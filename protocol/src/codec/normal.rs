@@ -1,18 +1,22 @@
-//! Unit normals as octahedral coordinates (Meyer, Suessmuth, Sussner, Stamminger, Greiner 2010): the sphere is projected
-//! onto the octahedron |x| + |y| + |z| = 1, its lower half unfolded over the corners of the upper half's square.
+//! Unit normals as octahedral coordinates (Meyer, Suessmuth, Sussner, Stamminger, Greiner 2010):
+//! the sphere is projected onto the octahedron |x| + |y| + |z| = 1, its lower half unfolded over
+//! the corners of the upper half's square.
 
 use glam::Vec3;
 
 /// Largest coordinate: 12 bits with 0 represented exactly, so that axis-aligned normals stay exact.
 const NORMAL_MAX: f32 = 2047.0;
 
-/// Most that a decoded normal is off, radians: sqrt(2) / 2047, 0.04 degrees. A step of one coordinate moves a point of a face by a step of a hexagonal lattice, sqrt(2) / 2047 long, no place is farther than
-/// 1 / sqrt(3) of that from a lattice point, and a face's middle, where it counts most, is 1 / sqrt(3) from the origin. Rounding each coordinate by itself would not do: where both are half way it
-/// is off by 3 / sqrt(2) / 2047.
+/// Most that a decoded normal is off, radians: sqrt(2) / 2047, 0.04 degrees. A step of one
+/// coordinate moves a point of a face by a step of a hexagonal lattice, sqrt(2) / 2047 long, no
+/// place is farther than 1 / sqrt(3) of that from a lattice point, and a face's middle, where it
+/// counts most, is 1 / sqrt(3) from the origin. Rounding each coordinate by itself would not do:
+/// where both are half way it is off by 3 / sqrt(2) / 2047.
 #[cfg(test)]
 pub(super) const MOST_OFF: f32 = std::f32::consts::SQRT_2 / NORMAL_MAX;
 
-/// Octahedral coordinates of a unit normal, each -2047 to 2047: of the four around it those that are decoded nearest to it. What is no direction becomes +Y.
+/// Octahedral coordinates of a unit normal, each -2047 to 2047: of the four around it those that
+/// are decoded nearest to it. What is no direction becomes +Y.
 pub(super) fn octahedral(n: Vec3) -> [i64; 2] {
     let sum = n.abs().element_sum();
     let n = if sum > 0.0 && sum.is_finite() { n / sum } else { Vec3::Y };

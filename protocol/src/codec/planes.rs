@@ -1,7 +1,7 @@
 //! Planes of integers: N interleaved numbers per element, delta-coded, cut into bytes.
 //!
-//! Numbers are zigzagged to 32 bits; byte 0 of all of them (first component first), then byte 1, 2 and 3 are sections. High
-//! bytes are almost always 0 and then cost a few bytes altogether.
+//! Numbers are zigzagged to 32 bits; byte 0 of all of them (first component first), then byte 1, 2
+//! and 3 are sections. High bytes are almost always 0 and then cost a few bytes altogether.
 
 use super::{
     CodecError,

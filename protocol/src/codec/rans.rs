@@ -1,19 +1,25 @@
 //! Sections of noise: range asymmetric numeral systems (Duda 2013), order 0, one table a section.
 //!
-//! Most bytes of a dataset are residuals sorted by context. What is left in one context repeats nothing, and few of its values are likely: there a code of whole
-//! bits per value, as zstd's is, costs up to a bit more than their entropy. This one costs next to nothing more.
+//! Most bytes of a dataset are residuals sorted by context. What is left in one context repeats
+//! nothing, and few of its values are likely: there a code of whole bits per value, as zstd's is,
+//! costs up to a bit more than their entropy. This one costs next to nothing more.
 //!
 //! ```text
 //! method | table | four states or one, u32 | words, u16
 //! ```
 //!
-//! Four states take turns, value by value, so that a processor works on four at once; they share the words, and end where the encoder began: a check of
-//! the whole section. [`FEW`] values and less have one state, which takes twelve bytes less.
+//! Four states take turns, value by value, so that a processor works on four at once; they share
+//! the words, and end where the encoder began: a check of the whole section. [`FEW`] values and
+//! less have one state, which takes twelve bytes less.
 //!
-//! Table: bits, low first. The largest value that occurs (8), how finely weights are told (2), then the weight of each value up to it. Of a weight first its length in bits, as the
-//! difference to the length of the weight before (0 at first): 0 is a bit of 0; others are a bit of 1, a bit that says negative, and the size less one as so many bits of 1 and one of 0. Then the
-//! bits after the leading one, as many as are told; halfway between what is told and the next is what the others stand for. Residuals' frequencies fall evenly: a value takes
-//! three or four bits. What a table leaves out costs less than it takes, and the encoder tries which is the best. Frequencies are the weights scaled to 4,096ths ([`scaled`]).
+//! Table: bits, low first. The largest value that occurs (8), how finely weights are told (2),
+//! then the weight of each value up to it. Of a weight first its length in bits, as the difference
+//! to the length of the weight before (0 at first): 0 is a bit of 0; others are a bit of 1, a bit
+//! that says negative, and the size less one as so many bits of 1 and one of 0. Then the bits
+//! after the leading one, as many as are told; halfway between what is told and the next is what
+//! the others stand for. Residuals' frequencies fall evenly: a value takes three or four bits.
+//! What a table leaves out costs less than it takes, and the encoder tries which is the best.
+//! Frequencies are the weights scaled to 4,096ths ([`scaled`]).
 
 use super::{
     CodecError,
@@ -31,7 +37,8 @@ const TOLD: [u32; 4] = [1, 2, 3, 6];
 /// Bits of the largest weight, 4,096.
 const LONGEST: u32 = BITS + 1;
 
-/// Frequencies are in parts of `1 << BITS`: finer is closer to the entropy, and a table that leaves the first-level cache.
+/// Frequencies are in parts of `1 << BITS`: finer is closer to the entropy, and a table that
+/// leaves the first-level cache.
 const BITS: u32 = 12;
 const PARTS: u32 = 1 << BITS;
 /// States are at least this, and a word (16 bits) joins one that falls below.
@@ -92,7 +99,8 @@ pub(super) fn decode(coded: &[u8], few: bool, raw_len: usize, field: &'static st
     };
     let mut out = vec![0; raw_len];
     let (fours, rest) = if few { (&mut [][..], &mut out[..]) } else { out.as_chunks_mut::<STATES>() };
-    // States in registers: through memory each value would wait for the one four before it to be stored.
+    // States in registers: through memory each value would wait for the one four before it to be
+    // stored.
     let [mut a, mut b, mut c, mut d] = states;
     for four in fours {
         *four = [value_of(&mut a), value_of(&mut b), value_of(&mut c), value_of(&mut d)];
@@ -110,8 +118,8 @@ pub(super) fn decode(coded: &[u8], few: bool, raw_len: usize, field: &'static st
     }
 }
 
-/// What a slot stands for: a value, its share of all slots less one, and which of them this one is: 8, 12 and 12 bits, so that the table is one load and half of a
-/// first-level cache.
+/// What a slot stands for: a value, its share of all slots less one, and which of them this one
+/// is: 8, 12 and 12 bits, so that the table is one load and half of a first-level cache.
 #[derive(Clone, Copy, Default)]
 struct Step(u32);
 
@@ -189,7 +197,9 @@ fn rounded(weight: u32, told: u32) -> u32 {
     }
 }
 
-/// Frequencies in 4,096ths, at least one for what has a weight: rounded to the nearest, and while the sum is not 4,096 the largest, of several the first, is changed by what is missing or too much, but by a sixteenth of it at most.
+/// Frequencies in 4,096ths, at least one for what has a weight: rounded to the nearest, and while
+/// the sum is not 4,096 the largest, of several the first, is changed by what is missing or too
+/// much, but by a sixteenth of it at most.
 fn scaled(weights: &[u32; 256]) -> [u32; 256] {
     let all = weights.iter().sum::<u32>().max(1);
     let mut parts = weights.map(|w| if w == 0 { 0 } else { ((w * PARTS + all / 2) / all).max(1) });
@@ -338,8 +348,9 @@ mod tests {
         }
     }
 
-    /// It is no check of its own, chunks have hashes: what two states differ by shrinks with each value, as the likelier values keep less of it, so that a flipped bit may change some values and not
-    /// be noticed (6 of 11,856 here: one value, two, in one case seven).
+    /// It is no check of its own, chunks have hashes: what two states differ by shrinks with each
+    /// value, as the likelier values keep less of it, so that a flipped bit may change some values
+    /// and not be noticed (6 of 11,856 here: one value, two, in one case seven).
     #[test]
     fn hardly_a_flipped_bit_behind_the_table_goes_unnoticed() {
         let raw = residuals(4000, 0.3, 3);

@@ -1,16 +1,21 @@
 //! Prediction residuals, sorted into streams by context.
 //!
-//! A plane coder predicts each value from decoded neighbours and hands the difference to a [`Coder`], together with a
-//! context: a small number that says how well the prediction is expected to do, again from decoded neighbours only.
-//! Residuals of one context go to one stream, and every stream is a section of its own. So the sections' tables
-//! ([`super::rans`], zstd) do what the conditional coder of JPEG-LS (Weinberger, Seroussi, Sapiro 2000, section III-C) does: nothing but a
-//! table lookup is done per symbol here. Where tables would take more than they save, streams lie one after another in one section, as the encoder finds best ([`joined`]).
+//! A plane coder predicts each value from decoded neighbours and hands the difference to a
+//! [`Coder`], together with a context: a small number that says how well the prediction is
+//! expected to do, again from decoded neighbours only. Residuals of one context go to one stream,
+//! and every stream is a section of its own. So the sections' tables ([`super::rans`], zstd) do
+//! what the conditional coder of JPEG-LS (Weinberger, Seroussi, Sapiro 2000, section III-C) does:
+//! nothing but a table lookup is done per symbol here. Where tables would take more than they
+//! save, streams lie one after another in one section, as the encoder finds best ([`joined`]).
 //!
-//! Encoder and decoder run the same walk; only the coder differs. So they cannot disagree about a prediction.
+//! Encoder and decoder run the same walk; only the coder differs. So they cannot disagree about a
+//! prediction.
 //!
-//! With a step q > 1 coding is near-lossless: the residual is divided by q, rounded toward zero, and the value *as decoded* becomes the
-//! neighbour of later ones, so that errors do not add up: each stays below q. JPEG-LS (section III-F) rounds to the nearest, with half the error for a
-//! step, but more bytes for an error (docs/adr/0015-bytes-per-sample-profiles.md). With step 1 residuals wrap at 256, so that they fit a byte.
+//! With a step q > 1 coding is near-lossless: the residual is divided by q, rounded toward zero,
+//! and the value *as decoded* becomes the neighbour of later ones, so that errors do not add up:
+//! each stays below q. JPEG-LS (section III-F) rounds to the nearest, with half the error for a
+//! step, but more bytes for an error (docs/adr/0015-bytes-per-sample-profiles.md). With step 1
+//! residuals wrap at 256, so that they fit a byte.
 
 use super::{
     CodecError,
@@ -20,7 +25,8 @@ use super::{
 
 /// Either side of the coding of residuals.
 pub(super) trait Coder {
-    /// Codes one 8-bit value: returns the quantized residual and the value as decoded. A decoder ignores `actual`.
+    /// Codes one 8-bit value: returns the quantized residual and the value as decoded. A decoder
+    /// ignores `actual`.
     fn byte<const LOSSLESS: bool>(&mut self, stream: usize, step: i32, predicted: i32, actual: i32) -> (i32, i32);
     /// Codes one 16-bit value exactly. A decoder ignores `actual`.
     fn word(&mut self, stream: usize, predicted: u16, actual: u16) -> u16;
@@ -32,7 +38,8 @@ fn restored<const LOSSLESS: bool>(step: i32, predicted: i32, q: i32) -> i32 {
     if LOSSLESS || step == 1 { (predicted + q) & 255 } else { (predicted + q * step).clamp(0, 255) }
 }
 
-/// Residuals of 16-bit values from here on, zigzagged, are written out in full: escape byte, then two bytes elsewhere.
+/// Residuals of 16-bit values from here on, zigzagged, are written out in full: escape byte, then
+/// two bytes elsewhere.
 const ESCAPE: u64 = 255;
 /// The escape byte as a residual.
 const ESCAPED: i8 = -128;
@@ -94,7 +101,8 @@ struct Group {
     /// Ascending.
     streams: Vec<usize>,
     counts: Counts,
-    /// What the section takes; where several share it about, and at most, as no count tells what repeats.
+    /// What the section takes; where several share it about, and at most, as no count tells what
+    /// repeats.
     bytes: f64,
 }
 
@@ -108,7 +116,8 @@ impl Group {
     }
 }
 
-/// Joins those two that save the most bytes by it, again and again. They stay ordered by their first streams, so that a new section is always the next.
+/// Joins those two that save the most bytes by it, again and again. They stay ordered by their
+/// first streams, so that a new section is always the next.
 fn joined(mut groups: Vec<Group>) -> Vec<Group> {
     let row = |groups: &[Group], i: usize| (0..i).map(|j| groups[i].saved_with(&groups[j])).collect::<Vec<f64>>();
     // What groups i and j save, j before i.
@@ -137,7 +146,8 @@ impl Coder for Encoder {
     #[inline]
     fn byte<const LOSSLESS: bool>(&mut self, stream: usize, step: i32, predicted: i32, actual: i32) -> (i32, i32) {
         let r = actual - predicted;
-        // Toward the prediction: a rounded residual overshoots half the time, and what overshoots is noise to all predictions after it.
+        // Toward the prediction: a rounded residual overshoots half the time, and what overshoots
+        // is noise to all predictions after it.
         let q = if LOSSLESS || step == 1 { i32::from(r as i8) } else { r / step };
         self.streams[stream].push(zigzag(q.into()) as u8);
         (q, restored::<LOSSLESS>(step, predicted, q))
@@ -153,8 +163,8 @@ impl Coder for Encoder {
     }
 }
 
-/// Gives streams back. Reading past the end of a stream gives zeros and is found by [`Decoder::finish`], so that the inner
-/// loops need no error path.
+/// Gives streams back. Reading past the end of a stream gives zeros and is found by
+/// [`Decoder::finish`], so that the inner loops need no error path.
 pub(super) struct Decoder {
     residuals: Vec<i8>,
     /// Per stream, the next of its residuals.
@@ -274,8 +284,8 @@ impl Coder for Decoder {
     }
 }
 
-/// Median-edge prediction (LOCO-I): the smaller neighbour at an edge that brightens away from the corner, the larger at one
-/// that darkens, else the plane through the three.
+/// Median-edge prediction (LOCO-I): the smaller neighbour at an edge that brightens away from the
+/// corner, the larger at one that darkens, else the plane through the three.
 #[inline]
 pub(super) fn median_edge(left: i32, up: i32, corner: i32) -> i32 {
     let (low, high) = (left.min(up), left.max(up));
@@ -336,7 +346,8 @@ mod tests {
     #[test]
     fn forged_sections_are_refused() {
         let decoder = |bytes: &[u8], most| Decoder::of_at_most(&mut Reader::new(bytes), "s", 3, most);
-        // The second stream is in the first section (a bit of 0), the third in the second one (1) or, which is not the next, in none.
+        // The second stream is in the first section (a bit of 0), the third in the second one (1)
+        // or, which is not the next, in none.
         let good = [0b10u8, 1, 2, 2, 7, 7, 1, 1, 7, 0, 0];
         assert_eq!(decoder(&good, 3).unwrap().ends, [1, 2, 3]);
         assert!(decoder(&[0b111], 3).is_err(), "a section that is not the next");

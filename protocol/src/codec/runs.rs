@@ -1,8 +1,9 @@
 //! Which pixels of a layer hold a sample.
 //!
-//! Samples lie in row-major order, so occupancy is a list of runs of neighbouring columns. It is written as three streams:
-//! runs per row, gap before each run, length of each run less one, all LEB128. A dense layer is one run per row and
-//! costs next to nothing; a sparse one costs about two bytes per run before zstd.
+//! Samples lie in row-major order, so occupancy is a list of runs of neighbouring columns. It is
+//! written as three streams: runs per row, gap before each run, length of each run less one, all
+//! LEB128. A dense layer is one run per row and costs next to nothing; a sparse one costs about
+//! two bytes per run before zstd.
 
 use super::{
     CodecError,

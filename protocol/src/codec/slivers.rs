@@ -1,7 +1,8 @@
 //! Slivers of a chunk.
 //!
-//! Each is told relative to the one before it, and its corners relative to its first: three streams of LEB128 numbers (places, disparities, colours), each a
-//! zstd section. A builder that writes neighbours one after the other is rewarded.
+//! Each is told relative to the one before it, and its corners relative to its first: three
+//! streams of LEB128 numbers (places, disparities, colours), each a zstd section. A builder that
+//! writes neighbours one after the other is rewarded.
 
 use super::{
     CodecError,

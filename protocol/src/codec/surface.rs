@@ -1,7 +1,8 @@
 //! Links, ends, slopes and disparities of LDI layers.
 //!
-//! Links come first: they tell which neighbours continue the sample's surface, and disparity is affine in the image
-//! on a planar surface (that is why disparity is stored and not depth), so the linked neighbours predict it:
+//! Links come first: they tell which neighbours continue the sample's surface, and disparity is
+//! affine in the image on a planar surface (that is why disparity is stored and not depth), so the
+//! linked neighbours predict it:
 //!
 //! ```text
 //!   corner -- up          left and up linked:  left + up - corner      (the plane through the three)
@@ -10,9 +11,10 @@
 //!                         neither:             median-edge of whatever is there: a silhouette
 //! ```
 //!
-//! Each case is a context of its own. A link bit can only be set where the neighbour exists, so only those bits are
-//! written, as "broken" bits: almost all are 0. Breaks run along silhouettes, so what the neighbours' links do decides
-//! which of several bit streams a bit goes to (6% fewer bytes on buildings than one stream per direction).
+//! Each case is a context of its own. A link bit can only be set where the neighbour exists, so
+//! only those bits are written, as "broken" bits: almost all are 0. Breaks run along silhouettes,
+//! so what the neighbours' links do decides which of several bit streams a bit goes to (6% fewer
+//! bytes on buildings than one stream per direction).
 
 use super::{
     CodecError,
@@ -36,16 +38,18 @@ pub(super) const STREAMS: usize = 6;
 pub(super) trait LinkCoder {
     /// Codes whether a link is broken, in the stream of its context.
     fn broken(&mut self, context: usize, actual: bool) -> bool;
-    /// How many of the next bits of a stream, at most [`AT_ONCE`], are 0: an encoder is told, a decoder looks.
+    /// How many of the next bits of a stream, at most [`AT_ONCE`], are 0: an encoder is told, a
+    /// decoder looks.
     fn whole(&self, context: usize, actual: impl FnOnce() -> usize) -> usize;
     /// Codes so many bits that are 0.
     fn pass(&mut self, context: usize, bits: usize);
 }
 
-/// Contexts of links to the left: what the row above does at this place (3), and whether the left neighbour goes on upward.
+/// Contexts of links to the left: what the row above does at this place (3), and whether the left
+/// neighbour goes on upward.
 const LEFT_CONTEXTS: usize = 6;
-/// Contexts of links to the row above: whether the sample is linked to the left, and whether the left and the upper neighbour go on
-/// upward.
+/// Contexts of links to the row above: whether the sample is linked to the left, and whether the
+/// left and the upper neighbour go on upward.
 const UP_CONTEXTS: usize = 8;
 
 /// Collects link bits.
@@ -127,10 +131,12 @@ impl LinkCoder for LinkDecoder {
 
 /// A row or column that is before none.
 const NOWHERE: u32 = u32::MAX - 1;
-/// Most samples that are looked at together: bits that one load of eight bytes holds, wherever it begins. What is looked at again after a break is bounded by it.
+/// Most samples that are looked at together: bits that one load of eight bytes holds, wherever it
+/// begins. What is looked at again after a break is bounded by it.
 const AT_ONCE: usize = 56;
 
-/// Samples of one row in neighbouring columns, all with a sample above them in the next row up, or all without.
+/// Samples of one row in neighbouring columns, all with a sample above them in the next row up, or
+/// all without.
 struct Piece {
     /// Number of the first sample.
     first: usize,
@@ -143,7 +149,8 @@ struct Piece {
 
 /// Cuts runs into pieces, in order.
 fn pieces(runs: &[Run], mut f: impl FnMut(Piece)) {
-    // The runs of the row above that may still have samples above this run, and the number of the first sample of the first of them.
+    // The runs of the row above that may still have samples above this run, and the number of the
+    // first sample of the first of them.
     let (mut above, mut above_first) = (0, 0);
     let mut first = 0;
     for run in runs {
@@ -183,7 +190,8 @@ fn leading_with(bits: u8, bytes: &[u8]) -> usize {
     8 * words.len() + rest.iter().take_while(|byte| *byte & bits == bits).count()
 }
 
-/// Codes the links of all samples; a decoder passes zeros. Returns per sample which neighbours its surface continues from.
+/// Codes the links of all samples; a decoder passes zeros. Returns per sample which neighbours its
+/// surface continues from.
 pub(super) fn walk_links(runs: &[Run], links: &mut [u8], coder: &mut impl LinkCoder) -> Vec<u8> {
     let mut joined = vec![0u8; links.len()];
     pieces(runs, |piece| {
@@ -193,7 +201,8 @@ pub(super) fn walk_links(runs: &[Run], links: &mut [u8], coder: &mut impl LinkCo
             let has_left = k > 0 || piece.goes_on;
             let left_goes_up = has_left && joined[i - 1] & UP != 0;
             if let Some(a) = piece.upper.map(|a| a + k).filter(|_| left_goes_up) {
-                // Amid a surface, where the left neighbour goes on upward and the upper ones both ways, contexts stay as they are, and hardly a link is broken.
+                // Amid a surface, where the left neighbour goes on upward and the upper ones both
+                // ways, contexts stay as they are, and hardly a link is broken.
                 const LEFT_CONTEXT: usize = 5;
                 const UP_CONTEXT: usize = LEFT_CONTEXTS + 7;
                 let n = (piece.count - k).min(AT_ONCE);
@@ -241,8 +250,8 @@ pub(super) fn walk_links(runs: &[Run], links: &mut [u8], coder: &mut impl LinkCo
 /// Streams of ends: for each side those with a neighbour to predict from, and those without.
 pub(super) const END_STREAMS: usize = 2 * SIDES.len();
 
-/// Codes the ends of all samples; a decoder passes zeros. An end to the left or right is predicted from the same end in the row above, one up or down from the
-/// column before: borders run on.
+/// Codes the ends of all samples; a decoder passes zeros. An end to the left or right is predicted
+/// from the same end in the row above, one up or down from the column before: borders run on.
 pub(super) fn walk_ends(
     runs: &[Run],
     width: u32,
@@ -290,11 +299,13 @@ pub(super) fn walk_ends(
     }
 }
 
-/// Streams of slopes: for each axis those with a link along it, those with a linked neighbour to predict from, and those with neither.
+/// Streams of slopes: for each axis those with a link along it, those with a linked neighbour to
+/// predict from, and those with neither.
 pub(super) const SLOPE_STREAMS: usize = 6;
 
-/// Codes the slopes of all samples; a decoder passes zeros. A sample without a link along an axis is predicted from the neighbour that it is linked to along the other: strips
-/// are one pixel wide and many long.
+/// Codes the slopes of all samples; a decoder passes zeros. A sample without a link along an axis
+/// is predicted from the neighbour that it is linked to along the other: strips are one pixel wide
+/// and many long.
 pub(super) fn walk_slopes(
     runs: &[Run],
     width: u32,
@@ -336,7 +347,8 @@ pub(super) fn walk_slopes(
 
 /// Codes the disparities of all samples; a decoder passes any values and gets the true ones.
 pub(super) fn walk_disparity(runs: &[Run], width: u32, joined: &[u8], disparity: &mut [u16], coder: &mut impl Coder) {
-    // Per column, the last code seen and the change that led to it along a linked column (0 where it was not linked).
+    // Per column, the last code seen and the change that led to it along a linked column (0 where
+    // it was not linked).
     let mut above = vec![(0i32, 0i32); width as usize];
     let mut next = 0;
     let (mut row, mut left) = (u32::MAX, 0);
@@ -409,7 +421,8 @@ mod tests {
     }
 
     proptest! {
-        /// Many samples at once change neither streams nor joints, wherever links break and runs end, and come back.
+        /// Many samples at once change neither streams nor joints, wherever links break and runs
+        /// end, and come back.
         #[test]
         fn links_are_coded_as_sample_by_sample(
             width in 1u32..300, height in 1u32..12, holes in 2u64..400, breaks in 2u64..400, seed in any::<u64>()

@@ -1,11 +1,13 @@
 //! Texture chunks: ranges of mip levels, coarse ones first.
 //!
-//! One chunk holds every level whose longer side is at most [`COARSE_SIDE`] texels, so that a texture is useful after a few
-//! kilobytes; each finer level is a chunk of its own ([`chunk_ranges`]). Texels are coded like LDI colours (one run per row);
-//! alpha is a plane of its own, written only where some texel is not opaque. Alpha is always exact: cutouts are tested
-//! against it. Instead of the finest levels a chunk may hold the picture file that the texture was read from ([`encode_picture`]):
-//! JPEG files and PNG files of few colours are often smaller than any exact coding of what they decode to, even of every second
-//! row and column of it. Coarser levels are made of it as the server makes them.
+//! One chunk holds every level whose longer side is at most [`COARSE_SIDE`] texels, so that a
+//! texture is useful after a few kilobytes; each finer level is a chunk of its own
+//! ([`chunk_ranges`]). Texels are coded like LDI colours (one run per row); alpha is a plane of
+//! its own, written only where some texel is not opaque. Alpha is always exact: cutouts are tested
+//! against it. Instead of the finest levels a chunk may hold the picture file that the texture was
+//! read from ([`encode_picture`]): JPEG files and PNG files of few colours are often smaller than
+//! any exact coding of what they decode to, even of every second row and column of it. Coarser
+//! levels are made of it as the server makes them.
 
 use super::{
     CodecError, ColourMode,
@@ -21,14 +23,16 @@ use std::ops::RangeInclusive;
 
 /// Version of texture chunks.
 pub const VERSION: u8 = 5;
-/// Longer side of the finest level in a texture's first chunk. Larger delays the first useful picture, smaller saves nothing.
+/// Longer side of the finest level in a texture's first chunk. Larger delays the first useful
+/// picture, smaller saves nothing.
 pub const COARSE_SIDE: u32 = 64;
 /// Largest side of a texture.
 pub const MAX_SIDE: u32 = 16_384;
-/// Most texels in a chunk: bounds what a forged chunk can make a reader allocate, to about 0.5 GB, or 0.8 of a picture of 16 bits.
+/// Most texels in a chunk: bounds what a forged chunk can make a reader allocate, to about 0.5 GB,
+/// or 0.8 of a picture of 16 bits.
 pub const MAX_TEXELS: usize = 1 << 26;
-/// Most pixels that one byte of a PNG or JPEG file can hold. Deflate makes at most 1,032 bytes of one, of eight 1-bit pixels each; JPEG
-/// takes at least one bit for the 64 pixels of a block.
+/// Most pixels that one byte of a PNG or JPEG file can hold. Deflate makes at most 1,032 bytes of
+/// one, of eight 1-bit pixels each; JPEG takes at least one bit for the 64 pixels of a block.
 pub const PIXELS_PER_BYTE: u64 = 1_032 * 8;
 
 const MAGIC: [u8; 3] = *b"TEX";
@@ -52,8 +56,8 @@ pub struct TextureLevels {
     pub levels: Vec<MipLevel>,
 }
 
-/// The level ranges of a texture's chunks, in the order of sending: first all levels up to [`COARSE_SIDE`], then one finer
-/// level each. Empty without texels.
+/// The level ranges of a texture's chunks, in the order of sending: first all levels up to
+/// [`COARSE_SIDE`], then one finer level each. Empty without texels.
 pub fn chunk_ranges(width: u32, height: u32) -> Vec<RangeInclusive<u8>> {
     if width == 0 || height == 0 {
         return Vec::new();
@@ -63,7 +67,8 @@ pub fn chunk_ranges(width: u32, height: u32) -> Vec<RangeInclusive<u8>> {
     std::iter::once(coarse..=last).chain((0..coarse).rev().map(|l| l..=l)).collect()
 }
 
-/// Encodes consecutive levels of the pyramid over a base of `width` x `height` texels. `level` is zstd's, 1 to 19.
+/// Encodes consecutive levels of the pyramid over a base of `width` x `height` texels. `level` is
+/// zstd's, 1 to 19.
 ///
 /// # Errors
 /// If a level's size is not what the pyramid has there, or there are too many texels.
@@ -97,8 +102,9 @@ pub fn encode(texture: &TextureLevels, mode: ColourMode, level: i32) -> Result<V
     Ok(w.bytes)
 }
 
-/// The finest `count` levels of a texture as the `file`, PNG or JPEG, that its `width` x `height` texels were decoded from; `masked`
-/// as in [`Texture::from_base`]. What [`decode`] makes of a JPEG file may differ by a code from processor to processor.
+/// The finest `count` levels of a texture as the `file`, PNG or JPEG, that its `width` x `height`
+/// texels were decoded from; `masked` as in [`Texture::from_base`]. What [`decode`] makes of a
+/// JPEG file may differ by a code from processor to processor.
 ///
 /// # Errors
 /// If there are too many texels, or not so many levels.
@@ -208,7 +214,8 @@ fn rows((width, height): (u32, u32)) -> Vec<Run> {
     (0..height).map(|row| Run { row, column: 0, count: width }).collect()
 }
 
-/// Sizes of `count` levels from `first` on, if the pyramid has them and they are few enough to allocate.
+/// Sizes of `count` levels from `first` on, if the pyramid has them and they are few enough to
+/// allocate.
 fn sizes(width: u32, height: u32, first: u8, count: usize) -> Result<Vec<(u32, u32)>, CodecError> {
     for (field, side) in [("width", width), ("height", height)] {
         if !(1..=MAX_SIDE).contains(&side) {

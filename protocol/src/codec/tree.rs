@@ -4,9 +4,11 @@
 //!   "LDO" version | nodes | per node: faces (bits), samples | sections: occupancy, layers, samples (residual streams), filtered
 //! ```
 //!
-//! Samples come by node, face, row, column, depth. Depths are predicted by the first surface behind the sample before that the pixel on the left, or above, carries
-//! on along its slope. The depth tells which samples of the pixels on the left, above and in the corner between continue the surface, those nearest in depth, and
-//! they predict the rest by the median-edge rule. On a wall every residual but the colour's is 0.
+//! Samples come by node, face, row, column, depth. Depths are predicted by the first surface
+//! behind the sample before that the pixel on the left, or above, carries on along its slope. The
+//! depth tells which samples of the pixels on the left, above and in the corner between continue
+//! the surface, those nearest in depth, and they predict the rest by the median-edge rule. On a
+//! wall every residual but the colour's is 0.
 
 use super::{
     CodecError,
@@ -23,13 +25,15 @@ const PIXELS: usize = (SIDE * SIDE) as usize;
 /// Most samples of a chunk: eight nodes with every pixel of every face twice.
 const MAX_SAMPLES: usize = 8 * 6 * PIXELS * 2;
 
-/// Contexts of depths: how far left and above disagree (4), only one of them, only the sample before in the pixel, nothing.
+/// Contexts of depths: how far left and above disagree (4), only one of them, only the sample
+/// before in the pixel, nothing.
 const DEPTHS: usize = 8;
 /// Contexts of each slope: how far left and above disagree (3), neither, one of them.
 const SLOPES: usize = 5;
 /// Contexts of coverage: absent, full or partial, on the left and above.
 const COVERAGES: usize = 9;
-/// Contexts of each of G, R and B: how far the greens of left and above disagree (4), one of them, neither.
+/// Contexts of each of G, R and B: how far the greens of left and above disagree (4), one of them,
+/// neither.
 const COLOURS: usize = 6;
 /// Streams of [`walk`].
 const STREAMS: usize = DEPTHS + 2 * SLOPES + COVERAGES + 3 * COLOURS;
@@ -43,7 +47,8 @@ const NOTHING: TreeSample =
 /// First sample and number of samples of a pixel.
 type Pixel = (usize, usize);
 
-/// Codes depth, slopes, coverage and colour of the samples of one face. A decoder passes samples that have their places only, and gets the rest.
+/// Codes depth, slopes, coverage and colour of the samples of one face. A decoder passes samples
+/// that have their places only, and gets the rest.
 fn walk(samples: &mut [TreeSample], coder: &mut impl Coder) {
     // Per column, the pixel of the row above and of this row.
     let (mut above, mut here) = ([(0, 0); SIDE as usize], [(0, 0); SIDE as usize]);
@@ -67,7 +72,8 @@ fn walk(samples: &mut [TreeSample], coder: &mut impl Coder) {
     }
 }
 
-/// Codes one sample; `sides`: the pixels on the left, above and in the corner between; `before`: the sample before in the pixel.
+/// Codes one sample; `sides`: the pixels on the left, above and in the corner between; `before`:
+/// the sample before in the pixel.
 fn code(
     samples: &[TreeSample],
     sides: [Pixel; 3],
@@ -123,7 +129,8 @@ fn code(
     s
 }
 
-/// What continues a sample's surface on the left, above and in the corner between, as far as its depth tells.
+/// What continues a sample's surface on the left, above and in the corner between, as far as its
+/// depth tells.
 struct Around<'a> {
     left: Option<&'a TreeSample>,
     up: Option<&'a TreeSample>,
@@ -221,7 +228,8 @@ fn fits(s: &TreeSample) -> bool {
         && (1..=OPAQUE).contains(&s.alpha)
 }
 
-/// Decodes a brood. `nodes` are the numbers of samples and of unfiltered samples that the index lists.
+/// Decodes a brood. `nodes` are the numbers of samples and of unfiltered samples that the index
+/// lists.
 ///
 /// # Errors
 /// Anything that [`encode`] does not write, or other numbers of samples than listed.

@@ -1,7 +1,8 @@
 //! Whether an LDI keeps its promises.
 //!
-//! A decoder calls [`Ldi::check`] before it hands an image on, tests call it after every construction; the
-//! warp may then index without looking. Cost: a visit per sample; memory: a few bytes per column.
+//! A decoder calls [`Ldi::check`] before it hands an image on, tests call it after every
+//! construction; the warp may then index without looking. Cost: a visit per sample; memory: a few
+//! bytes per column.
 
 use super::{END_PARTS, LINK_DOWN, LINK_RIGHT, Ldi, LdiLayer, SIDES, Segment, Sliver, end_of, is_loose};
 use glam::DVec3;
@@ -12,7 +13,8 @@ pub enum LdiFault {
     /// The camera is not finite, not orthonormal, not right-handed, or has no positive scale.
     #[error("LDI camera: {0}; rebuild the dataset")]
     Camera(&'static str),
-    /// Sides outside `1..=MAX_SIDE`, more than `MAX_PIXELS` pixels, or a window beyond the i32 range.
+    /// Sides outside `1..=MAX_SIDE`, more than `MAX_PIXELS` pixels, or a window beyond the i32
+    /// range.
     #[error(
         "LDI of {width} x {height} pixels at ({left}, {top}): sides are 1 to 16384, pixels at most 2^26; lower the density"
     )]
@@ -53,7 +55,8 @@ pub enum LdiFault {
         /// The length of the other arrays.
         expected: usize,
     },
-    /// A segment is empty, too long, outside the image, out of order or not where the samples before it end.
+    /// A segment is empty, too long, outside the image, out of order or not where the samples
+    /// before it end.
     #[error("LDI layer {layer}, segment {segment}: {what}")]
     Segment {
         /// Layer.
@@ -63,8 +66,9 @@ pub enum LdiFault {
         /// What is wrong.
         what: &'static str,
     },
-    /// A sample is misplaced, has no code, lies before one of a layer above, links to nothing, ends beyond the next pixel's centre or where it is linked, or has a slope
-    /// where its surface does not go on.
+    /// A sample is misplaced, has no code, lies before one of a layer above, links to nothing,
+    /// ends beyond the next pixel's centre or where it is linked, or has a slope where its surface
+    /// does not go on.
     #[error("LDI layer {layer}, row {row}, column {column}: {what}")]
     Sample {
         /// Layer.
@@ -89,14 +93,17 @@ pub enum LdiFault {
     Sky(&'static str),
 }
 
-/// Largest deviation of a basis' inner products from those of an orthonormal one: well above what f64
-/// arithmetic leaves, well below what would move a sample by a thousandth of a pixel at 16,384 columns.
+/// Largest deviation of a basis' inner products from those of an orthonormal one: well above what
+/// f64 arithmetic leaves, well below what would move a sample by a thousandth of a pixel at 16,384
+/// columns.
 const BASIS_TOLERANCE: f64 = 1e-9;
 
 impl Ldi {
-    /// Checks every promise of the format: bounded sizes, finite camera and codes, segments in row-major order that
-    /// tile the arrays, columns ascending, codes in range, in each pixel no deeper layer nearer than one before it, links
-    /// that lead to samples, ends within a pixel and only where nothing is linked, slopes only beside ends, slivers on the image, sky words that fit.
+    /// Checks every promise of the format: bounded sizes, finite camera and codes, segments in
+    /// row-major order that tile the arrays, columns ascending, codes in range, in each pixel no
+    /// deeper layer nearer than one before it, links that lead to samples, ends within a pixel and
+    /// only where nothing is linked, slopes only beside ends, slivers on the image, sky words that
+    /// fit.
     ///
     /// # Errors
     /// The first broken promise, with its place.
@@ -336,7 +343,8 @@ fn neighbours(columns: &[u8]) -> impl Iterator<Item = &[u8]> {
     })
 }
 
-/// Of one sample: no end beyond the next pixel's centre or where it is linked, no slope where the surface does not go on.
+/// Of one sample: no end beyond the next pixel's centre or where it is linked, no slope where the
+/// surface does not go on.
 fn check_ends(ends: u16, linked: [bool; SIDES.len()], slopes: [i8; 2]) -> Result<(), &'static str> {
     let sound = |side: usize| match end_of(ends, side) {
         0 => true,
@@ -379,7 +387,8 @@ mod tests {
     use super::*;
     use crate::ViewBasis;
 
-    /// Three columns, two rows. Layer 0 is full and linked throughout; layer 1 holds the middle column.
+    /// Three columns, two rows. Layer 0 is full and linked throughout; layer 1 holds the middle
+    /// column.
     fn sound() -> Ldi {
         let layer = |segments: Vec<Segment>, column: Vec<u8>, disparity: Vec<u16>, links: Vec<u8>| {
             let (rgb, ends) = (vec![[1, 2, 3]; column.len()], Vec::new());

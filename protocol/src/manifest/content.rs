@@ -1,4 +1,5 @@
-//! Whether a decoded chunk is what the index says: for readers of chunks from elsewhere, and for `verify`.
+//! Whether a decoded chunk is what the index says: for readers of chunks from elsewhere, and for
+//! `verify`.
 
 use crate::{
     Aabb,
@@ -9,8 +10,8 @@ use crate::{
 };
 use glam::DVec3;
 
-/// How far quantized vertices may lie outside a cell's bounds, metres, beside a millionth of the coordinates' size:
-/// half a step of 0.1 mm, for instances of any turn.
+/// How far quantized vertices may lie outside a cell's bounds, metres, beside a millionth of the
+/// coordinates' size: half a step of 0.1 mm, for instances of any turn.
 const BOUNDS_MARGIN_M: f64 = 1e-3;
 
 /// Checks the cell's own chunk: materials exist, shared clusters lie in the cell's bundles.
@@ -49,8 +50,9 @@ fn check_materials(index: &Index, geometry: &CellGeometry) -> Result<(), CodecEr
     }
 }
 
-/// Checks what a cell draws once its bundles are at hand: shared clusters exist, the triangles are as many as the index says and
-/// lie within the cell's bounds. `bundle` gives a bundle by chunk number.
+/// Checks what a cell draws once its bundles are at hand: shared clusters exist, the triangles are
+/// as many as the index says and lie within the cell's bounds. `bundle` gives a bundle by chunk
+/// number.
 ///
 /// # Errors
 /// What contradicts the index.
@@ -87,7 +89,8 @@ pub fn check_cell_content<'a>(
     Ok(())
 }
 
-/// Checks an LDI as far as it is here: as many samples in each layer as its entry says, and its orientation.
+/// Checks an LDI as far as it is here: as many samples in each layer as its entry says, and its
+/// orientation.
 ///
 /// # Errors
 /// What contradicts the index.

@@ -1,7 +1,10 @@
-//! What of a manifest is enough for a first picture: the walk volume, the LDI tree and where its pinned chunks lie.
+//! What of a manifest is enough for a first picture: the walk volume, the LDI tree and where its
+//! pinned chunks lie.
 //!
-//! The pages of cells and chunks grow with the scene, those of the tree's coarse levels do not. So the few come first, a walk begins with an index that knows of nothing else, and the rest follows while the
-//! first pictures are drawn. Numbers are the same in both: the index of the few has a place for every chunk.
+//! The pages of cells and chunks grow with the scene, those of the tree's coarse levels do not. So
+//! the few come first, a walk begins with an index that knows of nothing else, and the rest
+//! follows while the first pictures are drawn. Numbers are the same in both: the index of the few
+//! has a place for every chunk.
 
 use super::{PageEntry, PageKind, Root, check_page_hash, pages, validate::validate_early};
 use crate::{
@@ -10,7 +13,8 @@ use crate::{
     tree::Tree,
 };
 
-/// Most chunks of which a walk begins early: each has an entry of 44 bytes in memory before its page came. Thirty times as many as the largest scene has so far.
+/// Most chunks of which a walk begins early: each has an entry of 44 bytes in memory before its
+/// page came. Thirty times as many as the largest scene has so far.
 const MAX_CHUNKS: u32 = 1 << 20;
 
 /// A chunk of which nothing is known but that it exists. Of no kind that anything refers to.
@@ -22,7 +26,8 @@ fn is_base(kind: PageKind) -> bool {
     matches!(kind, PageKind::Volume | PageKind::Tree | PageKind::TreeNodes)
 }
 
-/// The tree's pinned chunks, ascending: a forged tree may have very many, and each page looks for its own.
+/// The tree's pinned chunks, ascending: a forged tree may have very many, and each page looks for
+/// its own.
 fn pinned(tree: &Tree) -> Vec<u32> {
     let mut chunks: Vec<u32> = tree.pinned_chunks().collect();
     chunks.sort_unstable();
@@ -39,7 +44,8 @@ impl PageEntry {
 }
 
 impl Root {
-    /// Numbers of all pages in the order in which they are sent, and how many of them are enough for a first picture; all, where there is no tree.
+    /// Numbers of all pages in the order in which they are sent, and how many of them are enough
+    /// for a first picture; all, where there is no tree.
     pub fn sending_order(&self, tree: Option<&Tree>) -> (Vec<u32>, usize) {
         let pinned = tree.map(pinned);
         let early = |p: &PageEntry| pinned.as_ref().is_none_or(|c| is_base(p.kind) || !p.listed(c).is_empty());
@@ -50,9 +56,12 @@ impl Root {
     }
 }
 
-/// The index for a first picture, from the pages that are here, in the order of the root's list. None: it takes more of them, or there is no tree.
+/// The index for a first picture, from the pages that are here, in the order of the root's list.
+/// None: it takes more of them, or there is no tree.
 ///
-/// It has the tree, the walk volume and the pinned chunks; entries of other chunks are empty, of kind [`ChunkKind::Page`], which says that it is not whole ([`Index::is_whole`]). No cells, images or rooms.
+/// It has the tree, the walk volume and the pinned chunks; entries of other chunks are empty, of
+/// kind [`ChunkKind::Page`], which says that it is not whole ([`Index::is_whole`]). No cells,
+/// images or rooms.
 ///
 /// # Errors
 /// As [`super::assemble`], of the pages that it takes.

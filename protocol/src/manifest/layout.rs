@@ -1,8 +1,9 @@
 //! Where chunks lie in the packs: a rule instead of a table.
 //!
-//! Packs are the stored bytes of the pages in the order of the root's list, then of the chunks in the order of the chunk table,
-//! one after the other, each content once: a hash that came before lies where it came first. A chunk that would
-//! make a pack that already has content exceed [`PACK_BYTES`] starts the next pack.
+//! Packs are the stored bytes of the pages in the order of the root's list, then of the chunks in
+//! the order of the chunk table, one after the other, each content once: a hash that came before
+//! lies where it came first. A chunk that would make a pack that already has content exceed
+//! [`PACK_BYTES`] starts the next pack.
 
 use super::PageEntry;
 use crate::index::{ChunkEntry, ChunkHash};

@@ -20,7 +20,8 @@ fn hash(i: usize) -> ChunkHash {
     ChunkHash(blake3::hash(&i.to_le_bytes()).into())
 }
 
-/// An index with `n` cells, one bundle, one texture of three levels, `n` placements of `n / 2 + 1` points.
+/// An index with `n` cells, one bundle, one texture of three levels, `n` placements of `n / 2 + 1`
+/// points.
 fn index(n: usize) -> Index {
     let bounds = Aabb { min: DVec3::splat(-1.5), max: DVec3::splat(2.25) };
     let kind = |i: usize| match i {
@@ -204,7 +205,8 @@ fn an_index_comes_back_exactly() {
     }
 }
 
-/// The pages of a manifest as they arrive, in the order in which they are sent, and how many are enough.
+/// The pages of a manifest as they arrive, in the order in which they are sent, and how many are
+/// enough.
 fn arriving(root: &Root, encoded: &Encoded, tree: Option<&Tree>) -> (Vec<u32>, usize, Vec<Option<Vec<u8>>>) {
     let (order, enough) = root.sending_order(tree);
     let mut sorted = order.clone();

@@ -1,8 +1,9 @@
 //! Pages of the manifest: lists of entries, field by field, as zstd sections.
 //!
-//! Floating-point numbers are stored exactly, byte 0 of all of them first, then byte 1 and so on; counts and numbers are
-//! LEB128. Ascending lists (bundles, materials, culled cells) are runs: gap to the run, length of the run less one. Culled
-//! subsets are boxes of Morton-ordered cells, so their runs are long.
+//! Floating-point numbers are stored exactly, byte 0 of all of them first, then byte 1 and so on;
+//! counts and numbers are LEB128. Ascending lists (bundles, materials, culled cells) are runs: gap
+//! to the run, length of the run less one. Culled subsets are boxes of Morton-ordered cells, so
+//! their runs are long.
 
 mod rooms;
 mod tree;
@@ -40,7 +41,8 @@ pub(super) struct Room {
     pub bytes: usize,
     /// Bytes in memory of entries and lists.
     pub decoded: usize,
-    /// Rooms and portals so far: rules tie them together, so the index gets them once all pages are read.
+    /// Rooms and portals so far: rules tie them together, so the index gets them once all pages
+    /// are read.
     pub rooms: rooms::Draft,
 }
 
@@ -394,7 +396,8 @@ fn put_points(w: &mut Writer, points: &[GridPoint]) -> Result<(), CodecError> {
             put_varint(&mut numbers, band.len() as u64);
             for range in band {
                 yaws.push(range.yaw_start_deg);
-                // 0 is no placement; the others are differences to the one before, which is mostly near.
+                // 0 is no placement; the others are differences to the one before, which is mostly
+                // near.
                 put_varint(&mut numbers, range.placement.map_or(0, |k| 1 + zigzag(i64::from(k) - last)));
                 last = range.placement.map_or(last, i64::from);
             }

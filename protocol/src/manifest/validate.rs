@@ -1,5 +1,5 @@
-//! The rules of an index. Whatever passes here can be used without looking: every number names something that exists and
-//! every value that arithmetic depends on is finite.
+//! The rules of an index. Whatever passes here can be used without looking: every number names
+//! something that exists and every value that arithmetic depends on is finite.
 
 use crate::{
     Aabb, ViewBasis,
@@ -16,8 +16,9 @@ const MAX_CHUNK_BYTES: u32 = 1 << 30;
 /// Most levels of grid subdivision.
 const MAX_LEVEL: u8 = 64;
 
-/// Checks an index: chunk, cell, material, texture, point and placement numbers in range and of the right kind; lists
-/// ascending; bounds, bases, radii and distances finite; yaw ranges in [0, 360) and ascending; pitch bands ascending.
+/// Checks an index: chunk, cell, material, texture, point and placement numbers in range and of
+/// the right kind; lists ascending; bounds, bases, radii and distances finite; yaw ranges in
+/// [0, 360) and ascending; pitch bands ascending.
 ///
 /// # Errors
 /// The first broken rule, with the entry's number.

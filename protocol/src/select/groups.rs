@@ -1,12 +1,15 @@
-//! Bounds of neighbouring cells, so that most of a large scene is left out of a view without a look at each cell.
+//! Bounds of neighbouring cells, so that most of a large scene is left out of a view without a
+//! look at each cell.
 //!
-//! Cells come in Morton order: a run of them is compact. A plane that keeps no point of a group's bounds keeps none of its cells', and rounding does not change that, as a box's
-//! support only grows with the box. So what is found is the same, cell by cell and in the same order.
+//! Cells come in Morton order: a run of them is compact. A plane that keeps no point of a group's
+//! bounds keeps none of its cells', and rounding does not change that, as a box's support only
+//! grows with the box. So what is found is the same, cell by cell and in the same order.
 
 use crate::{Aabb, index::CellEntry};
 use std::ops::Range;
 
-/// Cells in a group, and groups in a block: as planning groups them. Smaller: more groups to look at; larger: looser bounds.
+/// Cells in a group, and groups in a block: as planning groups them. Smaller: more groups to look
+/// at; larger: looser bounds.
 const GROUP: usize = 16;
 
 /// Bounds of every [`GROUP`] cells, and of every [`GROUP`] of those.
@@ -47,7 +50,8 @@ impl CellGroups {
         }
     }
 
-    /// Runs of the cells (`count` of them) whose groups are admitted, ascending; all of them if there are no groups.
+    /// Runs of the cells (`count` of them) whose groups are admitted, ascending; all of them if
+    /// there are no groups.
     pub(super) fn runs(&self, count: usize, admit: impl Fn(&Aabb) -> bool) -> impl Iterator<Item = Range<usize>> {
         let whole = self.blocks.is_empty().then_some(0..count);
         let groups_of = |b: usize| b * GROUP..((b + 1) * GROUP).min(self.groups.len());

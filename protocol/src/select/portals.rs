@@ -1,8 +1,9 @@
 //! `select` in a dataset with rooms (Rafferty, Aliaga, Popescu and Lastra 1998, section 2).
 //!
-//! Pose -> rooms of the eye -> portal culling. The room of the eye is geometry. What lies beyond a portal is geometry as well, or comes from an image of that portal:
-//! an eye may use one if it is among the eyes of a placement ([`RoomIndex::shown`]); others, nearer ones above all, see geometry, which is what the image's
-//! footprint bound asks for.
+//! Pose -> rooms of the eye -> portal culling. The room of the eye is geometry. What lies beyond a
+//! portal is geometry as well, or comes from an image of that portal: an eye may use one if it is
+//! among the eyes of a placement ([`RoomIndex::shown`]); others, nearer ones above all, see
+//! geometry, which is what the image's footprint bound asks for.
 //!
 //! ```text
 //!        geometry        | image          1. rooms of the eye
@@ -11,9 +12,11 @@
 //!   +-----------+-----------+             4. else room by room, the nearest portal first, as long as what (2) adds to each fits
 //! ```
 //!
-//! With [`ShowPortals::everywhere`], 3 and 4 are left out, as in the system of 1998 (section 5): what may be an image is one.
+//! With [`ShowPortals::everywhere`], 3 and 4 are left out, as in the system of 1998 (section 5):
+//! what may be an image is one.
 //!
-//! Where even 1 and 2 exceed the budget, the farthest cells are left out and counted ([`DrawList::dropped`](super::DrawList::dropped)): the LDI tree shows through there.
+//! Where even 1 and 2 exceed the budget, the farthest cells are left out and counted
+//! ([`DrawList::dropped`](super::DrawList::dropped)): the LDI tree shows through there.
 
 use super::{DrawFrusta, DrawList, Selection, images_within, near_to_far, tree_chunks, within_budget};
 use crate::{
@@ -25,7 +28,8 @@ use crate::{
     rooms::CellId,
 };
 
-/// Rooms that are tried as geometry beyond what must be. Larger: more of the budget is used where many rooms are in view; each try is a view of its own.
+/// Rooms that are tried as geometry beyond what must be. Larger: more of the budget is used where
+/// many rooms are in view; each try is a view of its own.
 const MOST_TRIES: usize = 24;
 
 /// A portal whose image shows what lies beyond.

@@ -1,4 +1,5 @@
-//! A row of rooms along -Z, each with cells of known triangles, doors between them; placements at the doors.
+//! A row of rooms along -Z, each with cells of known triangles, doors between them; placements at
+//! the doors.
 
 use super::*;
 use crate::{
@@ -45,7 +46,8 @@ fn index(budget: u64, served: &[usize]) -> Index {
     let mut placements = Vec::new();
     let mut images = Vec::new();
     let mut ranges = vec![[0..0, 0..0]; ROOMS - 1];
-    // For eyes of the room before the door and of the one before that, at least a metre from the door.
+    // For eyes of the room before the door and of the one before that, at least a metre from the
+    // door.
     for &k in served {
         let first = placements.len() as u32;
         placements.push(Placement {
@@ -111,7 +113,8 @@ const SQUARE: (f64, f64) = (1.0, 1.0);
 fn within_the_budget_all_that_is_seen_is_geometry() {
     let index = index(1000, &[0, 1, 2, 3]);
     let list = draw_list(&index, &pose(-0.5, 0.0), SQUARE);
-    // The first door leaves a cone of slope 1 / 3.5, which reaches room 1's cells 1.5 m aside; the second one of 1 / 7.5, which does not reach room 2's.
+    // The first door leaves a cone of slope 1 / 3.5, which reaches room 1's cells 1.5 m aside; the
+    // second one of 1 / 7.5, which does not reach room 2's.
     assert_eq!((list.cells.as_slice(), list.triangles), (&[0, 1, 2, 3][..], 400));
     assert!(list.portals.is_empty() && list.images.is_empty());
     assert_eq!(list.rooms, (0..5).map(Some).collect::<Vec<_>>());
@@ -126,7 +129,8 @@ fn beyond_the_budget_portals_show_what_is_left() {
     assert_eq!(list.rooms, [Some(0)]);
     let shown: Vec<_> = list.portals.iter().map(|p| (p.portal, p.side, p.placement)).collect();
     assert_eq!((shown, list.images), (vec![(0, 0, 0)], vec![0]));
-    // Looking back, from the last room, there are no placements: everything is geometry, and the farthest goes.
+    // Looking back, from the last room, there are no placements: everything is geometry, and the
+    // farthest goes.
     let back = draw_list(&index(250, &[0, 1, 2, 3]), &pose(-19.0, 180.0), SQUARE);
     assert!(back.portals.is_empty());
     assert_eq!((back.triangles, back.dropped), (200, 2));
@@ -134,7 +138,8 @@ fn beyond_the_budget_portals_show_what_is_left() {
 
 #[test]
 fn nearer_than_its_eyes_an_image_gives_way_to_geometry() {
-    // Half a metre before the first door room 1 must be geometry, for which its own door has an image.
+    // Half a metre before the first door room 1 must be geometry, for which its own door has an
+    // image.
     let list = draw_list(&index(399, &[0, 1, 2, 3]), &pose(-3.5, 0.0), SQUARE);
     assert_eq!(list.cells, [2, 3]);
     assert_eq!(list.portals.iter().map(|p| p.portal).collect::<Vec<_>>(), [1]);
@@ -144,7 +149,8 @@ fn nearer_than_its_eyes_an_image_gives_way_to_geometry() {
     assert!(fewer.dropped > 0, "{fewer:?}");
 }
 
-/// The same with a grid point at the end of the first room, for eyes at least 3 m from the first door, whose placement replaces everything but that room.
+/// The same with a grid point at the end of the first room, for eyes at least 3 m from the first
+/// door, whose placement replaces everything but that room.
 fn with_grid(budget: u64) -> Index {
     let mut index = index(budget, &[]);
     index.pitch_bands_deg = vec![-60.0, 60.0];
@@ -194,7 +200,8 @@ fn where_rooms_are_too_much_the_grid_takes_over_for_its_eyes_alone() {
     assert!(list.selection.grid_point.is_none() && list.dropped > 0, "{list:?}");
 }
 
-/// The same with five reference images before the second door, at 1.6 m from its middle, every 20 degrees from left to right, and one layered image.
+/// The same with five reference images before the second door, at 1.6 m from its middle, every 20
+/// degrees from left to right, and one layered image.
 fn with_references(budget: u64) -> Index {
     let mut index = index(budget, &[]);
     for k in 0..6 {
@@ -259,7 +266,8 @@ fn each_kind_of_image_is_the_one_that_was_asked_for() {
         assert_eq!(of_view, [Some(placement), second].into_iter().flatten().collect::<Vec<_>>());
         assert!(cells.iter().all(|c| [2, 3].contains(c)), "the room of the eye alone: {cells:?}");
     }
-    // What fits is geometry unless images are wanted everywhere; and what was not built is not shown.
+    // What fits is geometry unless images are wanted everywhere; and what was not built is not
+    // shown.
     assert!(shown(PortalImages::Layered, 0.4, false).0.is_empty());
     assert!(shown(PortalImages::Zones, 0.4, true).0.is_empty());
 }
@@ -278,7 +286,8 @@ fn eyes_that_are_near_or_askew_see_geometry_instead_of_references() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(600))]
 
-    /// On every line of sight, up to the portal whose image takes over, all cells of the rooms are drawn: those that it meets.
+    /// On every line of sight, up to the portal whose image takes over, all cells of the rooms are
+    /// drawn: those that it meets.
     #[test]
     fn a_line_of_sight_meets_drawn_cells_or_an_image(
         at in prop::array::uniform3(0.0f64..1.0),

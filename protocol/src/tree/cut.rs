@@ -1,8 +1,10 @@
 //! Which nodes a view draws: section 3.2 of the paper, on data that may not all be there.
 //!
-//! From the root down: what lies outside of the frustum is left out; a node whose samples would be larger than one output pixel, or that has the eye in it, gives
-//! way to its children and keeps only its unfiltered samples. Unlike in the paper the largest stamp is refined first, so that a bound on the number of samples
-//! ends the work where it shows least, and a node whose children are not at hand stays as it is.
+//! From the root down: what lies outside of the frustum is left out; a node whose samples would be
+//! larger than one output pixel, or that has the eye in it, gives way to its children and keeps
+//! only its unfiltered samples. Unlike in the paper the largest stamp is refined first, so that a
+//! bound on the number of samples ends the work where it shows least, and a node whose children
+//! are not at hand stays as it is.
 
 use super::{Tree, TreeNode};
 use crate::{OutputCamera, Pose, camera::Frustum};
@@ -17,7 +19,8 @@ pub struct CutNode {
     pub home: (u32, u8),
     /// Whether filtered samples are drawn, too: its children are not.
     pub filtered: bool,
-    /// Bound on the size of its samples in the picture, output pixels; infinite with the eye in or beside it.
+    /// Bound on the size of its samples in the picture, output pixels; infinite with the eye in or
+    /// beside it.
     pub stamp_px: f64,
 }
 
@@ -34,7 +37,8 @@ pub struct Cut {
     pub limited: bool,
 }
 
-/// Larger samples save no time: fewer of them cover the picture more often, as they hide each other later (docs/benchmarks/tree.md has figures).
+/// Larger samples save no time: fewer of them cover the picture more often, as they hide each
+/// other later (docs/benchmarks/tree.md has figures).
 pub const COARSEST_PX: f64 = 8.0;
 
 /// How far to refine.
@@ -42,7 +46,8 @@ pub const COARSEST_PX: f64 = 8.0;
 pub struct CutOptions {
     /// Samples may be this large, output pixels. The paper: one.
     pub stamp_px: f64,
-    /// Samples that may be drawn; but larger ones than [`CutOptions::coarsest_px`] give way to finer ones in any case.
+    /// Samples that may be drawn; but larger ones than [`CutOptions::coarsest_px`] give way to
+    /// finer ones in any case.
     pub max_samples: u64,
     /// See [`CutOptions::max_samples`]; output pixels.
     pub coarsest_px: f64,
@@ -108,8 +113,8 @@ struct Eye<'a> {
 impl<'a> Eye<'a> {
     fn new(tree: &'a Tree, pose: &'a Pose, lens: &Lens) -> Self {
         let frustum = Frustum::new(pose.position, &pose.basis(), lens.half_tan_x, lens.half_tan_y);
-        // The largest angle between the line of sight and a ray: a pixel's stamp is P f / depth, and depth is at least the
-        // distance times its cosine.
+        // The largest angle between the line of sight and a ray: a pixel's stamp is P f / depth,
+        // and depth is at least the distance times its cosine.
         let slant = (1.0 + lens.half_tan_x.powi(2) + lens.half_tan_y.powi(2)).sqrt();
         Self { tree, pose, frustum, scale: lens.focal_px * slant }
     }
@@ -182,7 +187,8 @@ pub fn cut(tree: &Tree, pose: &Pose, lens: &Lens, options: &CutOptions, held: im
     out
 }
 
-/// Per node, whether the chunk of its children or one below is absent: where [`lacking`] descends. Once for many views.
+/// Per node, whether the chunk of its children or one below is absent: where [`lacking`] descends.
+/// Once for many views.
 pub fn lacking_below(tree: &Tree, absent: impl Fn(u32) -> bool) -> Vec<bool> {
     let mut below = vec![false; tree.nodes.len()];
     // Children come after their parent.
@@ -192,8 +198,9 @@ pub fn lacking_below(tree: &Tree, absent: impl Fn(u32) -> bool) -> Vec<bool> {
     below
 }
 
-/// The absent chunks among those that a view descends to, with samples of one output pixel and no bound on their number: as of [`cut`] with all at hand, but in the
-/// order of the tree, and looking only at what [`lacking_below`] says, `below`.
+/// The absent chunks among those that a view descends to, with samples of one output pixel and no
+/// bound on their number: as of [`cut`] with all at hand, but in the order of the tree, and
+/// looking only at what [`lacking_below`] says, `below`.
 pub fn lacking(tree: &Tree, pose: &Pose, lens: &Lens, below: &[bool], absent: impl Fn(u32) -> bool) -> Vec<u32> {
     let eye = Eye::new(tree, pose, lens);
     let mut found: Vec<u32> = absent(tree.root_chunk).then_some(tree.root_chunk).into_iter().collect();

@@ -121,7 +121,8 @@ fn a_bound_on_samples_leaves_none_that_are_large() {
     assert!(bounded <= 8.0 && bounded > 1.0, "{bounded}");
 }
 
-/// Each place in view is drawn by exactly one node with filtered samples, whatever is at hand and however few samples are allowed.
+/// Each place in view is drawn by exactly one node with filtered samples, whatever is at hand and
+/// however few samples are allowed.
 #[test]
 fn a_cut_covers_every_place_in_view_once() {
     let t = tree(6);

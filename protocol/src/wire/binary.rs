@@ -76,7 +76,8 @@ impl StreamHeader {
 pub struct PoseDatagram {
     /// Grows by one per pose (wrapping); an older one is ignored.
     pub sequence: u32,
-    /// The client's clock, microseconds since it connected: velocities do not depend on the network's jitter.
+    /// The client's clock, microseconds since it connected: velocities do not depend on the
+    /// network's jitter.
     pub sent_us: u64,
     /// The pose.
     pub pose: Pose,

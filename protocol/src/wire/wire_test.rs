@@ -59,7 +59,8 @@ fn messages_survive_the_trip() {
     trip(Answer::Chunk { number: 3, bytes: 10 });
 }
 
-/// A client of before knows nothing of portals or of what is far, and one of later may know more than this server.
+/// A client of before knows nothing of portals or of what is far, and one of later may know more
+/// than this server.
 #[test]
 fn a_wish_may_be_absent_and_an_unknown_one_is_refused() {
     let bytes = encode(&ClientMessage::Hello(hello())).unwrap();

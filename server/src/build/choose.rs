@@ -1,9 +1,12 @@
-//! Images or the LDI tree alone (row S7): at the same bound on the error what takes fewer bytes. In, a plan, not yet made into images; out, a [`Weighing`], and the tree if it was built for it.
+//! Images or the LDI tree alone (row S7): at the same bound on the error what takes fewer bytes.
+//! In, a plan, not yet made into images; out, a [`Weighing`], and the tree if it was built for it.
 //!
 //! 1. Random eyes tell how fine samples have to be beyond the geometry ([`Probes`]).
 //! 2. The images of a few placements are made; all are expected to take as much each.
-//! 3. The samples that a tree would need are estimated from how near eyes come to every part of the scene. If they take more bytes than the images, that is all.
-//! 4. Otherwise the tree is built, what samples it has at the probed points is looked up, and how many of them an eye draws is counted.
+//! 3. The samples that a tree would need are estimated from how near eyes come to every part of
+//!    the scene. If they take more bytes than the images, that is all.
+//! 4. Otherwise the tree is built, what samples it has at the probed points is looked up, and how
+//!    many of them an eye draws is counted.
 
 use super::{BuildError, BuildOptions, images, kept_tree::TreeInput};
 use crate::pack::PackError;
@@ -19,17 +22,21 @@ use ldi_protocol::{
 };
 use serde::Serialize;
 
-/// Share of far points where samples may be larger than the bound, or missing: as many pixels as images may leave open.
+/// Share of far points where samples may be larger than the bound, or missing: as many pixels as
+/// images may leave open.
 pub const BEYOND: f64 = 0.001;
 /// Placements whose images are made to tell what all take.
 const SAMPLED: usize = 12;
-/// Samples that an eye may draw per pixel of the picture: more than images warp, but not so many that frames take several times as long.
+/// Samples that an eye may draw per pixel of the picture: more than images warp, but not so many
+/// that frames take several times as long.
 const DRAWN_PER_PIXEL: u64 = 3;
-/// Bytes of a tree's sample, as measured where they are fine (docs/benchmarks/tree.md); coarse ones take up to four.
+/// Bytes of a tree's sample, as measured where they are fine (docs/benchmarks/tree.md); coarse
+/// ones take up to four.
 const BYTES_PER_SAMPLE: f64 = 0.6;
 /// Samples that a tree can be grown with: some 100 bytes each while it grows.
 const MAX_SAMPLES: f64 = 30e6;
-/// Pixels along a side of a reference image: the picture's own density within 90 degrees is enough for what is as far from the reference as from the eye.
+/// Pixels along a side of a reference image: the picture's own density within 90 degrees is enough
+/// for what is as far from the reference as from the eye.
 const SIDES: [f64; 2] = [256.0, 1024.0];
 /// Pixels of all reference images: some minutes on two cores.
 const MAX_PIXELS: f64 = 1e9;
@@ -83,7 +90,8 @@ pub struct ImageBytes {
 }
 
 impl ImageBytes {
-    /// Makes the images of [`SAMPLED`] placements, spread over all. Images differ in size by factors of hundreds, in bytes per pixel by few.
+    /// Makes the images of [`SAMPLED`] placements, spread over all. Images differ in size by
+    /// factors of hundreds, in bytes per pixel by few.
     pub fn expected(
         caster: &Caster,
         plans: &[PlacementPlan],

@@ -1,7 +1,9 @@
-//! Rooms, the grid, or both: at the same bound on footprints by what walks need. In, plans, not yet made into images; out, a [`RoomWeighing`] and the plan that was chosen.
+//! Rooms, the grid, or both: at the same bound on footprints by what walks need. In, plans, not
+//! yet made into images; out, a [`RoomWeighing`] and the plan that was chosen.
 //!
 //! 1. Random walks tell what walkers need in which room, by rooms and by the grid alone.
-//! 2. Which rooms the grid should serve for walks to need least is searched for; where that saves enough, a plan is made in which it serves those.
+//! 2. Which rooms the grid should serve for walks to need least is searched for; where that saves
+//!    enough, a plan is made in which it serves those.
 //! 3. What breaks no promise and brings the least is taken.
 
 use super::choose::{ImageBytes, megabytes, pixels_of};
@@ -27,11 +29,14 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Walks that tell what is sent: an hour in all, whose poses take seconds to look at. Fewer: where they happen to begin decides.
+/// Walks that tell what is sent: an hour in all, whose poses take seconds to look at. Fewer: where
+/// they happen to begin decides.
 const WALKS: u64 = 64;
-/// How long each is, seconds: the first minute is what people judge, and longer ones of random turns hardly get farther.
+/// How long each is, seconds: the first minute is what people judge, and longer ones of random
+/// turns hardly get farther.
 const WALK_S: f64 = 60.0;
-/// Poses that are looked at are so many apart: a quarter of a second, in which one walks a third of a metre or turns by half of the picture.
+/// Poses that are looked at are so many apart: a quarter of a second, in which one walks a third
+/// of a metre or turns by half of the picture.
 const POSES_APART: usize = 15;
 
 /// A minute each, from places all over the volume, not through walls.
@@ -48,9 +53,11 @@ impl Walks {
         Self((0..WALKS).into_par_iter().map(walk).collect())
     }
 
-    /// What walks need of a plan. `index`: with the chunks of its geometry, its images as those of `plans`, not yet made.
+    /// What walks need of a plan. `index`: with the chunks of its geometry, its images as those of
+    /// `plans`, not yet made.
     fn needs(&self, mut index: Index, plans: &[PlacementPlan], bytes_per_pixel: f64, rooms: Option<&Rooms>) -> Needs {
-        // An image without chunks shows nothing, so nobody would need it: these have one, which is none of the index's.
+        // An image without chunks shows nothing, so nobody would need it: these have one, which is
+        // none of the index's.
         index.images.iter_mut().for_each(|i| i.chunks = vec![u32::MAX]);
         let index = &index;
         let groups = CellGroups::of(&index.cells);
@@ -107,7 +114,8 @@ impl Needs {
         (0..self.walks.len()).map(|walk| self.of_walk(walk, self, &[])).sum()
     }
 
-    /// Bytes of a walk where `other` serves some rooms instead. What several rooms need counts once.
+    /// Bytes of a walk where `other` serves some rooms instead. What several rooms need counts
+    /// once.
     fn of_walk(&self, walk: usize, other: &Self, by_other: &[bool]) -> u64 {
         let (mut chunks, mut images) = (BTreeSet::new(), [BTreeSet::new(), BTreeSet::new()]);
         let is_others = |room: usize| by_other.get(room) == Some(&true);
@@ -120,7 +128,8 @@ impl Needs {
         sum(&self.chunk_bytes, &chunks) + sum(&self.image_bytes, &images[0]) + sum(&other.image_bytes, &images[1])
     }
 
-    /// The rooms that `other` should serve for walks to need least, and what they then need: from none and from all rooms on, the one that saves most changes hands, until none saves
+    /// The rooms that `other` should serve for walks to need least, and what they then need: from
+    /// none and from all rooms on, the one that saves most changes hands, until none saves
     /// anything.
     fn shared_with(&self, other: &Self) -> (Vec<bool>, u64) {
         let from = |start: bool| {
@@ -148,7 +157,8 @@ impl Needs {
     }
 }
 
-/// Share of what walks need by rooms alone or by the grid alone that has to be saved for another plan, in which the grid serves some rooms: it takes minutes where rooms are many. By judgement.
+/// Share of what walks need by rooms alone or by the grid alone that has to be saved for another
+/// plan, in which the grid serves some rooms: it takes minutes where rooms are many. By judgement.
 const WORTH: f64 = 0.05;
 
 /// The rooms that the grid should serve; none where that saves too little.
@@ -158,8 +168,10 @@ fn cheaper_by_grid(by_rooms: &Needs, by_grid: &Needs) -> Vec<bool> {
     if bytes as f64 <= (1.0 - WORTH) * alone as f64 { grids } else { Vec::new() }
 }
 
-/// Rooms, with the grid where those are too much, against the grid alone, and against rooms with the grid also where it alone would bring less: at the same bound on footprints, what brings a walker
-/// fewer bytes. What all of it takes on the server's disk is told, too, and decides nothing.
+/// Rooms, with the grid where those are too much, against the grid alone, and against rooms with
+/// the grid also where it alone would bring less: at the same bound on footprints, what brings a
+/// walker fewer bytes. What all of it takes on the server's disk is told, too, and decides
+/// nothing.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RoomWeighing {
     /// `portals`, `grid` or `mixed`.
@@ -174,7 +186,8 @@ pub struct RoomWeighing {
     pub mixed: Option<Mixed>,
     /// Random walks of a minute that tell what a walk needs.
     pub walks: usize,
-    /// Poses of an audit of the plan by rooms, and in how many of them it breaks a promise; that of the grid alone is certified.
+    /// Poses of an audit of the plan by rooms, and in how many of them it breaks a promise; that
+    /// of the grid alone is certified.
     pub poses: u64,
     /// See there.
     pub violations: u64,
@@ -327,7 +340,8 @@ impl Ground<'_> {
     }
 }
 
-/// Chooses between a plan by rooms, one by the grid alone and, where that promises to be less, one by both.
+/// Chooses between a plan by rooms, one by the grid alone and, where that promises to be less, one
+/// by both.
 pub(super) fn choose_rooms(
     ground: &Ground<'_>,
     (plan, by_rooms, site): (PlacementResult, RoomPlan, &Site),

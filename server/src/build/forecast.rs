@@ -1,7 +1,7 @@
 //! What the images of a plan will take, found out by making a few of them.
 //!
-//! In: the placements of a plan. Out: a [`Forecast`]. The placements that are made for it are kept like all others, so that nothing is
-//! done twice.
+//! In: the placements of a plan. Out: a [`Forecast`]. The placements that are made for it are kept
+//! like all others, so that nothing is done twice.
 
 use super::{BuildError, choose::pixels_of, images};
 use crate::placement::PlacementPlan;
@@ -43,8 +43,8 @@ pub struct Forecast {
 }
 
 impl Forecast {
-    /// Makes the images of a few placements of all sizes. None: there are few, or an earlier build left the sampled ones, whose time is
-    /// not known.
+    /// Makes the images of a few placements of all sizes. None: there are few, or an earlier build
+    /// left the sampled ones, whose time is not known.
     pub(super) fn of(work: &Work<'_>, plans: &[PlacementPlan]) -> Result<Option<Self>, BuildError> {
         if plans.len() < LEAST_PLACEMENTS {
             return Ok(None);

@@ -54,7 +54,8 @@ pub struct ImageFigures {
 pub struct Lost {
     /// Their pixel had all its layers.
     pub too_deep: u64,
-    /// The ray through their pixel's centre misses their surface: silhouettes, and surfaces that the centre of projection sees edge-on, of which some become slivers.
+    /// The ray through their pixel's centre misses their surface: silhouettes, and surfaces that
+    /// the centre of projection sees edge-on, of which some become slivers.
     pub recast_missed: u64,
 }
 
@@ -94,7 +95,8 @@ pub(super) struct KeptImage {
     pub lengths: Vec<u32>,
 }
 
-/// All images of a build. Their bytes lie in the writer's pieces, one for each placement: images may take more than the memory.
+/// All images of a build. Their bytes lie in the writer's pieces, one for each placement: images
+/// may take more than the memory.
 #[derive(Debug, Default)]
 pub struct Images {
     /// Figures for the report.
@@ -113,7 +115,8 @@ pub(super) struct Piece {
     pub unmade: bool,
 }
 
-/// Makes the images of every placement that are not kept yet; after `deadline` none is begun any more.
+/// Makes the images of every placement that are not kept yet; after `deadline` none is begun any
+/// more.
 #[expect(clippy::too_many_arguments, reason = "each is another thing that images depend on")]
 pub fn construct_all(
     caster: &Caster,
@@ -127,7 +130,8 @@ pub fn construct_all(
 ) -> Result<Images, BuildError> {
     let start = Instant::now();
     let options = ConstructOptions::new(settings.camera);
-    // One image after the other leaves a core idle whenever one is encoded; rayon balances placements and their rows alike.
+    // One image after the other leaves a core idle whenever one is encoded; rayon balances
+    // placements and their rows alike.
     let made: Vec<Result<(Piece, Option<[f64; STEPS.len()]>), BuildError>> = plans
         .par_iter()
         .with_max_len(1)
@@ -209,7 +213,8 @@ fn one(
     let holds_something = |ldi: &Ldi| ldi.samples() > 0 || !ldi.slivers.is_empty();
     for (planned, tiles) in made.images.iter().enumerate() {
         let start = Instant::now();
-        // Tiles of a face are granted their bytes together: a textured one is not coarser for being cut off from plain ones.
+        // Tiles of a face are granted their bytes together: a textured one is not coarser for
+        // being cut off from plain ones.
         let full: Vec<&Ldi> = tiles.iter().map(|t| &t.ldi).filter(|ldi| holds_something(ldi)).collect();
         let mut of_full = coded(&full, colour, &format!("an image of placement {number}"))?.into_iter();
         seconds[STEPS.len() - 1] += start.elapsed().as_secs_f64();
@@ -310,7 +315,8 @@ impl Images {
         })
     }
 
-    /// Reads chunks back, by their numbers among [`Images::entries`]. Quick in ascending order: a piece is read once.
+    /// Reads chunks back, by their numbers among [`Images::entries`]. Quick in ascending order: a
+    /// piece is read once.
     pub fn reader(&self) -> impl FnMut(&DatasetWriter, usize) -> Option<Vec<u8>> + '_ {
         let of_piece = |(piece, p): (usize, &Piece)| (0..p.hashes.len()).map(move |chunk| (piece, chunk));
         let places: Vec<(usize, usize)> = self.all.iter().enumerate().flat_map(of_piece).collect();
@@ -324,7 +330,8 @@ impl Images {
         }
     }
 
-    /// Placements and images as the index names them. A planned image of which nobody sees anything is one without chunks.
+    /// Placements and images as the index names them. A planned image of which nobody sees
+    /// anything is one without chunks.
     pub fn indexed<'a>(&self, plans: &'a [PlacementPlan], sides: &'a [SidePlan], first_chunk: u32) -> Indexed<'a> {
         let mut out = Indexed { placements: Vec::new(), images: Vec::new(), plans: Vec::new(), sides: Vec::new() };
         let mut next = first_chunk;

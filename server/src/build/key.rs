@@ -1,4 +1,5 @@
-//! Names of unfinished work: what an image depends on, hashed, so that a resumed build takes only what is still right.
+//! Names of unfinished work: what an image depends on, hashed, so that a resumed build takes only
+//! what is still right.
 
 use crate::scene::Scene;
 use crate::tree::Places;

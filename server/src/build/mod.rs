@@ -5,8 +5,9 @@
 //!             └───────────────> pack ───────────┴-> store
 //! ```
 //!
-//! In: a scene's name and settings. Out: a dataset directory and its report. The bytes depend on the input alone, not on the
-//! number of threads. Images, the slow part, are kept as they are finished, so that a stopped build goes on where it was.
+//! In: a scene's name and settings. Out: a dataset directory and its report. The bytes depend on
+//! the input alone, not on the number of threads. Images, the slow part, are kept as they are
+//! finished, so that a stopped build goes on where it was.
 
 mod choose;
 mod choose_rooms;
@@ -68,9 +69,11 @@ pub struct BuildOptions {
     pub scene: String,
     /// Dataset directory.
     pub output: PathBuf,
-    /// Settings; an `optimize_budget` of 0 stands for the default: P with view cells, P - max(10% of P, 2 x the largest cell) with the paper's grid.
+    /// Settings; an `optimize_budget` of 0 stands for the default: P with view cells, P - max(10%
+    /// of P, 2 x the largest cell) with the paper's grid.
     pub settings: BuildSettings,
-    /// Share of the scene's triangles that the budget is, whatever `settings` say; None: it is theirs.
+    /// Share of the scene's triangles that the budget is, whatever `settings` say; None: it is
+    /// theirs.
     pub budget_share: Option<f64>,
     /// Colour coding; `settings.colour` is its name.
     pub colour: ColourProfile,
@@ -80,7 +83,8 @@ pub struct BuildOptions {
     pub starts: Vec<DVec3>,
     /// Eyes are near this path only; None: wherever one can walk.
     pub along: Option<Corridor>,
-    /// After this time no image is begun any more: what is not made is shown by geometry and the LDI tree, and the same build goes on with it later.
+    /// After this time no image is begun any more: what is not made is shown by geometry and the
+    /// LDI tree, and the same build goes on with it later.
     pub time_limit: Option<Duration>,
 }
 
@@ -90,7 +94,8 @@ pub enum Represent {
     /// Images of placements, with the coarse levels of an LDI tree under them.
     #[default]
     Grid,
-    /// Whichever keeps the footprint bound with fewer bytes: the tree alone, or images over its coarse levels.
+    /// Whichever keeps the footprint bound with fewer bytes: the tree alone, or images over its
+    /// coarse levels.
     Smaller,
     /// The LDI tree alone: no placements, so that no budget is promised.
     Tree {
@@ -99,16 +104,19 @@ pub enum Represent {
         /// Pixels along a side of a reference image.
         side: u32,
     },
-    /// Geometry and the coarse levels of an LDI tree: clients make images of what is far themselves (Shade et al. 1996). No budget is promised.
+    /// Geometry and the coarse levels of an LDI tree: clients make images of what is far
+    /// themselves (Shade et al. 1996). No budget is promised.
     Cache,
-    /// Rooms, with images of what lies beyond their portals, the grid's images where that exceeds the budget, and the coarse levels of an LDI tree under them.
+    /// Rooms, with images of what lies beyond their portals, the grid's images where that exceeds
+    /// the budget, and the coarse levels of an LDI tree under them.
     Portals {
         /// Where the rooms come from.
         rooms: RoomSource,
         /// What is shown beyond portals.
         portals: PortalOptions,
     },
-    /// By rooms if the scene names some, or another source is given, and that keeps both promises with fewer bytes; else by the grid alone.
+    /// By rooms if the scene names some, or another source is given, and that keeps both promises
+    /// with fewer bytes; else by the grid alone.
     Auto {
         /// Where the rooms come from.
         rooms: RoomSource,
@@ -396,7 +404,8 @@ fn read(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
     let clusters = Clusters::build(&scene);
     let octree = Octree::build(&scene, &clusters, settings.budget);
     if settings.optimize_budget == 0 && settings.grid == CELLS {
-        // A box takes what P allows, to the triangle; aiming lower costs pixels (docs/adr/0008-near-boxes.md).
+        // A box takes what P allows, to the triangle; aiming lower costs pixels
+        // (docs/adr/0008-near-boxes.md).
         settings.optimize_budget = settings.budget;
     } else if settings.optimize_budget == 0 {
         let slack = (settings.budget / 10).max(2 * u64::from(octree.largest_cell()));
@@ -465,7 +474,8 @@ fn draft_index(
     index
 }
 
-/// Poses of the audit that every build ends with: a second or two. `verify --guarantee` takes as many as one likes.
+/// Poses of the audit that every build ends with: a second or two. `verify --guarantee` takes as
+/// many as one likes.
 const AUDITED_POSES: AuditSize = AuditSize { random: 5_000, adversarial: 5_000 };
 
 /// The camera of an image as planned, before it is cut to what eyes see.
@@ -719,7 +729,8 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     Ok(Built { written, report, of_scene: scene.notes.len() })
 }
 
-/// The scene's name as reports show it: a file's name without its folder, which is nobody's business.
+/// The scene's name as reports show it: a file's name without its folder, which is nobody's
+/// business.
 fn display_name(spec: &str) -> String {
     if spec.starts_with("builtin:") {
         return spec.to_string();

@@ -11,7 +11,8 @@ use ldi_protocol::index::{BuildSettings, ChunkHash};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Makes the reference images of every side of a portal that are not kept yet, and the layered ones merged from them (`construct::construct_side`): they follow the placements' in `images`.
+/// Makes the reference images of every side of a portal that are not kept yet, and the layered
+/// ones merged from them (`construct::construct_side`): they follow the placements' in `images`.
 #[expect(clippy::too_many_arguments, reason = "as of construct_all, and what is merged")]
 pub fn construct_references(
     images: &mut Images,

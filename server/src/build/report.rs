@@ -72,7 +72,8 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
         },
         "seconds": f.seconds.iter().map(|(k, v)| ((*k).to_string(), json!(v))).collect::<serde_json::Map<_, _>>(),
         "placement_seconds": f.placement.seconds,
-        // Wall time while other images share the threads, added up over images: shares are what it tells.
+        // Wall time while other images share the threads, added up over images: shares are what it
+        // tells.
         "image_step_seconds": super::images::STEPS.iter().zip(f.images.step_seconds).collect::<std::collections::BTreeMap<_, _>>(),
         "ldis_per_s": if f.images.seconds > 0.0 { f.images.made as f64 / f.images.seconds } else { 0.0 },
         "rays_per_s": if f.images.seconds > 0.0 { f.images.rays as f64 / f.images.seconds } else { 0.0 },

@@ -75,7 +75,8 @@ pub struct RoomFigures {
     pub plan_seconds: f64,
 }
 
-/// The part of the walk volume where the grid serves: what has to be geometry of rooms exceeds the budget, or walks need less so.
+/// The part of the walk volume where the grid serves: what has to be geometry of rooms exceeds the
+/// budget, or walks need less so.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct GridUnderRooms {
     /// Boxes of the walk volume whose eyes the grid serves.
@@ -155,9 +156,11 @@ pub(super) struct Share<'a> {
     pub before: Option<&'a RoomPlan>,
 }
 
-/// Plans the images of portals, and those of the grid where rooms are too much, or the grid is to serve.
+/// Plans the images of portals, and those of the grid where rooms are too much, or the grid is to
+/// serve.
 ///
-/// `draft`: without chunks: cells, settings and the walk volume. `grid`: plans the grid for the eyes of a volume.
+/// `draft`: without chunks: cells, settings and the walk volume. `grid`: plans the grid for the
+/// eyes of a volume.
 pub(super) fn plan_rooms(
     caster: &Caster,
     site: &Site,
@@ -293,7 +296,8 @@ pub(super) struct Known {
 /// Reads or finds rooms; they are looked for around where people walk.
 ///
 /// # Errors
-/// [`BuildError::NoRooms`] where there are none; [`BuildError::Rooms`] for faults of a file or an annotation.
+/// [`BuildError::NoRooms`] where there are none; [`BuildError::Rooms`] for faults of a file or an
+/// annotation.
 pub(super) fn rooms_of(caster: &Caster, source: &RoomSource, walked: &Aabb) -> Result<Known, BuildError> {
     let start = Instant::now();
     let fault = |why: String| BuildError::Rooms { why };

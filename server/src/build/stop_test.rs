@@ -1,5 +1,5 @@
-//! Whole builds that stop at a change to the file system: the next run goes on, and the bytes in the
-//! end are those of a build that never stopped.
+//! Whole builds that stop at a change to the file system: the next run goes on, and the bytes in
+//! the end are those of a build that never stopped.
 
 use super::*;
 use crate::{

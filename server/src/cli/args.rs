@@ -54,7 +54,8 @@ Examples:
   ldi-server rooms builtin:house --auto --check 1000      found, compared with the scene's own rooms, and judged by rays
 The file of corrections is described in docs/user/rooms.md.")]
     Rooms(RoomsArgs),
-    /// Check every hash and every bound of a dataset; with --guarantee, audit both promises over many poses.
+    /// Check every hash and every bound of a dataset; with --guarantee, audit both promises over
+    /// many poses.
     #[command(after_help = "\
 Examples:
   ldi-server verify clinic.ldi
@@ -104,12 +105,15 @@ pub struct SceneArgs {
 // So that what is wrong with a negative number is said by whoever takes it.
 #[command(allow_negative_numbers = true)]
 pub struct BuildArgs {
-    /// .gltf, .glb, .obj, .ply (FILE?up=z&unit=mm&missing=plain where it is not in metres with Y up, units m, cm, mm, in, ft, or pictures are missing), or builtin:NAME[?triangles=N&seed=S].
+    /// .gltf, .glb, .obj, .ply (FILE?up=z&unit=mm&missing=plain where it is not in metres with Y
+    /// up, units m, cm, mm, in, ft, or pictures are missing), or
+    /// builtin:NAME[?triangles=N&seed=S].
     pub scene: String,
     /// Directory to make.
     #[arg(short, long, value_name = "DATASET", required_unless_present = "dry_run")]
     pub output: Option<PathBuf>,
-    /// Plan and audit only: say what the build would take and whether its promises hold, as JSON; write nothing else.
+    /// Plan and audit only: say what the build would take and whether its promises hold, as JSON;
+    /// write nothing else.
     #[arg(long)]
     pub dry_run: bool,
     /// With --dry-run: draw the plan, see `ldi-server inspect --help`.
@@ -127,13 +131,15 @@ pub struct BuildArgs {
     /// Geometry budget P: triangles per frame, or a share of the scene's, as 10%.
     #[arg(long, value_name = "N|PERCENT%", default_value = "200000", value_parser = budget)]
     pub budget: Budget,
-    /// Optimization budget Popt, what images aim at [default: P; with --grid paper P - max(10% of P, 2 x the largest pseudo-leaf)].
+    /// Optimization budget Popt, what images aim at
+    /// [default: P; with --grid paper P - max(10% of P, 2 x the largest pseudo-leaf)].
     #[arg(long)]
     pub optimize_budget: Option<u64>,
     /// LDI samples per output pixel pitch: 1, 1.5 or 2.
     #[arg(long, default_value_t = 1.0, value_parser = density)]
     pub density: f64,
-    /// Colour coding of images: exact, or exact as long as an image takes at most 0.95 (high) or 0.55 (compact) bytes per sample; compact codes textures nearly, too.
+    /// Colour coding of images: exact, or exact as long as an image takes at most 0.95 (high) or
+    /// 0.55 (compact) bytes per sample; compact codes textures nearly, too.
     #[arg(long, default_value = "high", value_parser = ["lossless", "high", "compact"])]
     pub colour: String,
     /// How the eyes are covered.
@@ -157,7 +163,8 @@ pub struct BuildArgs {
     /// Walk volume: the whole box of the scene.
     #[arg(long)]
     pub fly: bool,
-    /// Walk volume: people start here and walk wherever they get to from there; a place on a floor or an eye above it, metres. May be given more than once [default: found].
+    /// Walk volume: people start here and walk wherever they get to from there; a place on a floor
+    /// or an eye above it, metres. May be given more than once [default: found].
     #[arg(long, value_name = "X,Y,Z", conflicts_with_all = ["fly", "along"], value_parser = place, allow_hyphen_values = true)]
     pub start: Vec<DVec3>,
     /// Walk volume: only near this path, for guided tours and for trying a large scene.
@@ -166,9 +173,13 @@ pub struct BuildArgs {
     /// With --along: so far to its sides, up and down, metres.
     #[arg(long, value_name = "M", default_value_t = 1.0, requires = "along", value_parser = positive)]
     pub within: f64,
-    /// Representations to build: grid (images of placements, over the coarse levels of an LDI tree), portals (rooms, with images of what lies beyond
-    /// their portals, and the grid's where that exceeds the budget, over the same), tree (the LDI tree alone) or cache (geometry and the coarse levels of an LDI tree, for clients that make images themselves: --method cache); grid,tree is whichever keeps --max-footprint with fewer bytes; auto is grid,
-    /// or portals if the scene names rooms, or --find-rooms or --rooms is given, and they take fewer bytes and break no promise.
+    /// Representations to build: grid (images of placements, over the coarse levels of an LDI
+    /// tree), portals (rooms, with images of what lies beyond their portals, and the grid's where
+    /// that exceeds the budget, over the same), tree (the LDI tree alone) or cache (geometry and
+    /// the coarse levels of an LDI tree, for clients that make images themselves: --method cache);
+    /// grid,tree is whichever keeps --max-footprint with fewer bytes; auto is grid, or portals if
+    /// the scene names rooms, or --find-rooms or --rooms is given, and they take fewer bytes and
+    /// break no promise.
     #[arg(long, default_value = "auto", value_delimiter = ',')]
     pub represent: Vec<String>,
     /// With --represent tree: smallest distance of samples, metres.
@@ -177,32 +188,38 @@ pub struct BuildArgs {
     /// With --represent tree: pixels along a side of each of a reference's six images.
     #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=2048))]
     pub tree_reference: u32,
-    /// With --represent portals or auto: rooms as `ldi-server rooms --json` writes them [default: the scene's own; with portals else found].
+    /// With --represent portals or auto: rooms as `ldi-server rooms --json` writes them
+    /// [default: the scene's own; with portals else found].
     #[arg(long, value_name = "FILE")]
     pub rooms: Option<PathBuf>,
-    /// With --represent portals or auto: find rooms even if the scene names its own; where there are none, auto takes the grid.
+    /// With --represent portals or auto: find rooms even if the scene names its own; where there
+    /// are none, auto takes the grid.
     #[arg(long, conflicts_with = "rooms")]
     pub find_rooms: bool,
     /// With --represent portals: eyes nearer than this to a portal see geometry beyond it, metres.
     #[arg(long, value_name = "M", default_value_t = crate::portal::NEAR_M, value_parser = positive)]
     pub portal_near: f64,
-    /// With --represent portals: images of what lies beyond portals: ours (for boxes of eyes, with a bound on their samples' size), paper (reference images from a semicircle before each
+    /// With --represent portals: images of what lies beyond portals: ours (for boxes of eyes, with
+    /// a bound on their samples' size), paper (reference images from a semicircle before each
     /// portal, and a layered image merged from them, as of 1998), or both.
     #[arg(long, value_name = "WHICH", default_value = "ours", value_parser = ["ours", "paper", "both"])]
     pub portal_images: String,
-    /// With --portal-images paper or both: reference images on each side of a portal, an odd number [default: 13].
+    /// With --portal-images paper or both: reference images on each side of a portal, an odd
+    /// number [default: 13].
     #[arg(long, value_name = "N")]
     pub portal_references: Option<usize>,
     /// Likewise: radius of the semicircle, metres from the portal's middle [default: 2].
     #[arg(long, value_name = "M")]
     pub portal_radius: Option<f64>,
-    /// Likewise: the part of the semicircle that the images are spread over, degrees; eyes more than 60 degrees off the portal's normal see geometry [default: 120].
+    /// Likewise: the part of the semicircle that the images are spread over, degrees; eyes more
+    /// than 60 degrees off the portal's normal see geometry [default: 120].
     #[arg(long, value_name = "DEG")]
     pub portal_arc: Option<f64>,
     /// Likewise: depths that differ by at most this share are one in merging [default: 0.02].
     #[arg(long, value_name = "SHARE")]
     pub portal_same_depth: Option<f64>,
-    /// After this time no image is begun any more: the dataset works, what is not made is softer, and the same command goes on with it. Seconds, or as 90s, 20m, 3h.
+    /// After this time no image is begun any more: the dataset works, what is not made is softer,
+    /// and the same command goes on with it. Seconds, or as 90s, 20m, 3h.
     #[arg(long, value_name = "TIME", value_parser = duration)]
     pub time_limit: Option<Duration>,
     /// Threads [default: all cores].
@@ -224,7 +241,8 @@ pub struct InspectArgs {
     /// JSON, with every cell's bounds, triangles and source ranges.
     #[arg(long)]
     pub json: bool,
-    /// Draw where people walk and where not, rooms and grid points, storey by storey, as SVG or PNG.
+    /// Draw where people walk and where not, rooms and grid points, storey by storey, as SVG or
+    /// PNG.
     #[arg(long, value_name = "FILE.svg|.png")]
     pub plan: Option<PathBuf>,
     /// With --plan: draw this path over it, and say how much of it lies inside.
@@ -252,7 +270,8 @@ pub struct RoomsArgs {
     /// Judge culling from this many random poses by a ray per pixel.
     #[arg(long, default_value_t = 0, value_name = "POSES")]
     pub check: u32,
-    /// Pixels of a pose's picture there: many poses with few rays each find other faults than few with many.
+    /// Pixels of a pose's picture there: many poses with few rays each find other faults than few
+    /// with many.
     #[arg(long, default_value = "320x200", value_parser = size)]
     pub check_size: (u32, u32),
     /// Another number gives other poses; those that sort cells into rooms are none of them.
@@ -274,8 +293,8 @@ pub struct VerifyArgs {
     /// Audit frame cost and footprint by brute force.
     #[arg(long)]
     pub guarantee: bool,
-    /// Count the triangles of every cell over this scene, as for `build`, instead of over the dataset's list of them; a triangle in no
-    /// cell, in two, or outside of its cell is an error.
+    /// Count the triangles of every cell over this scene, as for `build`, instead of over the
+    /// dataset's list of them; a triangle in no cell, in two, or outside of its cell is an error.
     #[arg(long, requires = "guarantee")]
     pub scene: Option<String>,
     /// Random poses of the audit.
@@ -316,7 +335,8 @@ pub struct RenderArgs {
     /// Picture size.
     #[arg(long, value_parser = size)]
     pub size: (u32, u32),
-    /// Samples per pixel, a square number: a regular grid, box-filtered in linear light; 1 is the pixel centre.
+    /// Samples per pixel, a square number: a regular grid, box-filtered in linear light; 1 is the
+    /// pixel centre.
     #[arg(long, default_value_t = 16)]
     pub samples: u32,
     /// Filter textures trilinearly by the ray's footprint.
@@ -347,7 +367,8 @@ pub struct ServeArgs {
     /// QUIC address or name, with port [default: 127.0.0.1:4433]; port 0 picks a free one.
     #[arg(long, value_name = "HOST:PORT", value_parser = address)]
     pub listen: Option<SocketAddr>,
-    /// HTTP address or name, with port, or `off` [default: 127.0.0.1:8080]; port 0 picks a free one.
+    /// HTTP address or name, with port, or `off` [default: 127.0.0.1:8080]; port 0 picks a free
+    /// one.
     #[arg(long, value_name = "HOST:PORT", value_parser = http_address)]
     pub http: Option<HttpAt>,
     /// TOML file with the same settings and the limits; options given here win.
@@ -382,7 +403,8 @@ pub enum LogForm {
 /// `ldi-server identity`.
 #[derive(Debug, Args)]
 pub struct IdentityArgs {
-    /// Folder of the identity [default: $XDG_STATE_HOME/ldi-server, else ~/.local/state/ldi-server].
+    /// Folder of the identity
+    /// [default: $XDG_STATE_HOME/ldi-server, else ~/.local/state/ldi-server].
     pub folder: Option<PathBuf>,
     /// Make the identity that will replace this one, unless it is there.
     #[arg(long, conflicts_with = "switch")]

@@ -248,7 +248,8 @@ fn inspect(a: &InspectArgs) -> Result<(), Failure> {
     print(&if a.json { format!("{value:#}") } else { store::inspect_text(&value) })
 }
 
-/// Draws the plan of an index, as PNG or SVG by the file's name, and says how much of a path lies inside.
+/// Draws the plan of an index, as PNG or SVG by the file's name, and says how much of a path lies
+/// inside.
 fn draw_plan(
     file: &Path,
     index: &Index,

@@ -1,4 +1,5 @@
-//! The commands of `ldi-server`: from arguments to stages, from results to stdout, from errors to exit codes.
+//! The commands of `ldi-server`: from arguments to stages, from results to stdout, from errors to
+//! exit codes.
 
 mod allocator;
 mod args;

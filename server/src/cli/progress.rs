@@ -1,4 +1,5 @@
-//! Progress of long work: a bar with rate and remaining time on a terminal, a plain line every so often elsewhere.
+//! Progress of long work: a bar with rate and remaining time on a terminal, a plain line every so
+//! often elsewhere.
 
 use crate::build::Progress;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -6,7 +7,8 @@ use std::io::IsTerminal as _;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
-/// Seconds between plain lines: often enough to see that it lives, rarely enough to keep a log readable.
+/// Seconds between plain lines: often enough to see that it lives, rarely enough to keep a log
+/// readable.
 const PLAIN_INTERVAL: Duration = Duration::from_secs(10);
 
 /// Progress on stderr.
@@ -84,7 +86,8 @@ impl State {
         }
     }
 
-    /// How far a stage of known steps is. What an earlier build left tells nothing of the time that the rest takes.
+    /// How far a stage of known steps is. What an earlier build left tells nothing of the time
+    /// that the rest takes.
     fn progress(&self, took: Duration) -> String {
         let Self { name, done, steps, skipped, .. } = self;
         let made = done.saturating_sub(*skipped);

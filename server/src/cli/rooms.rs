@@ -105,7 +105,8 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Rays against a scene in the octree's cells of a build with a tenth of its triangles, and the bounds of these.
+/// Rays against a scene in the octree's cells of a build with a tenth of its triangles, and the
+/// bounds of these.
 fn in_cells(scene: &Arc<Scene>) -> (Caster, (Vec<Aabb>, Aabb)) {
     let clusters = Clusters::build(scene);
     let octree = Octree::build(scene, &clusters, scene.triangles() / 10);

@@ -8,9 +8,11 @@ use glam::DVec3;
 /// What a surface is like where a ray hit it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Facet {
-    /// Unit normal of the geometry (not interpolated) in the world, of either sign; zero if it has none.
+    /// Unit normal of the geometry (not interpolated) in the world, of either sign; zero if it has
+    /// none.
     pub normal: DVec3,
-    /// Number of the surface: equal for all hits on one primitive of one instance. Two surfaces may, rarely, share one.
+    /// Number of the surface: equal for all hits on one primitive of one instance. Two surfaces
+    /// may, rarely, share one.
     pub surface: u32,
 }
 
@@ -27,8 +29,9 @@ pub enum Met {
 
 /// Casts rays at the culled subset. Cells that are not culled are transparent to it.
 ///
-/// Directions have component 1 along the image's forward axis, so a hit's `t` is its depth in metres. A hit's `triangle` names a
-/// plane: hits of one number lie in one plane (analytic scenes: on one smooth patch).
+/// Directions have component 1 along the image's forward axis, so a hit's `t` is its depth in
+/// metres. A hit's `triangle` names a plane: hits of one number lie in one plane (analytic scenes:
+/// on one smooth patch).
 pub trait SubsetCaster: Sync {
     /// Whether hits of one `triangle` share one plane; otherwise only one smooth patch.
     const PLANAR: bool = true;
@@ -36,7 +39,8 @@ pub trait SubsetCaster: Sync {
     fn trace(&self, rays: &[Ray], hits: &mut [Option<Hit>]);
     /// What each ray meets first of everything, cells that stay too; both slices have one length.
     fn meet(&self, rays: &[Ray], met: &mut [Met]);
-    /// Whether the first that each ray meets of everything is a cell that stays; both slices have one length.
+    /// Whether the first that each ray meets of everything is a cell that stays; both slices have
+    /// one length.
     fn hide(&self, rays: &[Ray], hidden: &mut [bool]) {
         let mut met = vec![Met::Nothing; rays.len()];
         self.meet(rays, &mut met);
@@ -84,7 +88,8 @@ impl SubsetCaster for Subset<'_> {
         }
     }
 
-    /// Some hit of what stays is found sooner than the nearest of all, and then it is a short way on which what is replaced may come first.
+    /// Some hit of what stays is found sooner than the nearest of all, and then it is a short way
+    /// on which what is replaced may come first.
     fn hide(&self, rays: &[Ray], hidden: &mut [bool]) {
         // Depths of two hits are compared in f32.
         const BEYOND: f64 = 1.0 + 1e-5;
@@ -106,7 +111,8 @@ impl SubsetCaster for Subset<'_> {
 
     fn facet(&self, ray: &Ray, hit: &Hit) -> Facet {
         let s = self.caster.surface(hit, ray);
-        // Odd multipliers spread (instance, primitive) over 32 bits; two surfaces that collide may be linked over a step.
+        // Odd multipliers spread (instance, primitive) over 32 bits; two surfaces that collide may
+        // be linked over a step.
         let surface = s.source.instance.wrapping_mul(0x9E37_79B1) ^ s.source.primitive.wrapping_mul(0x85EB_CA6B);
         Facet { normal: s.geometric_normal, surface }
     }

@@ -32,7 +32,8 @@ impl<'a, C: SubsetCaster> Surveyor<'a, C> {
 
     pub fn facet(&mut self, ray: &Ray, hit: &Hit) -> Facet {
         match self.last {
-            // A plane has one normal; an analytic patch may not, so it must not be remembered: its number repeats.
+            // A plane has one normal; an analytic patch may not, so it must not be remembered: its
+            // number repeats.
             Some((triangle, facet)) if triangle == hit.triangle && C::PLANAR => facet,
             _ => {
                 let facet = self.caster.facet(ray, hit);
@@ -61,8 +62,8 @@ impl<'a, C: SubsetCaster> Surveyor<'a, C> {
     }
 }
 
-/// One ray per pixel centre that is looked at, from the centre of projection: disparity 0 where there is sky, [`sample::UNSEEN`] where
-/// nobody looks. And the number of rays.
+/// One ray per pixel centre that is looked at, from the centre of projection: disparity 0 where
+/// there is sky, [`sample::UNSEEN`] where nobody looks. And the number of rays.
 pub(super) fn central_image<C: SubsetCaster>(caster: &C, rig: &Rig, looked: &Looked) -> (Vec<Sample>, u64) {
     let width = rig.window.width as usize;
     let unseen = Sample { disparity: sample::UNSEEN, ..Sample::default() };
@@ -104,7 +105,8 @@ pub(super) fn short_ray(rig: &Rig, u: f64, v: f64, d: f64, margin: f64) -> Ray {
     }
 }
 
-/// A ray (`across`, `down`) pixels beside a sample's centre that can only hit its surface or what continues it.
+/// A ray (`across`, `down`) pixels beside a sample's centre that can only hit its surface or what
+/// continues it.
 pub(super) fn ray_beside(rig: &Rig, (pixel, s): &Prediction, [across, down]: [f64; 2], tolerance: &Tolerance) -> Ray {
     let (u, v) = rig.window.centre(*pixel as usize);
     let (d, gu, gv) = (f64::from(s.disparity), f64::from(s.gradient[0]), f64::from(s.gradient[1]));

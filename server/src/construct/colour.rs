@@ -1,9 +1,11 @@
 //! Colours averaged over the pixel, where it shows.
 //!
-//! A sample's colour is the mean, in linear light, of n x n rays through its pixel that hit its surface or what continues it; its disparity
-//! stays that of the central ray, so nothing is averaged across a depth edge. A plain wall has the same colour all over its pixel: so
-//! rays go only where linked neighbours differ in colour. Textures are among those: each ray filters a part of the pixel, as one mip level for
-//! all of it is as coarse as the pixel's longest side on the surface.
+//! A sample's colour is the mean, in linear light, of n x n rays through its pixel that hit its
+//! surface or what continues it; its disparity stays that of the central ray, so nothing is
+//! averaged across a depth edge. A plain wall has the same colour all over its pixel: so rays go
+//! only where linked neighbours differ in colour. Textures are among those: each ray filters a
+//! part of the pixel, as one mip level for all of it is as coarse as the pixel's longest side on
+//! the surface.
 
 use super::{
     caster::SubsetCaster,
@@ -14,11 +16,12 @@ use super::{
 };
 use ldi_protocol::shade::srgb8_from_linear;
 
-/// Neighbours whose colours differ by more than this in some channel (8-bit sRGB) are averaged. Smaller chases
-/// shading gradients, which a mean does not change; larger leaves visible steps.
+/// Neighbours whose colours differ by more than this in some channel (8-bit sRGB) are averaged.
+/// Smaller chases shading gradients, which a mean does not change; larger leaves visible steps.
 const VISIBLE: u8 = 4;
 
-/// Rays that are averaged, across a pixel and down it. One blurs textures; more cost a build their square.
+/// Rays that are averaged, across a pixel and down it. One blurs textures; more cost a build their
+/// square.
 pub(super) const RAYS_ACROSS: u32 = 2;
 
 /// Averages the colours of the layers in place; returns the number of rays.

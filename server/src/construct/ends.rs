@@ -1,10 +1,13 @@
 //! Where surfaces end between pixel centres.
 //!
-//! In: linked layers. Out: per sample, for each side without a link, how far its surface goes on beyond the pixel's centre, and the slope that it has up to there.
+//! In: linked layers. Out: per sample, for each side without a link, how far its surface goes on
+//! beyond the pixel's centre, and the slope that it has up to there.
 //!
-//! A pixel's centre is on a surface or is not, so a border drawn at the pixels' borders is off by up to half a pixel, twice that where surfaces part. Short rays beyond
-//! the centre, at every [`END_PARTS`]th of a pixel, tell where it is. They meet the surface also where something nearer hides it from the
-//! centre of projection: so what lies behind a border reaches under it, and neither cracks nor fringes are left.
+//! A pixel's centre is on a surface or is not, so a border drawn at the pixels' borders is off by
+//! up to half a pixel, twice that where surfaces part. Short rays beyond the centre, at every
+//! [`END_PARTS`]th of a pixel, tell where it is. They meet the surface also where something nearer
+//! hides it from the centre of projection: so what lies behind a border reaches under it, and
+//! neither cracks nor fringes are left.
 
 use super::{
     caster::SubsetCaster,
@@ -59,7 +62,8 @@ pub(super) fn measure<C: SubsetCaster>(caster: &C, rig: &Rig, layer: &mut RawLay
         });
     }
     let mut ends = vec![0; samples.len()];
-    // Per axis, from the last place met on one side to that on the other: pixels, and the change of disparity.
+    // Per axis, from the last place met on one side to that on the other: pixels, and the change
+    // of disparity.
     let mut chords = vec![[[0.0; 2]; 2]; samples.len()];
     for Reached { sample, side, end, last } in reached {
         ends[sample] |= end << (side * END_BITS);

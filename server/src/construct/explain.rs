@@ -1,7 +1,8 @@
 //! What a construction camera would see that is known already: it need not be traced again.
 //!
-//! The central image knows more than its surfaces: everything in front of them is empty. Draw it as seen from the construction
-//! camera as a closed skin: each sample as the piece of plane in its pixel, each depth edge as the sheet that joins near to far.
+//! The central image knows more than its surfaces: everything in front of them is empty. Draw it
+//! as seen from the construction camera as a closed skin: each sample as the piece of plane in its
+//! pixel, each depth edge as the sheet that joins near to far.
 //!
 //! ```text
 //!   C ────────────┐ near surface
@@ -11,10 +12,12 @@
 //!      a ray that meets a sheet first enters the unknown: it is traced.
 //! ```
 //!
-//! Tracing all of these would be exact and wasteful: mostly the surface or the sky behind the sheet is what is seen. So of each block of
-//! 3 x 3 unexplained pixels the middle one is traced, then, as long as rays bring something new, all around them ([`Unexplained::around`]);
-//! holes whose block's middle is explained are traced at once. Where the middle saw sky, so do the block's holes that nobody asked for.
-//! In later rounds a pixel counts as explained where the surface behind the sheet is one that an earlier construction camera found.
+//! Tracing all of these would be exact and wasteful: mostly the surface or the sky behind the
+//! sheet is what is seen. So of each block of 3 x 3 unexplained pixels the middle one is traced,
+//! then, as long as rays bring something new, all around them ([`Unexplained::around`]); holes
+//! whose block's middle is explained are traced at once. Where the middle saw sky, so do the
+//! block's holes that nobody asked for. In later rounds a pixel counts as explained where the
+//! surface behind the sheet is one that an earlier construction camera found.
 
 use super::{
     sample::{Sample, Tolerance, bounded},
@@ -23,15 +26,16 @@ use super::{
 };
 use std::ops::Range;
 
-/// Cells of curved surfaces do not quite meet; they are drawn larger by this many pixels. Larger hides thin holes,
-/// smaller traces rays into cracks.
+/// Cells of curved surfaces do not quite meet; they are drawn larger by this many pixels. Larger
+/// hides thin holes, smaller traces rays into cracks.
 const OVERLAP_PX: f32 = 0.15;
-/// The central image with one sample in every cell of [`COARSENESS`] by [`COARSENESS`] pixels, drawn instead of all: the cameras' own pixels are
-/// that large.
+/// The central image with one sample in every cell of [`COARSENESS`] by [`COARSENESS`] pixels,
+/// drawn instead of all: the cameras' own pixels are that large.
 pub(super) struct Coarse {
     samples: Vec<Sample>,
     width: usize,
-    /// Of each block of [`CELLS`] by [`CELLS`] cells, row-major: smallest and largest disparity that is drawn for them.
+    /// Of each block of [`CELLS`] by [`CELLS`] cells, row-major: smallest and largest disparity
+    /// that is drawn for them.
     ranges: Vec<[f32; 2]>,
 }
 
@@ -125,7 +129,8 @@ pub(super) fn states(
     (0..pixels).map(|p| if closed(p) { State::Explained } else { skin.state(p) }).collect()
 }
 
-/// The middles of blocks that are unexplained, and the holes of blocks whose middle is explained or outside.
+/// The middles of blocks that are unexplained, and the holes of blocks whose middle is explained
+/// or outside.
 fn first_pixels(states: &[State], width: usize) -> Vec<u32> {
     let mut first = Vec::new();
     for (row, line) in states.chunks_exact(width).enumerate() {
@@ -195,8 +200,8 @@ pub(super) enum State {
     Doubtful,
 }
 
-/// Depth buffers of the skin. An entry is a disparity's bits (positive floats order like integers) with the lowest bit
-/// replaced by a flag; 0 is nothing.
+/// Depth buffers of the skin. An entry is a disparity's bits (positive floats order like integers)
+/// with the lowest bit replaced by a flag; 0 is nothing.
 struct Skin<'a> {
     rig: &'a Rig,
     camera: &'a ConstructionCamera,
@@ -263,8 +268,8 @@ impl Skin<'_> {
         }
     }
 
-    /// Draws the samples, with the widest vectors there are: long spans of sheets are half of the time. The same bits either way, as no
-    /// operation is fused.
+    /// Draws the samples, with the widest vectors there are: long spans of sheets are half of the
+    /// time. The same bits either way, as no operation is fused.
     fn draw_known(&mut self, central: &Coarse, deeper: &[(u32, Sample)], tolerance: &Tolerance) {
         #[cfg(target_arch = "x86_64")]
         {
@@ -304,7 +309,8 @@ impl Skin<'_> {
         }
     }
 
-    /// Whether anything of a block of cells, with these disparities, may lie where the camera looks.
+    /// Whether anything of a block of cells, with these disparities, may lie where the camera
+    /// looks.
     #[inline(always)]
     fn may_show(&self, column: usize, row: usize, [low, high]: [f32; 2]) -> bool {
         if low > high {
@@ -411,7 +417,8 @@ impl Skin<'_> {
         self.fill(&corners, Kind::Sheet);
     }
 
-    /// The sheet from cells `first ..= last` of a row to those below; the (upper, lower) samples of both ends.
+    /// The sheet from cells `first ..= last` of a row to those below; the (upper, lower) samples
+    /// of both ends.
     #[inline(always)]
     fn sheet_below(&mut self, row: usize, first: usize, last: usize, left: [&Sample; 2], right: [&Sample; 2]) {
         let edge = |s: &Sample, toward: f32, across: f32| bounded(s, toward * s.gradient[1] + across * s.gradient[0]);
@@ -424,7 +431,8 @@ impl Skin<'_> {
         self.fill(&corners, Kind::Sheet);
     }
 
-    /// Corner (column, row) of the cells of the central window at a disparity, in the camera's window.
+    /// Corner (column, row) of the cells of the central window at a disparity, in the camera's
+    /// window.
     #[inline(always)]
     fn corner(&self, column: usize, row: usize, disparity: f32) -> Corner {
         let (w, c) = (&self.rig.window, &self.camera.window);
@@ -496,7 +504,8 @@ fn centres(from: f32, to: f32, limit: u32) -> Range<usize> {
     first.min(end)..end
 }
 
-/// A positive disparity with a flag in its lowest bit. Signed, as baseline x86-64 compares only signed integers.
+/// A positive disparity with a flag in its lowest bit. Signed, as baseline x86-64 compares only
+/// signed integers.
 #[inline(always)]
 fn to_entry(z: f32, flag: i32) -> i32 {
     (z.to_bits() as i32 & !1) | flag

@@ -1,10 +1,14 @@
 //! Folds: where a surface turns back on itself at its silhouette.
 //!
-//! In: layers with ends. Out: slivers that join what the centre of projection sees of a surface to what it does not.
+//! In: layers with ends. Out: slivers that join what the centre of projection sees of a surface to
+//! what it does not.
 //!
-//! A lampshade or a post curves away within the last pixel before its silhouette: the layer that the centre sees and the one behind it end there at one place of the
-//! image and at two disparities, and to an eye beside it the step between them is a gap as wide as many pixels. Both ends are known, so the gap is closed by a quadrilateral
-//! that the centre sees edge-on. It is one surface if both sides close as they go on outward: the planes at their ends meet within [`MEETS`] pixels.
+//! A lampshade or a post curves away within the last pixel before its silhouette: the layer that
+//! the centre sees and the one behind it end there at one place of the image and at two
+//! disparities, and to an eye beside it the step between them is a gap as wide as many pixels.
+//! Both ends are known, so the gap is closed by a quadrilateral that the centre sees edge-on. It
+//! is one surface if both sides close as they go on outward: the planes at their ends meet within
+//! [`MEETS`] pixels.
 
 use super::{
     layers::{RawLayer, open_sides},
@@ -14,11 +18,14 @@ use super::{
 };
 use ldi_protocol::ldi::{END_PARTS, SIDES, Sliver, end_of};
 
-/// Planes at both ends meet within so many pixels beyond: twice what a circle's do, whose ends are told by quarters of a pixel.
+/// Planes at both ends meet within so many pixels beyond: twice what a circle's do, whose ends are
+/// told by quarters of a pixel.
 const MEETS: f64 = 1.0;
-/// Narrower steps do not show: in steps of disparity, each an eighth of an output pixel for the worst eye.
+/// Narrower steps do not show: in steps of disparity, each an eighth of an output pixel for the
+/// worst eye.
 const LEAST_STEPS: f64 = 2.0;
-/// Ends of both sides lie at most so far apart, in parts of a pixel ([`END_PARTS`]): it is one place, and each is told to the nearest part.
+/// Ends of both sides lie at most so far apart, in parts of a pixel ([`END_PARTS`]): it is one
+/// place, and each is told to the nearest part.
 const APART: u16 = 1;
 
 /// Slivers across the folds of all layers, in their order.
@@ -102,7 +109,8 @@ mod tests {
         End { sample: Sample::default(), parts, disparity, slopes: [0.5 * slope, slope] }
     }
 
-    /// A circle closes at its silhouette; two fins of one surface run side by side, and a bowl opens.
+    /// A circle closes at its silhouette; two fins of one surface run side by side, and a bowl
+    /// opens.
     #[test]
     fn only_what_closes_is_a_fold() {
         let t = Tolerance { step: 1e-4 };

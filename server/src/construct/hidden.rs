@@ -1,8 +1,10 @@
 //! Which samples eyes see past the cells that stay.
 //!
-//! Rays of the survey lie 32 pixels apart, and images are made around what they met, with a margin. Behind a wall that stays that is
-//! more than anyone sees, and what lies close behind it is drawn through it in places, as disparities are rounded. So each sample that was made is asked for: an eye looks
-//! straight at it, and where a cell that stays is before it for all eyes that see something around, it goes.
+//! Rays of the survey lie 32 pixels apart, and images are made around what they met, with a
+//! margin. Behind a wall that stays that is more than anyone sees, and what lies close behind it
+//! is drawn through it in places, as disparities are rounded. So each sample that was made is
+//! asked for: an eye looks straight at it, and where a cell that stays is before it for all eyes
+//! that see something around, it goes.
 //!
 //! In: a caster, what eyes see of a face, samples. Out: the samples that stay.
 
@@ -23,22 +25,29 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// So many eyes look at the samples of [`ROWS`] rows of a block, others at the next rows. By judgement: a hundred and more look at what is around a sample, as a gap of a few centimetres is seen through from few places.
+/// So many eyes look at the samples of [`ROWS`] rows of a block, others at the next rows. By
+/// judgement: a hundred and more look at what is around a sample, as a gap of a few centimetres is
+/// seen through from few places.
 const LOOKS: usize = 16;
 /// More: rays of one eye go together, which is faster; fewer: more eyes.
 const ROWS: usize = 4;
-/// Eyes stand where one of the survey's does, or on the way to one of so many of its neighbours; by judgement. More: farther ones, with walls between.
+/// Eyes stand where one of the survey's does, or on the way to one of so many of its neighbours;
+/// by judgement. More: farther ones, with walls between.
 const NEIGHBOURS: usize = 8;
 /// The first of these, a share of all; by judgement. The survey's eyes are the outermost.
 const OUTERMOST: f64 = 0.33;
-/// Samples stay that lie this many pixels from one that is seen: eyes between those tried see a little more, and surfaces are joined to what they go on to.
+/// Samples stay that lie this many pixels from one that is seen: eyes between those tried see a
+/// little more, and surfaces are joined to what they go on to.
 pub(super) const AROUND: usize = 8;
-/// Samples of at most one in so many columns and rows are looked at first, then of more and more: only those around which there are samples that no seen one
-/// is close to. What stays is the same without.
+/// Samples of at most one in so many columns and rows are looked at first, then of more and more:
+/// only those around which there are samples that no seen one is close to. What stays is the same
+/// without.
 const APART: [usize; 4] = [8, 4, 2, 1];
-/// The eyes of a sample, asked together: few at first, as most samples that any eye sees the first ones see.
+/// The eyes of a sample, asked together: few at first, as most samples that any eye sees the first
+/// ones see.
 const ROUNDS: [Range<usize>; 3] = [0..2, 2..6, 6..LOOKS];
-/// A cell that stays hides a sample if it is nearer by this share of the distance: disparities are f32, and where two cells join the one that stays must not hide the other's border.
+/// A cell that stays hides a sample if it is nearer by this share of the distance: disparities are
+/// f32, and where two cells join the one that stays must not hide the other's border.
 const NEARER: f64 = 1e-5;
 
 /// Eyes that see something replaced, by blocks of the window.
@@ -83,7 +92,8 @@ impl Watchers {
         Self { eyes, beside, blocks, columns }
     }
 
-    /// Forgets the samples that no eye sees and that are not beside one which an eye sees: of the central image, and of each rank behind it. Returns the number of rays.
+    /// Forgets the samples that no eye sees and that are not beside one which an eye sees: of the
+    /// central image, and of each rank behind it. Returns the number of rays.
     pub fn forget_hidden<C: SubsetCaster>(&self, caster: &C, rig: &Rig, known: &mut Known) -> u64 {
         let solid = known.central.iter().enumerate().filter(|(_, s)| s.disparity > 0.0);
         let mut ranks = vec![solid.map(|(p, s)| (p as u32, s.disparity)).collect::<Vec<_>>()];
@@ -116,10 +126,12 @@ impl Watchers {
         self.eyes[first].lerp(self.eyes[usize::from(*second)], ((way - OUTERMOST) / (1.0 - OUTERMOST)).max(0.0))
     }
 
-    /// Which of some samples stay, at most one per pixel, in ascending order, each with its disparity; and the number of rays. Where samples lie side by side looking at every other one does (`thinned`); a
-    /// deeper rank may have a single pixel at a place.
+    /// Which of some samples stay, at most one per pixel, in ascending order, each with its
+    /// disparity; and the number of rays. Where samples lie side by side looking at every other
+    /// one does (`thinned`); a deeper rank may have a single pixel at a place.
     ///
-    /// A few samples are looked at first, then those between: most of these lie around one that is seen, and what is around them does, too.
+    /// A few samples are looked at first, then those between: most of these lie around one that is
+    /// seen, and what is around them does, too.
     fn stay<C: SubsetCaster>(&self, caster: &C, rig: &Rig, samples: &[(u32, f32)], thinned: bool) -> (Vec<bool>, u64) {
         let width = rig.window.width as usize;
         let place = |pixel: u32| (pixel as usize % width, pixel as usize / width);
@@ -183,7 +195,8 @@ impl Watchers {
         (samples.iter().map(stay).collect(), rays)
     }
 
-    /// Which of some samples one of some eyes sees, one eye after the other; and the number of rays.
+    /// Which of some samples one of some eyes sees, one eye after the other; and the number of
+    /// rays.
     fn seen<C: SubsetCaster>(
         &self,
         caster: &C,

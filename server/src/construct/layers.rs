@@ -1,10 +1,12 @@
 //! From samples by pixel to layers: ranks, links, codes.
 //!
-//! The k-th nearest sample of a pixel goes to layer k. Two neighbours of one layer are linked where the second continues the first's
-//! surface ([`Tolerance::continuous`]), so that the warp may join them by a micro-quad; sky is never a sample, so no link reaches it.
+//! The k-th nearest sample of a pixel goes to layer k. Two neighbours of one layer are linked
+//! where the second continues the first's surface ([`Tolerance::continuous`]), so that the warp
+//! may join them by a micro-quad; sky is never a sample, so no link reaches it.
 //!
-//! Where a surface passes behind an occluder its samples change layer, and a link cannot follow. There the deeper layer repeats the
-//! last sample before the change (a bridge), as the format allows: a few samples per occluder, and no crack along its border.
+//! Where a surface passes behind an occluder its samples change layer, and a link cannot follow.
+//! There the deeper layer repeats the last sample before the change (a bridge), as the format
+//! allows: a few samples per occluder, and no crack along its border.
 
 use super::{
     merge::Known,
@@ -21,7 +23,8 @@ pub(super) struct RawLayer {
     pub links: Vec<u8>,
     /// As in [`LdiLayer::ends`].
     pub ends: Vec<u16>,
-    /// Change of disparity per column and per row up to where the surface ends, 1/m; 0 where it does not go on without a link.
+    /// Change of disparity per column and per row up to where the surface ends, 1/m; 0 where it
+    /// does not go on without a link.
     pub slopes: Vec<[f64; 2]>,
 }
 
@@ -85,7 +88,8 @@ fn build_bridges(known: &Known, layers: &mut [RawLayer], width: u32, tolerance: 
                 (row > 0).then(|| (pixel - width, 1, false)),
             ];
             for (there, axis, forward) in neighbours.into_iter().flatten() {
-                // A bridge must end the pixel's list: whatever lies deeper there would be nearer than a layer before it.
+                // A bridge must end the pixel's list: whatever lies deeper there would be nearer
+                // than a layer before it.
                 let last = known.behind(there).last().map_or(&known.central[there as usize], |d| &d.1);
                 let joined = last.disparity > 0.0
                     && if forward { tolerance.continuous(s, last, axis) } else { tolerance.continuous(last, s, axis) };
@@ -123,7 +127,8 @@ pub(super) fn links(samples: &[Prediction], width: u32, tolerance: &Tolerance) -
         .collect()
 }
 
-/// Calls `f(i, j, axis)` for every linked pair of a layer; axis 0: j is in the next column, 1: in the next row.
+/// Calls `f(i, j, axis)` for every linked pair of a layer; axis 0: j is in the next column, 1: in
+/// the next row.
 pub(super) fn for_each_link(layer: &RawLayer, width: u32, mut f: impl FnMut(usize, usize, usize)) {
     let mut below = 0;
     for (i, ((pixel, _), bits)) in layer.samples.iter().zip(&layer.links).enumerate() {

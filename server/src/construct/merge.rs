@@ -1,9 +1,11 @@
 //! Hits of construction images become samples at pixel centres.
 //!
-//! A hit that falls somewhere into a central pixel predicts, by its plane, the disparity at the pixel's centre. Predictions that agree
-//! with what is known there, or with each other, are one. Each that remains gets a short ray through the centre (recast): it misses, and
-//! the sample is dropped (or becomes a sliver, `slivers`), or it gives the exact depth. Snapping hits to pixels instead would grow every silhouette by half a pixel; recasting
-//! is the largest single gain in picture quality (1.3 to 3 dB).
+//! A hit that falls somewhere into a central pixel predicts, by its plane, the disparity at the
+//! pixel's centre. Predictions that agree with what is known there, or with each other, are one.
+//! Each that remains gets a short ray through the centre (recast): it misses, and the sample is
+//! dropped (or becomes a sliver, `slivers`), or it gives the exact depth. Snapping hits to pixels
+//! instead would grow every silhouette by half a pixel; recasting is the largest single gain in
+//! picture quality (1.3 to 3 dB).
 
 use super::{
     caster::SubsetCaster,
@@ -28,7 +30,8 @@ pub(super) enum Seen {
     Pruned,
     /// New: what is predicted, and the pixel of the construction camera.
     New(Prediction, u32),
-    /// Steep, and passes beside the ray through its pixel's centre, which meets nothing: no sample, but a sliver perhaps. And the axis along which it is.
+    /// Steep, and passes beside the ray through its pixel's centre, which meets nothing: no
+    /// sample, but a sliver perhaps. And the axis along which it is.
     Beside(Prediction, u32, usize),
 }
 
@@ -58,16 +61,19 @@ impl Known {
         &of_row[first..first + count]
     }
 
-    /// Whether a prediction is the same piece of surface as something in its pixel, or none that is wanted.
+    /// Whether a prediction is the same piece of surface as something in its pixel, or none that
+    /// is wanted.
     pub fn has(&self, p: &Prediction, tolerance: &Tolerance) -> bool {
         let central = &self.central[p.0 as usize];
-        // Nothing can be found on a ray that hit nothing, or before its first hit; nor is anything wanted where nobody looks.
+        // Nothing can be found on a ray that hit nothing, or before its first hit; nor is anything
+        // wanted where nobody looks.
         central.disparity <= 0.0
             || tolerance.same(central, &p.1)
             || self.behind(p.0).iter().any(|d| tolerance.same(&d.1, &p.1))
     }
 
-    /// Whether the ray through the pixel's centre met nothing: what eyes see there is less than a pixel wide for the centre of projection.
+    /// Whether the ray through the pixel's centre met nothing: what eyes see there is less than a
+    /// pixel wide for the centre of projection.
     fn is_sky(&self, pixel: usize) -> bool {
         self.central[pixel].disparity == 0.0
     }
@@ -209,8 +215,9 @@ pub(super) fn recast<C: SubsetCaster>(
     Recast { rays, missed }
 }
 
-/// Predicts what lies between a hit of a construction camera and the next piece of its surface in the row or column, where the camera's
-/// pixels are farther apart than [`ring`] reaches ([`Sample::apart`]).
+/// Predicts what lies between a hit of a construction camera and the next piece of its surface in
+/// the row or column, where the camera's pixels are farther apart than [`ring`] reaches
+/// ([`Sample::apart`]).
 pub(super) fn between(rig: &Rig, known: &Known, tolerance: &Tolerance) -> Vec<Prediction> {
     let (width, height) = (rig.window.width, rig.window.height);
     let gap = |(pixel, s): &Prediction, axis: usize, sign: f32| {
@@ -234,14 +241,16 @@ pub(super) fn between(rig: &Rig, known: &Known, tolerance: &Tolerance) -> Vec<Pr
     known.deeper.par_iter().flat_map_iter(|d| sides.into_iter().flat_map(|(axis, sign)| gap(d, axis, sign))).collect()
 }
 
-/// Passes of [`ring`]: around every sample, twice as construction cameras have half the resolution, then into what is still open on three
-/// sides or more.
+/// Passes of [`ring`]: around every sample, twice as construction cameras have half the
+/// resolution, then into what is still open on three sides or more.
 pub(super) const RING_SIDES: [usize; 3] = [1, 1, 3];
 
-/// Continues deeper samples into neighbouring pixels where nothing is known there, if at least `sides` neighbours agree.
+/// Continues deeper samples into neighbouring pixels where nothing is known there, if at least
+/// `sides` neighbours agree.
 ///
-/// Construction images sample slanted and distant surfaces less densely than the central image does, so that newly seen surfaces have
-/// pinholes; and eyes between the cameras see a little further than they do. Rings close both.
+/// Construction images sample slanted and distant surfaces less densely than the central image
+/// does, so that newly seen surfaces have pinholes; and eyes between the cameras see a little
+/// further than they do. Rings close both.
 pub(super) fn ring(rig: &Rig, known: &Known, tolerance: &Tolerance, sides: usize) -> Vec<Prediction> {
     let (width, height) = (i64::from(rig.window.width), i64::from(rig.window.height));
     let continued = |(pixel, s): &Prediction| {

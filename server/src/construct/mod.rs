@@ -1,27 +1,36 @@
 //! Stage 4: layered depth images, one per placement (A10).
 //!
-//! In: a ray caster, the culled cells, an [`ImagePlan`]. Out: an [`Ldi`] that holds what its users can see of the culled cells, and figures.
+//! In: a ray caster, the culled cells, an [`ImagePlan`]. Out: an [`Ldi`] that holds what its users
+//! can see of the culled cells, and figures.
 //!
 //! # Theory
-//! Aliaga and Lastra 1999, section 4.1: one central image from the centre of projection, four construction images on the vectors to the
-//! midpoints of the quadrilateral's edges, four mirrored behind it, merged nearest first. What was changed:
+//! Aliaga and Lastra 1999, section 4.1: one central image from the centre of projection, four
+//! construction images on the vectors to the midpoints of the quadrilateral's edges, four mirrored
+//! behind it, merged nearest first. What was changed:
 //!
-//! - The centre of projection is the middle of the users' box. Where eyes stand is known with view cells: rays from there find what shows past the
-//!   cells that stay, and the image holds that alone (`sight`); construction cameras stand where they see most that the central image does not.
-//!   With the paper's grid they stand in the corners of the users' box.
-//! - Construction cameras have a quarter of the pixels: what they find is cast again at full resolution, and so is what lies between their hits.
-//! - A construction camera traces only what the central image cannot explain (`explain`): rays that meet known
-//!   surfaces through known emptiness bring nothing new. That is nine tenths of them.
-//! - Merging compares planes, not depths (`sample`), and each merged sample is cast again through its pixel's centre (`merge`):
-//!   all samples lie exactly on their pixel's ray, and silhouettes do not grow.
-//! - Where surfaces end between pixels' centres is measured (`ends`), and what the centre of projection sees edge-on is held as slivers (`slivers`),
-//!   as is the step where a surface turns back on itself (`folds`).
-//! - What only cells that stay keep every eye from seeing is forgotten again, sample by sample (`hidden`).
+//! - The centre of projection is the middle of the users' box. Where eyes stand is known with view
+//!   cells: rays from there find what shows past the cells that stay, and the image holds that
+//!   alone (`sight`); construction cameras stand where they see most that the central image does
+//!   not. With the paper's grid they stand in the corners of the users' box.
+//! - Construction cameras have a quarter of the pixels: what they find is cast again at full
+//!   resolution, and so is what lies between their hits.
+//! - A construction camera traces only what the central image cannot explain (`explain`): rays
+//!   that meet known surfaces through known emptiness bring nothing new. That is nine tenths of
+//!   them.
+//! - Merging compares planes, not depths (`sample`), and each merged sample is cast again through
+//!   its pixel's centre (`merge`): all samples lie exactly on their pixel's ray, and silhouettes
+//!   do not grow.
+//! - Where surfaces end between pixels' centres is measured (`ends`), and what the centre of
+//!   projection sees edge-on is held as slivers (`slivers`), as is the step where a surface turns
+//!   back on itself (`folds`).
+//! - What only cells that stay keep every eye from seeing is forgotten again, sample by sample
+//!   (`hidden`).
 //! - Sky is a bit per direction: set where some construction ray of that direction meets nothing.
 //!
 //! # Practice
-//! Cells that are not culled are transparent to rays that make samples. Work is parallel over rows, batches and cameras, and every result is collected in order: the
-//! image does not depend on the number of threads. Memory is about 100 bytes per pixel.
+//! Cells that are not culled are transparent to rays that make samples. Work is parallel over
+//! rows, batches and cameras, and every result is collected in order: the image does not depend on
+//! the number of threads. Memory is about 100 bytes per pixel.
 
 mod caster;
 mod central;
@@ -73,11 +82,13 @@ use view::{Rig, View};
 /// Settings of construction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ConstructOptions {
-    /// The picture the dataset is made for: sets how fine disparities must be and what users can see.
+    /// The picture the dataset is made for: sets how fine disparities must be and what users can
+    /// see.
     pub output: OutputCamera,
     /// Largest number of pixels of an image; more is an error, as memory grows by 100 bytes each.
     pub max_pixels: u64,
-    /// What is seen of a plan's window is cut into tiles of at most so many pixels: a client fetches, lays out and keeps what it looks at, and what is fetched for a turn that never
+    /// What is seen of a plan's window is cut into tiles of at most so many pixels: a client
+    /// fetches, lays out and keeps what it looks at, and what is fetched for a turn that never
     /// comes is small. Smaller: more images per frame (docs/adr/0018-image-tiles.md).
     pub tile_pixels: usize,
     /// Repeat samples where a surface changes layer, so that it stays linked.
@@ -180,7 +191,8 @@ pub struct ConstructStats {
 /// An image and its figures.
 #[derive(Debug, Clone)]
 pub struct Constructed {
-    /// The part of the plan's window that it stands for: left, right, bottom, top, as tangents. What eyes see there is in it.
+    /// The part of the plan's window that it stands for: left, right, bottom, top, as tangents.
+    /// What eyes see there is in it.
     pub window: [f64; 4],
     /// The image, cut to what eyes see of it; passes [`Ldi::check`].
     pub ldi: Ldi,
@@ -201,7 +213,8 @@ pub struct Panorama {
     pub sight_seconds: f64,
 }
 
-/// Makes the images of a placement. The caster should have mips ([`Caster::with_mips`]): colours are filtered over the pixel by them.
+/// Makes the images of a placement. The caster should have mips ([`Caster::with_mips`]): colours
+/// are filtered over the pixel by them.
 ///
 /// # Errors
 /// [`ConstructError`] if the plan is unusable or an image too large.
@@ -238,7 +251,8 @@ pub fn construct(
     Ok(out)
 }
 
-/// Makes a planned image, over anything that casts rays, from what eyes see of it; without a survey they may be anywhere. Returns its tiles.
+/// Makes a planned image, over anything that casts rays, from what eyes see of it; without a
+/// survey they may be anywhere. Returns its tiles.
 ///
 /// # Errors
 /// As [`construct`].
@@ -261,7 +275,8 @@ pub fn construct_subset<C: SubsetCaster>(
     Ok(out)
 }
 
-/// Makes the image of a rig's window, which stands for a `share` of the plan's; None: nobody sees anything of it.
+/// Makes the image of a rig's window, which stands for a `share` of the plan's; None: nobody sees
+/// anything of it.
 fn tile<C: SubsetCaster>(
     caster: &C,
     mut rig: Rig,

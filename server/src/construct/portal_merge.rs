@@ -1,19 +1,26 @@
-//! The merge rules of portal images (Rafferty, Aliaga, Popescu and Lastra 1998, section 4.1): which samples a place of the layered image keeps.
+//! The merge rules of portal images (Rafferty, Aliaga, Popescu and Lastra 1998, section 4.1):
+//! which samples a place of the layered image keeps.
 //!
-//! In: the samples that warp to one place, image by image. Out: those that stay, nearest first. The rules, one by one:
+//! In: the samples that warp to one place, image by image. Out: those that stay, nearest first.
+//! The rules, one by one:
 //!
-//! 1. Samples of the central image are in the first layer and can be neither pushed back nor eliminated.
+//! 1. Samples of the central image are in the first layer and can be neither pushed back nor
+//!    eliminated.
 //! 2. A sample of a later image at no similar depth is new: it is kept, in a layer of its own.
-//! 3. At a similar depth there is a conflict, and the sample that shows the smaller piece of surface in its own image stays.
-//! 4. Two samples of one image are both kept, however near: surfaces along the lines of sight need them.
+//! 3. At a similar depth there is a conflict, and the sample that shows the smaller piece of
+//!    surface in its own image stays.
+//! 4. Two samples of one image are both kept, however near: surfaces along the lines of sight need
+//!    them.
 //!
-//! The paper establishes "similar" by trial, once per model, and does not say in which measure; here it is a share of the depth. Where rule 1 meets a sample before the central one (its pixel is on a
-//! silhouette, and the layers are sorted), the sample is left out.
+//! The paper establishes "similar" by trial, once per model, and does not say in which measure;
+//! here it is a share of the depth. Where rule 1 meets a sample before the central one (its pixel
+//! is on a silhouette, and the layers are sorted), the sample is left out.
 
 use serde::{Deserialize, Serialize};
 
-/// Two samples are at a similar depth if their depths differ by at most this share, unless told otherwise. Smaller: surfaces are held several times, as each image samples them at other places; larger: what stands
-/// before a wall is taken for the wall. By trial on the house.
+/// Two samples are at a similar depth if their depths differ by at most this share, unless told
+/// otherwise. Smaller: surfaces are held several times, as each image samples them at other
+/// places; larger: what stands before a wall is taken for the wall. By trial on the house.
 pub const SAME_DEPTH: f64 = 0.02;
 
 /// What the rules look at.
@@ -56,12 +63,14 @@ impl MergeFigures {
     }
 }
 
-/// Whether two samples are at a similar depth: their depths differ by at most this share of the larger.
+/// Whether two samples are at a similar depth: their depths differ by at most this share of the
+/// larger.
 pub fn is_similar(a: &Offer, b: &Offer, same_depth: f64) -> bool {
     f64::from((a.disparity - b.disparity).abs()) <= same_depth * f64::from(a.disparity.max(b.disparity))
 }
 
-/// Positions in `offers` of the samples that stay in one place, nearest first. `offers` come by image, ascending.
+/// Positions in `offers` of the samples that stay in one place, nearest first. `offers` come by
+/// image, ascending.
 pub fn merge_place(offers: &[Offer], same_depth: f64, figures: &mut MergeFigures) -> Vec<usize> {
     let mut kept: Vec<usize> = Vec::new();
     for (i, o) in offers.iter().enumerate() {
@@ -84,7 +93,8 @@ pub fn merge_place(offers: &[Offer], same_depth: f64, figures: &mut MergeFigures
         }
         kept.push(i);
     }
-    // Stable: of equals the earlier image comes first, so that nothing pushes the central sample back.
+    // Stable: of equals the earlier image comes first, so that nothing pushes the central sample
+    // back.
     kept.sort_by(|a, b| offers[*b].disparity.total_cmp(&offers[*a].disparity));
     kept
 }

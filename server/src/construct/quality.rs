@@ -1,7 +1,8 @@
 //! How large samples get on the screen, measured over samples, eyes and directions.
 //!
-//! Footprint: largest singular value of d(output pixel) / d(image pixel) at fixed disparity, rotation included; placement bounds it.
-//! Stretch: the same along the surface, disparity changing with the sample's gradient; it has no bound, so it is measured.
+//! Footprint: largest singular value of d(output pixel) / d(image pixel) at fixed disparity,
+//! rotation included; placement bounds it. Stretch: the same along the surface, disparity changing
+//! with the sample's gradient; it has no bound, so it is measured.
 
 use super::{layers::RawLayer, sample::Sample, view::Rig};
 use crate::placement::ImagePlan;
@@ -93,7 +94,8 @@ fn sizes_of(
         Some(largest_singular_value(du, dv))
     };
     let sizes = (spread(0.0, 0.0)?, spread(f64::from(s.gradient[0]), f64::from(s.gradient[1]))?);
-    // A difference across a surface's horizon measures nothing, and would not survive being kept as JSON.
+    // A difference across a surface's horizon measures nothing, and would not survive being kept
+    // as JSON.
     (sizes.0.is_finite() && sizes.1.is_finite()).then_some(sizes)
 }
 

@@ -1,14 +1,22 @@
-//! Portal images of 1998: depth images from a semicircle, and one layered image merged from them (Rafferty, Aliaga, Popescu and Lastra 1998, sections 3 and 4.1).
+//! Portal images of 1998: depth images from a semicircle, and one layered image merged from them
+//! (Rafferty, Aliaga, Popescu and Lastra 1998, sections 3 and 4.1).
 //!
-//! In: a caster, a [`SidePlan`]. Out: a [`SideImages`]: single-layer depth images of what lies beyond the portal, by rays through its polygon alone, and their merger.
+//! In: a caster, a [`SidePlan`]. Out: a [`SideImages`]: single-layer depth images of what lies
+//! beyond the portal, by rays through its polygon alone, and their merger.
 //!
-//! 1. The layered image has the camera of the central one, but a wide window: what eyes at the side see through the portal lies beside it for the central one.
-//! 2. Every sample of the others, the nearest image first, is warped to it and meets what is in its place by the rules of `portal_merge`.
-//! 3. The k-th nearest of a place goes to layer k; neighbours that continue each other's surface are linked, as in our own images, because the warp draws linked samples as quads.
+//! 1. The layered image has the camera of the central one, but a wide window: what eyes at the
+//!    side see through the portal lies beside it for the central one.
+//! 2. Every sample of the others, the nearest image first, is warped to it and meets what is in
+//!    its place by the rules of `portal_merge`.
+//! 3. The k-th nearest of a place goes to layer k; neighbours that continue each other's surface
+//!    are linked, as in our own images, because the warp draws linked samples as quads.
 //!
-//! As in the paper nothing is cast again (our own images do that: `merge`): a merged sample moves to the middle of its place. Its depth follows its plane there, unless that changes it by more than the rules take
-//! for the same depth, as on surfaces along the line of sight; with the depth kept everywhere slanted surfaces were rough, and errors larger than those of one image. Rays meet everything beyond the portal's plane,
-//! cells that are drawn with the room before it included: so one image serves as a texture too, and where both are there they agree in depth.
+//! As in the paper nothing is cast again (our own images do that: `merge`): a merged sample moves
+//! to the middle of its place. Its depth follows its plane there, unless that changes it by more
+//! than the rules take for the same depth, as on surfaces along the line of sight; with the depth
+//! kept everywhere slanted surfaces were rough, and errors larger than those of one image. Rays
+//! meet everything beyond the portal's plane, cells that are drawn with the room before it
+//! included: so one image serves as a texture too, and where both are there they agree in depth.
 
 use super::{
     ConstructError, ConstructOptions,
@@ -35,7 +43,8 @@ use rayon::prelude::*;
 /// The images of one side of a portal.
 #[derive(Debug, Clone, Default)]
 pub struct SideImages {
-    /// Reference images in the plan's order, of one layer each; without samples where nothing but sky lies beyond.
+    /// Reference images in the plan's order, of one layer each; without samples where nothing but
+    /// sky lies beyond.
     pub references: Vec<Option<Ldi>>,
     /// The image merged from them.
     pub layered: Option<Ldi>,
@@ -350,7 +359,8 @@ fn warped(
     Some(Warped { place: (row as u32, column as u32), offer, sample, ends: None })
 }
 
-/// Places of the layered image whose directions a shot saw sky in: images are parallel, so that only their scales differ.
+/// Places of the layered image whose directions a shot saw sky in: images are parallel, so that
+/// only their scales differ.
 fn sky_places<'a>(shot: &'a Shot, to: &'a Rig) -> impl Iterator<Item = (u32, u32)> + 'a {
     let scale = to.lens.pixels_per_unit / shot.rig.lens.pixels_per_unit;
     shot.open.iter().flat_map(move |pixel| {

@@ -1,20 +1,24 @@
 //! Where eyes see replaced cells at all, and from where they see what others do not.
 //!
-//! Cells that stay are drawn from any eye, and hide what lies behind them: on the clinic at a tenth of its triangles more than four fifths of what
-//! the faces of a near box could hold is behind walls that are drawn anyway. So before images are made, rays go out from places where eyes stand,
-//! in all directions that they look in and through everything there is. Where the first thing they meet is replaced, or is nothing, the
-//! eye needs the image. The image is made there alone, with a margin.
+//! Cells that stay are drawn from any eye, and hide what lies behind them: on the clinic at a
+//! tenth of its triangles more than four fifths of what the faces of a near box could hold is
+//! behind walls that are drawn anyway. So before images are made, rays go out from places where
+//! eyes stand, in all directions that they look in and through everything there is. Where the
+//! first thing they meet is replaced, or is nothing, the eye needs the image. The image is made
+//! there alone, with a margin.
 //!
 //! ```text
 //!   eye ──────────── wall (stays) ░░░░ hidden: no sample, no ray
 //!      ╲─── door ─────────────── far wall (replaced): needed
 //! ```
 //!
-//! From one eye to the next little changes, and much in the end: many eyes with few rays each find more than few eyes with many. What they met
-//! also says which of them the construction images are best made from, and in which part of their pictures: each piece of surface from one.
+//! From one eye to the next little changes, and much in the end: many eyes with few rays each find
+//! more than few eyes with many. What they met also says which of them the construction images are
+//! best made from, and in which part of their pictures: each piece of surface from one.
 //!
-//! In: a caster, places where eyes stand, the directions they look in. Out: a [`Survey`] for a placement; of that the [`Face`] of each image, from which
-//! it is cut into tiles; for each tile the pixels to look at ([`Looked`]) and, knowing the central image, the cameras.
+//! In: a caster, places where eyes stand, the directions they look in. Out: a [`Survey`] for a
+//! placement; of that the [`Face`] of each image, from which it is cut into tiles; for each tile
+//! the pixels to look at ([`Looked`]) and, knowing the central image, the cameras.
 
 use super::{
     caster::{Met, SubsetCaster},
@@ -31,30 +35,36 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// Side of the squares in which a construction camera looks or does not, pixels of it (two of the image's). By judgement.
+/// Side of the squares in which a construction camera looks or does not, pixels of it (two of the
+/// image's). By judgement.
 pub(super) const SQUARE: usize = 16;
 /// It looks this many of its pixels around what rays met: as far as the next ray.
 const AROUND: f64 = 12.0;
-/// Side of the blocks of the image that are kept or left out, pixels. By judgement: half a square, so that borders follow what is seen.
+/// Side of the blocks of the image that are kept or left out, pixels. By judgement: half a square,
+/// so that borders follow what is seen.
 pub(super) const BLOCK: usize = 16;
-/// What is seen is kept with this many pixels around it: eyes between those tried see a little further around things.
+/// What is seen is kept with this many pixels around it: eyes between those tried see a little
+/// further around things.
 const MARGIN: f64 = 16.0;
 /// A direction is a place this far away, metres.
 const FAR_AWAY_M: f64 = 1e12;
 /// Most construction cameras of an image. By judgement; those that bring most come first.
 const MOST_CAMERAS: usize = 192;
-/// Side of a piece of surface, pixels: a square of the raster. Half of it found no more on the test scenes.
+/// Side of a piece of surface, pixels: a square of the raster. Half of it found no more on the
+/// test scenes.
 const PIECE: f64 = 32.0;
-/// Two hits this much apart in depth, relatively, are different pieces. By judgement: smaller takes slanted surfaces to pieces, larger takes what stands
-/// before a wall for the wall.
+/// Two hits this much apart in depth, relatively, are different pieces. By judgement: smaller
+/// takes slanted surfaces to pieces, larger takes what stands before a wall for the wall.
 const PIECE_DEPTH: f64 = 0.1;
-/// So many cameras see each piece, if eyes do: what one of them sees of it, through a slit, may be another part than what the next one does.
+/// So many cameras see each piece, if eyes do: what one of them sees of it, through a slit, may be
+/// another part than what the next one does.
 const CAMERAS_PER_PIECE: u8 = 2;
-/// A hit that differs from the plane of the central sample in its place by at most this many steps of disparity is held: one output pixel
-/// for the worst eye.
+/// A hit that differs from the plane of the central sample in its place by at most this many steps
+/// of disparity is held: one output pixel for the worst eye.
 const HELD_STEPS: f32 = 8.0;
 
-/// Squares of an eye's picture in which it sees something new, from the corner of its camera's window.
+/// Squares of an eye's picture in which it sees something new, from the corner of its camera's
+/// window.
 #[derive(Debug, Clone)]
 pub(super) struct Open(Sums);
 
@@ -118,7 +128,8 @@ struct Hit {
 }
 
 impl Survey {
-    /// Casts rays from a placement's eyes in all directions that they look in, or only `through` a polygon unless it is empty. None: eyes may be anywhere.
+    /// Casts rays from a placement's eyes in all directions that they look in, or only `through` a
+    /// polygon unless it is empty. None: eyes may be anywhere.
     pub fn of<C: SubsetCaster>(caster: &C, eyes: &[DVec3], gaze: &Gaze, through: &[DVec3]) -> Option<Self> {
         let survey = |(number, eye): (usize, &DVec3)| {
             let (mut hits, mut count) = (Vec::new(), 0);
@@ -145,12 +156,15 @@ impl Survey {
         (!eyes.is_empty()).then(|| Self { eyes: seen, half_angle: gaze.half_angle(), rays: rays.iter().sum() })
     }
 
-    /// Where eyes see sky. Images hold it as well, pixel by pixel, but only what is theirs: the one that owns a direction may be cut before it, as a box's faces stand
-    /// at different distances.
+    /// Where eyes see sky. Images hold it as well, pixel by pixel, but only what is theirs: the
+    /// one that owns a direction may be cut before it, as a box's faces stand at different
+    /// distances.
     ///
-    /// A window is a few squares, and few of the survey's rays go through it: from what they met on, sky grows as long as rays find more of it, `through` a polygon unless it is empty. Also returns
-    /// their number. `lookouts`: more places of eyes, of which those near one that saw sky are asked what is beside it. Between two jambs far behind each other some of it is seen from a strip of
-    /// places a few centimetres wide.
+    /// A window is a few squares, and few of the survey's rays go through it: from what they met
+    /// on, sky grows as long as rays find more of it, `through` a polygon unless it is empty. Also
+    /// returns their number. `lookouts`: more places of eyes, of which those near one that saw sky
+    /// are asked what is beside it. Between two jambs far behind each other some of it is seen
+    /// from a strip of places a few centimetres wide.
     pub fn sky<C: SubsetCaster>(&self, caster: &C, lookouts: &[DVec3], through: &[DVec3]) -> (SkyMap, u64) {
         let places: Vec<DVec3> = self.eyes.iter().map(|(eye, _)| *eye).chain(lookouts.iter().copied()).collect();
         let look = Outlook { caster, places: &places, through };
@@ -256,7 +270,8 @@ fn beside(square: usize) -> impl Iterator<Item = usize> {
     all.filter(move |(c, r)| inside(column, *c) && inside(row, *r)).map(move |(c, r)| square + c + r * side - 1 - side)
 }
 
-/// Rays lie a few squares of a [`SkyMap`] apart; gaps up to twice this many between them are sky as well.
+/// Rays lie a few squares of a [`SkyMap`] apart; gaps up to twice this many between them are sky
+/// as well.
 const SKY_GAP: usize = 2;
 
 /// Morphological closing of a face of a [`SkyMap`] by a square.
@@ -290,7 +305,8 @@ pub(super) struct Glimpse {
     pub ray_half: [f64; 2],
 }
 
-/// What eyes see of a face: each eye's offset from the centre of projection (right, up, forward), and its glimpses.
+/// What eyes see of a face: each eye's offset from the centre of projection (right, up, forward),
+/// and its glimpses.
 pub(super) struct Face(Vec<(DVec3, Vec<Glimpse>)>);
 
 impl Face {
@@ -323,7 +339,8 @@ impl Glimpse {
         if ray.z < SIDEWAYS {
             return None;
         }
-        // A disc across a ray, of radius r at p, reaches r |grad x/z| to either side of x/z, and likewise y/z.
+        // A disc across a ray, of radius r at p, reaches r |grad x/z| to either side of x/z, and
+        // likewise y/z.
         let s = rig.lens.pixels_per_unit;
         let on_plane = |p: DVec3| [p.x / p.z * s, -p.y / p.z * s];
         let reach = |p: DVec3, radius: f64| [p.x, p.y].map(|x| radius / p.z * (x / p.z).hypot(1.0) * s);
@@ -369,7 +386,8 @@ struct Picture {
 }
 
 impl Sight {
-    /// What is seen of the rig's window, which is cut to it. Without a face everything is looked at. None: nobody sees anything.
+    /// What is seen of the rig's window, which is cut to it. Without a face everything is looked
+    /// at. None: nobody sees anything.
     pub fn of(face: Option<&Face>, rig: &mut Rig) -> Option<Self> {
         let Some(face) = face else { return Some(Self { looked: Looked::everything(&rig.window), pictures: None }) };
         let pictures: Vec<Picture> =
@@ -380,8 +398,9 @@ impl Sight {
         Some(Self { looked, pictures: Some(pictures) })
     }
 
-    /// Rounds of cameras that together see every piece of surface that eyes see and the central image does not hold, twice where they can: always the eye that
-    /// sees the most pieces that are still open. Where eyes may be anywhere: the corners of the users' box.
+    /// Rounds of cameras that together see every piece of surface that eyes see and the central
+    /// image does not hold, twice where they can: always the eye that sees the most pieces that
+    /// are still open. Where eyes may be anywhere: the corners of the users' box.
     pub fn cameras(self, rig: &Rig, central: &[Sample], tolerance: &Tolerance) -> Vec<Vec<View>> {
         let Some(pictures) = self.pictures else { return rig.corner_cameras() };
         // Per eye, its pieces and what shows them.
@@ -402,7 +421,8 @@ impl Sight {
         let mut cameras_of: BTreeMap<[i32; 3], u8> = BTreeMap::new();
         let mut views = Vec::new();
         while views.len() < MOST_CAMERAS {
-            // Gains only shrink: the largest is up to date once recounting leaves it the largest. Of equals the first.
+            // Gains only shrink: the largest is up to date once recounting leaves it the largest.
+            // Of equals the first.
             let (best, gain) = loop {
                 let best = (0..gains.len()).rev().max_by_key(|i| gains[*i]);
                 let Some(best) = best else { break (0, 0) };
@@ -493,7 +513,8 @@ fn part(w: &Window, columns: [usize; 2], rows: [usize; 2], side: usize) -> Windo
     Window { left: w.left + left, top: w.top + top, width, height }
 }
 
-/// Blocks of a window, from its corner, that a rectangle of half sides `half` around a place touches; beside the window: empty ranges.
+/// Blocks of a window, from its corner, that a rectangle of half sides `half` around a place
+/// touches; beside the window: empty ranges.
 fn blocks_around(window: &Window, side: usize, at: [f64; 2], half: [f64; 2]) -> (Range<usize>, Range<usize>) {
     let span = |x: f64, half: f64, first: i32, size: u32| {
         let place = |x: f64| ((x - f64::from(first)) / side as f64).floor();

@@ -2,11 +2,14 @@
 //!
 //! In: hits of construction cameras, finished layers. Out: [`Sliver`]s.
 //!
-//! What the centre of projection sees edge-on takes a pixel there or none, and many pixels in the picture of an eye beside it: the jamb of a door, the
-//! side of a post. A hit is of that kind if a pixel's step along its surface is longer than [`STEEP`] pixels of its camera. Unless the layers hold its surface on both
-//! sides, so that micro-quads span it, the camera's pixel is kept as it is: a square of the camera's picture, cast again at full resolution, on the plane that was hit.
-//! It goes on along the axis as long as full-resolution rays meet the same plane, at most a pixel of the camera: the face of a post is few of them wide.
-//! Squares of one plane and colour are joined to rectangles, which is most of them where walls are plain.
+//! What the centre of projection sees edge-on takes a pixel there or none, and many pixels in the
+//! picture of an eye beside it: the jamb of a door, the side of a post. A hit is of that kind if a
+//! pixel's step along its surface is longer than [`STEEP`] pixels of its camera. Unless the layers
+//! hold its surface on both sides, so that micro-quads span it, the camera's pixel is kept as it
+//! is: a square of the camera's picture, cast again at full resolution, on the plane that was hit.
+//! It goes on along the axis as long as full-resolution rays meet the same plane, at most a pixel
+//! of the camera: the face of a post is few of them wide. Squares of one plane and colour are
+//! joined to rectangles, which is most of them where walls are plain.
 
 use super::{
     caster::SubsetCaster,
@@ -23,17 +26,20 @@ use ldi_protocol::{
 };
 use std::collections::BTreeMap;
 
-/// Steps along a surface from a pixel to the next that are longer than this in the picture of a camera, pixels, show: a surface's border is off by up to
-/// half of it. By judgement.
+/// Steps along a surface from a pixel to the next that are longer than this in the picture of a
+/// camera, pixels, show: a surface's border is off by up to half of it. By judgement.
 const STEEP: f64 = 2.0;
-/// Surfaces that a camera sees at less than this sine of an angle, one degree, are left out: a square would be fifty pixels long there, whatever ends in it. By judgement.
+/// Surfaces that a camera sees at less than this sine of an angle, one degree, are left out: a
+/// square would be fifty pixels long there, whatever ends in it. By judgement.
 const GRAZING: f64 = 0.02;
 /// Colours of one rectangle differ by at most this in each channel (8-bit sRGB). By judgement.
 const SAME_COLOUR: u8 = 3;
-/// Normals of one plane: cosine of the angle between them, 1.5 minutes; f32 positions give no better. That its squares lie in it is tested besides.
+/// Normals of one plane: cosine of the angle between them, 1.5 minutes; f32 positions give no
+/// better. That its squares lie in it is tested besides.
 const SAME_NORMAL: f64 = 1.0 - 1e-7;
 
-/// A sample whose disparity changes along an axis by this share of another's, or more, may be of the same face: smaller, a box's front would stand for its side. By judgement.
+/// A sample whose disparity changes along an axis by this share of another's, or more, may be of
+/// the same face: smaller, a box's front would stand for its side. By judgement.
 const AS_STEEP: f32 = 0.25;
 
 /// Squares at full resolution that are tried on either side of a camera's pixel.
@@ -54,7 +60,8 @@ pub(super) struct Candidate {
     pub beside: bool,
 }
 
-/// Along which axis (0: to the next column, 1: row) a surface is steep for a camera; None: along neither.
+/// Along which axis (0: to the next column, 1: row) a surface is steep for a camera; None: along
+/// neither.
 pub(super) fn steep_axis(camera: &ConstructionCamera, s: &Sample) -> Option<usize> {
     let [across, down] = camera.steps(f64::from(s.disparity), s.gradient);
     (across.max(down) > STEEP).then_some(usize::from(down > across))
@@ -69,7 +76,8 @@ struct Square {
     surface: u32,
     plane: Plane,
     rgb: [u8; 3],
-    /// How many squares it lies beyond the camera's pixel, up to [`BEYOND`], and the step (row, column) back to it.
+    /// How many squares it lies beyond the camera's pixel, up to [`BEYOND`], and the step (row,
+    /// column) back to it.
     beyond: (u32, [i32; 2]),
 }
 
@@ -100,7 +108,8 @@ impl Plane {
     }
 }
 
-/// The slivers of the candidates that the layers do not hold, in a fixed order, and the number of rays. `cameras` are those of the candidates.
+/// The slivers of the candidates that the layers do not hold, in a fixed order, and the number of
+/// rays. `cameras` are those of the candidates.
 pub(super) fn find<C: SubsetCaster>(
     caster: &C,
     rig: &Rig,
@@ -110,7 +119,8 @@ pub(super) fn find<C: SubsetCaster>(
     tolerance: &Tolerance,
 ) -> (Vec<Found>, u64) {
     candidates.retain(|c| !held(rig, layers, c, tolerance));
-    // Of the cameras that see a surface through a pixel the one that sees most of the surface: pictures of several do not join without gaps.
+    // Of the cameras that see a surface through a pixel the one that sees most of the surface:
+    // pictures of several do not join without gaps.
     let mut share: BTreeMap<(u32, u32), usize> = BTreeMap::new();
     candidates.iter().for_each(|c| *share.entry((c.home.1.surface, c.camera)).or_default() += 1);
     candidates.sort_by_key(|c| (c.home.0, c.home.1.surface, c.camera, c.pixel));
@@ -183,7 +193,8 @@ fn items_of(c: &Candidate, camera: &ConstructionCamera) -> impl Iterator<Item = 
     })
 }
 
-/// Drops squares beyond a pixel that do not lie in the plane of the one before them; the rest in order of camera, row, column.
+/// Drops squares beyond a pixel that do not lie in the plane of the one before them; the rest in
+/// order of camera, row, column.
 fn going_on(mut squares: Vec<Square>, rig: &Rig, cameras: &[ConstructionCamera]) -> Vec<Square> {
     squares.sort_by_key(|s| s.beyond.0);
     let mut kept: BTreeMap<(u32, u32, u32), Square> = BTreeMap::new();
@@ -205,14 +216,15 @@ fn in_plane(a: &Square, b: &Square, rig: &Rig, cameras: &[ConstructionCamera]) -
         && (a.plane.disparity(u, v) - b.plane.disparity(u, v)).abs() <= 0.5 * rig.step()
 }
 
-/// Absolute image coordinates of a place in a camera's picture, in pixels at full resolution from its upper left.
+/// Absolute image coordinates of a place in a camera's picture, in pixels at full resolution from
+/// its upper left.
 fn place(camera: &ConstructionCamera, column: f64, row: f64) -> (f64, f64) {
     let of = |start: i32, x: f64| (f64::from(start) + x / COARSENESS as f64) / camera.scale;
     (of(camera.window.left, column), of(camera.window.top, row))
 }
 
-/// Whether the layers hold a candidate's surface in its pixel and in both neighbours along its axis; where no ray through the pixel's centre
-/// meets it, in one of them, from which it goes on.
+/// Whether the layers hold a candidate's surface in its pixel and in both neighbours along its
+/// axis; where no ray through the pixel's centre meets it, in one of them, from which it goes on.
 fn held(rig: &Rig, layers: &[RawLayer], candidate: &Candidate, tolerance: &Tolerance) -> bool {
     let Candidate { home: (pixel, s), axis, beside, .. } = candidate;
     let (step, bit) = if *axis == 0 { (1, LINK_RIGHT) } else { (rig.window.width, LINK_DOWN) };
@@ -292,7 +304,8 @@ impl Found {
 }
 
 impl Rectangle {
-    /// As the image sees it; None where that is too far outside of it, or its plane runs behind its camera.
+    /// As the image sees it; None where that is too far outside of it, or its plane runs behind
+    /// its camera.
     fn found(&self, rig: &Rig, cameras: &[ConstructionCamera]) -> Option<Found> {
         let s = &self.first;
         let camera = &cameras[s.camera as usize];
@@ -308,7 +321,8 @@ impl Rectangle {
         let corner = |row: u32, column: u32| {
             let (u, v) = place(camera, f64::from(column), f64::from(row));
             let d = s.plane.disparity(u, v);
-            // A plane is believed up to eight times as far as it was hit; before the nearest replaced cell, but for rounding, there is nothing.
+            // A plane is believed up to eight times as far as it was hit; before the nearest
+            // replaced cell, but for rounding, there is nothing.
             if d < 0.125 * believed || d * camera.near_m > 1.0 + 1e-3 {
                 return None;
             }

@@ -5,7 +5,8 @@ use std::ops::Range;
 /// Counts over blocks of a raster of squares.
 #[derive(Debug, Clone)]
 pub(super) struct Sums {
-    /// How many of the squares above and left of each corner of a square hold: one row and one column more than squares.
+    /// How many of the squares above and left of each corner of a square hold: one row and one
+    /// column more than squares.
     sums: Vec<u32>,
     columns: usize,
 }

@@ -1,7 +1,8 @@
 //! Cuts a face into tiles around what eyes see of it.
 //!
-//! In: the face's window, what eyes see in it. Out: rectangles that hold it all, few and with little between, each with its share of the face:
-//! the shares fill the face without gaps, so that for every direction it is known which image would hold what is there.
+//! In: the face's window, what eyes see in it. Out: rectangles that hold it all, few and with
+//! little between, each with its share of the face: the shares fill the face without gaps, so that
+//! for every direction it is known which image would hold what is there.
 
 use super::{
     sight::{Glimpse, blocks_of},
@@ -10,9 +11,11 @@ use super::{
 };
 use std::ops::Range;
 
-/// Edge of the squares that cuts run between, pixels. Smaller: tighter tiles, more time. By judgement.
+/// Edge of the squares that cuts run between, pixels. Smaller: tighter tiles, more time. By
+/// judgement.
 const SQUARE: usize = 128;
-/// A tile is cut where that leaves out more than this share of it. Each cut costs an image; what nobody looks at costs memory only. By judgement.
+/// A tile is cut where that leaves out more than this share of it. Each cut costs an image; what
+/// nobody looks at costs memory only. By judgement.
 const WORTH_CUTTING: f64 = 0.5;
 /// Tiles reach over their borders by this many pixels, so that surfaces join across them.
 const OVERLAP: i64 = 2;
@@ -26,7 +29,8 @@ pub(super) struct Tile {
     pub window: Window,
 }
 
-/// The tiles of a face, of at most so many pixels without what they overlap; none if nothing is seen.
+/// The tiles of a face, of at most so many pixels without what they overlap; none if nothing is
+/// seen.
 pub(super) fn tiles<'a>(face: &Window, seen: impl Iterator<Item = &'a Glimpse>, most_pixels: usize) -> Vec<Tile> {
     let (columns, rows) = ((face.width as usize).div_ceil(SQUARE), (face.height as usize).div_ceil(SQUARE));
     let mut needed = vec![false; columns * rows];
@@ -54,7 +58,8 @@ pub(super) fn tiles<'a>(face: &Window, seen: impl Iterator<Item = &'a Glimpse>, 
 /// Columns and rows of squares.
 type Block = (Range<usize>, Range<usize>);
 
-/// Covers the needed squares of a block; `found` takes shares of the block and what of them is needed, `most_squares` at most.
+/// Covers the needed squares of a block; `found` takes shares of the block and what of them is
+/// needed, `most_squares` at most.
 fn cover(
     needed: &Sums,
     columns: Range<usize>,
@@ -67,7 +72,8 @@ fn cover(
     let area = |(columns, rows): &Block| columns.len() * rows.len();
     let all = area(&tight);
     let large = all > 1 && all > most_squares;
-    // The cut that leaves out the most squares; of equals one through the longer side, and of these the most even one. Beside each cut lie needed squares, as the block is tight.
+    // The cut that leaves out the most squares; of equals one through the longer side, and of
+    // these the most even one. Beside each cut lie needed squares, as the block is tight.
     let left_of = |c: usize| [(columns.start..c, rows.clone()), (c..columns.end, rows.clone())];
     let above = |r: usize| [(columns.clone(), rows.start..r), (columns.clone(), r..rows.end)];
     let cuts = (across.start + 1..across.end).map(left_of).chain((down.start + 1..down.end).map(above));
@@ -111,7 +117,8 @@ mod tests {
             }
         }
         let all = tiles(&face, seen.iter(), MOST_PIXELS);
-        // With the squares that they reach into the three take some 3 million pixels, twelve tiles' worth; halves are seldom full.
+        // With the squares that they reach into the three take some 3 million pixels, twelve
+        // tiles' worth; halves are seldom full.
         assert!((12..=20).contains(&all.len()), "{} {all:?}", all.len());
         let inside =
             |w: &Window, u: f64, v: f64| w.index(u as i64 - i64::from(w.left), v as i64 - i64::from(w.top)).is_some();

@@ -1,13 +1,16 @@
-//! Cameras: the central one, the construction cameras around it, and the eyes that will use the image.
+//! Cameras: the central one, the construction cameras around it, and the eyes that will use the
+//! image.
 //!
-//! All share one orientation and one scale, so that going from one to another is a translation. In absolute image coordinates
-//! (U, V) = `pixels_per_unit` (x/z, -y/z), with an eye at offset e = (right, up, forward) from the centre of projection:
+//! All share one orientation and one scale, so that going from one to another is a translation. In
+//! absolute image coordinates (U, V) = `pixels_per_unit` (x/z, -y/z), with an eye at offset e =
+//! (right, up, forward) from the centre of projection:
 //!
 //! ```text
 //! W = 1 - e_z d      U' = (U - k_x d) / W      V' = (V - k_y d) / W      d' = d / W      k = pixels_per_unit (e_x, -e_y)
 //! ```
 //!
-//! which is McMillan's equation with P2 = P1; directions (d = 0) keep their coordinates, so sky is one bit for all eyes.
+//! which is McMillan's equation with P2 = P1; directions (d = 0) keep their coordinates, so sky is
+//! one bit for all eyes.
 
 use super::{ConstructError, sight::Open};
 use crate::placement::ImagePlan;
@@ -25,8 +28,8 @@ impl ConstructionCamera {
         (u / self.scale, v / self.scale)
     }
 
-    /// How long a step to the image's next column, and to its next row, is in the picture of this camera at full scale, on a surface with this disparity and
-    /// gradient, pixels.
+    /// How long a step to the image's next column, and to its next row, is in the picture of this
+    /// camera at full scale, on a surface with this disparity and gradient, pixels.
     pub fn steps(&self, disparity: f64, gradient: [f32; 2]) -> [f64; 2] {
         let [gu, gv] = gradient.map(f64::from);
         let k = self.shift.k;
@@ -34,8 +37,9 @@ impl ConstructionCamera {
         [(1.0 - k.x * gu).hypot(k.y * gu) * w, (k.x * gv).hypot(1.0 - k.y * gv) * w]
     }
 
-    /// How many pixels of the image lie from one of its rays to the next on such a surface, along each axis, rounded up. At most 32, by
-    /// judgement: what it sees still more steeply shows as a line.
+    /// How many pixels of the image lie from one of its rays to the next on such a surface, along
+    /// each axis, rounded up. At most 32, by judgement: what it sees still more steeply shows as a
+    /// line.
     pub fn apart(&self, disparity: f64, gradient: [f32; 2]) -> [u8; 2] {
         self.steps(disparity, gradient).map(|step| (1.0 / (self.scale * step)).ceil().min(32.0) as u8)
     }
@@ -105,7 +109,8 @@ impl Window {
         let (width, height) = (f64::from(self.width), f64::from(self.height));
         if fits { Ok(()) } else { Err(ConstructError::Size { width, height, max_pixels }) }
     }
-    /// As tangents (left, right, bottom, top) of a plan; borders that are those of the `whole` are the plan's own, unrounded.
+    /// As tangents (left, right, bottom, top) of a plan; borders that are those of the `whole` are
+    /// the plan's own, unrounded.
     pub fn tangents_within(&self, whole: &Self, plan: &ImagePlan) -> [f64; 4] {
         let ends = |w: &Self| [w.left, w.left + w.width as i32, w.top + w.height as i32, w.top];
         let (mine, all) = (ends(self), ends(whole));
@@ -157,14 +162,16 @@ pub(super) struct ConstructionCamera {
     pub near_m: f64,
 }
 
-/// A construction camera, and where in its picture it may see something of the image; None: anywhere.
+/// A construction camera, and where in its picture it may see something of the image; None:
+/// anywhere.
 #[derive(Debug, Clone)]
 pub(super) struct View {
     pub camera: ConstructionCamera,
     pub open: Option<Open>,
 }
 
-/// Tangents (left, right, top, bottom; downward positive) that the users' pictures reach, measured on the image's orientation.
+/// Tangents (left, right, top, bottom; downward positive) that the users' pictures reach, measured
+/// on the image's orientation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Reach {
     pub u: [f64; 2],
@@ -188,14 +195,17 @@ pub(super) struct Rig {
 
 /// Depth bounds are loosened by this, relatively: cells touch the plane, rays are cast in f32.
 const PLANE_SLACK: f64 = 1e-5;
-/// Pixels of the image per pixel of a construction camera, per side. What it finds is cast again at full resolution, and continued into what
-/// lies between (`merge`). On 24 images of the clinic 2 took 1.16 s per million pixels where 1 took 1.61; both found 0.92 samples per pixel.
+/// Pixels of the image per pixel of a construction camera, per side. What it finds is cast again
+/// at full resolution, and continued into what lies between (`merge`). On 24 images of the clinic
+/// 2 took 1.16 s per million pixels where 1 took 1.61; both found 0.92 samples per pixel.
 pub(super) const COARSENESS: usize = 2;
-/// A face may have this many pixels a side: 120 times the picture's width. What nobody looks at of it is never made.
+/// A face may have this many pixels a side: 120 times the picture's width. What nobody looks at of
+/// it is never made.
 const MOST_FACE_SIDE: f64 = (1 << 17) as f64;
 /// A construction camera may have this many pixels, or four times the image's.
 const MOST_PIXELS: u64 = 1 << 24;
-/// The construction cameras stop short of the users' box by this factor, so that what they see still has neighbours beyond.
+/// The construction cameras stop short of the users' box by this factor, so that what they see
+/// still has neighbours beyond.
 const WITHIN_USERS: f64 = 0.98;
 
 impl Rig {
@@ -231,8 +241,8 @@ impl Rig {
         })
     }
 
-    /// Rounds of construction cameras for eyes that may be anywhere in the users' box: the four corners nearest the plane, from where eyes
-    /// see furthest around things, then the other four.
+    /// Rounds of construction cameras for eyes that may be anywhere in the users' box: the four
+    /// corners nearest the plane, from where eyes see furthest around things, then the other four.
     pub fn corner_cameras(&self) -> Vec<Vec<View>> {
         let mut corners = self.user_offsets;
         corners.sort_by(|a, b| b.z.total_cmp(&a.z));
@@ -280,8 +290,9 @@ impl Rig {
         Some(ConstructionCamera { position, shift, window, scale, near_m })
     }
 
-    /// Whether some user may have (U, V, d) in the picture: false only if from every corner of the users' box the point lies beyond
-    /// the same border of their reach (what a box's corners all see beyond a border, its inside does too: the border is a plane).
+    /// Whether some user may have (U, V, d) in the picture: false only if from every corner of the
+    /// users' box the point lies beyond the same border of their reach (what a box's corners all
+    /// see beyond a border, its inside does too: the border is a plane).
     #[inline]
     pub fn in_reach(&self, u: f64, v: f64, d: f64) -> bool {
         let s = 1.0 / self.lens.pixels_per_unit;
@@ -298,7 +309,8 @@ impl Rig {
         beyond == [false; 4]
     }
 
-    /// Whether any point on a camera's ray beyond the plane projects into the window; what does not could not be stored.
+    /// Whether any point on a camera's ray beyond the plane projects into the window; what does
+    /// not could not be stored.
     pub fn may_hold(&self, camera: &ConstructionCamera, u: f64, v: f64) -> bool {
         let (un, vn, _) = camera.shift.reversed().apply(u, v, 1.0 / camera.near_m);
         let w = &self.window;
@@ -325,7 +337,8 @@ impl Rig {
         0.125 / self.parallax_bound.max(1e-9)
     }
 
-    /// Codes from `smallest` to `largest` disparity with [`Rig::step`], or as fine as 16 bits allow.
+    /// Codes from `smallest` to `largest` disparity with [`Rig::step`], or as fine as 16 bits
+    /// allow.
     pub fn codes(&self, smallest: f64, largest: f64) -> DisparityCodes {
         let span = (largest - smallest).max(0.0);
         let wanted = (span / self.step()).ceil().clamp(1.0, 65_534.0);
@@ -335,7 +348,8 @@ impl Rig {
     }
 }
 
-/// Rounds an extent (left, right, top, bottom) in pixels outward to a window of at most `side` pixels a side.
+/// Rounds an extent (left, right, top, bottom) in pixels outward to a window of at most `side`
+/// pixels a side.
 fn pixel_window(extent: [f64; 4], side: f64) -> Result<Window, ConstructError> {
     let [l, r, t, b] = [extent[0].floor(), extent[1].ceil(), extent[2].floor(), extent[3].ceil()];
     let (w, h) = (r - l, b - t);
@@ -347,23 +361,28 @@ fn pixel_window(extent: [f64; 4], side: f64) -> Result<Window, ConstructError> {
     Ok(Window { left: l as i32, top: t as i32, width: w as u32, height: h as u32 })
 }
 
-/// Bound on f |t_xy - p t_z| / W over the users, t the eye's offset, p the picture coordinate at distance 1, W = d z_eye.
+/// Bound on f |t_xy - p t_z| / W over the users, t the eye's offset, p the picture coordinate at
+/// distance 1, W = d z_eye.
 ///
-/// With |p|^2 <= q: |t_xy - p t_z| <= |t| sqrt(1 + q), and z_eye >= |X - E| / sqrt(1 + q) inside the picture, and
+/// With |p|^2 <= q: |t_xy - p t_z| <= |t| sqrt(1 + q), and z_eye >= |X - E| / sqrt(1 + q) inside
+/// the picture, and
 /// |X - E| d >= 1 - e_z d >= 1 - e_z / near. So the whole is at most f |t| (1 + q) / (1 - max e_z / near). In pixel metres; lengths in metres,
-/// offsets as (right, up, forward) from the centre of projection, `near_m` the depth of the nearest surface.
+/// offsets as (right, up, forward) from the centre of projection, `near_m` the depth of the
+/// nearest surface.
 pub fn parallax_bound(user_offsets: &[DVec3; 8], near_m: f64, output: &OutputCamera) -> f64 {
     let q = output.half_tan_x().powi(2) + output.half_tan_y().powi(2);
     let farthest = user_offsets.iter().fold(0.0_f64, |m, e| m.max(e.length()));
     let most_ahead = user_offsets.iter().fold(0.0_f64, |m, e| m.max(e.z));
-    // An eye on the plane has no bound; a fiftieth of the distance stands in, and 16 bits limit the rest.
+    // An eye on the plane has no bound; a fiftieth of the distance stands in, and 16 bits limit
+    // the rest.
     let w = (1.0 - most_ahead / near_m).max(0.02);
     output.focal_px() * farthest * (1.0 + q) / w
 }
 
 impl Reach {
-    /// Pictures in any of the plan's directions, by sampling the directions every two degrees or finer and the picture's square by its corners
-    /// and edge middles; between samples the extent bulges by less than the margin.
+    /// Pictures in any of the plan's directions, by sampling the directions every two degrees or
+    /// finer and the picture's square by its corners and edge middles; between samples the extent
+    /// bulges by less than the margin.
     pub fn of(plan: &ImagePlan, output: &OutputCamera) -> Self {
         const MARGIN: f64 = 0.01;
         let t = output.half_tan_x().max(output.half_tan_y());

@@ -39,8 +39,8 @@ pub enum OctreeFault {
 }
 
 impl Octree {
-    /// Checks that every triangle of every instance is in exactly one cell, that counts are right and that bounds contain what they
-    /// bound. Takes time proportional to the expanded scene.
+    /// Checks that every triangle of every instance is in exactly one cell, that counts are right
+    /// and that bounds contain what they bound. Takes time proportional to the expanded scene.
     pub fn check(&self, scene: &Scene, clusters: &Clusters) -> Result<(), OctreeFault> {
         check_clusters(scene, clusters)?;
         let mut seen = std::collections::BTreeSet::new();

@@ -1,20 +1,23 @@
 //! Cutting primitives into clusters.
 //!
-//! In: the unique primitives. Out: clusters of at most [`MAX_CLUSTER_TRIANGLES`] triangles and bounded extent (longest edge of the
-//! box), in mesh space.
+//! In: the unique primitives. Out: clusters of at most [`MAX_CLUSTER_TRIANGLES`] triangles and
+//! bounded extent (longest edge of the box), in mesh space.
 //!
-//! The bound is E = (typical size of the scene) / 32, divided by the largest scale at which an instance places the mesh. The typical
-//! size is that of the box that holds all but 2% of the triangles' centres on each axis, so that a far backdrop does not make a
-//! building's clusters coarse. Why 32: an octree node is cut where it holds too many triangles; clusters much larger than
-//! such a node would stay in its ancestors, whose cells are seen from everywhere. With a larger divisor clusters of coarse models
-//! hold fewer triangles each and cost more in headers and repeated vertices than they save.
+//! The bound is E = (typical size of the scene) / 32, divided by the largest scale at which an
+//! instance places the mesh. The typical size is that of the box that holds all but 2% of the
+//! triangles' centres on each axis, so that a far backdrop does not make a building's clusters
+//! coarse. Why 32: an octree node is cut where it holds too many triangles; clusters much larger
+//! than such a node would stay in its ancestors, whose cells are seen from everywhere. With a
+//! larger divisor clusters of coarse models hold fewer triangles each and cost more in headers and
+//! repeated vertices than they save.
 //!
-//! A triangle larger than E / 2 would inflate the cluster around it. So triangles are first sorted into size classes: class 0
-//! up to E / 2, class k up to E 2^(k-1); the clusters of class k stay within E 2^k, class 0 within E. No triangle is ever cut: the
-//! largest ones end up in clusters of their own kind.
+//! A triangle larger than E / 2 would inflate the cluster around it. So triangles are first sorted
+//! into size classes: class 0 up to E / 2, class k up to E 2^(k-1); the clusters of class k stay
+//! within E 2^k, class 0 within E. No triangle is ever cut: the largest ones end up in clusters of
+//! their own kind.
 //!
-//! Within a class, a group that is too large or holds too many triangles is halved at the middle of its centroids' box, across
-//! the longest axis, until it fits.
+//! Within a class, a group that is too large or holds too many triangles is halved at the middle
+//! of its centroids' box, across the longest axis, until it fits.
 
 use super::{Clusters, SourceCluster};
 use crate::scene::{Primitive, Scene};
@@ -32,7 +35,8 @@ const SIZE_SAMPLES: u64 = 100_000;
 const MAX_CLASS: u32 = 20;
 
 impl Clusters {
-    /// Cuts every primitive of every mesh; deterministic. Meshes that no instance uses are cut as well.
+    /// Cuts every primitive of every mesh; deterministic. Meshes that no instance uses are cut as
+    /// well.
     pub fn build(scene: &Scene) -> Self {
         let extent_world_m = typical_size(scene) / SIZE_OVER_EXTENT;
         let mut scale = vec![0.0_f64; scene.meshes.len()];
@@ -71,7 +75,8 @@ fn largest_scale(m: &DMat3) -> f64 {
     m.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// Longest edge, metres, of the box of all but the outermost centres of the triangles in the world; positive.
+/// Longest edge, metres, of the box of all but the outermost centres of the triangles in the
+/// world; positive.
 fn typical_size(scene: &Scene) -> f64 {
     let stride = (scene.triangles() / SIZE_SAMPLES).max(1);
     let mut axes: [Vec<f64>; 3] = Default::default();

@@ -27,7 +27,8 @@ pub struct Clusters {
 /// A cell that holds cluster instances.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cell {
-    /// Tight world bounds of its content, rounded outward to f32 so that every copy of them is the same.
+    /// Tight world bounds of its content, rounded outward to f32 so that every copy of them is the
+    /// same.
     pub bounds: Aabb,
     /// Triangles, instances counted.
     pub triangles: u32,

@@ -20,7 +20,8 @@ pub struct SourceRange {
 }
 
 impl Octree {
-    /// The triangles of a cell, in order of (instance, primitive, triangle), runs merged across clusters.
+    /// The triangles of a cell, in order of (instance, primitive, triangle), runs merged across
+    /// clusters.
     pub fn ranges(&self, scene: &Scene, clusters: &Clusters, cell: usize) -> Vec<SourceRange> {
         let mut triangles = Vec::with_capacity(self.cells[cell].triangles as usize);
         for &(instance, cluster) in &self.cells[cell].content {

@@ -36,7 +36,8 @@ pub enum RecountError {
         /// Triangle.
         triangle: u32,
     },
-    /// A triangle reaches out of its cell's bounds, so that it would be missed when the cell is out of view.
+    /// A triangle reaches out of its cell's bounds, so that it would be missed when the cell is
+    /// out of view.
     #[error(
         "triangle {triangle} of primitive {primitive} of node {node} reaches out of cell {cell}, whose bounds are {bounds}"
     )]
@@ -57,7 +58,8 @@ pub enum RecountError {
     Missing(u64),
 }
 
-/// Triangles per cell. Each triangle of each instance must be in exactly one cell, and within its bounds.
+/// Triangles per cell. Each triangle of each instance must be in exactly one cell, and within its
+/// bounds.
 ///
 /// # Errors
 /// [`RecountError`] names the first that is not, or how many are in no cell.

@@ -2,16 +2,19 @@
 //!
 //! In: clusters and where their instances stand. Out: cells.
 //!
-//! The root is the cube around the scene. A cluster instance belongs to the node that contains its centre, at the deepest level whose
-//! edge is at least its extent (longest edge of its box), so that a node's content reaches at most half an edge out of it. A node is cut as
-//! long as its subtree holds more than max(P / 256, 64) triangles and it lies above depth 12; where it is not cut
-//! it is a pseudo-leaf and everything in it makes one cell. A node that is cut keeps only what is too large to
-//! descend; that makes cells too. Content beyond the limit (large clusters of an interior node, or a crowd at
-//! depth 12) is halved at the median of its centres until each part is within the limit or is a single cluster: the largest cell
-//! enters the default optimization budget twice.
+//! The root is the cube around the scene. A cluster instance belongs to the node that contains its
+//! centre, at the deepest level whose edge is at least its extent (longest edge of its box), so
+//! that a node's content reaches at most half an edge out of it. A node is cut as long as its
+//! subtree holds more than max(P / 256, 64) triangles and it lies above depth 12; where it is not
+//! cut it is a pseudo-leaf and everything in it makes one cell. A node that is cut keeps only what
+//! is too large to descend; that makes cells too. Content beyond the limit (large clusters of an
+//! interior node, or a crowd at depth 12) is halved at the median of its centres until each part
+//! is within the limit or is a single cluster: the largest cell enters the default optimization
+//! budget twice.
 //!
-//! Why P / 256: a frame at the budget then shows hundreds of cells, so that one cell more or less is half a percent of it. Larger
-//! divisors make more cells than the placement can sort per grid point; smaller ones coarse placements.
+//! Why P / 256: a frame at the budget then shows hundreds of cells, so that one cell more or less
+//! is half a percent of it. Larger divisors make more cells than the placement can sort per grid
+//! point; smaller ones coarse placements.
 
 use super::{Cell, Clusters, Octree, cluster::extent};
 use crate::scene::Scene;
@@ -44,7 +47,8 @@ pub(super) fn leaf_limit(budget: u64) -> u64 {
 }
 
 impl Octree {
-    /// Distributes the cluster instances of a scene to cells for a geometry budget in triangles; deterministic.
+    /// Distributes the cluster instances of a scene to cells for a geometry budget in triangles;
+    /// deterministic.
     pub fn build(scene: &Scene, clusters: &Clusters, budget: u64) -> Self {
         let mut items = items(scene, clusters);
         let root = items.iter().fold(Aabb::EMPTY, |b, i| b.union(i.bounds));

@@ -11,8 +11,9 @@ use ldi_protocol::mesh::{CellGeometry, Cluster, ClusterInstance, ClusterRef};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Raw size at which a bundle is closed: a few milliseconds of a slow link. Larger bundles make cells fetch clusters they do not
-/// draw; smaller ones make a chunk, and a stream, of every few clusters.
+/// Raw size at which a bundle is closed: a few milliseconds of a slow link. Larger bundles make
+/// cells fetch clusters they do not draw; smaller ones make a chunk, and a stream, of every few
+/// clusters.
 const BUNDLE_BYTES: usize = 32 << 10;
 
 /// zstd level of geometry chunks: they are small, and compressed once.

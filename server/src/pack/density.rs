@@ -1,6 +1,8 @@
 //! How densely textures lie on what a cell draws.
 //!
-//! In: the scene, and a cell of its octree. Out: per material the code of [`CellEntry::texel_density`](ldi_protocol::index::CellEntry::texel_density), from which both ends tell the levels of its texture that a view can show.
+//! In: the scene, and a cell of its octree. Out: per material the code of
+//! [`CellEntry::texel_density`](ldi_protocol::index::CellEntry::texel_density), from which both
+//! ends tell the levels of its texture that a view can show.
 
 use crate::octree::{Cell, Clusters};
 use crate::scene::Scene;
@@ -38,7 +40,8 @@ pub(super) fn materials_of(scene: &Scene, clusters: &Clusters, cell: &Cell) -> (
     least.into_iter().map(|(material, density)| (material, code(density))).unzip()
 }
 
-/// Root mean square over directions on a triangle of how many texels lie along a metre; None without an area.
+/// Root mean square over directions on a triangle of how many texels lie along a metre; None
+/// without an area.
 fn texels_per_metre([a, b, c]: [DVec3; 3], [p, q, r]: [DVec2; 3]) -> Option<f64> {
     let ((across, other), (to_q, to_r)) = ((b - a, c - a), (q - p, r - p));
     let length = across.length();
@@ -59,7 +62,9 @@ fn code(density: f64) -> i8 {
 mod tests {
     use super::*;
 
-    /// The longer of the steps over a texture to the next pixels, by differences: on triangles turned and mapped at random, seen from anywhere before them, it is no shorter than what the density promises.
+    /// The longer of the steps over a texture to the next pixels, by differences: on triangles
+    /// turned and mapped at random, seen from anywhere before them, it is no shorter than what the
+    /// density promises.
     #[test]
     fn no_pixel_shows_a_finer_level_than_the_density_says() {
         let mut state = 7u64;

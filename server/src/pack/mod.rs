@@ -1,8 +1,9 @@
 //! Stage 6: near geometry and textures as chunks.
 //!
-//! In: the scene, its clusters and cells. Out: encoded chunks and the entries that name them. A cluster that only one cell
-//! draws goes into that cell's chunk; one that several draw goes into a bundle, stored once. Bundles follow the order in
-//! which the cells first need their clusters, so that neighbours in space are neighbours in a bundle.
+//! In: the scene, its clusters and cells. Out: encoded chunks and the entries that name them. A
+//! cluster that only one cell draws goes into that cell's chunk; one that several draw goes into a
+//! bundle, stored once. Bundles follow the order in which the cells first need their clusters, so
+//! that neighbours in space are neighbours in a bundle.
 
 mod clusters;
 mod density;

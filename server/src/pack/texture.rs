@@ -81,9 +81,10 @@ fn pack(t: &SceneTexture, masked: bool, mode: ColourMode) -> Result<Vec<Part>, C
     Ok(parts)
 }
 
-/// Which of a texture's chunks, of these sizes, is the first that its file of `file` bytes replaces, with all finer ones; so
-/// that no view needs more bytes than with the chunks. Alpha tests read the finest level: who needs one finer than the coarse
-/// chunk of a masked texture needs all.
+/// Which of a texture's chunks, of these sizes, is the first that its file of `file` bytes
+/// replaces, with all finer ones; so that no view needs more bytes than with the chunks. Alpha
+/// tests read the finest level: who needs one finer than the coarse chunk of a masked texture
+/// needs all.
 fn first_by_file(sizes: &[usize], file: usize, masked: bool) -> Option<usize> {
     if file == 0 {
         return None;

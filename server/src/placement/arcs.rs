@@ -1,12 +1,14 @@
 //! For which yaws can a cell be drawn? (Aliaga and Lastra 1999, section 3.3.1; row A5.)
 //!
-//! In: a cell's box relative to a grid point G, a pitch band. Out: arcs of yaw that hold every yaw at which, for some pitch of
-//! the band, the square frustum at G passes the run-time test `Frustum::may_intersect`. An eye E that uses G lies in G's own
-//! frustum for its direction; moving the apex from E back to G only moves the four planes outward, so what is drawn at E is
+//! In: a cell's box relative to a grid point G, a pitch band. Out: arcs of yaw that hold every yaw
+//! at which, for some pitch of the band, the square frustum at G passes the run-time test
+//! `Frustum::may_intersect`. An eye E that uses G lies in G's own frustum for its direction;
+//! moving the apex from E back to G only moves the four planes outward, so what is drawn at E is
 //! counted at G.
 //!
-//! The run-time test asks of each plane that some corner v of the box is on its inner side. With v at horizontal distance rho in
-//! direction theta, height v_y, and psi = yaw - theta, the four planes of half tangent t at pitch p read
+//! The run-time test asks of each plane that some corner v of the box is on its inner side. With v
+//! at horizontal distance rho in direction theta, height v_y, and psi = yaw - theta, the four
+//! planes of half tangent t at pitch p read
 //!
 //! ```text
 //!   left, right:  +-rho sin psi + t (cos p rho cos psi + sin p v_y) >= 0
@@ -14,12 +16,14 @@
 //!   top:          rho cos psi (t cos p + sin p) + v_y (t sin p - cos p) >= 0
 //! ```
 //!
-//! each of the form A cos(psi - phase) >= B: an arc. Over a band [p0, p1] of half width e: bottom and top hold for some pitch of
-//! the band exactly if they hold at p0 or at p1 (half-planes that turn about a line by less than 180 degrees); left and right at
-//! an inner pitch imply them at an end with t / cos e instead of t (the end's value of cos p a + sin p b is at least cos e times the
-//! largest one; where it is negative, t itself is the weaker one and is tested too). So the union over the band is a union of arcs;
-//! we take its hull per plane over the corners, and intersect the four planes. A box around the vertical axis through G, and a
-//! plane that the pole turns over, are handled by the full circle.
+//! each of the form A cos(psi - phase) >= B: an arc. Over a band [p0, p1] of half width e: bottom
+//! and top hold for some pitch of the band exactly if they hold at p0 or at p1 (half-planes that
+//! turn about a line by less than 180 degrees); left and right at an inner pitch imply them at an
+//! end with t / cos e instead of t (the end's value of cos p a + sin p b is at least cos e times
+//! the largest one; where it is negative, t itself is the weaker one and is tested too). So the
+//! union over the band is a union of arcs; we take its hull per plane over the corners, and
+//! intersect the four planes. A box around the vertical axis through G, and a plane that the pole
+//! turns over, are handled by the full circle.
 
 use glam::DVec3;
 use std::f64::consts::{PI, TAU};
@@ -210,7 +214,8 @@ impl BandPlanes {
         out.joined()
     }
 
-    /// A box around the vertical axis through G: all yaws, or none where it is wholly beyond bottom or top at every yaw.
+    /// A box around the vertical axis through G: all yaws, or none where it is wholly beyond
+    /// bottom or top at every yaw.
     fn arcs_around_axis(&self, min: DVec3, max: DVec3) -> ArcSet {
         let rho = min.x.abs().max(max.x).hypot(min.z.abs().max(max.z));
         let reachable = self
@@ -301,7 +306,8 @@ mod tests {
 
     #[test]
     fn a_small_box_ahead_is_seen_over_the_field_of_view() {
-        // Level gaze, box of a centimetre 10 m along -Z: the arc is 60 degrees plus the box's own width.
+        // Level gaze, box of a centimetre 10 m along -Z: the arc is 60 degrees plus the box's own
+        // width.
         let b = Aabb { min: DVec3::new(-0.005, -0.005, -10.0), max: DVec3::new(0.005, 0.005, -9.99) };
         let set = BandPlanes::new([-0.01, 0.01], T).arcs(b.min, b.max);
         assert_eq!(set.arcs().len(), 1);

@@ -1,12 +1,13 @@
 //! The audit of both promises, and what `plan` answers.
 //!
-//! In: a dataset's index, triangles per cell counted again over the scene, the cameras of its images, a number of poses. Out: an
-//! [`AuditReport`]. Nothing here uses what the planner computed: cells are tested by another formula (middle and half size against
-//! unnormalized planes, where the renderer takes supports of unit normals), triangles are the caller's own count, and footprints are
-//! measured by finite differences at points of the replaced cells.
+//! In: a dataset's index, triangles per cell counted again over the scene, the cameras of its
+//! images, a number of poses. Out: an [`AuditReport`]. Nothing here uses what the planner
+//! computed: cells are tested by another formula (middle and half size against unnormalized
+//! planes, where the renderer takes supports of unit normals), triangles are the caller's own
+//! count, and footprints are measured by finite differences at points of the replaced cells.
 //!
-//! Poses: random ones, anywhere in the walk volume and looking anywhere within the built pitch; and adversarial ones, which seek trouble on
-//! borders ([`Adversary`]), found by bisection.
+//! Poses: random ones, anywhere in the walk volume and looking anywhere within the built pitch;
+//! and adversarial ones, which seek trouble on borders ([`Adversary`]), found by bisection.
 
 mod rooms;
 
@@ -143,11 +144,13 @@ pub enum Adversary {
     RangeBorder,
     /// On the border of a pitch band, or a hair beside it.
     BandBorder,
-    /// Looking as far up or down as was built for, or so that the upper or lower edge of the picture is vertical.
+    /// Looking as far up or down as was built for, or so that the upper or lower edge of the
+    /// picture is vertical.
     Pole,
     /// Between two eyes, where the grid point changes.
     PointBorder,
-    /// Where turning the head changes what is selected: the rim of a reverse frustum in the paper's grid.
+    /// Where turning the head changes what is selected: the rim of a reverse frustum in the
+    /// paper's grid.
     DirectionBorder,
     /// As far from its grid point as the volume or the next point allows: the rim of a star-shape.
     Rim,
@@ -190,13 +193,15 @@ pub struct AuditSize {
     pub adversarial: u64,
 }
 
-/// Cells in a run that is tested against a picture as one first: the octree's order makes runs compact.
+/// Cells in a run that is tested against a picture as one first: the octree's order makes runs
+/// compact.
 const RUN: usize = 64;
 
 /// Audits a dataset over poses drawn from `seed`.
 ///
-/// `recounted`: triangles per cell, counted by the caller over the scene's own triangles (not the index's numbers). `camera_of`: the LDI
-/// camera of an image, None where it is empty. A dataset without a walk volume has no poses and passes.
+/// `recounted`: triangles per cell, counted by the caller over the scene's own triangles (not the
+/// index's numbers). `camera_of`: the LDI camera of an image, None where it is empty. A dataset
+/// without a walk volume has no poses and passes.
 pub fn audit(
     index: &Index,
     recounted: &[u64],
@@ -340,7 +345,8 @@ fn adversarial(
     pose
 }
 
-/// Two neighbouring values in 0 ..= 1 around a change: `holds` at the first, unless it nowhere does, and not at the second.
+/// Two neighbouring values in 0 ..= 1 around a change: `holds` at the first, unless it nowhere
+/// does, and not at the second.
 fn border(holds: impl Fn(f64) -> bool) -> [f64; 2] {
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..48 {
@@ -396,7 +402,8 @@ fn check(
             }
         }
     }
-    // Where all else comes from the tree the nearest cells are drawn; what a build had no time for is promised no more than that.
+    // Where all else comes from the tree the nearest cells are drawn; what a build had no time for
+    // is promised no more than that.
     let named = selection.grid_point.and_then(|g| placement_of(index, g, pose));
     let unmade = named.and_then(|p| index.placements.get(p as usize)).is_some_and(|p| !was_made(p));
     let by_tree = index.walks_by_tree() || unmade;
@@ -464,7 +471,8 @@ fn in_view(b: &Aabb, eye: DVec3, basis: &ViewBasis, tx: f64, ty: f64) -> bool {
     .all(|n| n.dot(c) + n.abs().dot(h) >= -1e-12 * (1.0 + c.length()))
 }
 
-/// The largest footprint at points of replaced cells that lie in the picture; None if one of them lies in no image.
+/// The largest footprint at points of replaced cells that lie in the picture; None if one of them
+/// lies in no image.
 fn largest_footprint(
     index: &Index,
     p: &Placement,

@@ -1,12 +1,14 @@
 //! Directions, cut into pitch bands and yaw bins.
 //!
-//! The paper plans for yaw only. With free look, the directions are cut into bands of pitch; everything a point promises for a
-//! band holds for each pitch in it. Certificates are kept per unit: one pitch band times one yaw bin.
+//! The paper plans for yaw only. With free look, the directions are cut into bands of pitch;
+//! everything a point promises for a band holds for each pitch in it. Certificates are kept per
+//! unit: one pitch band times one yaw bin.
 
-/// Widest pitch band, degrees. Narrower: tighter counts (a band of 10 degrees sees about a quarter more solid angle than one
-/// direction), but longer planning. Wider than 15: counts grow fast.
+/// Widest pitch band, degrees. Narrower: tighter counts (a band of 10 degrees sees about a quarter
+/// more solid angle than one direction), but longer planning. Wider than 15: counts grow fast.
 const WIDEST_BAND_DEG: f64 = 10.0;
-/// Yaw bins around the circle. More bins: smaller regions of users, so images may stand nearer, but longer planning.
+/// Yaw bins around the circle. More bins: smaller regions of users, so images may stand nearer,
+/// but longer planning.
 pub(super) const YAW_BINS: usize = 36;
 /// Width of a yaw bin, degrees.
 pub(super) const YAW_BIN_DEG: f64 = 360.0 / YAW_BINS as f64;
@@ -19,7 +21,8 @@ pub(super) struct Directions {
 }
 
 impl Directions {
-    /// Equal bands over -pitch to +pitch, none wider than [`WIDEST_BAND_DEG`]; a level gaze gets one band of one degree.
+    /// Equal bands over -pitch to +pitch, none wider than [`WIDEST_BAND_DEG`]; a level gaze gets
+    /// one band of one degree.
     pub fn new(pitch_deg: f64) -> Self {
         let pitch_deg = pitch_deg.max(0.5);
         let n = (2.0 * pitch_deg / WIDEST_BAND_DEG - 1e-9).ceil() as usize;

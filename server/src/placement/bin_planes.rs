@@ -1,14 +1,17 @@
 //! The reverse-frustum test for all directions of a bin and all eyes of a box at once.
 //!
-//! In: a bin of directions, half widths dy (yaw) and dp (pitch), and the vectors w = E - G for E in a box. Out: whether G lies in
-//! the reverse square frustum of every (eye, direction), of some, or of none. A plane's normal n = S right + U up + t forward
-//! (S, U in {-1, 0, 1}, t the half tangent across or up) turns with the direction; Taylor's theorem about the bin's middle gives, for every direction in it,
+//! In: a bin of directions, half widths dy (yaw) and dp (pitch), and the vectors w = E - G for E
+//! in a box. Out: whether G lies in the reverse square frustum of every (eye, direction), of some,
+//! or of none. A plane's normal n = S right + U up + t forward (S, U in {-1, 0, 1}, t the half
+//! tangent across or up) turns with the direction; Taylor's theorem about the bin's middle gives,
+//! for every direction in it,
 //!
 //! ```text
 //!   |n . w - n0 . w| <= dy |n_y . w| + dp |n_p . w| + (dy + dp)^2 / 2 (1 + t) |w|
 //! ```
 //!
-//! because every second derivative of n has a norm of at most 1 + t. A box of half size h adds (|n0| + dy |n_y| + dp |n_p|) . h.
+//! because every second derivative of n has a norm of at most 1 + t. A box of half size h adds
+//! (|n0| + dy |n_y| + dp |n_p|) . h.
 
 use glam::DVec3;
 use ldi_protocol::{Aabb, ViewBasis};
@@ -54,7 +57,8 @@ pub(super) struct BinPlanes {
 }
 
 impl BinPlanes {
-    /// Planes of the frustum of half tangents `tx` across and `ty` up over yaws and pitches, degrees.
+    /// Planes of the frustum of half tangents `tx` across and `ty` up over yaws and pitches,
+    /// degrees.
     pub fn new(yaw_deg: [f64; 2], pitch_deg: [f64; 2], tx: f64, ty: f64) -> Self {
         let (yaw, pitch) = ((yaw_deg[0] + yaw_deg[1]) * 0.5, (pitch_deg[0] + pitch_deg[1]) * 0.5);
         let half_yaw = ((yaw_deg[1] - yaw_deg[0]) * 0.5).to_radians();
@@ -75,7 +79,8 @@ impl BinPlanes {
             [(1.0, 0.0, tx), (-1.0, 0.0, tx), (0.0, 1.0, ty), (0.0, -1.0, ty)].into_iter().enumerate()
         {
             let middle = right * s + up * u + forward * t;
-            // d right / d yaw = ahead, d up / d yaw = right sin p, d forward / d yaw = -right cos p.
+            // d right / d yaw = ahead, d up / d yaw = right sin p, d forward / d yaw = -right cos
+            // p.
             let by_yaw = ahead * s + right * (u * sin) - right * (t * cos);
             // d up / d pitch = -forward, d forward / d pitch = up.
             let by_pitch = forward * -u + up * t;
@@ -95,15 +100,18 @@ impl BinPlanes {
         (self.half_yaw, self.half_pitch)
     }
 
-    /// Whether points of a box may lie in the frusta of eyes in another: never, sometimes, or always for every eye and direction.
+    /// Whether points of a box may lie in the frusta of eyes in another: never, sometimes, or
+    /// always for every eye and direction.
     #[inline(always)]
     pub fn show(&self, eyes: &Aabb, b: &Aabb) -> Behind {
-        // Every plane keeps a point for some eye exactly if it keeps their difference for an eye at the origin.
+        // Every plane keeps a point for some eye exactly if it keeps their difference for an eye
+        // at the origin.
         let (w, h) = (b.centre() - eyes.centre(), (b.size() + eyes.size()) * 0.5);
         self.behind(w, h, (w.abs() + h).length())
     }
 
-    /// The test for w = E - G in a box of middle `w` and half size `h`; `farthest` bounds |w| over the box.
+    /// The test for w = E - G in a box of middle `w` and half size `h`; `farthest` bounds |w| over
+    /// the box.
     #[inline(always)]
     pub fn behind(&self, w: DVec3, h: DVec3, farthest: f64) -> Behind {
         let common = (self.second + ROUNDING) * farthest;

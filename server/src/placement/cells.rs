@@ -7,7 +7,8 @@ use super::{
 use glam::DVec3;
 use ldi_protocol::Aabb;
 
-/// Neighbouring cells that are tested as one first. Cells come in Morton order, so a run of them is compact.
+/// Neighbouring cells that are tested as one first. Cells come in Morton order, so a run of them
+/// is compact.
 const GROUP: usize = 16;
 
 /// Cells as this stage needs them.
@@ -51,8 +52,9 @@ impl Cells {
         Self { bounds, triangles, groups, blocks, fill, before }
     }
 
-    /// The cells that some eye in the box may draw in some direction of a bin, added to `out`; returns their triangles.
-    /// Blocks and groups of cells that are wholly in or out of view are decided at once.
+    /// The cells that some eye in the box may draw in some direction of a bin, added to `out`;
+    /// returns their triangles. Blocks and groups of cells that are wholly in or out of view are
+    /// decided at once.
     pub fn seen(&self, planes: &BinPlanes, eyes: &Aabb, out: &mut CellMask) -> u64 {
         #[cfg(target_arch = "x86_64")]
         {
@@ -68,12 +70,14 @@ impl Cells {
         self.see(planes, eyes, out)
     }
 
-    /// [`Cells::seen`] with the vectors of whoever calls it. The same bits either way, as no operation is fused.
+    /// [`Cells::seen`] with the vectors of whoever calls it. The same bits either way, as no
+    /// operation is fused.
     #[inline(always)]
     fn see(&self, planes: &BinPlanes, eyes: &Aabb, out: &mut CellMask) -> u64 {
         let n = self.bounds.len();
         let mut triangles = 0;
-        // No iterator's closures here and in `count_in`: they would be compiled without the widest vectors.
+        // No iterator's closures here and in `count_in`: they would be compiled without the widest
+        // vectors.
         for (k, block) in self.blocks.iter().enumerate() {
             let first = k * GROUP;
             match planes.show(eyes, block) {
@@ -125,7 +129,8 @@ impl Cells {
         out
     }
 
-    /// Triangles of those cells `among` these that some eye in the box may draw in some direction of a bin.
+    /// Triangles of those cells `among` these that some eye in the box may draw in some direction
+    /// of a bin.
     pub fn count(&self, planes: &BinPlanes, eyes: &Aabb, among: &CellMask) -> u64 {
         #[cfg(target_arch = "x86_64")]
         {
@@ -167,8 +172,9 @@ impl Cells {
         triangles
     }
 
-    /// Calls `found` with boxes around all cells `among` these, each with the surface of its cells over its own. Neighbouring cells come
-    /// in one box where that is at most `compact` times as large as it is distant from the eye.
+    /// Calls `found` with boxes around all cells `among` these, each with the surface of its cells
+    /// over its own. Neighbouring cells come in one box where that is at most `compact` times as
+    /// large as it is distant from the eye.
     pub fn compacted(&self, among: &CellMask, eye: DVec3, compact: f64, mut found: impl FnMut(&Aabb, f64)) {
         let is_compact = |b: &Aabb| b.size().max_element() <= compact * b.distance(eye);
         // The cells of a group or block that are not among these count as like those that are.
@@ -198,7 +204,8 @@ impl Cells {
         }
     }
 
-    /// Calls `found` for every cell that some eye in the box may draw in the band, with its arcs of yaw, in ascending order.
+    /// Calls `found` for every cell that some eye in the box may draw in the band, with its arcs
+    /// of yaw, in ascending order.
     pub fn arcs(&self, planes: &BandPlanes, eyes: &Aabb, mut found: impl FnMut(u32, &ArcSet)) {
         for (g, group) in self.groups.iter().enumerate() {
             // Groups that the band cannot see at all are skipped: arcs only grow with the box.
@@ -215,7 +222,8 @@ impl Cells {
         }
     }
 
-    /// Sums the triangles of the cells for which `keep` holds; groups for which `may_keep` does not hold are skipped.
+    /// Sums the triangles of the cells for which `keep` holds; groups for which `may_keep` does
+    /// not hold are skipped.
     pub fn sum(&self, may_keep: impl Fn(&Aabb) -> bool, keep: impl Fn(&Aabb) -> bool) -> u64 {
         let mut sum = 0;
         for (g, group) in self.groups.iter().enumerate() {

@@ -1,15 +1,19 @@
-//! Who may use a grid point, and does every eye have one? A certificate by interval subdivision (row A3, DESIGN "Near and far").
+//! Who may use a grid point, and does every eye have one? A certificate by interval subdivision
+//! (row A3, DESIGN "Near and far").
 //!
-//! In: the walk volume as a tree of boxes, the grid points, the directions. Out: for each grid point and each unit of directions
-//! (pitch band times yaw bin), a convex region that holds every eye for which `select` may return the point, and the largest
-//! distance of such an eye. The paper bounds users by spheres around the grid points; those are not conservative in three
-//! dimensions and, on a mixed-level grid, far from tight.
+//! In: the walk volume as a tree of boxes, the grid points, the directions. Out: for each grid
+//! point and each unit of directions (pitch band times yaw bin), a convex region that holds every
+//! eye for which `select` may return the point, and the largest distance of such an eye. The paper
+//! bounds users by spheres around the grid points; those are not conservative in three dimensions
+//! and, on a mixed-level grid, far from tight.
 //!
-//! For a box of eyes and a bin of directions let U be the smallest, over the points that lie in every reverse frustum, of the
-//! largest distance to an eye of the box. `select` takes the closest point, so it takes one within U: every point that lies in some
-//! reverse frustum and comes within U is recorded, and no other can be returned. Without a point in every reverse frustum,
-//! boxes and bins are halved until there is one; if there is none at the finest, the eye is reported as not covered. Halving also
-//! stops where a box adds nothing to the regions found so far, so that only the outlines of the regions are resolved finely.
+//! For a box of eyes and a bin of directions let U be the smallest, over the points that lie in
+//! every reverse frustum, of the largest distance to an eye of the box. `select` takes the closest
+//! point, so it takes one within U: every point that lies in some reverse frustum and comes within
+//! U is recorded, and no other can be returned. Without a point in every reverse frustum, boxes
+//! and bins are halved until there is one; if there is none at the finest, the eye is reported as
+//! not covered. Halving also stops where a box adds nothing to the regions found so far, so that
+//! only the outlines of the regions are resolved finely.
 
 use super::{
     bands::Directions,
@@ -21,8 +25,8 @@ use glam::DVec3;
 use ldi_protocol::Aabb;
 use rayon::prelude::*;
 
-/// Boxes of eyes are halved down to this half size, as a share of U. Larger: regions of users grow, images move away, more
-/// points; smaller: longer planning.
+/// Boxes of eyes are halved down to this half size, as a share of U. Larger: regions of users
+/// grow, images move away, more points; smaller: longer planning.
 const FINEST_BOX: f64 = 1.0 / 14.0;
 /// Bins are halved at most this often in yaw and in pitch (15 x 10 degrees become 3.75 x 5).
 const FINEST_BIN: [u32; 2] = [2, 1];
@@ -57,7 +61,8 @@ struct BlockUses {
     boxes: u64,
 }
 
-/// The certificate, kept from round to round: points are only ever added, and blocks that no new point can serve keep their part.
+/// The certificate, kept from round to round: points are only ever added, and blocks that no new
+/// point can serve keep their part.
 pub(super) struct Coverage<'a> {
     tree: &'a EyeTree,
     directions: &'a Directions,
@@ -66,7 +71,8 @@ pub(super) struct Coverage<'a> {
 }
 
 impl<'a> Coverage<'a> {
-    /// Prepares for a square frustum of half tangent `t`. `block_m`: size of the blocks worked on as one.
+    /// Prepares for a square frustum of half tangent `t`. `block_m`: size of the blocks worked on
+    /// as one.
     pub fn new(tree: &'a EyeTree, directions: &'a Directions, t: f64, block_m: f64) -> Self {
         let bins = (0..directions.units()).map(|u| sub_bins(directions, u, t)).collect();
         let blocks = tree.blocks(block_m).into_iter().map(|b| (b, BlockUses::default())).collect();
@@ -121,7 +127,8 @@ impl<'a> Coverage<'a> {
     }
 }
 
-/// The bins of a unit as a binary tree in an array: entry 0 the unit, children of i at 2 i + 1 and 2 i + 2.
+/// The bins of a unit as a binary tree in an array: entry 0 the unit, children of i at 2 i + 1 and
+/// 2 i + 2.
 fn sub_bins(directions: &Directions, unit: usize, t: f64) -> Vec<BinPlanes> {
     let levels = FINEST_BIN[0] + FINEST_BIN[1];
     let (yaw, pitch) = directions.unit(unit);

@@ -5,7 +5,8 @@ use glam::DVec3;
 /// Why a placement could not be computed. All are permanent: the same request fails again.
 #[derive(Debug, thiserror::Error)]
 pub enum PlacementError {
-    /// The paper's star-shapes, and the two extra grid points on each side, need a field of view of at least 54 degrees.
+    /// The paper's star-shapes, and the two extra grid points on each side, need a field of view
+    /// of at least 54 degrees.
     #[error(
         "field of view {fov_deg} degrees: images are placed for at least 54 and less than 120; give a --fov between"
     )]

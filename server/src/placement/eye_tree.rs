@@ -1,7 +1,7 @@
 //! A tree of boxes over the walk volume, so that the certificate can treat large regions at once.
 //!
-//! In: the boxes of a [`WalkVolume`]. Out: a binary tree with tight bounds, split at the middle of the longest axis. Flat slabs
-//! between floors stay flat boxes, which an octree's cubes would not.
+//! In: the boxes of a [`WalkVolume`]. Out: a binary tree with tight bounds, split at the middle of
+//! the longest axis. Flat slabs between floors stay flat boxes, which an octree's cubes would not.
 
 use glam::DVec3;
 use ldi_protocol::{Aabb, volume::WalkVolume};

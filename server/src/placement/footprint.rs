@@ -1,18 +1,22 @@
 //! How large can a sample of an image get on the screen?
 //!
-//! The footprint is the largest singular value of d(u2, v2) / d(u1, v1) at fixed disparity: how far two samples that are one
-//! pixel apart in the LDI, at one depth, can lie apart in the output picture.
+//! The footprint is the largest singular value of d(u2, v2) / d(u1, v1) at fixed disparity: how
+//! far two samples that are one pixel apart in the LDI, at one depth, can lie apart in the output
+//! picture.
 //!
-//! A pixel step in the LDI at depth z1 moves a point by z1 / f1 within the plane perpendicular to the image's axis c. Seen from
-//! an eye E that looks along d, phi away from c, the point has depth z along d and tangent tau from the picture's middle, at most
-//! that of the corner, tau_c. The projection's derivative for a unit step with component sin a along d (a <= phi) is at most
-//! f2 / z (cos a + tau sin a). And with e = (E - cop) . c, the depth along c is z1 - e = z (d . c + ...) <= z (cos phi + tau sin phi). So
+//! A pixel step in the LDI at depth z1 moves a point by z1 / f1 within the plane perpendicular to
+//! the image's axis c. Seen from an eye E that looks along d, phi away from c, the point has depth
+//! z along d and tangent tau from the picture's middle, at most that of the corner, tau_c. The
+//! projection's derivative for a unit step with component sin a along d (a <= phi) is at most f2 /
+//! z (cos a + tau sin a). And with e = (E - cop) . c, the depth along c is z1 - e = z (d . c +
+//! ...) <= z (cos phi + tau sin phi). So
 //!
 //! ```text
 //!   footprint <= (f2 / f1) k^2 z1 / (z1 - e),    k = cos phi + tau_c sin phi for phi < atan tau_c, else 1 / cos atan tau_c
 //! ```
 //!
-//! which falls with z1 where e > 0: the plane's distance D and the largest e give the bound of an image.
+//! which falls with z1 where e > 0: the plane's distance D and the largest e give the bound of an
+//! image.
 
 use ldi_protocol::OutputCamera;
 
@@ -29,8 +33,8 @@ pub(crate) struct Footprint {
     density: f64,
 }
 
-/// Sampling densities to choose from, relative to the build's. Higher ones let users come nearer to the plane, at the square of the
-/// samples; above 1.5 a finer grid is cheaper.
+/// Sampling densities to choose from, relative to the build's. Higher ones let users come nearer
+/// to the plane, at the square of the samples; above 1.5 a finer grid is cheaper.
 pub(crate) const SCALES: [f64; 4] = [1.0, 1.15, 1.3, 1.5];
 
 impl Footprint {
@@ -50,8 +54,9 @@ impl Footprint {
         k * k
     }
 
-    /// The bound for an image whose plane is `plane_m` ahead of its centre of projection, of eyes up to `ahead_m` ahead of it that
-    /// look up to `phi` radians away from its axis. Infinite when an eye may reach the plane.
+    /// The bound for an image whose plane is `plane_m` ahead of its centre of projection, of eyes
+    /// up to `ahead_m` ahead of it that look up to `phi` radians away from its axis. Infinite when
+    /// an eye may reach the plane.
     pub fn bound_px(&self, scale: f64, phi: f64, plane_m: f64, ahead_m: f64) -> f64 {
         if plane_m <= 0.0 || ahead_m >= plane_m {
             return f64::INFINITY;
@@ -66,7 +71,8 @@ impl Footprint {
         SCALES.iter().map(|s| (*s, self.bound_px(*s, phi, plane_m, ahead_m))).find(|(_, bound)| *bound <= self.limit_px)
     }
 
-    /// The smallest distance from the centre of projection at which a plane can keep the limit; None when no distance can.
+    /// The smallest distance from the centre of projection at which a plane can keep the limit;
+    /// None when no distance can.
     pub fn nearest_plane_m(&self, phi: f64, ahead_m: f64) -> Option<f64> {
         let largest = SCALES[SCALES.len() - 1];
         let allowed = self.limit_px * self.density * largest / (self.turn_factor(phi) * (1.0 + 2e-9));

@@ -1,8 +1,9 @@
 //! Which directions are looked in through a placement's images.
 //!
-//! In: the bins of directions that use a placement, with the planes of their pictures. Out: a [`Gaze`]: a cube of squares around the eye, six faces of
-//! squares of about equal angle, and which of them some picture holds. One ray through each of these squares is what an eye sees of its surroundings
-//! (`construct::sight`).
+//! In: the bins of directions that use a placement, with the planes of their pictures. Out: a
+//! [`Gaze`]: a cube of squares around the eye, six faces of squares of about equal angle, and
+//! which of them some picture holds. One ray through each of these squares is what an eye sees of
+//! its surroundings (`construct::sight`).
 
 use super::{
     bin_planes::{Behind, BinPlanes},
@@ -22,11 +23,13 @@ pub struct Gaze {
     looked: Vec<u64>,
 }
 
-/// Angle from the middle of a square to the middle of its sides is at most this many pixels of the picture, at its middle. Larger: quicker, and what few
-/// eyes see through narrow gaps is overlooked.
+/// Angle from the middle of a square to the middle of its sides is at most this many pixels of the
+/// picture, at its middle. Larger: quicker, and what few eyes see through narrow gaps is
+/// overlooked.
 const HALF_SQUARE_PIXELS: f64 = 16.0;
 
-/// Rays through a polygon may pass this far beside it, metres: portals may be a little smaller than their openings.
+/// Rays through a polygon may pass this far beside it, metres: portals may be a little smaller
+/// than their openings.
 const BESIDE_M: f64 = 0.03;
 /// Rays begin this far before the eye, metres: the viewer's near plane.
 const NEAR_M: f64 = 0.02;
@@ -89,8 +92,9 @@ impl Gaze {
         Ray { origin: eye, direction, t_min: NEAR_M, t_max: f64::INFINITY }
     }
 
-    /// Rays of unit length through the squares that are looked at, each through another place in its square for another `number`, as regular rasters
-    /// overlook regular gaps; in batches of neighbours, which share most of their way.
+    /// Rays of unit length through the squares that are looked at, each through another place in
+    /// its square for another `number`, as regular rasters overlook regular gaps; in batches of
+    /// neighbours, which share most of their way.
     pub fn rays(&self, eye: DVec3, number: usize) -> impl Iterator<Item = Vec<Ray>> + '_ {
         const TILE: usize = 8;
         let (columns, rows) = (self.columns(), self.rows());
@@ -104,7 +108,8 @@ impl Gaze {
         })
     }
 
-    /// Rays of unit length through a flat convex polygon and [`BESIDE_M`] around it, no farther apart than squares are wide, each through another place for another `number`.
+    /// Rays of unit length through a flat convex polygon and [`BESIDE_M`] around it, no farther
+    /// apart than squares are wide, each through another place for another `number`.
     pub fn rays_through(&self, eye: DVec3, number: usize, polygon: &[DVec3]) -> Vec<Ray> {
         let Some(frame) = Frame::of(polygon) else { return Vec::new() };
         let distance = polygon.iter().map(|c| c.distance(eye)).fold(f64::INFINITY, f64::min);
@@ -129,7 +134,8 @@ impl Gaze {
         out
     }
 
-    /// Angle from the middle of a square to a side, radians; squares toward a face's corners are narrower.
+    /// Angle from the middle of a square to a side, radians; squares toward a face's corners are
+    /// narrower.
     pub fn half_angle(&self) -> f64 {
         FRAC_PI_4 / self.side as f64
     }

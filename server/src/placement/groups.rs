@@ -1,8 +1,10 @@
 //! Which members share a near box.
 //!
-//! In: members. Out: groups of them, each with its box. Fewer, larger groups have fewer images; their boxes must stand farther off, and hold less of
-//! what is near in detail, until one box cannot keep the budget. Walkers of storeys that do not see each other share none: from the one's rooms an image holds the
-//! other's only through the slab between, in deep layers and edge-on.
+//! In: members. Out: groups of them, each with its box. Fewer, larger groups have fewer images;
+//! their boxes must stand farther off, and hold less of what is near in detail, until one box
+//! cannot keep the budget. Walkers of storeys that do not see each other share none: from the
+//! one's rooms an image holds the other's only through the slab between, in deep layers and
+//! edge-on.
 
 use super::{
     near_box::{Member, NearBox, PLACEMENT_SAMPLES, fill, fit},
@@ -12,10 +14,12 @@ use glam::DVec3;
 use ldi_protocol::Aabb;
 use rayon::prelude::*;
 
-/// Groups members: halved, again and again, wherever one box cannot serve them or boxes of their parts are cheaper; then groups beside each other
-/// are joined where one box is cheaper than two. The boxes that are left take up what they leave of the budget.
+/// Groups members: halved, again and again, wherever one box cannot serve them or boxes of their
+/// parts are cheaper; then groups beside each other are joined where one box is cheaper than two.
+/// The boxes that are left take up what they leave of the budget.
 ///
-/// Returns the groups, as positions in `members`, each with its box, in a fixed order. Err: a member that no box serves.
+/// Returns the groups, as positions in `members`, each with its box, in a fixed order. Err: a
+/// member that no box serves.
 pub(super) fn group(ctx: &Context, members: &[Member]) -> Result<Vec<(Vec<u32>, NearBox)>, (u32, TooNear)> {
     let all: Vec<u32> = (0..members.len() as u32).filter(|m| !members[*m as usize].units.is_empty()).collect();
     if all.is_empty() {
@@ -29,7 +33,8 @@ pub(super) fn group(ctx: &Context, members: &[Member]) -> Result<Vec<(Vec<u32>, 
     Ok(groups.into_par_iter().map(filled).collect())
 }
 
-/// Eyes of groups that are joined lie at most this far apart, as a share of their extents. By judgement.
+/// Eyes of groups that are joined lie at most this far apart, as a share of their extents. By
+/// judgement.
 const CLOSE: f64 = 0.25;
 
 /// A group: positions of its members, its box, and the box around its eyes.
@@ -42,7 +47,8 @@ struct Joint {
     saved: f64,
 }
 
-/// Joins neighbouring groups, always the two whose one box saves the most, as long as any does: halving cuts in the middle, wherever the scene would have it.
+/// Joins neighbouring groups, always the two whose one box saves the most, as long as any does:
+/// halving cuts in the middle, wherever the scene would have it.
 fn join(ctx: &Context, members: &[Member], groups: Vec<(Vec<u32>, NearBox)>) -> Vec<(Vec<u32>, NearBox)> {
     let eyes_of = |of: &[u32]| of.iter().fold(Aabb::EMPTY, |b, m| b.union(members[*m as usize].eyes));
     let mut groups: Vec<Option<Group>> = groups
@@ -78,11 +84,14 @@ fn join(ctx: &Context, members: &[Member], groups: Vec<(Vec<u32>, NearBox)>) -> 
     groups.into_iter().flatten().map(|(of, near, _)| (of, near)).collect()
 }
 
-/// Middles of view cells this far apart in height, metres, are of different storeys: more than the walk volume is high and half a flight of stairs.
+/// Middles of view cells this far apart in height, metres, are of different storeys: more than the
+/// walk volume is high and half a flight of stairs.
 const STOREY_M: f64 = 2.5;
-/// Storeys that share a box see each other at least this often: an atrium's galleries and a hillside do, rooms above each other do not. By judgement.
+/// Storeys that share a box see each other at least this often: an atrium's galleries and a
+/// hillside do, rooms above each other do not. By judgement.
 const IN_SIGHT: f64 = 0.25;
-/// View cells that are asked, at most: some hundred rays tell a quarter from nothing, and joining asks for thousands of pairs of groups.
+/// View cells that are asked, at most: some hundred rays tell a quarter from nothing, and joining
+/// asks for thousands of pairs of groups.
 const ASKED: usize = 24;
 
 /// Whether members lie on different storeys that do not see each other.
@@ -104,7 +113,8 @@ fn apart(ctx: &Context, members: &[Member], of: &[u32]) -> bool {
     f64::from(seen) < IN_SIGHT * f64::from(pairs)
 }
 
-/// A split is made where it costs less than this share of the whole. By judgement: a switch between placements is worth a little.
+/// A split is made where it costs less than this share of the whole. By judgement: a switch
+/// between placements is worth a little.
 const WORTH_SPLITTING: f64 = 0.95;
 
 type Grouped = Result<Vec<(Vec<u32>, NearBox)>, (u32, TooNear)>;
@@ -113,8 +123,8 @@ fn fit_of(ctx: &Context, members: &[Member], of: &[u32]) -> Result<NearBox, TooN
     fit(ctx, &of.iter().map(|m| &members[*m as usize]).collect::<Vec<_>>())
 }
 
-/// The cheapest groups that halving some members, their halves and so on gives. All halves are looked at: often two cost as much as the
-/// whole, and four much less.
+/// The cheapest groups that halving some members, their halves and so on gives. All halves are
+/// looked at: often two cost as much as the whole, and four much less.
 fn divide(ctx: &Context, members: &[Member], of: Vec<u32>) -> Grouped {
     if of.len() == 1 {
         return fit_of(ctx, members, &of).map(|b| vec![(of.clone(), b)]).map_err(|e| (of[0], e));
@@ -159,7 +169,8 @@ pub struct Groupings {
     pub best: f64,
 }
 
-/// Compares ways to group some members, by trying every partition; for few of them, as their subsets are fitted one by one. None: some member has no box.
+/// Compares ways to group some members, by trying every partition; for few of them, as their
+/// subsets are fitted one by one. None: some member has no box.
 pub(super) fn compare(ctx: &Context, members: &[Member]) -> Option<Groupings> {
     let n = members.len();
     let every: Vec<u32> = (1..1 << n).collect();
@@ -191,7 +202,8 @@ pub(super) fn compare(ctx: &Context, members: &[Member]) -> Option<Groupings> {
     })
 }
 
-/// Two halves along the longest axis of the members' middles; heights count double, as storeys see different things.
+/// Two halves along the longest axis of the members' middles; heights count double, as storeys see
+/// different things.
 fn halve(members: &[Member], of: &[u32]) -> (Vec<u32>, Vec<u32>) {
     let middle = |m: u32| members[m as usize].eyes.centre() * DVec3::new(1.0, 2.0, 1.0);
     let bounds = of.iter().fold(Aabb::EMPTY, |b, m| b.grown_to(middle(*m)));
@@ -251,7 +263,8 @@ mod tests {
         (0..16).map(member).filter(|m| !m.units.is_empty()).collect()
     }
 
-    /// What boxes cost when members are halved `levels` times; None where one cannot serve its part.
+    /// What boxes cost when members are halved `levels` times; None where one cannot serve its
+    /// part.
     fn cut(ctx: &Context, members: &[Member], of: &[u32], levels: u32) -> Option<f64> {
         if levels == 0 || of.len() == 1 {
             return fit_of(ctx, members, of).ok().map(|b| b.cost);

@@ -1,6 +1,7 @@
-//! The convex region of eyes that may use an image: a prism over a polygon with sides at fixed directions (a discrete oriented
-//! polytope). A box would do for the guarantee, but users fill a wedge ahead of their grid point, and along a diagonal a box is
-//! up to 1.4 times as deep as the wedge: images would have to stand that much farther away.
+//! The convex region of eyes that may use an image: a prism over a polygon with sides at fixed
+//! directions (a discrete oriented polytope). A box would do for the guarantee, but users fill a
+//! wedge ahead of their grid point, and along a diagonal a box is up to 1.4 times as deep as the
+//! wedge: images would have to stand that much farther away.
 
 use glam::DVec3;
 use ldi_protocol::Aabb;
@@ -11,7 +12,8 @@ pub(super) const SIDES: usize = 16;
 /// A prism: horizontal support values for [`SIDES`] directions and a height interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct EyeHull {
-    /// Largest value of p . u_k over the region, u_k the unit vector at yaw k * 360 / SIDES (0 is -Z, a quarter turn is -X).
+    /// Largest value of p . u_k over the region, u_k the unit vector at yaw k * 360 / SIDES (0 is
+    /// -Z, a quarter turn is -X).
     support: [f64; SIDES],
     /// Smallest and largest height.
     y: [f64; 2],
@@ -74,8 +76,9 @@ impl EyeHull {
         self
     }
 
-    /// An upper bound of p . n over the region, for any n: n's horizontal part is written as a sum of the two nearest
-    /// directions with weights of at least 0, for which supports add up (a support function is sublinear).
+    /// An upper bound of p . n over the region, for any n: n's horizontal part is written as a sum
+    /// of the two nearest directions with weights of at least 0, for which supports add up (a
+    /// support function is sublinear).
     pub fn support(&self, n: DVec3) -> f64 {
         let vertical = if n.y >= 0.0 { n.y * self.y[1] } else { n.y * self.y[0] };
         let length = n.x.hypot(n.z);

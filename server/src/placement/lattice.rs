@@ -1,23 +1,26 @@
 //! The solution grid (Aliaga and Lastra 1999, sections 3.2 and 3.2.2; rows A2 and A4).
 //!
-//! In: the model's bounds. Out: points on an integer lattice, each with its level. Level 0 is a cubic grid of spacing r0 with at
-//! least three points along each axis, inflated by two points on each of the six sides. Subdivision alternates:
+//! In: the model's bounds. Out: points on an integer lattice, each with its level. Level 0 is a
+//! cubic grid of spacing r0 with at least three points along each axis, inflated by two points on
+//! each of the six sides. Subdivision alternates:
 //!
 //! ```text
 //!   even point, level 2k, spacing r:    itself, 6 at r/2 along the axes, 8 at r/2 along all three     -> 15 points, level 2k+1
 //!   odd point, level 2k+1:              itself and the 12 at two half steps                           -> 13 points, level 2k+2
 //! ```
 //!
-//! What we changed. The 12 complementary points are new only around points whose coordinates are all even in half steps; around
-//! the points added by an odd level they fall on points that exist. There the missing points of the denser grid lie one half step
-//! away (four around an edge's middle, six around a cube's centre), and they are added too: otherwise subdividing such a point would
-//! change nothing and refinement would not end.
+//! What we changed. The 12 complementary points are new only around points whose coordinates are
+//! all even in half steps; around the points added by an odd level they fall on points that exist.
+//! There the missing points of the denser grid lie one half step away (four around an edge's
+//! middle, six around a cube's centre), and they are added too: otherwise subdividing such a point
+//! would change nothing and refinement would not end.
 
 use glam::{DVec3, I64Vec3};
 use ldi_protocol::Aabb;
 use std::collections::BTreeMap;
 
-/// Deepest level. Level 2k has spacing r0 / 2^k, so coordinates are counted in r0 / 2^(DEEPEST / 2).
+/// Deepest level. Level 2k has spacing r0 / 2^k, so coordinates are counted in r0 / 2^(DEEPEST /
+/// 2).
 pub(super) const DEEPEST: u8 = 20;
 /// Units of the lattice per r0.
 const UNITS: i64 = 1 << (DEEPEST / 2);
@@ -43,7 +46,8 @@ pub(super) struct Lattice {
 }
 
 impl Lattice {
-    /// Level 0: spans `model` with spacing `spacing_m`, at least 3 x 3 x 3 points centred on it, and two more on each side.
+    /// Level 0: spans `model` with spacing `spacing_m`, at least 3 x 3 x 3 points centred on it,
+    /// and two more on each side.
     pub fn new(model: &Aabb, spacing_m: f64) -> Self {
         let size = model.size();
         let count = size.to_array().map(|s| ((s / spacing_m).ceil() as i64 + 1).max(3));
@@ -65,7 +69,8 @@ impl Lattice {
         self.origin + self.points[point].place.as_dvec3() * (self.spacing_m / UNITS as f64)
     }
 
-    /// Distance between neighbours of a level, metres: r0 / 2^k at level 2k, and the half step r0 / 2^(k+1) at level 2k + 1.
+    /// Distance between neighbours of a level, metres: r0 / 2^k at level 2k, and the half step r0
+    /// / 2^(k+1) at level 2k + 1.
     pub fn spacing_of(&self, level: u8) -> f64 {
         self.spacing_m / f64::from(1u32 << level.div_ceil(2))
     }
@@ -88,8 +93,8 @@ impl Lattice {
         at
     }
 
-    /// Subdivides a point by one level; then, if `graded`, its neighbours as the neighbour rule asks, which reverse frusta need and view
-    /// cells do not. False: at the deepest level already.
+    /// Subdivides a point by one level; then, if `graded`, its neighbours as the neighbour rule
+    /// asks, which reverse frusta need and view cells do not. False: at the deepest level already.
     pub fn subdivide(&mut self, point: u32, graded: bool) -> bool {
         if self.points[point as usize].level >= DEEPEST {
             return false;
@@ -149,7 +154,8 @@ impl Lattice {
         out
     }
 
-    /// Checks the neighbour rule: points within a coarse point's spacing are at most one level finer.
+    /// Checks the neighbour rule: points within a coarse point's spacing are at most one level
+    /// finer.
     #[cfg(test)]
     pub fn check(&self) {
         for (i, p) in self.points.iter().enumerate() {
@@ -208,7 +214,8 @@ mod tests {
 
     #[test]
     fn two_levels_return_to_the_denser_cubic_grid() {
-        // Subdivide everything twice: inside, all points of the grid of half spacing exist, all at level 2.
+        // Subdivide everything twice: inside, all points of the grid of half spacing exist, all at
+        // level 2.
         let mut l = cube();
         for level in 0..2 {
             for p in 0..l.points.len() as u32 {

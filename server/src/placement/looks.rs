@@ -1,8 +1,10 @@
 //! How many triangles can a group of eyes see? Bounded from above by subdivision.
 //!
-//! In: a box of eyes and a bin of directions. Out: a bound on the triangles of any single frame among them. One test for the whole box and bin
-//! ([`Cells::count`](super::cells::Cells::count)) adds up what different eyes see in different directions; halving box and bin where that exceeds
-//! the budget tells whether any one frame does. What the leaves prove holds for each eye and direction in them, so nothing is sampled.
+//! In: a box of eyes and a bin of directions. Out: a bound on the triangles of any single frame
+//! among them. One test for the whole box and bin ([`Cells::count`](super::cells::Cells::count))
+//! adds up what different eyes see in different directions; halving box and bin where that exceeds
+//! the budget tells whether any one frame does. What the leaves prove holds for each eye and
+//! direction in them, so nothing is sampled.
 
 use super::{
     bin_planes::BinPlanes,
@@ -11,7 +13,8 @@ use super::{
 };
 use ldi_protocol::Aabb;
 
-/// Splits of a look: eyes, directions, then both again. Deeper: tighter counts, longer planning. By judgement.
+/// Splits of a look: eyes, directions, then both again. Deeper: tighter counts, longer planning.
+/// By judgement.
 const DEEPEST: u8 = 3;
 /// Boxes of eyes smaller than this are not split, metres.
 const SMALLEST_EYES_M: f64 = 0.25;
@@ -109,7 +112,8 @@ impl Counts {
         Ok(Self(out))
     }
 
-    /// Adds the cells that `wider` holds beyond `near`, unless some look that sees one of them would exceed `limit` however it is split.
+    /// Adds the cells that `wider` holds beyond `near`, unless some look that sees one of them
+    /// would exceed `limit` however it is split.
     pub fn grow(&mut self, ctx: &Context, near: &CellMask, wider: &CellMask, limit: u64) -> bool {
         let mut added = wider.clone();
         added.remove(near);
@@ -147,7 +151,8 @@ mod tests {
     use glam::DVec3;
     use ldi_protocol::{ViewBasis, camera::Frustum};
 
-    /// No frame, drawn by brute force, has more than its count says; and subdivision makes counts tighter.
+    /// No frame, drawn by brute force, has more than its count says; and subdivision makes counts
+    /// tighter.
     #[test]
     fn no_frame_exceeds_what_its_look_counts() {
         let (bounds, triangles) = strewn(900, 21);
@@ -161,7 +166,8 @@ mod tests {
             let all =
                 Context::new(&cells, &directions, &settings(u64::MAX), 60.0, CostBenefit::default(), NOTHING_BETWEEN);
             let whole = Look::new(&all, eyes, unit).count(&all, &near);
-            // The largest frame by sampling is below every bound; a budget between the two is proved by subdivision alone.
+            // The largest frame by sampling is below every bound; a budget between the two is
+            // proved by subdivision alone.
             let (yaw, pitch) = directions.unit(usize::from(unit));
             let mut largest = 0;
             for _ in 0..200 {

@@ -1,8 +1,9 @@
-//! Stage 4: image placement (Aliaga and Lastra 1999, "Automatic Image Placement to Provide a Guaranteed Frame Rate", section 3; rows
-//! A2 to A9).
+//! Stage 4: image placement (Aliaga and Lastra 1999, "Automatic Image Placement to Provide a
+//! Guaranteed Frame Rate", section 3; rows A2 to A9).
 //!
-//! In: a scene, its octree's cells, its walk volume, the build's settings. Out: a [`PlacementResult`]: the grid points that
-//! `select` can return with their angular ranges, and [`PlacementPlan`]s with their images.
+//! In: a scene, its octree's cells, its walk volume, the build's settings. Out: a
+//! [`PlacementResult`]: the grid points that `select` can return with their angular ranges, and
+//! [`PlacementPlan`]s with their images.
 //!
 //! ```text
 //!   walk volume -> eye_tree ──────────────┐
@@ -14,13 +15,15 @@
 //!                         plan: cameras, and windows (paper: the frusta's reach; cells: faces of the box); footprint bounds
 //! ```
 //!
-//! `--grid cells`, the default: every eye belongs to its closest point, groups of points share a near box, and the box's faces are images
-//! of all the rest (`near_box`).
+//! `--grid cells`, the default: every eye belongs to its closest point, groups of points share a
+//! near box, and the box's faces are images of all the rest (`near_box`).
 //!
-//! `--grid paper`: the eye takes the closest grid point in its reverse frustum; the point's frustum encloses the eye's, so what
-//! holds there holds for the eye. What we changed, each explained in its file: users per point and direction certified by interval
-//! subdivision instead of spheres (`coverage`), pitch bands (`arcs`), a footprint bound per image (`footprint`), images that serve
-//! all ranges they can (`point`), centres of projection in the middle of the users (`plan`).
+//! `--grid paper`: the eye takes the closest grid point in its reverse frustum; the point's
+//! frustum encloses the eye's, so what holds there holds for the eye. What we changed, each
+//! explained in its file: users per point and direction certified by interval subdivision instead
+//! of spheres (`coverage`), pitch bands (`arcs`), a footprint bound per image (`footprint`),
+//! images that serve all ranges they can (`point`), centres of projection in the middle of the
+//! users (`plan`).
 
 mod arcs;
 mod audit;

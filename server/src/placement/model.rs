@@ -1,4 +1,5 @@
-//! What the placement stage hands on: grid points with their angular ranges, and [`PlacementPlan`]s.
+//! What the placement stage hands on: grid points with their angular ranges, and
+//! [`PlacementPlan`]s.
 
 use super::gaze::Gaze;
 use glam::DVec3;
@@ -20,7 +21,8 @@ pub struct DirectionRange {
 /// Cells that images replace, and those images.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlacementPlan {
-    /// Position in [`PlacementResult::points`] of the point it was solved at, or of the first that uses it; None for a portal's.
+    /// Position in [`PlacementResult::points`] of the point it was solved at, or of the first that
+    /// uses it; None for a portal's.
     pub grid_point: Option<u32>,
     /// Centre of projection of all its images: the middle of the users.
     pub cop: DVec3,
@@ -28,14 +30,16 @@ pub struct PlacementPlan {
     pub culled: Vec<u32>,
     /// Box of all eyes that may use it.
     pub users: Aabb,
-    /// Places inside that box where eyes stand, spread over all of them: what they see of the replaced cells is what the images hold. Empty: anywhere
-    /// in the box, and past cells that stay as if they were not there.
+    /// Places inside that box where eyes stand, spread over all of them: what they see of the
+    /// replaced cells is what the images hold. Empty: anywhere in the box, and past cells that
+    /// stay as if they were not there.
     pub eyes: Vec<DVec3>,
     /// More such places, nearer to each other: sky that only those see is known as well.
     pub lookouts: Vec<DVec3>,
     /// The directions in which they look.
     pub gaze: Gaze,
-    /// A flat convex polygon that they look through: the images hold nothing else. Empty: everything.
+    /// A flat convex polygon that they look through: the images hold nothing else. Empty:
+    /// everything.
     pub through: Vec<DVec3>,
     /// Largest bound of its images.
     pub footprint_px: f64,
@@ -58,26 +62,30 @@ pub struct ImagePlan {
     pub basis: ViewBasis,
     /// Centre of projection.
     pub cop: DVec3,
-    /// Distance from the centre of projection to the image plane along `basis.forward`, metres; positive.
+    /// Distance from the centre of projection to the image plane along `basis.forward`, metres;
+    /// positive.
     pub plane_distance: f64,
-    /// Distances of the planes of the images beside it, left, right, bottom, top, metres; infinite where there is none.
+    /// Distances of the planes of the images beside it, left, right, bottom, top, metres; infinite
+    /// where there is none.
     pub beside: [f64; 4],
     /// Samples per unit of the image plane at distance 1 from the centre of projection.
     pub pixels_per_unit: f64,
-    /// Tangent extents of the image at distance 1 from the centre of projection: left, right (along `basis.right`), bottom, top
-    /// (along `basis.up`).
+    /// Tangent extents of the image at distance 1 from the centre of projection: left, right
+    /// (along `basis.right`), bottom, top (along `basis.up`).
     pub window: [f64; 4],
     /// Box of all eyes that may use it.
     pub users: Aabb,
     /// The directions from which they do; disjoint but for borders.
     pub directions: Vec<DirectionRange>,
-    /// Bound on the footprint of any sample from any of these eyes in any of these directions, output pixels.
+    /// Bound on the footprint of any sample from any of these eyes in any of these directions,
+    /// output pixels.
     pub footprint_px: f64,
 }
 
 impl ImagePlan {
-    /// Whether a place (right, up, forward from the centre of projection) is this image's to show: it lies beyond the plane, and if it lies beyond the plane
-    /// of an image beside, it is farther along this one's axis. A direction is a place far away.
+    /// Whether a place (right, up, forward from the centre of projection) is this image's to show:
+    /// it lies beyond the plane, and if it lies beyond the plane of an image beside, it is farther
+    /// along this one's axis. A direction is a place far away.
     pub fn owns(&self, p: DVec3) -> bool {
         let [left, right, bottom, top] = self.beside.map(|d| d.max(p.z));
         p.z >= self.plane_distance && -p.x <= left && p.x <= right && -p.y <= bottom && p.y <= top
@@ -112,7 +120,8 @@ pub struct PlacementResult {
 pub struct PlacementStatistics {
     /// Why there are no points, if there are none.
     pub nothing_to_do: Option<String>,
-    /// Floor of the walk volume that was given up, as no image can serve its eyes within the budget, square metres.
+    /// Floor of the walk volume that was given up, as no image can serve its eyes within the
+    /// budget, square metres.
     #[serde(default)]
     pub beyond_budget_m2: f64,
     /// The smallest budget that would do there, triangles; 0 without such places.
@@ -122,14 +131,15 @@ pub struct PlacementStatistics {
     pub spacing_m: f64,
     /// Grid points in use per level.
     pub by_level: BTreeMap<u8, u32>,
-    /// The paper's star-shape radius per level (2 r at even, 3 r at odd levels), metres; the guarantee rests on
-    /// `GridPoint::radius` instead.
+    /// The paper's star-shape radius per level (2 r at even, 3 r at odd levels), metres; the
+    /// guarantee rests on `GridPoint::radius` instead.
     pub paper_radius_m: BTreeMap<u8, f64>,
     /// Largest ratio of a certified radius to the paper's.
     pub largest_radius_ratio: f64,
     /// Lattice points left out, by reason.
     pub skipped: BTreeMap<String, u64>,
-    /// Histogram of |drawn - Popt| / Popt over solved subsets, in steps of 1% (the last entry: 20% and more).
+    /// Histogram of |drawn - Popt| / Popt over solved subsets, in steps of 1% (the last entry: 20%
+    /// and more).
     pub popt_closeness: Vec<u32>,
     /// Share of solved subsets within 2% of Popt.
     pub within_two_percent: f64,

@@ -1,10 +1,13 @@
-//! Near boxes: what a group of view cells draws as geometry, and the images that stand for all the rest (DESIGN, "Near and far").
+//! Near boxes: what a group of view cells draws as geometry, and the images that stand for all the
+//! rest (DESIGN, "Near and far").
 //!
-//! In: grid points with the eyes that use them. Out: an axis-aligned box around those eyes. Cells that touch the box are near and
-//! drawn; cells wholly beyond one of its six faces are far and replaced. From the centre of projection, amid the eyes, each
-//! face is the quadrilateral of an image. A place outside of the box belongs to the image of the face that it is beyond; if it is beyond several, to that
-//! whose axis it is farthest along: the flatter the box, the more askew its floor and ceiling would look at what is far away. So whatever an eye sees
-//! beyond the box lies in one of the images, at a depth of at least the face's distance.
+//! In: grid points with the eyes that use them. Out: an axis-aligned box around those eyes. Cells
+//! that touch the box are near and drawn; cells wholly beyond one of its six faces are far and
+//! replaced. From the centre of projection, amid the eyes, each face is the quadrilateral of an
+//! image. A place outside of the box belongs to the image of the face that it is beyond; if it is
+//! beyond several, to that whose axis it is farthest along: the flatter the box, the more askew
+//! its floor and ceiling would look at what is far away. So whatever an eye sees beyond the box
+//! lies in one of the images, at a depth of at least the face's distance.
 //!
 //! ```text
 //!      ·  image -z ·          D: distance of a face from the centre of projection
@@ -15,12 +18,14 @@
 //!       · └─────┘ ·
 //! ```
 //!
-//! The paper gives each range of directions an image of its own (Aliaga and Lastra 1999, section 3.3), so directions that overlap hold the same
-//! surfaces many times, and turning the head asks for new images. Here a direction is held once per group, and turning asks for nothing that
-//! is not there already.
+//! The paper gives each range of directions an image of its own (Aliaga and Lastra 1999, section
+//! 3.3), so directions that overlap hold the same surfaces many times, and turning the head asks
+//! for new images. Here a direction is held once per group, and turning asks for nothing that is
+//! not there already.
 //!
-//! The six distances take the place of the paper's six border lists (section 3.3.2): the box starts at the smallest that the footprint
-//! bound allows, and grows by the move that saves the most samples while every direction of every eye stays within Popt; the smallest box must keep
+//! The six distances take the place of the paper's six border lists (section 3.3.2): the box
+//! starts at the smallest that the footprint bound allows, and grows by the move that saves the
+//! most samples while every direction of every eye stays within Popt; the smallest box must keep
 //! within P alone.
 
 use super::{
@@ -33,26 +38,32 @@ use glam::DVec3;
 use ldi_protocol::{Aabb, ViewBasis};
 use std::f64::consts::FRAC_PI_2;
 
-/// All replaced cells lie beyond a face by this much, metres: above the rounding of bounds and of the face itself.
+/// All replaced cells lie beyond a face by this much, metres: above the rounding of bounds and of
+/// the face itself.
 const FACE_GAP_M: f64 = 1e-4;
 /// A move takes faces this much farther. Smaller: fewer pixels, longer planning. By judgement.
 pub(super) const STEP: f64 = 1.25;
-/// The box that a plan uses goes on in steps of these powers of [`STEP`]: 1.12, 1.06, 1.03, 1.01. The last is below what the edges of cells leave of the budget
-/// anyway (70 of the clinic's 71 boxes come within 1% of Popt).
+/// The box that a plan uses goes on in steps of these powers of [`STEP`]: 1.12, 1.06, 1.03, 1.01.
+/// The last is below what the edges of cells leave of the budget anyway (70 of the clinic's 71
+/// boxes come within 1% of Popt).
 const FINER: [f64; 4] = [0.5, 0.25, 0.125, 0.05];
-/// Samples to expect of an image per pixel of its window, and per pixel that the bounds of a replaced cell cover, cells that overlap counted each. Half of
-/// what the clinic's images at a twentieth hold: of the two guesses neither alone gave the best plans.
+/// Samples to expect of an image per pixel of its window, and per pixel that the bounds of a
+/// replaced cell cover, cells that overlap counted each. Half of what the clinic's images at a
+/// twentieth hold: of the two guesses neither alone gave the best plans.
 const SAMPLES_PER_PIXEL: [f64; 2] = [0.05, 0.008];
-/// Of so many replaced cells and fewer the images' windows are found cell by cell. More: planning of large scenes takes longer; fewer:
-/// windows and expected samples are rougher.
+/// Of so many replaced cells and fewer the images' windows are found cell by cell. More: planning
+/// of large scenes takes longer; fewer: windows and expected samples are rougher.
 const FEW_CELLS: usize = 16_384;
-/// Of more, neighbouring cells count as one where their bounds are at most this share of their distance in size. Larger: rougher windows.
+/// Of more, neighbouring cells count as one where their bounds are at most this share of their
+/// distance in size. Larger: rougher windows.
 const COMPACT: f64 = 0.1;
-/// What a placement costs besides its samples: the rays that find what eyes see, a switch for whoever walks past. In samples, by judgement.
+/// What a placement costs besides its samples: the rays that find what eyes see, a switch for
+/// whoever walks past. In samples, by judgement.
 pub(super) const PLACEMENT_SAMPLES: f64 = 500_000.0;
 /// Faces, by (axis, side).
 pub(super) const FACES: [(usize, usize); 6] = [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)];
-/// Sets of faces that may move together, as bits of [`FACES`]: all, the walls, floor and ceiling, each.
+/// Sets of faces that may move together, as bits of [`FACES`]: all, the walls, floor and ceiling,
+/// each.
 pub(super) const MOVES: [u8; 9] = [0b11_1111, 0b11_0011, 0b00_1100, 1, 2, 4, 8, 16, 32];
 
 /// A grid point, its eyes, and what it must be relieved of.
@@ -71,7 +82,8 @@ pub(super) struct Member {
 }
 
 impl Member {
-    /// Counts what the eyes of `hull` see, unit by unit; `closely`: by subdivision, so that no unit is taken for over the budget that is not.
+    /// Counts what the eyes of `hull` see, unit by unit; `closely`: by subdivision, so that no
+    /// unit is taken for over the budget that is not.
     pub fn new(ctx: &Context, hull: EyeHull, closely: bool) -> Self {
         let mut m = Self { hull, eyes: hull.bounds(), units: Vec::new(), seen: ctx.cells.none(), largest: 0 };
         let mut visible = ctx.cells.none();
@@ -102,13 +114,14 @@ pub(super) fn face_basis(face: usize) -> ViewBasis {
 /// A box and what it costs.
 #[derive(Debug, Clone)]
 pub(super) struct NearBox {
-    /// Centre of projection: where an eye can be, closest to the middle of the eyes. Between two storeys, in the slab, it would see the ceiling that
-    /// all eyes see from below edge-on or not at all.
+    /// Centre of projection: where an eye can be, closest to the middle of the eyes. Between two
+    /// storeys, in the slab, it would see the ceiling that all eyes see from below edge-on or not
+    /// at all.
     pub cop: DVec3,
     /// Distance of each of [`FACES`] from it.
     pub distance: [f64; 6],
-    /// Per face: sampling density relative to the build's, footprint bound, and the tangents that far cells fill (left, right, bottom, top);
-    /// None where nothing is seen beyond it.
+    /// Per face: sampling density relative to the build's, footprint bound, and the tangents that
+    /// far cells fill (left, right, bottom, top); None where nothing is seen beyond it.
     pub images: [Option<FaceImage>; 6],
     /// Cells it replaces.
     pub culled: CellMask,
@@ -138,21 +151,24 @@ pub(super) struct Fit<'a> {
     ahead: [f64; 6],
 }
 
-/// Whether a box can serve all eyes of `member` and those up to `extra_m` farther out within a budget. Err: some direction that exceeds it.
+/// Whether a box can serve all eyes of `member` and those up to `extra_m` farther out within a
+/// budget. Err: some direction that exceeds it.
 pub(super) fn feasible(ctx: &Context, member: &Member, extra_m: f64, budget: u64) -> Result<(), TooNear> {
     let members = [member];
     let fit = Fit::new(ctx, &members, extra_m);
     fit.counts(&fit.near(&fit.smallest()), budget).map(|_| ())
 }
 
-/// The smallest budget with which a box can serve all eyes of `member`; None if this one is as large.
+/// The smallest budget with which a box can serve all eyes of `member`; None if this one is as
+/// large.
 pub(super) fn enough(ctx: &Context, member: &Member, budget: u64) -> Option<TooNear> {
     let members = [member];
     let fit = Fit::new(ctx, &members, 0.0);
     fit.needs(&fit.near(&fit.smallest()), budget)
 }
 
-/// The smallest budget that any box around the eyes of `member` could keep; None if the budget is as large.
+/// The smallest budget that any box around the eyes of `member` could keep; None if the budget is
+/// as large.
 pub(super) fn needed(ctx: &Context, member: &Member) -> Option<TooNear> {
     let members = [member];
     let fit = Fit::new(ctx, &members, 0.0);
@@ -160,7 +176,8 @@ pub(super) fn needed(ctx: &Context, member: &Member) -> Option<TooNear> {
     fit.needs(&fit.near(&fit.ahead), ctx.budget)
 }
 
-/// Fits a box to a group of members. Err: some direction stays above the budget even with the smallest box.
+/// Fits a box to a group of members. Err: some direction stays above the budget even with the
+/// smallest box.
 pub(super) fn fit(ctx: &Context, members: &[&Member]) -> Result<NearBox, TooNear> {
     let fit = Fit::new(ctx, members, 0.0);
     let smallest = fit.smallest();
@@ -171,7 +188,8 @@ pub(super) fn fit(ctx: &Context, members: &[&Member]) -> Result<NearBox, TooNear
     Ok(descent.finish())
 }
 
-/// The box of a group, grown on in ever smaller steps: what is left of the budget after the last whole step is worth some pixels yet.
+/// The box of a group, grown on in ever smaller steps: what is left of the budget after the last
+/// whole step is worth some pixels yet.
 pub(super) fn fill(ctx: &Context, members: &[&Member], near_box: &NearBox) -> NearBox {
     let fit = Fit::new(ctx, members, 0.0);
     let near = fit.near(&near_box.distance);
@@ -199,7 +217,8 @@ impl<'a> Descent<'a> {
         Self { fit, distance, near, counts, images, cost }
     }
 
-    /// Takes faces `step` times farther, always by the move that saves the most, until none that keeps Popt saves anything.
+    /// Takes faces `step` times farther, always by the move that saves the most, until none that
+    /// keeps Popt saves anything.
     fn descend(&mut self, step: f64) {
         let fit = &self.fit;
         let mut stuck = 0u16;
@@ -266,7 +285,8 @@ impl<'a> Fit<'a> {
         })
     }
 
-    /// The cost of a box that stands `steps` times farther off than the smallest, face by face; None if it exceeds the budget.
+    /// The cost of a box that stands `steps` times farther off than the smallest, face by face;
+    /// None if it exceeds the budget.
     pub fn try_steps(&self, steps: &[f64; 6]) -> Option<f64> {
         let smallest = self.smallest();
         let distance = std::array::from_fn(|f| smallest[f] * steps[f]);
@@ -396,7 +416,8 @@ impl Region {
         out
     }
 
-    /// Tangents (left, right, bottom, top) around the part of a local box that is in the region; None if none is.
+    /// Tangents (left, right, bottom, top) around the part of a local box that is in the region;
+    /// None if none is.
     pub fn tangents_of(&self, b: &Aabb) -> Option<[f64; 4]> {
         let (near, far) = (b.min.z.max(self.distance), b.max.z);
         if far <= self.distance {

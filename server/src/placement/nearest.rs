@@ -1,12 +1,15 @@
-//! View cells: every eye belongs to its closest grid point (DESIGN, "Two ways to cover the eyes", the second).
+//! View cells: every eye belongs to its closest grid point (DESIGN, "Two ways to cover the eyes",
+//! the second).
 //!
-//! In: the walk volume as a tree of boxes, the grid points. Out: per point a convex region that holds every eye whose closest point it
-//! is. Directions do not matter, every eye has a closest point, and so the certificate needs three dimensions only: a point is ruled
-//! out for a box of eyes when some other point is closer for all of them. That is exact to test: |E - b|^2 - |E - a|^2 is linear in E, so
-//! its largest value over a box is at a corner.
+//! In: the walk volume as a tree of boxes, the grid points. Out: per point a convex region that
+//! holds every eye whose closest point it is. Directions do not matter, every eye has a closest
+//! point, and so the certificate needs three dimensions only: a point is ruled out for a box of
+//! eyes when some other point is closer for all of them. That is exact to test: |E - b|^2 - |E -
+//! a|^2 is linear in E, so its largest value over a box is at a corner.
 //!
-//! Compared with the paper's grid, users surround their point instead of filling a wedge up to 2 r ahead of it, so images may stand
-//! nearer to the point or points farther apart; and no points are needed inside walls, below floors and above ceilings.
+//! Compared with the paper's grid, users surround their point instead of filling a wedge up to 2 r
+//! ahead of it, so images may stand nearer to the point or points farther apart; and no points are
+//! needed inside walls, below floors and above ceilings.
 
 use super::{
     eye_tree::{EyeTree, longest_axis},
@@ -16,13 +19,14 @@ use glam::DVec3;
 use ldi_protocol::Aabb;
 use rayon::prelude::*;
 
-/// Boxes are halved until one point is left or their half size falls below this share of the distance to the closest point. Larger:
-/// regions overlap more than they need to.
+/// Boxes are halved until one point is left or their half size falls below this share of the
+/// distance to the closest point. Larger: regions overlap more than they need to.
 const FINEST_BOX: f64 = 1.0 / 24.0;
 /// Size of the blocks worked on in parallel, metres.
 const BLOCK_M: f64 = 8.0;
 
-/// Region and largest distance of the eyes of each point, and the number of boxes in the certificate.
+/// Region and largest distance of the eyes of each point, and the number of boxes in the
+/// certificate.
 pub(super) fn nearest(tree: &EyeTree, points: &[DVec3]) -> (Vec<(EyeHull, f64)>, u64) {
     let parts: Vec<(Vec<(u32, Aabb)>, u64)> = tree
         .blocks(BLOCK_M)

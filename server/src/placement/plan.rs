@@ -1,4 +1,5 @@
-//! From a solution at a grid point to an image that can be made: centre of projection, density, window.
+//! From a solution at a grid point to an image that can be made: centre of projection, density,
+//! window.
 
 use super::{
     bands::YAW_BIN_DEG,
@@ -11,10 +12,11 @@ use super::{
 use glam::DVec3;
 use ldi_protocol::{Aabb, ViewBasis};
 
-/// Directions are sampled at this step to find how far users' frusta reach, degrees; the margin below covers what lies between.
+/// Directions are sampled at this step to find how far users' frusta reach, degrees; the margin
+/// below covers what lies between.
 const STEP_DEG: f64 = 2.5;
-/// Margin of the window, as a share of its tangents and absolute: a direction between two samples reaches at most
-/// (STEP / 2 = 0.022 rad) farther, times 1 + tangent squared.
+/// Margin of the window, as a share of its tangents and absolute: a direction between two samples
+/// reaches at most (STEP / 2 = 0.022 rad) farther, times 1 + tangent squared.
 const WINDOW_MARGIN: f64 = 0.025;
 
 /// The plan for an image of the point with number `grid_point`.
@@ -53,7 +55,8 @@ pub(super) fn plan(ctx: &Context, image: &Image, grid_point: u32, grid_position:
 /// Faces reach over their borders by this many pixels, so that surfaces join across them.
 const FACE_OVERLAP_PIXELS: f64 = 2.0;
 
-/// Most places that images are made from. More: fewer holes, longer building (docs/adr/0009-images-hold-what-eyes-see.md).
+/// Most places that images are made from. More: fewer holes, longer building
+/// (docs/adr/0009-images-hold-what-eyes-see.md).
 const MOST_EYES: usize = 256;
 
 /// The plan for a near box that `members` use.
@@ -112,7 +115,8 @@ fn eyes_of(ctx: &Context, boxes: &[Aabb], cop: DVec3) -> Vec<DVec3> {
     spread(&ctx.eyes.map_or(vec![], |tree| standing(tree, boxes)), cop, MOST_EYES)
 }
 
-/// The outermost places where eyes within some boxes may stand: the corners of what each box of the walk volume shares with one of them. From there eyes see farthest around things.
+/// The outermost places where eyes within some boxes may stand: the corners of what each box of
+/// the walk volume shares with one of them. From there eyes see farthest around things.
 fn standing(tree: &EyeTree, eyes: &[Aabb]) -> Vec<DVec3> {
     let mut out = Vec::new();
     for leaf in tree.leaves_touching(|b| eyes.iter().any(|e| e.intersects(b))) {
@@ -125,7 +129,8 @@ fn standing(tree: &EyeTree, eyes: &[Aabb]) -> Vec<DVec3> {
     out
 }
 
-/// Up to `most` of `places`, each as far as can be from `centre` and from those before it: what they see differs most.
+/// Up to `most` of `places`, each as far as can be from `centre` and from those before it: what
+/// they see differs most.
 pub(crate) fn spread(places: &[DVec3], centre: DVec3, most: usize) -> Vec<DVec3> {
     let mut apart: Vec<f64> = places.iter().map(|p| p.distance_squared(centre)).collect();
     let mut out = Vec::new();
@@ -154,7 +159,8 @@ fn directions(ctx: &Context, units: &[(u16, [f64; 2])]) -> Vec<DirectionRange> {
     out
 }
 
-/// Tangent extents of the culled cells about `cop`, cut to what the users' frusta can reach beyond the plane.
+/// Tangent extents of the culled cells about `cop`, cut to what the users' frusta can reach beyond
+/// the plane.
 fn window(ctx: &Context, image: &Image, cop: DVec3, plane_m: f64) -> [f64; 4] {
     let mut out = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
     for cell in &image.culled {
@@ -164,7 +170,8 @@ fn window(ctx: &Context, image: &Image, cop: DVec3, plane_m: f64) -> [f64; 4] {
     let basis = &image.basis;
     for (at, side) in [(0, -basis.right), (1, basis.right), (2, -basis.up), (3, basis.up)] {
         let Some(slope) = steepest(ctx, basis, &image.units, side) else { continue };
-        // A point seen at depth z has offset s <= e_s + slope (z - e_z), e the eye: s / z <= slope + (e_s - slope e_z) / z.
+        // A point seen at depth z has offset s <= e_s + slope (z - e_z), e the eye: s / z <=
+        // slope + (e_s - slope e_z) / z.
         let apart = support_about(&image.users, side - basis.forward * slope, cop).max(0.0);
         let reach = slope + apart / plane_m;
         if at % 2 == 0 { out[at] = out[at].max(-reach) } else { out[at] = out[at].min(reach) }
@@ -183,8 +190,8 @@ fn support_about(users: &EyeHull, n: DVec3, cop: DVec3) -> f64 {
     users.support(n) - cop.dot(n)
 }
 
-/// The largest ratio of a ray's component along `side` to that along the image's axis over all rays of all users' pictures; None when
-/// some ray runs along the plane or away from it.
+/// The largest ratio of a ray's component along `side` to that along the image's axis over all
+/// rays of all users' pictures; None when some ray runs along the plane or away from it.
 pub(super) fn steepest(ctx: &Context, basis: &ViewBasis, units: &[(u16, [f64; 2])], side: DVec3) -> Option<f64> {
     let mut steepest = f64::NEG_INFINITY;
     let (t, u) = ctx.picture_tan;
@@ -238,7 +245,8 @@ mod tests {
             let pairs = all.iter().enumerate().flat_map(|(i, a)| all[..i].iter().map(|b| a.distance(*b)));
             pairs.fold(f64::INFINITY, f64::min)
         };
-        // The corners come first; the first of these places in order lie half a metre apart, these farther.
+        // The corners come first; the first of these places in order lie half a metre apart, these
+        // farther.
         assert!(apart(&some[..4]) > 4.0 && apart(&some[..64]) > 1.0, "{} {}", apart(&some[..4]), apart(&some[..64]));
         assert_eq!(spread(&places[..3], eyes.centre(), MOST_EYES).len(), 3);
         assert!(spread(&[], DVec3::ZERO, MOST_EYES).is_empty());

@@ -1,17 +1,20 @@
 //! Image placement at one grid point (Aliaga and Lastra 1999, section 3.3; rows A5 to A9).
 //!
-//! In: a grid point, its certified users per unit of directions, the cells, the budgets. Out: images, and for each pitch band the
-//! angular ranges with the image to use; or the news that some range cannot be brought within the budget from here, so that the grid
-//! must become finer.
+//! In: a grid point, its certified users per unit of directions, the cells, the budgets. Out:
+//! images, and for each pitch band the angular ranges with the image to use; or the news that some
+//! range cannot be brought within the budget from here, so that the grid must become finer.
 //!
 //! The range with the most triangles comes first; its subset is solved with the full model. Then:
 //!
-//! - The image's plane may stand no nearer than its users demand: all of them in front of it, and the footprint bound kept
-//!   (`footprint`). The paper asks only that the plane lie outside a sphere.
-//! - The subset is widened to everything beyond its plane within the largest window, and the plane moved back as far as the
-//!   optimization budget allows. An image then serves the ranges beside its own too, also in other pitch bands: each range whose
-//!   users keep the footprint bound and whose count comes within P takes it. That is what keeps the number of images low.
-//! - What is left over the budget is solved in turn, again with the full model, so that a frame needs one image at most.
+//! - The image's plane may stand no nearer than its users demand: all of them in front of it, and
+//!   the footprint bound kept (`footprint`). The paper asks only that the plane lie outside a
+//!   sphere.
+//! - The subset is widened to everything beyond its plane within the largest window, and the plane
+//!   moved back as far as the optimization budget allows. An image then serves the ranges beside
+//!   its own too, also in other pitch bands: each range whose users keep the footprint bound and
+//!   whose count comes within P takes it. That is what keeps the number of images low.
+//! - What is left over the budget is solved in turn, again with the full model, so that a frame
+//!   needs one image at most.
 
 use super::{
     arcs::BandPlanes,
@@ -30,10 +33,12 @@ use glam::DVec3;
 use ldi_protocol::{Aabb, ViewBasis, camera::Frustum, index::BuildSettings, select::CELLS};
 use std::sync::OnceLock;
 
-/// Largest half extent of an image, as a tangent. Wider images serve more directions, but their outer samples are dense where nobody
-/// looks, and every frame warps the whole image: 1 (45 degrees) is a little under twice the picture's own extent.
+/// Largest half extent of an image, as a tangent. Wider images serve more directions, but their
+/// outer samples are dense where nobody looks, and every frame warps the whole image: 1 (45
+/// degrees) is a little under twice the picture's own extent.
 const WIDEST: f64 = 1.0;
-/// All culled cells lie beyond the plane by this much, metres: above the rounding of bounds and of the plane itself.
+/// All culled cells lie beyond the plane by this much, metres: above the rounding of bounds and of
+/// the plane itself.
 const PLANE_GAP_M: f64 = 1e-4;
 
 /// How eyes are given to grid points (`--grid`).
@@ -68,7 +73,8 @@ pub(super) struct Context<'a> {
     pub bins: Vec<BinPlanes>,
     /// Half tangent of the square planning frustum.
     pub half_tan: f64,
-    /// Half tangents of the picture across and up: what of an image can be seen. Cells are counted in the square.
+    /// Half tangents of the picture across and up: what of an image can be seen. Cells are counted
+    /// in the square.
     pub picture_tan: (f64, f64),
     /// Footprint bounds.
     pub footprint: Footprint,
@@ -162,7 +168,8 @@ pub(super) struct Image {
 pub(super) struct Solution {
     /// Images in the order they were solved.
     pub images: Vec<Image>,
-    /// Per pitch band: where each range starts (degrees), and its image; equal neighbours joined. Empty: no image at all.
+    /// Per pitch band: where each range starts (degrees), and its image; equal neighbours joined.
+    /// Empty: no image at all.
     pub bands: Vec<Vec<(f64, Option<u32>)>>,
     /// Largest number of triangles left in any range in use.
     pub max_triangles: u64,
@@ -204,11 +211,13 @@ pub(super) fn solve(ctx: &Context, point: DVec3, uses: &PointUses) -> Result<Sol
     Ok(work.finish())
 }
 
-/// Only every so many units are looked at by [`hopeless`]: coprime to the bins, so that all bands and yaws take part.
+/// Only every so many units are looked at by [`hopeless`]: coprime to the bins, so that all bands
+/// and yaws take part.
 const PROOF_STRIDE: usize = 7;
 
-/// A quick proof that some unit cannot be brought within the budget: the cells that the frustum along the middle of the unit keeps and
-/// that no image of that unit may replace. Exact as far as it goes (the same cells, axis and plane as in [`Work::solve_range`]).
+/// A quick proof that some unit cannot be brought within the budget: the cells that the frustum
+/// along the middle of the unit keeps and that no image of that unit may replace. Exact as far as
+/// it goes (the same cells, axis and plane as in [`Work::solve_range`]).
 fn hopeless(ctx: &Context, point: DVec3, uses: &PointUses, eyes: &Aabb) -> Option<TooNear> {
     for (unit, users) in &uses.units {
         let unit = *unit as usize;
@@ -222,7 +231,8 @@ fn hopeless(ctx: &Context, point: DVec3, uses: &PointUses, eyes: &Aabb) -> Optio
             ctx.footprint.nearest_plane_m(phi, ahead).map_or(f64::INFINITY, |d| (d + middle).max(1e-3)) + PLANE_GAP_M;
         let behind = nearest + point.dot(basis.forward);
         let frustum = Frustum::new(DVec3::ZERO, &basis, ctx.half_tan, ctx.half_tan);
-        // Support of the differences between cell and eyes = support of the cell plus that of the mirrored eyes.
+        // Support of the differences between cell and eyes = support of the cell plus that of the
+        // mirrored eyes.
         let offsets = frustum.normals.map(|n| -eyes.support(-n));
         let kept = |b: &Aabb| (0..4).all(|k| b.support(frustum.normals[k]) >= offsets[k]);
         let stays = ctx.cells.sum(kept, |b| -b.support(-basis.forward) < behind && kept(b));
@@ -359,7 +369,8 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// Cells wholly beyond `nearest` from the point along the axis and within the widest window from `cop`.
+    /// Cells wholly beyond `nearest` from the point along the axis and within the widest window
+    /// from `cop`.
     fn items(&self, basis: &ViewBasis, cop: DVec3, nearest: f64) -> Vec<Item> {
         let cells = self.ctx.cells;
         let mut out = Vec::new();
@@ -425,7 +436,8 @@ impl Work<'_> {
         self.images[number as usize] = image;
     }
 
-    /// Joins the ranges into lists. A direction that nobody uses takes whatever its neighbour takes.
+    /// Joins the ranges into lists. A direction that nobody uses takes whatever its neighbour
+    /// takes.
     fn finish(self) -> Solution {
         let mut of_demand = self.demands.iter().peekable();
         let mut bands = Vec::with_capacity(self.views.len());
@@ -486,7 +498,8 @@ pub(super) fn centre(users: &EyeHull, basis: &ViewBasis) -> DVec3 {
         .sum()
 }
 
-/// Largest angle between the axis and a direction of a unit, radians: it is attained at a corner of the unit.
+/// Largest angle between the axis and a direction of a unit, radians: it is attained at a corner
+/// of the unit.
 pub(super) fn angle_to_unit(ctx: &Context, basis: &ViewBasis, unit: usize) -> f64 {
     let (yaw, pitch) = ctx.directions.unit(unit);
     let mut smallest: f64 = 1.0;

@@ -1,8 +1,11 @@
-//! Coverage, evaluation and subdivision in turns, until every grid point in use has a solution (row A4).
+//! Coverage, evaluation and subdivision in turns, until every grid point in use has a solution
+//! (row A4).
 //!
-//! In: the walk volume, the cells, the settings. Out: the points that `select` can return, each with its images. Adding points only
-//! takes users away from others, so a point that was solved once is not looked at again until the end. Then all points are solved for the
-//! users they are left with. Few fail then, as the middle of fewer users lies elsewhere and sees the cells elsewhere: they are subdivided too.
+//! In: the walk volume, the cells, the settings. Out: the points that `select` can return, each
+//! with its images. Adding points only takes users away from others, so a point that was solved
+//! once is not looked at again until the end. Then all points are solved for the users they are
+//! left with. Few fail then, as the middle of fewer users lies elsewhere and sees the cells
+//! elsewhere: they are subdivided too.
 
 use super::{
     PlacementError,
@@ -58,7 +61,8 @@ pub(super) struct RefinedPoint {
     pub bands: Lists,
 }
 
-/// Blocks of the volume that the certificate treats as one, metres: about half a typical grid spacing of a building.
+/// Blocks of the volume that the certificate treats as one, metres: about half a typical grid
+/// spacing of a building.
 const BLOCK_M: f64 = 4.0;
 
 /// Refines `lattice` until every point in use is solved; `heard` is told of every round.
@@ -136,7 +140,8 @@ pub(super) fn refine(
         let levels: Vec<u8> = lattice.points.iter().map(|p| p.level).collect();
         for (i, too_near) in failed {
             let level = levels[i];
-            // A neighbour's subdivision has refined the surroundings of this one already: see first whether that is enough.
+            // A neighbour's subdivision has refined the surroundings of this one already: see
+            // first whether that is enough.
             if lattice.points[i].level > level {
                 continue;
             }
@@ -196,7 +201,8 @@ impl<'a> Cover<'a> {
         match ctx.scheme {
             Scheme::Cells => Self::Cells { tree, units: directions.units() as u16 },
             Scheme::Paper => {
-                // Few blocks for huge scenes: a block costs time even where one grid point serves it all.
+                // Few blocks for huge scenes: a block costs time even where one grid point serves
+                // it all.
                 let extent = tree.nodes.first().map_or(0.0, |n| n.bounds.size().max_element());
                 Self::Paper(Coverage::new(tree, directions, ctx.half_tan, BLOCK_M.max(extent / 64.0)))
             }
@@ -226,22 +232,27 @@ impl<'a> Cover<'a> {
     }
 }
 
-/// View cells are made so small that a box could serve eyes this many times as far out: boxes are shared by several. On the clinic at a tenth of
-/// its triangles 1, 1.5 and 2.5 gave 281, 301 and 786 cells and images of 2.1, 1.8 and 2.2 thousand million pixels.
+/// View cells are made so small that a box could serve eyes this many times as far out: boxes are
+/// shared by several. On the clinic at a tenth of its triangles 1, 1.5 and 2.5 gave 281, 301 and
+/// 786 cells and images of 2.1, 1.8 and 2.2 thousand million pixels.
 const SHARED_REACH: f64 = 1.5;
 
-/// Cells of this spacing and below need not be small enough for sharing, metres: their number would outgrow the images saved.
+/// Cells of this spacing and below need not be small enough for sharing, metres: their number
+/// would outgrow the images saved.
 const FINEST_SHARED_M: f64 = 1.3;
 
-/// Cells of this spacing and above are subdivided even where an eye amid them sees too much, metres:
-/// eyes that far apart may see less. Larger: more of the walk volume is given up; smaller: dense
-/// places take longer to plan.
+/// Cells of this spacing and above are subdivided even where an eye amid them sees too much,
+/// metres: eyes that far apart may see less. Larger: more of the walk volume is given up; smaller:
+/// dense places take longer to plan.
 const COARSEST_HOPELESS_M: f64 = 0.65;
 
-/// A view cell whose own box is expected to hold more samples than this is subdivided if boxes for its halves or quarters hold fewer together.
-/// Less takes 2 to 17 times as long to plan for at most 3% fewer pixels of west_riverside_mep at a fiftieth (docs/adr/0017-groups-halved-then-joined.md).
+/// A view cell whose own box is expected to hold more samples than this is subdivided if boxes for
+/// its halves or quarters hold fewer together. Less takes 2 to 17 times as long to plan for at
+/// most 3% fewer pixels of west_riverside_mep at a fiftieth
+/// (docs/adr/0017-groups-halved-then-joined.md).
 const DEAR_SAMPLES: f64 = 8_000_000.0;
-/// They must hold less than this share: a grid of more view cells takes longer to plan. By judgement.
+/// They must hold less than this share: a grid of more view cells takes longer to plan. By
+/// judgement.
 const WORTH_SUBDIVIDING: f64 = 0.8;
 
 /// Whether a view cell's box is dear, and boxes for its parts are cheaper.
@@ -271,19 +282,23 @@ fn worth_subdividing(ctx: &Context, member: &Member) -> bool {
     best < whole * WORTH_SUBDIVIDING
 }
 
-/// More view cells than this are given up, unused points included: some ten times what any plan that ended took (2,070).
+/// More view cells than this are given up, unused points included: some ten times what any plan
+/// that ended took (2,070).
 const MOST_VIEW_CELLS: usize = 20_000;
 
-/// The same for the paper's grid, whose neighbour rule makes hundreds of unused points for one in use.
+/// The same for the paper's grid, whose neighbour rule makes hundreds of unused points for one in
+/// use.
 const MOST_GRID_POINTS: usize = 4_000_000;
 
-/// With more view cells than this none is subdivided for its samples: the rest is for those that exceed the budget, which end the build if they cannot be.
+/// With more view cells than this none is subdivided for its samples: the rest is for those that
+/// exceed the budget, which end the build if they cannot be.
 const MOST_DEAR_CELLS: usize = MOST_VIEW_CELLS / 4;
 
 /// Points closer than this bring nothing: eyes themselves keep 5 cm from surfaces.
 const FINEST_SPACING_M: f64 = 0.1;
 
-/// Solves all points in use for the users they are left with. Err: the points that cannot be, by their number in the lattice.
+/// Solves all points in use for the users they are left with. Err: the points that cannot be, by
+/// their number in the lattice.
 fn finish(
     ctx: &Context,
     lattice: &Lattice,
@@ -333,14 +348,15 @@ fn infeasible(ctx: &Context, (position, too_near): (DVec3, TooNear)) -> Placemen
     }
 }
 
-/// Eyes that are asked before any grid is made whether the budget can be met: enough for budgets that are wrong by a factor of ten, in a second.
+/// Eyes that are asked before any grid is made whether the budget can be met: enough for budgets
+/// that are wrong by a factor of ten, in a second.
 const PROBES: usize = 64;
 /// They stand in boxes of eyes of about this size, metres.
 const PROBED_M: f64 = 1.0;
 
-/// A quick proof that the budget suits few places: of some eyes, spread over all, the one with the most triangles too near for an image
-/// that serves it alone, if more than [`MOST_LOST`] of them have more than the budget. A view cell that holds the eye needs as many or
-/// more.
+/// A quick proof that the budget suits few places: of some eyes, spread over all, the one with the
+/// most triangles too near for an image that serves it alone, if more than [`MOST_LOST`] of them
+/// have more than the budget. A view cell that holds the eye needs as many or more.
 fn hardest_eye(ctx: &Context, tree: &EyeTree) -> Option<(DVec3, TooNear)> {
     let blocks = tree.blocks(PROBED_M);
     let every = blocks.len().div_ceil(PROBES).max(1);
@@ -417,7 +433,8 @@ fn solve_groups(ctx: &Context, used: &[(usize, PointUses)]) -> Result<Solved, Ve
     Ok(out)
 }
 
-/// Yaw-bin lists of a point: where each list entry starts, and its placement; neighbours that agree are joined.
+/// Yaw-bin lists of a point: where each list entry starts, and its placement; neighbours that
+/// agree are joined.
 fn lists(bands: usize, placement_of: impl Fn(u16) -> Option<u32>) -> Lists {
     let mut out: Lists = Vec::with_capacity(bands);
     for band in 0..bands {
@@ -481,7 +498,8 @@ mod tests {
 
     #[test]
     fn points_that_fail_with_fewer_users_are_subdivided() {
-        // In this church the last round leaves points whose remaining users see cells outside of the widest image.
+        // In this church the last round leaves points whose remaining users see cells outside of
+        // the widest image.
         let scene = crate::scene::load("builtin:church?triangles=20000").unwrap();
         let budget = 6_000;
         let settings = BuildSettings { pitch_deg: 0.0, grid: "paper".into(), ..settings(budget) };
@@ -547,7 +565,8 @@ mod tests {
 
     #[test]
     fn eyes_beside_what_is_too_dense_for_the_budget_are_given_up_and_no_others() {
-        // Eyes are within the boxes of 400 cells in the middle of a yard of 24 m; as many are all over it.
+        // Eyes are within the boxes of 400 cells in the middle of a yard of 24 m; as many are all
+        // over it.
         let spread = |n: usize, side: f64, size: f64| {
             (0..n * n).map(move |i| {
                 let at = |k: usize| (k as f64 / (n - 1) as f64 - 0.5) * side;

@@ -1,9 +1,11 @@
 //! Ways to search for the best near box of a group, compared with the best there is.
 //!
-//! In: a [`Fit`]. A state says how far each face stands off, in steps of the smallest distance; the moves are those of [`fit`](super::near_box::fit), and the
-//! budget allows a state or does not. The box that plans use is found by descent; the others tell what is left to gain.
+//! In: a [`Fit`]. A state says how far each face stands off, in steps of the smallest distance;
+//! the moves are those of [`fit`](super::near_box::fit), and the budget allows a state or does
+//! not. The box that plans use is found by descent; the others tell what is left to gain.
 //!
-//! Whatever is within a box that the budget allows, it allows too: the allowed states are connected, and [`Search::Exhaustive`] visits them all.
+//! Whatever is within a box that the budget allows, it allows too: the allowed states are
+//! connected, and [`Search::Exhaustive`] visits them all.
 
 use super::near_box::{Fit, MOVES, STEP};
 use std::collections::{BTreeMap, BTreeSet};
@@ -14,7 +16,8 @@ use std::collections::{BTreeMap, BTreeSet};
 pub enum Search {
     /// The move that saves the most, until none saves anything.
     Descent,
-    /// The move that begins the sequence of so many moves that saves the most (Aliaga and Lastra 1999, section 3.3.2).
+    /// The move that begins the sequence of so many moves that saves the most (Aliaga and Lastra
+    /// 1999, section 3.3.2).
     LookAhead(u32),
     /// Descent from so many best states at once.
     Beam(u32),
@@ -47,8 +50,8 @@ struct Boxes<'a> {
     most: usize,
 }
 
-/// Searches for the best box of a group with steps of `step` times [`STEP`]'s factor; gives up after asking for `most` states. None: the smallest box exceeds
-/// the budget.
+/// Searches for the best box of a group with steps of `step` times [`STEP`]'s factor; gives up
+/// after asking for `most` states. None: the smallest box exceeds the budget.
 pub(super) fn search(fit: &Fit, by: Search, steps: u32, most: usize) -> Option<Found> {
     let step = STEP.powi(steps as i32);
     let farthest = fit.farthest_steps().map(|times| times.max(1.0).log(step).ceil().min(100.0) as u8);
@@ -121,7 +124,8 @@ impl Boxes<'_> {
 
     fn beam(&mut self, first: (State, f64), width: usize) -> f64 {
         let (mut front, mut best) = (vec![first], first.1);
-        // Costs may stay the same for some moves before they fall: four steps of 1.25^3 take a face 15 times farther.
+        // Costs may stay the same for some moves before they fall: four steps of 1.25^3 take a
+        // face 15 times farther.
         let mut idle = 0;
         while !front.is_empty() && idle < 4 {
             let nexts: BTreeSet<State> = front.iter().flat_map(|(s, _)| self.next(s)).collect();
@@ -188,7 +192,8 @@ impl Boxes<'_> {
 mod tests {
     use super::*;
 
-    /// Allowed while the product of all distances is below a bound, as triangles in a box are; cheaper the larger, with a bump on the way.
+    /// Allowed while the product of all distances is below a bound, as triangles in a box are;
+    /// cheaper the larger, with a bump on the way.
     fn cost(steps: &[f64; 6]) -> Option<f64> {
         let volume: f64 = steps.iter().product();
         let far = |w: [f64; 6]| steps.iter().zip(w).map(|(s, w)| w / s).sum::<f64>();

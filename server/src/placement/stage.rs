@@ -21,7 +21,8 @@ use ldi_protocol::{
 };
 use rayon::prelude::*;
 
-/// Smallest field of view: below it the paper's star-shapes do not hold and the inflated grid need not cover all eyes.
+/// Smallest field of view: below it the paper's star-shapes do not hold and the inflated grid need
+/// not cover all eyes.
 const SMALLEST_FOV_DEG: f64 = 54.0;
 
 /// Choices beyond the build's settings.
@@ -29,14 +30,16 @@ const SMALLEST_FOV_DEG: f64 = 54.0;
 pub struct Parameters {
     /// Constants of the cost-benefit function.
     pub cost_benefit: CostBenefit,
-    /// Spacing of the level-0 grid, metres; None: half the model's longest axis, the paper's 3 x 3 x 3.
+    /// Spacing of the level-0 grid, metres; None: half the model's longest axis, the paper's 3 x 3
+    /// x 3.
     pub spacing_m: Option<f64>,
 }
 
 /// Plans all images of a scene.
 ///
-/// The scene's bounds must be finite; cells come from its octree, eyes are in `volume`. Deterministic: the same input gives the same
-/// result whatever the number of threads. `sees` is asked about storeys; `heard` is told, in a few words, how far it is.
+/// The scene's bounds must be finite; cells come from its octree, eyes are in `volume`.
+/// Deterministic: the same input gives the same result whatever the number of threads. `sees` is
+/// asked about storeys; `heard` is told, in a few words, how far it is.
 ///
 /// # Errors
 /// Settings out of range, or a budget that no image can meet somewhere.
@@ -101,7 +104,8 @@ pub struct SearchComparison<'a> {
     pub together: usize,
 }
 
-/// Searches for the boxes of a plan's groups in several ways, and groups some of its view cells in several ways.
+/// Searches for the boxes of a plan's groups in several ways, and groups some of its view cells in
+/// several ways.
 ///
 /// # Errors
 /// As [`plan_placements`]. A scene within its budget has no groups.

@@ -1,17 +1,21 @@
-//! Which contiguous subset of the visible cells should an image replace? (Aliaga and Lastra 1999, section 3.3.2; rows A7, A8.)
+//! Which contiguous subset of the visible cells should an image replace? (Aliaga and Lastra 1999,
+//! section 3.3.2; rows A7, A8.)
 //!
-//! In: the cells that may be replaced, with their borders as seen along the image's axis, and how many triangles must go. Out: a
-//! 6-tuple of thresholds, one into each of six sorted border lists: left, right, bottom, top (tangents), near, far (depth). All
-//! cells whose borders lie within the six thresholds are members. Starting from everything, one of five borders is moved halfway
-//! in (near, top, bottom, right, left; far never moves), the move being chosen by looking a few moves ahead for the largest
+//! In: the cells that may be replaced, with their borders as seen along the image's axis, and how
+//! many triangles must go. Out: a 6-tuple of thresholds, one into each of six sorted border lists:
+//! left, right, bottom, top (tangents), near, far (depth). All cells whose borders lie within the
+//! six thresholds are members. Starting from everything, one of five borders is moved halfway in
+//! (near, top, bottom, right, left; far never moves), the move being chosen by looking a few moves
+//! ahead for the largest
 //!
 //! ```text
 //!   CB = C (1 - g / G) + B (B1 (1 - max(Iw, Ih) / max(Sw, Sh)) + B2 d / A)
 //! ```
 //!
-//! with g triangles still drawn of G visible, Iw x Ih the subset's extent on a screen of Sw x Sh, d its nearest depth, A the longest
-//! axis of the model. Where the paper stops when no half move keeps enough, we go on with quarter moves, eighths, down to single
-//! entries: that brings the result near the optimization budget.
+//! with g triangles still drawn of G visible, Iw x Ih the subset's extent on a screen of Sw x Sh,
+//! d its nearest depth, A the longest axis of the model. Where the paper stops when no half move
+//! keeps enough, we go on with quarter moves, eighths, down to single entries: that brings the
+//! result near the optimization budget.
 
 /// Constants of the cost-benefit function.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -66,7 +70,8 @@ pub(super) struct Goal {
 /// The borders that move, in the order that ties prefer.
 const MOVES: [usize; 5] = [4, 3, 2, 1, 0];
 
-/// Thresholds: positions in the sorted lists of left, right, bottom, top and near borders. All start at 0 and grow inward.
+/// Thresholds: positions in the sorted lists of left, right, bottom, top and near borders. All
+/// start at 0 and grow inward.
 type Tuple = [u32; 5];
 
 /// What a tuple selects.
@@ -84,7 +89,8 @@ struct Search<'a> {
     goal: &'a Goal,
 }
 
-/// The members of the best subset found, as positions in `items`; None when all items together do not suffice.
+/// The members of the best subset found, as positions in `items`; None when all items together do
+/// not suffice.
 pub(super) fn best_subset(items: &[Item], goal: &Goal) -> Option<Vec<usize>> {
     let search = Search::new(items, goal);
     let mut tuple = [0; 5];
@@ -108,7 +114,8 @@ impl<'a> Search<'a> {
         let mut ranks = vec![[0; 5]; items.len()];
         let mut lengths = [0; 5];
         for border in 0..5 {
-            // Keys grow inward: left, bottom and near borders as they are, right and top ones negated.
+            // Keys grow inward: left, bottom and near borders as they are, right and top ones
+            // negated.
             let key = |i: &Item| match border {
                 4 => i.near,
                 1 | 3 => -i.tangents[border],

@@ -74,7 +74,8 @@ pub(crate) fn settings(budget: u64) -> BuildSettings {
     }
 }
 
-/// Boxes of a metre or so, strewn over 60 x 8 x 60 metres around the origin, of 20 to 100 triangles each.
+/// Boxes of a metre or so, strewn over 60 x 8 x 60 metres around the origin, of 20 to 100
+/// triangles each.
 pub(crate) fn strewn(n: u32, seed: u64) -> (Vec<Aabb>, Vec<u32>) {
     let mut random = Random::new(seed);
     let mut bounds: Vec<Aabb> = (0..n)

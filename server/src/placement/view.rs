@@ -1,8 +1,9 @@
 //! The view-directions set of a grid point (Aliaga and Lastra 1999, section 3.3.1; row A5).
 //!
-//! In: a grid point, the cells, the bands of pitch in use. Out: per band the angular ranges of yaw over which the set of cells that
-//! may be drawn stays the same, and the triangles of each. Ranges also end at the borders of yaw bins, so that each range lies in one
-//! unit of the coverage certificate.
+//! In: a grid point, the cells, the bands of pitch in use. Out: per band the angular ranges of yaw
+//! over which the set of cells that may be drawn stays the same, and the triangles of each. Ranges
+//! also end at the borders of yaw bins, so that each range lies in one unit of the coverage
+//! certificate.
 
 use super::{
     arcs::{Arc, BandPlanes},
@@ -35,9 +36,10 @@ pub(super) struct BandView {
 }
 
 impl BandView {
-    /// The ranges over a band for frusta whose apexes lie in a box of eyes: a grid point in the paper's scheme, all users of a view
-    /// cell in the other. A plane keeps a cell for some eye of the box exactly if it keeps, for an eye at the origin, the box of all
-    /// differences between points of the cell and eyes.
+    /// The ranges over a band for frusta whose apexes lie in a box of eyes: a grid point in the
+    /// paper's scheme, all users of a view cell in the other. A plane keeps a cell for some eye of
+    /// the box exactly if it keeps, for an eye at the origin, the box of all differences between
+    /// points of the cell and eyes.
     pub fn new(cells: &Cells, planes: &BandPlanes, eyes: &Aabb) -> Self {
         let mut view = Self::default();
         cells.arcs(planes, eyes, |cell, set| {
@@ -97,8 +99,8 @@ impl BandView {
         ((self.middle_deg(range) / YAW_BIN_DEG) as usize).min(YAW_BINS - 1)
     }
 
-    /// Triangles per range without the cells in `culled`. Arcs are widened beyond what is visible, so that the cells of a range's inside
-    /// are those of its borders too.
+    /// Triangles per range without the cells in `culled`. Arcs are widened beyond what is visible,
+    /// so that the cells of a range's inside are those of its borders too.
     pub fn count(&self, cells: &Cells, culled: &CellMask) -> Vec<u64> {
         let weight = |cell: u32| if culled.has(cell) { 0 } else { i64::from(cells.triangles[cell as usize]) };
         let mut now: i64 = self.arcs.iter().filter(|(a, _)| a.contains(0.0)).map(|(_, c)| weight(*c)).sum();

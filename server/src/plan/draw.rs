@@ -46,7 +46,8 @@ impl Drawing {
         Self { size: DVec2::new(width, height).ceil(), shapes: Vec::new() }
     }
 
-    /// A filled rectangle. One that goes on to the right of the last one with its colour makes that one longer.
+    /// A filled rectangle. One that goes on to the right of the last one with its colour makes
+    /// that one longer.
     pub fn rectangle(&mut self, low: DVec2, high: DVec2, ink: Ink) {
         if let Some(Shape::Rectangle { low: l, high: h, ink: i }) = self.shapes.last_mut()
             && *i == ink

@@ -1,7 +1,9 @@
-//! The plan of a dataset as a picture: where people walk, where they do not and why, rooms, grid points, and a path.
+//! The plan of a dataset as a picture: where people walk, where they do not and why, rooms, grid
+//! points, and a path.
 //!
-//! In: an index, or a walk volume alone, the [`WalkReport`] of its build, perhaps a path. Out: SVG or PNG, one sheet below another. A sheet
-//! holds floors that do not lie above each other ([`mod@sheets`]): the storeys of a building, the decks of a bridge.
+//! In: an index, or a walk volume alone, the [`WalkReport`] of its build, perhaps a path. Out: SVG
+//! or PNG, one sheet below another. A sheet holds floors that do not lie above each other
+//! ([`mod@sheets`]): the storeys of a building, the decks of a bridge.
 
 mod draw;
 mod sheets;

@@ -1,7 +1,8 @@
 //! Sheets: boxes of a walk volume that do not lie above each other.
 //!
-//! In: the boxes of a volume, each with its floor. Out: sheets. Boxes beside each other whose floors differ by a step stay together as
-//! long as none lies above another; a spiral ramp goes on on the next sheet. Small patches join a sheet at about their height.
+//! In: the boxes of a volume, each with its floor. Out: sheets. Boxes beside each other whose
+//! floors differ by a step stay together as long as none lies above another; a spiral ramp goes on
+//! on the next sheet. Small patches join a sheet at about their height.
 
 use glam::DVec2;
 use ldi_protocol::{Aabb, volume::WalkVolume};

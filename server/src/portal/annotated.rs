@@ -30,7 +30,8 @@ pub fn annotated_rooms(scene: &Scene) -> Result<Option<Rooms>, RoomsError> {
     Rooms::new(MARGIN_M, cells, portals).map(Some)
 }
 
-/// A portal whose corners turn so that its normal points from its first cell into its second: annotations may have either order.
+/// A portal whose corners turn so that its normal points from its first cell into its second:
+/// annotations may have either order.
 pub(super) fn oriented(cells: &[Cell], mut portal: Portal) -> Portal {
     let (c, n) = (portal.centre(), portal.normal());
     let off = |cell: CellId, p: DVec3| cell.map_or(0.0, |i| cells[i as usize].distance_m(p));

@@ -1,8 +1,10 @@
-//! Splits a storey's free space at narrow places: a watershed of the distance to the walls (Haumont, Debeir and Sillion 2003, "Volumetric
-//! cell-and-portal generation", in the plane; basins are joined by persistence).
+//! Splits a storey's free space at narrow places: a watershed of the distance to the walls
+//! (Haumont, Debeir and Sillion 2003, "Volumetric cell-and-portal generation", in the plane;
+//! basins are joined by persistence).
 //!
-//! In: a storey. Out: a basin per place. Flooding goes from the widest places to the narrowest; where two basins meet, they are joined unless
-//! the place is a neck: narrow in itself, and narrower than either basin. Under a lintel a little narrower is enough.
+//! In: a storey. Out: a basin per place. Flooding goes from the widest places to the narrowest;
+//! where two basins meet, they are joined unless the place is a neck: narrow in itself, and
+//! narrower than either basin. Under a lintel a little narrower is enough.
 
 use super::storeys::{Ground, SIGHT_M, Storey};
 use crate::render::{Caster, CellSet, Ray};
@@ -12,16 +14,18 @@ use std::collections::VecDeque;
 /// No basin.
 pub(super) const NONE: u32 = u32::MAX;
 
-/// Widest half of a neck, metres. Wider openings join rooms: one sees the whole room through them anyway.
+/// Widest half of a neck, metres. Wider openings join rooms: one sees the whole room through them
+/// anyway.
 const WIDEST_NECK_M: f64 = 1.3;
-/// A neck has at most this share of either basin's half width. Larger: bends, columns and alcoves split rooms. Smaller: rooms along a
-/// narrow corridor join it.
+/// A neck has at most this share of either basin's half width. Larger: bends, columns and alcoves
+/// split rooms. Smaller: rooms along a narrow corridor join it.
 const NECK_SHARE: f64 = 0.78;
 /// The same under a lintel.
 const LINTEL_SHARE: f64 = 0.9;
 /// A lintel hangs at least this far below the ceilings on both sides, metres.
 const LINTEL_M: f64 = 0.12;
-/// A basin's half width is at least this, metres, or it is joined to what it touches: niches and noise.
+/// A basin's half width is at least this, metres, or it is joined to what it touches: niches and
+/// noise.
 const NARROWEST_M: f64 = 0.35;
 /// Smallest room, m².
 const SMALLEST_M2: f64 = 0.8;
@@ -144,11 +148,13 @@ const SOLID_RAYS: u32 = 64;
 const SOLID_SHARE: f64 = 0.95;
 /// Most surfaces that are counted along such a ray.
 const MOST_SURFACES: usize = 64;
-/// Surfaces closer to each other than this touch, metres: the top of a block and the ceiling that it reaches.
+/// Surfaces closer to each other than this touch, metres: the top of a block and the ceiling that
+/// it reaches.
 const CONTACT_M: f64 = 2.0e-3;
 
-/// Whether a ray starts within a solid: it meets a back face first, or it leaves more solids than it enters (walls that a block reaches
-/// into show their front faces within it). Where two solids touch, either surface may be met, so that says yes.
+/// Whether a ray starts within a solid: it meets a back face first, or it leaves more solids than
+/// it enters (walls that a block reaches into show their front faces within it). Where two solids
+/// touch, either surface may be met, so that says yes.
 fn leaves_solid(caster: &Caster, ground: &Ground, mut ray: Ray) -> bool {
     let mut inside = 0;
     for n in 0..MOST_SURFACES {
@@ -170,7 +176,8 @@ fn is_contact(ground: &Ground, p: DVec3) -> bool {
     touching.count() > 1
 }
 
-/// Forgets the basins that lie within solids (a block, a wide pillar): no opening, and rays all around leave a solid.
+/// Forgets the basins that lie within solids (a block, a wide pillar): no opening, and rays all
+/// around leave a solid.
 pub(super) fn drop_solids(
     caster: &Caster,
     ground: &Ground,

@@ -26,9 +26,11 @@ pub struct SightCheck {
     pub missed_rays: u64,
     /// Views in which a surface is seen that would not be drawn.
     pub poses_left_out: u64,
-    /// Rays that hit such a surface: no room that its cell of the octree lies in is reported with a cone that reaches that cell.
+    /// Rays that hit such a surface: no room that its cell of the octree lies in is reported with
+    /// a cone that reaches that cell.
     pub left_out_rays: u64,
-    /// Those of these rays that go through a joint of the model: between surfaces that are less than [`JOINT_M`] apart.
+    /// Those of these rays that go through a joint of the model: between surfaces that are less
+    /// than [`JOINT_M`] apart.
     pub left_out_rays_in_joints: u64,
     /// Cells reported per view, mean; the outside counts as one.
     pub cells_reported_mean: f64,
@@ -59,10 +61,12 @@ pub struct Miss {
     pub in_joint: bool,
 }
 
-/// A gap narrower than this, metres, is a joint: surfaces that touch, but for how their corners were rounded. At 1 m it is a seventh of a pixel of 320x200.
+/// A gap narrower than this, metres, is a joint: surfaces that touch, but for how their corners
+/// were rounded. At 1 m it is a seventh of a pixel of 320x200.
 pub const JOINT_M: f64 = 0.5e-3;
 
-/// Whether what a ray hits at `t` is seen through a joint: there is a direction in which rays beside it, [`JOINT_M`] apart from each other, end before.
+/// Whether what a ray hits at `t` is seen through a joint: there is a direction in which rays
+/// beside it, [`JOINT_M`] apart from each other, end before.
 fn is_in_joint(caster: &Caster, ray: &Ray, t: f64) -> bool {
     let (u, v) = ray.direction.any_orthonormal_pair();
     let ends_before = |beside: DVec3| {
@@ -80,9 +84,12 @@ fn is_in_joint(caster: &Caster, ray: &Ray, t: f64) -> bool {
 /// Most misses that are written out.
 const MOST_WORST: usize = 20;
 
-/// Judges culling from these poses by one ray per pixel. A cell counts as reported if any within the rooms' margin of the surface is: walls stand in two rooms. A surface counts as
-/// drawn if its cell of the octree is, as a frame draws it where the budget allows all that is seen. `cells`: bounds of the octree's cells, which `caster` knows; `members`: those of them that lie
-/// in each room, as [`cells_of_rooms`](super::members::cells_of_rooms) has them. `judged` is called after each pose, from any thread.
+/// Judges culling from these poses by one ray per pixel. A cell counts as reported if any within
+/// the rooms' margin of the surface is: walls stand in two rooms. A surface counts as drawn if its
+/// cell of the octree is, as a frame draws it where the budget allows all that is seen. `cells`:
+/// bounds of the octree's cells, which `caster` knows; `members`: those of them that lie in each
+/// room, as [`cells_of_rooms`](super::members::cells_of_rooms) has them. `judged` is called after
+/// each pose, from any thread.
 pub fn check_sight(
     caster: &Caster,
     cells: &[Aabb],
@@ -206,12 +213,15 @@ fn tiles(camera: &OutputCamera) -> impl Iterator<Item = impl Iterator<Item = [u3
 pub(super) const EYES_ABOVE_M: Range<f64> = 1.2..2.1;
 /// Half of the width of a person, metres.
 const HALF_A_PERSON_M: f64 = 0.25;
-/// How far beside an eye room to stand is looked for, metres: eyes lean over tables and around corners, and those close to walls are the hard ones.
+/// How far beside an eye room to stand is looked for, metres: eyes lean over tables and around
+/// corners, and those close to walls are the hard ones.
 const BESIDE_M: [f64; 3] = [0.15, 0.3, 0.45];
-/// Directions that are tried, in plan around an eye or across a ray: sheets of a wall, and joints, are met by some of them whichever way they run.
+/// Directions that are tried, in plan around an eye or across a ray: sheets of a wall, and joints,
+/// are met by some of them whichever way they run.
 const DIRECTIONS: u32 = 8;
 
-/// Whether somebody whose eye is there has room to stand, at most 0.45 m beside it: not in the cavity of a hollow wall.
+/// Whether somebody whose eye is there has room to stand, at most 0.45 m beside it: not in the
+/// cavity of a hollow wall.
 pub(super) fn stands_in_the_open(caster: &Caster, eye: DVec3) -> bool {
     let around = || {
         (0..DIRECTIONS).map(|k| {
@@ -229,12 +239,14 @@ pub(super) fn is_clear(caster: &Caster, eye: DVec3) -> bool {
     [DVec3::X, DVec3::NEG_X, DVec3::Z, DVec3::NEG_Z, DVec3::Y].iter().all(|d| is_free(caster, eye, eye + 0.1 * *d))
 }
 
-/// Whether something to stand on is below an eye, at most 0.1 m farther than the highest eyes are above the bottom of a room's box.
+/// Whether something to stand on is below an eye, at most 0.1 m farther than the highest eyes are
+/// above the bottom of a room's box.
 pub(super) fn has_floor(caster: &Caster, eye: DVec3) -> bool {
     !is_free(caster, eye, eye - 2.2 * DVec3::Y)
 }
 
-/// Poses at eye height in free places of the rooms: 1.1 to 2 m above the floor of a box, something below, 0.1 m clear of all around, and beside them room for a person.
+/// Poses at eye height in free places of the rooms: 1.1 to 2 m above the floor of a box, something
+/// below, 0.1 m clear of all around, and beside them room for a person.
 pub fn random_poses(caster: &Caster, rooms: &Rooms, count: usize, seed: u64) -> Vec<Pose> {
     let boxes: Vec<_> = rooms.cells().iter().flat_map(|c| &c.boxes).collect();
     let area: Vec<f64> = boxes

@@ -1,6 +1,7 @@
 //! Which rooms points lie in, for many points: boxes of rooms sorted by where they lie in plan.
 //!
-//! In: rooms. Out: for any point what [`Rooms::cells_near`] gives within the rooms' margin, which looks at every box.
+//! In: rooms. Out: for any point what [`Rooms::cells_near`] gives within the rooms' margin, which
+//! looks at every box.
 
 use glam::DVec3;
 use ldi_protocol::Aabb;
@@ -12,13 +13,15 @@ const MOST_COLUMNS: f64 = 65_536.0;
 /// Side of one, at least, metres: a doorway is about as wide.
 const LEAST_COLUMN_M: f64 = 0.5;
 
-/// What [`Rooms::cells_near`] within the rooms' margin gives, for many points: boxes sorted by where they lie in plan.
+/// What [`Rooms::cells_near`] within the rooms' margin gives, for many points: boxes sorted by
+/// where they lie in plan.
 pub(super) struct Columns<'a> {
     rooms: &'a Rooms,
     bounds: Aabb,
     side_m: f64,
     across: usize,
-    /// Per column, cell and number of every box that reaches it with the margin around, cells in order.
+    /// Per column, cell and number of every box that reaches it with the margin around, cells in
+    /// order.
     boxes: Vec<Vec<[u32; 2]>>,
 }
 

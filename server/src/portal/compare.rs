@@ -1,8 +1,9 @@
 //! Found rooms against annotated ones.
 //!
-//! Two cells match if each is what overlaps the other most and they share half of their union. Two portals match if their centres
-//! lie within [`CENTRE_M`], they face the same way, their areas agree within a factor of [`AREA`], and their cells match. Each
-//! counts once: `found` pairs, `missed` ones of the annotation, `invented` ones of what was found.
+//! Two cells match if each is what overlaps the other most and they share half of their union. Two
+//! portals match if their centres lie within [`CENTRE_M`], they face the same way, their areas
+//! agree within a factor of [`AREA`], and their cells match. Each counts once: `found` pairs,
+//! `missed` ones of the annotation, `invented` ones of what was found.
 
 use ldi_protocol::Aabb;
 use ldi_protocol::rooms::{CellId, Rooms};
@@ -30,7 +31,8 @@ pub struct Comparison {
     pub portals_missed: Vec<u32>,
     /// Found portals without a match.
     pub portals_invented: Vec<u32>,
-    /// Of matching portals: largest distance of a corner of the annotation to the found polygon's plane or outline, metres.
+    /// Of matching portals: largest distance of a corner of the annotation to the found polygon's
+    /// plane or outline, metres.
     pub corner_error_max_m: f64,
 }
 

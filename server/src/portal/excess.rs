@@ -1,13 +1,18 @@
-//! Where rooms are too much: the eyes for which what has to be geometry exceeds the budget. The grid takes over there.
+//! Where rooms are too much: the eyes for which what has to be geometry exceeds the budget. The
+//! grid takes over there.
 //!
-//! In: an index with rooms and their placements. Out: the boxes of the walk volume that hold such eyes ([`over_budget`]).
+//! In: an index with rooms and their placements. Out: the boxes of the walk volume that hold such
+//! eyes ([`over_budget`]).
 //!
 //! 1. From a place in every box, some level views and some up and down.
 //! 2. Around boxes where one exceeds the budget, more places and views, until no box is added.
 //! 3. The boxes next to those, since eyes between the tried ones were not.
-//! 4. Random views from all other boxes, again and again, until none of them exceeds it: what is seen of few places in few directions.
+//! 4. Random views from all other boxes, again and again, until none of them exceeds it: what is
+//!    seen of few places in few directions.
 //!
-//! This is a sample, so what comes close to the budget counts as too much ([`SHARE`]). What it misses is what the audit counts; a frame there keeps its budget all the same, and shows the LDI tree beyond it.
+//! This is a sample, so what comes close to the budget counts as too much ([`SHARE`]). What it
+//! misses is what the audit counts; a frame there keeps its budget all the same, and shows the LDI
+//! tree beyond it.
 
 use super::leaks::Random;
 use glam::DVec3;
@@ -15,24 +20,29 @@ use ldi_protocol::{Aabb, Pose, index::Index, select::least_by_rooms};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// Share of the budget that views of a sample may use. Less: fewer views between those tried exceed the budget; more images.
+/// Share of the budget that views of a sample may use. Less: fewer views between those tried
+/// exceed the budget; more images.
 const SHARE: f64 = 0.9;
-/// Places tried in every box. More: fewer eyes are overlooked, and planning takes longer: with four, the clinic was not done after seven minutes of two cores.
+/// Places tried in every box. More: fewer eyes are overlooked, and planning takes longer: with
+/// four, the clinic was not done after seven minutes of two cores.
 const PLACES: usize = 1;
 /// Views from a place: as many yaws, spread evenly; one of three looks up or down.
 const YAWS: usize = 12;
 /// Places tried in a box near others that exceed the budget.
 const CLOSER: usize = 4;
-/// Random views of a pass. More: rarer views are found, and planning takes longer. As many as find none of 110,000 audited poses of the built-in house left.
+/// Random views of a pass. More: rarer views are found, and planning takes longer. As many as find
+/// none of 110,000 audited poses of the built-in house left.
 const RANDOM_VIEWS: usize = 40_000;
 /// Most passes of random views: bounds the time where there is always one more. By judgement.
 const PASSES: usize = 6;
-/// Boxes so close to one that exceeds the budget are looked at more closely, metres: about a stride.
+/// Boxes so close to one that exceeds the budget are looked at more closely, metres: about a
+/// stride.
 const NEAR_M: f64 = 1.0;
 /// Boxes so close to one belong to the grid, tried or not, metres: those that touch it.
 const BESIDE_M: f64 = 0.01;
 
-/// Per box of the walk volume whether the grid has to serve its eyes. Nothing without a walk volume or rooms.
+/// Per box of the walk volume whether the grid has to serve its eyes. Nothing without a walk
+/// volume or rooms.
 pub fn over_budget(index: &Index) -> Vec<bool> {
     let (Some(volume), Some(_)) = (&index.volume, &index.rooms) else { return Vec::new() };
     let boxes: Vec<Aabb> = volume.boxes().collect();
@@ -90,7 +100,8 @@ fn exceeds_from(index: &Index, pose: &Pose, most: u64) -> bool {
     least_by_rooms(index, pose, (camera.half_tan_x(), camera.half_tan_y())).is_some_and(|triangles| triangles > most)
 }
 
-/// Whether in one of the views from a random place in a box more triangles than `most` have to be geometry.
+/// Whether in one of the views from a random place in a box more triangles than `most` have to be
+/// geometry.
 fn exceeds_in(index: &Index, within: &Aabb, most: u64, random: &mut Random) -> bool {
     let position = place_in(within, random);
     let turn = random.unit() * 360.0;
@@ -103,7 +114,8 @@ fn exceeds_in(index: &Index, within: &Aabb, most: u64, random: &mut Random) -> b
 
 /// Boxes by the square of the plan that their middle lies in.
 struct Neighbours {
-    /// Edge of a square, metres: boxes within [`NEAR_M`] of each other have their middles in the same square or in squares side by side.
+    /// Edge of a square, metres: boxes within [`NEAR_M`] of each other have their middles in the
+    /// same square or in squares side by side.
     square_m: f64,
     squares: HashMap<[i64; 2], Vec<usize>>,
 }
@@ -148,7 +160,8 @@ mod tests {
         Aabb { min: DVec3::from(min), max: DVec3::from(max) }
     }
 
-    /// Two rooms of 8 m by 8 m on either side of x = 0, with a door of 1 m at z = 4; 1,000 triangles in the far corner of the one at x < 0.
+    /// Two rooms of 8 m by 8 m on either side of x = 0, with a door of 1 m at z = 4; 1,000
+    /// triangles in the far corner of the one at x < 0.
     fn index(budget: u64) -> Index {
         let room =
             |name: &str, x: f64| Cell { name: name.into(), boxes: vec![boxed([x, 0.0, 0.0], [x + 8.0, 3.0, 8.0])] };
@@ -228,7 +241,8 @@ mod tests {
         let over = over_budget(&tight);
         let boxes: Vec<Aabb> = tight.volume.as_ref().unwrap().boxes().collect();
         assert_eq!(over.len(), boxes.len());
-        // Against many more views: none exceeds the budget where nothing was found, and where something was, some view there or next to it comes close.
+        // Against many more views: none exceeds the budget where nothing was found, and where
+        // something was, some view there or next to it comes close.
         let mut random = Random(7);
         let mut most = |number: usize| {
             let view = |_| {

@@ -56,11 +56,12 @@ pub struct Statistics {
     pub seconds: Vec<(&'static str, f64)>,
 }
 
-/// Finds the rooms of a scene within `bounds`: those of the scene, or, where a backdrop surrounds it, of what people walk in. What lies
-/// beyond counts as outside.
+/// Finds the rooms of a scene within `bounds`: those of the scene, or, where a backdrop surrounds
+/// it, of what people walk in. What lies beyond counts as outside.
 ///
 /// # Errors
-/// If what was found breaks a rule of [`Rooms::new`]: a fault of this program. A scene without rooms gives none, with the reason.
+/// If what was found breaks a rule of [`Rooms::new`]: a fault of this program. A scene without
+/// rooms gives none, with the reason.
 pub fn find_rooms(caster: &Caster, bounds: &Aabb) -> Result<FoundRooms, RoomsError> {
     let mut statistics = Statistics::default();
     let nothing = |why: String, mut statistics: Statistics| {
@@ -251,13 +252,15 @@ impl<'a> Plan<'a> {
     }
 }
 
-/// Area of all gaps between a cell and the outside: larger than its floor, it is a part of the outside, as a terrace between columns is.
+/// Area of all gaps between a cell and the outside: larger than its floor, it is a part of the
+/// outside, as a terrace between columns is.
 fn unmeant_m2(portals: &[Portal], cell: CellId) -> f64 {
     let gaps = portals.iter().filter(|p| p.kind == PortalKind::Gap && p.beyond(cell) == Some(None));
     gaps.map(Portal::area_m2).sum()
 }
 
-/// Gives places close to a portal's plane the label of the side they lie on: the flood's border is ragged, the portal is not.
+/// Gives places close to a portal's plane the label of the side they lie on: the flood's border is
+/// ragged, the portal is not.
 fn straighten(ground: &Ground, free: &mut [u32], o: &Opening, labels: [u32; 2]) {
     let along = DVec2::new(o.normal.y, -o.normal.x);
     let pitch = ground.raster.pitch_m;

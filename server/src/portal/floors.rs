@@ -1,15 +1,16 @@
 //! Which surfaces are floors? Those that somebody can stand on and walk to.
 //!
-//! In: the heights at which vertical lines of a raster meet the scene. Out: the floors among them, with the surface above each, and how
-//! much was left out for which reason.
+//! In: the heights at which vertical lines of a raster meet the scene. Out: the floors among them,
+//! with the surface above each, and how much was left out for which reason.
 //!
 //! - A floor has head room: an eye at the nominal height keeps its distance from the surface above.
-//! - Floors of neighbouring lines join when a step leads from one to the other. Joined floors form a region; what is too small to walk
-//!   about on, table tops and ducts, is left out, measured against the largest region.
+//! - Floors of neighbouring lines join when a step leads from one to the other. Joined floors form
+//!   a region; what is too small to walk about on, table tops and ducts, is left out, measured
+//!   against the largest region.
 //! - A region most of which lies under the open sky with another floor below it is a roof.
 //!
-//! Left out places cost no grid points and no images. An eye that gets there all the same lies outside the walk volume: frames keep
-//! their budget, but may miss what is far, and say so.
+//! Left out places cost no grid points and no images. An eye that gets there all the same lies
+//! outside the walk volume: frames keep their budget, but may miss what is far, and say so.
 
 use crate::walk_volume::lines::Raster;
 use std::collections::BTreeMap;
@@ -32,7 +33,8 @@ pub(crate) struct Floor {
     pub above: f32,
 }
 
-/// Finds the floors. `heights`: (line, height), ascending; `head_room_m`: least distance to the surface above.
+/// Finds the floors. `heights`: (line, height), ascending; `head_room_m`: least distance to the
+/// surface above.
 pub(crate) fn floors(heights: &[(u32, f32)], raster: &Raster, head_room_m: f64) -> (Vec<Floor>, BTreeMap<String, u64>) {
     let lines = raster.size[0] as usize * raster.size[1] as usize;
     let mut found: Vec<Floor> = Vec::new();

@@ -6,7 +6,8 @@ use glam::DVec2;
 const RECTANGLE_SHARE: f64 = 0.93;
 /// Most corners: a hull with more becomes its rectangle.
 const MOST_CORNERS: usize = 24;
-/// Corners nearer than this to the line through their neighbours are left out, metres; the hull grows by nothing and shrinks by this.
+/// Corners nearer than this to the line through their neighbours are left out, metres; the hull
+/// grows by nothing and shrinks by this.
 const STRAIGHT_M: f64 = 1.0e-4;
 
 /// The convex hull, counter-clockwise (Andrew 1979).
@@ -42,7 +43,8 @@ pub(super) fn area(polygon: &[DVec2]) -> f64 {
     (0..n).map(|i| (polygon[i] - polygon[0]).perp_dot(polygon[(i + 1) % n] - polygon[0])).sum::<f64>() * 0.5
 }
 
-/// The rectangle along the axes where a hull nearly fills it or has too many corners, else the hull.
+/// The rectangle along the axes where a hull nearly fills it or has too many corners, else the
+/// hull.
 pub(super) fn rectangle_if_nearly(hull: Vec<DVec2>) -> Vec<DVec2> {
     let (Some(min), Some(max)) = (hull.iter().copied().reduce(DVec2::min), hull.iter().copied().reduce(DVec2::max))
     else {

@@ -1,7 +1,9 @@
 //! Placements for portals: what shows the rooms beyond.
 //!
-//! In: rooms, their cells, the walk volume. Out: [`PlacementPlan`]s as the grid's, each for eyes of a zone (`zones`) on one side of a portal, with one image over what is seen through the portal: of all
-//! cells but those of the room before it. Eyes are those of that room, and those near its portals on the other side, for which it is geometry.
+//! In: rooms, their cells, the walk volume. Out: [`PlacementPlan`]s as the grid's, each for eyes
+//! of a zone (`zones`) on one side of a portal, with one image over what is seen through the
+//! portal: of all cells but those of the room before it. Eyes are those of that room, and those
+//! near its portals on the other side, for which it is geometry.
 
 use super::leaks::Random;
 use super::zones::{Gate, Zone, lookouts, outermost, zones};
@@ -17,17 +19,22 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::ops::Range;
 
-/// Eyes nearer than this to a portal get no image of it unless told otherwise, metres: what lies beyond is geometry. Smaller: fewer triangles in doorways, and many more zones, as lines of sight to the corners of a door
-/// and distances to them differ more (at 1 m some 14 zones for a door, at 1.5 m some 3).
+/// Eyes nearer than this to a portal get no image of it unless told otherwise, metres: what lies
+/// beyond is geometry. Smaller: fewer triangles in doorways, and many more zones, as lines of
+/// sight to the corners of a door and distances to them differ more (at 1 m some 14 zones for a
+/// door, at 1.5 m some 3).
 pub const NEAR_M: f64 = 1.5;
-/// Eyes of other rooms this far from a portal of the room, beyond `near_m`, may look through its other portals, metres.
+/// Eyes of other rooms this far from a portal of the room, beyond `near_m`, may look through its
+/// other portals, metres.
 const BEYOND_NEAR_M: f64 = 0.5;
-/// Places that an image is made from, beside the outermost. By judgement: a zone is a few metres wide; the grid's near boxes take 256 for eyes of many rooms.
+/// Places that an image is made from, beside the outermost. By judgement: a zone is a few metres
+/// wide; the grid's near boxes take 256 for eyes of many rooms.
 const MOST_EYES: usize = 48;
 /// Most lookouts that a plan keeps: outdoors a zone is as wide as the place.
 const MOST_LOOKOUTS: usize = 1024;
 
-/// Eyes for which [`PortalPlans::keep_used`] looks around, and into how many directions. More: fewer eyes that would use an image that was not made; planning takes longer.
+/// Eyes for which [`PortalPlans::keep_used`] looks around, and into how many directions. More:
+/// fewer eyes that would use an image that was not made; planning takes longer.
 const EYES_TRIED: usize = 3_000;
 const YAWS_TRIED: usize = 9;
 
@@ -65,7 +72,8 @@ pub struct PortalStatistics {
 
 /// Plans the images of all portals.
 ///
-/// `cells_of`: as [`super::cells_of_rooms`]; `cells`: their number; `near_m`: eyes nearer than this to a portal get none.
+/// `cells_of`: as [`super::cells_of_rooms`]; `cells`: their number; `near_m`: eyes nearer than
+/// this to a portal get none.
 pub fn plan_portals(
     rooms: &Rooms,
     cells_of: &[Vec<u32>],
@@ -120,9 +128,12 @@ impl PortalPlans {
         (self.statistics.sides, self.statistics.planned) = (0, 0);
     }
 
-    /// Leaves out placements that `select` returns for none of many poses: for most portals what lies beyond fits the budget as geometry. `index`: with cells and settings, and of
-    /// rooms all but the placements. An eye between those tried that would use one of them sees geometry instead, and where that exceeds the budget the LDI tree; the audit counts
-    /// such poses. `everywhere`: those also that it returns when images are shown wherever a portal has one. `index` knows the placements that are left, afterwards.
+    /// Leaves out placements that `select` returns for none of many poses: for most portals what
+    /// lies beyond fits the budget as geometry. `index`: with cells and settings, and of rooms all
+    /// but the placements. An eye between those tried that would use one of them sees geometry
+    /// instead, and where that exceeds the budget the LDI tree; the audit counts such poses.
+    /// `everywhere`: those also that it returns when images are shown wherever a portal has one.
+    /// `index` knows the placements that are left, afterwards.
     pub fn keep_used(&mut self, index: &mut Index, volume: &WalkVolume, everywhere: bool) {
         self.enter(index);
         let sampler = volume.sampler();

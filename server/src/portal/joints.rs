@@ -1,7 +1,9 @@
-//! Lines of sight through narrow gaps: where surfaces touch but for a tenth of a millimetre, as when the corners of a wall and those of a floor were rounded apart.
+//! Lines of sight through narrow gaps: where surfaces touch but for a tenth of a millimetre, as
+//! when the corners of a wall and those of a floor were rounded apart.
 //!
-//! In: a caster. Out: middles of such gaps, and rays through them from where eyes may be. Of random rays from eyes one of 10^9 passes such a gap; of lines
-//! through the gap one of some fifteen passes where an eye may be.
+//! In: a caster. Out: middles of such gaps, and rays through them from where eyes may be. Of
+//! random rays from eyes one of 10^9 passes such a gap; of lines through the gap one of some
+//! fifteen passes where an eye may be.
 
 use super::check::{EYES_ABOVE_M, has_floor, is_clear, stands_in_the_open};
 use super::columns::Columns;
@@ -12,24 +14,32 @@ use rayon::prelude::*;
 
 /// Wider gaps are left to other rays, metres: an eye at 1 m sees them half a pixel of 320x200 wide.
 const WIDEST_M: f64 = 2e-3;
-/// What is nearer to an edge touches it, metres: corners in f32 are that far off, some hundred metres from the middle of a scene.
+/// What is nearer to an edge touches it, metres: corners in f32 are that far off, some hundred
+/// metres from the middle of a scene.
 const NARROWEST_M: f64 = 3e-5;
-/// Gaps are sought along edges of triangles, in one place for so many metres, at random. What shows through a joint shows along all of it, and joints are as long as walls.
+/// Gaps are sought along edges of triangles, in one place for so many metres, at random. What
+/// shows through a joint shows along all of it, and joints are as long as walls.
 const APART_M: f64 = 0.25;
-/// In so many places at most: a scene with more edges gets fewer for each metre. The clinic has six million; their gaps take 24 bytes each.
+/// In so many places at most: a scene with more edges gets fewer for each metre. The clinic has
+/// six million; their gaps take 24 bytes each.
 const MOST_PLACES: f64 = 8e6;
-/// Directions across an edge in which a gap is sought: 45 degrees apart, so that a gap half as wide as the widest is met whichever way it lies.
+/// Directions across an edge in which a gap is sought: 45 degrees apart, so that a gap half as
+/// wide as the widest is met whichever way it lies.
 const ACROSS: u32 = 8;
 /// Farthest eye, metres: from there the widest gap is a fiftieth of a pixel of 320x200.
 const FARTHEST_M: f64 = 30.0;
 /// Lines that end before lead to hardly an eye, metres: eyes are 0.1 m clear of everything.
 const NEAREST_M: f64 = 0.3;
-/// If none of the first so many lines leads farther the gap leads nowhere: most are within walls and things. On the clinic lines take 6 s instead of 19, and find 17 pairs of cell and room instead of 20.
+/// If none of the first so many lines leads farther the gap leads nowhere: most are within walls
+/// and things. On the clinic lines take 6 s instead of 19, and find 17 pairs of cell and room
+/// instead of 20.
 const LINES_OUT: usize = 4;
-/// Places along a line that are tried for eyes; most of it is above or below their heights. With 4 instead 17 pairs are found on the clinic, not 19, in a second less.
+/// Places along a line that are tried for eyes; most of it is above or below their heights. With 4
+/// instead 17 pairs are found on the clinic, not 19, in a second less.
 const EYES: usize = 16;
 
-/// Middles of gaps between an edge of a triangle and whatever is beside it, in the order of the triangles.
+/// Middles of gaps between an edge of a triangle and whatever is beside it, in the order of the
+/// triangles.
 pub(super) fn gaps(caster: &Caster, random: impl Fn(u32) -> Random + Sync) -> Vec<DVec3> {
     let edges = |t: u32| {
         let [a, b, c] = caster.corners_world(t);
@@ -63,7 +73,8 @@ fn gap_beside(caster: &Caster, place: DVec3, edge: DVec3, random: &mut Random) -
     })
 }
 
-/// Rays through a gap from where eyes may be, along random lines, both ways; at t = 1 they are in the gap.
+/// Rays through a gap from where eyes may be, along random lines, both ways; at t = 1 they are in
+/// the gap.
 pub(super) fn rays_through(
     caster: &Caster,
     columns: &Columns,
@@ -118,7 +129,8 @@ mod tests {
     fn gaps_are_found_in_their_middle_and_wide_ones_are_none() {
         for apart_m in [1e-4, 1e-3] {
             let gaps = gaps_of_boards(apart_m);
-            // Each edge belongs to two triangles: 40 m around the faces that face each other and 16.5 m across them, with a place in each 0.25 m.
+            // Each edge belongs to two triangles: 40 m around the faces that face each other and
+            // 16.5 m across them, with a place in each 0.25 m.
             let (between, others): (Vec<DVec3>, Vec<DVec3>) =
                 gaps.into_iter().partition(|gap| (0.1..=0.1 + apart_m).contains(&gap.y));
             assert!((200..=250).contains(&between.len()), "{} gaps, {apart_m} m wide", between.len());

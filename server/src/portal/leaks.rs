@@ -1,9 +1,11 @@
 //! Openings that nobody meant: found by rays, made portals.
 //!
-//! In: the volumes and the portals so far. Rays leave random places of all rooms in all directions, up to what they hit; where the label
-//! changes along a ray and none of the two labels' portals is there, sight leaks. Leaks close to each other become a portal of the
-//! kind `gap`: the hull of the places in their common plane, a little larger. Where they do not lie in a plane they are cut into layers that
-//! do, and rooms with very many gaps between them are joined: they have no border.
+//! In: the volumes and the portals so far. Rays leave random places of all rooms in all
+//! directions, up to what they hit; where the label changes along a ray and none of the two
+//! labels' portals is there, sight leaks. Leaks close to each other become a portal of the kind
+//! `gap`: the hull of the places in their common plane, a little larger. Where they do not lie in
+//! a plane they are cut into layers that do, and rooms with very many gaps between them are
+//! joined: they have no border.
 //!
 //! What is left after the last round is counted by rays that were not used to find it.
 
@@ -19,7 +21,8 @@ use std::collections::BTreeMap;
 
 /// Farthest that a ray goes, metres.
 const REACH_M: f64 = 60.0;
-/// How far a ray's change of label may be from the portal, across its plane, metres: half of a wall.
+/// How far a ray's change of label may be from the portal, across its plane, metres: half of a
+/// wall.
 const ACROSS_M: f64 = 0.45;
 /// How far a crossing may lie beside a portal's polygon, metres.
 const BESIDE_M: f64 = 0.03;
@@ -140,7 +143,8 @@ fn along(
             })
         })
     };
-    // What lies within the margin of a border belongs to both sides, eyes and surfaces alike, as in `Rooms::cells_near`: no more, or culling misses it.
+    // What lies within the margin of a border belongs to both sides, eyes and surfaces alike, as
+    // in `Rooms::cells_near`: no more, or culling misses it.
     let margin_m = MARGIN_PLACES * ground.raster.pitch_m;
     let is_near = |p: DVec3, label: u32| volumes.is_near(ground, p, label, margin_m);
     let mut from = 0;
@@ -180,7 +184,8 @@ pub(super) fn gaps(mut leaks: Vec<Leak>) -> (Vec<Portal>, Vec<[u32; 2]>) {
     let mut pairs: BTreeMap<[u32; 2], Vec<Leak>> = BTreeMap::new();
     let mut places = std::collections::BTreeSet::new();
     for l in leaks {
-        // One for each small cube: rays through a wide gap are many, and grouping takes their square.
+        // One for each small cube: rays through a wide gap are many, and grouping takes their
+        // square.
         if places.insert((l.labels, (l.at / CUBE_M).floor().to_array().map(|v| v as i64))) {
             pairs.entry(l.labels).or_default().push(l);
         }
@@ -262,7 +267,8 @@ fn outline(labels: [u32; 2], points: impl Iterator<Item = DVec3>, mean: DVec3, n
     Portal { cells: labels.map(id), kind: PortalKind::Gap, corners }
 }
 
-/// Gaps for leaks around a corner: the leaks in layers along the three axes, each layer by those that cross it most squarely.
+/// Gaps for leaks around a corner: the leaks in layers along the three axes, each layer by those
+/// that cross it most squarely.
 fn slices(labels: [u32; 2], group: &[Leak]) -> Vec<Portal> {
     let mut layers: BTreeMap<(usize, bool, i64), Vec<Leak>> = BTreeMap::new();
     for l in group {

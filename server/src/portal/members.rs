@@ -1,12 +1,17 @@
 //! Which cells of the octree lie in which room.
 //!
-//! In: rooms, a caster over a scene. Out: per room, and last for the outside, the cells that are drawn with it. What may be seen from within a room of what stands in that room is in one of its
+//! In: rooms, a caster over a scene. Out: per room, and last for the outside, the cells that are
+//! drawn with it. What may be seen from within a room of what stands in that room is in one of its
 //! cells:
-//! - A triangle lies in every room that its box touches, and outside if its box is not covered by rooms' boxes.
-//! - Borders of rooms may be off by the rooms' margin. So a triangle also lies in each room within the margin of one of its corners or its middle, along an axis, if no surface of another object is
-//!   between: a wall's face that the raster put on the wrong side is free toward its room, the bookcase behind it is not.
+//! - A triangle lies in every room that its box touches, and outside if its box is not covered by
+//!   rooms' boxes.
+//! - Borders of rooms may be off by the rooms' margin. So a triangle also lies in each room within
+//!   the margin of one of its corners or its middle, along an axis, if no surface of another
+//!   object is between: a wall's face that the raster put on the wrong side is free toward its
+//!   room, the bookcase behind it is not.
 //!
-//! A cell lies in the rooms of its triangles, and in those from which rays see it beside all portals ([`super::seen`]).
+//! A cell lies in the rooms of its triangles, and in those from which rays see it beside all
+//! portals ([`super::seen`]).
 
 use super::seen::seen_beside;
 use crate::render::{Caster, CellSet, Ray};
@@ -15,9 +20,11 @@ use ldi_protocol::Aabb;
 use ldi_protocol::rooms::{CellId, Rooms};
 use rayon::prelude::*;
 
-/// Pieces thinner than this are no part that sticks out, metres: boxes that touch are computed in different ways.
+/// Pieces thinner than this are no part that sticks out, metres: boxes that touch are computed in
+/// different ways.
 const SLACK_M: f64 = 1e-4;
-/// Pieces of a box that are looked at before it counts as sticking out. More would be exacter in rooms of hundreds of boxes; it is not needed for correctness.
+/// Pieces of a box that are looked at before it counts as sticking out. More would be exacter in
+/// rooms of hundreds of boxes; it is not needed for correctness.
 const MOST_PIECES: usize = 2_000;
 /// Surfaces of the same object that a probe passes: the two faces of a board and some more.
 const MOST_PASSED: usize = 8;

@@ -7,8 +7,9 @@
 //!   a sample counts if it sees out on one side at least (the cavity of a double wall sees out on neither)
 //! ```
 //!
-//! The polygon is the convex hull of what was reached, hence never smaller than the opening: a leaf, a curtain or a plant that stands in it
-//! makes it no smaller as long as anything passes. A rectangle is kept where it is nearly one.
+//! The polygon is the convex hull of what was reached, hence never smaller than the opening: a
+//! leaf, a curtain or a plant that stands in it makes it no smaller as long as anything passes. A
+//! rectangle is kept where it is nearly one.
 
 use super::basins::{Basins, NONE};
 use super::hull::{hull, rectangle_if_nearly};
@@ -21,17 +22,21 @@ use std::collections::BTreeMap;
 
 /// Farthest that a neck's sides are looked for, metres.
 const REACH_M: f64 = 3.0;
-/// Pitch of the samples in the portal's plane, metres. Larger: gaps between blinds are missed; smaller: time.
+/// Pitch of the samples in the portal's plane, metres. Larger: gaps between blinds are missed;
+/// smaller: time.
 const SAMPLE_M: f64 = 0.05;
-/// Step in which the middle of the wall is looked for, metres: below the thickness of a sheet, or its plane is missed.
+/// Step in which the middle of the wall is looked for, metres: below the thickness of a sheet, or
+/// its plane is missed.
 const SHEET_M: f64 = 0.01;
 /// How far before and behind a neck's middle the wall is looked for, in places of the raster.
 const AROUND_PLACES: f64 = 4.8;
-/// How far a sample must see out of the plane to belong to the opening, metres: beyond half of a common wall.
+/// How far a sample must see out of the plane to belong to the opening, metres: beyond half of a
+/// common wall.
 const OUT_M: f64 = 0.25;
 /// Highest portal, metres.
 const HIGHEST_M: f64 = 6.0;
-/// A direction along an axis is taken if the opening is at most so many times as wide there as at its narrowest.
+/// A direction along an axis is taken if the opening is at most so many times as wide there as at
+/// its narrowest.
 const AXIS_FAVOUR: f64 = 1.15;
 /// An opening whose lower edge is at most this far above the floor is a door.
 const DOOR_SILL_M: f64 = 0.3;
@@ -53,7 +58,8 @@ pub(super) struct Opening {
     pub basins: [u32; 2],
     pub kind: PortalKind,
     pub corners: Vec<DVec3>,
-    /// Plan: a point of the plane, the unit normal, and how far the opening reaches to both sides of the point.
+    /// Plan: a point of the plane, the unit normal, and how far the opening reaches to both sides
+    /// of the point.
     pub middle: DVec2,
     pub normal: DVec2,
     pub reach_m: [f64; 2],
@@ -114,7 +120,8 @@ fn sight_m(caster: &Caster, from: DVec3, direction: DVec3, reach_m: f64) -> f64 
     caster.trace(&Ray { origin: from, direction, t_min: 0.0, t_max: reach_m }, &CellSet::all()).map_or(reach_m, |h| h.t)
 }
 
-/// Sight to both sides along a direction, at the height at which it is widest: what hangs or stands in the opening does not count.
+/// Sight to both sides along a direction, at the height at which it is widest: what hangs or
+/// stands in the opening does not count.
 fn reaches(caster: &Caster, at: DVec2, along: DVec2, floor_m: f64) -> [f64; 2] {
     let d = DVec3::new(along.x, 0.0, along.y);
     SIGHT_M
@@ -155,7 +162,8 @@ fn opening(caster: &Caster, ground: &Ground, storey: usize, neck: &Neck) -> Opti
             .map(|p| (width(p, degrees), p))
             .collect()
     };
-    // Most walls follow the axes; leaves and frames make slanted ways look a little narrower, and so does the cavity of a double wall.
+    // Most walls follow the axes; leaves and frames make slanted ways look a little narrower, and
+    // so does the cavity of a double wall.
     let (straight, axis) = [0.0, 90.0]
         .map(|axis| (places(axis).iter().map(|p| p.0).fold(f64::INFINITY, f64::min), axis))
         .into_iter()

@@ -1,4 +1,5 @@
-//! Corrections of found rooms by a person: a TOML file, applied from top to bottom by kind in the order below.
+//! Corrections of found rooms by a person: a TOML file, applied from top to bottom by kind in the
+//! order below.
 //!
 //! ```toml
 //! [[split]]                       # a room with no narrow place in it: cut by a plane; the cut becomes a portal
@@ -26,7 +27,8 @@
 //! cell = "room 9"
 //! ```
 //!
-//! What is cut or removed is believed: culling shows nothing through a portal that a person has taken away.
+//! What is cut or removed is believed: culling shows nothing through a portal that a person has
+//! taken away.
 
 use super::annotated::oriented;
 use glam::DVec3;

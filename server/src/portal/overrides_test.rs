@@ -1,4 +1,5 @@
-//! Two rooms of 4 x 3 x 6 m along x with a door at x = 4, and a window from the second outside at x = 8.
+//! Two rooms of 4 x 3 x 6 m along x with a door at x = 4, and a window from the second outside at
+//! x = 8.
 
 use super::*;
 

@@ -21,7 +21,8 @@ fn colour(kind: PortalKind) -> &'static str {
     }
 }
 
-/// A colour of medium saturation as #rrggbb, which every program that draws SVG knows, unlike hsl(): hue in degrees, lightness in percent (CSS Color 3, section 4.2.4).
+/// A colour of medium saturation as #rrggbb, which every program that draws SVG knows, unlike
+/// hsl(): hue in degrees, lightness in percent (CSS Color 3, section 4.2.4).
 fn hex(hue: f64, light_percent: f64) -> String {
     let light = light_percent / 100.0;
     let channel = |n: f64| {

@@ -1,13 +1,22 @@
-//! What is seen from a room beside all portals, as rays find it: such cells of the octree are drawn with the room, too.
+//! What is seen from a room beside all portals, as rays find it: such cells of the octree are
+//! drawn with the room, too.
 //!
-//! In: rooms, a caster, and which cells lie in which room by their triangles ([`super::members`]). Out: the cells to add. Borders of rooms run in the middle of what the raster cannot see through:
-//! of walls, of cupboards as high as a person, of the niches below windows. Part of a surface behind such a border is seen from before it, and its triangles may lie in the room behind alone.
+//! In: rooms, a caster, and which cells lie in which room by their triangles ([`super::members`]).
+//! Out: the cells to add. Borders of rooms run in the middle of what the raster cannot see
+//! through: of walls, of cupboards as high as a person, of the niches below windows. Part of a
+//! surface behind such a border is seen from before it, and its triangles may lie in the room
+//! behind alone.
 //!
-//! Every ray goes through the portals as culling does, from all rooms of its eye through every portal that it passes. If the surface it ends at is drawn with none of the rooms on
-//! its way, it is added to the last of them before the surface. Where one is found there are mostly more: rays from around its eye to around what it saw look for them, and from around those
-//! again (adaptive border sampling of Wonka et al., Guided Visibility Sampling, 2006, with random rays). Most such surfaces are drawn all the same, as their cell lies in several rooms; where one of
-//! these is seen beside all portals, others may not be drawn, and so rays look beside these, too, from each place where that happens. Gaps too narrow for any of these rays are looked through the other way round ([`super::joints`]). Sampling proves nothing of surfaces that no ray met; `ldi-server rooms --check` counts with other
-//! rays what is left.
+//! Every ray goes through the portals as culling does, from all rooms of its eye through every
+//! portal that it passes. If the surface it ends at is drawn with none of the rooms on its way, it
+//! is added to the last of them before the surface. Where one is found there are mostly more: rays
+//! from around its eye to around what it saw look for them, and from around those again (adaptive
+//! border sampling of Wonka et al., Guided Visibility Sampling, 2006, with random rays). Most such
+//! surfaces are drawn all the same, as their cell lies in several rooms; where one of these is
+//! seen beside all portals, others may not be drawn, and so rays look beside these, too, from each
+//! place where that happens. Gaps too narrow for any of these rays are looked through the other
+//! way round ([`super::joints`]). Sampling proves nothing of surfaces that no ray met;
+//! `ldi-server rooms --check` counts with other rays what is left.
 
 use super::check::{is_clear, random_poses};
 use super::columns::Columns;
@@ -21,34 +30,44 @@ use ldi_protocol::rooms::{CellId, Rooms};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Eyes per m² of the rooms' boxes, within bounds. More: rarer places are found, and planning takes longer: the clinic, at the upper bound, some twenty seconds. With half of them, and twice the
-/// rays, one place in willow_garage's cavities was not found.
+/// Eyes per m² of the rooms' boxes, within bounds. More: rarer places are found, and planning
+/// takes longer: the clinic, at the upper bound, some twenty seconds. With half of them, and twice
+/// the rays, one place in willow_garage's cavities was not found.
 const EYES_PER_M2: f64 = 200.0;
 /// See [`EYES_PER_M2`].
 const EYES: [f64; 2] = [1_000.0, 400_000.0];
-/// Bundles of rays per eye, in random directions; each takes a packet of the caster, which costs less than as many single rays.
+/// Bundles of rays per eye, in random directions; each takes a packet of the caster, which costs
+/// less than as many single rays.
 const BUNDLES: usize = 4;
-/// Rays along a side of a bundle, and the angle between neighbours as its tangent: 1.5 degrees. Less: bundles see the same twice
-/// where what shows is wide; more: they are no packets any more.
+/// Rays along a side of a bundle, and the angle between neighbours as its tangent: 1.5 degrees.
+/// Less: bundles see the same twice where what shows is wide; more: they are no packets any more.
 const BUNDLE: (u32, f64) = (8, 0.026);
 /// Eyes around one that saw a cell beside all portals, and rays from each.
 const LOOK_BESIDE: (usize, usize) = (32, 32);
 /// So many sights of a cell from a room are looked beside of: it may be seen through several slits.
 const SIGHTS_OF_CELL: usize = 8;
-/// So many of a room from a place in another, of cells that are drawn all the same. More: rarer places are found, and sorting takes longer.
+/// So many of a room from a place in another, of cells that are drawn all the same. More: rarer
+/// places are found, and sorting takes longer.
 const SIGHTS_OF_ROOM: usize = 4;
-/// Side of such a place, metres: an open border is as long as an arena, and what is seen through one part of it says nothing of others. Of two places of bleach and three of the clinic, found by a
-/// check, places of 1 m and 4 sights each find two and one in 20 and 57 s; 64 sights from anywhere none in 11 and 46; 4 m and 64 sights one of bleach's in 23; 0.5 m and 2 two and one in 68 and 134.
+/// Side of such a place, metres: an open border is as long as an arena, and what is seen through
+/// one part of it says nothing of others. Of two places of bleach and three of the clinic, found
+/// by a check, places of 1 m and 4 sights each find two and one in 20 and 57 s; 64 sights from
+/// anywhere none in 11 and 46; 4 m and 64 sights one of bleach's in 23; 0.5 m and 2 two and one in
+/// 68 and 134.
 const PLACE_M: f64 = 1.0;
-/// Most rounds of looking beside; on the clinic and bleach, of which eight in ten pairs are found so, the last bring next to nothing.
+/// Most rounds of looking beside; on the clinic and bleach, of which eight in ten pairs are found
+/// so, the last bring next to nothing.
 const ROUNDS: usize = 12;
 /// How far beside, at most: eyes, metres, and what they see, as a share of its distance.
 const BESIDE: (f64, f64) = (1.0, 0.5);
-/// How far at least, as a share of that: what is there may be a slit or a wall, so all scales between are alike.
+/// How far at least, as a share of that: what is there may be a slit or a wall, so all scales
+/// between are alike.
 const CLOSEST: f64 = 0.01;
 /// Eyes stay at the heights of eyes.
 const FLAT: DVec3 = DVec3::new(1.0, 0.25, 1.0);
-/// Lines through each narrow gap, and as many more through one where something is seen beside all portals. Of the clinic, on two busy cores: 16 lines find 19 pairs of cell and room in 7 s, 64 find 30 in
+/// Lines through each narrow gap, and as many more through one where something is seen beside all
+/// portals. Of the clinic, on two busy cores: 16 lines find 19 pairs of cell and room in 7 s, 64
+/// find 30 in
 /// 19. The more lines for few gaps cost next to nothing.
 const LINES: usize = 64;
 /// See [`LINES`].
@@ -63,7 +82,8 @@ const SEED: u64 = 0x5ee;
 enum Seen {
     /// A cell of the octree that would not be drawn.
     Cell(u32, CellId),
-    /// A room, of cells that are drawn all the same: the room that is seen, the one that sees it, and the place in it, in steps of [`PLACE_M`].
+    /// A room, of cells that are drawn all the same: the room that is seen, the one that sees it,
+    /// and the place in it, in steps of [`PLACE_M`].
     Room(CellId, CellId, [i32; 3]),
 }
 
@@ -101,7 +121,8 @@ struct Judge<'a> {
     lies_in: &'a (dyn Fn(u32, CellId) -> bool + Sync),
 }
 
-/// Pairs of a cell of the octree and a room that sees it beside all portals, sorted, each once. `lies_in`: whether a cell lies in a room.
+/// Pairs of a cell of the octree and a room that sees it beside all portals, sorted, each once.
+/// `lies_in`: whether a cell lies in a room.
 pub(super) fn seen_beside(
     caster: &Caster,
     rooms: &Rooms,
@@ -150,7 +171,8 @@ fn rays_beside(caster: &Caster, sight: &Sight, random: &mut Random) -> Vec<Ray> 
 }
 
 impl Judge<'_> {
-    /// The cells of some sights, and of all that are found from around their eyes, with the rooms that see them.
+    /// The cells of some sights, and of all that are found from around their eyes, with the rooms
+    /// that see them.
     fn look_beside(&self, mut sights: Vec<Sight>) -> BTreeSet<(u32, CellId)> {
         let mut count: BTreeMap<Seen, usize> = BTreeMap::new();
         for round in 1..=ROUNDS as u64 {
@@ -169,7 +191,8 @@ impl Judge<'_> {
         seen.filter_map(Seen::pair).collect()
     }
 
-    /// The cells that are seen through gaps too narrow for rays from scattered eyes ([`super::joints`]), with the rooms that see them.
+    /// The cells that are seen through gaps too narrow for rays from scattered eyes
+    /// ([`super::joints`]), with the rooms that see them.
     fn through_gaps(&self) -> BTreeSet<(u32, CellId)> {
         let gaps = gaps(self.caster, |triangle| random_of(IN_GAPS | u64::from(triangle)));
         let in_gap = |(n, gap): (usize, &DVec3)| {
@@ -201,7 +224,8 @@ impl Judge<'_> {
         rays.iter().zip(&hits).filter_map(beside).collect()
     }
 
-    /// What a ray hits, if it is in none of the rooms that the ray enters, before or after, or would be drawn with none. A cell counts as seen from the last room entered before it.
+    /// What a ray hits, if it is in none of the rooms that the ray enters, before or after, or
+    /// would be drawn with none. A cell counts as seen from the last room entered before it.
     fn beside_portals(&self, start: &[CellId], ray: &Ray, hit: &Hit) -> Option<Seen> {
         let (cell, surface) = (self.caster.cell_of(hit.triangle), ray.at(hit.t));
         let first = *start.first()?;

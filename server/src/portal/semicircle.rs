@@ -1,6 +1,8 @@
-//! From where a portal's reference images are taken: a semicircle before it at eye height (Rafferty, Aliaga, Popescu and Lastra 1998, section 2.2 and Figure 2).
+//! From where a portal's reference images are taken: a semicircle before it at eye height
+//! (Rafferty, Aliaga, Popescu and Lastra 1998, section 2.2 and Figure 2).
 //!
-//! In: rooms, the walk volume, whether sight is free. Out: per side of a portal a [`SidePlan`]: cameras from left to right, and that of the layered image merged from them (section 4).
+//! In: rooms, the walk volume, whether sight is free. Out: per side of a portal a [`SidePlan`]:
+//! cameras from left to right, and that of the layered image merged from them (section 4).
 //!
 //! ```text
 //!     wall ======[ portal ]====== wall       arc: angles off the portal's normal, N images in the middles of N equal parts of it
@@ -9,11 +11,16 @@
 //! ```
 //!
 //! What the paper leaves open, and what is done here:
-//! - The radius is not told. The default is a little more than the distance at which images give way to geometry: nearer references hold more of what far eyes see (a cone through the portal is the wider, the nearer its
-//!   apex), farther ones are looked at with less magnification.
-//! - Eyes more than 60 degrees off a portal's normal see geometry here ([`is_faced`](ldi_protocol::room_index::is_faced)), so the default arc is the 120 degrees in the middle of the semicircle; 180 is all of it.
-//! - All images are parallel to the portal, so that their samples are equally fine in its plane: 13 pictures of the same number of pixels, as the paper's of 256 x 256.
-//! - A place where no eye can be, in another cell, or behind furniture is pulled in toward the portal, at most to half the radius; if there is none it is left out. Both are counted.
+//! - The radius is not told. The default is a little more than the distance at which images give
+//!   way to geometry: nearer references hold more of what far eyes see (a cone through the portal
+//!   is the wider, the nearer its apex), farther ones are looked at with less magnification.
+//! - Eyes more than 60 degrees off a portal's normal see geometry here
+//!   ([`is_faced`](ldi_protocol::room_index::is_faced)), so the default arc is the 120 degrees in
+//!   the middle of the semicircle; 180 is all of it.
+//! - All images are parallel to the portal, so that their samples are equally fine in its plane:
+//!   13 pictures of the same number of pixels, as the paper's of 256 x 256.
+//! - A place where no eye can be, in another cell, or behind furniture is pulled in toward the
+//!   portal, at most to half the radius; if there is none it is left out. Both are counted.
 //! - Horizontal portals have no semicircle at eye height: geometry shows through them.
 
 use super::zones::Gate;
@@ -34,23 +41,29 @@ const PULL_STEP: f64 = 0.1;
 const PULLED_MOST: f64 = 0.5;
 /// A portal whose normal is this steep is horizontal: cosine of its angle with the vertical.
 const STEEPEST: f64 = 0.7;
-/// References stand at least this far before the portal's plane, as a share of the radius: nearer ones see it edge-on.
+/// References stand at least this far before the portal's plane, as a share of the radius: nearer
+/// ones see it edge-on.
 const LEAST_BEFORE: f64 = 0.05;
-/// Half the layered image's field of view, as a tangent: 76 degrees. What lies farther to the side is held by no layer. Larger: more pixels, by the square, for what is seen at grazing angles.
+/// Half the layered image's field of view, as a tangent: 76 degrees. What lies farther to the side
+/// is held by no layer. Larger: more pixels, by the square, for what is seen at grazing angles.
 const WIDEST: f64 = 4.0;
-/// What images say of sky holds for directions up to this tangent: all that eyes may look in through a portal.
+/// What images say of sky holds for directions up to this tangent: all that eyes may look in
+/// through a portal.
 pub(crate) const EVERYWHERE: [f64; 4] = [-20.0, 20.0, -20.0, 20.0];
-/// The image plane lies before the portal's nearest corner by this share of its distance: depths are rounded.
+/// The image plane lies before the portal's nearest corner by this share of its distance: depths
+/// are rounded.
 const PLANE_SLACK: f64 = 1e-3;
 
 /// How reference images are laid out.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Semicircle {
-    /// Images on each side of a portal; odd, so that one looks straight at it; at most [`MAX_REFERENCES`]. The paper: 13.
+    /// Images on each side of a portal; odd, so that one looks straight at it; at most
+    /// [`MAX_REFERENCES`]. The paper: 13.
     pub references: usize,
     /// Metres from the portal's middle.
     pub radius_m: f64,
-    /// Degrees from the first to the last of the parts that images stand in the middles of, at most 180.
+    /// Degrees from the first to the last of the parts that images stand in the middles of, at
+    /// most 180.
     pub arc_deg: f64,
 }
 
@@ -95,7 +108,8 @@ pub struct SidePlan {
     pub portal: usize,
     /// Which of its rooms the eyes are in.
     pub side: usize,
-    /// Reference images, from left to right; at least one. Windows are those of the portal as seen from there.
+    /// Reference images, from left to right; at least one. Windows are those of the portal as seen
+    /// from there.
     pub references: Vec<ImagePlan>,
     /// Of them the one that looks most nearly straight at the portal.
     pub central: usize,
@@ -128,7 +142,8 @@ pub struct SemicircleStatistics {
     pub footprint_px: f64,
 }
 
-/// Plans the reference images of all portals. `near_m`: eyes nearer than this to a portal use none; `sees`: whether nothing lies between two places.
+/// Plans the reference images of all portals. `near_m`: eyes nearer than this to a portal use
+/// none; `sees`: whether nothing lies between two places.
 pub fn plan_semicircles(
     rooms: &Rooms,
     volume: &WalkVolume,
@@ -204,7 +219,8 @@ impl Site<'_> {
         statistics.references = cops.len();
         statistics.skipped = found.len() - cops.len();
         statistics.pulled_in = cops.iter().filter(|(.., r)| *r < radius).count();
-        // Samples lie as close in the portal's plane as those of an image straight before it have to.
+        // Samples lie as close in the portal's plane as those of an image straight before it have
+        // to.
         let texel_m = radius / self.footprint.pixels_per_unit(1.0);
         // Eyes that face the portal are at least this far before its plane.
         let least_before_m = near_m * LEAST_SINE;
@@ -222,7 +238,8 @@ impl Site<'_> {
         (Some(SidePlan { portal, side, references, central, layered, through, ahead_m }), statistics)
     }
 
-    /// The place at an angle off the portal's normal, and its distance; None if no eye can be there, or nearer.
+    /// The place at an angle off the portal's normal, and its distance; None if no eye can be
+    /// there, or nearer.
     fn place(&self, gate: &Gate, room: Option<u32>, angle_deg: f64) -> Option<(DVec3, f64)> {
         let corners = &gate.portal.corners;
         let centre = gate.portal.centre();
@@ -279,7 +296,8 @@ impl Site<'_> {
         let [l, r, b, t] = window;
         let plane_distance = plane_m * (1.0 - PLANE_SLACK);
         let pixels_per_unit = plane_m / texel_m;
-        // Of eyes as near before the plane as any: nearer ones see geometry (`placement::footprint`).
+        // Of eyes as near before the plane as any: nearer ones see geometry
+        // (`placement::footprint`).
         let scale = pixels_per_unit / self.footprint.pixels_per_unit(1.0);
         let ahead_m = plane_distance - least_before_m * (1.0 - PLANE_SLACK);
         let footprint_px = self.footprint.bound_px(scale, std::f64::consts::FRAC_PI_2, plane_distance, ahead_m);

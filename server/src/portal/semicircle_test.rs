@@ -4,7 +4,8 @@ use super::*;
 use crate::placement::test_scenes::settings;
 use ldi_protocol::rooms::{Cell, Portal, PortalKind};
 
-/// Rooms of 8 m by 8 m on both sides of the plane x = 0, floor at 0; a door of 1 m by 2 m at z = 0. Eyes from 1.1 to 2 m, a quarter of a metre from the walls.
+/// Rooms of 8 m by 8 m on both sides of the plane x = 0, floor at 0; a door of 1 m by 2 m at z
+/// = 0. Eyes from 1.1 to 2 m, a quarter of a metre from the walls.
 fn place() -> (Rooms, WalkVolume) {
     let room = |name: &str, x: f64| Cell {
         name: name.into(),

@@ -1,11 +1,14 @@
 //! Free space, storey by storey: where sight is free at the height of the eyes.
 //!
-//! In: a scene and its caster. Out: [`Storey`]s, each a raster with a floor height per place and the open steps between neighbours.
+//! In: a scene and its caster. Out: [`Storey`]s, each a raster with a floor height per place and
+//! the open steps between neighbours.
 //!
-//! Floors come from vertical lines ([`lines`], [`floors`]). The heights with most floor, at
-//! least [`STOREY_M`] apart, are the storeys' levels; what climbs from one to the next belongs to the lower one until it is nearly there. From even floors the raster spreads where nothing stands between
-//! two places at one of the heights [`SIGHT_M`]: over tables and beds, through windows, into the air around the house; so furniture
-//! makes no walls, and an open window is an opening like a door.
+//! Floors come from vertical lines ([`lines`], [`floors`]). The heights with most floor, at least
+//! [`STOREY_M`] apart, are the storeys' levels; what climbs from one to the next belongs to the
+//! lower one until it is nearly there. From even floors the raster spreads where nothing stands
+//! between two places at one of the heights [`SIGHT_M`]: over tables and beds, through windows,
+//! into the air around the house; so furniture makes no walls, and an open window is an opening
+//! like a door.
 
 use super::floors;
 use crate::render::{Caster, CellSet, Ray};
@@ -14,12 +17,14 @@ use glam::{DVec2, DVec3};
 use ldi_protocol::Aabb;
 use rayon::prelude::*;
 
-/// Heights above the floor at which sight is tried, metres: above tables and sills, below lintels. One free height is enough, so that shelves
-/// of 1.8 m make no walls. Lower: furniture splits rooms. Higher: doors of two metres are closed.
+/// Heights above the floor at which sight is tried, metres: above tables and sills, below lintels.
+/// One free height is enough, so that shelves of 1.8 m make no walls. Lower: furniture splits
+/// rooms. Higher: doors of two metres are closed.
 pub(super) const SIGHT_M: [f64; 3] = [1.15, 1.5, 1.9];
 /// Floors need this much head room, metres: the highest line of sight and a little.
 const HEAD_ROOM_M: f64 = 1.95;
-/// Wanted edge of a raster place, metres. A door of 0.8 m then has eight; doubling it loses narrow doors.
+/// Wanted edge of a raster place, metres. A door of 0.8 m then has eight; doubling it loses narrow
+/// doors.
 const PITCH_M: f64 = 0.1;
 /// Coarsest edge at which doors are still found.
 const COARSEST_PITCH_M: f64 = 0.2;
@@ -31,13 +36,17 @@ const BORDER_M: f64 = 1.0;
 const BIN_M: f64 = 0.1;
 /// A level is a height at which there is this much floor, m²: more than a landing of a stair.
 const LEVEL_M2: f64 = 3.0;
-/// Least distance between the levels of two storeys, metres: nobody can stand above another within it.
+/// Least distance between the levels of two storeys, metres: nobody can stand above another within
+/// it.
 const STOREY_M: f64 = 2.1;
-/// A storey's level holds at least this share of all floor: ramps and the tops of cupboards are no storeys.
+/// A storey's level holds at least this share of all floor: ramps and the tops of cupboards are no
+/// storeys.
 const STOREY_SHARE: f64 = 0.02;
-/// What lies at most this far below a storey's level belongs to it, metres; what climbs is the lower storey's until there.
+/// What lies at most this far below a storey's level belongs to it, metres; what climbs is the
+/// lower storey's until there.
 const SUNK_M: f64 = 0.6;
-/// Highest step between neighbouring places of a storey, metres: beds and tables that lines take for floors make no walls.
+/// Highest step between neighbouring places of a storey, metres: beds and tables that lines take
+/// for floors make no walls.
 const STEP_M: f64 = 1.0;
 
 /// A raster over the scene, and all surfaces that its vertical lines meet.
@@ -190,7 +199,8 @@ impl Ground {
         storeys
     }
 
-    /// Area of floor within a bin's height of every bin's middle, under a ceiling if there is enough of that: (height, m²), ascending.
+    /// Area of floor within a bin's height of every bin's middle, under a ceiling if there is
+    /// enough of that: (height, m²), ascending.
     fn levels(&self, floors: &[floors::Floor]) -> Vec<(f64, f64)> {
         let place_m2 = self.raster.pitch_m * self.raster.pitch_m;
         let covered = floors.iter().filter(|f| f.above.is_finite()).count() as f64 * place_m2 > 2.0 * LEVEL_M2;
@@ -254,7 +264,8 @@ impl Ground {
     }
 }
 
-/// The storeys' levels, ascending: the heights with most floor first, none closer to another than a storey is high.
+/// The storeys' levels, ascending: the heights with most floor first, none closer to another than
+/// a storey is high.
 fn peaks(bins: &[(f64, f64)]) -> Vec<f64> {
     let total: f64 = bins.iter().map(|b| b.1).sum::<f64>() / 3.0;
     let mut order: Vec<&(f64, f64)> = bins.iter().filter(|b| b.1 >= LEVEL_M2.max(STOREY_SHARE * total)).collect();

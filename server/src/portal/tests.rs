@@ -103,7 +103,8 @@ fn assert_door(r: &Rooms, within_m: f64) {
 fn assert_nothing_missed(caster: &Caster, r: &Rooms) {
     let poses = random_poses(caster, r, 150, 5);
     assert!(poses.len() > 100, "{} poses", poses.len());
-    // The whole scene is one cell of the octree, which is always drawn: cells of rooms are what is judged here.
+    // The whole scene is one cell of the octree, which is always drawn: cells of rooms are what is
+    // judged here.
     let cells = [caster.scene().bounds()];
     let judged = AtomicU64::new(0);
     let told = || {
@@ -176,7 +177,8 @@ fn rooms_without_a_ceiling_are_open_to_the_sky() {
 
 #[test]
 fn double_walls_have_one_door_and_their_cavity_is_no_room() {
-    // Two sheets 0.3 m apart without jambs: the cavity is open toward the doorway. Its mouths may become gaps.
+    // Two sheets 0.3 m apart without jambs: the cavity is open toward the doorway. Its mouths may
+    // become gaps.
     let mut b = pair(true);
     for x in [4.85, 5.15] {
         b = b
@@ -228,7 +230,8 @@ fn stairs_join_storeys_through_a_hatch() {
     assert_nothing_missed(&caster, r);
 }
 
-/// Two storeys of 8 x 5 m; the upper floor, at 3 m, is open over these x and z from 0 to this, metres.
+/// Two storeys of 8 x 5 m; the upper floor, at 3 m, is open over these x and z from 0 to this,
+/// metres.
 fn around_a_stairwell([x0, x1]: [f64; 2], z1: f64) -> Blocks {
     Blocks::default()
         .floor([0.0, 8.0], [0.0, 5.0], 0.0, false)
@@ -256,7 +259,8 @@ fn assert_joined_by_a_hatch(stairs: Blocks) {
 
 #[test]
 fn stairs_with_a_half_landing_join_storeys() {
-    // Up along -x beside the outer wall, a landing at half the height, and up along x beside the first flight.
+    // Up along -x beside the outer wall, a landing at half the height, and up along x beside the
+    // first flight.
     let mut b = around_a_stairwell([1.0, 5.0], 2.4).add([1.0, 1.4, 0.1], [2.0, 1.5, 2.3]);
     for k in 0..8 {
         let (x, y) = (4.4 - 0.3 * f64::from(k), 1.5 * f64::from(k + 1) / 8.0);
@@ -282,7 +286,8 @@ fn winding_stairs_join_storeys() {
 
 #[test]
 fn an_open_gallery_is_seen_from_the_hall_below() {
-    // A hall of 10 x 8 m and 6 m height; along one side a gallery 3 m up, 3 m deep, with a railing of posts.
+    // A hall of 10 x 8 m and 6 m height; along one side a gallery 3 m up, 3 m deep, with a railing
+    // of posts.
     let mut b = Blocks::default()
         .floor([0.0, 10.0], [0.0, 8.0], 0.0, false)
         .shell([0.0, 10.0], [0.0, 8.0], 0.0)

@@ -1,7 +1,9 @@
-//! Cells as parts of space, made of basins: who is above whom, and what lies within walls and floors.
+//! Cells as parts of space, made of basins: who is above whom, and what lies within walls and
+//! floors.
 //!
-//! In: storeys with a label per place. Out: [`Volumes`]: per place of the plan a stack of [`Run`]s, everything else being outside; boxes that
-//! hold the same; and [`hatches`], the horizontal openings between what is stacked.
+//! In: storeys with a label per place. Out: [`Volumes`]: per place of the plan a stack of
+//! [`Run`]s, everything else being outside; boxes that hold the same; and [`hatches`], the
+//! horizontal openings between what is stacked.
 //!
 //! ```text
 //!    y │ outside          a wall's places take the label of the nearest room: borders run in the middle of walls
@@ -30,7 +32,8 @@ const INTO_WALLS_M: f64 = 0.6;
 const CEILING_M: f64 = 1.95;
 /// Thickest slab between storeys that counts as one, metres.
 const SLAB_M: f64 = 0.6;
-/// A surface so near the upper storey's floor is that floor, metres, whether somebody can stand on it or something stands on it.
+/// A surface so near the upper storey's floor is that floor, metres, whether somebody can stand on
+/// it or something stands on it.
 const SAME_FLOOR_M: f64 = 0.1;
 /// How far a border lies within a slab, metres.
 const INTO_SLAB_M: f64 = 0.05;
@@ -70,7 +73,8 @@ struct Well {
     y_m: f32,
 }
 
-/// Spreads labels into walls: every place within reach takes the label that comes first, step by step.
+/// Spreads labels into walls: every place within reach takes the label that comes first, step by
+/// step.
 pub(super) fn fill(ground: &Ground, label: &mut [u32]) {
     let mut front: Vec<usize> = (0..label.len()).filter(|p| label[*p] != UNKNOWN).collect();
     for _ in 0..(INTO_WALLS_M / ground.raster.pitch_m).ceil() as usize {
@@ -161,7 +165,8 @@ fn border(ground: &Ground, place: usize, floor_m: f64, upper_floor_m: f64, upper
     // What the upper storey only looks over may end some way above its floor: a parapet.
     let limit = upper_floor_m + if upper_stands { -0.01 } else { super::storeys::SIGHT_M[0] };
     let at = surfaces.partition_point(|y| f64::from(*y) <= limit);
-    // Far below the upper floor it is the flight of a stair or a low roof: the upper storey looks down on it.
+    // Far below the upper floor it is the flight of a stair or a low roof: the upper storey looks
+    // down on it.
     let least = (floor_m + CEILING_M).max(upper_floor_m - SLAB_M);
     let below = surfaces[..at].iter().rev().map(|y| f64::from(*y)).find(|y| *y > least);
     if upper_stands {
@@ -228,7 +233,8 @@ impl Volumes {
         self.runs_of(place).iter().find(|r| r.low_m <= y && y <= r.high_m).map_or(OUTSIDE, |r| r.label)
     }
 
-    /// Whether a label lies within `margin_m` of a point, metres. The outside does if it holds the point or a corner of the cube of that half edge around it.
+    /// Whether a label lies within `margin_m` of a point, metres. The outside does if it holds the
+    /// point or a corner of the cube of that half edge around it.
     pub(super) fn is_near(&self, ground: &Ground, p: DVec3, label: u32, margin_m: f64) -> bool {
         if label == OUTSIDE {
             let corners = Aabb { min: p - margin_m, max: p + margin_m }.corners();
@@ -319,7 +325,8 @@ fn top(ground: &Ground, place: usize, floor_m: f64, cell: usize, h: &Heights) ->
     }
 }
 
-/// Horizontal portals: wells beside each other between the same two at about the same height, as convex hulls.
+/// Horizontal portals: wells beside each other between the same two at about the same height, as
+/// convex hulls.
 fn hatches(ground: &Ground, wells: Vec<Well>) -> Vec<Portal> {
     let mut by_pair: BTreeMap<(u32, u32, i64), BTreeMap<usize, f32>> = BTreeMap::new();
     for w in wells {
@@ -349,7 +356,8 @@ fn hatches(ground: &Ground, wells: Vec<Well>) -> Vec<Portal> {
                 [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, z)| m + DVec2::new(x, z) * pitch)
             });
             let outline = super::hull::rectangle_if_nearly(hull(corners.collect()));
-            // Counter-clockwise in (x, z) looks down; reversed, the normal points up, from below to above.
+            // Counter-clockwise in (x, z) looks down; reversed, the normal points up, from below
+            // to above.
             let corners: Vec<DVec3> = outline.iter().rev().map(|p| DVec3::new(p.x, f64::from(top), p.y)).collect();
             if corners.len() >= 3 {
                 portals.push(Portal { cells: [id(below), id(above)], kind: PortalKind::Hatch, corners });

@@ -1,7 +1,10 @@
-//! From where a portal's images are looked at: boxes of eyes ("zones") on either side of a portal, each with a camera that can serve all of them.
+//! From where a portal's images are looked at: boxes of eyes ("zones") on either side of a portal,
+//! each with a camera that can serve all of them.
 //!
-//! In: places where eyes may be, a portal. Out: zones. The papers put reference images on a semicircle around the portal at eye height (Rafferty and others 1998, section 3); here eyes may be anywhere in the room, so
-//! the room before the portal is divided until each part keeps the bounds of one image:
+//! In: places where eyes may be, a portal. Out: zones. The papers put reference images on a
+//! semicircle around the portal at eye height (Rafferty and others 1998, section 3); here eyes may
+//! be anywhere in the room, so the room before the portal is divided until each part keeps the
+//! bounds of one image:
 //!
 //! ```text
 //!    room        ______________________        D: distance of the plane from the centre of projection, at the nearest corner of the portal
@@ -11,7 +14,8 @@
 //!    zone 4         zone 2             | r     near: no image; the room beyond is geometry there
 //! ```
 //!
-//! The image is parallel to the portal, which puts its plane as far from all eyes as can be; where that does not do, its axis points from the zone to the portal.
+//! The image is parallel to the portal, which puts its plane as far from all eyes as can be; where
+//! that does not do, its axis points from the zone to the portal.
 
 use crate::placement::{Footprint, SCALES};
 use glam::DVec3;
@@ -20,18 +24,23 @@ use ldi_protocol::rooms::Portal;
 use ldi_protocol::{Aabb, ViewBasis};
 use std::{cmp::Ordering, f64::consts::FRAC_PI_2};
 
-/// Lines of sight may be this far off an image's axis: cosine of 83 degrees, which the lowest corner of a door has for eyes that just face it. Larger angles: fewer zones, each
-/// with more samples at its sides, by the cube of the cosine.
+/// Lines of sight may be this far off an image's axis: cosine of 83 degrees, which the lowest
+/// corner of a door has for eyes that just face it. Larger angles: fewer zones, each with more
+/// samples at its sides, by the cube of the cosine.
 const LEAST_COSINE: f64 = 0.12;
-/// Boxes of eyes are divided along borders of what may be used down to this, metres, or this share of their distance. Smaller: zones are a little larger, planning takes longer.
+/// Boxes of eyes are divided along borders of what may be used down to this, metres, or this share
+/// of their distance. Smaller: zones are a little larger, planning takes longer.
 const FINEST_M: f64 = 0.15;
 const FINEST_SHARE: f64 = 0.1;
-/// Lookouts are this far apart, metres, or this share of their distance from the portal. Larger: a strip beside a jamb is in no image although some eyes see it.
+/// Lookouts are this far apart, metres, or this share of their distance from the portal. Larger: a
+/// strip beside a jamb is in no image although some eyes see it.
 const APART_M: f64 = 0.125;
 const APART_SHARE: f64 = 0.08;
-/// A box of the walk volume has at most so many to a side: boxes are half a metre wide, but for walks without floors the volume may be one box as large as the scene.
+/// A box of the walk volume has at most so many to a side: boxes are half a metre wide, but for
+/// walks without floors the volume may be one box as large as the scene.
 const MOST_APART: f64 = 16.0;
-/// The image plane lies before the portal's nearest corner by this share of its distance: depths are rounded.
+/// The image plane lies before the portal's nearest corner by this share of its distance: depths
+/// are rounded.
 const PLANE_SLACK: f64 = 1e-3;
 /// Windows reach beyond what may be seen by this much, as tangents.
 const WINDOW_PAD: f64 = 2e-3;
@@ -136,7 +145,8 @@ pub(super) fn zones(gate: &Gate, places: &[Aabb], footprint: &Footprint) -> Vec<
     out
 }
 
-/// Corners of boxes that together hold all eyes of a box that may have an image: whatever is linear in the eye has its extremes there.
+/// Corners of boxes that together hold all eyes of a box that may have an image: whatever is
+/// linear in the eye has its extremes there.
 fn eyes_of(gate: &Gate, users: &Aabb) -> Vec<DVec3> {
     let mut out = Vec::new();
     let mut open = vec![*users];
@@ -201,7 +211,8 @@ fn along(gate: &Gate, users: Aabb, eyes: &[DVec3], axis: DVec3, footprint: &Foot
         reach(v);
     }
     let mut ahead_m = f64::NEG_INFINITY;
-    // What an eye sees beyond a corner of the portal lies, as seen from the centre, between that corner and the direction from the eye to it.
+    // What an eye sees beyond a corner of the portal lies, as seen from the centre, between that
+    // corner and the direction from the eye to it.
     for eye in eyes {
         ahead_m = ahead_m.max((*eye - cop).dot(basis.forward));
         for corner in &gate.portal.corners {
@@ -244,7 +255,8 @@ pub(super) fn lookouts(gate: &Gate, zone: &Zone, places: &[Aabb]) -> Vec<DVec3> 
     eyes
 }
 
-/// Of some eyes of a zone those that look most to the left, to the right, down and up past each corner of the portal: what others see through it lies between that.
+/// Of some eyes of a zone those that look most to the left, to the right, down and up past each
+/// corner of the portal: what others see through it lies between that.
 pub(super) fn outermost(gate: &Gate, zone: &Zone, eyes: &[DVec3]) -> Vec<DVec3> {
     let mut out: Vec<usize> = Vec::new();
     for corner in &gate.portal.corners {
@@ -270,7 +282,8 @@ mod tests {
 
     const CAMERA: OutputCamera = OutputCamera { width: 1280, height: 720, fov_deg: 60.0 };
 
-    /// A door of 1 m by 2 m in the plane x = 0, seen from smaller x; eyes in a room of 5 m by 5 m before it.
+    /// A door of 1 m by 2 m in the plane x = 0, seen from smaller x; eyes in a room of 5 m by 5 m
+    /// before it.
     fn room() -> (Gate, Vec<Aabb>) {
         let corners = [(0.0, -0.5), (0.0, 0.5), (2.0, 0.5), (2.0, -0.5)].map(|(y, z)| DVec3::new(0.0, y, z)).to_vec();
         let place = |i: usize| {
@@ -310,7 +323,8 @@ mod tests {
                 let (x, y) = (v.dot(z.basis.right) / depth, v.dot(z.basis.up) / depth);
                 let [l, r, b, t] = z.window;
                 assert!(x >= l && x <= r && y >= b && y <= t, "{x} {y} {:?}", z.window);
-                // Straight at it, which magnifies as much as eyes can: the ratio of depths, over the sampling density.
+                // Straight at it, which magnifies as much as eyes can: the ratio of depths, over
+                // the sampling density.
                 let e = (eye - z.cop).dot(z.basis.forward);
                 assert!(depth / (depth - e) / z.scale <= z.footprint_px);
             }
@@ -318,7 +332,8 @@ mod tests {
         }
     }
 
-    /// Directions past the portal's corners, of eyes anywhere in a zone: none is farther out than the outermost eye's, but for what eyes among those tried differ by.
+    /// Directions past the portal's corners, of eyes anywhere in a zone: none is farther out than
+    /// the outermost eye's, but for what eyes among those tried differ by.
     #[test]
     fn the_outermost_eyes_see_past_corners_what_any_eye_sees() {
         let (gate, places) = room();

@@ -1,8 +1,9 @@
 //! Alpha masks inside the traversal: a compact copy of all that the test of one hit needs.
 //!
-//! A ray through foliage meets some ten cut-out triangles before it hits one. Looking up instance, primitive, vertices
-//! and material through the scene costs a cache miss each; here one entry per masked triangle holds its texture coordinates and
-//! its material, next to those of its neighbours in the hierarchy.
+//! A ray through foliage meets some ten cut-out triangles before it hits one. Looking up instance,
+//! primitive, vertices and material through the scene costs a cache miss each; here one entry per
+//! masked triangle holds its texture coordinates and its material, next to those of its neighbours
+//! in the hierarchy.
 
 use super::{
     bvh::{Block, Bvh},

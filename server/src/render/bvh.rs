@@ -1,14 +1,17 @@
-//! The bounding volume hierarchy: eight boxes to a node, four triangles to a leaf, in one or two levels.
+//! The bounding volume hierarchy: eight boxes to a node, four triangles to a leaf, in one or two
+//! levels.
 //!
-//! obvhs builds a binary tree (PLOC with reinsertion, Meister and Bittner 2018); here it is flattened into nodes of up to eight
-//! children, always opening the child with the largest surface (Wald, Benthin and Boulos 2008), and leaves of one block of up to
-//! four triangles. Boxes and triangles lie in arrays by coordinate, so that one ray is tested against eight boxes or four
+//! obvhs builds a binary tree (PLOC with reinsertion, Meister and Bittner 2018); here it is
+//! flattened into nodes of up to eight children, always opening the child with the largest surface
+//! (Wald, Benthin and Boulos 2008), and leaves of one block of up to four triangles. Boxes and
+//! triangles lie in arrays by coordinate, so that one ray is tested against eight boxes or four
 //! triangles at once; a packet of rays shares the very same layout.
 //!
-//! Meshes that stand in few places are expanded: their triangles lie in the hierarchy in world space, which traverses fastest. Of
-//! the others each cluster has a small hierarchy in its mesh's space, made once, and the scene's hierarchy
-//! holds an [`Item`] per cluster of each instance (two levels, Wald, Benthin and Slusallek 2003). So
-//! memory grows with unique triangles and with instances, never with triangles times instances.
+//! Meshes that stand in few places are expanded: their triangles lie in the hierarchy in world
+//! space, which traverses fastest. Of the others each cluster has a small hierarchy in its mesh's
+//! space, made once, and the scene's hierarchy holds an [`Item`] per cluster of each instance (two
+//! levels, Wald, Benthin and Slusallek 2003). So memory grows with unique triangles and with
+//! instances, never with triangles times instances.
 //!
 //! Positions are f32 relative to the middle of the scene: over 100 m they are exact to 4 um.
 
@@ -42,12 +45,14 @@ pub(super) struct Node {
     pub used: u8,
 }
 
-/// Up to four triangles; on as few cache lines as they fit on. Lanes that are not there have NaN corners, which nothing hits.
+/// Up to four triangles; on as few cache lines as they fit on. Lanes that are not there have NaN
+/// corners, which nothing hits.
 #[repr(C, align(64))]
 pub(super) struct Block {
     /// x, y, z of corner 0, 1, 2.
     pub corners: [[[f32; 4]; 3]; 3],
-    /// x, y, z of the unit normal, computed in f64: f32 differences of the corners would lose it for slivers.
+    /// x, y, z of the unit normal, computed in f64: f32 differences of the corners would lose it
+    /// for slivers.
     pub normal: [[f32; 4]; 3],
     /// Numbers of the triangles.
     pub triangles: [u32; 4],
@@ -122,7 +127,8 @@ fn binary_tree(boxes: &[Boxed], max_prims_per_leaf: u32) -> Bvh2 {
     obvhs::bvh2::builder::build_bvh2(boxes, parameters, &mut std::time::Duration::default())
 }
 
-/// Which meshes are expanded: those with one instance, and of the others those that take least, up to `most` triangles.
+/// Which meshes are expanded: those with one instance, and of the others those that take least, up
+/// to `most` triangles.
 fn expanded(geometry: &Geometry, most: u64) -> Vec<bool> {
     let scene = &geometry.scene;
     let mut instances = vec![0u64; scene.meshes.len()];
@@ -143,8 +149,9 @@ fn expanded(geometry: &Geometry, most: u64) -> Vec<bool> {
 }
 
 impl Bvh {
-    /// Builds the hierarchy with at most so many triangles of repeated meshes expanded. `clusters` of the scene, if they are known
-    /// already; `is_masked` says which primitives need a look at their alpha.
+    /// Builds the hierarchy with at most so many triangles of repeated meshes expanded. `clusters`
+    /// of the scene, if they are known already; `is_masked` says which primitives need a look at
+    /// their alpha.
     pub fn new(
         geometry: &Geometry,
         clusters: Option<&Clusters>,
@@ -247,7 +254,8 @@ impl Bvh {
         Some((root, *binary.nodes[0].aabb()))
     }
 
-    /// Adds the local hierarchies of the clusters of meshes that are not expanded, and an item for each of their instances; the items' boxes.
+    /// Adds the local hierarchies of the clusters of meshes that are not expanded, and an item for
+    /// each of their instances; the items' boxes.
     fn add_items(&mut self, geometry: &Geometry, clusters: &Clusters, is_expanded: &[bool]) -> Vec<Boxed> {
         let scene = &geometry.scene;
         let built: Vec<Option<(Branches, u32)>> = clusters
@@ -359,7 +367,8 @@ impl Block {
                     axis[lane] = x;
                 }
             }
-            // Of the corners as they are stored, so that the plane is the one that edges are tested against.
+            // Of the corners as they are stored, so that the plane is the one that edges are
+            // tested against.
             let [a, b, c] = local.map(|p| p.as_dvec3());
             let n = (b - a).cross(c - a).normalize_or_zero().as_vec3();
             for (axis, x) in block.normal.iter_mut().zip(n.to_array()) {
@@ -395,8 +404,8 @@ impl Node {
     }
 }
 
-/// Turns a binary tree into wide nodes, depth first; its root, as a node has a child. `leaf` makes a
-/// child of the number of a binary leaf. None: there are no nodes.
+/// Turns a binary tree into wide nodes, depth first; its root, as a node has a child. `leaf` makes
+/// a child of the number of a binary leaf. None: there are no nodes.
 fn flatten(binary: &Bvh2, nodes: &mut Vec<Node>, leaf: &mut impl FnMut(u32) -> u32) -> Option<u32> {
     let first = binary.nodes.first()?;
     if first.is_leaf() {

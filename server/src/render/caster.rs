@@ -1,7 +1,8 @@
 //! The ray caster: which kernel runs, f64 outside and f32 inside.
 //!
-//! Traversal finds the nearest triangle in f32, relative to the middle of the scene; its t, u and v are then computed anew in f64 from the
-//! corners as the hierarchy stores them. So a hit's depth is as exact as those corners: within about 1e-7 of the scene's size.
+//! Traversal finds the nearest triangle in f32, relative to the middle of the scene; its t, u and
+//! v are then computed anew in f64 from the corners as the hierarchy stores them. So a hit's depth
+//! is as exact as those corners: within about 1e-7 of the scene's size.
 
 use super::{
     alpha::AlphaMasks,
@@ -58,7 +59,8 @@ impl Caster {
         Self::from_geometry(geometry, Some(clusters), false, MOST_EXPANDED)
     }
 
-    /// A caster of the whole scene, in one cell with number 0; `mips` prepares textures for footprints.
+    /// A caster of the whole scene, in one cell with number 0; `mips` prepares textures for
+    /// footprints.
     pub fn of_scene(scene: Arc<Scene>, mips: bool) -> Self {
         Self::from_geometry(Geometry::new(scene, None), None, mips, MOST_EXPANDED)
     }
@@ -95,19 +97,22 @@ impl Caster {
         CellSet::besides(cells, &self.geometry, &self.bvh)
     }
 
-    /// The closest hit among triangles of `cells`; of hits at the same t, the triangle with the smallest number. Alpha-masked texels
-    /// are transparent, both faces are hit. The ray's limits hold to f32 precision.
+    /// The closest hit among triangles of `cells`; of hits at the same t, the triangle with the
+    /// smallest number. Alpha-masked texels are transparent, both faces are hit. The ray's limits
+    /// hold to f32 precision.
     pub fn trace(&self, ray: &Ray, cells: &CellSet) -> Option<Hit> {
         self.trace_one(ray, cells, false)
     }
 
-    /// Whether anything in `cells` lies on the ray between its t_min and t_max; faster than [`Caster::trace`].
+    /// Whether anything in `cells` lies on the ray between its t_min and t_max; faster than
+    /// [`Caster::trace`].
     pub fn occluded(&self, ray: &Ray, cells: &CellSet) -> bool {
         self.trace_one(ray, cells, true).is_some()
     }
 
-    /// [`Caster::trace`] of every ray, with the same results. Fast where neighbours in the slice are alike and share their origin: 64
-    /// consecutive rays that lie within some pixels of each other cost little more than a few single ones. Runs on the calling thread.
+    /// [`Caster::trace`] of every ray, with the same results. Fast where neighbours in the slice
+    /// are alike and share their origin: 64 consecutive rays that lie within some pixels of each
+    /// other cost little more than a few single ones. Runs on the calling thread.
     ///
     /// # Panics
     /// If the slices differ in length.
@@ -118,7 +123,8 @@ impl Caster {
         }
     }
 
-    /// Of every ray some hit if there is one, not always the nearest; faster than [`Caster::trace_batch`].
+    /// Of every ray some hit if there is one, not always the nearest; faster than
+    /// [`Caster::trace_batch`].
     ///
     /// # Panics
     /// If the slices differ in length.
@@ -160,8 +166,8 @@ impl Caster {
         shading::surface(&self.geometry, hit, ray)
     }
 
-    /// Colour of a hit in linear light. Textures are read bilinearly in level 0, or, with a footprint and a caster with mips,
-    /// trilinearly.
+    /// Colour of a hit in linear light. Textures are read bilinearly in level 0, or, with a
+    /// footprint and a caster with mips, trilinearly.
     pub fn shade(&self, hit: &Hit, ray: &Ray, footprint: Option<&RayFootprint>) -> [f32; 3] {
         shading::shade(&self.geometry, &self.textures, hit, ray, footprint)
     }
@@ -265,7 +271,8 @@ impl Caster {
         !self.masks.is_cut_out(&self.textures, self.block(found), found.slot % 4, hit.u, hit.v)
     }
 
-    /// Corners of a hit's triangle relative to the middle of the scene, as the hierarchy stores them.
+    /// Corners of a hit's triangle relative to the middle of the scene, as the hierarchy stores
+    /// them.
     fn corners_of(&self, found: &Nearest) -> [DVec3; 3] {
         let corners = self.block(found).corners_of(found.slot as usize % 4);
         match self.bvh.items.get(found.item as usize) {
@@ -278,7 +285,8 @@ impl Caster {
         }
     }
 
-    /// The hit of a ray with a triangle's plane, in f64 (Moeller and Trumbore 1997), from the corners that the hierarchy stores.
+    /// The hit of a ray with a triangle's plane, in f64 (Moeller and Trumbore 1997), from the
+    /// corners that the hierarchy stores.
     #[inline]
     fn refined(&self, ray: &Ray, nearest: &Nearest) -> Hit {
         let [a, b, c] = self.corners_of(nearest);

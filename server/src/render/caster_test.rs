@@ -1,4 +1,5 @@
-//! The caster against brute force in f64, against itself on other paths, and against scenes with known answers.
+//! The caster against brute force in f64, against itself on other paths, and against scenes with
+//! known answers.
 
 use super::*;
 use crate::{
@@ -60,8 +61,8 @@ fn all_hits(c: &Caster, ray: &Ray) -> Vec<(f64, u32, f64)> {
     (0..c.triangle_count()).filter_map(hit).collect()
 }
 
-/// Whether a hit is the nearest of all, as far as f32 traversal can know: hits within a hair of an edge, or of another's depth, may go
-/// either way.
+/// Whether a hit is the nearest of all, as far as f32 traversal can know: hits within a hair of an
+/// edge, or of another's depth, may go either way.
 fn is_nearest(c: &Caster, ray: &Ray, cells: &CellSet, hit: Option<Hit>) -> Result<(), String> {
     let all: Vec<_> = all_hits(c, ray).into_iter().filter(|h| cells.contains(c.cell_of(h.1))).collect();
     let tolerance = |t: f64| 1e-4 * (1.0 + t.abs());
@@ -75,7 +76,8 @@ fn is_nearest(c: &Caster, ray: &Ray, cells: &CellSet, hit: Option<Hit>) -> Resul
         Some(h) if h.t > surest + tolerance(surest) => Err(format!("{h:?} behind the one at {surest}")),
         Some(h) => {
             let same = all.iter().find(|a| a.1 == h.triangle).ok_or(format!("{h:?} is no hit"))?;
-            // f32 corners over 20 m are exact to 1e-6 m; grazing hits turn that into more along the ray.
+            // f32 corners over 20 m are exact to 1e-6 m; grazing hits turn that into more along
+            // the ray.
             if (same.0 - h.t).abs() < tolerance(h.t) { Ok(()) } else { Err(format!("{h:?} is at {}", same.0)) }
         }
         None => Ok(()),
@@ -190,7 +192,8 @@ fn nothing_slips_out(c: &Caster) {
     c.trace_batch(&rays, &all, &mut hits);
     for (ray, hit) in rays.iter().zip(hits) {
         let hit = hit.unwrap_or_else(|| panic!("{ray:?} escapes"));
-        // The mesh lies between the sphere and its inscribed polyhedron: sagitta 1 - cos(pi / 48) on both angles.
+        // The mesh lies between the sphere and its inscribed polyhedron: sagitta 1 - cos(pi / 48)
+        // on both angles.
         let radius = ray.at(hit.t).length();
         assert!(radius < 1.0 + 1e-6 && radius > 1.0 - 0.0045, "{radius}");
     }
@@ -319,7 +322,8 @@ fn masks_cut_out(repeated: bool) {
     }
     let c = caster_with(s, 0);
     assert_eq!(c.bvh.items.len(), if repeated { 2 } else { 0 });
-    // Texel centres: red at top left, the hole at top right, green at bottom left, blue at bottom right.
+    // Texel centres: red at top left, the hole at top right, green at bottom left, blue at bottom
+    // right.
     let at = [(-0.5, 0.5), (0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)];
     let want = [([1.0, 0.0, 0.0], 1.0), ([0.25, 0.5, 0.75], 3.0), ([0.0, 1.0, 0.0], 1.0), ([0.0, 0.0, 1.0], 1.0)];
     for ((x, y), (colour, t)) in at.into_iter().zip(want) {
@@ -361,7 +365,8 @@ fn light_vertex_colour_and_instance_normals() {
 
 #[test]
 fn footprints_choose_the_level() {
-    // 256 x 256 texels over 2 m in black and white stripes of 16: level 4 still shows them, level 5 is grey.
+    // 256 x 256 texels over 2 m in black and white stripes of 16: level 4 still shows them, level
+    // 5 is grey.
     let texel = |i: u32| if i % 32 < 16 { [255; 4] } else { [0, 0, 0, 255] };
     let rgba = (0..256 * 256).map(|i| texel(i % 256)).collect();
     let texture = SceneTexture { name: String::new(), width: 256, height: 256, rgba, file: Vec::new() };

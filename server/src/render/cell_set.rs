@@ -6,9 +6,10 @@ use super::{
 };
 use rayon::prelude::*;
 
-/// A set of cells, prepared for one [`Caster`](super::Caster) (see [`Caster::cell_set`](super::Caster::cell_set)).
-/// Triangles of other cells are transparent, and whole branches of the hierarchy without a cell of the set are not even visited:
-/// rays that start among many hidden triangles cost no more than if those were not there.
+/// A set of cells, prepared for one [`Caster`](super::Caster) (see
+/// [`Caster::cell_set`](super::Caster::cell_set)). Triangles of other cells are transparent, and
+/// whole branches of the hierarchy without a cell of the set are not even visited: rays that start
+/// among many hidden triangles cost no more than if those were not there.
 #[derive(Debug, Clone)]
 pub struct CellSet {
     /// None stands for all.
@@ -37,7 +38,8 @@ impl CellSet {
         Self { some: None }
     }
 
-    /// These cells; numbers that the octree does not have are ignored. Takes a pass over the triangles: some milliseconds per million.
+    /// These cells; numbers that the octree does not have are ignored. Takes a pass over the
+    /// triangles: some milliseconds per million.
     pub(super) fn of(cells: &[u32], geometry: &Geometry, bvh: &Bvh) -> Self {
         let mut words = vec![0; geometry.cell_count.div_ceil(64)];
         for &c in cells.iter().filter(|c| (**c as usize) < geometry.cell_count) {

@@ -1,4 +1,5 @@
-//! Numbers of the scene's triangles: every triangle of every instance has a number, a source and a cell.
+//! Numbers of the scene's triangles: every triangle of every instance has a number, a source and a
+//! cell.
 
 use crate::{
     octree::{Clusters, Octree},
@@ -34,8 +35,8 @@ struct Piece {
 /// memory.
 const STRIDE: usize = 16;
 
-/// The expanded scene. Triangles are numbered instance after instance, primitive after primitive, in
-/// file order. Nothing is stored per expanded triangle.
+/// The expanded scene. Triangles are numbered instance after instance, primitive after primitive,
+/// in file order. Nothing is stored per expanded triangle.
 pub(super) struct Geometry {
     pub scene: Arc<Scene>,
     /// Middle of the scene: f32 positions are relative to it.
@@ -200,7 +201,8 @@ impl Geometry {
 /// Inverse transpose, scaled to largest entry 1 so that f32 holds it for any unit of the mesh.
 fn normal_matrix(instance: &Instance) -> Mat3 {
     let m = instance.world_from_mesh.matrix3;
-    // The cofactor matrix is the inverse transpose times the determinant; unlike the inverse it exists for flat matrices as well.
+    // The cofactor matrix is the inverse transpose times the determinant; unlike the inverse it
+    // exists for flat matrices as well.
     let cofactors = DMat3::from_cols(m.y_axis.cross(m.z_axis), m.z_axis.cross(m.x_axis), m.x_axis.cross(m.y_axis))
         * m.determinant().signum();
     let largest = cofactors.to_cols_array().iter().fold(0.0_f64, |a, b| a.max(b.abs()));

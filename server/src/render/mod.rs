@@ -1,13 +1,15 @@
 //! Ray casting: what rays hit, what colour that is, and ground-truth pictures made of both.
 //!
 //! In: a [`Scene`](crate::scene::Scene) and, where rays must see only some of it, its
-//! [`Octree`](crate::octree::Octree). Out: [`Hit`]s and colours ([`Caster`]); pictures and depth maps of a walk.
+//! [`Octree`](crate::octree::Octree). Out: [`Hit`]s and colours ([`Caster`]); pictures and depth
+//! maps of a walk.
 //!
-//! Nothing is culled: both faces of every triangle are hit, `double_sided` or not, and normals are never flipped, so that every
-//! renderer that draws both faces shows the same. Results do not depend on threads, on the order of rays in a batch, or on the
-//! instruction set of the machine.
+//! Nothing is culled: both faces of every triangle are hit, `double_sided` or not, and normals are
+//! never flipped, so that every renderer that draws both faces shows the same. Results do not
+//! depend on threads, on the order of rays in a batch, or on the instruction set of the machine.
 //!
-//! Measured, M rays/s of CPU time on one thread of a busy two-core machine (primary rays at 1280x720 in blocks of 8 x 8):
+//! Measured, M rays/s of CPU time on one thread of a busy two-core machine (primary rays at
+//! 1280x720 in blocks of 8 x 8):
 //!
 //! | scene | triangles | batches | single | incoherent | shading |
 //! |---|---|---|---|---|---|

@@ -1,15 +1,17 @@
 //! Up to 64 rays from one origin through the hierarchy at once.
 //!
-//! In: rays that share their origin and point roughly the same way. Out: what [`single::trace`](super::single::trace) gives for
-//! each, bit by bit.
+//! In: rays that share their origin and point roughly the same way. Out: what
+//! [`single::trace`](super::single::trace) gives for each, bit by bit.
 //!
-//! All rays lie in a thin pyramid around the dominant axis k of their mean direction: with p the position relative to the origin,
-//! depth = |p_k| and slopes u = p_i / depth, v = p_j / depth within the rays' extremes. A node costs one test of that pyramid against
-//! eight boxes, whatever the number of rays (frustum traversal after Reshetov et al. 2005). A triangle is tested against the pyramid,
-//! then against the slopes of groups of eight rays, and only groups that it may cover compute hits: small triangles cost
-//! one or two groups, like in a tiled rasterizer.
+//! All rays lie in a thin pyramid around the dominant axis k of their mean direction: with p the
+//! position relative to the origin, depth = |p_k| and slopes u = p_i / depth, v = p_j / depth
+//! within the rays' extremes. A node costs one test of that pyramid against eight boxes, whatever
+//! the number of rays (frustum traversal after Reshetov et al. 2005). A triangle is tested against
+//! the pyramid, then against the slopes of groups of eight rays, and only groups that it may cover
+//! compute hits: small triangles cost one or two groups, like in a tiled rasterizer.
 //!
-//! Slopes are widened by [`SLOPE_SLACK`] so that rounding never drops a box or triangle that a ray touches.
+//! Slopes are widened by [`SLOPE_SLACK`] so that rounding never drops a box or triangle that a ray
+//! touches.
 
 use super::{
     bvh::{Bvh, EMPTY, ITEM, LEAF},
@@ -23,14 +25,17 @@ use super::{
 pub(super) const PACKET: usize = 64;
 /// Groups of eight.
 const GROUPS: usize = PACKET / 8;
-/// Slopes are widened by this much, relative and absolute: f32 slopes and products err by some 3e-7.
+/// Slopes are widened by this much, relative and absolute: f32 slopes and products err by some
+/// 3e-7.
 const SLOPE_SLACK: f32 = 2e-6;
-/// Widest pyramid, as a slope: in a wider one rays share too little. Eight pixels of a 60-degree view, 1280 wide, are 0.007.
+/// Widest pyramid, as a slope: in a wider one rays share too little. Eight pixels of a 60-degree
+/// view, 1280 wide, are 0.007.
 const MAX_SLOPE_SPREAD: f32 = 0.06;
 /// Fewer rays than this go one by one.
 const MIN_RAYS: usize = 8;
 
-/// Rays from one origin, relative to the scene's middle, in groups of eight; groups that are not full repeat the last ray.
+/// Rays from one origin, relative to the scene's middle, in groups of eight; groups that are not
+/// full repeat the last ray.
 pub(super) struct Packet {
     pub origin: [f32; 3],
     /// Dominant axis, and the two others.
@@ -45,7 +50,8 @@ pub(super) struct Packet {
     nearest: [Nearest; PACKET],
     /// |direction| along the dominant axis: depth per t.
     depth_per_t: [[f32; 8]; GROUPS],
-    /// Of every group: least and greatest depth at which a hit matters to some of its rays, with room for rounding.
+    /// Of every group: least and greatest depth at which a hit matters to some of its rays, with
+    /// room for rounding.
     group_depths: [[f32; 8]; 2],
     /// Least depth at which a hit matters to some ray, with room for rounding.
     start: f32,
@@ -68,7 +74,8 @@ fn greatest<F4: Lanes<4>>(x: [F4; 3]) -> F4 {
     x[0].max(x[1]).max(x[2])
 }
 
-/// A plane of a box as a limit of depth: `(plane - origin) * inverse`, the least depth if the plane is entered, else the greatest.
+/// A plane of a box as a limit of depth: `(plane - origin) * inverse`, the least depth if the
+/// plane is entered, else the greatest.
 struct Side {
     plane: usize,
     axis: usize,
@@ -80,7 +87,8 @@ struct Side {
 pub(super) type PacketRay = ([f32; 3], f32, f32);
 
 impl Packet {
-    /// A packet of these rays, which look for their nearest hits or for `any`, or None if they are too few or too different to gain from it.
+    /// A packet of these rays, which look for their nearest hits or for `any`, or None if they are
+    /// too few or too different to gain from it.
     #[inline(always)]
     pub fn new(origin: [f32; 3], rays: &[PacketRay], any: bool) -> Option<Self> {
         if rays.len() < MIN_RAYS || rays.len() > PACKET {
@@ -117,7 +125,8 @@ impl Packet {
             let (g, lane) = (slot / 8, slot % 8);
             let (d, t_min, t_max) = rays[slot.min(rays.len() - 1)];
             let depth = d[k] * sign;
-            // Every ray must have the packet's dominant axis, as it has when it goes alone. Also refuses NaN.
+            // Every ray must have the packet's dominant axis, as it has when it goes alone. Also
+            // refuses NaN.
             if !(depth > 0.0 && d[i].abs() < depth && d[j].abs() < depth) {
                 return None;
             }
@@ -162,9 +171,10 @@ impl Packet {
         self.nearest[i].is_some().then_some(self.nearest[i])
     }
 
-    /// The six planes of a box as limits of depth. On the slope's axis a box from `low` to `high` needs
-    /// `u_max * depth >= low` and `u_min * depth <= high` for some ray to be in it at that depth; divided by the slope, either is a least or
-    /// a greatest depth, by its sign. Together they are at least as tight as the four sides of the pyramid.
+    /// The six planes of a box as limits of depth. On the slope's axis a box from `low` to `high`
+    /// needs `u_max * depth >= low` and `u_min * depth <= high` for some ray to be in it at that
+    /// depth; divided by the slope, either is a least or a greatest depth, by its sign. Together
+    /// they are at least as tight as the four sides of the pyramid.
     fn sides(&self) -> [Side; 6] {
         let [k, i, j] = self.axes;
         let [u_min, u_max, v_min, v_max] = self.slopes.map(|s| 1.0 / s);
@@ -177,7 +187,8 @@ impl Packet {
         self.count.div_ceil(8)
     }
 
-    /// Greatest depth at which a hit still matters to some ray, with room for rounding; looks anew at some groups.
+    /// Greatest depth at which a hit still matters to some ray, with room for rounding; looks anew
+    /// at some groups.
     #[inline(always)]
     fn reach<F8: Lanes<8>>(&mut self, mut groups: u32) -> f32 {
         while groups != 0 {
@@ -204,8 +215,8 @@ impl Packet {
         self.descend::<F8, F4, true>(bvh, branch, reach, is_there);
     }
 
-    /// Looks for nearer hits in a hierarchy, with `ITEMS` in the items that it holds, too; `reach` is the greatest depth at which one
-    /// matters, before and after.
+    /// Looks for nearer hits in a hierarchy, with `ITEMS` in the items that it holds, too; `reach`
+    /// is the greatest depth at which one matters, before and after.
     #[inline(always)]
     fn descend<F8: Lanes<8>, F4: Lanes<4>, const ITEMS: bool>(
         &mut self,
@@ -232,7 +243,8 @@ impl Packet {
                     let plane = side(node, &placed, s.plane);
                     let depth = plane.sub(origin[s.axis]).mul(F8::splat(s.inverse));
                     if s.is_entered {
-                        // Of a NaN (a plane through the origin, a slope of 0) and a number, these keep the number.
+                        // Of a NaN (a plane through the origin, a slope of 0) and a number, these
+                        // keep the number.
                         enter = depth.mul(nearer).max(enter);
                     } else {
                         leave = depth.mul(farther).min(leave);
@@ -258,7 +270,8 @@ impl Packet {
         reach
     }
 
-    /// Tests a block's triangles against all rays; bits of the groups with a nearer hit than before.
+    /// Tests a block's triangles against all rays; bits of the groups with a nearer hit than
+    /// before.
     #[inline(always)]
     fn block<F8: Lanes<8>, F4: Lanes<4>, const ITEMS: bool>(
         &mut self,
@@ -343,7 +356,8 @@ impl Packet {
         F8::bits(F8::and(F8::and(u, v), depth))
     }
 
-    /// Bits of the triangles that may touch the pyramid within reach, and their ranges of slopes and depths.
+    /// Bits of the triangles that may touch the pyramid within reach, and their ranges of slopes
+    /// and depths.
     #[inline(always)]
     fn cover<F4: Lanes<4>>(&self, corners: [Vec3L<F4>; 3], reach: f32) -> (u32, [[f32; 4]; 6]) {
         let [k, i, j] = self.axes;

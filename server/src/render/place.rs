@@ -1,8 +1,8 @@
 //! Where an instance stands, as the traversal kernels take it.
 //!
-//! Rays stay in the world: boxes and triangles of a mesh are placed as rays meet them. So one packet
-//! of rays goes through the whole scene, t and depth mean the same everywhere, and single rays and
-//! packets see the same numbers.
+//! Rays stay in the world: boxes and triangles of a mesh are placed as rays meet them. So one
+//! packet of rays goes through the whole scene, t and depth mean the same everywhere, and single
+//! rays and packets see the same numbers.
 //!
 //! No closures here: they would be compiled without the widest vectors.
 
@@ -15,8 +15,8 @@ use crate::scene::Instance;
 use glam::{DVec3, Mat3};
 use ldi_protocol::Aabb;
 
-/// Room for rounding in placed boxes, as a share of the largest coordinate: f32 products and sums err
-/// by some 4e-7 of it.
+/// Room for rounding in placed boxes, as a share of the largest coordinate: f32 products and sums
+/// err by some 4e-7 of it.
 const BOX_SLACK: f64 = 1e-6;
 
 /// A placement of a mesh, relative to the middle of the scene.
@@ -56,8 +56,8 @@ impl Place {
         self.slack
     }
 
-    /// World boxes around a node's children: min x, y, z, max x, y, z. Of children that are not there
-    /// they are NaN.
+    /// World boxes around a node's children: min x, y, z, max x, y, z. Of children that are not
+    /// there they are NaN.
     #[inline(always)]
     pub fn boxes<F8: Lanes<8>>(&self, node: &Node) -> [F8; 6] {
         let half = F8::splat(0.5);

@@ -7,7 +7,8 @@ use glam::DVec3;
 pub struct Ray {
     /// World, metres.
     pub origin: DVec3,
-    /// Any length but zero; t counts in it. With the rays of [`ldi_protocol::OutputCamera::ray`] t is the eye-space depth.
+    /// Any length but zero; t counts in it. With the rays of [`ldi_protocol::OutputCamera::ray`] t
+    /// is the eye-space depth.
     pub direction: DVec3,
     /// Hits before it are not seen.
     pub t_min: f64,
@@ -32,7 +33,8 @@ impl Ray {
 pub struct Hit {
     /// In units of the ray's direction; computed in f64 from the triangle's plane.
     pub t: f64,
-    /// Number of the triangle in the expanded scene: instance after instance, primitive after primitive, in file order.
+    /// Number of the triangle in the expanded scene: instance after instance, primitive after
+    /// primitive, in file order.
     pub triangle: u32,
     /// Barycentric weight of the triangle's second vertex.
     pub u: f32,
@@ -40,7 +42,8 @@ pub struct Hit {
     pub v: f32,
 }
 
-/// How the direction of a ray changes from pixel to pixel, for filtering textures by the pixel's footprint.
+/// How the direction of a ray changes from pixel to pixel, for filtering textures by the pixel's
+/// footprint.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RayFootprint {
     /// Change of `direction` toward the next column.

@@ -1,9 +1,10 @@
 //! From a hit to a surface point and its colour.
 //!
 //! Colour = base colour (factor x texture x vertex colour) x light(n), in linear light, by
-//! [`ldi_protocol::shade::light`] with the interpolated normal, never flipped. Textures are read bilinearly in level 0, or trilinearly by the
-//! pixel's footprint: the change of the texture coordinate to the neighbouring pixels on the triangle's plane, exact for a plane
-//! (ray differentials of Igehy 1999, for rays that share an origin), isotropic like graphics hardware.
+//! [`ldi_protocol::shade::light`] with the interpolated normal, never flipped. Textures are read
+//! bilinearly in level 0, or trilinearly by the pixel's footprint: the change of the texture
+//! coordinate to the neighbouring pixels on the triangle's plane, exact for a plane (ray
+//! differentials of Igehy 1999, for rays that share an origin), isotropic like graphics hardware.
 
 use super::{
     geometry::Geometry,
@@ -152,7 +153,8 @@ fn level_of_detail(
     let (ab, ac) = (b - a, c - a);
     let n = ab.cross(ac);
     let facing = n.dot(ray.direction);
-    // Moving the direction by s moves the hit by t (s - d (n . s) / (n . d)); barycentric weights change linearly with it.
+    // Moving the direction by s moves the hit by t (s - d (n . s) / (n . d)); barycentric weights
+    // change linearly with it.
     let duv = |s: DVec3| {
         let moved = (s - ray.direction * (n.dot(s) / facing)) * hit.t;
         let area2 = n.length_squared();

@@ -1,6 +1,7 @@
 //! One ray through the hierarchy: eight boxes at once, then four triangles at once, nearest first.
 //!
-//! Boxes are tested by slabs (Williams et al. 2005) with the planes chosen by the signs of the direction.
+//! Boxes are tested by slabs (Williams et al. 2005) with the planes chosen by the signs of the
+//! direction.
 
 use super::{
     bvh::{Block, Branches, Bvh, EMPTY, ITEM, LEAF, Node},
@@ -10,8 +11,9 @@ use super::{
     triangles::{Rays, Triangles, Vec3L, axes_of, intersect, relative_corners, splat3},
 };
 
-/// Relative room left for rounding wherever a distance to a box decides that nothing in it can be nearer: a slab distance errs by
-/// some 2e-7, a triangle's t by up to about 1e-6 unless it is seen at a grazing angle. Larger values only cost visits.
+/// Relative room left for rounding wherever a distance to a box decides that nothing in it can be
+/// nearer: a slab distance errs by some 2e-7, a triangle's t by up to about 1e-6 unless it is seen
+/// at a grazing angle. Larger values only cost visits.
 pub(super) const DISTANCE_SLACK: f32 = 1e-5;
 
 /// A ray relative to the scene's middle.
@@ -108,7 +110,8 @@ impl<'a> Branch<'a> {
     }
 }
 
-/// Stack entries on the way: distance in the upper half, so that integer order is distance order (distances are not negative).
+/// Stack entries on the way: distance in the upper half, so that integer order is distance order
+/// (distances are not negative).
 pub(super) struct Stack {
     entries: [u64; Self::INLINE],
     count: usize,
@@ -169,7 +172,8 @@ impl Stack {
     }
 }
 
-/// The side of a box on an axis that a ray enters through (`other` 0) or leaves through (3), of min x, y, z, max x, y, z.
+/// The side of a box on an axis that a ray enters through (`other` 0) or leaves through (3), of
+/// min x, y, z, max x, y, z.
 #[inline(always)]
 fn entered(inverse: [f32; 3], axis: usize, other: usize) -> usize {
     if inverse[axis] < 0.0 { axis + 3 - other } else { axis + other }
@@ -198,7 +202,8 @@ struct Prepared<F8, F4> {
 impl<F8: Lanes<8>, F4: Lanes<4>> Prepared<F8, F4> {
     #[inline(always)]
     fn new(ray: &ShortRay) -> Self {
-        // Infinite for components of zero: such a ray is in the slab for all t or for none, and 0 x infinity, on a border, is NaN and no limit.
+        // Infinite for components of zero: such a ray is in the slab for all t or for none, and 0
+        // x infinity, on a border, is NaN and no limit.
         let inverse = ray.direction.map(|d| 1.0 / d);
         let axes = axes_of(ray.direction);
         let [k, i, j] = axes;
@@ -305,8 +310,8 @@ impl<F8: Lanes<8>, F4: Lanes<4>> Prepared<F8, F4> {
     }
 }
 
-/// The nearest hit; of several at the same t, the one with the smallest number. `is_there` has the last word about triangles
-/// with a mask. With `any`, some hit.
+/// The nearest hit; of several at the same t, the one with the smallest number. `is_there` has the
+/// last word about triangles with a mask. With `any`, some hit.
 #[inline(always)]
 pub(super) fn trace<F8: Lanes<8>, F4: Lanes<4>>(
     bvh: &Bvh,

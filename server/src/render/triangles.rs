@@ -1,29 +1,34 @@
 //! Ray against triangle, four triangles at a time or eight rays at a time, without cracks.
 //!
-//! The test of Woop, Benthin and Wald 2013: corners relative to the origin are sheared along the ray's dominant axis k so that the ray becomes
-//! that axis,
+//! The test of Woop, Benthin and Wald 2013: corners relative to the origin are sheared along the
+//! ray's dominant axis k so that the ray becomes that axis,
 //!
 //! ```text
 //!     x = p_i - p_k d_i / d_k        y = p_j - p_k d_j / d_k
 //! ```
 //!
-//! and the ray hits the triangle where the three edge functions U = c_x b_y - c_y b_x, V = a_x c_y - a_y c_x, W = b_x a_y - b_y a_x do not differ in
-//! sign. Triangles that share a corner compute the same (x, y) for it, and because rounding is monotonic, c_x b_y - c_y b_x never has
-//! the wrong sign: at worst it is 0, which counts for both sides. So a ray cannot slip between triangles that share corners, not even at
-//! a corner; on an edge it hits both. (Products of Pluecker coordinates need fewer operations in packets, but let rays through at
-//! corners: tried, and seen in `nothing_slips_through_shared_edges`.)
+//! and the ray hits the triangle where the three edge functions U = c_x b_y - c_y b_x, V = a_x
+//! c_y - a_y c_x, W = b_x a_y - b_y a_x do not differ in sign. Triangles that share a corner compute
+//! the same (x, y) for it, and because rounding is monotonic, c_x b_y - c_y b_x never has the
+//! wrong sign: at worst it is 0, which counts for both sides. So a ray cannot slip between
+//! triangles that share corners, not even at a corner; on an edge it hits both. (Products of
+//! Pluecker coordinates need fewer operations in packets, but let rays through at corners: tried,
+//! and seen in `nothing_slips_through_shared_edges`.)
 //!
-//! Changed against the paper: the depth is that of the plane, t = (a . n) / (d . n) with n from f64 (`Block::normal`), since weighting
-//! the corners' depths by U, V, W is no better than those for slivers; and no second evaluation in f64 where an edge function is 0.
+//! Changed against the paper: the depth is that of the plane, t = (a . n) / (d . n) with n from
+//! f64 (`Block::normal`), since weighting the corners' depths by U, V, W is no better than those
+//! for slivers; and no second evaluation in f64 where an edge function is 0.
 //!
-//! Single rays and packets run through the same arithmetic in the same order, so they see the same hits bit by bit.
+//! Single rays and packets run through the same arithmetic in the same order, so they see the same
+//! hits bit by bit.
 
 use super::{bvh::Block, lanes::Lanes, place::Place};
 
 /// Three coordinates.
 pub(super) type Vec3L<F> = [F; 3];
 
-/// `array::map` that is certain to be inlined: a kernel's registers must not pass through functions compiled for fewer instructions.
+/// `array::map` that is certain to be inlined: a kernel's registers must not pass through
+/// functions compiled for fewer instructions.
 #[inline(always)]
 pub(super) fn map3<A: Copy, B>(a: [A; 3], f: impl Fn(A) -> B) -> [B; 3] {
     [f(a[0]), f(a[1]), f(a[2])]
@@ -60,7 +65,8 @@ pub(super) fn relative_corners<F: Lanes<4>>(block: &Block, place: Option<&Place>
     [sub(load3(&block.corners[0]), o), sub(load3(&block.corners[1]), o), sub(load3(&block.corners[2]), o)]
 }
 
-/// Triangles to test: corners relative to the origin, normals, and how far the planes lie from the origin along the normals.
+/// Triangles to test: corners relative to the origin, normals, and how far the planes lie from the
+/// origin along the normals.
 #[derive(Clone, Copy)]
 pub(super) struct Triangles<F> {
     pub corners: [Vec3L<F>; 3],
@@ -109,7 +115,8 @@ fn sheared<const N: usize, F: Lanes<N>>(p: Vec3L<F>, [k, i, j]: [usize; 3], rays
     [p[i].sub(rays.slopes[0].mul(p[k])), p[j].sub(rays.slopes[1].mul(p[k]))]
 }
 
-/// Where lanes hit: bits of the lanes with `t_min <= t <= t_max`, and t of all lanes. Either side may be the same in all lanes.
+/// Where lanes hit: bits of the lanes with `t_min <= t <= t_max`, and t of all lanes. Either side
+/// may be the same in all lanes.
 #[inline(always)]
 pub(super) fn intersect<const N: usize, F: Lanes<N>>(
     axes: [usize; 3],

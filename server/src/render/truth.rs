@@ -1,10 +1,12 @@
 //! Ground truth: pictures and depth maps of a walk, by ray casting alone.
 //!
-//! In: a [`Caster`], poses, [`RenderOptions`]. Out: 8-bit sRGB pictures and, on request, eye-space depth.
+//! In: a [`Caster`], poses, [`RenderOptions`]. Out: 8-bit sRGB pictures and, on request, eye-space
+//! depth.
 //!
-//! Samples lie on a regular n x n grid in every pixel (n = 1: its centre), each weighs the same (box filter), sums are taken in linear
-//! light and only the mean is turned into sRGB. Depth is that of the one ray through the pixel's centre; it is never
-//! averaged. Rays are cast in blocks of up to 8 x 8 neighbouring samples in Morton order, which is what the caster's packets like.
+//! Samples lie on a regular n x n grid in every pixel (n = 1: its centre), each weighs the same
+//! (box filter), sums are taken in linear light and only the mean is turned into sRGB. Depth is
+//! that of the one ray through the pixel's centre; it is never averaged. Rays are cast in blocks
+//! of up to 8 x 8 neighbouring samples in Morton order, which is what the caster's packets like.
 
 use super::{Caster, CellSet, Hit, Ray, RayFootprint};
 use glam::DVec3;
@@ -32,7 +34,8 @@ pub struct RenderOptions {
     pub camera: OutputCamera,
     /// Samples per pixel: a square number, 1 to 256.
     pub samples: u32,
-    /// Filter textures trilinearly by the sample's footprint; the caster must have been made with mips.
+    /// Filter textures trilinearly by the sample's footprint; the caster must have been made with
+    /// mips.
     pub mips: bool,
     /// Make depth maps as well.
     pub depth: bool,
@@ -104,8 +107,8 @@ impl RenderOptions {
     }
 }
 
-/// Renders one pose, on all threads of the current pool; the same bytes on any number of them. `options` must pass
-/// [`RenderOptions::check`].
+/// Renders one pose, on all threads of the current pool; the same bytes on any number of them.
+/// `options` must pass [`RenderOptions::check`].
 pub fn render_frame(caster: &Caster, pose: &Pose, options: &RenderOptions) -> Frame {
     let (width, height) = (options.camera.width, options.camera.height);
     let view = View::new(pose, options);
@@ -125,8 +128,9 @@ pub fn render_frame(caster: &Caster, pose: &Pose, options: &RenderOptions) -> Fr
     Frame { width, height, rgb, depth_m }
 }
 
-/// Renders poses 0, N, 2N, ... of a walk to `frame_00000.png` ... (and `.f32`: row-major little-endian depth) in `out_dir`, which must
-/// exist, numbered by pose. `progress` hears (frames done, frames in all) after each. Returns the numbers of the poses rendered.
+/// Renders poses 0, N, 2N, ... of a walk to `frame_00000.png` ... (and `.f32`: row-major
+/// little-endian depth) in `out_dir`, which must exist, numbered by pose. `progress` hears (frames
+/// done, frames in all) after each. Returns the numbers of the poses rendered.
 pub fn render_path(
     caster: &Caster,
     walk: &Walk,
@@ -138,7 +142,8 @@ pub fn render_path(
     let numbers: Vec<usize> = (0..walk.poses.len()).step_by(options.every).collect();
     let mut previous: Option<(usize, Frame)> = None;
     for (done, &number) in numbers.iter().enumerate() {
-        // Encoding a picture keeps one thread busy for a while: it runs beside the next picture's rays.
+        // Encoding a picture keeps one thread busy for a while: it runs beside the next picture's
+        // rays.
         let (written, frame) = rayon::join(
             || previous.as_ref().map_or(Ok(()), |(n, frame)| frame.write(out_dir, *n)),
             || render_frame(caster, &walk.poses[number].pose, options),
@@ -210,7 +215,8 @@ impl View {
         (BLOCK / self.samples_across).max(1)
     }
 
-    /// Casts the samples of the block whose first pixel is (x, y); samples beyond the picture are left out.
+    /// Casts the samples of the block whose first pixel is (x, y); samples beyond the picture are
+    /// left out.
     fn cast_block(&self, caster: &Caster, x: u32, y: u32, scratch: &mut Scratch) {
         let n = self.samples_across;
         let side = self.block_pixels() * n;

@@ -57,7 +57,8 @@ fn pixels_are_means_of_single_rays() {
 
 #[test]
 fn a_pixel_half_covered_is_half_the_light() {
-    // White left of the picture's middle, black right of it; the middle column of three is half of each.
+    // White left of the picture's middle, black right of it; the middle column of three is half of
+    // each.
     let white = quad(Vec3::new(-9.0, 9.0, -5.0), Vec3::X * 9.0, Vec3::NEG_Y * 18.0);
     let black = quad(Vec3::new(0.0, 9.0, -5.0), Vec3::X * 9.0, Vec3::NEG_Y * 18.0);
     let caster = Caster::of_scene(

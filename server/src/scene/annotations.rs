@@ -9,9 +9,9 @@
 //! } }]
 //! ```
 //!
-//! [`SceneExtras`] is both read here and written by the exporter of the built-in scenes. A portal is a flat, convex
-//! polygon, its corners in order around it (either way), between two different rooms of the list, or between one of them
-//! and [`OUTSIDE`].
+//! [`SceneExtras`] is both read here and written by the exporter of the built-in scenes. A portal
+//! is a flat, convex polygon, its corners in order around it (either way), between two different
+//! rooms of the list, or between one of them and [`OUTSIDE`].
 
 use std::collections::BTreeSet;
 
@@ -79,7 +79,8 @@ impl From<&Scene> for SceneExtras {
     }
 }
 
-/// Reads and checks the annotations in a scene's extras. Extras that are no object belong to somebody else.
+/// Reads and checks the annotations in a scene's extras. Extras that are no object belong to
+/// somebody else.
 pub(super) fn from_extras(
     json: &str,
     place: &str,

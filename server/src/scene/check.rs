@@ -27,8 +27,9 @@ pub(super) fn world_within(scene: &Scene, limits: &Limits) -> Result<(), Fault> 
 }
 
 impl Scene {
-    /// Checks what the fields promise: references in range, values finite, normals of unit length, placements with an
-    /// inverse. Importers check their input as they read it; this is for tests and for scenes made by code.
+    /// Checks what the fields promise: references in range, values finite, normals of unit length,
+    /// placements with an inverse. Importers check their input as they read it; this is for tests
+    /// and for scenes made by code.
     ///
     /// # Errors
     /// The first thing that is wrong, in words.

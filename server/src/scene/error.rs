@@ -66,7 +66,8 @@ pub enum SceneError {
 }
 
 impl SceneError {
-    /// Whether trying again cannot help (exit status 42): everything but a file that is there and could not be read.
+    /// Whether trying again cannot help (exit status 42): everything but a file that is there and
+    /// could not be read.
     pub fn is_permanent(&self) -> bool {
         !matches!(self, Self::Unreadable { permanent: false, .. })
     }

@@ -1,8 +1,9 @@
-//! The only door to the file system: the scene file itself, and regular files in its folder or below.
+//! The only door to the file system: the scene file itself, and regular files in its folder or
+//! below.
 //!
-//! A scene names other files by URI (glTF) or path (OBJ, PLY). A hostile scene names `/etc/passwd`, `../../key`, a
-//! symbolic link out of its folder, a pipe, or a web address; none of these is opened. Percent-encoding follows RFC
-//! 3986 section 2.1, `data:` URIs RFC 2397.
+//! A scene names other files by URI (glTF) or path (OBJ, PLY). A hostile scene names
+//! `/etc/passwd`, `../../key`, a symbolic link out of its folder, a pipe, or a web address; none
+//! of these is opened. Percent-encoding follows RFC 3986 section 2.1, `data:` URIs RFC 2397.
 
 use std::fs::{self, File};
 use std::io::{self, Read};
@@ -37,7 +38,8 @@ pub(super) struct Files {
 }
 
 impl Files {
-    /// Reads the scene file, and opens its folder (after following links) for what the scene refers to.
+    /// Reads the scene file, and opens its folder (after following links) for what the scene
+    /// refers to.
     pub(super) fn open(path: &Path, limit: u64) -> Result<(Self, Vec<u8>), SceneError> {
         let unreadable = |e: &io::Error| SceneError::Unreadable {
             file: path.display().to_string(),
@@ -90,7 +92,8 @@ impl Files {
         self.read_regular(&real, place).map_err(|e| refused(&format!("cannot be read: {e}")))?
     }
 
-    /// What the scene can be shown without: None where it failed and the scene is to be shown all the same.
+    /// What the scene can be shown without: None where it failed and the scene is to be shown all
+    /// the same.
     pub(super) fn dispensable<T>(&mut self, found: Result<T, Fault>) -> Result<Option<T>, Fault> {
         match found {
             Ok(found) => Ok(Some(found)),

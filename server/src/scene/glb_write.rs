@@ -1,6 +1,8 @@
-//! Writes a [`Scene`] as binary glTF 2.0: one buffer, textures embedded as PNG, instances as nodes that share meshes.
+//! Writes a [`Scene`] as binary glTF 2.0: one buffer, textures embedded as PNG, instances as nodes
+//! that share meshes.
 //!
-//! Rooms and portals go to the glTF scene's `extras` as `ldi_cells` and `ldi_portals`, which the importer reads back.
+//! Rooms and portals go to the glTF scene's `extras` as `ldi_cells` and `ldi_portals`, which the
+//! importer reads back.
 
 use super::{Primitive, Scene, SceneExtras};
 use glam::DAffine3;

@@ -1,8 +1,8 @@
 //! Pictures: PNG and JPEG bytes in, sRGB texels out.
 //!
-//! Sizes are read from all headers first and compared with the limits, one by one and together; only then are the
-//! pictures decoded, in parallel, in order. A header which promises more than its bytes can
-//! hold ([`PIXELS_PER_BYTE`]) is refused before its picture is allocated.
+//! Sizes are read from all headers first and compared with the limits, one by one and together;
+//! only then are the pictures decoded, in parallel, in order. A header which promises more than
+//! its bytes can hold ([`PIXELS_PER_BYTE`]) is refused before its picture is allocated.
 
 use std::borrow::Cow;
 use std::io::Cursor;
@@ -33,7 +33,8 @@ pub(super) struct EncodedImage<'a> {
 /// A picture that cannot be read: what it is multiplied with shows.
 const PLAIN: [u8; 4] = [255; 4];
 
-/// Decodes all pictures, in order; those that were not read, and with [`Files::lenient`] those that cannot be decoded, are plain.
+/// Decodes all pictures, in order; those that were not read, and with [`Files::lenient`] those
+/// that cannot be decoded, are plain.
 pub(super) fn decode_all(
     images: &[EncodedImage<'_>],
     files: &mut Files,
@@ -105,7 +106,8 @@ impl EncodedImage<'_> {
         };
         let mut reader = ImageReader::with_format(Cursor::new(self.encoded()), format);
         let mut allowed = image::Limits::no_limits();
-        // Sides are compared by the caller, whose message is better; this one bounds what the decoder may allocate.
+        // Sides are compared by the caller, whose message is better; this one bounds what the
+        // decoder may allocate.
         allowed.max_alloc = Some(u64::from(limits.image_side).pow(2) * BYTES_PER_PIXEL);
         reader.limits(allowed);
         reader.into_decoder().map_err(|e| self.undecodable(&e))

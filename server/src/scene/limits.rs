@@ -1,5 +1,6 @@
-//! How much a scene file may ask for. A file is data from a stranger: a few bytes of it can promise billions of
-//! vertices, so every size is compared with these before anything is allocated for it.
+//! How much a scene file may ask for. A file is data from a stranger: a few bytes of it can
+//! promise billions of vertices, so every size is compared with these before anything is allocated
+//! for it.
 
 /// Upper bounds for one scene. [`LIMITS`] holds the values in use; tests pass smaller ones.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,8 +25,8 @@ pub struct Limits {
     pub image_side: u32,
     /// Pixels of all images together: 4 bytes each.
     pub image_pixels: u64,
-    /// Largest distance from the origin along any axis, metres. At 10,000 km an f64 still resolves 2 nm, and squares
-    /// of f32 coordinates stay finite.
+    /// Largest distance from the origin along any axis, metres. At 10,000 km an f64 still resolves
+    /// 2 nm, and squares of f32 coordinates stay finite.
     pub coordinate_m: f64,
     /// Bytes of a PLY header.
     pub ply_header_bytes: u64,
@@ -35,8 +36,8 @@ pub struct Limits {
     pub portal_corners: u64,
 }
 
-/// The limits in use: several times the largest scene known to be worth walking (7 million triangles), and
-/// together below 10 GiB in the worst case.
+/// The limits in use: several times the largest scene known to be worth walking (7 million
+/// triangles), and together below 10 GiB in the worst case.
 pub const LIMITS: Limits = Limits {
     file_bytes: 4 << 30,
     json_bytes: 128 << 20,

@@ -1,12 +1,13 @@
 //! Stage 1: a scene, from a file or built in.
 //!
-//! In: a glTF/GLB, OBJ or PLY file (with `?up=z&unit=mm` where it is not in metres with Y up), or `builtin:NAME?triangles=N&seed=S`. Out: a [`Scene`]: meshes once, instances as
-//! references, materials and textures, all validated: finite values, indices in range, no cycles. What a later stage
-//! reads here it may trust.
+//! In: a glTF/GLB, OBJ or PLY file (with `?up=z&unit=mm` where it is not in metres with Y up), or
+//! `builtin:NAME?triangles=N&seed=S`. Out: a [`Scene`]: meshes once, instances as references,
+//! materials and textures, all validated: finite values, indices in range, no cycles. What a later
+//! stage reads here it may trust.
 //!
-//! A scene file is data from a stranger. [`Limits`] bounds what it may ask for, before anything is allocated; `files`
-//! is the only door to the file system; every error names file, place and remedy. Whatever is left out or changed on
-//! the way in stands in [`Scene::notes`].
+//! A scene file is data from a stranger. [`Limits`] bounds what it may ask for, before anything is
+//! allocated; `files` is the only door to the file system; every error names file, place and
+//! remedy. Whatever is left out or changed on the way in stands in [`Scene::notes`].
 
 mod annotations;
 pub mod builtin;
@@ -35,7 +36,8 @@ pub use spec::{BuiltinSpec, FileSpec, unit_doubt};
 use error::Fault;
 use files::Files;
 
-/// Loads a scene from a `.gltf`, `.glb`, `.obj` or `.ply` file ([`FileSpec`]), or builds `builtin:NAME[?triangles=N&seed=S]`.
+/// Loads a scene from a `.gltf`, `.glb`, `.obj` or `.ply` file ([`FileSpec`]), or builds
+/// `builtin:NAME[?triangles=N&seed=S]`.
 ///
 /// # Errors
 /// A [`SceneError`] that names the file, the place in it and the remedy. No input makes this panic.

@@ -41,8 +41,8 @@ pub struct Note {
 pub struct Mesh {
     /// Name in the file, for messages.
     pub name: String,
-    /// Primitives in file order, so that (mesh, primitive, triangle) names a source triangle. One that was left out
-    /// (points, lines) stays as an empty one.
+    /// Primitives in file order, so that (mesh, primitive, triangle) names a source triangle. One
+    /// that was left out (points, lines) stays as an empty one.
     pub primitives: Vec<Primitive>,
 }
 
@@ -70,8 +70,8 @@ pub struct Instance {
     pub node: u32,
     /// Position in [`Scene::meshes`].
     pub mesh: u32,
-    /// Placement. It has an inverse. A negative determinant mirrors the mesh and so swaps the front and back of its
-    /// triangles; this matters only where single-sided faces are culled.
+    /// Placement. It has an inverse. A negative determinant mirrors the mesh and so swaps the
+    /// front and back of its triangles; this matters only where single-sided faces are culled.
     pub world_from_mesh: DAffine3,
 }
 
@@ -131,8 +131,8 @@ impl Scene {
             *corner = world.transform_point3(*corner);
         }
     }
-    /// World bounds of all instances, of every vertex. Takes a pass over the unique vertices and one
-    /// over the instances; placed vertex by vertex are only instances near the scene's border.
+    /// World bounds of all instances, of every vertex. Takes a pass over the unique vertices and
+    /// one over the instances; placed vertex by vertex are only instances near the scene's border.
     pub fn bounds(&self) -> Aabb {
         let of_meshes: Vec<Aabb> = self.meshes.par_iter().map(Mesh::bounds).collect();
         // Contain the vertices, but reach farther where the placement turns.

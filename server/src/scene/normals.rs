@@ -1,9 +1,10 @@
 //! Normals where a file has none, or useless ones.
 //!
-//! Two ways, because the formats differ: glTF 2.0 (section 3.7.2.1) and, by the habit of its viewers, OBJ ask for flat
-//! normals, for which vertices are no longer shared between triangles; a PLY scan means one smooth surface, whose
-//! normal at a vertex is the mean of its triangles' normals weighted by area. Sums run in f64 in file order, so that
-//! neither huge coordinates nor the number of threads change them.
+//! Two ways, because the formats differ: glTF 2.0 (section 3.7.2.1) and, by the habit of its
+//! viewers, OBJ ask for flat normals, for which vertices are no longer shared between triangles; a
+//! PLY scan means one smooth surface, whose normal at a vertex is the mean of its triangles'
+//! normals weighted by area. Sums run in f64 in file order, so that neither huge coordinates nor
+//! the number of threads change them.
 
 use glam::{DVec3, Vec3};
 
@@ -55,7 +56,8 @@ pub(super) fn flatten(primitive: &mut Primitive) {
     }
 }
 
-/// Brings stored (finite) normals to unit length; those without a direction become smooth ones. Returns how many did.
+/// Brings stored (finite) normals to unit length; those without a direction become smooth ones.
+/// Returns how many did.
 pub(super) fn repair(primitive: &mut Primitive) -> usize {
     let mut lost = Vec::new();
     for (i, n) in primitive.normals.iter_mut().enumerate() {
@@ -82,7 +84,8 @@ pub(super) fn repair(primitive: &mut Primitive) -> usize {
 mod tests {
     use super::*;
 
-    /// Two faces of a cube that share the edge x = 1, z = 0..1: the floor (up) and the wall (right).
+    /// Two faces of a cube that share the edge x = 1, z = 0..1: the floor (up) and the wall
+    /// (right).
     fn corner() -> Primitive {
         Primitive {
             positions: [[0., 1., 0.], [1., 1., 0.], [1., 1., 1.], [1., 0., 0.], [1., 0., 1.]].map(Vec3::from).to_vec(),

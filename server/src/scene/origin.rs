@@ -1,6 +1,8 @@
-//! A mesh's own origin: positions about it are exact enough in single precision wherever the mesh stands.
+//! A mesh's own origin: positions about it are exact enough in single precision wherever the mesh
+//! stands.
 //!
-//! Text files hold world coordinates, of national grids often (500,000 m east, 5,000,000 m north), where single precision knows half metres.
+//! Text files hold world coordinates, of national grids often (500,000 m east, 5,000,000 m north),
+//! where single precision knows half metres.
 
 use glam::DVec3;
 use ldi_protocol::Aabb;
@@ -8,7 +10,8 @@ use ldi_protocol::Aabb;
 /// Within this distance of zero single precision rounds by 0.03 mm at most.
 const NEAR_M: f64 = 1024.0;
 
-/// For these world positions: zero along axes on which all are near it, else their middle, in whole metres.
+/// For these world positions: zero along axes on which all are near it, else their middle, in
+/// whole metres.
 pub(super) fn of(positions: impl IntoIterator<Item = DVec3>) -> DVec3 {
     let bounds = Aabb::from_points(positions);
     if bounds.is_empty() {

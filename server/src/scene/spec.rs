@@ -1,5 +1,6 @@
-//! `builtin:NAME[?triangles=N&seed=S]`: how a built-in scene is asked for; `FILE[?up=z&unit=mm&missing=plain]`: a file with other axes or
-//! units than metres, Y up, or whose pictures are not all there.
+//! `builtin:NAME[?triangles=N&seed=S]`: how a built-in scene is asked for;
+//! `FILE[?up=z&unit=mm&missing=plain]`: a file with other axes or units than metres, Y up, or
+//! whose pictures are not all there.
 
 use super::error::SceneError;
 use glam::{DAffine3, DMat3, DVec3};
@@ -63,7 +64,8 @@ pub struct FileSpec {
     pub path: String,
     /// World from file; None where they are the same.
     pub world_from_file: Option<DAffine3>,
-    /// What cannot be read of pictures and material libraries is drawn in plain colours and noted, instead of refusing the scene.
+    /// What cannot be read of pictures and material libraries is drawn in plain colours and noted,
+    /// instead of refusing the scene.
     pub lenient: bool,
 }
 
@@ -111,7 +113,8 @@ impl FileSpec {
     }
 }
 
-/// What speaks against metres in a scene's longest side, if anything: towns are smaller than the larger bound, and nobody walks in less than the smaller one.
+/// What speaks against metres in a scene's longest side, if anything: towns are smaller than the
+/// larger bound, and nobody walks in less than the smaller one.
 pub fn unit_doubt(longest_m: f64) -> Option<String> {
     let size = match longest_m {
         m if m > 5000.0 => format!("{:.0} km", m / 1000.0),

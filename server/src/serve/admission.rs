@@ -3,8 +3,9 @@
 //! A connection passes three stages. Each has limits of its own, so that whoever has proven less
 //! takes nothing from whoever has proven more:
 //!
-//! 1. **unproven**: the address may be forged. [`UNPROVEN`] such handshakes run at a time; everybody
-//!    else is asked to prove the address first (QUIC's Retry), for which no state is kept.
+//! 1. **unproven**: the address may be forged. [`UNPROVEN`] such handshakes run at a time;
+//!    everybody else is asked to prove the address first (QUIC's Retry), for which no state is
+//!    kept.
 //! 2. **candidate**: the address is proven, version and token are not. Candidates have a share of
 //!    their own, and a short life; the oldest gives way to a newcomer.
 //! 3. **walker**: the first message was right. Walkers alone count against `max_connections` and
@@ -50,8 +51,8 @@ const REMEMBERED: usize = 1024;
 /// Time over which a peer's bytes may come at once.
 const BYTES_BURST: Duration = Duration::from_millis(100);
 
-/// Whose limits a connection counts against: an IPv4 address, or the /64 network of an IPv6 address,
-/// as every subscriber has all addresses of one.
+/// Whose limits a connection counts against: an IPv4 address, or the /64 network of an IPv6
+/// address, as every subscriber has all addresses of one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Peer(IpAddr);
 

@@ -17,30 +17,37 @@ pub struct ServeConfig {
     /// Names by which browsers reach the page, beside `localhost` and addresses. Pages of other
     /// names are not answered: their owners could have visitors' browsers read this one.
     pub http_names: Vec<String>,
-    /// File with the secret that clients must show, surrounding white space ignored. None: everyone may come in.
+    /// File with the secret that clients must show, surrounding white space ignored. None:
+    /// everyone may come in.
     pub token_file: Option<PathBuf>,
-    /// Folder of the certificate and its key. None: `$XDG_STATE_HOME/ldi-server`, else `$HOME/.local/state/ldi-server`, else a
-    /// new certificate per run.
+    /// Folder of the certificate and its key. None: `$XDG_STATE_HOME/ldi-server`, else
+    /// `$HOME/.local/state/ldi-server`, else a new certificate per run.
     pub identity: Option<PathBuf>,
-    /// PEM or DER file of the operator's own certificate, instead of the one in `identity`; with `key`.
+    /// PEM or DER file of the operator's own certificate, instead of the one in `identity`; with
+    /// `key`.
     pub certificate: Option<PathBuf>,
     /// PEM or DER file of its private key.
     pub key: Option<PathBuf>,
-    /// Walkers in all. Each takes about 115 KiB while idle and up to `send_window` while it streams.
+    /// Walkers in all. Each takes about 115 KiB while idle and up to `send_window` while it
+    /// streams.
     pub max_connections: usize,
     /// Walkers from one IPv4 address or one /64 network of IPv6.
     pub max_connections_per_address: usize,
-    /// Bytes of chunks per second that all walkers from one address (IPv6: /64 network) share; 0: no limit.
+    /// Bytes of chunks per second that all walkers from one address (IPv6: /64 network) share; 0:
+    /// no limit.
     pub bytes_per_second_per_address: f64,
-    /// Control messages and requests per second of one client; short bursts of four times as many pass.
+    /// Control messages and requests per second of one client; short bursts of four times as many
+    /// pass.
     pub messages_per_second: f64,
-    /// Bytes that one connection may have on the way, unacknowledged. Smaller: less memory and fresher priorities; larger
-    /// than bandwidth times round trip brings nothing.
+    /// Bytes that one connection may have on the way, unacknowledged. Smaller: less memory and
+    /// fresher priorities; larger than bandwidth times round trip brings nothing.
     pub send_window: u64,
-    /// What it is worth to send ahead of need, bytes: a chunk of so many is sent ahead if it is as likely to be needed as not, a larger one only if it is likelier. Larger: fewer frames lack
+    /// What it is worth to send ahead of need, bytes: a chunk of so many is sent ahead if it is as
+    /// likely to be needed as not, a larger one only if it is likelier. Larger: fewer frames lack
     /// something; smaller: fewer bytes are sent in vain. 0: nothing goes ahead.
     pub ahead_worth: u64,
-    /// Which congestion controller: `cubic` or `newreno` (each loss slows them), `veno` (only losses with a queue), `bbr` (keeps its rate and floods queues).
+    /// Which congestion controller: `cubic` or `newreno` (each loss slows them), `veno` (only
+    /// losses with a queue), `bbr` (keeps its rate and floods queues).
     pub congestion: Congestion,
     /// Walkers may see on their maps where the others are.
     pub show_walkers: bool,

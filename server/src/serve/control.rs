@@ -104,7 +104,8 @@ impl From<SessionReadError> for SessionError {
 
 /// Numbers of chunks that one client may list per second; who lists more is read no faster.
 const LISTED_PER_SECOND: f64 = 20_000.0;
-/// Time over which these may come at once: a client that comes again lists all that it holds, twice, if it begins early.
+/// Time over which these may come at once: a client that comes again lists all that it holds,
+/// twice, if it begins early.
 const LISTS_BURST: Duration = Duration::from_secs(100);
 
 /// Reads until the stream ends, breaks the protocol, or comes too fast.

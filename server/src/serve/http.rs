@@ -83,7 +83,8 @@ struct Site {
     metrics: Option<PrometheusHandle>,
 }
 
-/// The recorder is one per process; servers started in the same process share it. None when another one is installed.
+/// The recorder is one per process; servers started in the same process share it. None when
+/// another one is installed.
 fn recorder() -> Option<PrometheusHandle> {
     static HANDLE: OnceLock<Option<PrometheusHandle>> = OnceLock::new();
     HANDLE
@@ -99,7 +100,8 @@ fn recorder() -> Option<PrometheusHandle> {
         .clone()
 }
 
-/// Says what is counted, and that it is 0 so far: who watches a server wants to see it before the first walker comes.
+/// Says what is counted, and that it is 0 so far: who watches a server wants to see it before the
+/// first walker comes.
 fn describe() {
     use metrics::{counter, describe_counter, describe_gauge, describe_histogram, gauge};
     describe_gauge!("ldi_walkers", "Connected walkers");

@@ -2,12 +2,12 @@
 //!
 //! The fingerprint is the BLAKE3 hash of the certificate's DER encoding, 64 hexadecimal digits. A
 //! client that was given the fingerprint needs no certificate authority: it accepts exactly this
-//! certificate. The key lies beside it, readable by its owner only. A dataset is content that may be
-//! copied anywhere, so the identity never lies inside one.
+//! certificate. The key lies beside it, readable by its owner only. A dataset is content that may
+//! be copied anywhere, so the identity never lies inside one.
 //!
-//! A folder holds `certificate.der` and `key.der`; both or none, as clients know the server by them.
-//! Whoever makes or changes them holds the folder's `lock`. `next/` holds the identity that will
-//! replace them: it is announced to clients, which then know both.
+//! A folder holds `certificate.der` and `key.der`; both or none, as clients know the server by
+//! them. Whoever makes or changes them holds the folder's `lock`. `next/` holds the identity that
+//! will replace them: it is announced to clients, which then know both.
 
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer, pem::PemObject as _};
 use std::{
@@ -217,7 +217,8 @@ impl Identity {
         Some((end - now).div_euclid(86_400))
     }
 
-    /// Warns when the lifetime is about to end. Clients that know the fingerprint do not ask for it.
+    /// Warns when the lifetime is about to end. Clients that know the fingerprint do not ask for
+    /// it.
     pub(super) fn warn_of_its_end(&self, now: SystemTime) {
         if let Some(days) = self.days_left(now)
             && days < (WARN_BEFORE.as_secs() / 86_400) as i64

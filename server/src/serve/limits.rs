@@ -5,7 +5,8 @@ use std::{
     time::Duration,
 };
 
-/// A bucket that fills at a steady rate: short bursts pass, a steady excess does not. Time comes in.
+/// A bucket that fills at a steady rate: short bursts pass, a steady excess does not. Time comes
+/// in.
 #[derive(Debug, Clone)]
 pub struct TokenBucket {
     per_second: f64,
@@ -36,7 +37,8 @@ impl TokenBucket {
     }
 }
 
-/// What may pass per second, of bytes or of anything else, by whoever shares it: who takes more waits. Time comes in.
+/// What may pass per second, of bytes or of anything else, by whoever shares it: who takes more
+/// waits. Time comes in.
 #[derive(Debug)]
 pub struct Allowance {
     per_second: f64,

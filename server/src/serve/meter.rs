@@ -1,8 +1,11 @@
-//! The rate that a link delivers, from acknowledgements: what the planner needs to know when to send ahead.
+//! The rate that a link delivers, from acknowledgements: what the planner needs to know when to
+//! send ahead.
 //!
-//! A controller around the one that is configured counts acknowledged bytes in windows of a round trip, at least [`WINDOW`]. In a window in which the
-//! connection had more to send than it might, the count is what the link delivers; in others it is what there was to send, and the link may
-//! deliver more. The rate is the largest of the last [`MEMORY`]: the filter of BBR (Cardwell et al. 2016), without its packet marks.
+//! A controller around the one that is configured counts acknowledged bytes in windows of a round
+//! trip, at least [`WINDOW`]. In a window in which the connection had more to send than it might,
+//! the count is what the link delivers; in others it is what there was to send, and the link may
+//! deliver more. The rate is the largest of the last [`MEMORY`]: the filter of BBR (Cardwell et
+//! al. 2016), without its packet marks.
 
 use quinn::congestion::{Controller, ControllerFactory, ControllerMetrics};
 use quinn_proto::RttEstimator;
@@ -13,9 +16,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Shortest window. Shorter: bursts of acknowledgements look like rates; longer: short transfers never fill one.
+/// Shortest window. Shorter: bursts of acknowledgements look like rates; longer: short transfers
+/// never fill one.
 const WINDOW: Duration = Duration::from_millis(25);
-/// How long a rate is believed. Longer: slower to notice that a link got worse; shorter: pauses are taken for it.
+/// How long a rate is believed. Longer: slower to notice that a link got worse; shorter: pauses
+/// are taken for it.
 const MEMORY: Duration = Duration::from_secs(2);
 
 /// Counts acknowledged bytes; time comes in.
@@ -138,7 +143,8 @@ mod tests {
         Duration::from_millis(n)
     }
 
-    /// `n` acknowledgements of 1,000 bytes, one per millisecond from `from` on: a megabyte per second.
+    /// `n` acknowledgements of 1,000 bytes, one per millisecond from `from` on: a megabyte per
+    /// second.
     fn steady(m: &mut Meter, from: u64, n: u64, had_less: bool) {
         (from..from + n).for_each(|t| m.acknowledged(ms(t), 1000, had_less, ms(10)));
     }

@@ -1,12 +1,16 @@
 //! `ldi-server serve`: streams a dataset to walkers over QUIC and shows its plan over HTTP.
 //!
-//! In: a dataset ([`ChunkSource`]) and settings ([`ServeConfig`]). Out: to each walker, chunks in the order in which it will
-//! need them; to a browser, health, metrics and a page with the plan from above.
+//! In: a dataset ([`ChunkSource`]) and settings ([`ServeConfig`]). Out: to each walker, chunks in
+//! the order in which it will need them; to a browser, health, metrics and a page with the plan
+//! from above.
 //!
 //! - [`planner`]: what to send next; pure, time comes in.
-//! - [`session`]: one connection; [`control`]: its messages; [`push`]: chunks on their way; [`requests`]: chunks by number or name.
-//! - [`source`]: where bytes come from; [`offer`]: what newcomers get; [`views`]: what a pose needs; [`walkers`]: who is connected.
-//! - [`admission`]: who is let in; [`transport`], [`identity`], [`limits`], [`config`]. [`veno`]: congestion control; [`meter`]: what the link delivers.
+//! - [`session`]: one connection; [`control`]: its messages; [`push`]: chunks on their way;
+//!   [`requests`]: chunks by number or name.
+//! - [`source`]: where bytes come from; [`offer`]: what newcomers get; [`views`]: what a pose
+//!   needs; [`walkers`]: who is connected.
+//! - [`admission`]: who is let in; [`transport`], [`identity`], [`limits`], [`config`]. [`veno`]:
+//!   congestion control; [`meter`]: what the link delivers.
 //! - [`http`], [`plan`]: health, metrics and the page.
 //!
 //! `docs/reference/protocol.md` describes what travels.

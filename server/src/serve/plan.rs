@@ -1,6 +1,8 @@
-//! The dataset's plan from above, as JSON for the page: scene bounds, cells, grid points, placements, counts.
+//! The dataset's plan from above, as JSON for the page: scene bounds, cells, grid points,
+//! placements, counts.
 //!
-//! Lengths are metres, x to the right and z downward (a right-handed world seen from +Y), rounded to millimetres.
+//! Lengths are metres, x to the right and z downward (a right-handed world seen from +Y), rounded
+//! to millimetres.
 
 use super::source::Served;
 use ldi_protocol::index::{ChunkKind, ImageEntry, Placement};

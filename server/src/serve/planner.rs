@@ -1,10 +1,12 @@
 //! What to send next to one walker: a pure state machine, no sockets, no clock of its own.
 //!
-//! In: poses, and what the client says it wants, dropped or still holds. Out: one chunk after another, most urgent first,
-//! and changes of mind about chunks on their way. Time comes in as `now`, so that a walk replays exactly.
+//! In: poses, and what the client says it wants, dropped or still holds. Out: one chunk after
+//! another, most urgent first, and changes of mind about chunks on their way. Time comes in as
+//! `now`, so that a walk replays exactly.
 //!
-//! The planner keeps a model of the client's cache, one state per chunk: absent, on its way, held. Nothing that is held
-//! or on its way is sent again, unless the client says that it dropped it or asks for it.
+//! The planner keeps a model of the client's cache, one state per chunk: absent, on its way, held.
+//! Nothing that is held or on its way is sent again, unless the client says that it dropped it or
+//! asks for it.
 //!
 //! The order ([`Urgency`]):
 //! 1. what the client asked for;
@@ -12,8 +14,10 @@
 //! 3. what sharpens the view;
 //! 4. what it may need soon ([`Forecast`]), soonest first, where what is likely counts as sooner.
 //!
-//! Of list 4 nothing is sent while something of 1 to 3 is missing, and not before it has to be ([`schedule`]): the later, the better the guess.
-//! A chunk that the client evicted is not sent ahead of need again before the walker has moved: the two could work against each other for ever.
+//! Of list 4 nothing is sent while something of 1 to 3 is missing, and not before it has to be
+//! ([`schedule`]): the later, the better the guess. A chunk that the client evicted is not sent
+//! ahead of need again before the walker has moved: the two could work against each other for
+//! ever.
 
 mod ahead;
 mod forecast;
@@ -35,14 +39,17 @@ use ldi_protocol::{
 };
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
-/// A walker who moved so far, metres, or turned so far, degrees, is elsewhere: chunks that were evicted may be sent ahead again.
+/// A walker who moved so far, metres, or turned so far, degrees, is elsewhere: chunks that were
+/// evicted may be sent ahead again.
 const ELSEWHERE: (f64, f64) = (0.5, 30.0);
-/// The views of a pose: what `select` and the drawn cells give. A trait, so that tests can state views directly.
+/// The views of a pose: what `select` and the drawn cells give. A trait, so that tests can state
+/// views directly.
 pub trait Views: Send + Sync {
     /// What this pose needs.
     fn needed(&self, pose: &Pose) -> Needed;
 
-    /// What of that is absent, per pose: for many poses of which most need nothing more. May name a little more, as poses that are guessed stand for those around them.
+    /// What of that is absent, per pose: for many poses of which most need nothing more. May name
+    /// a little more, as poses that are guessed stand for those around them.
     fn lacking(&self, poses: &[Pose], absent: &dyn Fn(u32) -> bool) -> Vec<Vec<u32>> {
         let of_pose = |pose: &Pose| {
             let Needed { now, fine, .. } = self.needed(pose);
@@ -59,10 +66,12 @@ pub struct PlannerConfig {
     pub cache_bytes: u64,
     /// How far from the eye needs are foreseen, metres; 0: not at all.
     pub prefetch_m: f64,
-    /// Bytes that a chunk in time is worth: a chunk of so many bytes is sent ahead if it is as likely to be needed as not. Larger: fewer frames lack something;
-    /// smaller: fewer bytes are sent in vain.
+    /// Bytes that a chunk in time is worth: a chunk of so many bytes is sent ahead if it is as
+    /// likely to be needed as not. Larger: fewer frames lack something; smaller: fewer bytes are
+    /// sent in vain.
     pub ahead_worth: u64,
-    /// Shortest time between two plans. Shorter: fresher plans, more work; a frame of the walker takes about 16 ms.
+    /// Shortest time between two plans. Shorter: fresher plans, more work; a frame of the walker
+    /// takes about 16 ms.
     pub replan_interval: Duration,
     /// Chunks on their way to the transport that the view does not wait for.
     pub max_background: usize,
@@ -139,14 +148,16 @@ pub struct Planner {
     planned_at: Option<Duration>,
     /// Asked, now, fine.
     lists: [List; PRESSING],
-    /// What may be needed soon, soonest first, and when that was foreseen; [`Planner::ahead`] skips what is held.
+    /// What may be needed soon, soonest first, and when that was foreseen; [`Planner::ahead`]
+    /// skips what is held.
     expected: Vec<Expected>,
     foreseen_at: Option<Duration>,
     /// When the pose was planned for that this was foreseen from.
     foreseen_from: Duration,
     /// When the next one of them has to go, if nothing else happens.
     due_at: Option<Duration>,
-    /// Chunks that wait in the list of what the client asked for: a number waits once, so the index bounds the list.
+    /// Chunks that wait in the list of what the client asked for: a number waits once, so the
+    /// index bounds the list.
     asked: Vec<bool>,
     /// Asked for while on their way, to be told by [`Planner::turns`].
     promoted: Vec<u32>,
@@ -324,8 +335,8 @@ impl Planner {
         Order { chunk, urgency }
     }
 
-    /// The next chunk to send; it counts as on its way from now on. None: nothing to do until something changes or
-    /// [`Planner::wake_at`].
+    /// The next chunk to send; it counts as on its way from now on. None: nothing to do until
+    /// something changes or [`Planner::wake_at`].
     pub fn next(&mut self, now: Duration) -> Option<Order> {
         if self.stale_plan && self.replan_at().is_none_or(|t| now >= t) {
             self.plan_view(now);
@@ -406,7 +417,8 @@ impl Planner {
         let needed = self.views.needed(&pose);
         self.lists[Urgency::Now as usize] = List::new([needed.base, needed.now].concat());
         self.lists[Urgency::Fine as usize] = List::new(needed.fine);
-        // The old expectations stay until the next ones are made: what flies for them is not stale yet.
+        // The old expectations stay until the next ones are made: what flies for them is not stale
+        // yet.
         self.stale_plan = false;
         self.changed = true;
         self.planned_at = Some(now);
@@ -422,7 +434,8 @@ impl Planner {
         }
     }
 
-    /// What must hold after every step: flying states and the table of flying chunks agree, and so do the counts.
+    /// What must hold after every step: flying states and the table of flying chunks agree, and so
+    /// do the counts.
     pub fn check(&self) -> Result<(), String> {
         let states = self.held.iter().filter(|h| **h == ChunkState::Flying).count();
         if states != self.flying.len() {

@@ -1,7 +1,9 @@
 //! Chunks on their way to one client: the most urgent first, one after another.
 //!
-//! What the transport has taken is out of our hands: a stream that waits in it keeps the priority that it came with, and what is as urgent shares the link with it,
-//! so that all of them end late. So little is handed over ([`UNSENT_S`]), all of it in one order, and what waits here is reordered or dropped at no cost.
+//! What the transport has taken is out of our hands: a stream that waits in it keeps the priority
+//! that it came with, and what is as urgent shares the link with it, so that all of them end late.
+//! So little is handed over ([`UNSENT_S`]), all of it in one order, and what waits here is
+//! reordered or dropped at no cost.
 
 use super::{limits::Allowance, meter::Metered, walkers::Counters};
 use bytes::{Buf, Bytes};
@@ -14,19 +16,23 @@ use std::{
 };
 use tokio::{sync::mpsc, time::sleep_until};
 
-/// Bytes handed to the transport at a time. Larger: fewer wake-ups; smaller: the first of several chunks is noticed to be out sooner.
+/// Bytes handed to the transport at a time. Larger: fewer wake-ups; smaller: the first of several
+/// chunks is noticed to be out sooner.
 const SLICE: usize = 64 * 1024;
-/// A stale chunk that began and has at most this left is finished all the same: what was sent of it would be wasted.
+/// A stale chunk that began and has at most this left is finished all the same: what was sent of
+/// it would be wasted.
 pub const FINISH_BELOW: usize = 32 * 1024;
 /// How often the send window follows the congestion window.
 const WINDOW_INTERVAL: Duration = Duration::from_millis(5);
-/// What may wait in the transport beyond the congestion window: the link's bytes in this time, seconds. Longer: what is urgent waits longer; shorter: the link is idle
-/// while the next slice is fetched.
+/// What may wait in the transport beyond the congestion window: the link's bytes in this time,
+/// seconds. Longer: what is urgent waits longer; shorter: the link is idle while the next slice is
+/// fetched.
 const UNSENT_S: f64 = 0.01;
 /// The same in bytes, at least.
 const MIN_UNSENT: u64 = 32 * 1024;
 
-/// The same while the congestion window grows, at least: it grows only while the connection has more to send than it may, also between two acknowledgements.
+/// The same while the congestion window grows, at least: it grows only while the connection has
+/// more to send than it may, also between two acknowledgements.
 const GROWING_UNSENT: u64 = 256 * 1024;
 /// A window grows if it became larger by this factor in a round trip.
 const GROWN: f64 = 1.25;
@@ -55,13 +61,15 @@ pub enum Ended {
     Sent,
     /// Given up by us: stale.
     Stale,
-    /// The client stopped the stream: it holds the chunk already, or does not want it. It can ask for it again.
+    /// The client stopped the stream: it holds the chunk already, or does not want it. It can ask
+    /// for it again.
     Refused,
     /// The connection is gone.
     Failed,
 }
 
-/// Where chunks of a session go: its connection, and the bytes per second that its address may have.
+/// Where chunks of a session go: its connection, and the bytes per second that its address may
+/// have.
 #[derive(Debug, Clone)]
 pub struct Outlet {
     /// QUIC.
@@ -104,7 +112,8 @@ impl Push {
         Self { header, stream: None, head: Bytes::new(), body }
     }
 
-    /// Hands the next slice over; how it ended, if it did. Cancel-safe: it either writes or does not.
+    /// Hands the next slice over; how it ended, if it did. Cancel-safe: it either writes or does
+    /// not.
     async fn advance(&mut self, outlet: &Outlet, counters: &Counters) -> Option<Ended> {
         let stream = match &mut self.stream {
             Some(stream) => stream,
@@ -233,7 +242,8 @@ impl Queue {
         None
     }
 
-    /// Hands a slice of the first one over; which it was and how it ended, if it did. Pending while there is none.
+    /// Hands a slice of the first one over; which it was and how it ended, if it did. Pending
+    /// while there is none.
     async fn advance(&mut self, outlet: &Outlet, counters: &Counters) -> Option<(u32, Ended)> {
         let Some(mut first) = self.pushes.first_entry() else { return std::future::pending().await };
         let push = first.get_mut();
@@ -243,7 +253,8 @@ impl Queue {
     }
 }
 
-/// Sends header and bytes beside the queue. It ends when the transport has them; the stream, or none if it did not get there.
+/// Sends header and bytes beside the queue. It ends when the transport has them; the stream, or
+/// none if it did not get there.
 pub async fn push_beside(
     outlet: &Outlet,
     header: StreamHeader,
@@ -260,7 +271,8 @@ pub async fn push_beside(
     }
 }
 
-/// The same, but it ends when the client has everything: for what has to be there before anything else fills the link's queues.
+/// The same, but it ends when the client has everything: for what has to be there before anything
+/// else fills the link's queues.
 pub async fn push_through(outlet: &Outlet, header: StreamHeader, bytes: Bytes, counters: &Counters) {
     if let Some(stream) = push_beside(outlet, header, bytes, counters).await {
         let _ = stream.stopped().await;

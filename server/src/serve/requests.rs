@@ -1,4 +1,5 @@
-//! Requests by number or by name, each on its own stream: the fallback that always works, whatever the planner thinks.
+//! Requests by number or by name, each on its own stream: the fallback that always works, whatever
+//! the planner thinks.
 
 use super::{
     control::{SessionReadError, read_message},
@@ -21,15 +22,16 @@ use tokio::{
 
 /// Time for a client to say what it wants on a stream that it opened.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Bytes of answers per second to one client: who asks for everything must not take the line from walkers, who are sent what they need and ask for nothing so.
+/// Bytes of answers per second to one client: who asks for everything must not take the line from
+/// walkers, who are sent what they need and ask for nothing so.
 const OWN_PER_SECOND: f64 = 2e6;
 /// The same to all together.
 pub(super) const ANSWERED_PER_SECOND: f64 = 20e6;
 /// Time over which the bytes of either may come at once.
 pub(super) const ANSWERS_BURST: Duration = Duration::from_millis(500);
 
-/// Answers until the connection ends; tells the planner which chunks went out. How many are open at once is limited by
-/// the transport; faster ones than the rate wait.
+/// Answers until the connection ends; tells the planner which chunks went out. How many are open
+/// at once is limited by the transport; faster ones than the rate wait.
 pub(super) async fn answer_all(
     shared: Arc<Shared>,
     offer: Arc<Offer>,

@@ -78,7 +78,8 @@ impl Server {
     /// Opens both sockets and begins to accept. Call within a tokio runtime.
     ///
     /// # Errors
-    /// Settings, identity or addresses that cannot be used, or a manifest root longer than the protocol allows.
+    /// Settings, identity or addresses that cannot be used, or a manifest root longer than the
+    /// protocol allows.
     pub async fn start(dataset: Arc<dyn ChunkSource>, config: &ServeConfig) -> Result<Self, ServeError> {
         let Prepared { offer, settings, fingerprint } = Prepared::new(dataset, config)?;
         let (stop, stopping) = watch::channel(false);

@@ -1,7 +1,8 @@
 //! One connection from its first to its last byte: who is it, what does it hold, what comes next.
 //!
-//! All state belongs to one task. Others only carry: one reads control frames, one answers requests by number or name, one hands
-//! chunks to the transport. A client that sends garbage ends its own connection and nobody else's.
+//! All state belongs to one task. Others only carry: one reads control frames, one answers
+//! requests by number or name, one hands chunks to the transport. A client that sends garbage ends
+//! its own connection and nobody else's.
 
 use super::{
     admission::{Admission, Candidate, Peer, Place},
@@ -269,7 +270,8 @@ struct Session {
     walker: Entry,
     planner: Planner,
     started: Instant,
-    /// To the task that carries chunks. Unbounded, but no more is on its way than the planner allows.
+    /// To the task that carries chunks. Unbounded, but no more is on its way than the planner
+    /// allows.
     tasks: mpsc::UnboundedSender<Task>,
     /// Chunks that exist but cannot be read, to be told.
     unreadable: Vec<u32>,
@@ -380,7 +382,8 @@ impl Session {
         }
     }
 
-    /// Sends the manifest; to a client that begins early its first pages, and `pages` goes on with the rest.
+    /// Sends the manifest; to a client that begins early its first pages, and `pages` goes on with
+    /// the rest.
     async fn welcome(
         &mut self,
         send: &mut SendStream,
@@ -413,7 +416,8 @@ impl Session {
             self.views.know(Known::Unsaid);
         }
         if self.early && !known {
-            // Beside the coarse levels of the tree, which need no more of the manifest than is there.
+            // Beside the coarse levels of the tree, which need no more of the manifest than is
+            // there.
             self.views.know(Known::Tree);
             let picture = self.push_first_picture();
             pages.spawn(timeout(WELCOME, async {
@@ -425,7 +429,8 @@ impl Session {
         rest.await
     }
 
-    /// The root of the LDI tree, which is a picture. The pages wait until it is there: they would fill the link's queues, and what is lost there comes late.
+    /// The root of the LDI tree, which is a picture. The pages wait until it is there: they would
+    /// fill the link's queues, and what is lost there comes late.
     fn push_first_picture(&mut self) -> impl Future<Output = ()> + Send + use<> {
         let root = self.offer.served.index().tree.as_ref().map(|t| t.root_chunk);
         root.into_iter().for_each(|c| self.planner.sent_elsewhere(c));

@@ -89,7 +89,8 @@ impl Served {
     pub fn root(&self) -> &[u8] {
         self.source.root()
     }
-    /// Numbers of the pages in the order of sending: those that are enough for a first picture, and the rest.
+    /// Numbers of the pages in the order of sending: those that are enough for a first picture,
+    /// and the rest.
     pub fn pages(&self) -> (&[u32], &[u32]) {
         self.pages.0.split_at(self.pages.1)
     }

@@ -18,7 +18,8 @@ use std::{
     time::Duration,
 };
 
-/// A client that says nothing for this long is gone. Longer: dead walkers hold their places; shorter: a bad Wi-Fi moment ends a walk.
+/// A client that says nothing for this long is gone. Longer: dead walkers hold their places;
+/// shorter: a bad Wi-Fi moment ends a walk.
 const IDLE: Duration = Duration::from_secs(30);
 /// Requests by number or name that one client may have open.
 const MAX_REQUESTS: u32 = 64;
@@ -65,7 +66,8 @@ pub fn open(config: &ServeConfig, server: ServerConfig) -> Result<(Endpoint, Soc
     Ok((endpoint, address))
 }
 
-/// 4 MB each way: the usual 212 KB lose packets as soon as a burst comes. The system may grant less.
+/// 4 MB each way: the usual 212 KB lose packets as soon as a burst comes. The system may grant
+/// less.
 fn enlarge_buffers(socket: &UdpSocket) {
     const BYTES: usize = 4 << 20;
     let socket = socket2::SockRef::from(socket);

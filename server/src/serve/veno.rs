@@ -1,15 +1,20 @@
-//! Congestion control that tells losses by chance from losses by congestion: after TCP Veno (Fu and Liew 2003, IEEE JSAC 21(2)).
+//! Congestion control that tells losses by chance from losses by congestion: after TCP Veno (Fu
+//! and Liew 2003, IEEE JSAC 21(2)).
 //!
-//! Radio links lose packets at random. NewReno and CUBIC take each loss for a full queue and shrink until almost nothing flows: over 25 Mbit/s,
-//! 80 ms round trip and 2% loss they carry a twentieth. Here a loss counts as congestion only
+//! Radio links lose packets at random. NewReno and CUBIC take each loss for a full queue and
+//! shrink until almost nothing flows: over 25 Mbit/s, 80 ms round trip and 2% loss they carry a
+//! twentieth. Here a loss counts as congestion only
 //!
-//! - when a queue stands: the shortest round trip of the last round exceeds the shortest ever by [`standing`]; then the window shrinks as
-//!   theirs does, so that others on the same link get their share;
-//! - or when more than [`HEAVY`] of a round trip's packets are lost: queues can be too short to be seen.
+//! - when a queue stands: the shortest round trip of the last round exceeds the shortest ever by
+//!   [`standing`]; then the window shrinks as theirs does, so that others on the same link get
+//!   their share;
+//! - or when more than [`HEAVY`] of a round trip's packets are lost: queues can be too short to be
+//!   seen.
 //!
-//! What we changed: the increase. Veno adds a packet per round trip, or half of one when a queue stands. Here a window without a queue grows by a
-//! [`GROWTH`]th per round trip, as walks end before a packet per round trip has filled a long link; with a queue it is one packet. Slow start ends when a queue
-//! stands, not only at a loss.
+//! What we changed: the increase. Veno adds a packet per round trip, or half of one when a queue
+//! stands. Here a window without a queue grows by a [`GROWTH`]th per round trip, as walks end
+//! before a packet per round trip has filled a long link; with a queue it is one packet. Slow
+//! start ends when a queue stands, not only at a loss.
 
 use quinn::congestion::{Controller, ControllerFactory};
 use quinn_proto::RttEstimator;
@@ -21,14 +26,16 @@ use std::{
 
 /// The window after congestion, in tenths: CUBIC's (RFC 9438).
 const SHRINK_TENTHS: u64 = 7;
-/// Share of a round's packets beyond which losses are congestion whatever the delay says. Larger: more packets thrown away before a short queue;
-/// smaller: bad radio links stop the flow.
+/// Share of a round's packets beyond which losses are congestion whatever the delay says. Larger:
+/// more packets thrown away before a short queue; smaller: bad radio links stop the flow.
 const HEAVY: f64 = 0.1;
 /// At least so many packets must be lost for [`HEAVY`]: a few say nothing about a share.
 const HEAVY_PACKETS: u64 = 4;
-/// The part of a window that is added per round trip while no queue stands. Larger: overshoots; smaller: slow after a change of the link.
+/// The part of a window that is added per round trip while no queue stands. Larger: overshoots;
+/// smaller: slow after a change of the link.
 const GROWTH: u64 = 16;
-/// Bounds of the delay that is called a queue. Smaller: late timers pass for queues; larger: short queues are not seen, and others that share them starve.
+/// Bounds of the delay that is called a queue. Smaller: late timers pass for queues; larger: short
+/// queues are not seen, and others that share them starve.
 const STANDING: (Duration, Duration) = (Duration::from_millis(1), Duration::from_millis(5));
 /// Window at the start, bytes: ten packets (RFC 9002).
 const INITIAL: u64 = 14_720;

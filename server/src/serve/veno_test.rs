@@ -12,8 +12,9 @@ struct Run {
     largest_window: u64,
 }
 
-/// A link of `rate` packets per millisecond, a queue of `queue` packets, 40 ms each way, that loses every `every`th packet; always something to send. Time
-/// is virtual, in milliseconds; the last `measured_ms` of `total_ms` count.
+/// A link of `rate` packets per millisecond, a queue of `queue` packets, 40 ms each way, that
+/// loses every `every`th packet; always something to send. Time is virtual, in milliseconds; the
+/// last `measured_ms` of `total_ms` count.
 fn run(rate: u64, queue: u64, every: u64, total_ms: u32, measured_ms: u32) -> Run {
     let start = Instant::now();
     let mut c = Veno::new(start, MTU as u16);

@@ -13,9 +13,11 @@ use std::sync::{
     atomic::{AtomicU8, Ordering::Relaxed},
 };
 
-/// A guessed pose stands for those around it. Before the LDI tree some of them draw cells that the budget keeps it from drawing: cells within so many budgets are looked for.
+/// A guessed pose stands for those around it. Before the LDI tree some of them draw cells that the
+/// budget keeps it from drawing: cells within so many budgets are looked for.
 const GUESSED_BUDGET: f64 = 1.3;
-/// And some of them lie nearer: levels of textures and of the LDI tree are looked for as pixels so many times as fine show them.
+/// And some of them lie nearer: levels of textures and of the LDI tree are looked for as pixels so
+/// many times as fine show them.
 pub const GUESSED_FINER: f64 = 1.1;
 
 /// What a client knows of an index.
@@ -50,7 +52,8 @@ impl SelectViews {
         Self::showing(index, groups, picture, Show::default())
     }
 
-    /// The same shown otherwise, and with `groups` of the index's cells, which all who see it may share.
+    /// The same shown otherwise, and with `groups` of the index's cells, which all who see it may
+    /// share.
     pub fn showing(index: Arc<Index>, groups: Arc<CellGroups>, picture: &OutputCamera, show: Show) -> Self {
         Self {
             index,
@@ -96,7 +99,8 @@ impl Views for SelectViews {
         needed.within(&self.index, self.cache_bytes)
     }
 
-    /// Looks only at cells, images and nodes of the LDI tree that lack something: where most is there, a small part of the work. Where rooms decide what is drawn it looks at all.
+    /// Looks only at cells, images and nodes of the LDI tree that lack something: where most is
+    /// there, a small part of the work. Where rooms decide what is drawn it looks at all.
     fn lacking(&self, poses: &[Pose], absent: &dyn Fn(u32) -> bool) -> Vec<Vec<u32>> {
         let index = &*self.index;
         let of = |n: Needed| -> Vec<u32> { n.now.into_iter().chain(n.fine).filter(|c| absent(*c)).collect() };

@@ -138,7 +138,8 @@ impl Walkers {
             walker,
             name: name.to_owned(),
             position: pose.position.to_array(),
-            // A walker may say any finite yaw, and must not spoil the others' message with one beyond f32.
+            // A walker may say any finite yaw, and must not spoil the others' message with one
+            // beyond f32.
             yaw_deg: pose.yaw_deg.rem_euclid(360.0) as f32,
         };
         rest.into_iter().map(told).collect()

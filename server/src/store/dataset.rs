@@ -57,7 +57,8 @@ impl Dataset {
     /// Opens a dataset.
     ///
     /// # Errors
-    /// If it is none, unfinished, of another version, or its manifest or the length of a pack shows damage.
+    /// If it is none, unfinished, of another version, or its manifest or the length of a pack
+    /// shows damage.
     pub fn open(path: &Path) -> Result<Self, StoreError> {
         let (root_bytes, manifest_path) = read_root(path)?;
         let root = manifest::decode_root(&root_bytes).map_err(StoreError::format(&manifest_path))?;

@@ -9,8 +9,9 @@ use ldi_protocol::{
 };
 use serde_json::{Value, json};
 
-/// Everything worth knowing about a dataset. With `per_cell`, `cells` lists for every cell its bounds, its triangles and its
-/// `[node, mesh, primitive, first, count]` ranges into the source scene.
+/// Everything worth knowing about a dataset. With `per_cell`, `cells` lists for every cell its
+/// bounds, its triangles and its `[node, mesh, primitive, first, count]` ranges into the source
+/// scene.
 ///
 /// # Errors
 /// If the file of source ranges is damaged or does not fit the cells.

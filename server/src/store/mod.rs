@@ -1,7 +1,7 @@
 //! Stage 7: the dataset directory.
 //!
-//! In: an [`Index`](ldi_protocol::index::Index), encoded chunks, the source ranges of the cells and a report. Out: files that
-//! `serve` hands out as they are.
+//! In: an [`Index`](ldi_protocol::index::Index), encoded chunks, the source ranges of the cells
+//! and a report. Out: files that `serve` hands out as they are.
 //!
 //! ```text
 //!   DATASET/
@@ -14,10 +14,11 @@
 //!     .build/                 pieces of a build under way; gone when it is complete
 //! ```
 //!
-//! - Where a chunk lies follows from the order of pages and chunks ([`ldi_protocol::manifest::layout`]), so there is no table of
-//!   offsets to keep in step.
-//! - A build that was stopped at any moment goes on where it was: every finished piece lies in `.build` under the hash of what
-//!   it was made from ([`DatasetWriter::cached`]), with a length and a hash of its own, so that torn files do not count.
+//! - Where a chunk lies follows from the order of pages and chunks
+//!   ([`ldi_protocol::manifest::layout`]), so there is no table of offsets to keep in step.
+//! - A build that was stopped at any moment goes on where it was: every finished piece lies in
+//!   `.build` under the hash of what it was made from ([`DatasetWriter::cached`]), with a length
+//!   and a hash of its own, so that torn files do not count.
 //! - Every file is written under another name, synced, and renamed; the same index and chunks give
 //!   the same bytes. The files of an old dataset are removed after the manifest of the new one has
 //!   its name, so that a stop leaves one of both.

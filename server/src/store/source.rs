@@ -1,8 +1,9 @@
 //! The file `source`: which triangles of the source scene each cell holds.
 //!
-//! It lets others count triangles again without this program, through `inspect --json`. It stays on the server. Layout: `"LSR"`
-//! and the version, the number of cells (u32), the raw length (u64), one zstd frame over LEB128 numbers (per cell the number of ranges,
-//! per range node, mesh, primitive, first, count), BLAKE3 of all before.
+//! It lets others count triangles again without this program, through `inspect --json`. It stays
+//! on the server. Layout: `"LSR"` and the version, the number of cells (u32), the raw length
+//! (u64), one zstd frame over LEB128 numbers (per cell the number of ranges, per range node, mesh,
+//! primitive, first, count), BLAKE3 of all before.
 
 use super::{StoreError, files};
 use crate::octree::SourceRange;

@@ -1,9 +1,10 @@
 //! Checking every byte of a dataset.
 //!
-//! From the outside in: the root's checksum, the hash of every page, the rules of the index, the length of every pack, the
-//! hash of every chunk, the source ranges; then every intact chunk is decoded and compared with what the index says of it. One
-//! flipped byte anywhere gives one fault that names the file and the chunk, and checking goes on as far as what is left
-//! allows: without its pages nothing is known about chunks.
+//! From the outside in: the root's checksum, the hash of every page, the rules of the index, the
+//! length of every pack, the hash of every chunk, the source ranges; then every intact chunk is
+//! decoded and compared with what the index says of it. One flipped byte anywhere gives one fault
+//! that names the file and the chunk, and checking goes on as far as what is left allows: without
+//! its pages nothing is known about chunks.
 
 use super::{
     StoreError,

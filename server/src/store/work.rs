@@ -1,8 +1,9 @@
 //! The work directory of a build: finished pieces by key.
 //!
-//! A piece is whatever the pipeline wants to keep between a stop and the next start: encoded chunks with their figures. Its key
-//! is the hash of everything it was made from, so a changed scene or setting finds nothing. A file is
-//! `piece | length (u64) | BLAKE3 of piece and length`; one that a crash left torn fails that check and does not count.
+//! A piece is whatever the pipeline wants to keep between a stop and the next start: encoded
+//! chunks with their figures. Its key is the hash of everything it was made from, so a changed
+//! scene or setting finds nothing. A file is `piece | length (u64) | BLAKE3 of piece and length`;
+//! one that a crash left torn fails that check and does not count.
 
 use super::{
     StoreError,

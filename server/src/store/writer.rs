@@ -46,8 +46,8 @@ impl Written {
 }
 
 impl DatasetWriter {
-    /// Starts a dataset, or goes on with one that was stopped. An existing dataset in `path` stays as it is until
-    /// [`DatasetWriter::finish`] has written all of the new one.
+    /// Starts a dataset, or goes on with one that was stopped. An existing dataset in `path` stays
+    /// as it is until [`DatasetWriter::finish`] has written all of the new one.
     ///
     /// # Errors
     /// If the directory holds anything but what a build put there, another build is writing here,
@@ -58,13 +58,15 @@ impl DatasetWriter {
         Ok(Self { folder, work })
     }
 
-    /// The piece that was stored under this key by this or an earlier run; None if there is none or it is torn.
+    /// The piece that was stored under this key by this or an earlier run; None if there is none
+    /// or it is torn.
     pub fn cached(&self, key: &[u8; 32]) -> Option<Vec<u8>> {
         self.work.cached(key)
     }
 
-    /// Keeps a finished piece for this and later runs until the dataset is complete. The key is the hash of all that the piece
-    /// depends on. May be called from several threads, each with its own keys.
+    /// Keeps a finished piece for this and later runs until the dataset is complete. The key is
+    /// the hash of all that the piece depends on. May be called from several threads, each with
+    /// its own keys.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -78,8 +80,10 @@ impl DatasetWriter {
         self.folder.give_back();
     }
 
-    /// Writes the dataset and, if it `is_whole`, removes the pieces: a build that goes on later needs them. `chunk` gives the bytes of a chunk by number and is called once per different
-    /// content, in order, with the writer, as it may lie in a piece; `ranges` has one entry per cell; `report` makes `report.json` from what was written.
+    /// Writes the dataset and, if it `is_whole`, removes the pieces: a build that goes on later
+    /// needs them. `chunk` gives the bytes of a chunk by number and is called once per different
+    /// content, in order, with the writer, as it may lie in a piece; `ranges` has one entry per
+    /// cell; `report` makes `report.json` from what was written.
     ///
     /// The new files lie beside the old ones, under names of their own, until the manifest is
     /// renamed. That is the one step between the old dataset and the new one; what belongs to the

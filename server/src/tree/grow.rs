@@ -1,7 +1,9 @@
 //! Splatting reference pixels into levels, and filtering levels upward (section 3.1).
 //!
-//! Every level is one grid of pixels per face over the whole root cube; a node is what lies in its part of it. A pixel holds layers: samples of surfaces more than [`MERGE`]
-//! pitches apart. What is merged is moved along its own surface to the pixel's centre first, so that a slope does not part into layers.
+//! Every level is one grid of pixels per face over the whole root cube; a node is what lies in its
+//! part of it. A pixel holds layers: samples of surfaces more than [`MERGE`] pitches apart. What
+//! is merged is moved along its own surface to the pixel's centre first, so that a slope does not
+//! part into layers.
 
 use super::reference::{Point, Reference};
 use glam::{DVec3, Vec3};
@@ -9,15 +11,18 @@ use ldi_protocol::tree::{SIDE, across};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// Samples of one pixel that lie closer are one, in pitches: slightly below the spacing, so that a surface seen edge-on keeps its sampling rate (section 3.1).
+/// Samples of one pixel that lie closer are one, in pitches: slightly below the spacing, so that a
+/// surface seen edge-on keeps its sampling rate (section 3.1).
 const MERGE: f32 = 0.9;
 /// Steepest slope that is kept; a face's surfaces are at most 55 degrees askew, 1.42.
 const STEEPEST: f64 = 1.9;
-/// Parts of a level that are filled at the same time. More: better balance; each costs some memory in every batch.
+/// Parts of a level that are filled at the same time. More: better balance; each costs some memory
+/// in every batch.
 const SHARDS: usize = 64;
 /// The tag of filtered contributions; references count from 0.
 const FILTERED: u32 = u32::MAX;
-/// Weights below this are not worth a sample: they would be lost in coding, and divided by when samples are normalized.
+/// Weights below this are not worth a sample: they would be lost in coding, and divided by when
+/// samples are normalized.
 const LEAST_WEIGHT: f32 = 1e-4;
 
 /// A pixel of a face of a level: level, face, column, row, and which cell along the face's axis.
@@ -243,7 +248,8 @@ fn copy_up(l: &Layer, out: &mut [Vec<Part>]) {
     let mut place = DVec3::ZERO;
     place[axis] = f64::from(l.pixel.depth_cell() * SIDE) + f64::from(l.depth);
     (place[a], place[b]) = (f64::from(l.pixel.column()) + 0.5, f64::from(l.pixel.row()) + 0.5);
-    // A normal with these slopes, of any length: the axis is the largest as long as slopes stay below 1, which `splat` must not judge anew.
+    // A normal with these slopes, of any length: the axis is the largest as long as slopes stay
+    // below 1, which `splat` must not judge anew.
     let sign = if l.pixel.face() % 2 == 1 { 1.0 } else { -1.0 };
     let mut normal = Vec3::ZERO;
     normal[axis] = sign;
@@ -251,7 +257,8 @@ fn copy_up(l: &Layer, out: &mut [Vec<Part>]) {
     splat_on(l.pixel.level() - 1, place * 0.5, axis, normal, l.coverage() * 0.25, l.colour, FILTERED, out);
 }
 
-/// Bilinear splat of a surface at `place` (pitches from the root's corner) that covers so much of a pixel: equations (3a), (3b) with a stamp of at most a pitch.
+/// Bilinear splat of a surface at `place` (pitches from the root's corner) that covers so much of
+/// a pixel: equations (3a), (3b) with a stamp of at most a pitch.
 fn splat(level: u8, place: DVec3, normal: Vec3, covers: f32, colour: [f32; 3], source: u32, out: &mut [Vec<Part>]) {
     splat_on(level, place, normal.abs().max_position(), normal, covers, colour, source, out);
 }

@@ -2,15 +2,20 @@
 //!
 //! In: a caster and the walk volume. Out: a [`Tree`] with its chunks.
 //!
-//! 1. [`places`]: reference positions, chosen so that together they see as much as all of many candidates do.
-//! 2. [`mod@reference`]: six square images of 90 degrees at each; of every pixel the point, the normal, the colour and the stamp.
-//! 3. [`grow`]: each pixel goes to the level whose pitch matches its stamp (section 3.1), bilinearly; filtered copies go up, level by level.
+//! 1. [`places`]: reference positions, chosen so that together they see as much as all of many
+//!    candidates do.
+//! 2. [`mod@reference`]: six square images of 90 degrees at each; of every pixel the point, the
+//!    normal, the colour and the stamp.
+//! 3. [`grow`]: each pixel goes to the level whose pitch matches its stamp (section 3.1),
+//!    bilinearly; filtered copies go up, level by level.
 //! 4. [`shape`]: what was grown, as nodes and chunks.
 //! 5. [`probe`]: how fine it has to be, and is, where random eyes look.
 //!
-//! Where it differs from the paper: six faces per node instead of one (see [`ldi_protocol::tree`]); the stamp is measured along the surface, not across the ray, so that
-//! floors seen at a grazing angle do not fall apart; a pixel's filtered copies come from the level below and not from the pixel itself, which is the same sum in
-//! another order; what several references cover is covered once.
+//! Where it differs from the paper: six faces per node instead of one (see
+//! [`ldi_protocol::tree`]); the stamp is measured along the surface, not across the ray, so that
+//! floors seen at a grazing angle do not fall apart; a pixel's filtered copies come from the level
+//! below and not from the pixel itself, which is the same sum in another order; what several
+//! references cover is covered once.
 
 mod grow;
 mod places;
@@ -34,11 +39,13 @@ use ldi_protocol::{
 use rayon::prelude::*;
 use reference::Reference;
 
-/// Samples that the finest pinned level is planned for: about two bytes each, and a third more for the levels above.
+/// Samples that the finest pinned level is planned for: about two bytes each, and a third more for
+/// the levels above.
 const PINNED_SAMPLES: f64 = 650_000.0;
 /// The pinned levels take at most this many bytes: less than a second over 20 Mbit/s.
 pub const PINNED_BYTES: u64 = 2_000_000;
-/// Pixels of all reference images of a base layer: some twenty for every sample of its finest level, ten to twenty seconds on two cores.
+/// Pixels of all reference images of a base layer: some twenty for every sample of its finest
+/// level, ten to twenty seconds on two cores.
 const BASE_PIXELS: f64 = 24e6;
 /// Pixels along a side of a reference image, at least and at most.
 const REFERENCE_SIDES: [f64; 2] = [16.0, 512.0];
@@ -48,10 +55,12 @@ const BATCH_POINTS: usize = 2_000_000;
 /// How fine the tree is made.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Depth {
-    /// As fine as the pinned levels can be: the base layer of a dataset that has other representations.
+    /// As fine as the pinned levels can be: the base layer of a dataset that has other
+    /// representations.
     Base,
-    /// Samples as fine as this, metres, wherever a reference sees that finely (the paper's smallest feature d, equation for H in section 3.6);
-    /// with reference images of so many pixels along a side.
+    /// Samples as fine as this, metres, wherever a reference sees that finely (the paper's
+    /// smallest feature d, equation for H in section 3.6); with reference images of so many pixels
+    /// along a side.
     Fine {
         /// Smallest pitch, metres.
         pitch_m: f64,
@@ -103,7 +112,8 @@ pub struct BuiltTree {
     pub figures: TreeFigures,
 }
 
-/// The cube of a tree around a scene's bounds: shifted by an odd part of a pitch, so that walls and floors at round numbers do not lie on the borders of cells.
+/// The cube of a tree around a scene's bounds: shifted by an odd part of a pitch, so that walls
+/// and floors at round numbers do not lie on the borders of cells.
 fn cube(bounds: &Aabb) -> (DVec3, f64) {
     let edge = bounds.size().max_element().max(1e-3) * (1.0 + 3.0 / f64::from(SIDE));
     (bounds.min - DVec3::new(0.731, 0.617, 0.853) * (edge / f64::from(SIDE)), edge)
@@ -169,14 +179,16 @@ pub struct Grower {
 }
 
 impl Grower {
-    /// A tree for a scene, with samples at most this far apart on its finest level: one level deeper is at most four times the samples.
+    /// A tree for a scene, with samples at most this far apart on its finest level: one level
+    /// deeper is at most four times the samples.
     pub fn new(bounds: &Aabb, pitch_m: f64) -> Self {
         let (origin, edge_m) = cube(bounds);
         let max_level = (0..=MAX_LEVEL).find(|l| pitch_of(edge_m, *l) <= pitch_m).unwrap_or(MAX_LEVEL);
         Self { forest: Forest::new(origin, edge_m, max_level), origin, edge_m, taken: 0, reference_pixels: 0, rays: 0 }
     }
 
-    /// Adds images of 90 degrees, `side` pixels wide: places and faces (0 to 5: -x, +x, -y, +y, -z, +z).
+    /// Adds images of 90 degrees, `side` pixels wide: places and faces (0 to 5: -x, +x, -y, +y,
+    /// -z, +z).
     pub fn add(&mut self, caster: &Caster, images: &[(DVec3, usize)], side: u32) {
         let one_by_one: Vec<Vec<(DVec3, usize)>> = images.iter().map(|i| vec![*i]).collect();
         self.add_together(caster, &one_by_one, side);

@@ -1,9 +1,13 @@
-//! Where reference images are taken: greedily, always where an eye sees the most that none of those before sees well.
+//! Where reference images are taken: greedily, always where an eye sees the most that none of
+//! those before sees well.
 //!
-//! In: the walk volume, and the scene's box for eyes that nobody planned for. Out: positions. What is seen is counted in cubes by face: a cube of the scene and the direction its surface looks to. A reference near
-//! a surface sees it well, one far off in part ([`FAR_VALUE`]). The gain of a place only shrinks while others are chosen, so that a place whose old gain is beaten
-//! by another's need not be counted anew (lazy greedy); the greedy choice covers at least 63% of what the best choice of as many places could.
-//! Places all over the scene's box come after those of the walk volume, for what they see in addition: they are taken coarsely.
+//! In: the walk volume, and the scene's box for eyes that nobody planned for. Out: positions. What
+//! is seen is counted in cubes by face: a cube of the scene and the direction its surface looks
+//! to. A reference near a surface sees it well, one far off in part ([`FAR_VALUE`]). The gain of a
+//! place only shrinks while others are chosen, so that a place whose old gain is beaten by
+//! another's need not be counted anew (lazy greedy); the greedy choice covers at least 63% of what
+//! the best choice of as many places could. Places all over the scene's box come after those of
+//! the walk volume, for what they see in addition: they are taken coarsely.
 
 use super::{probe::radical, reference::direction};
 use crate::render::{Caster, CellSet, Ray};
@@ -16,11 +20,14 @@ use std::collections::{BinaryHeap, HashMap};
 const MAX_CANDIDATES: usize = 2500;
 /// Most positions.
 const MAX_POSITIONS: usize = 800;
-/// Rays along a side of each of a candidate's six pictures. More find smaller gaps; time grows with the square.
+/// Rays along a side of each of a candidate's six pictures. More find smaller gaps; time grows
+/// with the square.
 const PROBES: u32 = 16;
-/// Edge of the cubes in which what is seen is counted, in parts of the median distance to what candidates see.
+/// Edge of the cubes in which what is seen is counted, in parts of the median distance to what
+/// candidates see.
 const CUBES: f64 = 0.25;
-/// Those in which outside candidates' sights are counted are this much wider: their references are coarse.
+/// Those in which outside candidates' sights are counted are this much wider: their references are
+/// coarse.
 const OUTSIDE_CUBES: f64 = 4.0;
 /// Within so many median distances a surface is seen well.
 const WELL: f64 = 2.0;
@@ -55,7 +62,8 @@ pub struct Places {
 }
 
 impl Places {
-    /// Samples that a tree needs, roughly, if no eye is to see one larger than `footprint_px`, nor any smaller than `pitch_m`. Filtered copies add a third.
+    /// Samples that a tree needs, roughly, if no eye is to see one larger than `footprint_px`, nor
+    /// any smaller than `pitch_m`. Filtered copies add a third.
     pub fn samples_at(&self, footprint_px: f64, focal_px: f64, pitch_m: f64) -> f64 {
         let pitch = |nearest: &f32| (footprint_px * f64::from(*nearest) / focal_px).max(pitch_m);
         self.nearest_m.iter().map(|d| self.part_m2 / pitch(d).powi(2)).sum::<f64>() * 4.0 / 3.0
@@ -159,8 +167,9 @@ struct Elements {
     of_first: usize,
 }
 
-/// The faces of cubes of this `edge`, metres, that hold what candidates see (place, normal towards them, distance in metres).
-/// `first`: candidates whose elements are counted apart. `value`: what an element counts at a distance.
+/// The faces of cubes of this `edge`, metres, that hold what candidates see (place, normal towards
+/// them, distance in metres). `first`: candidates whose elements are counted apart. `value`: what
+/// an element counts at a distance.
 fn elements(views: &[Vec<(DVec3, DVec3, f64)>], first: usize, edge: f64, value: impl Fn(f64) -> f32) -> Elements {
     let mut numbers: HashMap<(IVec3, usize), u32> = HashMap::new();
     let mut nearest_m: Vec<f32> = Vec::new();
@@ -195,7 +204,8 @@ fn elements(views: &[Vec<(DVec3, DVec3, f64)>], first: usize, edge: f64, value: 
     Elements { seen, most, nearest_m, of_first }
 }
 
-/// Lazy greedy choice of at most so many candidates: in order, and the value that they add to what is covered already.
+/// Lazy greedy choice of at most so many candidates: in order, and the value that they add to what
+/// is covered already.
 fn greedy(seen: &[Seen], have: &mut [f32], everything: f64, at_most: usize) -> (Vec<usize>, f64) {
     let gain_of = |k: usize, have: &[f32]| -> f64 {
         seen[k].iter().map(|(e, v)| f64::from((v - have[*e as usize]).max(0.0))).sum()

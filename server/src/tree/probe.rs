@@ -1,7 +1,10 @@
-//! How fine a tree has to be, and how fine one is: what random eyes see beyond the geometry that they draw.
+//! How fine a tree has to be, and how fine one is: what random eyes see beyond the geometry that
+//! they draw.
 //!
-//! In: a caster, the walk volume, cells and settings; later a tree. Out: per surface point the size that the tree's samples have there in the picture. The
-//! promise of images is that no sample is larger than `max_footprint_px`; a tree that keeps it at (nearly) all points is as good a representation, by that measure.
+//! In: a caster, the walk volume, cells and settings; later a tree. Out: per surface point the
+//! size that the tree's samples have there in the picture. The promise of images is that no sample
+//! is larger than `max_footprint_px`; a tree that keeps it at (nearly) all points is as good a
+//! representation, by that measure.
 
 use super::BuiltTree;
 use crate::render::{Caster, CellSet, Ray};
@@ -18,7 +21,8 @@ use rayon::prelude::*;
 
 /// Eyes that look together, and in all at most.
 const EYES: [usize; 2] = [256, 8192];
-/// So many points beyond the geometry are enough: one of a thousand is then known to a fifth of itself.
+/// So many points beyond the geometry are enough: one of a thousand is then known to a fifth of
+/// itself.
 const ENOUGH: usize = 25_000;
 /// Rays of each eye's picture, across and up.
 const RAYS: [u32; 2] = [48, 27];
@@ -53,7 +57,8 @@ pub struct Probes {
     pub surfaces: usize,
 }
 
-/// The k-th number of the base's van der Corput sequence: evenly spread over [0, 1), the same in every run.
+/// The k-th number of the base's van der Corput sequence: evenly spread over [0, 1), the same in
+/// every run.
 pub(super) fn radical(mut k: usize, base: usize) -> f64 {
     let (mut value, mut scale) = (0.0, 1.0 / base as f64);
     while k > 0 {
@@ -112,7 +117,8 @@ impl Probes {
         probes
     }
 
-    /// Samples of a tree that nine of ten of the eyes draw at most, all else being equal: what geometry hides is counted.
+    /// Samples of a tree that nine of ten of the eyes draw at most, all else being equal: what
+    /// geometry hides is counted.
     pub fn samples_drawn(&self, tree: &Tree, settings: &BuildSettings) -> u64 {
         let lens = Lens::from(&settings.camera);
         let of_eye = |pose: &Pose| cut(tree, pose, &lens, &CutOptions::default(), |_| true).samples;
@@ -121,7 +127,8 @@ impl Probes {
         drawn.get(drawn.len() * 9 / 10).copied().unwrap_or(0)
     }
 
-    /// The distance of samples, metres, at which all but the share `beyond` of the far points have samples within `footprint_px`. None without far points.
+    /// The distance of samples, metres, at which all but the share `beyond` of the far points have
+    /// samples within `footprint_px`. None without far points.
     pub fn needed_pitch_m(&self, footprint_px: f64, focal_px: f64, beyond: f64) -> Option<f64> {
         let mut depths: Vec<f64> = self.far.iter().map(|p| p.depth_m).collect();
         depths.sort_unstable_by(f64::total_cmp);
@@ -129,7 +136,8 @@ impl Probes {
         depths.get(rank).map(|depth| footprint_px * depth / focal_px)
     }
 
-    /// Of every far point the size in the picture, pixels, of the finest samples that a tree has there; infinite where it has none.
+    /// Of every far point the size in the picture, pixels, of the finest samples that a tree has
+    /// there; infinite where it has none.
     ///
     /// # Errors
     /// If a chunk cannot be decoded.
@@ -171,7 +179,8 @@ impl Probes {
     }
 }
 
-/// How large a node's samples are around a point, metres across the line of sight; None if they do not cover it.
+/// How large a node's samples are around a point, metres across the line of sight; None if they do
+/// not cover it.
 fn covers(tree: &Tree, node: &TreeNode, samples: &NodeSamples, p: &FarPoint) -> Option<f64> {
     let pitch = tree.pitch_of(node.level);
     let place = (p.position - tree.corner_of(node)) / pitch;

@@ -1,6 +1,7 @@
 //! Reference images: what an eye sees in all directions, as six square pictures of 90 degrees.
 //!
-//! In: a place. Out: of every pixel that meets a surface its point, normal, colour and stamp (section 3.1, equations 1 and 2).
+//! In: a place. Out: of every pixel that meets a surface its point, normal, colour and stamp
+//! (section 3.1, equations 1 and 2).
 
 use crate::render::{Caster, CellSet, Hit, Ray, RayFootprint};
 use glam::{DVec3, Vec3};
@@ -37,7 +38,8 @@ pub struct Reference {
 /// Rows and columns of rays that are cast together.
 const BLOCK: u32 = 8;
 
-/// Directions of a face's pixels: face f (-x, +x, -y, +y, -z, +z), `side` pixels along each side. Component 1 or -1 along the face's axis.
+/// Directions of a face's pixels: face f (-x, +x, -y, +y, -z, +z), `side` pixels along each side.
+/// Component 1 or -1 along the face's axis.
 pub fn direction(face: usize, column: f64, row: f64, side: u32) -> DVec3 {
     let axis = face / 2;
     let [a, b] = across(axis);

@@ -14,7 +14,8 @@ use std::collections::BTreeMap;
 
 /// zstd level of chunks.
 const LEVEL: i32 = 9;
-/// Samples that cover less than this of their pixel are left out: half a unit of the coded coverage.
+/// Samples that cover less than this of their pixel are left out: half a unit of the coded
+/// coverage.
 const LEAST_COVERAGE: f32 = 0.5 / OPAQUE as f32;
 
 /// Samples by cell of one level.

@@ -88,7 +88,8 @@ fn a_wall_is_covered_once_on_every_level_down_to_its_stamp() {
     assert!(references[0].points.len() > 1000);
 }
 
-/// The pixel of every reference is near a sample on each level from its own up to the root, whatever the scene.
+/// The pixel of every reference is near a sample on each level from its own up to the root,
+/// whatever the scene.
 #[test]
 fn every_reference_pixel_has_a_sample_on_each_level_above() {
     let scene = scene(vec![(soup(3, 200), plain([0.5, 0.7, 0.9, 1.0]))], Vec::new());
@@ -156,7 +157,8 @@ fn a_wall_on_a_border_of_cells_is_one_wall() {
     assert!((cover / pixels - 1.0).abs() < 0.06 && f64::from(count) / pixels < 1.1, "{cover}, {count} of {pixels}");
 }
 
-/// Hard cases: none panics, every number is in range (`Tree::check`, the decoder), and something is there.
+/// Hard cases: none panics, every number is in range (`Tree::check`, the decoder), and something
+/// is there.
 #[test]
 fn scenes_that_numbers_break_on() {
     let tiny = quad(Vec3::new(0.0, 0.0, -1.0), Vec3::X * 1e-4, Vec3::NEG_Y * 1e-4);

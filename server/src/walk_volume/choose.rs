@@ -1,22 +1,25 @@
 //! Which regions people walk in.
 //!
-//! In: regions with their figures, what is seen from near each, and where people start. Out: per region why it is kept or left out.
+//! In: regions with their figures, what is seen from near each, and where people start. Out: per
+//! region why it is kept or left out.
 //!
-//! 1. Some are nowhere to walk in themselves: too small, tops of furniture, above ceilings, roofs, the inside of solids.
-//! 2. Walking begins where people start, or else in the region from which most detail is seen from near, amid it.
-//! 3. From there people get to what lies beyond a thin obstacle at the same level, a closed door, a threshold, a terrace, and up a long
-//!    ledge: a platform.
-//! 4. Without given starts, walking begins again in the region that adds most to the detail seen, as long as that is
-//!    [`LEAST_GAIN`] of all: another building. Then in large regions that see detail too: another storey.
-//!    Last where cameras and spawn points of the file stand.
+//! 1. Some are nowhere to walk in themselves: too small, tops of furniture, above ceilings, roofs,
+//!    the inside of solids.
+//! 2. Walking begins where people start, or else in the region from which most detail is seen from
+//!    near, amid it.
+//! 3. From there people get to what lies beyond a thin obstacle at the same level, a closed door,
+//!    a threshold, a terrace, and up a long ledge: a platform.
+//! 4. Without given starts, walking begins again in the region that adds most to the detail seen,
+//!    as long as that is [`LEAST_GAIN`] of all: another building. Then in large regions that see
+//!    detail too: another storey. Last where cameras and spawn points of the file stand.
 
 use super::{lines::Raster, regions::Regions, survey::Seen};
 use std::collections::BTreeMap;
 
 /// Smallest region, m²: less is no place to walk about in.
 const LEAST_M2: f64 = 1.0;
-/// A region with more sides of its lines on its border than this, per line, is too rough: pipes, rubble, leaves. A passage of three
-/// lines has two thirds.
+/// A region with more sides of its lines on its border than this, per line, is too rough: pipes,
+/// rubble, leaves. A passage of three lines has two thirds.
 const ROUGH: f64 = 1.0;
 /// Smallest region that walking begins again in, m². Smaller: ducts and shelves with a view.
 const LEAST_BEGIN_M2: f64 = 4.0;
@@ -26,19 +29,23 @@ const FURNITURE_M2: f64 = 8.0;
 const FALLING: f64 = 0.4;
 /// A region is a roof when this share of it lies under the sky and above another floor.
 const ROOF_SHARE: f64 = 0.7;
-/// A region is the upper side of a ceiling when this share of it is a thin sheet over a room, and a void when this share is low.
+/// A region is the upper side of a ceiling when this share of it is a thin sheet over a room, and
+/// a void when this share is low.
 const SHEET_SHARE: f64 = 0.8;
 /// Least share of all detail that a region must add for walking to begin in it again.
 const LEAST_GAIN: f64 = 0.01;
-/// The same for a region under the sky: a plain below a town is not walked on for the bridge above it.
+/// The same for a region under the sky: a plain below a town is not walked on for the bridge above
+/// it.
 const LEAST_GAIN_OPEN: f64 = 0.1;
-/// Walking begins in a region of this share of the largest one's area even if it adds nothing to the detail seen.
+/// Walking begins in a region of this share of the largest one's area even if it adds nothing to
+/// the detail seen.
 const LARGE: f64 = 0.25;
 /// A region with this share of its floor under the sky is no storey of a building.
 const OPEN: f64 = 0.5;
 /// An opening is at least so many lines wide: half a metre.
 const DOOR_LINES: u32 = 2;
-/// A ledge is at least so many sides of lines long, counted from above and from below: two metres. Less is a chair before a table.
+/// A ledge is at least so many sides of lines long, counted from above and from below: two metres.
+/// Less is a chair before a table.
 const LEDGE_SIDES: u32 = 16;
 
 /// What becomes of a region.

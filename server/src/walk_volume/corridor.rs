@@ -1,4 +1,5 @@
-//! Eyes near a path: a walk volume of no more than a walk needs (guided tours, inspections, what is looked at first).
+//! Eyes near a path: a walk volume of no more than a walk needs (guided tours, inspections, what
+//! is looked at first).
 //!
 //! In: the runs of a walk volume. Out: those that an eye of the path may reach.
 
@@ -19,7 +20,8 @@ pub struct Corridor {
 /// Runs of layers per column (place along x and z), sorted and disjoint.
 pub(super) type Runs = HashMap<[u32; 2], Vec<[u16; 2]>>;
 
-/// How the columns of a walk volume lie; see [`WalkVolume::new`](ldi_protocol::volume::WalkVolume::new).
+/// How the columns of a walk volume lie; see
+/// [`WalkVolume::new`](ldi_protocol::volume::WalkVolume::new).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Columns {
     pub origin: DVec3,

@@ -1,12 +1,15 @@
 //! The floors of a tile: surfaces that somebody can stand on, line by line.
 //!
-//! In: the cluster instances over a tile. Out: per line its floors, ascending, each with the surface above.
+//! In: the cluster instances over a tile. Out: per line its floors, ascending, each with the
+//! surface above.
 //!
 //! - A floor has head room: an eye at the nominal height keeps its distance from the surface above.
-//! - What is steeper than [`LEAST_UP`] and higher than a step is no floor: cliffs. Lower pieces are noses of stairs and kerbs.
-//! - The space inside of a solid is none: its floor looks down and what is above it up, unless the whole file's faces are turned.
-//! - Masked surfaces (leaves, grass, fences, water) are no floors. Those less than a step above something solid do not take head
-//!   room either: people walk through grass.
+//! - What is steeper than [`LEAST_UP`] and higher than a step is no floor: cliffs. Lower pieces
+//!   are noses of stairs and kerbs.
+//! - The space inside of a solid is none: its floor looks down and what is above it up, unless the
+//!   whole file's faces are turned.
+//! - Masked surfaces (leaves, grass, fences, water) are no floors. Those less than a step above
+//!   something solid do not take head room either: people walk through grass.
 
 use super::{
     lines::{self, Raster, Window},
@@ -16,11 +19,14 @@ use crate::{octree::Clusters, scene::Scene};
 use glam::DVec3;
 use ldi_protocol::mesh::Alpha;
 
-/// Highest step that is climbed at once, metres: two treads of a stair, as lines can miss one. Larger: chairs lead onto tables.
+/// Highest step that is climbed at once, metres: two treads of a stair, as lines can miss one.
+/// Larger: chairs lead onto tables.
 pub(super) const STEP_M: f64 = 0.4;
-/// Thickness below which a floor may be the upper side of a ceiling, metres. Larger: slabs; smaller: ceilings of thick tiles.
+/// Thickness below which a floor may be the upper side of a ceiling, metres. Larger: slabs;
+/// smaller: ceilings of thick tiles.
 const SHEET_M: f64 = 0.07;
-/// Cosine of the steepest floor against the vertical: 48 degrees, so that slopes of 45 with some noise are walked on.
+/// Cosine of the steepest floor against the vertical: 48 degrees, so that slopes of 45 with some
+/// noise are walked on.
 const LEAST_UP: f64 = 0.669;
 
 /// A floor on one line.
@@ -55,12 +61,14 @@ pub(super) struct TileFloors {
     pub first: Vec<u32>,
     /// Lines whose highest surface looks up, and lines whose highest surface looks down.
     pub tops: [u32; 2],
-    /// Spaces with head room between a surface that looks up and one that looks down, and the other way round.
+    /// Spaces with head room between a surface that looks up and one that looks down, and the
+    /// other way round.
     pub spaces: [u32; 2],
 }
 
 impl TileFloors {
-    /// Leaves out what lies inside of solids: a surface that looks down, below one that looks up. `turned`: fronts are backs.
+    /// Leaves out what lies inside of solids: a surface that looks down, below one that looks up.
+    /// `turned`: fronts are backs.
     pub fn without_insides(mut self, turned: bool) -> Self {
         for f in &mut self.floors {
             f.is_sheet |= f.is_over_a_room && f.up == turned;

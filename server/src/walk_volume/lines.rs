@@ -1,8 +1,10 @@
-//! Floor heights: exact intersections of the scene's triangles with vertical lines, one line per raster cell.
+//! Floor heights: exact intersections of the scene's triangles with vertical lines, one line per
+//! raster cell.
 //!
-//! In: a scene and a raster over its horizontal bounds. Out: for each line, all heights at which it meets a triangle.
-//! A line stands at a fixed pseudo-random place within its raster cell, so that a thin rail along an axis cannot fall between
-//! all lines at once. Vertical triangles have no horizontal area and meet no line: an eye does not stand on them.
+//! In: a scene and a raster over its horizontal bounds. Out: for each line, all heights at which
+//! it meets a triangle. A line stands at a fixed pseudo-random place within its raster cell, so
+//! that a thin rail along an axis cannot fall between all lines at once. Vertical triangles have
+//! no horizontal area and meet no line: an eye does not stand on them.
 
 use crate::scene::Scene;
 use glam::{DVec2, DVec3};
@@ -27,7 +29,8 @@ impl Raster {
     }
 }
 
-/// Two numbers in [0.05, 0.95) from a cell's place, by an integer hash (Wang 2007): the same on every machine.
+/// Two numbers in [0.05, 0.95) from a cell's place, by an integer hash (Wang 2007): the same on
+/// every machine.
 fn jitter(i: u32, k: u32) -> DVec2 {
     let hash = |mut h: u32| {
         h = (h ^ 61) ^ (h >> 16);
@@ -89,7 +92,8 @@ pub(crate) fn mesh_bounds(scene: &Scene) -> Vec<Aabb> {
     scene.meshes.iter().map(of).collect()
 }
 
-/// Meets one triangle with the lines of a window: `met` takes the line, row-major within the window, and the height, metres.
+/// Meets one triangle with the lines of a window: `met` takes the line, row-major within the
+/// window, and the height, metres.
 pub(crate) fn triangle(v: [DVec3; 3], raster: &Raster, window: &Window, mut met: impl FnMut(u32, f64)) {
     let flat = v.map(|p| DVec2::new(p.x, p.z));
     let area = (flat[1] - flat[0]).perp_dot(flat[2] - flat[0]);

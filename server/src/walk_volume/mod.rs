@@ -1,8 +1,10 @@
-//! Stage 3: the walk volume, where people walk. Grid points are kept only where an eye can select them, so the smaller the volume, the
-//! fewer the images; what lies outside has no images, so it must hold every place that people get to.
+//! Stage 3: the walk volume, where people walk. Grid points are kept only where an eye can select
+//! them, so the smaller the volume, the fewer the images; what lies outside has no images, so it
+//! must hold every place that people get to.
 //!
-//! In: the scene, its octree, a ray caster and an eye height. Out: a [`WalkVolume`] that holds every eye from eye height - 0.5 m to + 0.4 m
-//! above a floor on which people walk, 0.05 m clear of the next surface above; and a [`WalkReport`].
+//! In: the scene, its octree, a ray caster and an eye height. Out: a [`WalkVolume`] that holds
+//! every eye from eye height - 0.5 m to + 0.4 m above a floor on which people walk, 0.05 m clear
+//! of the next surface above; and a [`WalkReport`].
 //!
 //! ```text
 //!   tiles    16 m squares near the scene's detail; a backdrop has none
@@ -16,8 +18,8 @@
 //!   choose   where walking begins, and what is reached from there
 //! ```
 //!
-//! Each line counts for its neighbours as well, so that eyes between the lines are included. Cost grows with the area near detail,
-//! whatever the extent of the scene.
+//! Each line counts for its neighbours as well, so that eyes between the lines are included. Cost
+//! grows with the area near detail, whatever the extent of the scene.
 //!
 //! A scene without any floor, an exhibit or a vehicle, is walked around on a plane at its foot.
 
@@ -58,10 +60,11 @@ const BELOW_M: f64 = 0.5;
 const ABOVE_M: f64 = 0.4;
 /// An eye keeps this far from the surface above it, metres.
 const CLEAR_M: f64 = 0.05;
-/// Distance between vertical lines, metres. Larger: doors and stairs are missed. Smaller: time and memory grow with the square.
+/// Distance between vertical lines, metres. Larger: doors and stairs are missed. Smaller: time and
+/// memory grow with the square.
 const LINE_M: f64 = 0.25;
-/// Lines along each axis of a column. Smaller columns follow walls more closely at more memory; the slab between floor and ceiling is
-/// what limits users, so half a metre is enough.
+/// Lines along each axis of a column. Smaller columns follow walls more closely at more memory;
+/// the slab between floor and ceiling is what limits users, so half a metre is enough.
 const LINES_PER_COLUMN: u32 = 2;
 /// Height of a layer, metres.
 const LAYER_M: f64 = 0.1;
@@ -77,13 +80,15 @@ const AROUND: f64 = 0.75;
 const AROUND_M: [f64; 2] = [4.0, 40.0];
 /// Floor below this in all is none: a scene of less is walked around.
 const LEAST_FLOOR_M2: f64 = 2.0;
-/// A start, or a pose of a path, stands on a floor at most this far below the eye, metres, beyond the eye height.
+/// A start, or a pose of a path, stands on a floor at most this far below the eye, metres, beyond
+/// the eye height.
 const START_SLACK_M: f64 = 1.0;
 /// Regions that the report lists.
 const LISTED: usize = 40;
 /// Below this share of the scene's triangles seen from near where people walk, the build warns.
 const LITTLE_DETAIL: f64 = 0.25;
-/// A scene of which this much more is seen from floors that were left out, as a share of its triangles, is warned of.
+/// A scene of which this much more is seen from floors that were left out, as a share of its
+/// triangles, is warned of.
 const MUCH_MORE: f64 = 0.15;
 
 /// What the walk volume is made for.
@@ -91,7 +96,8 @@ const MUCH_MORE: f64 = 0.15;
 pub struct WalkOptions {
     /// Eye height above floors, metres; None: flying, the whole box.
     pub eye_height_m: Option<f64>,
-    /// Places where people start, eyes or feet; walking is limited to what is reached from them. None given: it is found out.
+    /// Places where people start, eyes or feet; walking is limited to what is reached from them.
+    /// None given: it is found out.
     pub starts: Vec<DVec3>,
     /// Eyes are near this path only.
     pub along: Option<Corridor>,
@@ -146,7 +152,8 @@ pub enum WalkError {
 /// Deterministic. The caster must be one of the scene's with the octree's cells.
 ///
 /// # Errors
-/// [`WalkError`]: an empty scene, a start or a path without a floor below it, or more walkable area than can be stored.
+/// [`WalkError`]: an empty scene, a start or a path without a floor below it, or more walkable
+/// area than can be stored.
 pub fn walk_volume(
     caster: &Caster,
     clusters: &Clusters,
@@ -283,7 +290,8 @@ impl Site<'_> {
         let (tiles, left_out) = tiles::tiles(scene, self.clusters, self.octree, raster, wanted);
         let floors: Vec<TileFloors> =
             tiles.par_iter().map(|t| floors_of(scene, self.clusters, raster, t, rules)).collect();
-        // Where the sky sees backs, and more spaces look like solids than like rooms, the file's faces are turned.
+        // Where the sky sees backs, and more spaces look like solids than like rooms, the file's
+        // faces are turned.
         let sums = |of: fn(&TileFloors) -> [u32; 2]| {
             floors.iter().fold([0u64; 2], |sum, t| [0, 1].map(|k| sum[k] + u64::from(of(t)[k])))
         };
@@ -357,7 +365,8 @@ fn place_of(tile: [u32; 2], floor: &Floor) -> [u32; 2] {
     [tile[0] * LINES + line % LINES, tile[1] * LINES + line / LINES]
 }
 
-/// The region of the highest floor below a place (heights above the scene's foot), on its line or one beside it.
+/// The region of the highest floor below a place (heights above the scene's foot), on its line or
+/// one beside it.
 fn below(all: &Regions, raster: &Raster, place: DVec3, below_m: f64) -> Option<u32> {
     let at = ((DVec2::new(place.x, place.z) - raster.origin) / raster.pitch_m).floor();
     let mut best: Option<(f32, u32, u32)> = None;
@@ -398,7 +407,8 @@ impl Ground {
         let column_m = LINE_M * f64::from(LINES_PER_COLUMN);
         let count = self.raster.size.map(|n| n / LINES_PER_COLUMN);
         let height = site.bounds.size().y + site.eye_height_m + 2.0;
-        // One layer of slack below the lowest possible eye, and layers thick enough that 16 bits count them.
+        // One layer of slack below the lowest possible eye, and layers thick enough that 16 bits
+        // count them.
         let origin_y = self.foot_m + site.eye_height_m - BELOW_M - LAYER_M;
         let origin = DVec3::new(self.raster.origin.x, origin_y, self.raster.origin.y);
         let layer_m = LAYER_M.max(height / 60_000.0);
@@ -424,7 +434,8 @@ impl Ground {
         Ok((WalkVolume::of_columns(origin, column_m, layer_m, count, columns, &limits)?, cut))
     }
 
-    /// Adds the eyes above a floor to the columns around its line: the line counts for the ones beside it too.
+    /// Adds the eyes above a floor to the columns around its line: the line counts for the ones
+    /// beside it too.
     fn add_floor(
         &self,
         runs: &mut Runs,
@@ -516,7 +527,8 @@ impl Ground {
         out
     }
 
-    /// Floor of the listed regions that `wanted` marks, in rows of a metre: what the volume itself does not show.
+    /// Floor of the listed regions that `wanted` marks, in rows of a metre: what the volume itself
+    /// does not show.
     fn patches(&self, number: &BTreeMap<u32, usize>, wanted: &[bool]) -> Vec<(usize, Patch)> {
         const PER_PATCH: u32 = 4;
         let mut squares: BTreeMap<(usize, u32, u32), f32> = BTreeMap::new();

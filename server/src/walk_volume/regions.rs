@@ -1,7 +1,8 @@
 //! Regions: floors that steps join, and what surrounds them.
 //!
-//! In: the floors of all tiles. Out: the region of every floor, and per region its area, how much of it is roof-like, what its border
-//! falls to, and which regions lie beyond a thin obstacle at the same level (closed doors, thresholds).
+//! In: the floors of all tiles. Out: the region of every floor, and per region its area, how much
+//! of it is roof-like, what its border falls to, and which regions lie beyond a thin obstacle at
+//! the same level (closed doors, thresholds).
 
 use super::{
     floors::{Floor, STEP_M, TileFloors},
@@ -10,16 +11,19 @@ use super::{
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
 
-/// A border that falls by at most this is that of furniture or a platform, metres: one can climb or jump down.
+/// A border that falls by at most this is that of furniture or a platform, metres: one can climb
+/// or jump down.
 const LOW_FALL_M: f32 = 2.0;
-/// Heights above a floor at which walls are looked for, metres: above sills and tables, below lintels. What leaves one of them free is
-/// no wall.
+/// Heights above a floor at which walls are looked for, metres: above sills and tables, below
+/// lintels. What leaves one of them free is no wall.
 const CHEST_M: [f32; 3] = [0.9, 1.2, 1.55];
-/// Head room of a place that people go to upright, metres: below it are voids above ceilings and crawl spaces.
+/// Head room of a place that people go to upright, metres: below it are voids above ceilings and
+/// crawl spaces.
 const DOOR_M: f64 = 2.0;
 /// Highest ledge that people get up on where it is long, metres.
 const LEDGE_M: f64 = 0.6;
-/// Lines that a thin obstacle may hide: a wall with a door leaf of up to 0.75 m. Larger: rooms join across shafts.
+/// Lines that a thin obstacle may hide: a wall with a door leaf of up to 0.75 m. Larger: rooms
+/// join across shafts.
 const OBSTACLE_LINES: u32 = 3;
 
 /// Figures of a region. Areas and borders in lines.
@@ -56,15 +60,18 @@ pub(super) struct Regions {
     region_of: Vec<u32>,
     /// The regions, by their first floor.
     pub regions: Vec<Region>,
-    /// Pairs of regions (smaller number first) beyond a thin obstacle at the same level, and on how many lines.
+    /// Pairs of regions (smaller number first) beyond a thin obstacle at the same level, and on
+    /// how many lines.
     pub doors: BTreeMap<(u32, u32), u32>,
-    /// Pairs of regions beside each other on two heights, [`STEP_M`] to [`LEDGE_M`] apart, and on how many sides of lines.
+    /// Pairs of regions beside each other on two heights, [`STEP_M`] to [`LEDGE_M`] apart, and on
+    /// how many sides of lines.
     pub ledges: BTreeMap<(u32, u32), u32>,
 }
 
 impl Regions {
-    /// Joins the floors of tiles. `is_open` says whether nothing stands between two places, given by line (place along x and z) and height;
-    /// it is asked under roofs: lines alone miss thin walls.
+    /// Joins the floors of tiles. `is_open` says whether nothing stands between two places, given
+    /// by line (place along x and z) and height; it is asked under roofs: lines alone miss thin
+    /// walls.
     pub fn of(tiles: Vec<TileFloors>, is_open: &(dyn Fn([u32; 2], [u32; 2], f32) -> bool + Sync)) -> Self {
         let mut first = vec![0u32];
         for t in &tiles {
@@ -101,7 +108,8 @@ impl Regions {
         all
     }
 
-    /// Pairs of floors, by number, that a step joins: those of a tile with their neighbours toward larger x and z.
+    /// Pairs of floors, by number, that a step joins: those of a tile with their neighbours toward
+    /// larger x and z.
     fn steps_of(&self, tile: usize, is_open: &(dyn Fn([u32; 2], [u32; 2], f32) -> bool + Sync)) -> Vec<[u32; 2]> {
         let mut out = Vec::new();
         let place = |tile: usize, line: u32| {
@@ -185,7 +193,8 @@ impl Regions {
             if let Some(o) = ledge {
                 ledges.push(self.region_of[self.first[other] as usize + o]);
             }
-            // The highest floor below, unless something stands above it that reaches higher than this floor.
+            // The highest floor below, unless something stands above it that reaches higher than
+            // this floor.
             if let Some(below) = beside().rfind(|o| o.y_m < f.y_m && o.above_m > f.y_m) {
                 sides[if f.y_m - below.y_m <= LOW_FALL_M { 1 } else { 2 }] += 1;
                 continue;

@@ -1,7 +1,7 @@
 //! What is seen from near a region: rays from eyes spread over its floors.
 //!
-//! In: eyes per region. Out: which cells of the octree they see within [`NEAR_M`], and what share of what surrounds them are backs of
-//! surfaces: eyes inside of a solid see nothing else.
+//! In: eyes per region. Out: which cells of the octree they see within [`NEAR_M`], and what share
+//! of what surrounds them are backs of surfaces: eyes inside of a solid see nothing else.
 
 use crate::render::{Caster, CellSet, Ray};
 use glam::DVec3;
@@ -9,15 +9,18 @@ use ldi_protocol::mesh::Alpha;
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
-/// What is farther is not seen from near, metres. Larger: a hill a street away counts as seen from a roof.
+/// What is farther is not seen from near, metres. Larger: a hill a street away counts as seen from
+/// a roof.
 const NEAR_M: f64 = 24.0;
 /// Rays per eye, evenly over all directions.
 const RAYS: u32 = 192;
-/// Eyes are inside of a solid when this share of what surrounds them are backs. Smaller: rooms with some turned walls are lost.
+/// Eyes are inside of a solid when this share of what surrounds them are backs. Smaller: rooms
+/// with some turned walls are lost.
 const BACKS: f64 = 0.65;
 /// The same where the floor is a back, too: the inside of a hull, with pipes in it.
 const BACKS_ON_BACK: f64 = 0.3;
-/// Rays that look down more steeply than this tell nothing of what is around an eye: the floor shows its face inside of a solid, too.
+/// Rays that look down more steeply than this tell nothing of what is around an eye: the floor
+/// shows its face inside of a solid, too.
 const DOWN: f64 = -0.3;
 
 /// What the eyes of one region see.
@@ -43,8 +46,8 @@ impl Seen {
     }
 }
 
-/// What eyes see, region by region. `eyes`: (region, eye), regions ascending; `turned`: the file's fronts are
-/// backs; `triangles`: of a cell.
+/// What eyes see, region by region. `eyes`: (region, eye), regions ascending; `turned`: the file's
+/// fronts are backs; `triangles`: of a cell.
 pub(super) fn survey(
     caster: &Caster,
     eyes: &[(u32, DVec3)],

@@ -47,7 +47,8 @@ fn eyes_stand_on_the_floor_but_neither_on_nor_under_a_table() {
     assert!(!inside(-0.1, 1.6, 1.0), "outside the scene");
 }
 
-/// A room of 8 x 8 m behind a wall with a closed door, beside a corridor, under a roof; a solid block beside them.
+/// A room of 8 x 8 m behind a wall with a closed door, beside a corridor, under a roof; a solid
+/// block beside them.
 const CLOSED_ROOM: [([f64; 3], [f64; 3]); 9] = [
     ([0.0, -0.2, 0.0], [20.0, 0.0, 8.0]),
     ([0.0, 2.8, 0.0], [20.0, 3.0, 8.0]),

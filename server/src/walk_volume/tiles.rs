@@ -1,11 +1,13 @@
 //! The tiles of a scene that are worth looking for floors in: those near its detail.
 //!
-//! In: cluster instances. Out: square tiles of [`LINES`] x [`LINES`] lines, each with the cluster instances above and below it.
+//! In: cluster instances. Out: square tiles of [`LINES`] x [`LINES`] lines, each with the cluster
+//! instances above and below it.
 //!
-//! Detail is counted in blocks, as large as a tile and [`BLOCK_M`] high. A block counts if it holds at least [`LEAST_DETAIL`] of the
-//! triangles of the block that bounds the coarsest [`COARSE`] of all triangles: the large triangles of far hills and of a sea do not,
-//! and one very fine object does not make the rest of the scene look empty. Around a block that counts, [`AROUND`] blocks to each side
-//! and one above and below are taken: floors are looked for there.
+//! Detail is counted in blocks, as large as a tile and [`BLOCK_M`] high. A block counts if it
+//! holds at least [`LEAST_DETAIL`] of the triangles of the block that bounds the coarsest
+//! [`COARSE`] of all triangles: the large triangles of far hills and of a sea do not, and one very
+//! fine object does not make the rest of the scene look empty. Around a block that counts,
+//! [`AROUND`] blocks to each side and one above and below are taken: floors are looked for there.
 
 use super::lines::{Raster, Window};
 use crate::{
@@ -16,12 +18,15 @@ use glam::{DVec2, DVec3};
 use ldi_protocol::Aabb;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-/// Lines along a side of a tile: 16 m. Larger tiles bring more of a backdrop along; smaller ones cost more in bookkeeping.
+/// Lines along a side of a tile: 16 m. Larger tiles bring more of a backdrop along; smaller ones
+/// cost more in bookkeeping.
 pub(super) const LINES: u32 = 64;
-/// Share of the triangles, those of the emptiest blocks, that do not set the measure. Larger: one fine object empties the rest of the
-/// scene; smaller: a backdrop of many triangles counts as detail.
+/// Share of the triangles, those of the emptiest blocks, that do not set the measure. Larger: one
+/// fine object empties the rest of the scene; smaller: a backdrop of many triangles counts as
+/// detail.
 const COARSE: f64 = 0.25;
-/// Least triangles of a block, as a share of the measure. Larger: outskirts are lost; smaller: backdrops come in.
+/// Least triangles of a block, as a share of the measure. Larger: outskirts are lost; smaller:
+/// backdrops come in.
 const LEAST_DETAIL: f64 = 1.0 / 16.0;
 /// Blocks around a block that counts, on each side: people step back from what they look at.
 const AROUND: i64 = 2;
@@ -37,7 +42,8 @@ pub(super) struct Tile {
     pub place: [u32; 2],
     /// Cluster instances whose bounds reach over it: (instance, cluster).
     pub content: Vec<(u32, u32)>,
-    /// Heights above the scene's foot between which floors are looked for, metres, ascending; none: anywhere.
+    /// Heights above the scene's foot between which floors are looked for, metres, ascending;
+    /// none: anywhere.
     pub heights_m: Vec<[f32; 2]>,
 }
 
@@ -141,7 +147,8 @@ fn pieces(scene: &Scene, clusters: &Clusters, octree: &Octree, raster: &Raster, 
     octree.cells.iter().flat_map(|c| &c.content).map(piece).collect()
 }
 
-/// Per place (k, i) of the tiles near detail the heights at which floors are looked for, and the number of tiles left out.
+/// Per place (k, i) of the tiles near detail the heights at which floors are looked for, and the
+/// number of tiles left out.
 fn detailed(pieces: &[Piece], size: [u32; 2]) -> (BTreeMap<[u32; 2], Vec<[f32; 2]>>, usize) {
     let mut triangles: HashMap<[u32; 3], f64> = HashMap::new();
     for piece in pieces {

@@ -1,7 +1,8 @@
 //! Colour profiles: bytes per sample against error.
 //!
-//! In: views of a dataset with exact colours. Out: a [`ColourRow`] per profile. The images of the views are coded anew in each profile, decoded, and drawn in the
-//! place of the exact ones; nothing else differs.
+//! In: views of a dataset with exact colours. Out: a [`ColourRow`] per profile. The images of the
+//! views are coded anew in each profile, decoded, and drawn in the place of the exact ones;
+//! nothing else differs.
 
 use super::speed_error::{OneView, PLAIN, median, resident};
 use anyhow::Result;
@@ -80,7 +81,8 @@ impl Resident for Recoded<'_> {
     }
 }
 
-/// Codes the images of some views in every profile. Nothing, if the dataset's colours are not exact.
+/// Codes the images of some views in every profile. Nothing, if the dataset's colours are not
+/// exact.
 ///
 /// # Errors
 /// A dataset that cannot be read.
@@ -141,7 +143,8 @@ pub fn compare(scene: &str, dataset: &Dataset, camera: &OutputCamera, views: &[O
     Ok(rows.into_iter().map(|r| r.0).collect())
 }
 
-/// Bytes of images in a profile, seconds to decode them (of three times the median), and what they become.
+/// Bytes of images in a profile, seconds to decode them (of three times the median), and what they
+/// become.
 fn coded(images: impl Iterator<Item = Ldi>, profile: ColourProfile) -> Result<(u64, f64, Vec<Arc<Ldi>>)> {
     let (mut bytes, mut seconds, mut out) = (0, 0.0, Vec::new());
     for image in images {

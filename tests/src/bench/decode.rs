@@ -1,6 +1,7 @@
 //! How fast a client's cache takes chunks in: verified, decoded and joined, by one thread.
 //!
-//! In: a dataset. Out: a [`Kind`] for each kind of chunk, by the median of several passes over the same chunks.
+//! In: a dataset. Out: a [`Kind`] for each kind of chunk, by the median of several passes over the
+//! same chunks.
 
 use super::speed_error::median;
 use anyhow::Result;

@@ -76,7 +76,8 @@ impl Study {
 /// All generated files, by their path below the root.
 ///
 /// # Errors
-/// Data that cannot be read or has no page, a README without its marks, a program that is not there.
+/// Data that cannot be read or has no page, a README without its marks, a program that is not
+/// there.
 pub fn generate(root: &Path) -> Result<BTreeMap<PathBuf, String>> {
     let studies = read_studies(&root.join(DATA))?;
     let mut files = BTreeMap::new();

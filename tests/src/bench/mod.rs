@@ -1,4 +1,5 @@
-//! `ldi-bench`: sweeps over settings, as tables, plots and a page. Rows are kept as JSON, from which everything else is made.
+//! `ldi-bench`: sweeps over settings, as tables, plots and a page. Rows are kept as JSON, from
+//! which everything else is made.
 
 pub mod colours;
 pub mod decode;

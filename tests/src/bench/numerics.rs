@@ -1,7 +1,9 @@
-//! Hard numerical cases: for each a bound, why it holds, what it is judged by, and the worst that was seen.
+//! Hard numerical cases: for each a bound, why it holds, what it is judged by, and the worst that
+//! was seen.
 //!
-//! In: how many random cases, and a seed. Out: a [`Case`] each. The warp's kernels are judged by its f64 matrix, whole pictures by analytic scenes and
-//! by the f64 reference, codes by exact arithmetic, doors by what must not pass them.
+//! In: how many random cases, and a seed. Out: a [`Case`] each. The warp's kernels are judged by
+//! its f64 matrix, whole pictures by analytic scenes and by the f64 reference, codes by exact
+//! arithmetic, doors by what must not pass them.
 
 use glam::DVec3;
 use ldi_client::warp::{
@@ -120,7 +122,8 @@ fn worse(worst: f64, error: f64) -> f64 {
     if error.is_nan() { f64::INFINITY } else { worst.max(error) }
 }
 
-/// Judges what the kernels make of images by f64: how many cases counted, and the worst `error`, which is told the exact sample and its footprint. `shift` moves both the image and the eye.
+/// Judges what the kernels make of images by f64: how many cases counted, and the worst `error`,
+/// which is told the exact sample and its footprint. `shift` moves both the image and the eye.
 fn kernels(
     random: &mut Random,
     cases: u64,
@@ -374,7 +377,8 @@ fn crossing(cases: u64, seed: u64) -> Case {
         let point = DVec3::new(0.0, 0.0, -random.between(1.0, 5.0));
         let wall = Surface::Rectangle { point, across, up: DVec3::Y, half: [30.0; 2] };
         let ldi = Scene { surfaces: vec![wall], wavelength_m: 4.0 }.ldi(ldi_camera(DVec3::ZERO, 96, 72, 90.0), 1);
-        // A hair to a metre beside it, looking along it: it passes by the eye, from ahead to behind.
+        // A hair to a metre beside it, looking along it: it passes by the eye, from ahead to
+        // behind.
         let beside = random.sign() * random.scale(1e-4, 1.0);
         let eye = point + across * random.between(-0.5, 0.5) + across.cross(DVec3::Y) * beside;
         let along = across * random.sign();
@@ -497,9 +501,11 @@ fn double_walls(cases: u64, seed: u64) -> Case {
             half: [1e3; 2],
         };
         let mut ldi = Scene { surfaces: vec![wall(depth), wall(depth + gap)], wavelength_m: 1e9 }
-            // Large enough that no eye looks past its border, where one wall would end before the other.
+            // Large enough that no eye looks past its border, where one wall would end before the
+            // other.
             .ldi(ldi_camera(DVec3::ZERO, 96, 96, 130.0), 2);
-        // Codes as a scene with other things in it has them: the gap is a few steps, or less than one.
+        // Codes as a scene with other things in it has them: the gap is a few steps, or less than
+        // one.
         let codes = DisparityCodes { smallest: 0.25 / depth, step: 1.5 / depth / 65_534.0, largest_code: u16::MAX };
         for layer in &mut ldi.layers {
             layer.disparity.iter_mut().for_each(|c| *c = codes.code(ldi.codes.disparity(*c)));
@@ -567,8 +573,8 @@ fn doors(cases: u64, seed: u64) -> [Case; 2] {
     let mut walked = 0u64;
     let tries = cases.min(100_000);
     for _ in 0..tries {
-        // JSON has no infinity; numbers too large for f64, and words, are what a file can hold of it. A position may be too far off besides; angles
-        // are periodic.
+        // JSON has no infinity; numbers too large for f64, and words, are what a file can hold of
+        // it. A position may be too far off besides; angles are periodic.
         let values = ["1e999", "-1e999", "NaN", "Infinity", "null", "1e300"];
         let place = (random.next() % 5) as usize;
         let choices = if place < 3 { values.len() } else { values.len() - 1 };

@@ -1,9 +1,12 @@
-//! What culling hidden samples gains and loses: the measurement that the octree proposal planned and never published, beside what frames do.
+//! What culling hidden samples gains and loses: the measurement that the octree proposal planned
+//! and never published, beside what frames do.
 //!
-//! In: a dataset, a walk path. Out: a [`Row`] per size of the octree's leaves: shares of the samples that land on the picture, summed over views of the path that show images.
+//! In: a dataset, a walk path. Out: a [`Row`] per size of the octree's leaves: shares of the
+//! samples that land on the picture, summed over views of the path that show images.
 //!
-//! The judge is the picture that micro-quads give (with near geometry where it says so): a sample is hidden if its pixel shows something nearer by more than
-//! [`SAME_SURFACE`]. Faults are what the proposal calls so: visible samples that are culled, and hidden ones that are kept.
+//! The judge is the picture that micro-quads give (with near geometry where it says so): a sample
+//! is hidden if its pixel shows something nearer by more than [`SAME_SURFACE`]. Faults are what
+//! the proposal calls so: visible samples that are culled, and hidden ones that are kept.
 
 use super::speed_error::resident;
 use anyhow::{Context as _, Result, bail};
@@ -66,7 +69,8 @@ struct Judge {
 }
 
 impl Judge {
-    /// Where the matrix puts a sample: its pixel, and the sample's disparity there; None beside the picture.
+    /// Where the matrix puts a sample: its pixel, and the sample's disparity there; None beside
+    /// the picture.
     fn lands(&self, matrix: &WarpMatrix, s: &OctreeSample) -> Option<(usize, f64)> {
         let p = matrix.warp(f64::from(s.u), f64::from(s.v), f64::from(s.disparity))?;
         let inside = |p: f64, n: u32| p >= 0.0 && p < f64::from(n);
@@ -78,12 +82,14 @@ impl Judge {
         disparity * (1.0 + SAME_SURFACE) < f64::from(self.disparity[pixel])
     }
 
-    /// Whether nothing of a node shows: every pixel of its rectangle, and around as far as its quads reach, shows something nearer than all of it.
+    /// Whether nothing of a node shows: every pixel of its rectangle, and around as far as its
+    /// quads reach, shows something nearer than all of it.
     fn hides_all(&self, node: &OctreeNode, matrix: &WarpMatrix) -> bool {
         let Some(([left, right, top, bottom], nearest)) = SampleOctree::rectangle(node, matrix, &self.camera) else {
             return false;
         };
-        /// Pixels: a sample's quads end at its neighbours, a sample farther, and images are about as dense as pictures.
+        /// Pixels: a sample's quads end at its neighbours, a sample farther, and images are about
+        /// as dense as pictures.
         const QUADS_PX: usize = 2;
         let width = self.camera.width as usize;
         let (left, right) = (left.saturating_sub(QUADS_PX), (right + QUADS_PX).min(width));

@@ -1,6 +1,8 @@
-//! What image placement costs at which geometry budget: Figures 13 to 16 and Table 1 of Aliaga and Lastra (1999) again.
+//! What image placement costs at which geometry budget: Figures 13 to 16 and Table 1 of Aliaga and
+//! Lastra (1999) again.
 //!
-//! In: scenes, budgets, ways to cover the eyes. Out: a [`Row`] per combination. Plans only, no image is made; every plan is audited.
+//! In: scenes, budgets, ways to cover the eyes. Out: a [`Row`] per combination. Plans only, no
+//! image is made; every plan is audited.
 
 use anyhow::{Context as _, Result};
 use ldi_protocol::codec::ColourProfile;
@@ -14,7 +16,8 @@ use std::path::{Path, PathBuf};
 /// What to try.
 #[derive(Debug, Clone)]
 pub struct Sweep {
-    /// Scenes, as `ldi-server build` takes them. A path file beside a scene's file (`NAME.path.json`) is walked.
+    /// Scenes, as `ldi-server build` takes them. A path file beside a scene's file
+    /// (`NAME.path.json`) is walked.
     pub scenes: Vec<String>,
     /// Budgets, percent of the scene's triangles.
     pub budgets_percent: Vec<f64>,
@@ -47,7 +50,8 @@ pub struct Row {
     pub error: Option<String>,
     /// Grid points in use.
     pub points: usize,
-    /// Placements; with view cells each is a near box of up to six faces, with the paper's grid a single image.
+    /// Placements; with view cells each is a near box of up to six faces, with the paper's grid a
+    /// single image.
     pub placements: usize,
     /// Images as planned: faces. When they are made they are cut into tiles around what eyes see.
     pub images: usize,
@@ -77,7 +81,8 @@ const PATH_POSES: usize = 300;
 /// Runs a sweep; `done` hears of every row.
 ///
 /// # Errors
-/// A scene or path that cannot be read, settings out of range. A budget that cannot be met is a row that says so.
+/// A scene or path that cannot be read, settings out of range. A budget that cannot be met is a
+/// row that says so.
 pub fn run(sweep: &Sweep, progress: &dyn Progress, mut done: impl FnMut(&Row)) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for scene in &sweep.scenes {
@@ -142,7 +147,8 @@ fn options(
     }
 }
 
-/// Options of a plan with view cells at a share of a scene's triangles, 1280x720, free look of 60 degrees.
+/// Options of a plan with view cells at a share of a scene's triangles, 1280x720, free look of 60
+/// degrees.
 ///
 /// # Errors
 /// A scene or path that cannot be read.

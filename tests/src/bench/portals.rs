@@ -1,9 +1,12 @@
-//! Portals in every way there is: Figures 5 and 6 of Rafferty, Aliaga, Popescu and Lastra (1998) again.
+//! Portals in every way there is: Figures 5 and 6 of Rafferty, Aliaga, Popescu and Lastra (1998)
+//! again.
 //!
-//! In: a scene with rooms, its path. Out: per method and frame of the path, milliseconds by stage and what was drawn; on some frames the error against 16 rays per pixel; samples per layer of
+//! In: a scene with rooms, its path. Out: per method and frame of the path, milliseconds by stage
+//! and what was drawn; on some frames the error against 16 rays per pixel; samples per layer of
 //! the layered images, and what clipping saves of them.
 //!
-//! As in the paper there is no geometry budget here: portal culling draws all that is seen through portals, and every other method shows an image wherever a portal has one for the eye.
+//! As in the paper there is no geometry budget here: portal culling draws all that is seen through
+//! portals, and every other method shows an image wherever a portal has one for the eye.
 
 use super::placement::{path_beside, usual_options};
 use anyhow::{Context as _, Result, bail};
@@ -56,11 +59,13 @@ pub struct Study {
     pub same_depth: f64,
     /// Which images the dataset has: both, or those of 1998 alone, which take less time to make.
     pub built: BuiltImages,
-    /// Geometry budget that the dataset is built for, percent of the scene's triangles; decides how large octree cells are, and which of our images are made.
+    /// Geometry budget that the dataset is built for, percent of the scene's triangles; decides
+    /// how large octree cells are, and which of our images are made.
     pub budget_percent: f64,
 }
 
-/// The methods, in the order of the table: name, how it is drawn. Portal culling alone is our own method without a limit on geometry.
+/// The methods, in the order of the table: name, how it is drawn. Portal culling alone is our own
+/// method without a limit on geometry.
 pub const METHODS: [(&str, Method); 8] = [
     ("portal culling", Method::Portals),
     ("one texture", Method::Texture),
@@ -215,7 +220,8 @@ fn of_scene(study: &Study, spec: &str, progress: &dyn Progress, heard: &mut impl
     })
 }
 
-/// The dataset of a scene with both kinds of images: one of an earlier run, or a new one; and what its build says of rooms.
+/// The dataset of a scene with both kinds of images: one of an earlier run, or a new one; and what
+/// its build says of rooms.
 fn dataset_of(
     study: &Study,
     spec: &str,
@@ -279,7 +285,9 @@ fn truths(study: &Study, spec: &str, camera: &OutputCamera, path: &Walk) -> Resu
         .collect()
 }
 
-/// Draws poses by a method, each complete. `index`: the dataset's, or one changed in what it shows. `truths`: per pose 16 rays per pixel and one, of those to be judged; their frames go to `pictures`.
+/// Draws poses by a method, each complete. `index`: the dataset's, or one changed in what it
+/// shows. `truths`: per pose 16 rays per pixel and one, of those to be judged; their frames go to
+/// `pictures`.
 ///
 /// # Errors
 /// Chunks that cannot be read, pictures that cannot be judged or written.

@@ -1,6 +1,8 @@
-//! How far from the best are the near boxes that plans use? Ways to search, on the groups of real plans.
+//! How far from the best are the near boxes that plans use? Ways to search, on the groups of real
+//! plans.
 //!
-//! And how far are its groups of view cells? In: scenes, a budget. Out: per way the gap to the best box, the boxes that it tried, the time. The best is what trying every box gives; groups in
+//! And how far are its groups of view cells? In: scenes, a budget. Out: per way the gap to the
+//! best box, the boxes that it tried, the time. The best is what trying every box gives; groups in
 //! which that takes too long are left out and counted.
 
 use super::placement::usual_options;

@@ -1,10 +1,12 @@
 //! Speed against error: every reconstruction, order and density of the warp on real views.
 //!
-//! In: scenes with walk paths, datasets of several densities (built here, or given). Out: a [`Row`] per scene, density and setting: the time of the
-//! warp and of the frame, how near it is to what this machine could do, and how far the pictures are from the truth.
+//! In: scenes with walk paths, datasets of several densities (built here, or given). Out: a
+//! [`Row`] per scene, density and setting: the time of the warp and of the frame, how near it is
+//! to what this machine could do, and how far the pictures are from the truth.
 //!
-//! All in one process: chunks come from the dataset's files, so that neither network nor decoding takes part. Views are those of the path that show
-//! images. A time is the median over the views of the median over the repetitions; limits are measured on the same views between them.
+//! All in one process: chunks come from the dataset's files, so that neither network nor decoding
+//! takes part. Views are those of the path that show images. A time is the median over the views
+//! of the median over the repetitions; limits are measured on the same views between them.
 
 use super::{
     colours::{self, ColourRow},
@@ -131,7 +133,8 @@ pub struct Row {
     pub holes: f64,
     /// The same before averaging and filling.
     pub holes_before_fill: f64,
-    /// Pixels that differ from those of the z-buffer, as a share: another surface (disparities a tenth apart, or painted in one alone).
+    /// Pixels that differ from those of the z-buffer, as a share: another surface (disparities a
+    /// tenth apart, or painted in one alone).
     pub orders_differ: Option<f64>,
 }
 
@@ -166,7 +169,8 @@ pub(super) const PLAIN: Setting = Setting {
     threads: 1,
 };
 
-/// Every setting with its own picture, at the last number of threads, and the main ones at the others.
+/// Every setting with its own picture, at the last number of threads, and the main ones at the
+/// others.
 fn settings(threads: &[usize], stamps: &[Stamp]) -> Vec<Setting> {
     let most = *threads.last().unwrap_or(&1);
     let plain = Setting { threads: most, ..PLAIN };
@@ -285,7 +289,8 @@ fn name_of(spec: &str) -> String {
     Path::new(spec).file_stem().map_or_else(|| spec.to_string(), |n| n.to_string_lossy().into_owned())
 }
 
-/// The dataset of a scene at a density: the one that an earlier run left in the folder, or a new one.
+/// The dataset of a scene at a density: the one that an earlier run left in the folder, or a new
+/// one.
 fn dataset_of(job: &Job, spec: &str, density: f64, progress: &dyn Progress) -> Result<Dataset> {
     let (width, height) = job.size;
     let name = format!("{}-{}pct-{width}x{height}-x{density}", name_of(spec), job.budget_percent);
@@ -315,7 +320,8 @@ pub struct OneView {
     pub baseline: Truth,
 }
 
-/// Whether a hundredth of a view's pixels comes from images: often all that they hold is hidden. Asked of a small picture.
+/// Whether a hundredth of a view's pixels comes from images: often all that they hold is hidden.
+/// Asked of a small picture.
 fn shows_images(dataset: &Dataset, pose: &Pose, camera: &OutputCamera) -> Result<bool> {
     let small = OutputCamera { width: camera.width.div_ceil(4), height: camera.height.div_ceil(4), ..*camera };
     let index = dataset.index();

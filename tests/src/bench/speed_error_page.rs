@@ -118,7 +118,8 @@ fn by_scene(rows: &[Row]) -> impl Iterator<Item = &[Row]> {
     rows.chunk_by(|a, b| a.scene == b.scene)
 }
 
-/// Plots with their file names, without `.svg`: per scene the error over all and over far pixels, against time.
+/// Plots with their file names, without `.svg`: per scene the error over all and over far pixels,
+/// against time.
 pub fn plots(rows: &[Row]) -> Vec<(String, String)> {
     let mut out = Vec::new();
     for of_scene in by_scene(rows) {

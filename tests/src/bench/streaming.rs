@@ -1,7 +1,9 @@
-//! Ways to send ahead of need, compared on one walk over virtual links: frames that lack something, bytes that no frame needed.
+//! Ways to send ahead of need, compared on one walk over virtual links: frames that lack
+//! something, bytes that no frame needed.
 //!
-//! The walk is replayed in virtual time ([`rehearsal`](crate::load::rehearsal)), so the rows differ by the policy alone, whatever else the machine does. Only the
-//! client's decoding rate is measured here, unless it is given.
+//! The walk is replayed in virtual time ([`rehearsal`](crate::load::rehearsal)), so the rows
+//! differ by the policy alone, whatever else the machine does. Only the client's decoding rate is
+//! measured here, unless it is given.
 
 use crate::load::{
     eviction::{Eviction, replay},

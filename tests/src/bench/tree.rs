@@ -1,7 +1,10 @@
-//! The LDI tree against the number of its reference images: charts 1 to 3 of Chang, Bishop and Lastra (1999) again.
+//! The LDI tree against the number of its reference images: charts 1 to 3 of Chang, Bishop and
+//! Lastra (1999) again.
 //!
-//! In: a scene with a path. Out: per number of reference images (square, 90 degrees) the tree's memory, and the time to draw it along the path, with and without gap filling. Reference
-//! positions are those that a build would choose, in that order; each gives four images, to -x, +x, -z, +z.
+//! In: a scene with a path. Out: per number of reference images (square, 90 degrees) the tree's
+//! memory, and the time to draw it along the path, with and without gap filling. Reference
+//! positions are those that a build would choose, in that order; each gives four images, to -x,
+//! +x, -z, +z.
 
 use crate::plot::Plot;
 use anyhow::{Context as _, Result, bail};

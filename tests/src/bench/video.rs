@@ -1,7 +1,10 @@
-//! The same frames as video: what a server that renders every frame and streams pixels would send, at which error.
+//! The same frames as video: what a server that renders every frame and streams pixels would send,
+//! at which error.
 //!
-//! In: frames of a walk as PNG (`ldi-server render`), a truth for some of them under the same names, encoders and their quality settings. Out: bits per second, mean FLIP and
-//! bytes of the first frame of each, and what each needs for a given FLIP. `ffmpeg` encodes and decodes; settings are those of an interactive stream: no frame waits for a later one, one key frame.
+//! In: frames of a walk as PNG (`ldi-server render`), a truth for some of them under the same
+//! names, encoders and their quality settings. Out: bits per second, mean FLIP and bytes of the
+//! first frame of each, and what each needs for a given FLIP. `ffmpeg` encodes and decodes;
+//! settings are those of an interactive stream: no frame waits for a later one, one key frame.
 
 use anyhow::{Context as _, Result, bail, ensure};
 use ldi_client::metrics::{FlipMap, RgbImage, psnr_db};
@@ -119,7 +122,8 @@ pub struct Found {
     pub needed: Vec<Needed>,
 }
 
-/// Colours are rounded, not cut off, on their way to the encoder and back: the usual way darkens everything by a level, which FLIP counts on every plain surface.
+/// Colours are rounded, not cut off, on their way to the encoder and back: the usual way darkens
+/// everything by a level, which FLIP counts on every plain surface.
 const EXACT_COLOURS: [&str; 2] = ["-sws_flags", "accurate_rnd+full_chroma_int+full_chroma_inp+bicubic"];
 
 fn pictures(folder: &Path) -> Result<Vec<PathBuf>> {
@@ -242,7 +246,8 @@ pub fn run(study: &Study, mut heard: impl FnMut(&Row)) -> Result<Found> {
     Ok(Found { frames: [frames.len(), judged.len()], seconds, rows, needed })
 }
 
-/// The rate for an error, from pairs of error and rate: between the two neighbours in error, evenly in the logarithm of the rate.
+/// The rate for an error, from pairs of error and rate: between the two neighbours in error,
+/// evenly in the logarithm of the rate.
 fn between(pairs: &[(f64, f64)], flip: f64) -> Option<f64> {
     let mut sorted = pairs.to_vec();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));

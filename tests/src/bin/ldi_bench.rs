@@ -17,7 +17,8 @@ use ldi_tests::bench::{
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Measures the methods over scenes and settings; leaves tables (CSV, JSON), plots (SVG) and a page (HTML).
+/// Measures the methods over scenes and settings; leaves tables (CSV, JSON), plots (SVG) and a
+/// page (HTML).
 #[derive(Debug, Parser)]
 #[command(name = "ldi-bench", version)]
 struct Cli {
@@ -27,7 +28,8 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Images, pixels and time of image placement against the geometry budget (Figures 13 to 16 and Table 1 of Aliaga and Lastra 1999).
+    /// Images, pixels and time of image placement against the geometry budget (Figures 13 to 16
+    /// and Table 1 of Aliaga and Lastra 1999).
     #[command(after_help = "\
 Examples:
   ldi-bench placement clinic.glb -o out/placement
@@ -38,20 +40,23 @@ Examples:
 Examples:
   ldi-bench searches clinic.glb --budget 10 -o out/searches")]
     Searches(SearchesArgs),
-    /// Every reconstruction, order and density of the warp: milliseconds against error, on views of the scenes' paths.
+    /// Every reconstruction, order and density of the warp: milliseconds against error, on views
+    /// of the scenes' paths.
     #[command(after_help = "\
 Examples:
   ldi-bench speed-error clinic.glb -o out/speed
   ldi-bench speed-error clinic.glb house.glb --budget 10 --densities 1,2 --frames 12 -o out/speed
   ldi-bench speed-error clinic.glb --datasets clinic10 -o out/speed")]
     SpeedError(SpeedErrorArgs),
-    /// The LDI tree against the number of its reference images (charts 1 to 3 of Chang, Bishop and Lastra 1999).
+    /// The LDI tree against the number of its reference images (charts 1 to 3 of Chang, Bishop and
+    /// Lastra 1999).
     #[command(after_help = "\
 Examples:
   ldi-bench tree 'builtin:church?triangles=300000' -o out/tree
   ldi-bench tree clinic.glb --images 1,8,64 --side 256 -o out/tree")]
     Tree(TreeArgs),
-    /// Portals by culling alone, textures, one and two depth images, layered images and ours, along a path (Figures 5 and 6 of Rafferty, Aliaga, Popescu and Lastra 1998).
+    /// Portals by culling alone, textures, one and two depth images, layered images and ours,
+    /// along a path (Figures 5 and 6 of Rafferty, Aliaga, Popescu and Lastra 1998).
     #[command(after_help = "\
 Examples:
   ldi-server scene house -o house.glb; ldi-bench portals house.glb -o out/portals
@@ -63,31 +68,36 @@ Examples:
   ldi-bench numerics -o out/numerics
   ldi-bench numerics --cases 10000000 --seed 2 -o out/numerics")]
     Numerics(NumericsArgs),
-    /// Ways to send ahead of need on one walk over virtual links, in virtual time: frames that lack something, bytes that no frame needed.
+    /// Ways to send ahead of need on one walk over virtual links, in virtual time: frames that
+    /// lack something, bytes that no frame needed.
     #[command(after_help = "\
 Examples:
   ldi-bench streaming small_house --path small_house.path.json -o out/streaming
   ldi-bench streaming small_house --path small_house.path.json --link rate=25mbit,delay=40ms --decode-mb-s 15 --twice -o out/streaming")]
     Streaming(StreamingArgs),
-    /// How fast one thread verifies and decodes each kind of chunk, as a client's cache takes it in.
+    /// How fast one thread verifies and decodes each kind of chunk, as a client's cache takes it
+    /// in.
     #[command(after_help = "\
 Examples:
   ldi-bench decode clinic.ldi -o out/decode")]
     Decode(DecodeArgs),
-    /// How many samples of images are hidden, and what culling them gains and loses: by tiles, as frames do, and by the octree that was proposed for it.
+    /// How many samples of images are hidden, and what culling them gains and loses: by tiles, as
+    /// frames do, and by the octree that was proposed for it.
     #[command(after_help = "\
 Examples:
   ldi-bench occlusion clinic.ldi --path clinic.path.json -o out/occlusion
   ldi-bench occlusion clinic.ldi --path clinic.path.json --leaves 16,1024 --views 40 -o out/occlusion")]
     Occlusion(OcclusionArgs),
-    /// The frames of a walk as video, as a server that renders every frame would stream them: bits per second against error. Needs ffmpeg.
+    /// The frames of a walk as video, as a server that renders every frame would stream them: bits
+    /// per second against error. Needs ffmpeg.
     #[command(after_help = "\
 Examples:
   ldi-server render house.glb --path house.path.json --size 640x360 --samples 4 --mips -o frames
   ldi-server render house.glb --path house.path.json --size 640x360 --samples 16 --every 60 -o truth
   ldi-bench video frames --truth truth --flip 0.03 -o out/video")]
     Video(VideoArgs),
-    /// Writes the generated documentation: benchmark pages from docs/benchmarks/data, and the command reference.
+    /// Writes the generated documentation: benchmark pages from docs/benchmarks/data, and the
+    /// command reference.
     #[command(after_help = "\
 Examples:
   ldi-bench docs
@@ -121,7 +131,8 @@ struct VideoArgs {
     /// Quality settings: constant rate factors.
     #[arg(long, value_delimiter = ',', default_values_t = [2, 8, 14, 20, 26, 32, 38])]
     crf: Vec<u32>,
-    /// Say what each encoder needs for this mean FLIP: that of `ldi-client walk` over the same frames.
+    /// Say what each encoder needs for this mean FLIP: that of `ldi-client walk` over the same
+    /// frames.
     #[arg(long)]
     flip: Option<f64>,
     /// Folder for what is left.
@@ -178,7 +189,8 @@ struct StreamingArgs {
     /// Output size.
     #[arg(long, default_value = "1280x720", value_parser = size)]
     size: (u32, u32),
-    /// Stored bytes that the client decodes per second, in millions [default: measured here, one thread].
+    /// Stored bytes that the client decodes per second, in millions
+    /// [default: measured here, one thread].
     #[arg(long)]
     decode_mb_s: Option<f64>,
     /// Decoded bytes of the client's cache.
@@ -194,7 +206,8 @@ struct StreamingArgs {
 
 #[derive(Debug, clap::Args)]
 struct PortalArgs {
-    /// Scenes with rooms, as for `ldi-server build`; beside NAME.glb the path NAME.path.json is walked.
+    /// Scenes with rooms, as for `ldi-server build`; beside NAME.glb the path NAME.path.json is
+    /// walked.
     #[arg(required = true)]
     scenes: Vec<String>,
     /// Folder for what is left; datasets found there are used again.
@@ -271,7 +284,8 @@ struct NumericsArgs {
 
 #[derive(Debug, clap::Args)]
 struct PlacementArgs {
-    /// Scenes, as for `ldi-server build`; beside NAME.glb the path NAME.path.json is walked if it is there.
+    /// Scenes, as for `ldi-server build`; beside NAME.glb the path NAME.path.json is walked if it
+    /// is there.
     #[arg(required = true)]
     scenes: Vec<String>,
     /// Folder for what is left.
@@ -299,7 +313,8 @@ struct SpeedErrorArgs {
     /// Scene files; beside NAME.glb the path NAME.path.json is walked.
     #[arg(required = true)]
     scenes: Vec<String>,
-    /// Folder for what is left, datasets and pictures included; datasets found there are used again.
+    /// Folder for what is left, datasets and pictures included; datasets found there are used
+    /// again.
     #[arg(short, long)]
     output: PathBuf,
     /// Datasets to take instead of building, one per scene.

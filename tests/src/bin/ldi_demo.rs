@@ -1,4 +1,5 @@
-//! `ldi-demo`: the main job in small. Builds a dataset, serves it on loopback, walks it over QUIC, leaves a page.
+//! `ldi-demo`: the main job in small. Builds a dataset, serves it on loopback, walks it over QUIC,
+//! leaves a page.
 
 use anyhow::{Context as _, Result};
 use clap::Parser;
@@ -10,7 +11,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
 
-/// Builds a dataset from a scene, serves it on loopback, walks through it over QUIC and leaves OUT/index.html.
+/// Builds a dataset from a scene, serves it on loopback, walks through it over QUIC and leaves
+/// OUT/index.html.
 #[derive(Debug, Parser)]
 #[command(
     name = "ldi-demo",
@@ -46,7 +48,8 @@ struct Options {
     quick: bool,
 }
 
-/// Runs commands one after the other, shows them as one would type them, and remembers them with their seconds.
+/// Runs commands one after the other, shows them as one would type them, and remembers them with
+/// their seconds.
 #[derive(Default)]
 struct Steps(Vec<(String, f64)>);
 

@@ -8,7 +8,8 @@ use ldi_protocol::said::said;
 use ldi_tests::namespace::run_behind;
 use std::process::ExitCode;
 
-/// Runs a command whose only network is a link with this rate, delay, loss: as `--link` of ldi-client, but outside of the program, for anything over IPv4. Linux, as root.
+/// Runs a command whose only network is a link with this rate, delay, loss: as `--link` of
+/// ldi-client, but outside of the program, for anything over IPv4. Linux, as root.
 #[derive(Debug, Parser)]
 #[command(
     name = "ldi-link",
@@ -22,7 +23,8 @@ Examples:
 {host} in the command becomes this machine's address at the other end. What became of the packets is said at the end."
 )]
 struct Cli {
-    /// rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=10s:2s,queue=100ms,seed=1, each of them optional.
+    /// rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=10s:2s,queue=100ms,seed=1, each
+    /// of them optional.
     link: LinkSpec,
     /// What to run there.
     #[arg(last = true, required = true)]

@@ -1,4 +1,5 @@
-//! `ldi-load`: many simulated walkers on a server; latency of chunks, incomplete frames, bytes, waste, what it costs the server.
+//! `ldi-load`: many simulated walkers on a server; latency of chunks, incomplete frames, bytes,
+//! waste, what it costs the server.
 //!
 //! Exit codes: 0 done, 2 wrong usage, 1 a failure that a retry may cure, 42 a permanent one.
 
@@ -26,7 +27,8 @@ const MAX_WALKERS: i64 = 20_000;
 /// Longest file with a token.
 const MAX_TOKEN_BYTES: u64 = 1024;
 
-/// Many simulated walkers on one server, each with a real connection and a real cache: a report (JSON) and a page (HTML) beside it.
+/// Many simulated walkers on one server, each with a real connection and a real cache: a report
+/// (JSON) and a page (HTML) beside it.
 #[derive(Debug, Parser)]
 #[command(
     name = "ldi-load",
@@ -57,11 +59,13 @@ struct Cli {
     /// File of the report; the page lies beside it as .html.
     #[arg(long, value_name = "FILE")]
     report: PathBuf,
-    /// Process of the server, when it runs on this machine: its memory and processor time are reported.
+    /// Process of the server, when it runs on this machine: its memory and processor time are
+    /// reported.
     #[arg(long, value_name = "PID")]
     server_pid: Option<u32>,
-    /// Behave as if this link, in both directions, lay before each walker: rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=10s:2s,queue=100ms,seed=1;
-    /// each key optional, delay one way; the seed counts up from walker to walker.
+    /// Behave as if this link, in both directions, lay before each walker:
+    /// rate=20mbit,delay=20ms,jitter=5ms,loss=2%,dup=1%,blackout=10s:2s,queue=100ms,seed=1; each
+    /// key optional, delay one way; the seed counts up from walker to walker.
     #[arg(long, value_name = "LINK")]
     link: Option<LinkSpec>,
     /// Fingerprint of the server's certificate, as the server prints it.
@@ -73,7 +77,8 @@ struct Cli {
     /// How walkers move.
     #[arg(long, value_enum, default_value = "path")]
     scenario: Scenario,
-    /// Connections that want the server no good, beside the walkers: what they cost shows in the walkers' figures. To tell what they cost the server from what they cost this program, run
+    /// Connections that want the server no good, beside the walkers: what they cost shows in the
+    /// walkers' figures. To tell what they cost the server from what they cost this program, run
     /// them in another one, of low priority: `nice -n 19 ldi-load ... --walkers 0 --hostile N`.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=MAX_WALKERS))]
     hostile: u32,
@@ -83,7 +88,8 @@ struct Cli {
     /// Time over which the walkers come in, seconds.
     #[arg(long, value_parser = ramp, default_value = "0")]
     ramp: f64,
-    /// Whether chunks are decoded; auto: unless all caches together might take more than half of the free memory.
+    /// Whether chunks are decoded; auto: unless all caches together might take more than half of
+    /// the free memory.
     #[arg(long, value_enum, default_value = "auto")]
     decode: Decode,
     /// Most decoded bytes that each walker holds [default: 1 GiB].

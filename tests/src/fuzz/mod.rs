@@ -1,8 +1,9 @@
 //! Fuzz targets: every decoder of bytes that come from somebody else.
 //!
-//! [`TARGETS`] is the one list. `tests/tests/fuzz.rs` runs each target on its seeds, on the files of
-//! `tests/corpus/NAME/` and on seeded changes of the seeds; `tests/fuzz` runs the same functions
-//! under libFuzzer. To add a target, write a function here, give it seeds and add it to the list.
+//! [`TARGETS`] is the one list. `tests/tests/fuzz.rs` runs each target on its seeds, on the files
+//! of `tests/corpus/NAME/` and on seeded changes of the seeds; `tests/fuzz` runs the same
+//! functions under libFuzzer. To add a target, write a function here, give it seeds and add it to
+//! the list.
 
 pub mod mutate;
 mod seeds;

@@ -1,12 +1,15 @@
 //! What leaves a full cache, compared on one walk: how many bytes come again.
 //!
-//! Each frame needs its chunks; what is missing is fetched, and what the frame does not need makes room. Sizes are decoded bytes, what comes
-//! again counts in stored bytes. The unit here is the chunk; the client's cache evicts whole objects (an image with its layers).
+//! Each frame needs its chunks; what is missing is fetched, and what the frame does not need makes
+//! room. Sizes are decoded bytes, what comes again counts in stored bytes. The unit here is the
+//! chunk; the client's cache evicts whole objects (an image with its layers).
 //!
 //! - **lru**: least recently used first, as the client does (Aliaga and Lastra 1999, section 6).
-//! - **cost-aware**: GreedyDual-Size (Cao and Irani 1997): each chunk has the credit clock + stored / decoded bytes when used; the smallest
-//!   credit goes, and becomes the clock. Keeps what is expensive to bring again for its size.
-//! - **clairvoyant**: the one whose next use is farthest (Belady 1966); optimal where all sizes are equal, a good lower bound elsewhere.
+//! - **cost-aware**: GreedyDual-Size (Cao and Irani 1997): each chunk has the credit clock +
+//!   stored / decoded bytes when used; the smallest credit goes, and becomes the clock. Keeps what
+//!   is expensive to bring again for its size.
+//! - **clairvoyant**: the one whose next use is farthest (Belady 1966); optimal where all sizes
+//!   are equal, a good lower bound elsewhere.
 
 use super::rehearsal::Script;
 use std::collections::BTreeMap;

@@ -1,4 +1,5 @@
-//! Foresight of other servers, to compare with: one that knows the walk, and one that sends whatever there is room for.
+//! Foresight of other servers, to compare with: one that knows the walk, and one that sends
+//! whatever there is room for.
 
 use super::rehearsal::Script;
 use ldi_protocol::{

@@ -1,4 +1,5 @@
-//! Connections that want the server no good, beside the walkers: what they cost the others shows in the walkers' figures.
+//! Connections that want the server no good, beside the walkers: what they cost the others shows
+//! in the walkers' figures.
 //!
 //! Each behaves in one [`Manner`] until the end of the run; thrown out, it comes again.
 
@@ -22,9 +23,11 @@ use tokio::{
 const AGAIN: Duration = Duration::from_millis(100);
 /// Between two poses of one who floods: far more than the server takes.
 const FLOOD_POSES: Duration = Duration::from_millis(1);
-/// Between two poses of one who is greedy: just below the server's limit of 250 per second, beyond which it would be thrown out.
+/// Between two poses of one who is greedy: just below the server's limit of 250 per second, beyond
+/// which it would be thrown out.
 const GREEDY_POSES: Duration = Duration::from_millis(5);
-/// Between two messages of both: just below the server's usual limit of 500 per second, beyond which it would be thrown out.
+/// Between two messages of both: just below the server's usual limit of 500 per second, beyond
+/// which it would be thrown out.
 const FLOOD_MESSAGES: Duration = Duration::from_micros(2_500);
 /// Requests that both have open: as many as the server allows.
 const FLOOD_REQUESTS: u32 = 64;

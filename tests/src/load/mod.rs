@@ -1,14 +1,17 @@
-//! Load: many simulated walkers on one server, each with a QUIC connection, a cache and a planner's model of it, as the real ones have.
+//! Load: many simulated walkers on one server, each with a QUIC connection, a cache and a
+//! planner's model of it, as the real ones have.
 //!
-//! In: a server, a path file or a seed, a number of walkers. Out: a report after the contract, and a page with plots.
+//! In: a server, a path file or a seed, a number of walkers. Out: a report after the contract, and
+//! a page with plots.
 //!
 //! - [`track`]: where walkers go; pure. [`walker`]: one of them, a task.
 //! - [`hostile`]: who comes to harm the server; [`stranger`]: how they get in.
-//! - [`process`]: processor time and memory of the server. [`raw`]: a bare QUIC transfer in the same run to compare with.
+//! - [`process`]: processor time and memory of the server. [`raw`]: a bare QUIC transfer in the
+//!   same run to compare with.
 //! - [`soak`]: how fast the server's memory, descriptors and threads grow.
 //! - [`report`], [`page`]: what is left.
-//! - [`rehearsal`]: a walk over a link in virtual time, to compare ways to send ahead; [`hindsight`]: what it is compared with;
-//!   [`eviction`]: what leaves a full cache.
+//! - [`rehearsal`]: a walk over a link in virtual time, to compare ways to send ahead;
+//!   [`hindsight`]: what it is compared with; [`eviction`]: what leaves a full cache.
 
 pub mod eviction;
 pub mod hindsight;
@@ -72,7 +75,8 @@ impl LoadError {
 /// What to do.
 #[derive(Debug)]
 pub struct Load {
-    /// Server, fingerprint, token, link, cache; the seed of the link is counted up from walker to walker.
+    /// Server, fingerprint, token, link, cache; the seed of the link is counted up from walker to
+    /// walker.
     pub config: ConnectConfig,
     /// How many.
     pub walkers: usize,
@@ -130,7 +134,8 @@ pub struct Seen {
     pub raw: Result<Raw, String>,
 }
 
-/// Runs a load test. Progress, as seconds of the run and walkers inside, goes to `progress` once a second.
+/// Runs a load test. Progress, as seconds of the run and walkers inside, goes to `progress` once a
+/// second.
 ///
 /// # Errors
 /// When not even a first connection stands. What befalls single walkers later is in their outcomes.
@@ -263,7 +268,8 @@ fn besiege(load: &Load, index: &Index, end: Instant) -> Result<JoinSet<(Manner, 
 /// The picture that walkers say they draw.
 pub const PICTURE: Picture = Picture { width: 1280, height: 720, fov_deg: None };
 
-/// Whether so many walkers can hold their decoded chunks in this machine's memory, half of it at most.
+/// Whether so many walkers can hold their decoded chunks in this machine's memory, half of it at
+/// most.
 pub fn decoding_fits(walkers: usize, cache_bytes: u64) -> bool {
     process::available_bytes().is_none_or(|available| (walkers as u64).saturating_mul(cache_bytes) <= available / 2)
 }

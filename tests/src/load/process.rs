@@ -1,4 +1,5 @@
-//! What the system says of a running process: processor time, memory, descriptors, threads. Linux only; elsewhere nothing is known, and the report says so.
+//! What the system says of a running process: processor time, memory, descriptors, threads. Linux
+//! only; elsewhere nothing is known, and the report says so.
 
 use std::{fs, path::PathBuf};
 
@@ -19,7 +20,8 @@ impl Process {
         PathBuf::from(format!("/proc/{}/{name}", self.0))
     }
 
-    /// Processor seconds so far, user and system, all threads; to a hundredth. None when there is no such process.
+    /// Processor seconds so far, user and system, all threads; to a hundredth. None when there is
+    /// no such process.
     pub fn cpu_s(self) -> Option<f64> {
         cpu_ticks(&fs::read_to_string(self.file("stat")).ok()?).map(|t| t as f64 / TICKS_PER_S)
     }
@@ -47,7 +49,8 @@ pub fn available_bytes() -> Option<u64> {
     number(&fs::read_to_string("/proc/meminfo").ok()?, "MemAvailable:").map(|k| k * 1024)
 }
 
-/// utime + stime. The name before them is in brackets and may hold anything, brackets and blanks too.
+/// utime + stime. The name before them is in brackets and may hold anything, brackets and blanks
+/// too.
 fn cpu_ticks(stat: &str) -> Option<u64> {
     let mut fields = stat.rsplit_once(')')?.1.split_whitespace().skip(11);
     let (user, system): (u64, u64) = (fields.next()?.parse().ok()?, fields.next()?.parse().ok()?);

@@ -1,7 +1,9 @@
-//! A bare QUIC transfer to compare with: what the transport alone costs its sender, on this machine, in this run.
+//! A bare QUIC transfer to compare with: what the transport alone costs its sender, on this
+//! machine, in this run.
 //!
-//! The sender is this program again, in a process of its own ([`serve`]), so that its processor time can be read apart from ours. It has the same socket
-//! buffers and windows as `ldi-server` and `ldi-client`, writes one stream from memory, and ends when its standard input does.
+//! The sender is this program again, in a process of its own ([`serve`]), so that its processor
+//! time can be read apart from ours. It has the same socket buffers and windows as `ldi-server`
+//! and `ldi-client`, writes one stream from memory, and ends when its standard input does.
 
 use super::{LoadError, process::Process};
 use quinn::{ClientConfig, Endpoint, EndpointConfig, ServerConfig, TransportConfig, VarInt};
@@ -15,7 +17,8 @@ use std::{
 
 /// The hidden first argument that starts the sender.
 pub const SERVE: &str = "--raw-quic-server";
-/// How long bytes flow. Processor time is read to a hundredth of a second: an error below one in a hundred.
+/// How long bytes flow. Processor time is read to a hundredth of a second: an error below one in a
+/// hundred.
 const MEASURE: Duration = Duration::from_secs(2);
 /// Bytes flow this long before: the congestion window has opened.
 const WARM_UP: Duration = Duration::from_millis(300);
@@ -56,7 +59,8 @@ fn provider() -> Arc<rustls::crypto::CryptoProvider> {
     Arc::new(rustls::crypto::ring::default_provider())
 }
 
-/// The sender: prints its address and certificate, sends to whoever connects, ends with its standard input.
+/// The sender: prints its address and certificate, sends to whoever connects, ends with its
+/// standard input.
 ///
 /// # Errors
 /// What keeps it from listening.

@@ -1,12 +1,16 @@
-//! A walk over a link as arithmetic: the server's planner, the client's cache, and between them a link and a decoder in virtual time.
+//! A walk over a link as arithmetic: the server's planner, the client's cache, and between them a
+//! link and a decoder in virtual time.
 //!
-//! In: what each frame of a walk needs ([`Script`]) and what it meets ([`Setting`]). Out: frames that lacked something, bytes that none needed
-//! ([`Score`]). Nothing here depends on the machine or its clock: the same script and setting give the same score, so that ways to send ahead can be compared to
-//! the frame. [`Policy::Clairvoyant`] knows the walk in advance: earliest deadline first is late for no chunk if any order is, so what it misses nobody
-//! brings in time.
+//! In: what each frame of a walk needs ([`Script`]) and what it meets ([`Setting`]). Out: frames
+//! that lacked something, bytes that none needed ([`Score`]). Nothing here depends on the machine
+//! or its clock: the same script and setting give the same score, so that ways to send ahead can
+//! be compared to the frame. [`Policy::Clairvoyant`] knows the walk in advance: earliest deadline
+//! first is late for no chunk if any order is, so what it misses nobody brings in time.
 //!
-//! The planner and the cache's accounts are those of the real programs, the link is [`SimulatedLink`]. What is simple here: congestion control is perfect (a
-//! window of bandwidth times round trip and [`QUEUE`]), acknowledgements are not lost, a lost packet is sent again after a round trip.
+//! The planner and the cache's accounts are those of the real programs, the link is
+//! [`SimulatedLink`]. What is simple here: congestion control is perfect (a window of bandwidth
+//! times round trip and [`QUEUE`]), acknowledgements are not lost, a lost packet is sent again
+//! after a round trip.
 
 use super::hindsight::{Everything, Hindsight};
 use ldi_client::{
@@ -73,8 +77,8 @@ impl Script {
 pub enum Policy {
     /// Nothing is.
     Nothing,
-    /// Whatever fits into three quarters of the cache, as the server did before it knew the link: the poses in 0.4 and 1 s, a turn on the spot, then
-    /// near to far within 10 m.
+    /// Whatever fits into three quarters of the cache, as the server did before it knew the link:
+    /// the poses in 0.4 and 1 s, a turn on the spot, then near to far within 10 m.
     Everything,
     /// The server's.
     Forecast,

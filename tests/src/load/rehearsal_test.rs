@@ -1,4 +1,5 @@
-//! Walks along a made-up street whose needs are stated by hand, where what has to come out can be worked out.
+//! Walks along a made-up street whose needs are stated by hand, where what has to come out can be
+//! worked out.
 
 use super::*;
 use glam::DVec3;
@@ -12,7 +13,8 @@ const BYTES: u32 = 100_000;
 /// One new chunk each second at this speed, m/s.
 const SPEED: f64 = 1.4;
 
-/// Chunk n is needed from n x 1.4 m on, for 2.8 m, looking along; those beyond `along` are needed by nobody.
+/// Chunk n is needed from n x 1.4 m on, for 2.8 m, looking along; those beyond `along` are needed
+/// by nobody.
 struct Street {
     along: u32,
 }
@@ -88,8 +90,9 @@ fn setting(link: &str, policy: Policy) -> Setting {
 fn what_is_asked_for_when_it_is_needed_comes_a_round_trip_and_a_transfer_late() {
     let (script, views) = street();
     let score = rehearse(&script, &setting("rate=8mbit,delay=50ms", Policy::Nothing), views);
-    // 100 kB at 1 MB/s, 2.4% of headers more, a round trip, a step or two, 5 ms of decoding: 0.21 s. A steady walker says where it is ten times per second: 0.05 s more in the
-    // mean, in all 16 frames of each of 19 seconds.
+    // 100 kB at 1 MB/s, 2.4% of headers more, a round trip, a step or two, 5 ms of decoding: 0.21
+    // s. A steady walker says where it is ten times per second: 0.05 s more in the mean, in all 16
+    // frames of each of 19 seconds.
     let expected = 19.0 * 0.26 * 60.0;
     assert!((score.settled_incomplete as f64 - expected).abs() < 0.15 * expected, "{score:?} against {expected}");
     // The last one is needed too late to come.

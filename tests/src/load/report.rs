@@ -1,4 +1,5 @@
-//! What a load test leaves: the fields of the contract, and what explains them. What could not be measured is null, and `reasons` says why.
+//! What a load test leaves: the fields of the contract, and what explains them. What could not be
+//! measured is null, and `reasons` says why.
 
 use super::{Load, Seen, soak, walker::Outcome};
 use hdrhistogram::Histogram;
@@ -120,7 +121,8 @@ pub fn report(load: &Load, seen: &Seen) -> Value {
     report
 }
 
-/// By manner: connections that stood, were ended by the server, never stood; and what they received.
+/// By manner: connections that stood, were ended by the server, never stood; and what they
+/// received.
 fn hostile(load: &Load, seen: &Seen) -> Value {
     let manners = seen.hostile.iter().map(|(manner, t)| {
         let toll =

@@ -1,4 +1,5 @@
-//! Bare QUIC to a server, without the client's manners: any certificate is taken, and what is said is up to the caller.
+//! Bare QUIC to a server, without the client's manners: any certificate is taken, and what is said
+//! is up to the caller.
 
 use ldi_protocol::{
     room_index::ShowPortals,

@@ -1,7 +1,7 @@
 //! Where simulated walkers go: one pose per frame of a sixtieth of a second.
 //!
-//! In: a path file or a seed, a scenario, the walk volume of the manifest. Out: one [`Track`] per walker. Tracks come round again when they end; the same
-//! seed gives the same tracks.
+//! In: a path file or a seed, a scenario, the walk volume of the manifest. Out: one [`Track`] per
+//! walker. Tracks come round again when they end; the same seed gives the same tracks.
 
 use super::LoadError;
 use ldi_protocol::{
@@ -50,7 +50,8 @@ pub enum Route {
 #[derive(Debug, Clone)]
 pub struct Track {
     poses: Arc<[Pose]>,
-    /// What each pose needs, found once. None where a pose hardly comes again: that would only fill memory.
+    /// What each pose needs, found once. None where a pose hardly comes again: that would only
+    /// fill memory.
     needs: Option<Arc<[OnceLock<Arc<Needed>>]>>,
     offset: usize,
 }
@@ -133,7 +134,8 @@ pub fn tracks(
     })
 }
 
-/// A path at 60 poses per second, closed to a round: where it does not end at its beginning the walker turns and goes back.
+/// A path at 60 poses per second, closed to a round: where it does not end at its beginning the
+/// walker turns and goes back.
 fn round(walk: &Walk) -> Vec<Pose> {
     let (first, last) = (walk.poses[0], walk.poses[walk.poses.len() - 1]);
     let frames = ((last.t_s - first.t_s) * FPS).floor().max(0.0) as usize + 1;

@@ -1,7 +1,9 @@
-//! One simulated walker: a connection and a cache as the client has them, a frame every sixtieth of a second, and no picture.
+//! One simulated walker: a connection and a cache as the client has them, a frame every sixtieth
+//! of a second, and no picture.
 //!
-//! At each frame the walker says where it is, as `ldi-client walk --pace realtime` does, and looks what of its view is at hand. A chunk's latency runs
-//! from the frame that first misses it until the cache holds it, decoded.
+//! At each frame the walker says where it is, as `ldi-client walk --pace realtime` does, and looks
+//! what of its view is at hand. A chunk's latency runs from the frame that first misses it until
+//! the cache holds it, decoded.
 
 use super::track::{FPS, Track};
 use hdrhistogram::Histogram;

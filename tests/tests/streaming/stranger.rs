@@ -65,7 +65,8 @@ pub async fn floods_with_poses(address: SocketAddr) -> Option<u64> {
     }
 }
 
-/// Lists so many numbers of chunks as what it holds, and then sends what is no message. Returns how long the server took to come to that.
+/// Lists so many numbers of chunks as what it holds, and then sends what is no message. Returns
+/// how long the server took to come to that.
 pub async fn lists(address: SocketAddr, numbers: usize) -> Duration {
     let (_endpoint, connection, mut send, _recv) = come(address).await;
     let started = Instant::now();
@@ -89,7 +90,8 @@ pub async fn reads_nothing(address: SocketAddr) -> (Endpoint, Connection, SendSt
     (endpoint, connection, send, recv)
 }
 
-/// Datagrams that are no poses and requests that are none: the connection stays, and the answers say what is wrong.
+/// Datagrams that are no poses and requests that are none: the connection stays, and the answers
+/// say what is wrong.
 pub async fn sends_bad_datagrams_and_requests(address: SocketAddr) {
     let (_endpoint, connection, mut send, _recv) = come(address).await;
     send.write_all(&wire::encode(&hello(wire::VERSION)).unwrap()).await.unwrap();

@@ -26,7 +26,9 @@ impl Display {
         for tool in ["Xvfb", "xdotool"] {
             find(tool).ok_or_else(|| format!("{tool} is not installed"))?;
         }
-        // It picks a free number by itself and says it. Without -noreset it begins anew whenever its last client leaves, as one does that only looks for drivers, and the next client finds nobody for a moment.
+        // It picks a free number by itself and says it. Without -noreset it begins anew whenever
+        // its last client leaves, as one does that only looks for drivers, and the next client
+        // finds nobody for a moment.
         let mut server = Command::new("Xvfb")
             .args(["-displayfd", "1", "-nolisten", "tcp", "-noreset", "-screen", "0", &format!("{width}x{height}x24")])
             .stdout(Stdio::piped())

@@ -1,4 +1,5 @@
-//! Rooms and portals in the manifest: pages of rooms with their cells, the outside last, and pages of portals with their placements.
+//! Rooms and portals in the manifest: pages of rooms with their cells, the outside last, and pages
+//! of portals with their placements.
 
 use super::{Numbers, charge, put_ascending, put_numbers, take_ascending, take_numbers};
 use crate::{

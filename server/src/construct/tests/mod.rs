@@ -1,4 +1,5 @@
-//! Construction judged on analytic scenes: where samples lie, what is missing, what is doubled, what is linked.
+//! Construction judged on analytic scenes: where samples lie, what is missing, what is doubled,
+//! what is linked.
 
 mod references;
 mod scenes;
@@ -61,7 +62,8 @@ fn samples(ldi: &Ldi) -> Vec<(usize, i64, i64, f64, [u8; 3], u8)> {
     all
 }
 
-/// Share of random points, seen by random eyes of the users, that have no sample of their plane within one pixel.
+/// Share of random points, seen by random eyes of the users, that have no sample of their plane
+/// within one pixel.
 fn hole_fraction(scene: &Analytic, ldi: &Ldi, plan: &ImagePlan) -> f64 {
     // An output pixel of parallax for the worst eye.
     let pixel = 8.0 * Rig::new(plan, &OUTPUT).expect("sound").step();
@@ -167,7 +169,8 @@ fn textures_are_averaged_over_the_pixel_and_no_more() {
 
 #[test]
 fn sky_is_known_where_some_eye_sees_it() {
-    // A plate in the open: sky all around it, and behind it only where the plate is narrower than the parallax.
+    // A plate in the open: sky all around it, and behind it only where the plate is narrower than
+    // the parallax.
     let scene = Analytic::default().rect([-2.0, -2.0, -10.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0], None, GREY);
     let ldi = made(&scene, &plan(9.0, [1.0, 0.1, 1.0])).ldi;
     let at = |x: f64, y: f64| {
@@ -183,7 +186,8 @@ fn sky_is_known_where_some_eye_sees_it() {
     assert!(!at(0.0, 0.0), "behind its middle");
 }
 
-/// Sky is a direction: where an eye sees it, and where none does, away from the borders by the distance of rays.
+/// Sky is a direction: where an eye sees it, and where none does, away from the borders by the
+/// distance of rays.
 #[test]
 fn the_sky_of_a_survey_is_what_its_eyes_see() {
     // A wall ahead, up to a height; nothing else.
@@ -199,7 +203,8 @@ fn the_sky_of_a_survey_is_what_its_eyes_see() {
 
 #[test]
 fn the_sky_through_a_slit_is_whole() {
-    // A slit between two walls, narrower than the rays of a survey are apart, and as high as many of them: two eyes find some of its squares.
+    // A slit between two walls, narrower than the rays of a survey are apart, and as high as many
+    // of them: two eyes find some of its squares.
     let wall = |scene: Analytic, x: f64| scene.rect([x, -20.0, -10.0], [20.0, 0.0, 0.0], [0.0, 40.0, 0.0], None, GREY);
     let scene = wall(wall(Analytic::default(), -20.1), 0.1);
     let survey = survey(&scene, &[DVec3::ZERO, DVec3::new(0.01, 0.0, 0.0)]).expect("there are eyes");
@@ -209,8 +214,9 @@ fn the_sky_through_a_slit_is_whole() {
     assert!(rays > 300, "{rays}");
 }
 
-/// An opening of a near wall and one of a far wall, aside: an eye at x sees sky with dx/dz between (x - 1) / 2 and x / 2, and between x / 6 and (x + 1) / 6. Of the one between 5/12 and 1/2 only places
-/// beyond x = 1.5 see some, and each another part.
+/// An opening of a near wall and one of a far wall, aside: an eye at x sees sky with dx/dz between
+/// (x - 1) / 2 and x / 2, and between x / 6 and (x + 1) / 6. Of the one between 5/12 and 1/2 only
+/// places beyond x = 1.5 see some, and each another part.
 #[test]
 fn sky_that_only_lookouts_see_is_known_within_the_polygon() {
     let wall =
@@ -245,7 +251,8 @@ fn the_same_image_from_any_number_of_threads() {
     assert!(one == many);
 }
 
-/// The bound on d(output pixel)/d(disparity) against finite differences over random eyes and directions.
+/// The bound on d(output pixel)/d(disparity) against finite differences over random eyes and
+/// directions.
 #[test]
 fn no_eye_exceeds_the_parallax_bound() {
     let plan = plan(9.0, [2.0, 1.0, 3.0]);
@@ -432,7 +439,8 @@ fn an_image_that_nobody_sees_is_empty_and_costs_little() {
     assert!(made.is_empty() && survey.rays > 0);
 }
 
-/// As the paper's grid may plan it: what is replaced lies in the planning square, but in nobody's picture.
+/// As the paper's grid may plan it: what is replaced lies in the planning square, but in nobody's
+/// picture.
 #[test]
 fn an_image_without_a_window_is_left_out_and_the_others_are_made() {
     let scene = std::sync::Arc::new(crate::scene::load("builtin:pipes?triangles=2000").expect("built in"));

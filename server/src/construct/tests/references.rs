@@ -17,7 +17,8 @@ use ldi_protocol::{
 
 const OUTPUT: OutputCamera = OutputCamera { width: 160, height: 128, fov_deg: 60.0 };
 
-/// East of a door in the plane x = 0: floor, back wall with a window to the sky, side wall, and a post before them.
+/// East of a door in the plane x = 0: floor, back wall with a window to the sky, side wall, and a
+/// post before them.
 fn room() -> Analytic {
     Analytic::default()
         .rect([0.0, 0.0, -4.0], [6.0, 0.0, 0.0], [0.0, 0.0, 8.0], None, [0.2, 0.2, 0.2])
@@ -132,7 +133,8 @@ fn the_central_image_stays_in_the_first_layer_and_others_add_what_it_does_not_se
     assert!(m.kept < m.offered / 2, "what several images see is kept about once: {m:?}");
 }
 
-/// Of what eyes about the room see through the door: held by the layered image within a pixel and a tenth of the depth, against held by the nearest image and by the central one.
+/// Of what eyes about the room see through the door: held by the layered image within a pixel and
+/// a tenth of the depth, against held by the nearest image and by the central one.
 #[test]
 fn what_eyes_see_through_the_door_is_in_the_layered_image() {
     let plan = plan();

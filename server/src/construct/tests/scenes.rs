@@ -32,7 +32,8 @@ pub(super) struct Analytic {
     pub pieces: Vec<Piece>,
     /// What stays: an opaque scene that images do not hold.
     pub staying: Option<Box<Analytic>>,
-    /// Period of a texture on everything, metres along x: lit for the first half of each, dark for the second.
+    /// Period of a texture on everything, metres along x: lit for the first half of each, dark for
+    /// the second.
     pub grating_m: Option<f64>,
 }
 
@@ -162,7 +163,8 @@ pub(super) const OUTPUT: OutputCamera = OutputCamera { width: 160, height: 120, 
 pub(super) const GREY: [f32; 3] = [0.5; 3];
 pub(super) const RED: [f32; 3] = [0.8, 0.1, 0.1];
 
-/// An image that looks along -Z from the origin, its plane `plane_m` away, for eyes within `eyes` of the origin.
+/// An image that looks along -Z from the origin, its plane `plane_m` away, for eyes within `eyes`
+/// of the origin.
 pub(super) fn plan(plane_m: f64, eyes: [f64; 3]) -> ImagePlan {
     let eyes = DVec3::from(eyes);
     ImagePlan {
@@ -178,7 +180,8 @@ pub(super) fn plan(plane_m: f64, eyes: [f64; 3]) -> ImagePlan {
     }
 }
 
-/// A wall with a window, before a back wall, a slanted floor that meets it, and a ball between the walls.
+/// A wall with a window, before a back wall, a slanted floor that meets it, and a ball between the
+/// walls.
 pub(super) fn room() -> Analytic {
     Analytic::default()
         .rect([-30.0, -20.0, -20.0], [60.0, 0.0, 0.0], [0.0, 40.0, 0.0], None, GREY)

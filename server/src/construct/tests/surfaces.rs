@@ -78,7 +78,8 @@ fn end_by_rays(scene: &Analytic, ldi: &Ldi, surface: usize, (column, row): (i64,
 
 #[test]
 fn surfaces_end_between_pixels_where_they_do() {
-    // A wall behind a slanted board that is turned away: its own ends, and what lies behind reaches under it.
+    // A wall behind a slanted board that is turned away: its own ends, and what lies behind
+    // reaches under it.
     let scene = Analytic::default().rect([-30.0, -20.0, -20.0], [60.0, 0.0, 0.0], [0.0, 40.0, 0.0], None, GREY).rect(
         [-2.0, -1.5, -12.0],
         [3.0, 0.7, -2.0],
@@ -119,7 +120,8 @@ fn what_is_a_pixel_wide_tells_the_slope_of_its_plane() {
     let slope = 0.05;
     let shelf = |scene: Analytic, k: i32| {
         let y = f64::from(k) * 0.31;
-        // Its plane passes a little below the centre's, so that it is seen from above or below, but hardly.
+        // Its plane passes a little below the centre's, so that it is seen from above or below,
+        // but hardly.
         scene.rect([-2.0, y, -12.0], [4.0, 0.0, 0.0], [0.0, y * 0.22 + slope, -3.0], None, RED)
     };
     let scene = (-9..=9).fold(Analytic::default(), shelf);
@@ -157,7 +159,8 @@ fn what_is_a_pixel_wide_tells_the_slope_of_its_plane() {
 
 #[test]
 fn a_wall_that_eyes_see_at_a_grazing_angle_has_no_slits() {
-    // A screen hides it from the centre; the eyes in the left front corners see it past the screen, eight columns of the image in a pixel of theirs.
+    // A screen hides it from the centre; the eyes in the left front corners see it past the
+    // screen, eight columns of the image in a pixel of theirs.
     let scene = Analytic::default().rect([-0.88, -3.0, -9.5], [1.4, 0.0, 0.0], [0.0, 6.0, 0.0], None, RED).rect(
         [-1.0, -3.0, -11.0],
         [1.2, 0.0, -6.0],
@@ -244,7 +247,8 @@ fn where_a_surface_turns_back_on_itself_its_sides_are_joined() {
 
 #[test]
 fn what_the_centre_sees_edge_on_is_held_by_slivers() {
-    // A post whose side is a third of a pixel wide for the centre of projection, with no pixel's centre on it; eyes beside it see it at 8 degrees and less.
+    // A post whose side is a third of a pixel wide for the centre of projection, with no pixel's
+    // centre on it; eyes beside it see it at 8 degrees and less.
     let (x, z) = (0.1, [-14.0, -10.0]);
     let post = |behind: Analytic| {
         behind.rect([-x, -1.0, z[1]], [2.0 * x, 0.0, 0.0], [0.0, 2.0, 0.0], None, GREY).rect(
@@ -267,7 +271,8 @@ fn slivers_hold(scene: &Analytic, x: f64, z: [f64; 2]) {
     let red = ldi.slivers.iter().filter(|s| s.rgb[0] > s.rgb[1] + 50);
     let of_wall: Vec<[DVec3; 4]> = red.map(|s| s.corners.each_ref().map(|c| world(&ldi, c))).collect();
     assert!(!of_wall.is_empty());
-    // A part of a pixel at 14 m; along the wall as much more as it is askew to a camera, and a camera's pixel.
+    // A part of a pixel at 14 m; along the wall as much more as it is askew to a camera, and a
+    // camera's pixel.
     let part = 14.0 / (ldi.camera.pixels_per_unit * f64::from(Sliver::PARTS));
     for p in of_wall.iter().flatten() {
         let inside = p.y.abs() < 1.0 + 32.0 * part && (z[0] - 1.5..z[1] + 1.5).contains(&p.z);
@@ -275,7 +280,8 @@ fn slivers_hold(scene: &Analytic, x: f64, z: [f64; 2]) {
     }
     let (mut random, mut held, mut of_layers) = (Random(5), 0, 0);
     for _ in 0..2000 {
-        // To its very ends: a pixel of a camera is 0.7 m of the wall, and without going on a tenth of it were missing.
+        // To its very ends: a pixel of a camera is 0.7 m of the wall, and without going on a tenth
+        // of it were missing.
         let p = DVec3::new(x, random.within([-0.9, 0.9]), random.within(z));
         let around = |corners: &[DVec3; 4]| {
             let bounds = corners.iter().fold(Aabb::EMPTY, |b, c| b.grown_to(DVec3::new(x, c.y, c.z)));

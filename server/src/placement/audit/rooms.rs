@@ -1,7 +1,10 @@
 //! The audit in a dataset with rooms: of a pose's list, by rays that go from room to room.
 //!
-//! For random rays of the picture: which portals a ray crosses, in which order, is found by intersecting each polygon with the line, where `select` clips cones. In every room on its way that is geometry, each cell
-//! that the ray meets must be drawn; the first portal into a room that is not must have an image for this eye, whose window holds what is beyond, at a footprint within its bound.
+//! For random rays of the picture: which portals a ray crosses, in which order, is found by
+//! intersecting each polygon with the line, where `select` clips cones. In every room on its way
+//! that is geometry, each cell that the ray meets must be drawn; the first portal into a room that
+//! is not must have an image for this eye, whose window holds what is beyond, at a footprint
+//! within its bound.
 
 use super::{AuditedPose, Random, footprint, holds, triangles_in};
 use glam::DVec3;

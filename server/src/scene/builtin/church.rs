@@ -1,4 +1,5 @@
-//! `church`: a nave with fluted columns, vaults, pews and altars, in place of the church of Chang et al. 1999.
+//! `church`: a nave with fluted columns, vaults, pews and altars, in place of the church of Chang
+//! et al. 1999.
 
 use super::Builtin;
 use super::draw::{Draft, Shape};

@@ -79,8 +79,8 @@ impl Shape {
         (self.0.positions.len() - 1) as u32
     }
 
-    /// A patch of `nu` by `nv` quads over the unit square: `at` gives position, normal and texture coordinates.
-    /// Counter-clockwise as seen from where (du x dv) points.
+    /// A patch of `nu` by `nv` quads over the unit square: `at` gives position, normal and texture
+    /// coordinates. Counter-clockwise as seen from where (du x dv) points.
     #[must_use]
     pub fn patch(mut self, nu: u32, nv: u32, at: impl Fn(f64, f64) -> (DVec3, DVec3, (f64, f64))) -> Self {
         let first = self.0.positions.len() as u32;
@@ -115,8 +115,9 @@ impl Shape {
         self.rect(min, y, x).rect(min + z, x, y).rect(min, z, y).rect(min + x, y, z).rect(min, x, z).rect(min + y, z, x)
     }
 
-    /// A surface of revolution about Y through `profile` (radius, height), `around` quads about and `along` between
-    /// neighbouring profile points; smooth across the profile only where `smooth`.
+    /// A surface of revolution about Y through `profile` (radius, height), `around` quads about
+    /// and `along` between neighbouring profile points; smooth across the profile only where
+    /// `smooth`.
     #[must_use]
     pub fn lathe(mut self, profile: &[(f64, f64)], around: u32, along: u32, smooth: bool) -> Self {
         let slope = |k: usize| {
@@ -157,7 +158,8 @@ impl Shape {
         })
     }
 
-    /// A quarter of a torus: leaves the origin along +Z, turns toward +X around the point (bend, 0, 0).
+    /// A quarter of a torus: leaves the origin along +Z, turns toward +X around the point (bend,
+    /// 0, 0).
     #[must_use]
     pub fn elbow(self, radius: f64, bend: f64, around: u32, along: u32) -> Self {
         self.patch(around, along, |u, v| {
@@ -191,7 +193,8 @@ impl Shape {
         self
     }
 
-    /// Multiplies vertex colours by a field over positions: shade that errors in position make visible.
+    /// Multiplies vertex colours by a field over positions: shade that errors in position make
+    /// visible.
     #[must_use]
     pub fn shaded(mut self, tone: impl Fn(Vec3) -> f32) -> Self {
         self.0.colours = self.0.positions.iter().map(|p| [tone(*p).clamp(0.0, 1.0); 3]).collect();

@@ -1,8 +1,9 @@
-//! `house`: one furnished storey with 19 cells and 52 portals, after the model of Rafferty et al. 1998 (Brooks House).
+//! `house`: one furnished storey with 19 cells and 52 portals, after the model of Rafferty et al.
+//! 1998 (Brooks House).
 //!
-//! Five by four rooms of 5 m by 4.5 m, two of them merged into a living room. Doors in the middle of every inner wall,
-//! windows in every outer one (two in the corner rooms' long walls): 30 + 22 = 52 openings. Furniture stands in the
-//! corners, so that the lines between doors stay free.
+//! Five by four rooms of 5 m by 4.5 m, two of them merged into a living room. Doors in the middle
+//! of every inner wall, windows in every outer one (two in the corner rooms' long walls): 30 + 22
+//! = 52 openings. Furniture stands in the corners, so that the lines between doors stay free.
 
 use super::Builtin;
 use super::draw::{Draft, Shape};
@@ -104,7 +105,8 @@ fn shell(draft: &mut Draft, random: &mut Random) {
     draft.place(garden, DVec3::ZERO, 0.0, 1.0);
 }
 
-/// A wall with its openings: a door where both sides are rooms, windows to the outside, nothing inside one room.
+/// A wall with its openings: a door where both sides are rooms, windows to the outside, nothing
+/// inside one room.
 #[expect(clippy::too_many_arguments, reason = "a wall is just these eight things, and the call sites read as a plan")]
 fn wall(
     draft: &mut Draft,
@@ -172,7 +174,8 @@ fn furnish(draft: &mut Draft, random: &mut Random, detail: u32) {
     }
 }
 
-/// Tables laid with bowls, vases on stands, lamps, beds, shelves and plants; within 0.65 m of their centre.
+/// Tables laid with bowls, vases on stands, lamps, beds, shelves and plants; within 0.65 m of
+/// their centre.
 fn pieces(draft: &mut Draft, random: &mut Random, detail: u32) -> Vec<u32> {
     let (around, along) = (6 + detail, 1 + detail / 3);
     let mut pieces = Vec::new();

@@ -1,4 +1,5 @@
-//! `island`: a terrain of 131,072 triangles with 1117 instanced trees of about 36,230 triangles each, after Shade et al. 1996.
+//! `island`: a terrain of 131,072 triangles with 1117 instanced trees of about 36,230 triangles
+//! each, after Shade et al. 1996.
 
 use super::Builtin;
 use super::draw::{Draft, Shape};
@@ -14,7 +15,8 @@ const TREES: usize = 1117;
 /// Quads along an edge of the paper's terrain: 2 * 256 * 256 = 131,072 triangles.
 const CELLS: u32 = 256;
 
-/// Builds the island: trees of this detail. A target below about 1.3 million triangles also takes a coarser terrain.
+/// Builds the island: trees of this detail. A target below about 1.3 million triangles also takes
+/// a coarser terrain.
 pub fn build(detail: u32, target: u64, seed: u64) -> Builtin {
     let mut draft = Draft::default();
     let mut random = Random::new(seed, 4);

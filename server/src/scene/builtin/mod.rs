@@ -1,11 +1,14 @@
-//! Built-in scenes: deterministic, with a triangle target, textured and varied in colour so that errors show.
+//! Built-in scenes: deterministic, with a triangle target, textured and varied in colour so that
+//! errors show.
 //!
-//! In: a name, a triangle target and a seed. Out: a [`Scene`] and a walk through it. They stand in for the models of the
-//! papers, which cannot be had: `pipes`, `house` and `plant` for Aliaga and Lastra 1999, `house` for Rafferty et al. 1998
-//! (19 cells, 52 portals), `island` for Shade et al. 1996 (terrain and 1117 trees), `church` for Chang et al. 1999.
+//! In: a name, a triangle target and a seed. Out: a [`Scene`] and a walk through it. They stand in
+//! for the models of the papers, which cannot be had: `pipes`, `house` and `plant` for Aliaga and
+//! Lastra 1999, `house` for Rafferty et al. 1998 (19 cells, 52 portals), `island` for Shade et al.
+//! 1996 (terrain and 1117 trees), `church` for Chang et al. 1999.
 //!
-//! Tessellation is the free parameter: each scene takes a detail level, and [`build`] searches the level whose triangle
-//! count comes closest to the target. Meshes are instanced, so even 40 million triangles stay small in memory.
+//! Tessellation is the free parameter: each scene takes a detail level, and [`build`] searches the
+//! level whose triangle count comes closest to the target. Meshes are instanced, so even 40
+//! million triangles stay small in memory.
 
 mod church;
 pub mod draw;
@@ -48,10 +51,11 @@ pub enum BuiltinError {
     },
 }
 
-/// Builds a scene with about `triangles` triangles (instances counted; None: the default of [`NAMES`]).
+/// Builds a scene with about `triangles` triangles (instances counted; None: the default of
+/// [`NAMES`]).
 ///
-/// The count is the closest that the scene's detail levels offer, as a rule within 10%; small targets may be missed
-/// where the coarsest level has more.
+/// The count is the closest that the scene's detail levels offer, as a rule within 10%; small
+/// targets may be missed where the coarsest level has more.
 ///
 /// # Errors
 /// An unknown name, or a target out of range.

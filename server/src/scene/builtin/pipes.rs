@@ -1,7 +1,8 @@
-//! `pipes`: an array of instanced pipes, the procedural model of Aliaga and Lastra 1999 (their Figure 18).
+//! `pipes`: an array of instanced pipes, the procedural model of Aliaga and Lastra 1999 (their
+//! Figure 18).
 //!
-//! A lattice of 2 m with upright pipes at its nodes and level ones below knee and above head height, so that aisles stay
-//! free to walk. Three kinds of pipe in six colours.
+//! A lattice of 2 m with upright pipes at its nodes and level ones below knee and above head
+//! height, so that aisles stay free to walk. Three kinds of pipe in six colours.
 
 use super::Builtin;
 use super::draw::{Draft, Shape};
@@ -17,7 +18,8 @@ const LEVELS: [f64; 4] = [0.25, 2.6, 3.4, 4.2];
 
 /// Builds the array: the target sets how many pipes, the detail how fine each is.
 pub fn build(detail: u32, target: u64, seed: u64) -> Builtin {
-    // About 20,000 pipes for the paper's million triangles; fewer, and so coarser scenes, for small targets.
+    // About 20,000 pipes for the paper's million triangles; fewer, and so coarser scenes, for
+    // small targets.
     let side = ((target as f64 / 2_600.0).sqrt().round() as i32).clamp(4, 40);
     let mut random = Random::new(seed, 1);
     let mut draft = Draft::default();

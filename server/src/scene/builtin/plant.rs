@@ -1,5 +1,5 @@
-//! `plant`: storeys of steel frames with gratings, pipe runs, tanks and stairs, in place of the power plant of Aliaga and
-//! Lastra 1999.
+//! `plant`: storeys of steel frames with gratings, pipe runs, tanks and stairs, in place of the
+//! power plant of Aliaga and Lastra 1999.
 
 use super::Builtin;
 use super::draw::{Draft, Shape};
@@ -47,7 +47,8 @@ pub fn build(detail: u32, target: u64, seed: u64) -> Builtin {
         for i in 0..bays {
             for k in 0..bays {
                 let bay = node(i, j, k);
-                // The stairwell has no slab above its lowest floor; the walk goes round by the outer aisle.
+                // The stairwell has no slab above its lowest floor; the walk goes round by the
+                // outer aisle.
                 let stairwell = i == bays / 2 && k == bays / 2;
                 if stairwell {
                     draft.place(parts.stairs, bay, 0.0, 1.0);

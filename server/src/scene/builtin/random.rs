@@ -1,4 +1,5 @@
-//! A small generator whose sequence never changes: scenes must be the same on every machine and in every version.
+//! A small generator whose sequence never changes: scenes must be the same on every machine and in
+//! every version.
 
 /// SplitMix64 (Steele, Lea, Flood 2014).
 #[derive(Debug, Clone)]

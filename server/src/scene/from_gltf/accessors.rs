@@ -1,9 +1,10 @@
 //! Buffers, buffer views and accessors (glTF 2.0 section 3.6): typed arrays inside bytes.
 //!
-//! An accessor is checked once, when it becomes [`Elements`]: its type, and that its last byte lies inside its view
-//! and its view inside its buffer, in checked 64-bit arithmetic. Since every element then has bytes of its own in the
-//! file (strides are at least the element's size), a forged count cannot ask for more memory than a small multiple
-//! of the file; only sparse accessors without a view can, and those are bounded by the vertex limit beforehand.
+//! An accessor is checked once, when it becomes [`Elements`]: its type, and that its last byte
+//! lies inside its view and its view inside its buffer, in checked 64-bit arithmetic. Since every
+//! element then has bytes of its own in the file (strides are at least the element's size), a
+//! forged count cannot ask for more memory than a small multiple of the file; only sparse
+//! accessors without a view can, and those are bounded by the vertex limit beforehand.
 
 use std::borrow::Cow;
 
@@ -24,7 +25,8 @@ pub(super) struct Use {
     fractions: bool,
 }
 
-/// Floats, and with `KHR_mesh_quantization` small integers (read whether or not the file declares the extension).
+/// Floats, and with `KHR_mesh_quantization` small integers (read whether or not the file declares
+/// the extension).
 const REAL: &[ComponentType] =
     &[ComponentType::F32, ComponentType::I8, ComponentType::U8, ComponentType::I16, ComponentType::U16];
 /// Vertex positions.

@@ -1,5 +1,5 @@
-//! The outer layer of a glTF file: JSON text alone (`.gltf`), or a GLB container (glTF 2.0 section 4: twelve bytes of
-//! header, a JSON chunk, an optional BIN chunk).
+//! The outer layer of a glTF file: JSON text alone (`.gltf`), or a GLB container (glTF 2.0 section
+//! 4: twelve bytes of header, a JSON chunk, an optional BIN chunk).
 
 use std::borrow::Cow;
 
@@ -51,7 +51,8 @@ pub(super) fn split(bytes: &[u8]) -> Result<Parts<'_>, Fault> {
     Ok(Parts { json: glb.json, bin: glb.bin })
 }
 
-/// Node placements as the file writes them: the parser keeps f32, which is 3 cm at 500 km (geographic coordinates).
+/// Node placements as the file writes them: the parser keeps f32, which is 3 cm at 500 km
+/// (geographic coordinates).
 #[derive(Debug, Clone, Default, Deserialize)]
 pub(super) struct NodeTransform {
     /// 4 x 4, column-major.
@@ -70,7 +71,8 @@ struct Transforms {
     nodes: Vec<NodeTransform>,
 }
 
-/// Parses the JSON part, twice: once by the parser crate, once for placements in f64. Nothing in it is trusted yet.
+/// Parses the JSON part, twice: once by the parser crate, once for placements in f64. Nothing in
+/// it is trusted yet.
 pub(super) fn parse(json: &[u8], limits: &Limits) -> Result<(Root, Vec<NodeTransform>), Fault> {
     if json.len() as u64 > limits.json_bytes {
         return Err(Fault::too_large("JSON", "bytes", json.len(), limits.json_bytes));

@@ -1,8 +1,8 @@
 //! Materials, textures, samplers, images (glTF 2.0 sections 3.8 and 3.9): the diffuse part of them.
 //!
-//! Read: base colour factor and texture, its coordinate set and transform, alpha mode, sides, unlit. Left out, since
-//! scenes here are diffuse: metalness, roughness, emission, normal and occlusion maps. Only images that a base colour
-//! uses are decoded.
+//! Read: base colour factor and texture, its coordinate set and transform, alpha mode, sides,
+//! unlit. Left out, since scenes here are diffuse: metalness, roughness, emission, normal and
+//! occlusion maps. Only images that a base colour uses are decoded.
 
 use glam::{Affine2, Vec2};
 use gltf::json::Root;
@@ -129,7 +129,8 @@ fn uv_source(info: &gltf::json::texture::Info, place: &str) -> Result<UvSource, 
         return Ok(UvSource { set: info.tex_coord, transform: None });
     };
     let (offset, angle, scale) = (t.offset.0, t.rotation.0, t.scale.0);
-    // The extension turns counter-clockwise in its own space, whose v points down: clockwise here, so -angle.
+    // The extension turns counter-clockwise in its own space, whose v points down: clockwise here,
+    // so -angle.
     let transform = Affine2::from_scale_angle_translation(Vec2::from(scale), -angle, Vec2::from(offset));
     if !transform.is_finite() {
         return Err(Fault::broken(place, "KHR_texture_transform is not finite"));

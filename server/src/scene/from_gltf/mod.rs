@@ -1,14 +1,15 @@
 //! glTF 2.0, text or binary.
 //!
-//! In: the bytes of a `.gltf` or `.glb` file. Out: a [`Scene`] with the file's meshes, in its order and each once, and
-//! an instance per node with a mesh. The JSON is parsed by the `gltf` crate; its importer is not used (it follows any
-//! path, trusts counts, and panics on indices out of range, as its validator does), so every reference, size and
-//! value is checked here: [`container`] the file, [`accessors`] typed arrays, [`primitives`] triangles, [`materials`]
+//! In: the bytes of a `.gltf` or `.glb` file. Out: a [`Scene`] with the file's meshes, in its
+//! order and each once, and an instance per node with a mesh. The JSON is parsed by the `gltf`
+//! crate; its importer is not used (it follows any path, trusts counts, and panics on indices out
+//! of range, as its validator does), so every reference, size and value is checked here:
+//! [`container`] the file, [`accessors`] typed arrays, [`primitives`] triangles, [`materials`]
 //! looks, [`nodes`] placements.
 //!
-//! Left out with a note, since scenes are static and diffuse: skins, morphs, animations, lights, everything of
-//! a material but its base colour, points and lines. An extension that the file requires and that is not read here is
-//! an error.
+//! Left out with a note, since scenes are static and diffuse: skins, morphs, animations, lights,
+//! everything of a material but its base colour, points and lines. An extension that the file
+//! requires and that is not read here is an error.
 
 mod accessors;
 mod container;

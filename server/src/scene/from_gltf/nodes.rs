@@ -1,13 +1,14 @@
 //! Nodes (glTF 2.0 section 3.5): from a hierarchy of placements to a flat list of instances.
 //!
-//! Nodes must form trees: every child exists, no node has two parents, none is its own ancestor, none lies deeper than
-//! the limit. This is checked for all nodes, whether or not the shown scene contains them. Placements multiply in f64
-//! from the root down. Instances stand in node order, so that they do not depend on how the tree is walked.
+//! Nodes must form trees: every child exists, no node has two parents, none is its own ancestor,
+//! none lies deeper than the limit. This is checked for all nodes, whether or not the shown scene
+//! contains them. Placements multiply in f64 from the root down. Instances stand in node order, so
+//! that they do not depend on how the tree is walked.
 //!
-//! A mirroring placement (negative determinant) stays as it is. It swaps front and back of its triangles, as the
-//! specification (section 3.7.4) asks to be undone; this matters only where single-sided faces are culled, and is
-//! undone there by the determinant's sign. A placement that flattens its mesh to nothing (no inverse) is left out:
-//! exporters hide nodes with scale zero.
+//! A mirroring placement (negative determinant) stays as it is. It swaps front and back of its
+//! triangles, as the specification (section 3.7.4) asks to be undone; this matters only where
+//! single-sided faces are culled, and is undone there by the determinant's sign. A placement that
+//! flattens its mesh to nothing (no inverse) is left out: exporters hide nodes with scale zero.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use gltf::json::Root;
@@ -18,8 +19,8 @@ use super::super::limits::Limits;
 use super::super::model::{Instance, Note};
 use super::container::NodeTransform;
 
-/// Determinant over the product of the axes' lengths below which a placement counts as flat: about the rounding of
-/// f32 input, so that nothing invertible is lost.
+/// Determinant over the product of the axes' lengths below which a placement counts as flat: about
+/// the rounding of f32 input, so that nothing invertible is lost.
 const FLAT: f64 = 1.0e-9;
 /// How far a matrix's last row may be from (0, 0, 0, 1).
 const AFFINE: f64 = 1.0e-6;
@@ -27,7 +28,8 @@ const AFFINE: f64 = 1.0e-6;
 /// Names of empty nodes that engines and exporters give to places where players enter a scene, in
 /// lower case, as parts of the name.
 const SPAWN_NAMES: [&str; 3] = ["spawn", "playerstart", "player_start"];
-/// More viewpoints than this are left out: a camera animation baked to nodes names no place to start.
+/// More viewpoints than this are left out: a camera animation baked to nodes names no place to
+/// start.
 const MOST_VIEWPOINTS: usize = 64;
 
 /// Instances of the shown scene in node order, and the world positions of its cameras and spawn
@@ -122,7 +124,8 @@ fn parents(root: &Root) -> Result<Vec<Option<usize>>, Fault> {
     Ok(parents)
 }
 
-/// Which nodes are roots of the shown scene: the file's default one, else its first, else everything.
+/// Which nodes are roots of the shown scene: the file's default one, else its first, else
+/// everything.
 fn shown_roots(root: &Root, parents: &[Option<usize>], notes: &mut Vec<Note>) -> Result<Vec<bool>, Fault> {
     let Some(index) = shown_scene(root)? else {
         return Ok(vec![true; parents.len()]);

@@ -1,11 +1,12 @@
 //! Mesh primitives (glTF 2.0 section 3.7): plans first, then triangles.
 //!
-//! Planning visits every primitive of the file, checks its accessors and adds up what it will need, so that the limits
-//! are compared before the first vertex is allocated (many primitives may share one accessor, and each decodes its own
-//! copy). Decoding then runs in parallel; results keep file order, and so does the choice of which error is reported.
+//! Planning visits every primitive of the file, checks its accessors and adds up what it will
+//! need, so that the limits are compared before the first vertex is allocated (many primitives may
+//! share one accessor, and each decodes its own copy). Decoding then runs in parallel; results
+//! keep file order, and so does the choice of which error is reported.
 //!
-//! Points and lines have no surface. Their primitives stay as empty ones, so that (mesh, primitive) means the same
-//! here as in the file.
+//! Points and lines have no surface. Their primitives stay as empty ones, so that (mesh,
+//! primitive) means the same here as in the file.
 
 use glam::{Affine2, Vec2, Vec3};
 use gltf::json::Root;

@@ -1,14 +1,16 @@
 //! Wavefront OBJ, with its material libraries.
 //!
-//! In: the text of an `.obj` file (Wavefront's Advanced Visualizer manual, appendix B). Out: a [`Scene`]: a mesh per
-//! object or group, a primitive per material in it, one instance each, at the origin or where the mesh is ([`origin`]). Coordinates are taken as metres,
-//! Y up; v counts upward in OBJ and downward here, so it is turned over. Polygons become fans. Where a face names no
-//! normals, it gets flat ones. Materials draw both sides, since OBJ does not say.
+//! In: the text of an `.obj` file (Wavefront's Advanced Visualizer manual, appendix B). Out: a
+//! [`Scene`]: a mesh per object or group, a primitive per material in it, one instance each, at
+//! the origin or where the mesh is ([`origin`]). Coordinates are taken as metres, Y up; v counts
+//! upward in OBJ and downward here, so it is turned over. Polygons become fans. Where a face names
+//! no normals, it gets flat ones. Materials draw both sides, since OBJ does not say.
 //!
-//! Read: `v` (with w, or with r g b), `vt`, `vn`, `f`, `o`, `g`, `usemtl`, `mtllib`. Points, lines and free-form
-//! surfaces are left out with a note. The reader is our own: the usual crate panics on a colour of two numbers,
-//! misaligns attributes that only some vertices have, and knows no line numbers, so that checking its input would take
-//! another parser. [`text`] parses, [`mtl`] reads libraries, this module builds meshes.
+//! Read: `v` (with w, or with r g b), `vt`, `vn`, `f`, `o`, `g`, `usemtl`, `mtllib`. Points, lines
+//! and free-form surfaces are left out with a note. The reader is our own: the usual crate panics
+//! on a colour of two numbers, misaligns attributes that only some vertices have, and knows no
+//! line numbers, so that checking its input would take another parser. [`text`] parses, [`mtl`]
+//! reads libraries, this module builds meshes.
 
 mod mtl;
 mod text;
@@ -108,8 +110,8 @@ fn by_material(faces: &[Face]) -> Vec<(Option<usize>, Vec<&Face>)> {
     out
 }
 
-/// One primitive about an origin: corners that agree in position, texture coordinate and normal become one vertex. The flag says
-/// whether normals had to be made.
+/// One primitive about an origin: corners that agree in position, texture coordinate and normal
+/// become one vertex. The flag says whether normals had to be made.
 fn build(obj: &Obj, faces: &[&Face], material: u32, textured: bool, origin: DVec3) -> (Primitive, bool) {
     let all_normals = faces.iter().flat_map(|f| &f.corners).all(|c| c.normal.is_some());
     let mut numbers: HashMap<Corner, u32> = HashMap::new();

@@ -1,8 +1,8 @@
 //! Material libraries (`.mtl`): the diffuse part of them.
 //!
-//! Read: `newmtl`, `Kd` (taken as linear, as modelling tools write it), `map_Kd` with `-clamp on`, `d` and `Tr`. A
-//! material that is not opaque is masked at alpha 0.5, like a blended one of glTF. `map_d` and the options that move a
-//! texture are left out with a note.
+//! Read: `newmtl`, `Kd` (taken as linear, as modelling tools write it), `map_Kd` with `-clamp on`,
+//! `d` and `Tr`. A material that is not opaque is masked at alpha 0.5, like a blended one of glTF.
+//! `map_d` and the options that move a texture are left out with a note.
 
 use std::collections::HashMap;
 
@@ -35,7 +35,8 @@ const WHITE: Material = Material {
     wrap: [Wrap::Repeat; 2],
 };
 
-/// Reads the libraries that an OBJ file names. A missing one is an error: the scene would silently turn white.
+/// Reads the libraries that an OBJ file names. A missing one is an error: the scene would silently
+/// turn white.
 pub(super) fn load(libraries: &[(usize, String)], files: &mut Files, notes: &mut Vec<Note>) -> Result<Library, Fault> {
     let mut out = Library::default();
     let (mut moved, mut masked, mut translucent) = (0, 0, 0);

@@ -1,7 +1,8 @@
 //! OBJ statements, line by line.
 //!
-//! Every number is finite and every reference in range when this is done, and a fault names its line. References are
-//! compared with what stands above them, as exporters write it; the format's negative ones count back from there.
+//! Every number is finite and every reference in range when this is done, and a fault names its
+//! line. References are compared with what stands above them, as exporters write it; the format's
+//! negative ones count back from there.
 
 use std::collections::HashMap;
 

@@ -31,7 +31,8 @@ impl<'a> Body<'a> {
         Fault::invalid(place, problem, REMEDY)
     }
 
-    /// Refuses a count of elements that the rest of the file cannot hold, before anything is allocated for it.
+    /// Refuses a count of elements that the rest of the file cannot hold, before anything is
+    /// allocated for it.
     pub(super) fn check_room(&self, element: &Element) -> Result<(), Fault> {
         let least: u64 = element.properties.iter().map(|p| self.least_bytes(p.count.unwrap_or(p.item))).sum();
         if least == 0 && element.count > 0 {

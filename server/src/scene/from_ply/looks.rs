@@ -1,6 +1,8 @@
-//! What faces of a PLY file say of their looks: texture coordinates per corner, the number of the picture, colours.
+//! What faces of a PLY file say of their looks: texture coordinates per corner, the number of the
+//! picture, colours.
 //!
-//! In: a smooth surface and the looks of its triangles. Out: primitives, one per picture, whose vertices are split where looks differ.
+//! In: a smooth surface and the looks of its triangles. Out: primitives, one per picture, whose
+//! vertices are split where looks differ.
 
 use std::collections::HashMap;
 
@@ -21,7 +23,8 @@ pub(super) struct Looks {
     pub(super) pictures: Vec<u32>,
 }
 
-/// Primitives by picture, in the order of their numbers; those without triangles stay empty. The material of each is its number.
+/// Primitives by picture, in the order of their numbers; those without triangles stay empty. The
+/// material of each is its number.
 ///
 /// # Errors
 /// If there are more vertices than [`Limits::vertices`].

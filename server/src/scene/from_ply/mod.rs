@@ -1,11 +1,13 @@
 //! PLY polygon files (Turk 1994), ASCII and binary in both byte orders.
 //!
-//! In: the bytes of a `.ply` file. Out: a [`Scene`] of one mesh, placed once, at the origin or where it is ([`origin`]). Coordinates are taken as
-//! metres, Y up. Read: vertex positions, normals (else smooth ones are made, as fits a scan), colours (integers are
-//! sRGB codes, floats linear light), texture coordinates with the pictures of `TextureFile` comments; faces as polygons
-//! of any size, cut into fans, with `texcoord` per corner, `texnumber` and colours of their own ([`looks`]). Other elements and properties
-//! are read over with a note. A file without faces is a point cloud and
-//! refused. The reader is our own: the crates for it are unmaintained and trust the header's counts.
+//! In: the bytes of a `.ply` file. Out: a [`Scene`] of one mesh, placed once, at the origin or
+//! where it is ([`origin`]). Coordinates are taken as metres, Y up. Read: vertex positions,
+//! normals (else smooth ones are made, as fits a scan), colours (integers are sRGB codes, floats
+//! linear light), texture coordinates with the pictures of `TextureFile` comments; faces as
+//! polygons of any size, cut into fans, with `texcoord` per corner, `texnumber` and colours of
+//! their own ([`looks`]). Other elements and properties are read over with a note. A file without
+//! faces is a point cloud and refused. The reader is our own: the crates for it are unmaintained
+//! and trust the header's counts.
 
 mod body;
 mod header;

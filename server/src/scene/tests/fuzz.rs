@@ -1,4 +1,5 @@
-//! Valid files with bytes changed at random: anything may come out but a panic, and what loads is well formed.
+//! Valid files with bytes changed at random: anything may come out but a panic, and what loads is
+//! well formed.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 

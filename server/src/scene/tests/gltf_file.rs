@@ -115,7 +115,8 @@ impl GltfFile {
         self
     }
 
-    /// The same with bytes at the end of the buffer and a view of them; returns the view's number too.
+    /// The same with bytes at the end of the buffer and a view of them; returns the view's number
+    /// too.
     pub(super) fn append(mut self, bytes: &[u8]) -> (Self, usize) {
         let view = json!({"buffer": 0, "byteOffset": self.bin.len(), "byteLength": bytes.len()});
         self.bin.extend(bytes);

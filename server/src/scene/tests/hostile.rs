@@ -1,5 +1,5 @@
-//! Malformed and hostile files: each gives an error that names the file and says what is wrong, quickly, without a
-//! panic and without much memory.
+//! Malformed and hostile files: each gives an error that names the file and says what is wrong,
+//! quickly, without a panic and without much memory.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 

@@ -1,4 +1,5 @@
-//! Each limit is compared before it is reached: a valid file passes exactly at its own size, and fails one below.
+//! Each limit is compared before it is reached: a valid file passes exactly at its own size, and
+//! fails one below.
 
 use serde_json::json;
 
@@ -17,7 +18,8 @@ fn passes_at_and_fails_below(spec: &str, at: u64, with: impl Fn(u64) -> Limits) 
 #[test]
 fn gltf_limits_hold() {
     let folder = Folder::new();
-    // Two nodes, one below the other, of one mesh with four vertices and two triangles; a picture of four texels.
+    // Two nodes, one below the other, of one mesh with four vertices and two triangles; a picture
+    // of four texels.
     let file = GltfFile::square().with("/nodes/0/children", json!([1])).push("/nodes", json!({"mesh": 0}));
     let text = file.json.to_string();
     let spec = folder.write("square.glb", file.glb());

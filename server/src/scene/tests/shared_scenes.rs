@@ -1,4 +1,5 @@
-//! The test scenes load completely: triangle counts as their list states them, counted by another reader.
+//! The test scenes load completely: triangle counts as their list states them, counted by another
+//! reader.
 
 use std::path::PathBuf;
 

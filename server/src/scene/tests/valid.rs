@@ -165,7 +165,8 @@ fn without_indices_and_normals_faces_are_flat() {
 
 #[test]
 fn interleaved_and_quantized_attributes_decode() {
-    // Per vertex: three i16 positions, two bytes of padding, three i8 normals, one of padding, two u16 coordinates.
+    // Per vertex: three i16 positions, two bytes of padding, three i8 normals, one of padding, two
+    // u16 coordinates.
     let mut bytes = Vec::new();
     for (p, uv) in [([0i16, 0, 0], [0u16, 65_535]), ([32_767, 0, 0], [65_535, 0]), ([0, -32_768, 0], [0, 0])] {
         bytes.extend(p.map(i16::to_le_bytes).as_flattened());

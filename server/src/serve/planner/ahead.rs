@@ -1,4 +1,5 @@
-//! What no view needs yet: the list of what may be needed soon, and whether the next of it has to go.
+//! What no view needs yet: the list of what may be needed soon, and whether the next of it has to
+//! go.
 
 use super::{
     ChunkState, Order, Planner,
@@ -9,7 +10,8 @@ use super::{
 use ldi_protocol::need::PREFETCH_SHARE;
 use std::time::Duration;
 
-/// Stored bytes that may come into need at once: those of a view amid new images. Decides how far ahead is looked.
+/// Stored bytes that may come into need at once: those of a view amid new images. Decides how far
+/// ahead is looked.
 const SURGE_BYTES: u64 = 6 << 20;
 /// Expectations are made again after this time. Shorter: fresher guesses, more work per walker.
 const FORESEE_EVERY: Duration = Duration::from_millis(80);
@@ -25,7 +27,8 @@ impl Planner {
         if self.foreseen_at.is_none_or(|t| now >= t + FORESEE_EVERY) {
             self.foresee(&motion, now);
         }
-        // Times count from the pose. Whoever stands may set off or turn at any moment, so that these times stay as they are.
+        // Times count from the pose. Whoever stands may set off or turn at any moment, so that
+        // these times stay as they are.
         let elapsed = if motion.moves() { now.saturating_sub(self.foreseen_from) } else { Duration::ZERO };
         let elapsed_s = elapsed.as_secs_f64();
         let (held, dropped_at, place) = (&self.held, &self.dropped_at, self.place.0);

@@ -1,19 +1,28 @@
-//! What a walker may need soon: guesses of poses, each with a time and a probability, and the chunks of their views.
+//! What a walker may need soon: guesses of poses, each with a time and a probability, and the
+//! chunks of their views.
 //!
-//! In: a [`Motion`]. Out: chunks with the time in which they are needed and how likely that is ([`Expected`]).
+//! In: a [`Motion`]. Out: chunks with the time in which they are needed and how likely that is
+//! ([`Expected`]).
 //!
 //! Three kinds of guesses, after how people walk:
-//! - **on**: it goes on as it goes, velocity and turn rate kept, less likely the farther ahead: people stop, and paths bend;
-//! - **turn**: it turns on the spot at [`QUICK_TURN_DEG_S`] to either side, from now on. A head turns faster than feet walk, and needs no run-up. Geometry around it is
-//!   expected at once, whichever way it looks: heads turn faster still, and it takes next to no bytes where images show what is far. That goes for the few degrees, too, in which so little is in view that all of it is drawn;
+//! - **on**: it goes on as it goes, velocity and turn rate kept, less likely the farther ahead:
+//!   people stop, and paths bend;
+//! - **turn**: it turns on the spot at [`QUICK_TURN_DEG_S`] to either side, from now on. A head
+//!   turns faster than feet walk, and needs no run-up. Geometry around it is expected at once,
+//!   whichever way it looks: heads turn faster still, and it takes next to no bytes where images
+//!   show what is far. That goes for the few degrees, too, in which so little is in view that all
+//!   of it is drawn;
 //! - **off**: from where it stands or turns it walks off, straight ahead of where it looks then.
 //!
 //! In a dataset with rooms there are two things more, both by the way on foot ([`ways`]):
-//! - guesses of places that no straight way through doors leads to are left out: nobody walks through walls;
-//! - **doors**: it goes through one of the doors that can be reached, and looks into what lies beyond.
+//! - guesses of places that no straight way through doors leads to are left out: nobody walks
+//!   through walls;
+//! - **doors**: it goes through one of the doors that can be reached, and looks into what lies
+//!   beyond.
 //!
-//! Where it will be is uncertain by [`SPREAD`] of the way: guesses to both sides of the way carry part of its probability.
-//! A chunk counts at the earliest guess that needs it; probabilities of guesses that need it too are not added up, as the guesses are not exclusive.
+//! Where it will be is uncertain by [`SPREAD`] of the way: guesses to both sides of the way carry
+//! part of its probability. A chunk counts at the earliest guess that needs it; probabilities of
+//! guesses that need it too are not added up, as the guesses are not exclusive.
 
 use super::motion::Motion;
 use super::{Views, ways};
@@ -26,13 +35,16 @@ use ldi_protocol::{
 };
 use std::{collections::HashMap, sync::Arc};
 
-/// How fast a head is believed to turn to look elsewhere, degrees per second. Path walkers of this project turn at 120, players faster, but few begin
-/// right now: faster beliefs send more directions ahead (docs/adr/0032-forecasts.md).
+/// How fast a head is believed to turn to look elsewhere, degrees per second. Path walkers of this
+/// project turn at 120, players faster, but few begin right now: faster beliefs send more
+/// directions ahead (docs/adr/0032-forecasts.md).
 pub const QUICK_TURN_DEG_S: f64 = 80.0;
 /// Walking speed of somebody who stands and will walk, m/s.
 const WALK_M_S: f64 = 1.4;
-/// Mean time for which a motion goes on, seconds: walking, and turning. These and the numbers below were chosen by walks in virtual time on two scenes (docs/benchmarks/streaming.md), not
-/// measured on people. Larger: what lies far along the way is sent ahead more; smaller: less, and later.
+/// Mean time for which a motion goes on, seconds: walking, and turning. These and the numbers
+/// below were chosen by walks in virtual time on two scenes (docs/benchmarks/streaming.md), not
+/// measured on people. Larger: what lies far along the way is sent ahead more; smaller: less, and
+/// later.
 const KEEPS_WALKING_S: f64 = 1.0;
 /// See [`KEEPS_WALKING_S`].
 const KEEPS_TURNING_S: f64 = 2.0;
@@ -44,11 +56,13 @@ const SETS_OFF: f64 = 0.5;
 const SPREAD: f64 = 0.4;
 /// Probability of a place beside the way, relative to one on it.
 const BESIDE: f64 = 0.4;
-/// Probability of the door straight ahead; of one behind the walker it is 0. Of those that look alike, the nearer one is likelier ([`KEEPS_TO_DOOR_S`]).
+/// Probability of the door straight ahead; of one behind the walker it is 0. Of those that look
+/// alike, the nearer one is likelier ([`KEEPS_TO_DOOR_S`]).
 const DOORS: f64 = 0.5;
 /// Mean time for which somebody keeps going to a door, seconds.
 const KEEPS_TO_DOOR_S: f64 = 3.0;
-/// Step of guesses in angle, degrees: below half the smallest field of view (54), so that no direction in between is left out.
+/// Step of guesses in angle, degrees: below half the smallest field of view (54), so that no
+/// direction in between is left out.
 const STEP_DEG: f64 = 12.0;
 /// The same in such steps where only geometry is looked for, to spare work: 36 degrees.
 const GEOMETRY_STEP: i32 = 3;
@@ -70,8 +84,8 @@ pub struct Expected {
 
 /// Foresees what a walker needs. A trait, so that simulations can put hindsight in its place.
 pub trait Foresight: Send {
-    /// Chunks that may be needed within `within_s` seconds after the newest pose, at places at most `reach_m` away; each once, in any order. Only those that are `absent`
-    /// matter.
+    /// Chunks that may be needed within `within_s` seconds after the newest pose, at places at
+    /// most `reach_m` away; each once, in any order. Only those that are `absent` matter.
     fn expect(&mut self, motion: &Motion, within_s: f64, reach_m: f64, absent: &dyn Fn(u32) -> bool) -> Vec<Expected>;
 }
 
@@ -121,7 +135,8 @@ impl Foresight for Forecast {
     }
 }
 
-/// Mean time until a chunk is needed, were its chance to come again and again: what is likely comes before what is only possible.
+/// Mean time until a chunk is needed, were its chance to come again and again: what is likely
+/// comes before what is only possible.
 pub(super) fn rank_s(e: &Expected) -> f64 {
     e.in_s / e.probability.max(1e-3)
 }
@@ -180,8 +195,8 @@ fn turn(pose: Pose, takes_s: f64, in_s: f64) -> Guess {
     Guess { pose, in_s, probability, urgency: Urgency::Around, turned: true }
 }
 
-/// Turns of the head to where the grid point names another placement, which may draw cells that no other direction needs: only geometry is looked for, as
-/// steps of a turn find the images.
+/// Turns of the head to where the grid point names another placement, which may draw cells that no
+/// other direction needs: only geometry is looked for, as steps of a turn find the images.
 fn turned_to_others(index: &Index, here: &Pose) -> impl Iterator<Item = Guess> {
     yaws_of_placements(index, here).into_iter().map(|yaw_deg| {
         let by = (yaw_deg - here.yaw_deg + 180.0).rem_euclid(360.0) - 180.0;
@@ -211,7 +226,8 @@ fn through_doors(rooms: &Rooms, motion: &Motion, within_s: f64, reach_m: f64) ->
     ways::doors(rooms, here.position, reach_m.min(within_s * speed)).into_iter().map(guess).collect()
 }
 
-/// Times of guesses, and the time at which what is needed there comes into need: half way from the guess before.
+/// Times of guesses, and the time at which what is needed there comes into need: half way from the
+/// guess before.
 fn times() -> impl Iterator<Item = (f64, f64)> {
     let before = std::iter::once(0.0).chain(TIMES_S);
     TIMES_S.into_iter().zip(before).map(|(t, before)| (t, (t + before) / 2.0))

@@ -1,4 +1,5 @@
-//! How a walker moves: velocity and turn rate from poses, smoothed, as poses come with the jitter of frames and of hands.
+//! How a walker moves: velocity and turn rate from poses, smoothed, as poses come with the jitter
+//! of frames and of hands.
 
 use glam::DVec3;
 use ldi_protocol::{Pose, camera::apart_deg, wire::PoseDatagram};
@@ -7,8 +8,9 @@ use ldi_protocol::{Pose, camera::apart_deg, wire::PoseDatagram};
 const MAX_SPEED_M_S: f64 = 15.0;
 /// Largest believable turn, degrees per second.
 const MAX_TURN_DEG_S: f64 = 400.0;
-/// Time constant of the smoothing, seconds. Larger: calmer, but a turn is noticed later, and what it brings into view comes later by as much;
-/// smaller: a mouse that trembles looks like a walker who is about to turn round.
+/// Time constant of the smoothing, seconds. Larger: calmer, but a turn is noticed later, and what
+/// it brings into view comes later by as much; smaller: a mouse that trembles looks like a walker
+/// who is about to turn round.
 const SMOOTHING_S: f64 = 0.03;
 /// Slower than this is standing, m/s.
 const MIN_SPEED_M_S: f64 = 0.1;
@@ -32,8 +34,8 @@ impl Motion {
         Self { newest, velocity_m_s: DVec3::ZERO, turn_deg_s: 0.0 }
     }
 
-    /// The motion after another pose. The same pose again is no news of standing: clients repeat the last one in case it was lost, and only
-    /// after a while of it has the walker stopped.
+    /// The motion after another pose. The same pose again is no news of standing: clients repeat
+    /// the last one in case it was lost, and only after a while of it has the walker stopped.
     pub fn then(&self, next: PoseDatagram) -> Self {
         let dt = next.sent_us.saturating_sub(self.newest.sent_us) as f64 * 1e-6;
         let (a, b) = (self.newest.pose, next.pose);
@@ -80,8 +82,8 @@ mod tests {
         PoseDatagram { sequence: ms as u32, sent_us: ms * 1000, pose }
     }
 
-    /// 60 poses per second of a walk at 2 m/s and 90 degrees per second, every other pose 4 ms late: the noise of the raw differences is a
-    /// quarter, and smoothed ones have less.
+    /// 60 poses per second of a walk at 2 m/s and 90 degrees per second, every other pose 4 ms
+    /// late: the noise of the raw differences is a quarter, and smoothed ones have less.
     #[test]
     fn steady_motion_is_found_amid_jitter() {
         let mut m = Motion::standing(at(0, 0.0, 170.0));

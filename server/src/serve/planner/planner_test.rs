@@ -1,4 +1,5 @@
-//! A world of ten chunks whose views are stated by hand: at x metres the view needs chunk floor(x), and chunk floor(x) + 1 sharpens.
+//! A world of ten chunks whose views are stated by hand: at x metres the view needs chunk
+//! floor(x), and chunk floor(x) + 1 sharpens.
 
 use super::*;
 use glam::DVec3;
@@ -313,7 +314,8 @@ fn asking_for_what_is_on_its_way_hurries_it_and_sends_nothing_twice() {
     assert!(drain(&mut p, ms(1000)).iter().all(|s| s.0 != last.chunk));
 }
 
-/// A room of 4 m by 10 m on either side of x = 4, with a door 6 m further along z than the walker stands.
+/// A room of 4 m by 10 m on either side of x = 4, with a door 6 m further along z than the walker
+/// stands.
 fn two_rooms() -> RoomIndex {
     let room = |name: &str, x: f64| {
         let (min, max) = (DVec3::new(x, 0.0, 0.0), DVec3::new(x + 4.0, 3.0, 10.0));
@@ -334,7 +336,8 @@ impl Views for ByZ {
     }
 }
 
-/// Somebody walks toward the wall: straight behind it lies the next room, which can be reached through the door only.
+/// Somebody walks toward the wall: straight behind it lies the next room, which can be reached
+/// through the door only.
 #[test]
 fn nobody_walks_through_walls() {
     let expected = |views: Arc<dyn Views>, rooms: Option<RoomIndex>, z: f64| {
@@ -392,7 +395,8 @@ impl Views for Slit {
     }
 }
 
-/// Where little is in view all of it is drawn, in directions too few for steps of a turn to meet: 96 and 108 degrees are seen, and 100 to 104 are not.
+/// Where little is in view all of it is drawn, in directions too few for steps of a turn to meet:
+/// 96 and 108 degrees are seen, and 100 to 104 are not.
 #[test]
 fn geometry_goes_at_once_that_few_directions_draw() {
     let mut index = index();

@@ -1,25 +1,31 @@
-//! When to send ahead of need: as late as the link and the client's decoding allow, as what is sent later is guessed better.
+//! When to send ahead of need: as late as the link and the client's decoding allow, as what is
+//! sent later is guessed better.
 //!
-//! Chunks are brought one after another, soonest first (earliest deadline first, which is late for none if any order is: Jackson 1955). Chunk i is
-//! at hand after
+//! Chunks are brought one after another, soonest first (earliest deadline first, which is late for
+//! none if any order is: Jackson 1955). Chunk i is at hand after
 //!
 //! ```text
 //!   ready_i = round trip + max over j <= i of (bytes on the way and of 0 ..= j) / rate, and the decoding from j on
 //! ```
 //!
-//! where chunks before i count with their probability: of several ways that a walk may take it takes one.
+//! where chunks before i count with their probability: of several ways that a walk may take it
+//! takes one.
 //!
-//! The round trip counts whole: the pose is half of one old, and the chunk takes half of one. Nothing has to be sent as long as every chunk would
-//! still be ready [`GUARD_S`] and [`GUARD_SHARE`] of its transfer before its time; the first one goes as soon as that no longer holds for any chunk behind it.
+//! The round trip counts whole: the pose is half of one old, and the chunk takes half of one.
+//! Nothing has to be sent as long as every chunk would still be ready [`GUARD_S`] and
+//! [`GUARD_SHARE`] of its transfer before its time; the first one goes as soon as that no longer
+//! holds for any chunk behind it.
 
 use super::forecast::Expected;
 use std::time::Duration;
 
-/// Slack that is kept, seconds: timers, frames and guesses of times are coarse. Larger: fewer late chunks, more that are never used.
+/// Slack that is kept, seconds: timers, frames and guesses of times are coarse. Larger: fewer late
+/// chunks, more that are never used.
 const GUARD_S: f64 = 0.2;
 /// Slack that is kept, as a share of the time that bringing takes: rates are measured, and change.
 const GUARD_SHARE: f64 = 0.2;
-/// Believed rates before any was measured, bytes per second: 20 Mbit/s. Too low: more is sent ahead at the beginning; too high: it comes late.
+/// Believed rates before any was measured, bytes per second: 20 Mbit/s. Too low: more is sent
+/// ahead at the beginning; too high: it comes late.
 const UNKNOWN_RATE: f64 = 2.5e6;
 /// Slowest believed rates: so that no time becomes infinite.
 const SLOWEST: f64 = 10e3;
@@ -38,7 +44,8 @@ pub struct Capacity {
 }
 
 impl Capacity {
-    /// Whether plans made for the other one are to be made again: by more than a quarter, or a tenth of a second.
+    /// Whether plans made for the other one are to be made again: by more than a quarter, or a
+    /// tenth of a second.
     pub(super) fn differs(&self, new: &Self) -> bool {
         let apart = |a: f64, b: f64| a.max(b) > 1.25 * a.min(b);
         apart(self.rate(), new.rate())
@@ -56,7 +63,8 @@ impl Capacity {
         self.decoded_per_s.map_or(0.0, |r| bytes / r.max(SLOWEST))
     }
 
-    /// How far ahead it is worth looking: the time in which `bytes` more would be brought, with the slack that is kept.
+    /// How far ahead it is worth looking: the time in which `bytes` more would be brought, with
+    /// the slack that is kept.
     pub(super) fn horizon_s(&self, bytes: u64) -> f64 {
         let brought = bytes as f64 / self.rate();
         let decoded = self.decoding_s((self.waiting_bytes + bytes) as f64);
@@ -64,8 +72,9 @@ impl Capacity {
     }
 }
 
-/// Seconds until the first of `soonest_first` has to go, so that it and all behind it are in time; 0 or less: now. None: nothing is expected.
-/// `elapsed_s`: age of the expectations. `bytes`: stored bytes of a chunk. `on_the_way`: stored bytes that go before.
+/// Seconds until the first of `soonest_first` has to go, so that it and all behind it are in time;
+/// 0 or less: now. None: nothing is expected. `elapsed_s`: age of the expectations. `bytes`:
+/// stored bytes of a chunk. `on_the_way`: stored bytes that go before.
 pub(super) fn slack_s(
     soonest_first: &[Expected],
     elapsed_s: f64,
@@ -83,7 +92,8 @@ pub(super) fn slack_s(
         let ready_s = capacity.round_trip.as_secs_f64() + done_s * (1.0 + GUARD_SHARE) + GUARD_S;
         let slack = e.in_s - elapsed_s - ready_s;
         least = Some(least.map_or(slack, |l| l.min(slack)));
-        // Those behind it wait for it only if it goes, and of several ways that a walk may take it takes one.
+        // Those behind it wait for it only if it goes, and of several ways that a walk may take it
+        // takes one.
         sent += own * e.probability;
         decoded_s = decoded_s.max(sent / capacity.rate()) + capacity.decoding_s(own * e.probability);
     }
@@ -117,7 +127,8 @@ mod tests {
         assert_eq!(slack_s(&[], 0.0, &LINK, 0, |_| 0), None);
     }
 
-    /// Small chunks before a large one go early, so that the large one is in time: against trying every start on a grid of times.
+    /// Small chunks before a large one go early, so that the large one is in time: against trying
+    /// every start on a grid of times.
     #[test]
     fn the_first_goes_early_for_those_behind_it() {
         let list = [expected(0, 1.9), expected(1, 2.0), expected(2, 2.1)];

@@ -1,10 +1,12 @@
 //! Where somebody on foot can get to in a building: through doors, not through walls.
 //!
-//! In: the rooms of a dataset. Out: whether a straight way leads through doors ([`leads`]), and the doors that can be reached, by the length of the way
-//! through the rooms ([`doors`]: Dijkstra 1959 over doors, straight from one to the next). What lies behind a wall is near by straight distance and far
-//! on foot; a forecast that does not know the wall sends it in vain.
+//! In: the rooms of a dataset. Out: whether a straight way leads through doors ([`leads`]), and
+//! the doors that can be reached, by the length of the way through the rooms ([`doors`]: Dijkstra
+//! 1959 over doors, straight from one to the next). What lies behind a wall is near by straight
+//! distance and far on foot; a forecast that does not know the wall sends it in vain.
 //!
-//! Which portals can be walked through is a matter of shape, not of what they are called: annotations do not say, and gaps may be as large as doors.
+//! Which portals can be walked through is a matter of shape, not of what they are called:
+//! annotations do not say, and gaps may be as large as doors.
 
 use glam::DVec3;
 use ldi_protocol::rooms::{CellId, Portal, Rooms};
@@ -16,7 +18,8 @@ const SILL_M: f64 = 1.0;
 const LINTEL_M: f64 = 0.1;
 /// Narrowest door, metres.
 const NARROWEST_M: f64 = 0.5;
-/// How far beside a door's polygon a straight way may pass, metres: people go around the jamb. Larger: fewer guesses are lost, more go through walls.
+/// How far beside a door's polygon a straight way may pass, metres: people go around the jamb.
+/// Larger: fewer guesses are lost, more go through walls.
 const BESIDE_M: f64 = 0.3;
 
 /// A door that can be reached.
@@ -32,7 +35,8 @@ pub(super) struct Door {
     pub distance_m: f64,
 }
 
-/// Whether somebody whose eye is so high can walk through a portal; through horizontal ones stairs lead.
+/// Whether somebody whose eye is so high can walk through a portal; through horizontal ones stairs
+/// lead.
 fn is_open(portal: &Portal, eye_m: f64) -> bool {
     let heights = portal.corners.iter().map(|c| c.y);
     let (low, high) = heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), y| (a.min(y), b.max(y)));
@@ -46,7 +50,8 @@ fn is_level(portal: &Portal) -> bool {
     portal.normal().y.abs() > 0.5
 }
 
-/// Whether the straight way between two places, metres, leads through portals that can be walked through wherever it leaves a room.
+/// Whether the straight way between two places, metres, leads through portals that can be walked
+/// through wherever it leaves a room.
 pub(super) fn leads(rooms: &Rooms, from: DVec3, to: DVec3) -> bool {
     let ends = rooms.cells_near(to, rooms.margin_m());
     let mut reached = rooms.cells_near(from, rooms.margin_m());
@@ -74,7 +79,8 @@ pub(super) fn leads(rooms: &Rooms, from: DVec3, to: DVec3) -> bool {
     false
 }
 
-/// The doors that lie at most `within_m` away on foot, nearest first; each in the direction in which it is reached first.
+/// The doors that lie at most `within_m` away on foot, nearest first; each in the direction in
+/// which it is reached first.
 pub(super) fn doors(rooms: &Rooms, from: DVec3, within_m: f64) -> Vec<Door> {
     // Reached and not gone on from: portal, room beyond it, door.
     let mut open: BTreeMap<u32, (CellId, Door)> = BTreeMap::new();
@@ -175,7 +181,8 @@ mod tests {
             0,
             "for an eye near the floor there is nothing below"
         );
-        // Somebody in a doorway is in both rooms: 4 m to d's other door, and the door itself is nearest.
+        // Somebody in a doorway is in both rooms: 4 m to d's other door, and the door itself is
+        // nearest.
         assert_eq!(doors(&rooms, eye(2.0, 4.0), 100.0)[0].distance_m, 0.0);
     }
 
