@@ -72,17 +72,10 @@ impl CellSet {
             leaf if leaf & LEAF != 0 => lanes[(leaf & !LEAF) as usize] != 0,
             inner => children[inner as usize] != 0,
         };
-        let of_node = |number: usize, children: &[u8]| {
-            let node = &bvh.world.nodes[number];
-            node.children.iter().enumerate().fold(0, |b, (i, c)| b | u8::from(is_seen(*c, children)) << i)
-        };
-        // Children come after their parents, but for the root that joins two hierarchies.
-        let own = bvh.world.nodes.len() - usize::from(bvh.root_comes_last());
-        for number in (0..own).rev() {
-            children[number] = of_node(number, &children);
-        }
-        for number in own..children.len() {
-            children[number] = of_node(number, &children);
+        // Children come after their parents.
+        for (number, node) in bvh.world.nodes.iter().enumerate().rev() {
+            let seen = |b: u8, (i, child): (usize, &u32)| b | u8::from(is_seen(*child, &children)) << i;
+            children[number] = node.children.iter().enumerate().fold(0, seen);
         }
         Self { some: Some(Prepared { words, masks: Masks { children, lanes } }) }
     }
