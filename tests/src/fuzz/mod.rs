@@ -50,7 +50,7 @@ pub const BYTES_PER_BYTE: usize = 400;
 /// Memory of decoders whose output grows with their input only.
 const SMALL: usize = 4 << 20;
 /// Memory of chunks: rANS and zstd give many samples or texels from few bytes, up to the limits of
-/// `docs/format.md` (2^24 samples, 2^26 texels).
+/// `docs/reference/format.md` (2^24 samples, 2^26 texels).
 const CHUNK: usize = 1 << 30;
 /// Memory of the manifest's pages, decoded twice as the client does: for the first picture, then
 /// whole. With the stored pages it stays below 700 MB.
