@@ -4,7 +4,8 @@
 //! Numbers that name things (`u32`) are positions in the vectors of [`Index`].
 
 use crate::{
-    Aabb, OutputCamera, ViewBasis, mesh::Material, room_index::RoomIndex, sky::SkyMap, tree::Tree, volume::WalkVolume,
+    Aabb, CellRuns, OutputCamera, ViewBasis, mesh::Material, room_index::RoomIndex, sky::SkyMap, tree::Tree,
+    volume::WalkVolume,
 };
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -157,10 +158,10 @@ pub struct Placement {
     pub grid_point: Option<u32>,
     /// Centre of projection of all its images, metres.
     pub cop: DVec3,
-    /// Cells that are not drawn, ascending. Each lies wholly beyond the plane of one of the
+    /// Cells that are not drawn. Each lies wholly beyond the plane of one of the
     /// images. Empty for a portal's: there it is all that is seen through the portal but the cells
     /// of the room before it.
-    pub culled: Vec<u32>,
+    pub culled: CellRuns,
     /// Bound on the footprint of any sample from any eye that may use it, output pixels.
     pub footprint_px: f64,
     /// Box of all eyes that may use it. They lie before the planes of all images.

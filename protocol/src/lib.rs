@@ -15,6 +15,7 @@
 
 pub mod bounds;
 pub mod camera;
+pub mod cell_runs;
 pub mod codec;
 pub mod index;
 pub mod ldi;
@@ -37,3 +38,4 @@ pub mod wire;
 
 pub use bounds::Aabb;
 pub use camera::{OutputCamera, Pose, ViewBasis};
+pub use cell_runs::CellRuns;

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::{
-    Aabb, OutputCamera, ViewBasis,
+    Aabb, CellRuns, OutputCamera, ViewBasis,
     index::*,
     mesh::{Alpha, Material, Wrap},
 };
@@ -39,7 +39,7 @@ fn row_of_cells() -> Index {
     let placement = |x: f64, images| Placement {
         grid_point: Some(0),
         cop: DVec3::ZERO,
-        culled: vec![],
+        culled: CellRuns::default(),
         footprint_px: 1.0,
         users: Aabb { min: DVec3::new(x, 0.0, 0.0), max: DVec3::new(x, 0.0, 0.0) },
         images,

@@ -302,16 +302,16 @@ fn cells_in_view(
     picture_half_tan: (f64, f64),
 ) -> DrawList {
     let culled =
-        selection.placement.and_then(|p| index.placements.get(p as usize)).map_or(&[][..], |p| p.culled.as_slice());
+        selection.placement.and_then(|p| index.placements.get(p as usize)).map_or(&[][..], |p| p.culled.runs());
     let frusta = DrawFrusta::new(&index.settings, pose, picture_half_tan);
-    let mut culled = culled.iter().copied().peekable();
+    let mut culled = culled.iter().peekable();
     let mut seen: Vec<(f64, u32)> = Vec::new();
     let mut triangles = 0;
     for cell in groups.runs(index.cells.len(), |b| frusta.admit(b)).flatten() {
         let (entry, cell) = (&index.cells[cell], cell as u32);
         // Both lists ascend.
-        while culled.next_if(|c| *c < cell).is_some() {}
-        if culled.peek() == Some(&cell) || !frusta.admit(&entry.bounds) {
+        while culled.next_if(|[_, last]| *last < cell).is_some() {}
+        if culled.peek().is_some_and(|[first, _]| *first <= cell) || !frusta.admit(&entry.bounds) {
             continue;
         }
         let apart = pose.position.clamp(entry.bounds.min, entry.bounds.max) - pose.position;
@@ -359,7 +359,7 @@ pub fn draws_among(
         cells,
         |bounds| frusta.admit(bounds),
         |cell| {
-            let is_culled = entry.is_some_and(|e| e.culled.binary_search(&(cell as u32)).is_ok());
+            let is_culled = entry.is_some_and(|e| e.culled.contains(cell as u32));
             if !is_culled && frusta.admit(&index.cells[cell].bounds) {
                 drawn.push(cell as u32);
             }
@@ -579,7 +579,7 @@ mod tests {
             placements: vec![Placement {
                 grid_point: Some(1),
                 cop: DVec3::ZERO,
-                culled: vec![5, 6, 7, 8, 9],
+                culled: (5..10).collect(),
                 footprint_px: 1.5,
                 users: Aabb { min: DVec3::splat(-8.0), max: DVec3::splat(8.0) },
                 images: 0..3,

@@ -10,7 +10,7 @@ mod tree;
 
 use super::{PageEntry, PageKind, VERSION};
 use crate::{
-    Aabb, ViewBasis,
+    Aabb, CellRuns, ViewBasis,
     codec::{
         CodecError,
         bytes::{Reader, Writer, put_varint, unzigzag, zigzag},
@@ -205,36 +205,50 @@ impl Numbers {
 
 /// Appends an ascending list as runs.
 fn put_ascending(out: &mut Vec<u8>, list: &[u32]) {
-    let runs: Vec<&[u32]> = list.chunk_by(|a, b| a.checked_add(1) == Some(*b)).collect();
+    put_runs(out, list.iter().copied().collect::<CellRuns>().runs());
+}
+
+/// Appends runs: their number, then of each the gap before it and its length less one.
+fn put_runs(out: &mut Vec<u8>, runs: &[[u32; 2]]) {
     put_varint(out, runs.len() as u64);
     let mut next = 0u64;
-    for run in runs {
-        put_varint(out, u64::from(run[0]) - next);
-        put_varint(out, run.len() as u64 - 1);
-        next = u64::from(run[0]) + run.len() as u64;
+    for [first, last] in runs {
+        put_varint(out, u64::from(*first) - next);
+        put_varint(out, u64::from(last - first));
+        next = u64::from(*last) + 1;
     }
 }
 
 /// Reads an ascending list; `decoded` counts down what lists may have in memory.
 fn take_ascending(n: &mut Numbers, field: &'static str, decoded: &mut usize) -> Result<Vec<u32>, CodecError> {
-    let runs = n.next(field)?;
-    let mut spans = Vec::new();
-    let (mut next, mut total) = (0u64, 0);
-    for _ in 0..runs {
+    let before = *decoded;
+    let runs = take_runs(n, field, decoded)?;
+    // The runs are dropped, the list stays.
+    *decoded = before;
+    charge::<u32>(decoded, field, runs.len())?;
+    // A list that grows would hold up to twice its numbers.
+    let mut out = Vec::with_capacity(runs.len());
+    out.extend(runs.iter());
+    Ok(out)
+}
+
+/// Reads runs; `decoded` counts down what they may have in memory.
+fn take_runs(n: &mut Numbers, field: &'static str, decoded: &mut usize) -> Result<CellRuns, CodecError> {
+    let count = n.next(field)?;
+    let mut runs: Vec<[u32; 2]> = Vec::new();
+    let mut next = 0u64;
+    for _ in 0..count {
         let first = next + u64::from(n.next(field)?);
-        let length = u64::from(n.next(field)?) + 1;
-        next = first + length;
+        let last = first + u64::from(n.next(field)?);
+        next = last + 1;
         if next > u64::from(u32::MAX) {
             return Err(CodecError::range(field, next, "numbers have 32 bits"));
         }
-        charge::<u32>(decoded, field, length as usize)?;
-        total += length as usize;
-        spans.push(first as u32..next as u32);
+        charge::<[u32; 2]>(decoded, field, 1)?;
+        runs.push([first as u32, last as u32]);
     }
-    // A list that grows would hold up to twice its numbers.
-    let mut out = Vec::with_capacity(total);
-    spans.into_iter().for_each(|span| out.extend(span));
-    Ok(out)
+    runs.shrink_to_fit();
+    CellRuns::of_runs(runs).ok_or_else(|| CodecError::mismatch(field, "runs that touch"))
 }
 
 /// Runs of squares: their number, then of each the gap before it and its length less one.
@@ -460,7 +474,7 @@ fn put_placements(w: &mut Writer, placements: &[Placement], all: &[ImageEntry]) 
         // 0: a portal's.
         put_varint(&mut numbers, p.grid_point.map_or(0, |g| 1 + u64::from(g)));
         put_varint(&mut numbers, p.images.len() as u64);
-        put_ascending(&mut culled, &p.culled);
+        put_runs(&mut culled, p.culled.runs());
         put_sky(&mut sky, &p.sky);
         let vectors = [p.cop, p.users.min, p.users.max];
         rows.push(std::array::from_fn(|k| if k < 9 { vectors[k / 3][k % 3] } else { p.footprint_px }));
@@ -521,7 +535,7 @@ fn take_placements(
             cop: vector(row, 0),
             users: Aabb { min: vector(row, 1), max: vector(row, 2) },
             footprint_px: row[9],
-            culled: take_ascending(&mut culled, "culled cells", decoded)?,
+            culled: take_runs(&mut culled, "culled cells", decoded)?,
             images: first as u32..(first_image + total) as u32,
             sky: take_sky(&mut sky, decoded)?,
         });

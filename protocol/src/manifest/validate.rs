@@ -208,7 +208,12 @@ fn check_placement(p: &Placement, points: usize, cells: usize) -> Result<(), Str
     if !p.cop.is_finite() || !p.footprint_px.is_finite() {
         return Err("its centre of projection or footprint is not finite".into());
     }
-    ascending("culled cells", &p.culled, cells)
+    match p.culled.last() {
+        Some(last) if last as usize >= cells => {
+            Err(format!("its culled cells include {last}, but there are only {cells}"))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Placements own all images, in order.

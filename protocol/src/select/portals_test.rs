@@ -3,7 +3,7 @@
 
 use super::*;
 use crate::{
-    Aabb, OutputCamera, ViewBasis,
+    Aabb, CellRuns, OutputCamera, ViewBasis,
     index::{AngularRange, BuildSettings, CellEntry, GridPoint, ImageEntry, Placement, SceneInfo},
     room_index::{BuiltImages, SideImages},
     rooms::{Cell, Portal, PortalKind, Rooms},
@@ -53,7 +53,7 @@ fn index(budget: u64, served: &[usize]) -> Index {
         placements.push(Placement {
             grid_point: None,
             cop: DVec3::new(0.0, 1.5, z(k) - 2.0),
-            culled: vec![],
+            culled: CellRuns::default(),
             footprint_px: 1.9,
             users: Aabb { min: DVec3::new(-3.0, 1.0, z(k + 1) + 1.0), max: DVec3::new(3.0, 2.0, z(k) + 4.0) },
             images: images.len() as u32..images.len() as u32 + 1,
@@ -211,7 +211,7 @@ fn with_references(budget: u64) -> Index {
         index.placements.push(Placement {
             grid_point: None,
             cop: DVec3::new(1.6 * angle.sin(), 1.5, -8.0 + 1.6 * angle.cos()),
-            culled: vec![],
+            culled: CellRuns::default(),
             footprint_px: 4.0,
             users: Aabb { min: DVec3::new(-3.0, 1.0, -8.0), max: DVec3::new(3.0, 2.0, 0.0) },
             images: k..k + 1,

@@ -118,6 +118,7 @@ mod tests {
     use super::*;
     use crate::placement::{Adversary, test_scenes};
     use glam::DVec3;
+    use ldi_protocol::CellRuns;
     use ldi_protocol::codec::ColourProfile;
 
     fn audited(d: &Draft, change: impl FnOnce(&mut Index)) -> AuditReport {
@@ -164,7 +165,7 @@ mod tests {
         assert!(
             faults(audited(&d, |i| i.placements.iter_mut().for_each(|p| p.footprint_px = tight))).contains("footprint")
         );
-        let all: Vec<u32> = (0..d.index.cells.len() as u32).collect();
+        let all = CellRuns::below(d.index.cells.len() as u32);
         assert!(
             faults(audited(&d, |i| i.placements.iter_mut().for_each(|p| p.culled = all.clone())))
                 .contains("before all image planes")

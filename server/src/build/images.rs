@@ -8,6 +8,7 @@ use crate::portal::SidePlan;
 use crate::render::Caster;
 use crate::scene::Note;
 use crate::store::DatasetWriter;
+use ldi_protocol::CellRuns;
 use ldi_protocol::codec::{ColourProfile, ldi};
 use ldi_protocol::index::{BuildSettings, ChunkEntry, ChunkHash, ChunkKind, ImageEntry, Placement};
 use ldi_protocol::ldi::Ldi;
@@ -361,7 +362,7 @@ impl Images {
                 grid_point: plan.grid_point,
                 cop: plan.cop,
                 // A portal's are all but those of the room before it.
-                culled: if plan.through.is_empty() { plan.culled.clone() } else { Vec::new() },
+                culled: if plan.through.is_empty() { plan.culled.clone() } else { CellRuns::default() },
                 footprint_px: plan.footprint_px,
                 users: plan.users,
                 images: first_image..out.images.len() as u32,
@@ -385,7 +386,7 @@ impl Images {
                 out.placements.push(Placement {
                     grid_point: None,
                     cop: plan.cop,
-                    culled: Vec::new(),
+                    culled: CellRuns::default(),
                     footprint_px: plan.footprint_px,
                     users: plan.users,
                     images: number..number + 1,

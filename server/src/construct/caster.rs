@@ -4,6 +4,7 @@
 
 use crate::render::{Caster, CellSet, Hit, Ray, RayFootprint};
 use glam::DVec3;
+use ldi_protocol::CellRuns;
 
 /// What a surface is like where a ray hit it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -58,13 +59,13 @@ pub(super) struct Subset<'a> {
     pub cells: CellSet,
     /// All others.
     pub staying: CellSet,
-    /// The cells, ascending.
-    pub culled: &'a [u32],
+    /// The cells.
+    pub culled: &'a CellRuns,
 }
 
 impl<'a> Subset<'a> {
-    /// Of some cells, ascending.
-    pub fn of(caster: &'a Caster, culled: &'a [u32]) -> Self {
+    /// Of some cells.
+    pub fn of(caster: &'a Caster, culled: &'a CellRuns) -> Self {
         let cells = caster.cell_set(culled);
         Self { caster, staying: caster.cells_besides(&cells), cells, culled }
     }
@@ -79,7 +80,7 @@ impl SubsetCaster for Subset<'_> {
         let mut hits = vec![None; rays.len()];
         self.caster.trace_batch(rays, &CellSet::all(), &mut hits);
         for (met, hit) in met.iter_mut().zip(hits) {
-            let replaced = |h: &Hit| self.culled.binary_search(&self.caster.cell_of(h.triangle)).is_ok();
+            let replaced = |h: &Hit| self.culled.contains(self.caster.cell_of(h.triangle));
             *met = match hit {
                 None => Met::Nothing,
                 Some(h) if replaced(&h) => Met::Replaced(h.t),

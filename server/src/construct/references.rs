@@ -35,6 +35,7 @@ use crate::{
 };
 use glam::{DVec3, Vec3};
 use ldi_protocol::{
+    CellRuns,
     ldi::{END_BITS, Ldi, LdiLayer, SIDES, end_of},
     sky::SkyMap,
 };
@@ -78,7 +79,7 @@ pub fn construct_side(
     same_depth: f64,
 ) -> Result<SideImages, ConstructError> {
     construct_side_of(
-        &Subset { caster, cells: CellSet::all(), staying: CellSet::all(), culled: &[] },
+        &Subset { caster, cells: CellSet::all(), staying: CellSet::all(), culled: &CellRuns::default() },
         plan,
         options,
         same_depth,

@@ -127,7 +127,7 @@ pub fn plan_row(index: &Index, number: u64, pose: &Pose) -> PlanRow {
         index: number,
         grid_point: list.selection.grid_point,
         placement: list.selection.placement,
-        culled_cells: placement.map(|p| p.culled.clone()).unwrap_or_default(),
+        culled_cells: placement.map(|p| p.culled.iter().collect()).unwrap_or_default(),
         drawn_cells: list.cells,
         triangles: list.triangles,
         footprint_px: placements.map(|p| p.footprint_px).reduce(f64::max),
@@ -396,7 +396,7 @@ fn check(
             let cell = cell as u32;
             if in_picture(&entry.bounds)
                 && in_view(&entry.bounds, pose.position, &basis, square, square)
-                && !placement.is_some_and(|p| p.culled.binary_search(&cell).is_ok())
+                && !placement.is_some_and(|p| p.culled.contains(cell))
             {
                 triangles += triangles_in(index, recounted, &[cell]);
             }
@@ -430,7 +430,7 @@ fn check(
             |i: &ImageEntry, b: &Aabb| -b.support(-i.basis.forward) >= p.cop.dot(i.basis.forward) + i.plane_distance;
         // Faces that nobody looks at have no image: what lies beyond them alone is in no picture.
         let stray = |b: &Aabb| in_picture(b) && !images.iter().any(|i| beyond(i, b));
-        let mut shown = p.culled.iter().map(|c| *c as usize).filter(|c| run_shows[c / RUN]);
+        let mut shown = p.culled.iter().map(|c| c as usize).filter(|c| run_shows[c / RUN]);
         if shown.any(|c| stray(&index.cells[c].bounds)) {
             faults.push("a replaced cell in the picture reaches before all image planes".to_string());
         }
@@ -484,8 +484,9 @@ fn largest_footprint(
     let camera = &index.settings.camera;
     let (tx, ty) = (camera.half_tan_x(), camera.half_tan_y());
     let mut largest = 0.0f64;
+    let replaced = p.culled.len();
     for _ in 0..FOOTPRINT_POINTS {
-        let Some(&cell) = p.culled.get(random.below(p.culled.len())) else { break };
+        let Some(cell) = p.culled.nth(random.below(replaced)) else { break };
         let b = &index.cells[cell as usize].bounds;
         // Corners and inner points alike.
         let at = DVec3::new(random.unit(), random.unit(), random.unit());

@@ -8,7 +8,7 @@
 
 use super::{
     bin_planes::BinPlanes,
-    cells::CellMask,
+    cell_mask::CellMask,
     point::{Context, TooNear},
 };
 use ldi_protocol::Aabb;
@@ -43,12 +43,17 @@ impl Look {
 
     /// A bound on the triangles that any of its frames shows of the cells `among` these.
     pub fn count(&self, ctx: &Context, among: &CellMask) -> u64 {
-        ctx.cells.count(&self.planes, &self.eyes, among)
+        self.count_to(ctx, among, u64::MAX).unwrap_or(u64::MAX)
+    }
+
+    /// The same; None if it is more than `most`.
+    fn count_to(&self, ctx: &Context, among: &CellMask, most: u64) -> Option<u64> {
+        ctx.cells.count(&self.planes, &self.eyes, among, most)
     }
 
     /// Whether some frame may exceed the budget, as far as subdivision can tell.
     pub fn exceeds(&self, ctx: &Context, among: &CellMask) -> bool {
-        self.count(ctx, among) > ctx.budget
+        self.count_to(ctx, among, ctx.budget).is_none()
             && self.split(ctx).is_none_or(|parts| parts.iter().any(|p| p.exceeds(ctx, among)))
     }
 

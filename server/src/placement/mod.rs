@@ -29,6 +29,7 @@ mod arcs;
 mod audit;
 mod bands;
 mod bin_planes;
+mod cell_mask;
 mod cells;
 mod coverage;
 mod error;

@@ -3,7 +3,7 @@
 
 use super::gaze::Gaze;
 use glam::DVec3;
-use ldi_protocol::{Aabb, ViewBasis, index::GridPoint, volume::WalkVolume};
+use ldi_protocol::{Aabb, CellRuns, ViewBasis, index::GridPoint, volume::WalkVolume};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -26,8 +26,8 @@ pub struct PlacementPlan {
     pub grid_point: Option<u32>,
     /// Centre of projection of all its images: the middle of the users.
     pub cop: DVec3,
-    /// Cells that the images replace, ascending. Each lies wholly beyond the plane of one of them.
-    pub culled: Vec<u32>,
+    /// Cells that the images replace. Each lies wholly beyond the plane of one of them.
+    pub culled: CellRuns,
     /// Box of all eyes that may use it.
     pub users: Aabb,
     /// Places inside that box where eyes stand, spread over all of them: what they see of the

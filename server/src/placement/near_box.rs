@@ -29,7 +29,7 @@
 //! within P alone.
 
 use super::{
-    cells::CellMask,
+    cell_mask::CellMask,
     hull::EyeHull,
     looks::{Counts, Look},
     point::{Context, TooNear},
@@ -86,16 +86,16 @@ impl Member {
     /// unit is taken for over the budget that is not.
     pub fn new(ctx: &Context, hull: EyeHull, closely: bool) -> Self {
         let mut m = Self { hull, eyes: hull.bounds(), units: Vec::new(), seen: ctx.cells.none(), largest: 0 };
-        let mut visible = ctx.cells.none();
+        let all = ctx.cells.all();
         for (unit, planes) in (0u16..).zip(&ctx.bins) {
-            visible.clear();
-            let triangles = ctx.cells.seen(planes, &m.eyes, &mut visible);
-            if triangles > ctx.budget && (!closely || Look::new(ctx, m.eyes, unit).exceeds(ctx, &visible)) {
-                m.units.push(unit);
-                m.seen.add(&visible);
-            } else {
+            match ctx.cells.count(planes, &m.eyes, &all, ctx.budget) {
+                Some(triangles) => m.largest = m.largest.max(triangles),
                 // However it is split, no frame of the unit has more than P.
-                m.largest = m.largest.max(triangles.min(ctx.budget));
+                None if closely && !Look::new(ctx, m.eyes, unit).exceeds(ctx, &all) => m.largest = ctx.budget,
+                None => {
+                    m.units.push(unit);
+                    ctx.cells.add_seen(planes, &m.eyes, &mut m.seen);
+                }
             }
         }
         m
@@ -502,8 +502,8 @@ mod tests {
             })
             .collect();
         for ((_, near), plan) in groups.iter().zip(&plans) {
-            for cell in &plan.culled {
-                let b = &cells.bounds[*cell as usize];
+            for cell in plan.culled.iter() {
+                let b = &cells.bounds[cell as usize];
                 let beyond = (0..6).any(|f| {
                     let n = face_basis(f).forward;
                     -b.support(-n) > near.cop.dot(n) + near.distance[f]
@@ -521,17 +521,19 @@ mod tests {
             let eye = m.eyes.min + m.eyes.size() * DVec3::new(random.unit(), random.unit(), random.unit());
             let square = Frustum::new(eye, &d, ctx.half_tan, ctx.half_tan);
             let plan = m.units.binary_search(&(unit as u16)).ok().map(|_| &plans[of[k]]);
-            let culled = plan.map_or(&[][..], |p| &p.culled);
+            let culled = plan.map(|p| &p.culled);
             let drawn: u64 = (0..1500u32)
-                .filter(|c| culled.binary_search(c).is_err() && square.may_intersect(&cells.bounds[*c as usize]))
+                .filter(|c| {
+                    !culled.is_some_and(|all| all.contains(*c)) && square.may_intersect(&cells.bounds[*c as usize])
+                })
                 .map(|c| u64::from(cells.triangles[c as usize]))
                 .sum();
             assert!(drawn <= ctx.budget, "{drawn} triangles");
             let Some(plan) = plan else { continue };
             replaced += 1;
             let picture = Frustum::new(eye, &d, ctx.picture_tan.0, ctx.picture_tan.1);
-            for c in plan.culled.iter().filter(|c| picture.may_intersect(&cells.bounds[**c as usize])) {
-                let b = &cells.bounds[*c as usize];
+            for c in plan.culled.iter().filter(|c| picture.may_intersect(&cells.bounds[*c as usize])) {
+                let b = &cells.bounds[c as usize];
                 let q = b.min + b.size() * DVec3::new(random.unit(), random.unit(), random.unit());
                 if !picture.contains(q) {
                     continue;

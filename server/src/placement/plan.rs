@@ -31,7 +31,7 @@ pub(super) fn plan(ctx: &Context, image: &Image, grid_point: u32, grid_position:
     PlacementPlan {
         grid_point: Some(grid_point),
         cop,
-        culled: image.culled.clone(),
+        culled: image.culled.iter().copied().collect(),
         users,
         eyes: eyes_of(ctx, &[users], cop),
         lookouts: Vec::new(),

@@ -8,7 +8,8 @@
 use super::{
     arcs::{Arc, BandPlanes},
     bands::{YAW_BIN_DEG, YAW_BINS},
-    cells::{CellMask, Cells},
+    cell_mask::CellMask,
+    cells::Cells,
 };
 use ldi_protocol::Aabb;
 

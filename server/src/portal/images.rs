@@ -14,7 +14,7 @@ use ldi_protocol::room_index::{PortalImages, ShowPortals};
 use ldi_protocol::rooms::Rooms;
 use ldi_protocol::select::{Show, draw_list_showing};
 use ldi_protocol::volume::WalkVolume;
-use ldi_protocol::{Aabb, Pose};
+use ldi_protocol::{Aabb, CellRuns, Pose};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::ops::Range;
@@ -94,7 +94,7 @@ pub fn plan_portals(
             let own = places_of(rooms, room, &places, near_m + BEYOND_NEAR_M);
             let before: Vec<Aabb> = own.into_iter().filter(|b| gate.may_serve(b)).collect();
             let stays = &cells_of[room.map_or(rooms.cells().len(), |c| c as usize)];
-            let culled: Vec<u32> = (0..cells as u32).filter(|c| stays.binary_search(c).is_err()).collect();
+            let culled: CellRuns = (0..cells as u32).filter(|c| stays.binary_search(c).is_err()).collect();
             zones(&gate, &before, &footprint)
                 .into_iter()
                 .map(|zone| plan(&gate, &zone, &places, culled.clone(), settings, &footprint))
@@ -195,7 +195,7 @@ impl PortalPlans {
         let placement = |p: &PlacementPlan| Placement {
             grid_point: None,
             cop: p.cop,
-            culled: Vec::new(),
+            culled: CellRuns::default(),
             footprint_px: p.footprint_px,
             users: p.users,
             images: 0..0,
@@ -227,7 +227,7 @@ fn plan(
     gate: &Gate,
     zone: &Zone,
     places: &[Aabb],
-    culled: Vec<u32>,
+    culled: CellRuns,
     settings: &BuildSettings,
     footprint: &Footprint,
 ) -> PlacementPlan {

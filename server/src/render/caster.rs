@@ -20,6 +20,7 @@ use crate::{
     scene::Scene,
 };
 use glam::DVec3;
+use ldi_protocol::CellRuns;
 use std::sync::Arc;
 
 /// Casts rays at a scene.
@@ -88,7 +89,7 @@ impl Caster {
     }
 
     /// A set of these cells for [`Caster::trace`] and its kin; see [`CellSet`].
-    pub fn cell_set(&self, cells: &[u32]) -> CellSet {
+    pub fn cell_set(&self, cells: &CellRuns) -> CellSet {
         CellSet::of(cells, &self.geometry, &self.bvh)
     }
 

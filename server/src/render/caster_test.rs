@@ -8,7 +8,7 @@ use crate::{
 };
 use glam::{DAffine3, DMat3, DVec3, Vec2, Vec3};
 use ldi_protocol::{
-    OutputCamera, ViewBasis,
+    CellRuns, OutputCamera, ViewBasis,
     mesh::{Alpha, Material},
     shade::light,
 };
@@ -99,7 +99,7 @@ proptest! {
         let c = soup_caster(seed, triangles, repeated);
         let mut noise = Noise(seed ^ 1);
         let count = c.geometry.cell_count as u32;
-        let some: Vec<u32> = (0..count).filter(|_| noise.next() < 0.5).collect();
+        let some: CellRuns = (0..count).filter(|_| noise.next() < 0.5).collect();
         let cells = if every_cell { CellSet::all() } else { c.cell_set(&some) };
         let mut rays = fan(&mut noise, 0.01);
         rays.extend((0..64).map(|_| Ray::new(noise.point(12.0), noise.point(1.0))));
@@ -141,7 +141,7 @@ proptest! {
         prop_assert!(batch == single, "packets differ from single rays");
         portable.trace_batch(&rays, &all, &mut batch);
         prop_assert!(batch == single, "plain Rust differs from SIMD");
-        let limited = fast.cell_set(&(0..fast.geometry.cell_count as u32).collect::<Vec<_>>());
+        let limited = fast.cell_set(&CellRuns::below(fast.geometry.cell_count as u32));
         fast.trace_batch(&rays, &limited, &mut batch);
         prop_assert!(batch == single, "the set of all cells differs from no set");
         // Short rays from one origin, each over another part of its way.

@@ -4,6 +4,7 @@ use super::{
     bvh::{Bvh, EMPTY, ITEM, LEAF},
     geometry::Geometry,
 };
+use ldi_protocol::CellRuns;
 use rayon::prelude::*;
 
 /// A set of cells, prepared for one [`Caster`](super::Caster) (see
@@ -40,9 +41,9 @@ impl CellSet {
 
     /// These cells; numbers that the octree does not have are ignored. Takes a pass over the
     /// triangles: some milliseconds per million.
-    pub(super) fn of(cells: &[u32], geometry: &Geometry, bvh: &Bvh) -> Self {
+    pub(super) fn of(cells: &CellRuns, geometry: &Geometry, bvh: &Bvh) -> Self {
         let mut words = vec![0; geometry.cell_count.div_ceil(64)];
-        for &c in cells.iter().filter(|c| (**c as usize) < geometry.cell_count) {
+        for c in cells.iter().take_while(|c| (*c as usize) < geometry.cell_count) {
             words[c as usize / 64] |= 1 << (c % 64);
         }
         Self::prepared(words, geometry, bvh)

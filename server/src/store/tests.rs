@@ -170,7 +170,7 @@ fn sample() -> Sample {
         placements: vec![Placement {
             grid_point: Some(0),
             cop: DVec3::ZERO,
-            culled: vec![1],
+            culled: [1].into_iter().collect(),
             footprint_px: 1.5,
             users: bounds,
             images: 0..1,

@@ -218,7 +218,7 @@ fn scene() -> MemoryFeed {
     index.placements.push(Placement {
         grid_point: Some(0),
         cop: DVec3::new(0.0, 0.0, 0.5),
-        culled: vec![1],
+        culled: [1].into_iter().collect(),
         footprint_px: 1.5,
         users: Aabb { min: DVec3::splat(-2.5), max: DVec3::splat(2.5) },
         images: 0..1,
