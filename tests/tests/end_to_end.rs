@@ -338,6 +338,16 @@ fn a_build_without_memory_says_so() {
     }
 }
 
+/// The least there is: what does not lie in the file comes and goes all the time.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_build_within_a_memory_limit_gives_the_same_dataset() {
+    let f = fixture();
+    let dataset = folder("memory-limit").join("dataset");
+    build(&f.scene, &dataset, &["--memory-limit", "20MB"]);
+    assert_same_dataset(&dataset, &f.dataset);
+}
+
 #[test]
 fn a_scene_without_rooms_is_left_to_the_grid() {
     let out = folder("no-rooms");

@@ -222,6 +222,10 @@ pub struct BuildArgs {
     /// and the same command goes on with it. Seconds, or as 90s, 20m, 3h.
     #[arg(long, value_name = "TIME", value_parser = duration)]
     pub time_limit: Option<Duration>,
+    /// Hold at most so much memory, as 6GB or 800MB; what is not in use lies in a file beside the
+    /// output, and the disk needs room for it [default: no limit].
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
+    pub memory_limit: Option<u64>,
     /// Threads [default: all cores].
     #[arg(long)]
     pub threads: Option<usize>,
@@ -351,6 +355,10 @@ pub struct RenderArgs {
     /// Render poses 0, N, 2N ...
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
     pub every: u64,
+    /// Hold at most so much memory, as 6GB or 800MB; what is not in use lies in a file beside the
+    /// output, and the disk needs room for it [default: no limit].
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
+    pub memory_limit: Option<u64>,
     /// Threads [default: all cores].
     #[arg(long)]
     pub threads: Option<usize>,
@@ -447,6 +455,15 @@ fn duration(s: &str) -> Result<Duration, String> {
     seconds
         .and_then(|s| Duration::try_from_secs_f64(s).ok())
         .ok_or_else(|| "a time is needed, as 90s, 20m or 3h".into())
+}
+
+/// Bytes, as 6GB, 800MB or 1000000.
+fn bytes(s: &str) -> Result<u64, String> {
+    let units = [("GB", 1e9), ("MB", 1e6), ("KB", 1e3), ("B", 1.0)];
+    let upper = s.to_ascii_uppercase();
+    let (number, unit) = units.iter().find_map(|(u, of)| Some((upper.strip_suffix(u)?, *of))).unwrap_or((&upper, 1.0));
+    let bytes = number.trim().parse::<f64>().ok().map(|n| n * unit).filter(|n| *n >= 1.0 && *n < 1e18);
+    bytes.map(|n| n as u64).ok_or_else(|| "a size is needed, as 6GB or 800MB".into())
 }
 
 /// A place in the world as X,Y,Z.

@@ -79,6 +79,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
             }
         }
     }
+    limit_memory(a.memory_limit, a.output.as_deref())?;
     threads(a.threads)?;
     let colour = ColourProfile::from_name(&a.colour)
         .ok_or_else(|| Failure::usage(anyhow!("--colour: there is no '{}'", a.colour)))?;
@@ -373,7 +374,22 @@ fn plan(a: &PlanArgs) -> Result<(), Failure> {
     write().with_context(|| a.output.display().to_string()).map_err(|e| Failure::of(false, e))
 }
 
+/// Keeps the process to a limit by a file in the first folder above `output` that is there; the
+/// system's folder for such files without an output.
+fn limit_memory(bytes: Option<u64>, output: Option<&Path>) -> Result<(), Failure> {
+    let Some(bytes) = bytes else { return Ok(()) };
+    let beside = |output: &Path| {
+        let full = std::path::absolute(output).ok()?;
+        full.ancestors().find(|folder| folder.is_dir()).map(Path::to_path_buf)
+    };
+    let folder = output.and_then(beside).unwrap_or_else(std::env::temp_dir);
+    super::allocator::limit_memory(bytes, &folder)
+        .with_context(|| format!("--memory-limit: no file without a name can be made in {}", folder.display()))
+        .map_err(|e| Failure::of(false, e))
+}
+
 fn render(a: &RenderArgs) -> Result<(), Failure> {
+    limit_memory(a.memory_limit, Some(&a.output))?;
     threads(a.threads)?;
     let options = render::RenderOptions {
         camera: OutputCamera { width: a.size.0, height: a.size.1, fov_deg: a.fov },

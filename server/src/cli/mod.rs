@@ -4,6 +4,7 @@
 mod allocator;
 mod args;
 mod commands;
+mod file_memory;
 mod progress;
 mod rooms;
 

@@ -33,6 +33,16 @@ impl CellMask {
     pub fn has_all(&self, of: Range<usize>) -> bool {
         spans(of).all(|(word, bits)| self.words[word] & bits == bits)
     }
+    /// Whether any of the cells `of` is in it.
+    #[inline]
+    pub fn has_any(&self, of: Range<usize>) -> bool {
+        spans(of).any(|(word, bits)| self.words[word] & bits != 0)
+    }
+    /// The bits of the cells from `first` on, up to the next multiple of 64.
+    #[inline]
+    pub fn bits_from(&self, first: usize) -> u64 {
+        self.words[first / 64] >> (first % 64)
+    }
     /// How many of the cells `of` are in it.
     #[inline]
     pub fn count_in(&self, of: Range<usize>) -> u32 {
@@ -106,6 +116,7 @@ mod tests {
                 let of: Vec<u32> = cells.iter().copied().filter(|c| (from..to).contains(&(*c as usize))).collect();
                 assert_eq!(set.count_in(from..to) as usize, of.len());
                 assert_eq!(set.has_all(from..to), of.len() == to - from);
+                assert_eq!(set.has_any(from..to), !of.is_empty());
                 assert!(set.iter_in(from..to).eq(of.iter().copied()));
             }
         }

@@ -39,6 +39,12 @@ struct Level {
 /// A cell (level 0) or a run of cells.
 type Node = (usize, usize);
 
+/// The lowest `n` bits, at most a run's.
+#[inline(always)]
+fn ones(n: usize) -> u64 {
+    (1 << n) - 1
+}
+
 /// Half the surface of a box.
 fn half_area(b: &Aabb) -> f64 {
     let s = b.size();
@@ -127,8 +133,18 @@ impl Cells {
             }
             match planes.show(eyes, self.bounds_of(node)) {
                 Behind::Never => {}
-                Behind::Maybe if node.0 > 0 => self.open(node, &mut open),
-                _ => out.insert_all(cells),
+                Behind::Maybe if node.0 > 1 => self.open(node, &mut open),
+                Behind::Maybe => {
+                    let mut bits = !out.bits_from(cells.start) & ones(cells.len());
+                    while bits != 0 {
+                        let cell = cells.start + bits.trailing_zeros() as usize;
+                        bits &= bits - 1;
+                        if planes.show(eyes, &self.bounds[cell]) != Behind::Never {
+                            out.insert(cell as u32);
+                        }
+                    }
+                }
+                Behind::Always => out.insert_all(cells),
             }
         }
     }
@@ -136,13 +152,6 @@ impl Cells {
     /// The empty set.
     pub fn none(&self) -> CellMask {
         CellMask::none(self.bounds.len())
-    }
-
-    /// The set of all cells.
-    pub fn all(&self) -> CellMask {
-        let mut out = self.none();
-        out.insert_all(0..self.bounds.len());
-        out
     }
 
     /// The cells that touch a box.
@@ -162,13 +171,19 @@ impl Cells {
         out
     }
 
-    /// Triangles of those cells `among` these that some eye in the box may draw in some direction
-    /// of a bin; None if they are more than `most`.
-    pub fn count(&self, planes: &BinPlanes, eyes: &Aabb, among: &CellMask, most: u64) -> Option<u64> {
+    /// Triangles of those cells `among` these (None: all) that some eye in the box may draw in some
+    /// direction of a bin; None if they are more than `most`.
+    pub fn count(&self, planes: &BinPlanes, eyes: &Aabb, among: Option<&CellMask>, most: u64) -> Option<u64> {
         #[cfg(target_arch = "x86_64")]
         {
             #[target_feature(enable = "avx2")]
-            fn wide(cells: &Cells, planes: &BinPlanes, eyes: &Aabb, among: &CellMask, most: u64) -> Option<u64> {
+            fn wide(
+                cells: &Cells,
+                planes: &BinPlanes,
+                eyes: &Aabb,
+                among: Option<&CellMask>,
+                most: u64,
+            ) -> Option<u64> {
                 cells.count_in(planes, eyes, among, most)
             }
             if std::is_x86_feature_detected!("avx2") {
@@ -181,20 +196,31 @@ impl Cells {
 
     /// [`Cells::count`] with the vectors of whoever calls it.
     #[inline(always)]
-    fn count_in(&self, planes: &BinPlanes, eyes: &Aabb, among: &CellMask, most: u64) -> Option<u64> {
+    fn count_in(&self, planes: &BinPlanes, eyes: &Aabb, among: Option<&CellMask>, most: u64) -> Option<u64> {
         let mut triangles = 0;
         let mut open = self.root();
         while let Some(node) = open.pop() {
             let cells = self.cells_of(node);
-            let held = among.count_in(cells.clone()) as usize;
-            if held == 0 {
+            if among.is_some_and(|a| !a.has_any(cells.clone())) {
                 continue;
             }
-            match planes.show(eyes, self.bounds_of(node)) {
-                Behind::Never => {}
-                Behind::Maybe if node.0 > 0 => self.open(node, &mut open),
-                _ if held == cells.len() => triangles += self.before[cells.end] - self.before[cells.start],
-                _ => among.iter_in(cells).for_each(|c| triangles += u64::from(self.triangles[c as usize])),
+            match (planes.show(eyes, self.bounds_of(node)), among) {
+                (Behind::Never, _) => {}
+                (Behind::Maybe, _) if node.0 > 1 => self.open(node, &mut open),
+                (Behind::Maybe, _) => {
+                    let mut bits = among.map_or(u64::MAX, |a| a.bits_from(cells.start)) & ones(cells.len());
+                    while bits != 0 {
+                        let cell = cells.start + bits.trailing_zeros() as usize;
+                        bits &= bits - 1;
+                        if planes.show(eyes, &self.bounds[cell]) != Behind::Never {
+                            triangles += u64::from(self.triangles[cell]);
+                        }
+                    }
+                }
+                (Behind::Always, None) => triangles += self.before[cells.end] - self.before[cells.start],
+                (Behind::Always, Some(among)) => {
+                    among.iter_in(cells).for_each(|c| triangles += u64::from(self.triangles[c as usize]));
+                }
             }
             if triangles > most {
                 return None;
@@ -291,10 +317,10 @@ mod tests {
             let of_some: u64 =
                 some.iter().filter(|c| set.has(**c)).map(|c| u64::from(cells.triangles[*c as usize])).sum();
             let mask = CellMask::of(700, &some);
-            assert_eq!(cells.count(&planes, &eyes, &mask, of_some), Some(of_some));
-            assert_eq!(cells.count(&planes, &eyes, &mask, of_some.wrapping_sub(1)), (of_some == 0).then_some(0));
+            assert_eq!(cells.count(&planes, &eyes, Some(&mask), of_some), Some(of_some));
+            assert_eq!(cells.count(&planes, &eyes, Some(&mask), of_some.wrapping_sub(1)), (of_some == 0).then_some(0));
             let of_all = (0..700).filter(|c| has(*c)).map(|c| u64::from(cells.triangles[c])).sum::<u64>();
-            assert_eq!(cells.count(&planes, &eyes, &cells.all(), u64::MAX), Some(of_all));
+            assert_eq!(cells.count(&planes, &eyes, None, u64::MAX), Some(of_all));
             // What is there already stays, and hides nothing that is not.
             let mut more = mask.clone();
             cells.add_seen(&planes, &eyes, &mut more);

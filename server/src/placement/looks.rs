@@ -43,17 +43,13 @@ impl Look {
 
     /// A bound on the triangles that any of its frames shows of the cells `among` these.
     pub fn count(&self, ctx: &Context, among: &CellMask) -> u64 {
-        self.count_to(ctx, among, u64::MAX).unwrap_or(u64::MAX)
+        ctx.cells.count(&self.planes, &self.eyes, Some(among), u64::MAX).unwrap_or(u64::MAX)
     }
 
-    /// The same; None if it is more than `most`.
-    fn count_to(&self, ctx: &Context, among: &CellMask, most: u64) -> Option<u64> {
-        ctx.cells.count(&self.planes, &self.eyes, among, most)
-    }
-
-    /// Whether some frame may exceed the budget, as far as subdivision can tell.
-    pub fn exceeds(&self, ctx: &Context, among: &CellMask) -> bool {
-        self.count_to(ctx, among, ctx.budget).is_none()
+    /// Whether some frame may show more triangles of the cells `among` these (None: all) than the
+    /// budget, as far as subdivision can tell.
+    pub fn exceeds(&self, ctx: &Context, among: Option<&CellMask>) -> bool {
+        ctx.cells.count(&self.planes, &self.eyes, among, ctx.budget).is_none()
             && self.split(ctx).is_none_or(|parts| parts.iter().any(|p| p.exceeds(ctx, among)))
     }
 
@@ -190,7 +186,7 @@ mod tests {
             match Counts::new(&ctx, std::iter::once(Look::new(&ctx, eyes, unit)), &near, ctx.budget) {
                 Ok(counts) => {
                     assert!(counts.largest() >= largest && counts.largest() <= budget);
-                    assert!(!Look::new(&ctx, eyes, unit).exceeds(&ctx, &near));
+                    assert!(!Look::new(&ctx, eyes, unit).exceeds(&ctx, Some(&near)));
                     split += usize::from(counts.0.len() > 1);
                 }
                 Err(too_near) => {
@@ -207,7 +203,7 @@ mod tests {
                     CostBenefit::default(),
                     NOTHING_BETWEEN,
                 );
-                assert!(Look::new(&less, eyes, unit).exceeds(&less, &near), "a frame was found that does");
+                assert!(Look::new(&less, eyes, unit).exceeds(&less, Some(&near)), "a frame was found that does");
             }
         }
         assert!(split > 5, "{split} units were proved by subdivision, {refused} refused");

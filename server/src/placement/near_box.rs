@@ -86,12 +86,11 @@ impl Member {
     /// unit is taken for over the budget that is not.
     pub fn new(ctx: &Context, hull: EyeHull, closely: bool) -> Self {
         let mut m = Self { hull, eyes: hull.bounds(), units: Vec::new(), seen: ctx.cells.none(), largest: 0 };
-        let all = ctx.cells.all();
         for (unit, planes) in (0u16..).zip(&ctx.bins) {
-            match ctx.cells.count(planes, &m.eyes, &all, ctx.budget) {
+            match ctx.cells.count(planes, &m.eyes, None, ctx.budget) {
                 Some(triangles) => m.largest = m.largest.max(triangles),
                 // However it is split, no frame of the unit has more than P.
-                None if closely && !Look::new(ctx, m.eyes, unit).exceeds(ctx, &all) => m.largest = ctx.budget,
+                None if closely && !Look::new(ctx, m.eyes, unit).exceeds(ctx, None) => m.largest = ctx.budget,
                 None => {
                     m.units.push(unit);
                     ctx.cells.add_seen(planes, &m.eyes, &mut m.seen);
