@@ -8,8 +8,10 @@ use glam::{DMat3, DVec3};
 use ldi_protocol::{OutputCamera, Pose, mesh::MAX_CLUSTER_TRIANGLES};
 use std::ops::Range;
 
-/// Distance of the near plane from the eye along the viewing direction, metres.
-pub const NEAR_PLANE_M: f64 = 0.02;
+/// Distance of the near plane from the eye along the viewing direction, metres. Eyes nearer to a
+/// surface see through it. Smaller: corners lie farther out of the picture, where f64 edge functions
+/// lose bits.
+pub const NEAR_PLANE_M: f64 = 0.002;
 /// Rows of a band, the unit of parallel work. Fewer rows list triangles more often, more rows
 /// balance worse.
 pub(super) const BAND_ROWS: usize = 32;

@@ -76,21 +76,23 @@ impl Forecast {
         }))
     }
 
-    /// In words.
-    pub fn said(&self) -> String {
+    /// In words, with ways to make it shorter that were not taken yet: whether there are a
+    /// corridor and a time limit already.
+    pub fn said(&self, along: bool, limited: bool) -> String {
         let time = match self.seconds {
             s if s < 100.0 => format!("{s:.0} seconds"),
             s if s < 6000.0 => format!("{:.0} minutes", s / 60.0),
             s => format!("{:.1} hours", s / 3600.0),
         };
-        let more = if self.seconds > LONG_S {
-            format!(
-                "; --time-limit 10m ends earlier with a dataset that works, --budget {} takes fewer and smaller images, --along PATH.json only those of a tour",
-                2 * self.budget
-            )
-        } else {
-            String::new()
-        };
+        let mut more = String::new();
+        if self.seconds > LONG_S {
+            let ways = [
+                (!limited).then(|| "--time-limit 10m ends earlier with a dataset that works".to_owned()),
+                Some(format!("--budget {} takes fewer and smaller images", 2 * self.budget)),
+                (!along).then(|| "--along PATH.json takes only those of a tour".to_owned()),
+            ];
+            more = format!("; {}", ways.into_iter().flatten().collect::<Vec<_>>().join(", "));
+        }
         format!(
             "the images of {} placements will take about {time} and {:.0} MB{more}",
             self.placements,

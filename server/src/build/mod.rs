@@ -599,8 +599,9 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
             };
             let found = Forecast::of(&work, &plan.plans)?;
             if let Some(found) = &found {
-                heard(&found.said());
-                tracing::info!("{}", found.said());
+                let said = found.said(options.along.is_some(), options.time_limit.is_some());
+                heard(&said);
+                tracing::info!("{said}");
             }
             found
         }

@@ -96,7 +96,7 @@ impl State {
         }
         let rate = made as f64 / took.as_secs_f64();
         let left = steps.saturating_sub(*done) as f64 / rate;
-        let before = if *skipped > 0 { format!(" ({skipped} by an earlier build)") } else { String::new() };
+        let before = if *skipped > 0 { format!(" ({skipped} made before)") } else { String::new() };
         format!("{name}: {done} of {steps}{before}, {rate:.2} per second, {left:.0} s left")
     }
 
@@ -105,7 +105,7 @@ impl State {
         let count = match (self.steps, self.skipped) {
             (0, _) => String::new(),
             (steps, 0) => format!(" ({steps})"),
-            (steps, skipped) => format!(" ({steps}, {skipped} of them left by an earlier build)"),
+            (steps, skipped) => format!(" ({steps}, {skipped} of them made before)"),
         };
         let note = self.unsaid.as_ref().map_or_else(String::new, |n| format!("; {n}"));
         format!("{}{count}: {:.1} s{note}", self.name, took.as_secs_f64())
@@ -180,7 +180,7 @@ mod tests {
         let ten_s = Duration::from_secs(10);
         let mut said = String::new();
         progress.with(|s| said = s.progress(ten_s));
-        assert_eq!(said, "clusters: 10 of 20 (5 by an earlier build), 0.50 per second, 20 s left");
+        assert_eq!(said, "clusters: 10 of 20 (5 made before), 0.50 per second, 20 s left");
         progress.stage("clusters", 20);
         progress.note("budget: 8000 of 20000 triangles");
         assert_eq!(summary(), "clusters (20): 1.2 s; budget: 8000 of 20000 triangles");

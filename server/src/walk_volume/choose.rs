@@ -23,6 +23,9 @@ const LEAST_M2: f64 = 1.0;
 const ROUGH: f64 = 1.0;
 /// Smallest region that walking begins again in, m². Smaller: ducts and shelves with a view.
 const LEAST_BEGIN_M2: f64 = 4.0;
+/// Regions smaller than this, m², count less as the first to walk in, by their area: the top of a
+/// wall or a cupboard sees as much as the hall around it.
+const ROOM_M2: f64 = 25.0;
 /// A region below this with a border that falls to a floor just below is the top of furniture, m².
 const FURNITURE_M2: f64 = 8.0;
 /// Share of a border that falls, above which a region is a top: the rest may stand at a wall.
@@ -143,7 +146,8 @@ pub(super) fn choose(
     let mut order: Vec<u32> = (0..all.regions.len() as u32).filter(|r| seen.contains_key(r)).collect();
     // Of regions that see as much, as a street and the plain around it, the one amid it first.
     let amid = |r: u32| seen.get(&r).map_or(0.0, |s| s.sightings as f64 / f64::from(s.eyes.max(1)));
-    let rank = |r: u32| detail(r) as f64 * amid(r);
+    let roomy = |r: u32| (area_m2(all.regions[r as usize].lines, raster) / ROOM_M2).min(1.0);
+    let rank = |r: u32| detail(r) as f64 * amid(r) * roomy(r);
     order.sort_by(|a, b| rank(*b).total_cmp(&rank(*a)).then(a.cmp(b)));
     for r in &order {
         let region = &all.regions[*r as usize];
