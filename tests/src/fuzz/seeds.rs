@@ -428,7 +428,6 @@ pub(super) fn meshopt() -> Vec<Vec<u8>> {
     let sequence = ::meshopt::encode_index_sequence(&[0, 1, 2, 0, 2, 3], 4).expect("encodes");
     vec![
         [&[0, 3, 4, 0][..], &points].concat(),
-        [&[9, 3, 4, 0][..], &points].concat(),
         [&[1, 2, 6, 0][..], &corners].concat(),
         [&[2, 2, 6, 0][..], &sequence].concat(),
     ]
