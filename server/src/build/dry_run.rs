@@ -4,6 +4,7 @@ use super::{BuildError, BuildOptions, Clock, Planned, Progress, RoomFigures, dra
 use crate::octree;
 use crate::pack;
 use crate::placement::{self, AuditReport, AuditSize, ImagePlan, PlacementStatistics};
+use crate::scene::Note;
 use crate::walk_volume::WalkReport;
 use ldi_protocol::index::Index;
 use serde::Serialize;
@@ -23,6 +24,8 @@ pub struct Draft {
     pub walk: WalkReport,
     /// Rooms; None without.
     pub rooms: Option<RoomFigures>,
+    /// What of the scene was left out or changed.
+    pub notes: Vec<Note>,
     /// Seconds per stage.
     pub seconds: Vec<(&'static str, f64)>,
 }
@@ -61,6 +64,8 @@ pub struct DryRun {
     pub walk: WalkReport,
     /// Seconds per stage.
     pub seconds: Vec<(&'static str, f64)>,
+    /// What of the scene was left out or changed.
+    pub skipped: Vec<Note>,
     /// The audit of the plan: triangles counted over the scene, footprints of the images to be.
     pub audit: AuditReport,
 }
@@ -89,6 +94,7 @@ pub fn dry_run(
         megapixels: draft.pixels() / 1e6,
         rooms: draft.rooms,
         walk: draft.walk,
+        skipped: draft.notes,
         seconds,
         audit,
     };
@@ -110,7 +116,8 @@ pub fn draft(options: &BuildOptions, progress: &dyn Progress) -> Result<Draft, B
     let index = draft_index(options, &scene, &settings, &plan, geometry.cells, rooms.as_ref().map(|(r, _)| &r.index));
     let statistics = plan.statistics;
     let rooms = rooms.map(|(r, _)| r.figures);
-    Ok(Draft { index, images, counts, statistics, walk, rooms, seconds: clock.laps })
+    let notes = scene.notes.clone();
+    Ok(Draft { index, images, counts, statistics, walk, rooms, notes, seconds: clock.laps })
 }
 
 #[cfg(test)]
@@ -132,6 +139,7 @@ mod tests {
             statistics: d.statistics.clone(),
             walk: d.walk.clone(),
             rooms: None,
+            notes: vec![],
             seconds: vec![],
         };
         d.audit(AuditSize { random: 500, adversarial: 1_400 })

@@ -167,6 +167,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         }
         let (found, index) = build::dry_run(&options, audit_size(a.poses, a.adversarial), &progress).map_err(failed)?;
         progress.finish();
+        tell_notes(&found.skipped);
         if let Some(file) = &a.plan {
             let path = a.path.as_deref().map(read_walk).transpose()?;
             draw_plan(file, &index, (Some(&found.walk), None, path.as_ref()))?;
@@ -201,6 +202,13 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         built.written.hash
     );
     Ok(())
+}
+
+/// Tells what of a scene was left out or changed on the way in.
+fn tell_notes(notes: &[scene::Note]) {
+    for note in notes {
+        eprintln!("not as in the scene: {} ({})", note.what, note.why);
+    }
 }
 
 /// What is shown beyond portals; refused where the options do not go together.
@@ -401,6 +409,7 @@ fn render(a: &RenderArgs) -> Result<(), Failure> {
     options.check().map_err(Failure::usage)?;
     let walk = read_walk(&a.path)?;
     let scene = scene::load(&a.scene).map_err(|e| Failure::of(e.is_permanent(), e))?;
+    tell_notes(&scene.notes);
     let bounds = scene.bounds();
     let outside = walk.poses.iter().filter(|p| !bounds.contains(p.pose.position)).count();
     if outside > 0 {

@@ -74,7 +74,7 @@ impl SceneError {
 }
 
 /// The same without the file's name, which only the outermost caller knows.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Fault {
     kind: FaultKind,
     place: String,
@@ -128,6 +128,33 @@ impl Fault {
     pub(super) fn or(mut self, remedy: &str) -> Self {
         self.remedy = format!("{}, or {remedy}", self.remedy);
         self
+    }
+
+    /// Whether a limit was passed, so that reading on would pass it again.
+    pub(super) fn is_of_size(&self) -> bool {
+        matches!(self.kind, FaultKind::TooLarge)
+    }
+
+    /// All of several faults as one: the first with its remedy, the others in short. None of none.
+    pub(super) fn together(faults: Vec<Self>) -> Option<Self> {
+        /// Others beyond these are counted.
+        const MOST: usize = 8;
+        let mut all = faults.into_iter();
+        let mut first = all.next()?;
+        let others: Vec<String> = all.map(|f| f.in_short()).collect();
+        if !others.is_empty() {
+            let mut listed = others[..others.len().min(MOST)].join("; ");
+            if others.len() > MOST {
+                listed.push_str(&format!("; and {} more", others.len() - MOST));
+            }
+            first.problem = format!("{} ({} more faults: {listed})", first.problem, others.len());
+        }
+        Some(first)
+    }
+
+    /// Where it is.
+    pub(super) fn place(&self) -> &str {
+        &self.place
     }
 
     /// Place and problem, for a note.

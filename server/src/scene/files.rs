@@ -4,7 +4,14 @@
 //! A scene names other files by URI (glTF) or path (OBJ, PLY). A hostile scene names
 //! `/etc/passwd`, `../../key`, a symbolic link out of its folder, a pipe, or a web address; none
 //! of these is opened. Percent-encoding follows RFC 3986 section 2.1, `data:` URIs RFC 2397.
+//!
+//! Scenes travel from machine to machine, and paths in them do not fit any more. A file that is
+//! not where the path says is looked for inside the folder under other spellings of the path
+//! ([`spellings`]): with the separators and letter case of Windows, without a query, in other code
+//! pages, and by the last parts of a path that leaves the folder. What is found under another name
+//! is noted.
 
+use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Component, Path, PathBuf};
@@ -17,6 +24,9 @@ use ldi_protocol::said::is_lasting;
 
 use super::error::{Fault, SceneError};
 use super::model::Note;
+use super::recognise;
+use super::text;
+use super::unpack::{self, Archive};
 
 /// Padding is optional: exporters disagree about it, and it carries nothing.
 const BASE64: GeneralPurpose = GeneralPurpose::new(
@@ -24,17 +34,26 @@ const BASE64: GeneralPurpose = GeneralPurpose::new(
     GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent),
 );
 
-const INSIDE: &str = "put the file into the scene file's folder and name it by a relative path";
+const INSIDE: &str = "put the file into the scene file's folder, where it is found by its name, or name it by a path \
+                      relative to it";
+/// Entries of a folder among which a name in another letter case is looked for.
+const MOST_ENTRIES: usize = 65_536;
+/// Parts of a path that are tried: longer ones are mistakes.
+const MOST_PARTS: usize = 64;
 
 /// Reads files of one folder until the byte budget is spent.
 #[derive(Debug)]
 pub(super) struct Files {
     folder: PathBuf,
+    /// Where the scene comes out of an archive: its files come first.
+    archive: Option<Archive>,
     bytes_left: u64,
     limit: u64,
     /// See [`super::FileSpec::lenient`].
     pub(super) lenient: bool,
     missed: Vec<String>,
+    faults: Vec<Fault>,
+    elsewhere: Vec<String>,
 }
 
 impl Files {
@@ -49,11 +68,47 @@ impl Files {
         };
         let real = fs::canonicalize(path).map_err(|e| unreadable(&e))?;
         let folder = real.parent().map(Path::to_path_buf).unwrap_or_default();
-        let mut files = Self { folder, bytes_left: limit, limit, lenient: false, missed: Vec::new() };
+        let mut files = Self {
+            folder,
+            archive: None,
+            bytes_left: limit,
+            limit,
+            lenient: false,
+            missed: Vec::new(),
+            faults: Vec::new(),
+            elsewhere: Vec::new(),
+        };
         match files.read_regular(&real, "file") {
             Ok(Ok(bytes)) => Ok((files, bytes)),
             Ok(Err(fault)) => Err(fault.in_file(&path.display().to_string())),
             Err(e) => Err(unreadable(&e)),
+        }
+    }
+
+    /// The scene in a gzip file or zip archive, with its name; other files as they are.
+    pub(super) fn unpacked(&mut self, name: &str, bytes: Vec<u8>) -> Result<(String, Vec<u8>), Fault> {
+        if unpack::is_gzip(&bytes) {
+            let out = unpack::gunzip(&bytes, self.bytes_left)?;
+            self.bytes_left -= out.len() as u64;
+            let lower = name.to_ascii_lowercase();
+            let inner = if lower.ends_with(".gz") { &name[..name.len() - 3] } else { name };
+            return Ok((inner.to_owned(), out));
+        }
+        if !unpack::is_zip(&bytes) {
+            return Ok((name.to_owned(), bytes));
+        }
+        // An archive of one format, whatever else is in it.
+        if name.to_ascii_lowercase().ends_with(".usdz")
+            && let Some(fault) = recognise::foreign(name, &bytes)
+        {
+            return Err(fault);
+        }
+        let (archive, scene) = Archive::open(bytes)?;
+        self.archive = Some(archive);
+        let file = scene.rsplit('/').next().unwrap_or(&scene).to_owned();
+        match self.read_packed(&file) {
+            Some(bytes) => Ok((file, bytes?)),
+            None => Err(Fault::broken("zip archive", format!("{} is listed, but not there", shown(&scene)))),
         }
     }
 
@@ -62,10 +117,12 @@ impl Files {
         if let Some(data) = uri.strip_prefix("data:") {
             return decode_data_uri(data, place);
         }
-        let path = percent_decode(uri.as_bytes())
-            .and_then(|b| String::from_utf8(b).ok())
-            .ok_or_else(|| Fault::invalid(place, format!("URI {} is wrongly percent-encoded", shown(uri)), INSIDE))?;
-        self.read_relative(&path, place)
+        // Many writers do not encode at all, so a percent sign may be one.
+        let path = text::line(&percent_decode_where_it_is(uri.as_bytes())).into_owned();
+        match self.read_relative(&path, place) {
+            Err(_) if path != uri && self.find(uri).is_some() => self.read_relative(uri, place),
+            read => read,
+        }
     }
 
     /// Bytes of the file at a relative path, which must stay inside the folder.
@@ -74,41 +131,128 @@ impl Files {
         if path.is_empty() || path.contains('\0') {
             return Err(refused("is no file name"));
         }
-        // A colon before any slash is a URI scheme (http:, file:) or a drive letter.
+        if is_web_address(path) {
+            let problem = format!("path {} has a scheme other than data:, and nothing is downloaded", shown(path));
+            return Err(Fault::invalid(
+                place,
+                problem,
+                "download the file into the scene file's folder and name it there",
+            ));
+        }
+        for parts in self.archive.as_ref().map(|_| spellings(path)).unwrap_or_default() {
+            let name: Vec<_> = parts.iter().map(|p| p.to_string_lossy()).collect();
+            if let Some(bytes) = self.read_packed(&name.join("/")) {
+                return bytes.map_err(|f| f.within(place));
+            }
+        }
+        let why = match self.inside(path) {
+            Ok(real) => {
+                return self.read_regular(&real, place).map_err(|e| refused(&format!("cannot be read: {e}")))?;
+            }
+            Err(why) => why,
+        };
+        let Some(real) = self.find(path) else { return Err(refused(&why)) };
+        let found = real.strip_prefix(&self.folder).unwrap_or(&real).display().to_string();
+        // Separators alone are no other name.
+        if path.replace('\\', "/").trim_start_matches("./") != found {
+            self.elsewhere.push(format!("{path} as {found}"));
+        }
+        self.read_regular(&real, place).map_err(|e| refused(&format!("cannot be read: {e}")))?
+    }
+
+    /// Whether a file is found under a path or another spelling of it.
+    pub(super) fn has(&self, path: &str) -> bool {
+        let packed = |parts: Vec<OsString>| {
+            let name: Vec<_> = parts.iter().map(|p| p.to_string_lossy()).collect();
+            self.archive.as_ref().is_some_and(|a| a.holds(&name.join("/")))
+        };
+        self.inside(path).is_ok() || self.find(path).is_some() || spellings(path).into_iter().any(packed)
+    }
+
+    /// The real path of a file exactly as named, or why it is not opened.
+    fn inside(&self, path: &str) -> Result<PathBuf, String> {
+        // A colon before any slash is a URI scheme (file:) or a drive letter.
         if path.split('/').next().is_some_and(|first| first.contains(':')) {
-            return Err(refused("has a scheme other than data:"));
+            return Err("has a scheme other than data:".into());
         }
         let relative = Path::new(path);
         if path.starts_with(['/', '\\'])
             || !relative.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir))
         {
-            return Err(refused("leaves the scene file's folder"));
+            return Err("leaves the scene file's folder".into());
         }
-        let real =
-            fs::canonicalize(self.folder.join(relative)).map_err(|e| refused(&format!("cannot be read: {e}")))?;
+        let real = fs::canonicalize(self.folder.join(relative)).map_err(|e| format!("cannot be read: {e}"))?;
         if !real.starts_with(&self.folder) {
-            return Err(refused("is a link that leaves the scene file's folder"));
+            return Err("is a link that leaves the scene file's folder".into());
         }
-        self.read_regular(&real, place).map_err(|e| refused(&format!("cannot be read: {e}")))?
+        Ok(real)
     }
 
-    /// What the scene can be shown without: None where it failed and the scene is to be shown all
-    /// the same.
-    pub(super) fn dispensable<T>(&mut self, found: Result<T, Fault>) -> Result<Option<T>, Fault> {
-        match found {
-            Ok(found) => Ok(Some(found)),
-            Err(fault) if self.lenient => {
-                self.missed.push(fault.in_short());
-                Ok(None)
+    /// The real path of a regular file inside the folder under another spelling of a path.
+    fn find(&self, path: &str) -> Option<PathBuf> {
+        if path.is_empty() || path.contains('\0') || is_web_address(path) {
+            return None;
+        }
+        spellings(path).into_iter().find_map(|parts| {
+            let mut at = self.folder.clone();
+            for part in parts {
+                let exact = at.join(&part);
+                at = if exact.symlink_metadata().is_ok() { exact } else { in_other_case(&at, &part)? };
             }
-            Err(fault) => Err(fault.or("name the scene as FILE?missing=plain to see it without")),
+            let real = fs::canonicalize(at).ok()?;
+            (real.starts_with(&self.folder) && real.is_file()).then_some(real)
+        })
+    }
+
+    fn read_packed(&mut self, name: &str) -> Option<Result<Vec<u8>, Fault>> {
+        let read = self.archive.as_mut()?.read(name, self.bytes_left)?;
+        if let Ok(bytes) = &read {
+            self.bytes_left = self.bytes_left.saturating_sub(bytes.len() as u64);
+        }
+        Some(read)
+    }
+
+    /// What the scene can be shown without, and so need not be read where `needed` is false: None
+    /// where it failed. What is needed and failed is told by [`Self::verdict`], all at once, unless
+    /// the scene is to be shown all the same.
+    pub(super) fn dispensable<T>(&mut self, found: Result<T, Fault>, needed: bool) -> Option<T> {
+        match found {
+            Ok(found) => Some(found),
+            Err(fault) if self.lenient || !needed => {
+                self.missed.push(fault.in_short());
+                None
+            }
+            Err(fault) => {
+                self.faults.push(fault);
+                None
+            }
         }
     }
 
-    /// What [`Self::dispensable`] went without.
-    pub(super) fn missed(&self) -> Option<Note> {
-        let what = format!("{} pictures or material libraries: {}", self.missed.len(), listed(&self.missed));
-        (!self.missed.is_empty()).then(|| Note { what, why: "cannot be read; drawn in plain colours".into() })
+    /// Fails with everything that [`Self::dispensable`] missed, and with `last` where reading ended
+    /// with another fault.
+    pub(super) fn verdict(&mut self, last: Option<Fault>) -> Result<(), Fault> {
+        let mut faults = std::mem::take(&mut self.faults);
+        if !faults.is_empty() {
+            let first = faults.remove(0);
+            faults.insert(0, first.or("name the scene as FILE?missing=plain to see it without"));
+        }
+        faults.extend(last);
+        Fault::together(faults).map_or(Ok(()), Err)
+    }
+
+    /// What was missed, and what was found under another name.
+    pub(super) fn notes(&self) -> Vec<Note> {
+        let mut out = Vec::new();
+        if !self.missed.is_empty() {
+            let what = format!("{} pictures or material libraries: {}", self.missed.len(), listed(&self.missed));
+            out.push(Note { what, why: "cannot be read; drawn in plain colours".into() });
+        }
+        if !self.elsewhere.is_empty() {
+            let what = format!("{} files under other names: {}", self.elsewhere.len(), listed(&self.elsewhere));
+            out.push(Note { what, why: "no file is where the scene says; these lie in its folder".into() });
+        }
+        out
     }
 
     /// Reads a regular file whole. The outer error is the system's, the inner one ours.
@@ -133,6 +277,47 @@ impl Files {
         }
         Ok(Ok(bytes))
     }
+}
+
+/// Whether a path names a file on another machine.
+fn is_web_address(path: &str) -> bool {
+    let scheme = path.split_once(':').map(|(scheme, _)| scheme.to_ascii_lowercase());
+    matches!(scheme.as_deref(), Some("http" | "https" | "ftp" | "blob" | "s3" | "omniverse"))
+}
+
+/// Paths inside the folder, as their parts, that a path in a scene may mean, likeliest first.
+fn spellings(path: &str) -> Vec<Vec<OsString>> {
+    let slashed = path.replace('\\', "/");
+    let mut texts = vec![slashed.clone()];
+    // A query that keeps browsers from caching.
+    texts.extend(slashed.split_once(['?', '#']).map(|(before, _)| before.to_owned()));
+    texts.extend(text::other_spellings(&slashed));
+    let (mut whole, mut ends) = (Vec::new(), Vec::new());
+    for text in &texts {
+        let text = text.strip_prefix("file:").unwrap_or(text);
+        let leaves = text.starts_with('/') || text.contains(':') || text.split('/').any(|p| p == "..");
+        let after_up = text.split('/').rev().take_while(|p| *p != "..").filter(|p| !matches!(*p, "" | "."));
+        let mut parts: Vec<OsString> = after_up.take(MOST_PARTS).map(OsString::from).collect();
+        parts.reverse();
+        if parts.is_empty() {
+            continue;
+        }
+        if !leaves {
+            whole.push(parts.clone());
+        }
+        ends.extend((usize::from(!leaves)..parts.len()).map(|from| parts[from..].to_vec()));
+    }
+    whole.extend(ends);
+    whole
+}
+
+/// The entry of a folder whose name differs in letter case only.
+fn in_other_case(folder: &Path, name: &std::ffi::OsStr) -> Option<PathBuf> {
+    let wanted = name.to_str()?.to_lowercase();
+    let entries = fs::read_dir(folder).ok()?.take(MOST_ENTRIES).flatten();
+    let alike = entries.map(|e| e.file_name()).filter(|n| n.to_str().is_some_and(|n| n.to_lowercase() == wanted));
+    // The order of a folder's entries is not the same everywhere.
+    alike.min().map(|found| folder.join(found))
 }
 
 /// The start of a name from the file, quoted and free of control characters, for messages.
@@ -184,6 +369,25 @@ fn percent_decode(text: &[u8]) -> Option<Vec<u8>> {
     Some(out)
 }
 
+/// [`percent_decode`], with percent signs that start no escape left as they are.
+fn percent_decode_where_it_is(text: &[u8]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(text.len());
+    let mut rest = text;
+    while let Some((&b, after)) = rest.split_first() {
+        match rest.get(..3).filter(|_| b == b'%').and_then(percent_decode) {
+            Some(decoded) => {
+                out.extend(decoded);
+                rest = &rest[3..];
+            }
+            None => {
+                out.push(b);
+                rest = after;
+            }
+        }
+    }
+    out
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -196,6 +400,28 @@ mod tests {
         assert_eq!(percent_decode(b"a%zz"), None);
         // A sign is no hexadecimal digit, though integer parsers take it.
         assert_eq!(percent_decode(b"a%+1"), None);
+    }
+
+    #[test]
+    fn percent_signs_that_start_no_escape_stay() {
+        assert_eq!(percent_decode_where_it_is(b"50%.png"), b"50%.png");
+        assert_eq!(percent_decode_where_it_is(b"a%20b%2"), b"a b%2");
+        assert_eq!(percent_decode_where_it_is(b"%%41"), b"%A");
+    }
+
+    #[test]
+    fn paths_are_looked_for_in_other_spellings() {
+        let of = |path| -> Vec<String> {
+            let joined = |parts: Vec<OsString>| parts.join(std::ffi::OsStr::new("/")).to_string_lossy().into_owned();
+            spellings(path).into_iter().map(joined).collect()
+        };
+        assert_eq!(of("tex\\a.png"), ["tex/a.png", "a.png"]);
+        assert_eq!(of("C:\\me\\a.png"), ["C:/me/a.png", "me/a.png", "a.png"]);
+        assert_eq!(of("../../x/../tex/a.png"), ["tex/a.png", "a.png"]);
+        assert_eq!(of("a.png?v=3"), ["a.png?v=3", "a.png"]);
+        assert_eq!(of("file:///C:/tex/a.png"), ["C:/tex/a.png", "tex/a.png", "a.png"]);
+        assert_eq!((of(".."), of("/")), (vec![], vec![]));
+        assert!(of(&"a/".repeat(100_000)).len() <= 64);
     }
 
     #[test]

@@ -1,9 +1,9 @@
 //! Stage 1: a scene, from a file or built in.
 //!
-//! In: a glTF/GLB, OBJ or PLY file (with `?up=z&unit=mm` where it is not in metres with Y up), or
-//! `builtin:NAME?triangles=N&seed=S`. Out: a [`Scene`]: meshes once, instances as references,
-//! materials and textures, all validated: finite values, indices in range, no cycles. What a later
-//! stage reads here it may trust.
+//! In: a glTF/GLB, OBJ, PLY or STL file, or one of them in a gzip file or zip archive (with
+//! `?up=z&unit=mm` where it is not in metres with Y up), or `builtin:NAME?triangles=N&seed=S`. Out:
+//! a [`Scene`]: meshes once, instances as references, materials and textures, all validated: finite
+//! values, indices in range, no cycles. What a later stage reads here it may trust.
 //!
 //! A scene file is data from a stranger. [`Limits`] bounds what it may ask for, before anything is
 //! allocated; `files` is the only door to the file system; every error names file, place and
@@ -17,13 +17,20 @@ mod files;
 mod from_gltf;
 mod from_obj;
 mod from_ply;
+mod from_stl;
 pub mod glb_write;
+mod guard;
 mod images;
 mod limits;
 mod model;
 mod normals;
 mod origin;
+mod polygons;
+mod recognise;
+mod repair;
 mod spec;
+mod text;
+mod unpack;
 
 use std::path::Path;
 
@@ -36,7 +43,10 @@ pub use spec::{BuiltinSpec, FileSpec, unit_doubt};
 use error::Fault;
 use files::Files;
 
-/// Loads a scene from a `.gltf`, `.glb`, `.obj` or `.ply` file ([`FileSpec`]), or builds
+/// Below this, in linear light, all of a material's colour is dark, and emission shows instead.
+const DARK: f32 = 0.04;
+
+/// Loads a scene from a `.gltf`, `.glb`, `.obj`, `.ply` or `.stl` file ([`FileSpec`]), or builds
 /// `builtin:NAME[?triangles=N&seed=S]`.
 ///
 /// # Errors
@@ -55,32 +65,49 @@ pub fn load_within(spec: &str, limits: &Limits) -> Result<Scene, SceneError> {
     }
     let FileSpec { path, world_from_file, lenient } = FileSpec::parse(spec)?;
     let path = Path::new(&path);
+    let in_file = |fault: Fault| fault.in_file(&path.display().to_string());
     let (mut files, bytes) = Files::open(path, limits.file_bytes)?;
     files.lenient = lenient;
     let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
-    import(&name, &bytes, &mut files, limits)
-        .map(|mut scene| {
-            world_from_file.iter().for_each(|world| scene.transform(world));
-            scene.notes.extend(files.missed());
-            scene
-        })
-        .and_then(|scene| check::world_within(&scene, limits).map(|()| scene))
-        .map_err(|fault| fault.in_file(&path.display().to_string()))
+    let (name, bytes) = files.unpacked(&name, bytes).map_err(in_file)?;
+    let imported = import(&name, &bytes, &mut files, limits);
+    let (scene, fault) = match imported {
+        Ok(scene) => (Some(scene), None),
+        Err(fault) => (None, Some(fault)),
+    };
+    files.verdict(fault).map_err(in_file)?;
+    // Without a scene the verdict is a fault.
+    let mut scene = scene.unwrap_or_default();
+    world_from_file.iter().for_each(|world| scene.transform(world));
+    scene.notes.extend(files.notes());
+    check::world_within(&scene, limits).map_err(in_file)?;
+    Ok(scene)
 }
 
 /// Reads a file by what its first bytes say, else by what its name ends in.
 fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limits) -> Result<Scene, Fault> {
     let extension = name.rsplit_once('.').map(|(_, e)| e.to_ascii_lowercase());
+    if from_gltf::is_glb(bytes) {
+        return from_gltf::import(name, bytes, files, limits);
+    }
+    if from_ply::is_ply(bytes) {
+        return from_ply::import(name, bytes, files, limits);
+    }
+    if let Some(fault) = recognise::foreign(name, bytes) {
+        return Err(fault);
+    }
     match extension.as_deref() {
-        _ if from_gltf::is_glb(bytes) => from_gltf::import(name, bytes, files, limits),
-        _ if from_ply::is_ply(bytes) => from_ply::import(name, bytes, files, limits),
         Some("gltf" | "glb") => from_gltf::import(name, bytes, files, limits),
         Some("obj") => from_obj::import(name, bytes, files, limits),
         Some("ply") => from_ply::import(name, bytes, files, limits),
+        Some("stl") => from_stl::import(name, bytes, limits),
+        _ if recognise::is_gltf_text(bytes) => from_gltf::import(name, bytes, files, limits),
+        _ if from_stl::is_stl(bytes) => from_stl::import(name, bytes, limits),
+        _ if from_obj::is_obj(bytes) => from_obj::import(name, bytes, files, limits),
         _ => Err(Fault::unsupported(
             "file",
             "is no scene format that is read",
-            "convert it to .gltf, .glb, .obj or .ply",
+            "convert it to .gltf, .glb, .obj, .ply or .stl",
         )),
     }
 }

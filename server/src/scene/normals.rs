@@ -56,8 +56,8 @@ pub(super) fn flatten(primitive: &mut Primitive) {
     }
 }
 
-/// Brings stored (finite) normals to unit length; those without a direction become smooth ones.
-/// Returns how many did.
+/// Brings stored normals to unit length; those without a direction, or not finite, become smooth
+/// ones. Returns how many did.
 pub(super) fn repair(primitive: &mut Primitive) -> usize {
     let mut lost = Vec::new();
     for (i, n) in primitive.normals.iter_mut().enumerate() {
@@ -65,7 +65,7 @@ pub(super) fn repair(primitive: &mut Primitive) -> usize {
         if (squared - 1.0).abs() < 1.0e-6 {
             continue;
         }
-        if squared > SHORTEST_SQUARED {
+        if squared > SHORTEST_SQUARED && n.is_finite() {
             *n = unit(n.as_dvec3());
         } else {
             lost.push(i);

@@ -14,6 +14,8 @@ pub use targets::tidy;
 #[path = "../../../server/src/scene/tests/gltf_file.rs"]
 #[allow(dead_code, reason = "shared with the server's tests, which use the rest")]
 mod gltf_file;
+#[path = "../../../server/src/scene/tests/picture_files.rs"]
+mod picture_files;
 #[path = "../../../client/src/cache/fixture.rs"]
 #[allow(dead_code, missing_docs, reason = "shared with the client's tests, which use the rest")]
 pub mod street;
@@ -56,12 +58,20 @@ const CHUNK: usize = 1 << 30;
 /// whole. With the stored pages it stays below 700 MB.
 const PAGES: usize = 600 << 20;
 
+/// Memory of geometry decoders: they may give 16 MiB whatever they get, held twice meanwhile, and
+/// what they need for it.
+const GEOMETRY: usize = 512 << 20;
+/// Memory of picture decoders: several floats for each channel of a million pixels.
+const PICTURE: usize = 128 << 20;
+/// Memory of archives: 16 MiB come out of any, and grow into a list of twice that.
+const UNPACKED: usize = 128 << 20;
+
 const fn target(name: &'static str, seeds: fn() -> Vec<Vec<u8>>, run: fn(&[u8]) -> bool, most_bytes: usize) -> Target {
     Target { name, seeds, run, most_bytes }
 }
 
 /// All targets.
-pub static TARGETS: [Target; 24] = [
+pub static TARGETS: [Target; 29] = [
     target("ldi_first", seeds::ldi_first, targets::ldi_first, CHUNK),
     target("ldi_deeper", seeds::ldi_deeper, targets::ldi_deeper, CHUNK),
     target("cell", seeds::cell, targets::cell, CHUNK),
@@ -84,6 +94,11 @@ pub static TARGETS: [Target; 24] = [
     target("obj", seeds::obj, targets::obj, SMALL),
     target("mtl", seeds::mtl, targets::mtl, SMALL),
     target("ply", seeds::ply, targets::ply, SMALL),
+    target("stl", seeds::stl, targets::stl, SMALL),
+    target("draco", seeds::draco, targets::draco, GEOMETRY),
+    target("meshopt", seeds::meshopt, targets::meshopt, GEOMETRY),
+    target("picture", seeds::picture, targets::picture, PICTURE),
+    target("packed", seeds::packed, targets::packed, UNPACKED),
     target("known_hosts", seeds::known_hosts, targets::known_hosts, SMALL),
     target("serve_config", seeds::serve_config, targets::serve_config, SMALL),
 ];

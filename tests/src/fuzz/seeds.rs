@@ -398,6 +398,85 @@ pub(super) fn ply() -> Vec<Vec<u8>> {
     vec![ascii.into_bytes(), binary]
 }
 
+pub(super) fn stl() -> Vec<Vec<u8>> {
+    let text = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n";
+    let mut binary = vec![b' '; 80];
+    binary.extend(2u32.to_le_bytes());
+    for z in [0f32, 1.0] {
+        binary.extend([0; 12]);
+        binary
+            .extend([[0.0, 0.0, z], [1.0, 0.0, z], [0.0, 1.0, z]].as_flattened().iter().flat_map(|x| x.to_le_bytes()));
+        binary.extend([0; 2]);
+    }
+    vec![text.into(), binary]
+}
+
+/// A square of positions, normals and texture coordinates by the EdgeBreaker method.
+pub(super) fn draco() -> Vec<Vec<u8>> {
+    use base64::{Engine as _, engine::general_purpose::STANDARD};
+    let square = "RFJBQ08CAgEBAAAABAICAgAAAR//ARH/ARH/ARED/wAAAAAAAQAAAQAJAwAAAgEBCQMAAQMBAwkCAAICAQEBAAMDATABEAMAKIKY\
+                  AAAAAAD/BwAAAACAvwAAgL8AAAAAAAAAQAsGAwEBAQEBQAEA/wAAAH8AAAD/AkRACAUBAQADAwEwARADACSCJgACAAAAAQEgAAAA\
+                  AP8DAAAAAAAAAAAAAAAAgD8K";
+    vec![STANDARD.decode(square).expect("is base64")]
+}
+
+/// Positions of the square, and its indices, each after how it is coded.
+pub(super) fn meshopt() -> Vec<Vec<u8>> {
+    let points = [[0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]];
+    let points = ::meshopt::encode_vertex_buffer(&points).expect("encodes");
+    let corners = ::meshopt::encode_index_buffer(&[0, 1, 2, 0, 2, 3], 4).expect("encodes");
+    let sequence = ::meshopt::encode_index_sequence(&[0, 1, 2, 0, 2, 3], 4).expect("encodes");
+    vec![
+        [&[0, 3, 4, 0][..], &points].concat(),
+        [&[1, 2, 6, 0][..], &corners].concat(),
+        [&[2, 2, 6, 0][..], &sequence].concat(),
+    ]
+}
+
+pub(super) fn picture() -> Vec<Vec<u8>> {
+    let mut all: Vec<Vec<u8>> = super::picture_files::pictures().into_iter().map(|(_, bytes)| bytes).collect();
+    all.push(super::gltf_file::png());
+    all
+}
+
+/// The first scene of OBJ in a gzip file without compression, and in a zip archive.
+pub(super) fn packed() -> Vec<Vec<u8>> {
+    let text = obj().remove(0);
+    let mut crc = u32::MAX;
+    for byte in &text {
+        crc ^= u32::from(*byte);
+        for _ in 0..8 {
+            crc = if crc & 1 == 1 { (crc >> 1) ^ 0xedb8_8320 } else { crc >> 1 };
+        }
+    }
+    let (crc, length) = (!crc, text.len() as u32);
+    let mut gzip = vec![0x1f, 0x8b, 8, 0, 0, 0, 0, 0, 0, 0xff, 1];
+    gzip.extend((length as u16).to_le_bytes());
+    gzip.extend((!(length as u16)).to_le_bytes());
+    gzip.extend(&text);
+    gzip.extend([crc, length].map(u32::to_le_bytes).as_flattened());
+    // Version, flags, method, time and date, checksum, sizes, lengths of the name and of more.
+    let fields = |out: &mut Vec<u8>| {
+        out.extend([20, 0, 0, 0, 0, 0, 0, 0, 33, 0]);
+        out.extend([crc, length, length].map(u32::to_le_bytes).as_flattened());
+        out.extend([5, 0, 0, 0]);
+    };
+    let mut zip = b"PK\x03\x04".to_vec();
+    fields(&mut zip);
+    zip.extend(b"a.obj");
+    zip.extend(&text);
+    let directory = zip.len() as u32;
+    zip.extend(b"PK\x01\x02\x14\0");
+    fields(&mut zip);
+    zip.extend([0; 14]);
+    zip.extend(b"a.obj");
+    let size = zip.len() as u32 - directory;
+    zip.extend(b"PK\x05\x06\0\0\0\0\x01\0\x01\0");
+    zip.extend([size, directory].map(u32::to_le_bytes).as_flattened());
+    zip.extend([0; 2]);
+    vec![gzip, zip]
+}
+
 pub(super) fn known_hosts() -> Vec<Vec<u8>> {
     let print = "0123456789abcdef".repeat(4);
     vec![format!("# servers\n\nmuseum:4433 {print}\n[::1]:9   {print}\nhall:1 {print}").into_bytes()]

@@ -1,6 +1,9 @@
 //! The functions of [`super::TARGETS`].
 
-use super::seeds::{FIRST_IMAGE, PAGES_ROOT, ROOMS};
+use super::{
+    gltf_file::GltfFile,
+    seeds::{FIRST_IMAGE, PAGES_ROOT, ROOMS},
+};
 use ldi_client::stream::{Fingerprint, KnownHosts};
 use ldi_protocol::{
     codec::{self, ColourMode},
@@ -216,6 +219,60 @@ pub(super) fn obj(bytes: &[u8]) -> bool {
 }
 pub(super) fn ply(bytes: &[u8]) -> bool {
     loads(&file("scene.ply", bytes))
+}
+
+pub(super) fn stl(bytes: &[u8]) -> bool {
+    loads(&file("scene.stl", bytes))
+}
+/// A scene in a gzip file or zip archive, told apart by its first bytes.
+pub(super) fn packed(bytes: &[u8]) -> bool {
+    loads(&file("scene.obj.gz", bytes))
+}
+
+/// A square whose file has these bytes besides and members changed.
+fn square_with(bytes: &[u8], members: impl FnOnce(&mut serde_json::Value, u64)) -> bool {
+    let (mut square, view) = GltfFile::square().append(bytes);
+    members(&mut square.json, view as u64);
+    loads(&file("scene.glb", &square.glb()))
+}
+
+/// A Draco stream that holds the primitive.
+pub(super) fn draco(bytes: &[u8]) -> bool {
+    square_with(bytes, |json, view| {
+        let attributes = serde_json::json!({ "POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2 });
+        let draco = serde_json::json!({ "bufferView": view, "attributes": attributes });
+        let primitive = &mut json["meshes"][0]["primitives"][0];
+        primitive["attributes"] = serde_json::json!({ "POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2 });
+        primitive["extensions"] = serde_json::json!({ "KHR_draco_mesh_compression": draco });
+        json["accessors"][0].as_object_mut().expect("an object").remove("bufferView");
+    })
+}
+
+/// Mode and filter (one byte), stride in words (one byte), count (two bytes), then the stream of a
+/// view, which holds the positions and, as far as it fits, the indices.
+pub(super) fn meshopt(bytes: &[u8]) -> bool {
+    let Some((&[kind, stride, low, high], stream)) = bytes.split_first_chunk() else { return false };
+    square_with(stream, |json, view| {
+        let mode = ["ATTRIBUTES", "TRIANGLES", "INDICES"][usize::from(kind % 3)];
+        let filter = ["NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR"][usize::from(kind / 3 % 5)];
+        let count = u16::from_le_bytes([low, high]);
+        let stride = if mode == "ATTRIBUTES" { 4 * u32::from(stride) } else { u32::from(stride) };
+        let offset = json["bufferViews"][view as usize]["byteOffset"].clone();
+        let of = serde_json::json!({
+            "buffer": 0, "byteOffset": offset, "byteLength": stream.len(), "byteStride": stride,
+            "count": count, "mode": mode, "filter": filter
+        });
+        let length = u32::from(count) * stride;
+        let extensions = serde_json::json!({ "EXT_meshopt_compression": of });
+        let at = if mode == "ATTRIBUTES" { 0 } else { 4 };
+        json["bufferViews"][at] = serde_json::json!({ "buffer": 1, "byteLength": length, "extensions": extensions });
+        json["buffers"].as_array_mut().expect("a list").push(serde_json::json!({ "byteLength": length }));
+    })
+}
+
+/// A picture that the square shows.
+pub(super) fn picture(bytes: &[u8]) -> bool {
+    square_with(bytes, |json, view| json["images"][0] = serde_json::json!({ "bufferView": view }))
 }
 
 /// Materials of an OBJ file that is as it should be.

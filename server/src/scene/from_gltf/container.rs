@@ -4,10 +4,12 @@
 use std::borrow::Cow;
 
 use gltf::json::Root;
-use serde::Deserialize;
 
-use super::super::error::{Fault, RE_EXPORT};
+use super::super::error::Fault;
 use super::super::limits::Limits;
+use super::super::model::Note;
+use super::extensions::{self, Additions};
+use super::json_repair::repaired;
 
 const MAGIC: &[u8] = b"glTF";
 const HEADER_BYTES: usize = 12;
@@ -39,6 +41,9 @@ pub(super) fn split(bytes: &[u8]) -> Result<Parts<'_>, Fault> {
         };
     }
     let fault = |problem: String| Fault::invalid("GLB header", problem, "copy or export the file again, whole");
+    if bytes.get(4..8) == Some(&[1, 0, 0, 0]) {
+        return Err(Fault::unsupported("GLB header", "it is glTF 1.0 (version 1), which is not read", OLD));
+    }
     // The parser subtracts the header's size from this length without looking.
     let length = bytes.get(8..HEADER_BYTES).and_then(|b| b.try_into().ok()).map(u32::from_le_bytes);
     let length =
@@ -51,65 +56,56 @@ pub(super) fn split(bytes: &[u8]) -> Result<Parts<'_>, Fault> {
     Ok(Parts { json: glb.json, bin: glb.bin })
 }
 
-/// Node placements as the file writes them: the parser keeps f32, which is 3 cm at 500 km
-/// (geographic coordinates).
-#[derive(Debug, Clone, Default, Deserialize)]
-pub(super) struct NodeTransform {
-    /// 4 x 4, column-major.
-    pub(super) matrix: Option<[f64; 16]>,
-    /// Metres.
-    pub(super) translation: Option<[f64; 3]>,
-    /// Quaternion x, y, z, w.
-    pub(super) rotation: Option<[f64; 4]>,
-    /// Factors.
-    pub(super) scale: Option<[f64; 3]>,
-}
+const OLD: &str = "convert it, for example by gltf-pipeline 3 (`gltf-pipeline -i FILE -o FILE.glb`), or export it \
+                   again as glTF 2.0";
 
-#[derive(Deserialize)]
-struct Transforms {
-    #[serde(default)]
-    nodes: Vec<NodeTransform>,
-}
-
-/// Parses the JSON part, twice: once by the parser crate, once for placements in f64. Nothing in
+/// Parses the JSON part, twice: once by the parser crate, once for what that leaves out. Nothing in
 /// it is trusted yet.
-pub(super) fn parse(json: &[u8], limits: &Limits) -> Result<(Root, Vec<NodeTransform>), Fault> {
+pub(super) fn parse(json: &[u8], limits: &Limits, notes: &mut Vec<Note>) -> Result<(Root, Additions), Fault> {
+    // Padding of zeros, where the format asks for spaces.
+    let end = json.iter().rposition(|b| *b != 0 && *b != b' ').map_or(0, |last| last + 1);
     if json.len() as u64 > limits.json_bytes {
         return Err(Fault::too_large("JSON", "bytes", json.len(), limits.json_bytes));
     }
+    let json = &json[..end];
     let objects = json.iter().filter(|&&b| b == b'{').count() as u64;
     if objects > limits.json_objects {
         return Err(Fault::too_large("JSON", "objects", objects, limits.json_objects));
     }
-    let fault =
-        |e: gltf::json::Error| Fault::broken(format!("JSON, line {}, column {}", e.line(), e.column()), e.to_string());
-    let root: Root = gltf::json::deserialize::from_slice(json).map_err(fault)?;
-    let transforms: Transforms = serde_json::from_slice(json).map_err(fault)?;
+    let read = |json: &[u8]| -> Result<(Root, Additions), gltf::json::Error> {
+        Ok((gltf::json::deserialize::from_slice(json)?, serde_json::from_slice(json)?))
+    };
+    let (root, additions) = match read(json) {
+        Ok(read) => read,
+        Err(fault) => match repaired(json).map(|text| read(&text)) {
+            Some(Ok(read)) => {
+                let what = format!("JSON that is no valid glTF (line {}: {fault})", fault.line());
+                notes.push(Note { what, why: "read as its writer means it".into() });
+                read
+            }
+            _ if is_old(json) => return Err(Fault::unsupported("asset", "it is glTF 1.0, which is not read", OLD)),
+            _ => {
+                let place = format!("JSON, line {}, column {}", fault.line(), fault.column());
+                return Err(Fault::broken(place, fault.to_string()));
+            }
+        },
+    };
     let version = &root.asset.version;
     if !version.starts_with("2.") {
         let problem = format!("glTF version {} is not read", super::super::files::shown(version));
-        return Err(Fault::unsupported("asset", problem, "export as glTF 2.0"));
+        return Err(Fault::unsupported("asset", problem, OLD));
     }
-    check_extensions(&root)?;
-    Ok((root, transforms.nodes))
+    extensions::check(&root, notes)?;
+    Ok((root, additions))
 }
 
-/// Extensions that a file may require of us.
-const KNOWN_EXTENSIONS: [&str; 3] = ["KHR_materials_unlit", "KHR_mesh_quantization", "KHR_texture_transform"];
-
-fn check_extensions(root: &Root) -> Result<(), Fault> {
-    match root.extensions_required.iter().find(|e| !KNOWN_EXTENSIONS.contains(&e.as_str())) {
-        None => Ok(()),
-        Some(unknown) => {
-            let problem = format!("the file requires {}, which is not read", super::super::files::shown(unknown));
-            let remedy = format!("export without it (no compression of meshes or textures); {RE_EXPORT}");
-            Err(Fault::unsupported("extensionsRequired", problem, remedy))
-        }
+/// Whether a document is one of glTF 1.0, whose lists are objects.
+fn is_old(json: &[u8]) -> bool {
+    #[derive(serde::Deserialize)]
+    struct Head {
+        asset: Option<serde_json::Value>,
     }
-}
-
-/// Extensions that the file uses without requiring them and that are not read.
-pub(super) fn ignored_extensions(root: &Root) -> Vec<String> {
-    let unknown = |e: &&String| !KNOWN_EXTENSIONS.contains(&e.as_str());
-    root.extensions_used.iter().filter(unknown).cloned().collect()
+    let asset = serde_json::from_slice::<Head>(json).ok().and_then(|head| head.asset);
+    let version = asset.and_then(|a| a.get("version").cloned());
+    version.is_some_and(|v| v.to_string().trim_matches('"').starts_with("1"))
 }

@@ -14,12 +14,28 @@ pub(super) struct Body<'a> {
     /// For messages: line of an ASCII file, offset in a binary one.
     line: usize,
     length: usize,
+    line_end: u8,
+    /// Whether each element has a line, so that words beyond its properties may be skipped.
+    by_lines: bool,
+    /// Elements with words beyond their properties.
+    pub(super) with_more_words: usize,
 }
 
 impl<'a> Body<'a> {
     /// The bytes after the header.
     pub(super) fn new(file: &'a [u8], header: &Header) -> Self {
-        Self { coding: header.coding, rest: &file[header.bytes..], line: header.lines + 1, length: file.len() }
+        let rest = &file[header.bytes..];
+        let elements = header.elements.iter().fold(0u64, |n, e| n.saturating_add(e.count));
+        let lines = || rest.split(|&b| b == header.line_end).filter(|l| !l.trim_ascii().is_empty()).count() as u64;
+        Self {
+            coding: header.coding,
+            rest,
+            line: header.lines + 1,
+            length: file.len(),
+            line_end: header.line_end,
+            by_lines: header.coding == Coding::Ascii && lines() >= elements,
+            with_more_words: 0,
+        }
     }
 
     /// A fault here.
@@ -87,7 +103,7 @@ impl<'a> Body<'a> {
 
     fn word(&mut self, kind: Type) -> Result<f64, Fault> {
         let start = self.rest.iter().position(|b| !b.is_ascii_whitespace()).unwrap_or(self.rest.len());
-        self.line += self.rest[..start].iter().filter(|&&b| b == b'\n').count();
+        self.line += self.rest[..start].iter().filter(|&&b| b == self.line_end).count();
         self.rest = &self.rest[start..];
         let end = self.rest.iter().position(u8::is_ascii_whitespace).unwrap_or(self.rest.len());
         let (word, rest) = self.rest.split_at(end);
@@ -101,6 +117,16 @@ impl<'a> Body<'a> {
         }
         self.rest = rest;
         Ok(number)
+    }
+
+    /// Called after each element: skips words beyond its properties on its line.
+    pub(super) fn end_element(&mut self) {
+        if !self.by_lines {
+            return;
+        }
+        let end = self.rest.iter().position(|&b| b == self.line_end).unwrap_or(self.rest.len());
+        self.with_more_words += usize::from(!self.rest[..end].trim_ascii().is_empty());
+        self.rest = &self.rest[end..];
     }
 
     /// The length of the list that comes next.
@@ -126,6 +152,7 @@ impl<'a> Body<'a> {
                     self.number(p.item)?;
                 }
             }
+            self.end_element();
         }
         Ok(())
     }

@@ -3,6 +3,7 @@
 use super::super::error::Fault;
 use super::super::files::shown;
 use super::super::limits::Limits;
+use super::super::text;
 
 /// How the body is coded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -111,10 +112,14 @@ pub(super) struct Header {
     pub(super) elements: Vec<Element>,
     /// `comment TextureFile`, as point cloud tools write it; faces may name them by number.
     pub(super) textures: Vec<String>,
+    /// Comments that name a texture and say no name.
+    pub(super) unnamed_textures: usize,
     /// Bytes of the header.
     pub(super) bytes: usize,
     /// Lines of the header.
     pub(super) lines: usize,
+    /// What ends a line: a line feed, or as on old Macs a carriage return alone.
+    pub(super) line_end: u8,
 }
 
 const REMEDY: &str = "export the file again";
@@ -125,13 +130,17 @@ pub(super) fn parse(bytes: &[u8], limits: &Limits) -> Result<Header, Fault> {
         return Err(Fault::invalid("line 1", "the file does not start with the word ply", REMEDY));
     }
     let window = &bytes[..bytes.len().min(limits.ply_header_bytes as usize)];
-    let mut out = Header { coding: Coding::Ascii, elements: Vec::new(), textures: Vec::new(), bytes: 0, lines: 0 };
+    let first_end = bytes.iter().position(|b| matches!(b, b'\r' | b'\n')).unwrap_or(0);
+    let line_end =
+        if bytes[first_end..].starts_with(b"\r") && bytes.get(first_end + 1) != Some(&b'\n') { b'\r' } else { b'\n' };
+    let (coding, elements, textures) = (Coding::Ascii, Vec::new(), Vec::new());
+    let mut out = Header { coding, elements, textures, unnamed_textures: 0, bytes: 0, lines: 0, line_end };
     let mut coding = None;
-    for raw in window.split_inclusive(|&b| b == b'\n').filter(|line| line.ends_with(b"\n")) {
+    for raw in window.split_inclusive(|&b| b == line_end).filter(|line| line.ends_with(&[line_end])) {
         out.bytes += raw.len();
         out.lines += 1;
         let fault = |problem: String| Fault::invalid(format!("line {}", out.lines), problem, REMEDY);
-        let text = String::from_utf8_lossy(raw);
+        let text = text::line(raw);
         let words: Vec<&str> = text.split_whitespace().collect();
         match words[..] {
             ["ply"] if out.lines == 1 => {}
@@ -144,8 +153,12 @@ pub(super) fn parse(bytes: &[u8], limits: &Limits) -> Result<Header, Fault> {
                     _ => return Err(fault(format!("format {} is not known", shown(name)))),
                 });
             }
-            ["comment", "TextureFile", ..] => {
-                out.textures.extend(text.split_once("TextureFile").map(|(_, path)| path.trim().to_owned()));
+            ["comment", word, ..] if word.eq_ignore_ascii_case("TextureFile") => {
+                let path = text.split_once(word).map_or("", |(_, path)| text::unquoted(path));
+                match path.is_empty() {
+                    true => out.unnamed_textures += 1,
+                    false => out.textures.push(path.to_owned()),
+                }
             }
             ["comment", ..] | ["obj_info", ..] | [] => {}
             ["element", name, count] => {

@@ -5,7 +5,7 @@ use std::os::unix::net::UnixListener;
 
 use serde_json::{Value, json};
 
-use super::gltf_file::{COLOURS_AT, GltfFile, INDICES_AT, NORMALS_AT, POSITIONS_AT, UVS_AT, glb};
+use super::gltf_file::{COLOURS_AT, GltfFile, INDICES_AT, POSITIONS_AT, glb};
 use super::hostile::Case;
 
 /// All of them.
@@ -87,7 +87,6 @@ fn documents() -> Vec<Case> {
         text("extras nested deep", "JSON", || {
             format!("{{\"asset\":{{\"version\":\"2.0\"}},\"x\":{}", "{\"x\":".repeat(100_000)).into_bytes()
         }),
-        text("key twice", "duplicate", || b"{\"asset\":{\"version\":\"2.0\"},\"nodes\":[],\"nodes\":[]}".to_vec()),
         text("number too large", "JSON", move || square().replacen("\"count\":4", "\"count\":1e999", 1).into_bytes()),
         text("count of 2 to the 64", "JSON", move || {
             square().replacen("\"count\":4", "\"count\":18446744073709551616", 1).into_bytes()
@@ -97,12 +96,7 @@ fn documents() -> Vec<Case> {
         value("asset version 20", "version", "/asset/version", json!("20.0")),
         value("asset version missing", "version", "/asset", json!({})),
         value("nothing but an asset", "no triangles", "/scenes/0/nodes", json!([])),
-        value(
-            "Draco required",
-            "KHR_draco_mesh_compression",
-            "/extensionsRequired",
-            json!(["KHR_draco_mesh_compression"]),
-        ),
+        value("splats required", "KHR_gaussian_splatting", "/extensionsRequired", json!(["KHR_gaussian_splatting"])),
         value("extension name with escapes", "extensionsRequired", "/extensionsRequired", json!(["\u{1b}[31m\u{7}"])),
         value(
             "extension name of a megabyte",
@@ -156,8 +150,8 @@ fn buffers() -> Vec<Case> {
         uri("URI is missing", "cannot be read", "nowhere.bin"),
         uri("URI is empty", "no file name", ""),
         uri("URI is the folder", "regular file", "."),
-        uri("URI is cut within an escape", "percent", "x%2"),
-        uri("URI holds no text", "percent", "%ff%fe"),
+        uri("URI is cut within an escape", "cannot be read", "x%2"),
+        uri("URI holds no text", "cannot be read", "%ff%fe"),
         uri("URI holds a zero byte", "no file name", "x%00.bin"),
         uri("data URI without comma", "comma", "data:application/octet-stream"),
         uri("data URI is not base64", "base64", "data:;base64,@@@@"),
@@ -180,7 +174,9 @@ fn buffers() -> Vec<Case> {
         Case::new("scene is missing", "cannot be read", |f| f.path().join("none.glb").display().to_string()),
         value("buffer longer than the BIN chunk", "byteLength", "/buffers/0/byteLength", json!(1_000_000)),
         value("buffer of 2 to the 63", "byteLength", "/buffers/0/byteLength", json!(1u64 << 63)),
-        file("second buffer without URI", "no uri", |f| f.push("/buffers", json!({"byteLength": 4}))),
+        file("view of a second buffer without URI", "no uri", |f| {
+            f.push("/buffers", json!({"byteLength": 400})).with("/bufferViews/0/buffer", json!(1))
+        }),
         value("buffer shorter than its views", "leave buffer", "/buffers/0/byteLength", json!(64)),
     ]
 }
@@ -194,7 +190,6 @@ fn accessors() -> Vec<Case> {
         value("view beyond its buffer", "leave buffer", "/bufferViews/0/byteLength", json!(100_000)),
         value("view of 2 to the 64", "leave buffer", "/bufferViews/0/byteLength", json!(u64::MAX)),
         value("view offset overflows", "leave buffer", "/bufferViews/0/byteOffset", json!(u64::MAX - 8)),
-        value("stride of zero", "byteStride 0", "/bufferViews/0/byteStride", json!(0)),
         value("stride below the element", "overlap", "/bufferViews/0/byteStride", json!(8)),
         value("stride beyond the view", "leave bufferView", "/bufferViews/0/byteStride", json!(252)),
         value("stride of 2 to the 63", "leave bufferView", "/bufferViews/0/byteStride", json!(1u64 << 63)),
@@ -218,17 +213,22 @@ fn accessors() -> Vec<Case> {
         value("fewer normals than positions", "3 elements", "/accessors/1/count", json!(3)),
         value("fewer texture coordinates", "1 elements", "/accessors/2/count", json!(1)),
         value(
-            "accessor without values",
-            "neither",
+            "four billion zeros",
+            "at most",
             "/accessors/0",
-            json!({"componentType": 5126, "count": 4, "type": "VEC3"}),
+            json!({"componentType": 5126, "count": 4_000_000_000u64, "type": "VEC3"}),
+        ),
+        value(
+            "sixty million zeros",
+            "without bytes",
+            "/accessors/0",
+            json!({"componentType": 5126, "count": 60_000_000, "type": "VEC3"}),
         ),
         value("no such positions", "accessor 99", "/meshes/0/primitives/0/attributes/POSITION", json!(99)),
         value("no such normals", "accessor 99", "/meshes/0/primitives/0/attributes/NORMAL", json!(99)),
         value("no such indices", "accessor 99", "/meshes/0/primitives/0/indices", json!(99)),
         value("mode unknown", "mode", "/meshes/0/primitives/0/mode", json!(9)),
-        value("four indices for a list", "whole number", "/accessors/4/count", json!(4)),
-        file("two indices for a strip", "too few", |f| {
+        file("two indices for a strip", "no triangles", |f| {
             f.with("/accessors/4/count", json!(2)).with("/meshes/0/primitives/0/mode", json!(5))
         }),
         sparse("sparse replaces too many", "replaces 5 of 4", patch(5, 0, 5123, 0)),
@@ -262,20 +262,8 @@ fn values() -> Vec<Case> {
     let float = |name, says, at: usize, value: f32| file(name, says, move |f| f.patch(at, &value.to_le_bytes()));
     let index = |name, says, value: u16| file(name, says, move |f| f.patch(INDICES_AT + 4, &value.to_le_bytes()));
     vec![
-        float("position NaN", "accessor 0, element 1", POSITIONS_AT + 16, f32::NAN),
-        float("position infinite", "accessor 0, element 3", POSITIONS_AT + 44, f32::INFINITY),
-        float("normal NaN", "accessor 1, element 0", NORMALS_AT, f32::NAN),
-        float("normal infinite", "accessor 1, element 2", NORMALS_AT + 24, f32::NEG_INFINITY),
-        float("texture coordinate NaN", "accessor 2, element 3", UVS_AT + 28, f32::NAN),
-        file("colour NaN", "accessor 3, element 0", |f| {
-            let (f, view) = f.append(&[0xff; 64]);
-            f.with("/accessors/3", json!({"bufferView": view, "componentType": 5126, "count": 4, "type": "VEC4"}))
-        }),
-        file("sparse value NaN", "accessor 0, element 2", |f| {
-            let (f, view) = f.append(&[0xff; 12]);
-            let indices = json!({"bufferView": 4, "byteOffset": 4, "componentType": 5123});
-            f.with("/accessors/0/sparse", json!({"count": 1, "indices": indices, "values": {"bufferView": view}}))
-        }),
+        file("positions NaN", "finite", |f| f.patch(POSITIONS_AT, &[0xff; 48])),
+        file("position NaN in both triangles", "finite", |f| f.patch(POSITIONS_AT, &f32::NAN.to_le_bytes())),
         float("position far beyond the world", "origin", POSITIONS_AT, 1e30),
         index("index one too large", "accessor 4, element 2", 4),
         index("index is the restart value", "vertex 65535", u16::MAX),
@@ -300,7 +288,7 @@ fn nodes() -> Vec<Case> {
             "ancestor",
             json!([{"mesh": 0}, {"children": [2]}, {"children": [1]}]),
         ),
-        nodes("root in a ring", "child of", json!([{"mesh": 0, "children": [1]}, {"children": [0]}])),
+        nodes("root in a ring", "ancestor", json!([{"mesh": 0, "children": [1]}, {"children": [0]}])),
         nodes("node with two parents", "two parents", json!([{"children": [1, 2]}, {"children": [2]}, {"mesh": 0}])),
         nodes("child listed twice", "two parents", json!([{"children": [1, 1]}, {"mesh": 0}])),
         nodes("child out of range", "child 9", json!([{"mesh": 0, "children": [9]}])),
@@ -318,7 +306,6 @@ fn nodes() -> Vec<Case> {
         }),
         value("scene out of range", "scene 3", "/scene", json!(3)),
         value("scene lists a missing node", "node 4", "/scenes/0/nodes", json!([4])),
-        value("scene lists a node twice", "twice", "/scenes/0/nodes", json!([0, 0])),
         nodes(
             "matrix with perspective",
             "last row",
@@ -329,8 +316,6 @@ fn nodes() -> Vec<Case> {
             "JSON",
             json!([{"mesh": 0, "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0]}]),
         ),
-        nodes("rotation of length zero", "quaternion", json!([{"mesh": 0, "rotation": [0, 0, 0, 0]}])),
-        nodes("rotation of length ten", "quaternion", json!([{"mesh": 0, "rotation": [0, 0, 0, 10]}])),
         nodes("translation out of the world", "origin", json!([{"mesh": 0, "translation": [1e30, 0, 0]}])),
         nodes("scale out of the world", "origin", json!([{"mesh": 0, "scale": [1e30, 1e30, 1e30]}])),
         nodes("scale to nothing", "no triangles", json!([{"mesh": 0, "scale": [0, 0, 0]}])),

@@ -17,12 +17,7 @@ fn looks() -> Vec<Case> {
     vec![
         value("texture out of range", "texture 5", texture, json!({"index": 5})),
         value("image out of range", "texture 0", "/textures/0/source", json!(5)),
-        value("texture without image", "PNG or JPEG", "/textures/0", json!({})),
         value("sampler out of range", "sampler 5", "/textures/0/sampler", json!(5)),
-        value("wrap mode unknown", "wrap mode", "/samplers/0/wrapS", json!(1)),
-        value("alpha mode unknown", "alphaMode", "/materials/0/alphaMode", json!("GLASS")),
-        value("alpha cutoff negative", "alphaCutoff", "/materials/0/alphaCutoff", json!(-1)),
-        value("colour factor above one", "baseColorFactor", factor, json!([2, 0, 0, 1])),
         value("colour factor beyond f32", "JSON", factor, json!([1e39, 0, 0, 1])),
         value("colour factor of three", "JSON", factor, json!([1, 1, 1])),
         value(
@@ -30,12 +25,6 @@ fn looks() -> Vec<Case> {
             "JSON",
             texture,
             json!({"index": 0, "extensions": {"KHR_texture_transform": {"scale": [1e39, 1]}}}),
-        ),
-        value(
-            "texture transform overflows",
-            "f32",
-            texture,
-            json!({"index": 0, "extensions": {"KHR_texture_transform": {"scale": [3e38, 1], "offset": [3e38, 0]}}}),
         ),
     ]
 }
@@ -65,8 +54,8 @@ fn pictures() -> Vec<Case> {
     let image = |name, says, image: Value| value(name, says, "/images/0", image);
     vec![
         picture("picture of no bytes", "image 0", Vec::new),
-        picture("picture of garbage", "neither PNG nor JPEG", || vec![7; 100]),
-        picture("GIF", "is not read", || b"GIF89a\x01\0\x01\0\0\0\0;".to_vec()),
+        picture("picture of garbage", "no format that is read", || vec![7; 100]),
+        picture("GIF without a frame", "image 0", || b"GIF89a\x01\0\x01\0\0\0\0;".to_vec()),
         picture("PNG cut in the header", "image 0", || png()[..20].to_vec()),
         picture("PNG cut in the data", "image 0", || png()[..45].to_vec()),
         picture("PNG of two billion columns", "image 0", || png_claiming(0x7fff_ffff, 0x7fff_ffff)),

@@ -7,6 +7,11 @@ mod hostile_gltf;
 mod hostile_looks;
 mod hostile_text;
 mod limits;
+mod picture_files;
+mod pictures;
+mod placement;
+mod repaired;
+mod shared_inputs;
 mod shared_scenes;
 mod valid;
 
