@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# What the build needs beyond Rust and gcc on a bare Debian 12: a C++ compiler, for NVIDIA's FLIP metric.
+# What the build needs beyond Rust and gcc on a bare Debian 12: a C++ compiler, for meshoptimizer and NVIDIA's FLIP metric.
 #   deploy/setup.sh window    also what the tests of the window need: a display without a screen, a software driver, keys and mouse
 # Installs only what is missing; says what to do where it may not install.
 set -euo pipefail
