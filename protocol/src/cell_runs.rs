@@ -22,42 +22,42 @@ impl CellRuns {
         valid.then_some(Self { runs })
     }
 
-    /// The numbers below `limit`.
+    /// All cells below `limit`.
     pub fn below(limit: u32) -> Self {
         Self { runs: limit.checked_sub(1).map(|last| vec![[0, last]]).unwrap_or_default() }
     }
 
-    /// Its runs: first and last number.
+    /// Runs, ascending: first and last cell number.
     pub fn runs(&self) -> &[[u32; 2]] {
         &self.runs
     }
 
-    /// Whether it holds no number.
+    /// Whether the set is empty.
     pub fn is_empty(&self) -> bool {
         self.runs.is_empty()
     }
 
-    /// How many numbers it holds.
+    /// Cells in the set.
     pub fn len(&self) -> usize {
         self.runs.iter().map(|[first, last]| (last - first) as usize + 1).sum()
     }
 
-    /// The largest number.
+    /// The largest cell number; None in an empty set.
     pub fn last(&self) -> Option<u32> {
         self.runs.last().map(|run| run[1])
     }
 
-    /// Whether it holds `cell`.
+    /// Whether `cell` is in the set.
     pub fn contains(&self, cell: u32) -> bool {
         self.runs.get(self.runs.partition_point(|run| run[1] < cell)).is_some_and(|run| run[0] <= cell)
     }
 
-    /// Its numbers, ascending.
+    /// Cell numbers, ascending.
     pub fn iter(&self) -> impl Iterator<Item = u32> + '_ {
         self.runs.iter().flat_map(|[first, last]| *first..=*last)
     }
 
-    /// The number with `place` smaller ones before it.
+    /// The cell with `place` smaller ones before it; None beyond the last.
     pub fn nth(&self, mut place: usize) -> Option<u32> {
         for [first, last] in &self.runs {
             let length = (last - first) as usize + 1;

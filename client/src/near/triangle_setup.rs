@@ -9,8 +9,8 @@ use ldi_protocol::{OutputCamera, Pose, mesh::MAX_CLUSTER_TRIANGLES};
 use std::ops::Range;
 
 /// Distance of the near plane from the eye along the viewing direction, metres. Eyes nearer to a
-/// surface see through it. Smaller: corners lie farther out of the picture, where f64 edge functions
-/// lose bits.
+/// surface see through it. Smaller: corners lie farther out of the picture, where edge functions
+/// in f64 lose bits.
 pub const NEAR_PLANE_M: f64 = 0.002;
 /// Rows of a band, the unit of parallel work. Fewer rows list triangles more often, more rows
 /// balance worse.

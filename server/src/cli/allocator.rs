@@ -13,8 +13,8 @@ use std::{
     sync::atomic::{AtomicBool, Ordering},
 };
 
-/// Hands out the system's memory, or a file's under `--memory-limit`; without any left the program ends with a message and exit code
-/// 42.
+/// Hands out the system's memory, or a file's under `--memory-limit`; without any left the program
+/// ends with a message and exit code 42.
 #[derive(Debug)]
 pub struct ExitingAllocator;
 

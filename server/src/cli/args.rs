@@ -105,7 +105,7 @@ pub struct SceneArgs {
 // So that what is wrong with a negative number is said by whoever takes it.
 #[command(allow_negative_numbers = true)]
 pub struct BuildArgs {
-    /// .gltf, .glb, .obj, .ply (FILE?up=z&unit=mm&missing=plain where it is not in metres with Y
+    /// .gltf, .glb, .obj, .ply, .stl (FILE?up=z&unit=mm&missing=plain where it is not in metres with Y
     /// up, units m, cm, mm, in, ft, or pictures are missing), or
     /// builtin:NAME[?triangles=N&seed=S].
     pub scene: String,

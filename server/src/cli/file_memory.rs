@@ -31,14 +31,16 @@ const ADDRESSES: [usize; 3] = [1 << 42, 1 << 38, 1 << 35];
 /// The file grows by this many bytes. Larger: fewer calls; smaller: less disk space that is not
 /// used.
 const STEP: usize = 64 << 20;
-/// Bytes given back to the system at once.
+/// Bytes given back to the system at once. More: fewer calls, but more comes back that was in use.
 const GIVEN_BACK: usize = 16 << 20;
 /// Pages are given back until no more than this share of the limit is held: what comes in until
 /// the next look stays below the limit.
 const KEPT_SHARE: f64 = 0.75;
-/// Between two looks at what the process holds.
+/// Time between two looks at what the process holds. Longer: the limit is exceeded by what comes
+/// in meanwhile; shorter: the looks themselves take time.
 const LOOK: Duration = Duration::from_millis(50);
-/// Freed blocks of so many bytes and more give their part of the file back.
+/// Freed blocks of so many bytes and more give their part of the file back. Smaller: less disk
+/// space is held, for a call to the system per block.
 const LARGE: usize = 1 << 20;
 /// Sizes of blocks: four per power of two.
 const CLASSES: usize = 128;

@@ -26,8 +26,8 @@ use rayon::prelude::*;
 pub(super) const LEAF: u32 = 1 << 31;
 /// With [`LEAF`]: marks a child that is an item.
 pub(super) const ITEM: u32 = 1 << 30;
-/// Triangles of meshes with several instances that are expanded at most. More: rays among such meshes
-/// are faster; fewer: less memory, a quarter of a [`Block`] and its share of the nodes each.
+/// Triangles of meshes with several instances that are expanded at most. More: rays among such
+/// meshes are faster; fewer: less memory, a quarter of a [`Block`] and its share of the nodes each.
 pub(super) const MOST_EXPANDED: u64 = 4_000_000;
 /// Marks a child that is not there.
 pub(super) const EMPTY: u32 = u32::MAX;

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! and the ray hits the triangle where the three edge functions U = c_x b_y - c_y b_x, V = a_x
-//! c_y - a_y c_x, W = b_x a_y - b_y a_x do not differ in sign. Triangles that share a corner compute
+//! c_y - a_y c_x, W = b_x a_y - b_y a_x do not differ in sign. Triangles that share a corner find
 //! the same (x, y) for it, and because rounding is monotonic, c_x b_y - c_y b_x never has the
 //! wrong sign: at worst it is 0, which counts for both sides. So a ray cannot slip between
 //! triangles that share corners, not even at a corner; on an edge it hits both. (Products of

@@ -7,12 +7,11 @@
 //! changes.
 
 use glam::{DAffine3, DVec3};
-use ldi_protocol::mesh::{Alpha, Material, Wrap};
 
 use super::error::Fault;
 use super::files::shown;
 use super::limits::Limits;
-use super::model::{Instance, Mesh, Note, Primitive, Scene};
+use super::model::{Instance, Mesh, Note, Primitive, Scene, WHITE};
 use super::normals;
 use super::origin;
 use super::repair;
@@ -74,14 +73,7 @@ pub(super) fn import(name: &str, bytes: &[u8], limits: &Limits) -> Result<Scene,
         name: name.to_owned(),
         meshes: vec![Mesh { name: name.to_owned(), primitives: vec![primitive] }],
         instances: vec![Instance { node: 0, mesh: 0, world_from_mesh: DAffine3::from_translation(origin) }],
-        materials: vec![Material {
-            base_colour: [1.0; 4],
-            texture: None,
-            alpha: Alpha::Opaque,
-            unlit: false,
-            double_sided: true,
-            wrap: [Wrap::Repeat; 2],
-        }],
+        materials: vec![WHITE],
         notes,
         ..Scene::default()
     })

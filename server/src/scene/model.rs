@@ -1,7 +1,10 @@
 //! The scene as later stages see it.
 
 use glam::{DAffine3, DVec3, Vec2, Vec3};
-use ldi_protocol::{Aabb, mesh::Material};
+use ldi_protocol::{
+    Aabb,
+    mesh::{Alpha, Material, Wrap},
+};
 use rayon::prelude::*;
 
 /// A static, diffuse scene. Every number is in range and every value finite: importers check this.
@@ -26,6 +29,16 @@ pub struct Scene {
     /// What was left out or changed on the way in, for the build report.
     pub notes: Vec<Note>,
 }
+
+/// What is drawn where a file names no material.
+pub(super) const WHITE: Material = Material {
+    base_colour: [1.0; 4],
+    texture: None,
+    alpha: Alpha::Opaque,
+    unlit: false,
+    double_sided: true,
+    wrap: [Wrap::Repeat; 2],
+};
 
 /// Something skipped, and why.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

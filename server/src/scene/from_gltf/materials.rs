@@ -16,7 +16,7 @@ use ldi_protocol::mesh::{Alpha, Material, Wrap};
 use super::super::error::Fault;
 use super::super::files::{Files, listed};
 use super::super::images::EncodedImage;
-use super::super::model::Note;
+use super::super::model::{Note, WHITE};
 use super::super::{DARK, repair};
 use super::accessors::Data;
 use super::extensions::{self, Additions};
@@ -102,14 +102,7 @@ pub(super) fn plan(root: &Root, additions: &Additions, notes: &mut Vec<Note>) ->
     }
     let uses_default = |p: &gltf::json::mesh::Primitive| p.material.is_none();
     if root.materials.is_empty() || root.meshes.iter().flat_map(|m| &m.primitives).any(uses_default) {
-        out.materials.push(Material {
-            base_colour: [1.0; 4],
-            texture: None,
-            alpha: Alpha::Opaque,
-            unlit: false,
-            double_sided: false,
-            wrap: [Wrap::Repeat; 2],
-        });
+        out.materials.push(Material { double_sided: false, ..WHITE });
         out.uvs.push(None);
     }
     Ok(out)

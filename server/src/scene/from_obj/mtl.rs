@@ -18,7 +18,7 @@ use super::super::error::Fault;
 use super::super::files::{Files, shown};
 use super::super::images::{self, EncodedImage};
 use super::super::limits::Limits;
-use super::super::model::{Note, SceneTexture};
+use super::super::model::{Note, SceneTexture, WHITE};
 use super::super::{DARK, repair, text};
 use super::text::{at_line, lines, numbers};
 
@@ -61,15 +61,6 @@ struct Changes {
     unnamed_textures: usize,
     spectral: usize,
 }
-
-const WHITE: Material = Material {
-    base_colour: [1.0; 4],
-    texture: None,
-    alpha: Alpha::Opaque,
-    unlit: false,
-    double_sided: true,
-    wrap: [Wrap::Repeat; 2],
-};
 
 /// Reads the libraries that an OBJ file names; `used` are names of materials that it draws. A
 /// missing library is a fault: the scene would silently turn white.
