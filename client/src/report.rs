@@ -48,6 +48,10 @@ pub struct FrameReport {
     pub placement: Option<u32>,
     /// Near triangles submitted.
     pub triangles: u64,
+    /// Of them, those of coarser levels of detail.
+    pub level_triangles: u64,
+    /// Largest deviation that a level of detail may show, output pixels.
+    pub deviation_px: f64,
     /// Cells left out because they exceed the budget; 0 within the walk volume and the built range
     /// of pitch.
     pub dropped_cells: u32,
@@ -270,6 +274,10 @@ pub struct Summary {
     pub frames_outside_volume: Option<usize>,
     /// Frames at eye positions without images although the dataset has images.
     pub frames_unplanned: usize,
+    /// Mean share of near triangles that are of coarser levels of detail.
+    pub levels_fraction_mean: f64,
+    /// Largest deviation that a level of detail may have shown, output pixels.
+    pub deviation_max_px: f64,
     pub frame_ms: FrameMs,
     pub stage_ms: StageSummary,
     pub samples_warped_mean: f64,
@@ -445,6 +453,9 @@ impl Summary {
             frames_outside_volume: (!known_volume.is_empty())
                 .then(|| known_volume.iter().filter(|inside| !**inside).count()),
             frames_unplanned: frames.iter().filter(|f| f.unplanned).count(),
+            levels_fraction_mean: mean(frames.iter().map(|f| f.level_triangles as f64 / f.triangles.max(1) as f64))
+                .unwrap_or(0.0),
+            deviation_max_px: frames.iter().map(|f| f.deviation_px).fold(0.0, f64::max),
             frame_ms: FrameMs {
                 p50: percentile(&times, 0.5),
                 p90: percentile(&times, 0.9),

@@ -98,6 +98,7 @@ pub fn dataset(camera: OutputCamera, materials: Vec<Material>, clusters: Vec<Clu
             bundles: Vec::new(),
             materials: vec![cluster.material],
             texel_density: vec![EVERY_LEVEL],
+            levels: Vec::new(),
         });
         chunks.push(ChunkEntry {
             hash: ChunkHash([i as u8; 32]),
@@ -121,6 +122,7 @@ pub fn dataset(camera: OutputCamera, materials: Vec<Material>, clusters: Vec<Clu
             optimize_budget: 1 << 29,
             camera,
             max_footprint_px: 2.0,
+            max_deviation_px: 0.5,
             pitch_deg: 60.0,
             density: 1.0,
             colour: "high".into(),

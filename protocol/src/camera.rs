@@ -64,6 +64,15 @@ impl OutputCamera {
     pub fn focal_px(&self) -> f64 {
         f64::from(self.width) * 0.5 / self.half_tan_x()
     }
+
+    /// How far a place may move in the picture that moves by `moved_m` at `distance_m` from the
+    /// eye, pixels: `focal moved k^2 / distance`, where k is the length of the longest ray to the
+    /// picture's corners at depth 1. The largest singular value of the projection at depth z is
+    /// `focal k / z`, and the distance is at most k z.
+    pub fn displacement_px(&self, moved_m: f64, distance_m: f64) -> f64 {
+        let k2 = 1.0 + self.half_tan_x().powi(2) + self.half_tan_y().powi(2);
+        moved_m * self.focal_px() * k2 / distance_m
+    }
     /// Tangent of half the horizontal field of view.
     pub fn half_tan_x(&self) -> f64 {
         (self.fov_deg.to_radians() * 0.5).tan()

@@ -35,6 +35,8 @@ pub enum ChunkKind {
     Cell,
     /// Clusters that several cells share.
     Bundle,
+    /// What neighbouring cells draw at a level of detail.
+    Levels,
     /// Layers of an LDI.
     Ldi,
     /// Mip levels of a texture.
@@ -67,6 +69,8 @@ pub struct BuildSettings {
     pub camera: OutputCamera,
     /// Largest sample footprint, output pixels.
     pub max_footprint_px: f64,
+    /// Farthest that near geometry may lie from where it is, output pixels; 0: no levels of detail.
+    pub max_deviation_px: f64,
     /// Free look up and down, degrees.
     pub pitch_deg: f64,
     /// LDI samples per output pixel pitch.
@@ -83,6 +87,11 @@ impl BuildSettings {
     /// Half tangent of the square planning frustum: the larger field of view both ways.
     pub fn square_half_tan(&self) -> f64 {
         self.camera.half_tan_x().max(self.camera.half_tan_y())
+    }
+
+    /// Farthest that geometry may lie from where it is, metres per metre between it and the eye.
+    pub fn deviation_per_metre(&self) -> f64 {
+        self.max_deviation_px / self.camera.displacement_px(1.0, 1.0)
     }
 }
 
@@ -119,6 +128,91 @@ pub struct CellEntry {
     /// mean square over directions. [`EVERY_LEVEL`] where all levels of the texture count at any
     /// distance.
     pub texel_density: Vec<i8>,
+    /// Coarser meshes of what it draws: fewer triangles and larger deviations each time.
+    pub levels: Vec<CellLevel>,
+}
+
+/// A coarser mesh of what a cell draws.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CellLevel {
+    /// No point of it lies farther from the cell's surfaces, nor they from it, metres; an f32.
+    pub deviation_m: f64,
+    /// Triangles.
+    pub triangles: u32,
+    /// Its chunk, of kind [`ChunkKind::Levels`].
+    pub chunk: u32,
+    /// Which of the chunk's instances are this cell's.
+    pub instances: Range<u32>,
+    /// The bundles that they refer to, ascending.
+    pub bundles: Vec<u32>,
+}
+
+/// A cell at a level of detail: what a view draws.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct DrawnCell {
+    /// Position in [`Index::cells`].
+    pub cell: u32,
+    /// 0: in full; k: [`CellEntry::levels`]`[k - 1]`.
+    pub level: u8,
+}
+
+impl DrawnCell {
+    /// The cell in full.
+    pub const fn full(cell: u32) -> Self {
+        Self { cell, level: 0 }
+    }
+
+    /// Several cells in full.
+    pub fn all_full(cells: impl IntoIterator<Item = u32>) -> Vec<Self> {
+        cells.into_iter().map(Self::full).collect()
+    }
+}
+
+/// Where the geometry of a cell at a level is, and how much it is.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CellMesh<'a> {
+    /// Its chunk.
+    pub chunk: u32,
+    /// Which of the chunk's instances; None: all.
+    pub instances: Option<Range<u32>>,
+    /// The bundles that they refer to.
+    pub bundles: &'a [u32],
+    /// Triangles.
+    pub triangles: u32,
+    /// Deviation, metres; 0 in full.
+    pub deviation_m: f64,
+}
+
+impl CellEntry {
+    /// The coarsest level whose deviation is at most this, metres.
+    pub fn level_within(&self, deviation_m: f64) -> u8 {
+        self.levels.partition_point(|l| l.deviation_m <= deviation_m) as u8
+    }
+
+    /// Triangles at a level; 0 where there is no such level.
+    pub fn triangles_at(&self, level: u8) -> u32 {
+        self.mesh(level).map_or(0, |m| m.triangles)
+    }
+
+    /// The geometry at a level.
+    pub fn mesh(&self, level: u8) -> Option<CellMesh<'_>> {
+        let Some(coarser) = level.checked_sub(1) else {
+            return Some(CellMesh {
+                chunk: self.chunk,
+                instances: None,
+                bundles: &self.bundles,
+                triangles: self.triangles,
+                deviation_m: 0.0,
+            });
+        };
+        self.levels.get(usize::from(coarser)).map(|l| CellMesh {
+            chunk: l.chunk,
+            instances: Some(l.instances.clone()),
+            bundles: &l.bundles,
+            triangles: l.triangles,
+            deviation_m: l.deviation_m,
+        })
+    }
 }
 
 /// See [`CellEntry::texel_density`]: of alpha masks, whose finest level decides at any distance,
@@ -263,6 +357,11 @@ impl Index {
     /// ([`crate::manifest::early`]).
     pub fn is_whole(&self) -> bool {
         !self.cells.is_empty() || self.chunks.iter().all(|c| c.kind != ChunkKind::Page)
+    }
+
+    /// The geometry of a cell at a level.
+    pub fn mesh_of(&self, drawn: DrawnCell) -> Option<CellMesh<'_>> {
+        self.cells.get(drawn.cell as usize)?.mesh(drawn.level)
     }
 
     /// The images of a placement, with their numbers; none where the index has no such placement.

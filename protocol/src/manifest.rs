@@ -23,7 +23,9 @@ pub mod layout;
 mod pages;
 mod validate;
 
-pub use content::{check_bundle, check_cell, check_cell_content, check_decoded_bytes, check_ldi, check_texture};
+pub use content::{
+    check_bundle, check_cell, check_cell_content, check_decoded_bytes, check_ldi, check_levels, check_texture,
+};
 pub use early::early;
 pub use validate::validate;
 
@@ -37,7 +39,7 @@ use crate::{
 
 /// Version of root and pages. Raised with every change that an older reader would misunderstand.
 /// 10: sections of all chunks and pages may be coded by rANS.
-pub const VERSION: u8 = 14;
+pub const VERSION: u8 = 15;
 /// Stored bytes of all pages of a manifest together: what a reader holds of them before it decodes
 /// them.
 pub const MAX_PAGE_BYTES: u64 = 64 << 20;

@@ -12,12 +12,14 @@
 //!
 //! [`near_to_far`]: everything within a radius of the eye, whatever the direction (Aliaga and
 //! Lastra 1999, section 6: "all images within a radius are loaded near to far"; here cells as well
-//! as images), until the cache is full. A chunk that only sharpens counts as farther
-//! ([`FINE_FACTOR`], [`FINE_OFFSET_M`]), so that coarse data reaches farther than fine data.
+//! as images), until the cache is full. A chunk that only sharpens, the next finer level of a cell
+//! among them, counts as farther ([`FINE_FACTOR`], [`FINE_OFFSET_M`]), so that coarse data reaches
+//! farther than fine data.
 
 use crate::{
     OutputCamera, Pose,
-    index::{CellEntry, ChunkKind, EVERY_LEVEL, Index, TextureEntry},
+    index::{CellEntry, CellMesh, ChunkKind, DrawnCell, EVERY_LEVEL, Index, TextureEntry},
+    select::level_at,
 };
 use glam::DVec3;
 
@@ -109,6 +111,10 @@ impl OrderedSet {
             self.order.push(chunk);
         }
     }
+    fn insert_mesh(&mut self, mesh: &CellMesh<'_>) {
+        self.insert(mesh.chunk);
+        mesh.bundles.iter().for_each(|b| self.insert(*b));
+    }
     fn take(&mut self) -> Vec<u32> {
         std::mem::take(&mut self.order)
     }
@@ -162,22 +168,21 @@ impl Sight {
 
 /// What a view needs that draws `drawn_cells` (near to far), warps `images` and refines the LDI
 /// tree by the chunks `tree`, seen from `sight`.
-pub fn needed(index: &Index, images: &[u32], drawn_cells: &[u32], tree: &[u32], sight: &Sight) -> Needed {
+pub fn needed(index: &Index, images: &[u32], drawn_cells: &[DrawnCell], tree: &[u32], sight: &Sight) -> Needed {
     let mut set = OrderedSet::new(index.chunks.len());
     index.tree.iter().flat_map(|t| t.pinned_chunks()).for_each(|c| set.insert(c));
     let base = set.take();
     let layers = || images.iter().filter_map(|i| index.images.get(*i as usize)).map(|i| &i.chunks);
-    let cells = || drawn_cells.iter().filter_map(|c| index.cells.get(*c as usize));
+    let cells = || drawn_cells.iter().filter_map(|c| Some((index.cells.get(c.cell as usize)?, index.mesh_of(*c)?)));
     layers().for_each(|c| c.iter().take(1).for_each(|c| set.insert(*c)));
-    for cell in cells() {
-        set.insert(cell.chunk);
-        cell.bundles.iter().for_each(|b| set.insert(*b));
+    for (cell, mesh) in cells() {
+        set.insert_mesh(&mesh);
         coarse_levels(index, cell).for_each(|t| set.insert(t));
     }
     let now = set.take();
     tree.iter().for_each(|c| set.insert(*c));
     layers().for_each(|c| c.iter().skip(1).for_each(|c| set.insert(*c)));
-    for cell in cells() {
+    for (cell, _) in cells() {
         finer_levels(index, cell, Some(sight)).for_each(|t| set.insert(t));
     }
     Needed { base, now, fine: set.take() }
@@ -228,6 +233,7 @@ pub fn near_to_far(index: &Index, eye: DVec3, reach: Reach) -> Vec<u32> {
     const CELL: u8 = 1;
     const DEEPER: u8 = 2;
     const SHARPER: u8 = 3;
+    const FINER: u8 = 4;
     for p in &index.placements {
         let d = p.users.distance(eye);
         for i in p.images.clone().map(|i| i as usize) {
@@ -241,6 +247,9 @@ pub fn near_to_far(index: &Index, eye: DVec3, reach: Reach) -> Vec<u32> {
         let d = c.bounds.distance(eye);
         put(d, CELL, i);
         put(fine(d), SHARPER, i);
+        if level_at(index, i as u32, eye) > 0 {
+            put(fine(d), FINER, i);
+        }
     }
     items.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)).then(a.2.cmp(&b.2)));
 
@@ -252,10 +261,10 @@ pub fn near_to_far(index: &Index, eye: DVec3, reach: Reach) -> Vec<u32> {
         match rank {
             LAYER => index.images[number].chunks.iter().take(1).for_each(|c| set.insert(*c)),
             DEEPER => index.images[number].chunks.iter().skip(1).for_each(|c| set.insert(*c)),
-            CELL => {
+            CELL | FINER => {
+                let level = level_at(index, number as u32, eye) - u8::from(rank == FINER);
                 let cell = &index.cells[number];
-                set.insert(cell.chunk);
-                cell.bundles.iter().for_each(|b| set.insert(*b));
+                cell.mesh(level).iter().for_each(|m| set.insert_mesh(m));
                 coarse_levels(index, cell).for_each(|t| set.insert(t));
             }
             _ => finer_levels(index, &index.cells[number], None).for_each(|t| set.insert(t)),

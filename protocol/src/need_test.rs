@@ -67,6 +67,7 @@ fn row_of_cells() -> Index {
             optimize_budget: 90,
             camera,
             max_footprint_px: 2.0,
+            max_deviation_px: 0.5,
             pitch_deg: 60.0,
             density: 1.0,
             colour: "high".into(),
@@ -82,6 +83,7 @@ fn row_of_cells() -> Index {
                 bundles: if i >= 2 { vec![4] } else { vec![] },
                 materials: vec![(i % 2) as u32],
                 texel_density: vec![EVERY_LEVEL],
+                levels: Vec::new(),
             })
             .collect(),
         materials: (0..2)
@@ -114,11 +116,11 @@ fn row_of_cells() -> Index {
 
 #[test]
 fn a_view_takes_the_first_layer_then_cells_near_to_far_then_what_sharpens() {
-    let n = needed(&row_of_cells(), &[0], &[0, 1, 2, 3], &[], &anywhere());
+    let n = needed(&row_of_cells(), &[0], &DrawnCell::all_full([0, 1, 2, 3]), &[], &anywhere());
     assert_eq!(n.now, [7, 0, 1, 5, 2, 4, 3]);
     assert_eq!(n.fine, [8, 6]);
     // The order of the cells is the caller's, and what nobody refers to stays away.
-    let n = needed(&row_of_cells(), &[], &[2, 0], &[], &anywhere());
+    let n = needed(&row_of_cells(), &[], &DrawnCell::all_full([2, 0]), &[], &anywhere());
     assert_eq!(n.now, [2, 4, 0]);
     assert!(n.fine.is_empty());
 }
@@ -130,7 +132,7 @@ fn levels_finer_than_a_pixel_shows_are_left_out() {
     let along_x = Pose { position: DVec3::new(0.0, 0.5, 0.5), yaw_deg: -90.0, pitch_deg: 0.0 };
     let camera = OutputCamera { width: 64, height: 48, fov_deg: 60.0 };
     let fine = |index: &Index, pose: &Pose, supersample| {
-        needed(index, &[], &[1], &[], &Sight::new(pose, &camera, supersample)).fine
+        needed(index, &[], &DrawnCell::all_full([1]), &[], &Sight::new(pose, &camera, supersample)).fine
     };
     // Level 0 is the last to be needed where a pixel is less than two texels wide; steps from
     // pixel to pixel may be 0.81 times as long at the corners.
@@ -148,7 +150,7 @@ fn levels_finer_than_a_pixel_shows_are_left_out() {
 
 #[test]
 fn numbers_beyond_the_index_are_left_out() {
-    let n = needed(&row_of_cells(), &[99], &[77, 1], &[], &anywhere());
+    let n = needed(&row_of_cells(), &[99], &DrawnCell::all_full([77, 1]), &[], &anywhere());
     assert_eq!(n.now, [1, 5]);
     assert_eq!(n.fine, [6]);
 }
@@ -196,7 +198,7 @@ proptest! {
 #[test]
 fn what_a_cache_cannot_hold_is_left_out_least_important_first() {
     let index = row_of_cells();
-    let whole = needed(&index, &[0], &[0, 1, 2, 3], &[], &anywhere());
+    let whole = needed(&index, &[0], &DrawnCell::all_full([0, 1, 2, 3]), &[], &anywhere());
     let bytes = |n: &Needed| n.all().map(|c| u64::from(index.chunks[c as usize].decoded_bytes)).sum::<u64>();
     assert_eq!(whole.clone().within(&index, u64::MAX), whole);
     let mut last = whole.clone();

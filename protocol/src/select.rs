@@ -16,7 +16,7 @@ pub use portals::ShownPortal;
 use crate::{
     Aabb, Pose,
     camera::Frustum,
-    index::{AngularRange, BuildSettings, CellEntry, Index, Placement},
+    index::{AngularRange, BuildSettings, CellEntry, DrawnCell, Index, Placement},
     room_index::ShowPortals,
     rooms::CellId,
     tree::{CutOptions, Lens, cut},
@@ -49,8 +49,10 @@ pub enum FarBy {
     /// What the dataset offers: images, or the LDI tree, within the budget.
     #[default]
     Offered,
-    /// Geometry: every cell in view, whatever its triangles.
+    /// Geometry: every cell in view in full, whatever its triangles.
     Geometry,
+    /// Geometry: every cell in view at its level of detail, whatever its triangles.
+    Levels,
     /// The LDI tree, behind the nearest cells that the budget allows.
     Tree,
 }
@@ -60,7 +62,7 @@ impl FarBy {
     pub fn is_tree(self, index: &Index) -> bool {
         match self {
             Self::Offered => index.walks_by_tree(),
-            Self::Geometry => false,
+            Self::Geometry | Self::Levels => false,
             Self::Tree => true,
         }
     }
@@ -195,8 +197,8 @@ pub fn is_planned(index: &Index, pose: &Pose) -> bool {
 pub struct DrawList {
     /// Grid point and placement.
     pub selection: Selection,
-    /// Cells to draw, near to far.
-    pub cells: Vec<u32>,
+    /// Cells to draw, near to far, each at the coarsest level that its distance allows.
+    pub cells: Vec<DrawnCell>,
     /// Images of the placement that the picture may show something of, those nearest to the line
     /// of sight first.
     pub images: Vec<u32>,
@@ -216,6 +218,13 @@ pub struct DrawList {
     pub rooms: Vec<CellId>,
     /// Portals whose images show what lies beyond, nearest first.
     pub portals: Vec<ShownPortal>,
+}
+
+impl DrawList {
+    /// Numbers of the cells to draw, near to far.
+    pub fn cell_numbers(&self) -> Vec<u32> {
+        self.cells.iter().map(|c| c.cell).collect()
+    }
 }
 
 /// The cells that a pose draws: those in view that its placement does not replace.
@@ -239,8 +248,9 @@ pub fn draw_list_of(
     show: Show,
 ) -> DrawList {
     let nothing = Selection { grid_point: None, placement: None };
-    if show.far == FarBy::Geometry {
-        return cells_in_view(index, groups, nothing, pose, picture_half_tan);
+    if matches!(show.far, FarBy::Geometry | FarBy::Levels) {
+        let detail = if show.far == FarBy::Levels { index.settings.deviation_per_metre() } else { 0.0 };
+        return cells_in_view(index, groups, nothing, pose, picture_half_tan, detail);
     }
     if show.far.is_tree(index) {
         let list = grid_list(index, groups, nothing, pose, picture_half_tan);
@@ -290,22 +300,25 @@ fn grid_list(
     pose: &Pose,
     picture_half_tan: (f64, f64),
 ) -> DrawList {
-    within_budget(index, pose.position, cells_in_view(index, groups, selection, pose, picture_half_tan))
+    let detail = index.settings.deviation_per_metre();
+    within_budget(index, pose.position, cells_in_view(index, groups, selection, pose, picture_half_tan, detail))
 }
 
-/// The same without the budget: all cells in view that the placement does not replace.
+/// The same without the budget: all cells in view that the placement does not replace, each at the
+/// coarsest level whose deviation is at most `deviation_per_metre` of its distance.
 fn cells_in_view(
     index: &Index,
     groups: &CellGroups,
     selection: Selection,
     pose: &Pose,
     picture_half_tan: (f64, f64),
+    deviation_per_metre: f64,
 ) -> DrawList {
     let culled =
         selection.placement.and_then(|p| index.placements.get(p as usize)).map_or(&[][..], |p| p.culled.runs());
     let frusta = DrawFrusta::new(&index.settings, pose, picture_half_tan);
     let mut culled = culled.iter().peekable();
-    let mut seen: Vec<(f64, u32)> = Vec::new();
+    let mut seen: Vec<(f64, DrawnCell)> = Vec::new();
     let mut triangles = 0;
     for cell in groups.runs(index.cells.len(), |b| frusta.admit(b)).flatten() {
         let (entry, cell) = (&index.cells[cell], cell as u32);
@@ -314,9 +327,10 @@ fn cells_in_view(
         if culled.peek().is_some_and(|[first, _]| *first <= cell) || !frusta.admit(&entry.bounds) {
             continue;
         }
-        let apart = pose.position.clamp(entry.bounds.min, entry.bounds.max) - pose.position;
-        seen.push((apart.length_squared(), cell));
-        triangles += u64::from(entry.triangles);
+        let distance_m = entry.bounds.distance(pose.position);
+        let level = entry.level_within(distance_m * deviation_per_metre);
+        seen.push((distance_m, DrawnCell { cell, level }));
+        triangles += u64::from(entry.triangles_at(level));
     }
     let cells = near_to_far(seen);
     let images = selection.placement.map_or_else(Vec::new, |p| frusta.images_in_view(index, p, pose));
@@ -333,10 +347,11 @@ pub fn cells_before_tree(
     pose: &Pose,
     picture_half_tan: (f64, f64),
     share: f64,
-) -> Vec<u32> {
+) -> Vec<DrawnCell> {
     let nothing = Selection { grid_point: None, placement: None };
     let budget = (index.settings.budget as f64 * share) as u64;
-    within(index, budget, pose.position, cells_in_view(index, groups, nothing, pose, picture_half_tan)).cells
+    let detail = index.settings.deviation_per_metre();
+    within(index, budget, pose.position, cells_in_view(index, groups, nothing, pose, picture_half_tan, detail)).cells
 }
 
 /// Of some cells and images, those that a pose draws, in no order. As [`draw_list_of`] finds them
@@ -350,7 +365,7 @@ pub fn draws_among(
     pose: &Pose,
     picture_half_tan: (f64, f64),
     far: FarBy,
-) -> (Vec<u32>, Vec<u32>) {
+) -> (Vec<DrawnCell>, Vec<u32>) {
     let placement = if far == FarBy::Offered { select(index, pose).placement } else { None };
     let entry = placement.and_then(|p| index.placements.get(p as usize));
     let frusta = DrawFrusta::new(&index.settings, pose, picture_half_tan);
@@ -361,7 +376,8 @@ pub fn draws_among(
         |cell| {
             let is_culled = entry.is_some_and(|e| e.culled.contains(cell as u32));
             if !is_culled && frusta.admit(&index.cells[cell].bounds) {
-                drawn.push(cell as u32);
+                let level = if far == FarBy::Geometry { 0 } else { level_at(index, cell as u32, pose.position) };
+                drawn.push(DrawnCell { cell: cell as u32, level });
             }
         },
     );
@@ -376,8 +392,15 @@ pub fn draws_among(
     (drawn, shown)
 }
 
-/// Numbers of cells (distance, number), near to far.
-fn near_to_far(mut cells: Vec<(f64, u32)>) -> Vec<u32> {
+/// The level of detail at which an eye draws a cell: the coarsest that its distance allows. The
+/// count that a placement was planned with is that of the closest of its eyes, so no less.
+pub fn level_at(index: &Index, cell: u32, eye: DVec3) -> u8 {
+    let Some(entry) = index.cells.get(cell as usize) else { return 0 };
+    entry.level_within(entry.bounds.distance(eye) * index.settings.deviation_per_metre())
+}
+
+/// Cells (distance, cell), near to far.
+fn near_to_far(mut cells: Vec<(f64, DrawnCell)>) -> Vec<DrawnCell> {
     cells.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     cells.into_iter().map(|c| c.1).collect()
 }
@@ -396,18 +419,18 @@ fn within(index: &Index, budget: u64, eye: DVec3, mut list: DrawList) -> DrawLis
     }
     let share = |of: u64| (of as f64 * WIDE_SHARE) as u64;
     let (for_wide, largest) = (share(budget), share(index.settings.budget));
-    let mut beyond: Vec<(f64, u32)> = Vec::new();
+    let triangles_of = |c: DrawnCell| u64::from(index.cells[c.cell as usize].triangles_at(c.level));
+    let mut beyond: Vec<(f64, DrawnCell)> = Vec::new();
     while list.triangles > budget - for_wide {
         let Some(cell) = list.cells.pop() else { break };
-        let entry = &index.cells[cell as usize];
-        list.triangles -= u64::from(entry.triangles);
-        beyond.push((-picture_per_triangle(entry, eye), cell));
+        let entry = &index.cells[cell.cell as usize];
+        list.triangles -= triangles_of(cell);
+        beyond.push((-picture_per_triangle(&entry.bounds, triangles_of(cell), eye), cell));
     }
     beyond.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     let (mut wide, mut is_full) = (0, false);
     for (_, cell) in beyond {
-        let entry = &index.cells[cell as usize];
-        let triangles = u64::from(entry.triangles);
+        let triangles = triangles_of(cell);
         // What comes after the first that does not fit is left out, small or not: or else larger
         // budgets would draw other cells.
         is_full |= triangles <= largest && wide + triangles > for_wide;
@@ -415,21 +438,22 @@ fn within(index: &Index, budget: u64, eye: DVec3, mut list: DrawList) -> DrawLis
             wide += triangles;
             list.cells.push(cell);
         } else {
-            list.complete_m = list.complete_m.min(entry.bounds.distance(eye));
+            list.complete_m = list.complete_m.min(index.cells[cell.cell as usize].bounds.distance(eye));
             list.dropped += 1;
         }
     }
     list.triangles += wide;
-    list.cells = near_to_far(list.cells.iter().map(|c| (index.cells[*c as usize].bounds.distance(eye), *c)).collect());
+    let distance = |c: &DrawnCell| index.cells[c.cell as usize].bounds.distance(eye);
+    list.cells = near_to_far(list.cells.iter().map(|c| (distance(c), *c)).collect());
     list
 }
 
 /// About how much of the picture a cell fills per triangle: the mean area of its box's outline
 /// over all directions, as seen from the eye. Only its order means something.
-fn picture_per_triangle(cell: &CellEntry, eye: DVec3) -> f64 {
-    let size = cell.bounds.size();
+fn picture_per_triangle(bounds: &Aabb, triangles: u64, eye: DVec3) -> f64 {
+    let size = bounds.size();
     let outline = 0.5 * (size.x * size.y + size.y * size.z + size.z * size.x);
-    outline / (cell.bounds.centre().distance_squared(eye) * f64::from(cell.triangles.max(1))).max(1e-9)
+    outline / (bounds.centre().distance_squared(eye) * triangles.max(1) as f64).max(1e-9)
 }
 
 /// The nearest cells in view that the budget allows: what is drawn as geometry where all else
@@ -458,10 +482,12 @@ pub fn nearest_cells(
         .filter(|(_, c)| frusta.admit(&c.bounds))
         .map(|(n, c)| (c.bounds.distance(pose.position), n))
         .collect();
+    let detail = settings.deviation_per_metre();
     in_view.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     let mut nearest = Nearest { dropped: in_view.len() as u32, ..Nearest::default() };
-    for (_, cell) in in_view {
-        let triangles = nearest.triangles + u64::from(cells[cell as usize].triangles);
+    for (distance_m, cell) in in_view {
+        let entry = &cells[cell as usize];
+        let triangles = nearest.triangles + u64::from(entry.triangles_at(entry.level_within(distance_m * detail)));
         if triangles > settings.budget {
             break;
         }

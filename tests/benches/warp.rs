@@ -66,6 +66,7 @@ fn house() -> PathBuf {
             optimize_budget: 0,
             camera: CAMERA,
             max_footprint_px: 2.0,
+            max_deviation_px: 0.5,
             pitch_deg: 60.0,
             density: 1.0,
             colour: "high".into(),

@@ -105,6 +105,7 @@ fn server_stages_import_backward_only() {
         &[
             "scene",
             "octree",
+            "levels",
             "render",
             "walk_volume",
             "placement",

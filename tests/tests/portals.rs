@@ -336,7 +336,7 @@ fn no_surface_that_is_seen_is_neither_drawn_nor_beyond_a_shown_portal() {
             caster.trace_batch(&rays, &CellSet::all(), &mut hits);
             for (ray, hit) in rays.iter().zip(&hits) {
                 let Some(hit) = hit else { continue };
-                if list.cells.contains(&caster.cell_of(hit.triangle)) {
+                if list.cells.iter().any(|c| c.cell == caster.cell_of(hit.triangle)) {
                     drawn += 1;
                     continue;
                 }

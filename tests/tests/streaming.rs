@@ -177,7 +177,7 @@ fn what_is_lacking_is_what_is_needed_and_absent() {
             let beyond = |c: &u32| match index.chunks[*c as usize].kind {
                 ChunkKind::Tree => true,
                 ChunkKind::Cell => method == Method::Tree && all.contains(c),
-                ChunkKind::Bundle | ChunkKind::Texture => method == Method::Tree,
+                ChunkKind::Bundle | ChunkKind::Levels | ChunkKind::Texture => method == Method::Tree,
                 _ => false,
             };
             let surplus = |c: &u32| beyond(c) && !expected.contains(c);

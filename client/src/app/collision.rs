@@ -14,14 +14,13 @@
 //! ```
 
 use super::server_connection::Scene;
-use crate::resident::Resident;
+use crate::resident::{Resident, each_cluster};
 use glam::{DAffine3, DVec2, DVec3};
 use ldi_protocol::{
     Aabb,
     index::Index,
-    mesh::{Alpha, CellGeometry, Cluster, ClusterRef},
+    mesh::{Alpha, Cluster},
 };
-use std::sync::Arc;
 
 /// Radius of the body, metres. Larger: some doors are too narrow; smaller: the near plane cuts into
 /// walls.
@@ -73,20 +72,13 @@ impl CollisionGeometry {
         };
         let slab = [foot + KNEE_M, eye.y + HEAD_M];
         for (number, _) in (0u32..).zip(&index.cells).filter(|(_, c)| touch(&c.bounds, &room)) {
-            let Some(geometry) = resident.cell(number) else { continue };
-            for instance in &geometry.instances {
-                let held: Option<Arc<CellGeometry>> = match instance.cluster {
-                    ClusterRef::Own(_) => Some(geometry.clone()),
-                    ClusterRef::Shared { chunk, .. } => resident.bundle(chunk),
-                };
-                let (ClusterRef::Own(n) | ClusterRef::Shared { cluster: n, .. }) = instance.cluster;
-                let Some(cluster) = held.as_ref().and_then(|g| g.clusters.get(n as usize)) else { continue };
+            each_cluster(index, resident, number, |cluster, world_from_mesh| {
                 // Materials with alpha (leaves, panes) do not block the way.
                 let material = index.materials.get(cluster.material as usize);
                 if material.is_some_and(|m| m.alpha == Alpha::Opaque) {
-                    out.add(cluster, &instance.world_from_mesh, &room, slab);
+                    out.add(cluster, world_from_mesh, &room, slab);
                 }
-            }
+            });
         }
         out
     }

@@ -4,15 +4,10 @@
 //! In: a scene, an eye height. Out: a picture, north (-Z) up. Drawn on its own thread.
 
 use super::{server_connection::Scene, walker};
-use crate::resident::Resident;
+use crate::resident::{Resident, each_cluster};
 use egui::{Color32, ColorImage};
 use glam::{DVec2, DVec3, Vec3Swizzles as _};
-use ldi_protocol::{
-    index::Index,
-    mesh::{CellGeometry, ClusterRef},
-    volume::WalkVolume,
-};
-use std::sync::Arc;
+use ldi_protocol::{index::Index, volume::WalkVolume};
 
 /// Longest side, texels. Larger volumes have coarser texels.
 const LONGEST_SIDE: f64 = 1400.0;
@@ -71,25 +66,20 @@ fn section(index: &Index, resident: &dyn Resident, y: f64) -> Vec<[DVec2; 2]> {
     let mut out = Vec::new();
     let crossing = |c: &ldi_protocol::index::CellEntry| c.bounds.min.y <= y && y <= c.bounds.max.y;
     for (number, _) in (0u32..).zip(&index.cells).filter(|(_, c)| crossing(c)) {
-        let Some(geometry) = resident.cell(number) else { continue };
-        for instance in &geometry.instances {
-            let (ClusterRef::Own(n) | ClusterRef::Shared { cluster: n, .. }) = instance.cluster;
-            let held: Option<Arc<CellGeometry>> = match instance.cluster {
-                ClusterRef::Own(_) => Some(geometry.clone()),
-                ClusterRef::Shared { chunk, .. } => resident.bundle(chunk),
-            };
-            let Some(cluster) = held.as_ref().and_then(|g| g.clusters.get(n as usize)) else { continue };
-            let world = |p: &glam::Vec3| instance.world_from_mesh.transform_point3(cluster.origin + p.as_dvec3());
+        each_cluster(index, resident, number, |cluster, world_from_mesh| {
+            let world = |p: &glam::Vec3| world_from_mesh.transform_point3(cluster.origin + p.as_dvec3());
             let corners: Vec<DVec3> = cluster.positions.iter().map(world).collect();
             for t in &cluster.triangles {
                 let [Some(a), Some(b), Some(c)] = t.map(|i| corners.get(usize::from(i)).copied()) else { continue };
-                if let Some(segment) = cut([a, b, c], y) {
+                if out.len() < MOST_SEGMENTS
+                    && let Some(segment) = cut([a, b, c], y)
+                {
                     out.push(segment);
                 }
             }
-            if out.len() >= MOST_SEGMENTS {
-                return out;
-            }
+        });
+        if out.len() >= MOST_SEGMENTS {
+            return out;
         }
     }
     out

@@ -325,10 +325,10 @@ impl RenderLoop {
             return ahead;
         }
         let turn_deg = apart_deg(before.yaw_deg, pose.yaw_deg);
-        let add = |to: &mut Vec<u32>, view: Vec<u32>, seen: &[u32]| {
-            let new: Vec<u32> = view.into_iter().filter(|i| !to.contains(i) && !seen.contains(i)).collect();
+        fn add<T: PartialEq>(to: &mut Vec<T>, view: Vec<T>, seen: &[T]) {
+            let new: Vec<T> = view.into_iter().filter(|i| !to.contains(i) && !seen.contains(i)).collect();
             to.extend(new);
-        };
+        }
         for t_s in AHEAD_S {
             let (position, yaw_deg) = (pose.position + step * (t_s / dt_s), pose.yaw_deg + turn_deg * (t_s / dt_s));
             let then = Pose { position, yaw_deg, ..*pose };

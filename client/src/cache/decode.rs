@@ -26,6 +26,14 @@ pub(super) fn bundle(index: &Index, chunk: u32, bytes: &[u8]) -> Result<Value, D
     Ok(Value::Geometry(Arc::new(geometry)))
 }
 
+/// Decodes levels of detail.
+pub(super) fn levels(index: &Index, chunk: u32, bytes: &[u8]) -> Result<Value, DecodeError> {
+    let geometry = codec::cell::decode(bytes)?;
+    manifest::check_levels(index, &geometry)?;
+    manifest::check_decoded_bytes(index, chunk, codec::cell::decoded_bytes(&geometry))?;
+    Ok(Value::Geometry(Arc::new(geometry)))
+}
+
 /// Decodes nodes of the LDI tree.
 pub(super) fn brood(index: &Index, chunk: u32, nodes: Range<u32>, bytes: &[u8]) -> Result<Value, DecodeError> {
     let tree = index.tree.as_ref().ok_or(DecodeError::Unreferenced)?;

@@ -63,6 +63,7 @@ pub fn street(cells: u32, side: u32) -> Street {
             bundles: if i % 2 == 1 { vec![BUNDLE] } else { vec![] },
             materials: vec![0],
             texel_density: vec![0],
+            levels: Vec::new(),
         });
     }
     let bounds = entries.iter().fold(Aabb::EMPTY, |b, c: &CellEntry| b.union(c.bounds));
@@ -81,6 +82,7 @@ pub fn street(cells: u32, side: u32) -> Street {
             optimize_budget: triangles,
             camera,
             max_footprint_px: 2.0,
+            max_deviation_px: 0.5,
             pitch_deg: 60.0,
             density: 1.0,
             colour: "lossless".into(),

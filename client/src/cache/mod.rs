@@ -156,6 +156,7 @@ impl Cache {
                 (ObjectKind::Ldi(p), _) => decode::ldi(self.index(), *p, &old, part.part, bytes)?,
                 (ObjectKind::Brood(nodes), _) => decode::brood(self.index(), chunk, nodes.clone(), bytes)?,
                 (ObjectKind::Cell(c), _) => decode::cell(self.index(), *c, bytes)?,
+                (ObjectKind::Levels, _) => decode::levels(self.index(), chunk, bytes)?,
                 (ObjectKind::Bundle | ObjectKind::Texture(_), _) => decode::bundle(self.index(), chunk, bytes)?,
             };
             if let Some(done) = self.install(part, chunk, new, version) {

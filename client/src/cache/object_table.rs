@@ -1,5 +1,5 @@
-//! The table from chunks to objects: an LDI and a texture arrive in several chunks, a cell and a
-//! bundle in one.
+//! The table from chunks to objects: an LDI and a texture arrive in several chunks, a cell, a
+//! bundle and levels of detail in one.
 
 use ldi_protocol::index::{ChunkKind, Index, TextureChunk};
 use std::{collections::BTreeMap, ops::Range};
@@ -14,6 +14,8 @@ pub(super) enum ObjectKind {
     Cell(u32),
     /// Clusters shared by cells.
     Bundle,
+    /// Levels of detail of cells.
+    Levels,
     /// The LDI of the image with this number, and perhaps of others.
     Ldi(u32),
     /// The texture with this number.
@@ -42,7 +44,7 @@ pub(super) struct ObjectTable {
     pub objects: Vec<ObjectEntry>,
     /// Objects of each chunk. Equal bytes are one chunk, so that it may belong to several textures.
     pub parts_of_chunk: Vec<Vec<Part>>,
-    /// Cell or bundle of each chunk.
+    /// Cell, bundle or levels of each chunk.
     pub geometry_of_chunk: Vec<Option<u32>>,
     /// Object of each texture.
     pub of_texture: Vec<Option<u32>>,
@@ -77,9 +79,12 @@ impl ObjectTable {
             }
         }
         for (chunk, entry) in (0u32..).zip(&index.chunks) {
-            if entry.kind == ChunkKind::Bundle {
-                table.geometry_of_chunk[chunk as usize] = table.add(ObjectKind::Bundle, vec![chunk]);
-            }
+            let kind = match entry.kind {
+                ChunkKind::Bundle => ObjectKind::Bundle,
+                ChunkKind::Levels => ObjectKind::Levels,
+                _ => continue,
+            };
+            table.geometry_of_chunk[chunk as usize] = table.add(kind, vec![chunk]);
         }
         for (number, texture) in (0u32..).zip(&index.textures) {
             let chunks = texture.chunks.iter().map(|c: &TextureChunk| c.chunk).collect();

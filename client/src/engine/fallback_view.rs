@@ -7,10 +7,10 @@
 //! areas grow with the distance from the users, so that distance is bounded.
 
 use super::view::{View, drawable};
-use crate::resident::Resident;
+use crate::resident::{self, Resident};
 use ldi_protocol::{
     Pose,
-    index::Index,
+    index::{DrawnCell, Index},
     select::{DrawList, draw_list_by},
 };
 
@@ -64,11 +64,11 @@ impl FallbackView {
 }
 
 /// The absent chunks that these cells need in order to be drawn.
-pub(super) fn absent_chunks(index: &Index, resident: &dyn Resident, cells: &[u32]) -> Vec<u32> {
-    let (_, mut absent) = drawable(index, resident, cells);
-    for (cell, entry) in cells.iter().filter_map(|c| Some((*c, index.cells.get(*c as usize)?))) {
-        absent.extend(resident.cell(cell).is_none().then_some(entry.chunk));
-        absent.extend(entry.bundles.iter().filter(|b| resident.bundle(**b).is_none()));
+pub(super) fn absent_chunks(index: &Index, resident: &dyn Resident, cells: &[DrawnCell]) -> Vec<u32> {
+    let mut absent = drawable(index, resident, cells).lacking_textures;
+    for (drawn, mesh) in cells.iter().filter_map(|c| Some((*c, index.mesh_of(*c)?))) {
+        absent.extend(resident::mesh(index, resident, drawn).is_none().then_some(mesh.chunk));
+        absent.extend(mesh.bundles.iter().filter(|b| resident.bundle(**b).is_none()));
     }
     absent
 }

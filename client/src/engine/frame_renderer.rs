@@ -12,7 +12,7 @@ use super::{
     options::{Cull, Method, WalkOptions},
     render_backend::{RenderBackend, RenderError},
     upload_queue::{Anticipated, PendingUploads, UploadQueue, UploadedOnly, upload_budget_bytes, upload_cells},
-    view::{View, drawable, ms_since},
+    view::{Drawable, LevelStats, View, drawable, ms_since},
 };
 use crate::{
     composite::{
@@ -42,6 +42,8 @@ use std::{sync::Arc, time::Instant};
 pub struct FrameStats {
     /// Near triangles submitted.
     pub triangles: u64,
+    /// Levels of detail of near geometry.
+    pub levels: LevelStats,
     /// Statistics of the warp; None if nothing was warped.
     pub warp: Option<WarpStats>,
     /// Statistics of the LDI tree; None if it was not drawn.
@@ -375,7 +377,7 @@ impl FrameRenderer {
         frame_stats: &mut FrameStats,
     ) -> Result<bool, RenderError> {
         let FrameContext { index, resident, pose, full_camera, options, .. } = *frame;
-        let (cells, lacking_textures) = drawable(index, resident, &frame.view.cells);
+        let Drawable { cells, lacking_textures, lacking_levels } = drawable(index, resident, &frame.view.cells);
         let near = if options.method == Method::Cache && lacking_textures.is_empty() {
             self.impostors.settings.error_px = options.cache_error_px * f64::from(options.supersample);
             let (scene, view) = ((index, resident), (&full_camera, pose));
@@ -389,11 +391,15 @@ impl FrameRenderer {
             near
         };
         frame_stats.triangles = near.triangles;
+        if options.method != Method::Cache {
+            frame_stats.levels = LevelStats::of(index, &cells, frame.camera, pose);
+        }
         let near_gaps = !near.missing_chunks.is_empty() || !lacking_textures.is_empty();
         let absent = near.missing_textures.iter().filter_map(|t| index.textures.get(*t as usize));
         let absent = absent.flat_map(|t| t.chunks.iter().map(|c| c.chunk));
         frame_stats.missing_chunks = near.missing_chunks;
         frame_stats.missing_chunks.extend(lacking_textures);
+        frame_stats.missing_chunks.extend(lacking_levels);
         frame_stats.missing_chunks.extend(absent);
         if !near.coarse_textures.is_empty() {
             let seen = frame.view.needed(index, &Sight::new(pose, frame.camera, options.supersample)).fine;

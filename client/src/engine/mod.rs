@@ -45,6 +45,6 @@ pub use renderer_choice::Renderer;
 pub(crate) use save::save_rgb;
 pub use save::{SaveError, save_debug_views, save_frame};
 pub use upload_queue::Anticipated;
-pub use view::{View, select_view, view_of};
+pub use view::{LevelStats, View, select_view, view_of};
 pub use walk_error::WalkError;
 pub use walk_loop::{Progress, WalkJob, run};

@@ -18,8 +18,10 @@ pub enum Method {
     /// The representation that the dataset offers: images where a placement names one, geometry
     /// elsewhere.
     Auto,
-    /// All cells in the frustum as geometry.
+    /// All cells in the frustum as geometry in full.
     Geometry,
+    /// All cells in the frustum as geometry at their levels of detail, whatever the budget.
+    Levels,
     /// Flat portal textures: the central reference image of each portal.
     Texture,
     /// Flat portal textures: the nearest reference image of each portal.
@@ -57,10 +59,13 @@ impl Method {
             Self::Ldi => (PortalImages::Layered, true),
             Self::Portals => (PortalImages::Zones, false),
             Self::PortalsEverywhere => (PortalImages::Zones, true),
-            Self::Auto | Self::Geometry | Self::Grid | Self::Tree | Self::Cache => (PortalImages::Offered, false),
+            Self::Auto | Self::Geometry | Self::Levels | Self::Grid | Self::Tree | Self::Cache => {
+                (PortalImages::Offered, false)
+            }
         };
         let far = match self {
             Self::Geometry | Self::Cache => FarBy::Geometry,
+            Self::Levels => FarBy::Levels,
             Self::Tree => FarBy::Tree,
             _ => FarBy::Offered,
         };

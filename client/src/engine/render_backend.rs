@@ -11,7 +11,10 @@ use crate::{
     resident::Resident,
     warp::{FarFrame, ImageInView, PreparedLdi, WarpError, WarpOptions, WarpStats, warp_images},
 };
-use ldi_protocol::{OutputCamera, Pose, index::Index};
+use ldi_protocol::{
+    OutputCamera, Pose,
+    index::{DrawnCell, Index},
+};
 
 /// A frame could not be rendered.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -78,7 +81,7 @@ impl RenderBackend {
         &mut self,
         index: &Index,
         resident: &dyn Resident,
-        cells: &[u32],
+        cells: &[DrawnCell],
         camera: &OutputCamera,
         pose: &Pose,
         frame: &mut Frame,

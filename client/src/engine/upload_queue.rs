@@ -10,10 +10,17 @@ use super::{
 };
 use crate::{
     gpu::{PATIENCE, TextureUpload},
-    resident::Resident,
+    resident::{self, Resident},
     warp::WarpOptions,
 };
-use ldi_protocol::{OutputCamera, index::Index, ldi::Ldi, mesh::CellGeometry, texture::Texture, tree::Brood};
+use ldi_protocol::{
+    OutputCamera,
+    index::{DrawnCell, Index},
+    ldi::Ldi,
+    mesh::CellGeometry,
+    texture::Texture,
+    tree::Brood,
+};
 use std::{collections::BTreeSet, sync::Arc};
 
 /// Upload budget of a frame while the eye moves, bytes. Larger: uneven frame times; smaller:
@@ -38,7 +45,7 @@ pub struct Anticipated {
     /// Images.
     pub images: Vec<u32>,
     /// Cells.
-    pub cells: Vec<u32>,
+    pub cells: Vec<DrawnCell>,
 }
 
 /// Resident objects that are still being uploaded.
@@ -91,16 +98,18 @@ pub(super) fn upload_cells(
     backend: &mut RenderBackend,
     index: &Index,
     resident: &dyn Resident,
-    cells: &[u32],
+    cells: &[DrawnCell],
     camera: &OutputCamera,
     ahead: bool,
 ) -> Result<PendingUploads, RenderError> {
     let mut late = PendingUploads::default();
     let Some(gpu) = backend.gpu_for(camera) else { return Ok(late) };
     let mut seen = BTreeSet::new();
-    for (number, entry) in cells.iter().filter_map(|c| Some((*c, index.cells.get(*c as usize)?))) {
-        let bundles = entry.bundles.iter().filter_map(|b| Some((*b, resident.bundle(*b)?)));
-        for (chunk, geometry) in resident.cell(number).map(|g| (entry.chunk, g)).into_iter().chain(bundles) {
+    for drawn in cells {
+        let (Some(entry), Some(mesh)) = (index.cells.get(drawn.cell as usize), index.mesh_of(*drawn)) else { continue };
+        let bundles = mesh.bundles.iter().filter_map(|b| Some((*b, resident.bundle(*b)?)));
+        let own = resident::mesh(index, resident, *drawn).map(|g| (mesh.chunk, g));
+        for (chunk, geometry) in own.into_iter().chain(bundles) {
             if seen.insert(chunk) && !gpu.upload_geometry(&geometry, ahead)? {
                 late.chunks.insert(chunk);
             }

@@ -1,10 +1,13 @@
 //! What a pose draws: the cells, images and portals that the selection shows.
 
 use super::options::Method;
-use crate::{report::StageMs, resident::Resident};
+use crate::{
+    report::StageMs,
+    resident::{Resident, has_mesh},
+};
 use ldi_protocol::{
     OutputCamera, Pose,
-    index::Index,
+    index::{DrawnCell, Index},
     need::{Needed, Sight, needed},
     room_index::PortalImages,
     rooms::{CellId, Portal},
@@ -18,7 +21,7 @@ pub struct View {
     /// Selected grid point and placement.
     pub selection: Selection,
     /// Cells to draw, near to far.
-    pub cells: Vec<u32>,
+    pub cells: Vec<DrawnCell>,
     /// Images of the placement in view, nearest to the line of sight first.
     pub images: Vec<u32>,
     /// Cells left out because they exceed the budget; 0 wherever the build guarantees the budget.
@@ -93,30 +96,79 @@ pub fn select_view(index: &Index, pose: &Pose, camera: &OutputCamera, method: Me
     }
 }
 
-/// The cells to draw, and the absent texture chunks that prevent the others from being drawn. While
-/// the LDI tree shows a cell in its colours, untextured geometry would look worse.
-pub(super) fn drawable(index: &Index, resident: &dyn Resident, cells: &[u32]) -> (Vec<u32>, Vec<u32>) {
-    if index.tree.is_none() {
-        return (cells.to_vec(), Vec::new());
+/// The cells of a view that can be drawn, as far as data is here.
+#[derive(Debug, Default)]
+pub(super) struct Drawable {
+    /// At the level of the view, or another one that is here.
+    pub cells: Vec<DrawnCell>,
+    /// Absent texture chunks that prevent other cells from being drawn. While the LDI tree shows a
+    /// cell in its colours, untextured geometry would look worse.
+    pub lacking_textures: Vec<u32>,
+    /// Absent chunks of cells that are drawn at another level.
+    pub lacking_levels: Vec<u32>,
+}
+
+/// Levels of detail that a frame draws.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct LevelStats {
+    /// Triangles of cells that are not drawn in full.
+    pub triangles: u64,
+    /// Largest deviation that a level may show, pixels of the picture.
+    pub deviation_px: f64,
+}
+
+impl LevelStats {
+    /// Of cells as seen by a camera.
+    pub(super) fn of(index: &Index, cells: &[DrawnCell], camera: &OutputCamera, pose: &Pose) -> Self {
+        let mut stats = Self::default();
+        for drawn in cells.iter().filter(|d| d.level > 0) {
+            let (Some(entry), Some(mesh)) = (index.cells.get(drawn.cell as usize), index.mesh_of(*drawn)) else {
+                continue;
+            };
+            let px = camera.displacement_px(mesh.deviation_m, entry.bounds.distance(pose.position));
+            stats.triangles += u64::from(mesh.triangles);
+            stats.deviation_px = stats.deviation_px.max(px);
+        }
+        stats
     }
+}
+
+/// Finds what can be drawn of these cells.
+pub(super) fn drawable(index: &Index, resident: &dyn Resident, cells: &[DrawnCell]) -> Drawable {
+    let mut out = Drawable::default();
+    let triangles = |c: &DrawnCell| index.mesh_of(*c).map_or(0, |m| u64::from(m.triangles));
+    let mut spare = index.settings.budget.saturating_sub(cells.iter().map(triangles).sum());
     let absent: Vec<Option<u32>> = (0u32..)
         .zip(&index.textures)
         .map(|(t, entry)| entry.chunks.first().filter(|_| resident.texture(t).is_none()).map(|c| c.chunk))
         .collect();
-    let wants = |cell: &u32| -> Vec<u32> {
-        let materials = index.cells.get(*cell as usize).map_or(&[][..], |c| &c.materials);
-        let textures = materials.iter().filter_map(|m| index.materials.get(*m as usize)?.texture);
-        textures.filter_map(|t| *absent.get(t as usize)?).collect()
-    };
-    let (mut drawn, mut lacking_textures) = (Vec::new(), Vec::new());
     for cell in cells {
-        let wanted = wants(cell);
-        if wanted.is_empty() {
-            drawn.push(*cell);
+        let materials = index.cells.get(cell.cell as usize).map_or(&[][..], |c| &c.materials);
+        let textures = materials.iter().filter_map(|m| index.materials.get(*m as usize)?.texture);
+        let wanted: Vec<u32> = textures.filter_map(|t| *absent.get(t as usize)?).collect();
+        if !wanted.is_empty() && index.tree.is_some() {
+            out.lacking_textures.extend(wanted);
+            continue;
         }
-        lacking_textures.extend(wanted);
+        let drawn = at_hand(index, resident, *cell, spare);
+        if drawn != *cell {
+            spare = (spare + triangles(cell)).saturating_sub(triangles(&drawn));
+            out.lacking_levels.extend(index.mesh_of(*cell).map(|m| m.chunk));
+        }
+        out.cells.push(drawn);
     }
-    (drawn, lacking_textures)
+    out
+}
+
+/// The cell at its level, or at the closest coarser one that is here, or the closest finer one if
+/// that takes at most `spare` triangles more. The cell itself if none is here.
+fn at_hand(index: &Index, resident: &dyn Resident, wanted: DrawnCell, spare: u64) -> DrawnCell {
+    let Some(entry) = index.cells.get(wanted.cell as usize).filter(|c| !c.levels.is_empty()) else { return wanted };
+    let coarser = wanted.level..=entry.levels.len() as u8;
+    let most = u64::from(entry.triangles_at(wanted.level)) + spare;
+    let finer = (0..wanted.level).rev().filter(|l| u64::from(entry.triangles_at(*l)) <= most);
+    let mut all = coarser.chain(finer).map(|level| DrawnCell { level, ..wanted });
+    all.find(|d| has_mesh(index, resident, *d)).unwrap_or(wanted)
 }
 
 fn cells_in_frustum(index: &Index, pose: &Pose, half_tan: (f64, f64)) -> Vec<u32> {

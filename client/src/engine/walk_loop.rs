@@ -384,6 +384,8 @@ impl WalkRun<'_> {
             grid_point: view.selection.grid_point,
             placement: frame_stats.fallback.or(view.selection.placement),
             triangles: frame_stats.triangles,
+            level_triangles: frame_stats.levels.triangles,
+            deviation_px: frame_stats.levels.deviation_px,
             dropped_cells: view.dropped,
             triangles_in_frustum: view.triangles_in_frustum,
             rooms: view.rooms.len(),

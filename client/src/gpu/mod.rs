@@ -45,7 +45,12 @@ use crate::{
     warp::{FarFrame, ImageInView, PreparedLdi, WarpOptions, WarpStats},
 };
 use device::{GpuDevice, Software};
-use ldi_protocol::{OutputCamera, Pose, index::Index, mesh::CellGeometry, texture::Texture};
+use ldi_protocol::{
+    OutputCamera, Pose,
+    index::{DrawnCell, Index},
+    mesh::CellGeometry,
+    texture::Texture,
+};
 use std::sync::Arc;
 use transfer::UploadBudget;
 
@@ -167,7 +172,7 @@ impl Gpu {
         &mut self,
         index: &Index,
         resident: &dyn Resident,
-        cells: &[u32],
+        cells: &[DrawnCell],
         camera: &OutputCamera,
         pose: &Pose,
     ) -> Result<NearStats, GpuError> {

@@ -24,7 +24,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::{DMat3, Vec3};
 use ldi_protocol::{
     OutputCamera, Pose,
-    index::Index,
+    index::{DrawnCell, Index},
     mesh::{Material, Wrap},
 };
 use rayon::prelude::*;
@@ -197,7 +197,7 @@ impl NearPass {
         budget: &mut UploadBudget,
         index: &Index,
         resident: &dyn Resident,
-        cells: &[u32],
+        cells: &[DrawnCell],
         camera: &OutputCamera,
         pose: &Pose,
     ) -> Result<NearStats, GpuError> {

@@ -175,7 +175,7 @@ fn poses(far_m: f64) -> Vec<Pose> {
 }
 
 fn drawn(gpu: &mut Gpu, index: &Index, memory: &Memory, pose: &Pose) -> (Frame, NearStats) {
-    let cells: Vec<u32> = (0..index.cells.len() as u32).collect();
+    let cells = DrawnCell::all_full(0..index.cells.len() as u32);
     let mut frame = Frame::default();
     let stats = gpu.draw(index, memory, &cells, &CAMERA, pose).expect("drawn");
     gpu.read_near(&CAMERA, &mut frame).expect("read back");
@@ -186,7 +186,7 @@ fn drawn(gpu: &mut Gpu, index: &Index, memory: &Memory, pose: &Pose) -> (Frame, 
 fn near_geometry_is_the_processors() {
     let Some(mut gpu) = card(Atomics::Best) else { return };
     let (index, memory) = scene(0.0);
-    let cells: Vec<u32> = (0..index.cells.len() as u32).collect();
+    let cells = DrawnCell::all_full(0..index.cells.len() as u32);
     let mut rasterizer = Rasterizer::default();
     let mut worst = f64::INFINITY;
     for pose in poses(0.0) {
@@ -234,7 +234,7 @@ fn finer_levels_replace_coarser_ones() {
     let whole = memory.textures[&0].clone();
     let mut coarse = (*whole).clone();
     coarse.levels[..3].fill(None);
-    let cells: Vec<u32> = (0..index.cells.len() as u32).collect();
+    let cells = DrawnCell::all_full(0..index.cells.len() as u32);
     let (pose, mut pictures) = (poses(0.0)[0], Vec::new());
     for texture in [Arc::new(coarse), whole] {
         memory.textures.insert(0, texture);
@@ -348,7 +348,7 @@ fn what_the_card_joins_is_what_the_processor_joins() {
     for atomics in [Atomics::Wide, Atomics::Narrow] {
         let Some(mut gpu) = card(atomics) else { continue };
         let (index, memory) = scene(0.0);
-        let cells: Vec<u32> = (0..index.cells.len() as u32).collect();
+        let cells = DrawnCell::all_full(0..index.cells.len() as u32);
         let mut ldi = analytic::scene("slanted").ldi(analytic::ldi_camera(DVec3::ZERO, 96, 64, 40.0), 3);
         let laid_out = PreparedLdi::new(&ldi);
         // Coarser than it is, so that near geometry often lies within a step.

@@ -33,7 +33,7 @@ use glam::DVec3;
 use image::{Framing, ImpostorImage};
 use ldi_protocol::{
     Aabb, OutputCamera, Pose,
-    index::{CellEntry, Index},
+    index::{CellEntry, DrawnCell, Index},
     select::DrawFrusta,
 };
 use safety_zone::{EyeMotion, both};
@@ -295,7 +295,7 @@ impl Impostors {
         drawn.made_ms = ms_since(start);
         let start = Instant::now();
         let cells = self.cells_of(&plan.geometry, &inputs);
-        let stats = self.rasterizer.draw(index, resident, &cells, camera, pose, frame);
+        let stats = self.rasterizer.draw(index, resident, &DrawnCell::all_full(cells), camera, pose, frame);
         drawn.near_ms = ms_since(start);
         self.costs.drew_geometry(drawn.near_ms, stats.triangles);
         let start = Instant::now();
@@ -480,8 +480,8 @@ impl Impostors {
         let (camera, pose) = (&framing.camera, &framing.pose);
         [&mut own, &mut around].into_iter().for_each(|cells| near_to_far(inputs.index, cells, inputs.pose.position));
         let (index, resident) = (inputs.index, inputs.resident);
-        let stats = self.rasterizer.draw(index, resident, &own, camera, pose, &mut self.drawing);
-        let gathered = gather_within(index, resident, &around, &inflated);
+        let stats = self.rasterizer.draw(index, resident, &DrawnCell::all_full(own), camera, pose, &mut self.drawing);
+        let gathered = gather_within(index, resident, &DrawnCell::all_full(around), &inflated);
         let neighbours = self.rasterizer.draw_gathered(gathered, (camera, pose), &mut self.neighbours);
         let triangles = stats.triangles + neighbours.triangles;
         framing.bring_in(&inflated, &self.neighbours, &mut self.drawing);

@@ -51,7 +51,7 @@ fn draw(impostors: &mut Impostors, scene: &(Index, Memory), pose: &Pose) -> (Fra
 
 fn anew(scene: &(Index, Memory), pose: &Pose) -> Frame {
     let mut frame = Frame::default();
-    let cells: Vec<u32> = (0..scene.0.cells.len() as u32).collect();
+    let cells = DrawnCell::all_full(0..scene.0.cells.len() as u32);
     Rasterizer::default().draw(&scene.0, &scene.1, &cells, &CAMERA, pose, &mut frame);
     frame
 }

@@ -1,11 +1,11 @@
 //! Gathers draws from cells: clusters, their placements and materials.
 
 use super::{alpha::AlphaBlocks, stats::NearStats};
-use crate::resident::Resident;
+use crate::resident::{self, Resident};
 use glam::{DAffine3, Vec3};
 use ldi_protocol::{
     Aabb,
-    index::Index,
+    index::{DrawnCell, Index},
     mesh::{Alpha, CellGeometry, Cluster, ClusterRef, MAX_CLUSTER_TRIANGLES, Material},
     texture::Texture,
 };
@@ -49,7 +49,7 @@ pub(crate) struct Gathered<'a> {
 }
 
 /// Collects the draws of `cells`.
-pub(crate) fn gather<'a>(index: &'a Index, resident: &dyn Resident, cells: &[u32]) -> Gathered<'a> {
+pub(crate) fn gather<'a>(index: &'a Index, resident: &dyn Resident, cells: &[DrawnCell]) -> Gathered<'a> {
     gather_if(index, resident, cells, |_, _| true)
 }
 
@@ -57,7 +57,7 @@ pub(crate) fn gather<'a>(index: &'a Index, resident: &dyn Resident, cells: &[u32
 pub(crate) fn gather_within<'a>(
     index: &'a Index,
     resident: &dyn Resident,
-    cells: &[u32],
+    cells: &[DrawnCell],
     within: &Aabb,
 ) -> Gathered<'a> {
     gather_if(index, resident, cells, |cluster, world_from_mesh| bounds(cluster, world_from_mesh).intersects(within))
@@ -79,7 +79,7 @@ fn bounds(cluster: &Cluster, world_from_mesh: &DAffine3) -> Aabb {
 fn gather_if<'a>(
     index: &'a Index,
     resident: &dyn Resident,
-    cells: &[u32],
+    cells: &[DrawnCell],
     wanted: impl Fn(&Cluster, &DAffine3) -> bool,
 ) -> Gathered<'a> {
     let mut out = Gathered {
@@ -90,14 +90,19 @@ fn gather_if<'a>(
         stats: NearStats::default(),
     };
     let mut bundles: BTreeMap<u32, Option<u32>> = BTreeMap::new();
-    for &number in cells {
-        let Some(entry) = index.cells.get(number as usize) else { continue };
-        let Some(geometry) = resident.cell(number) else {
-            out.stats.missing_chunks.push(entry.chunk);
+    // Levels of several cells lie in one chunk.
+    let mut levels: BTreeMap<u32, u32> = BTreeMap::new();
+    for &drawn in cells {
+        let Some(mesh) = index.mesh_of(drawn) else { continue };
+        let Some(geometry) = resident::mesh(index, resident, drawn) else {
+            out.stats.missing_chunks.push(mesh.chunk);
             continue;
         };
-        let own = out.hold(geometry.clone());
-        for instance in &geometry.instances {
+        let own = match drawn.level {
+            0 => out.hold(geometry.clone()),
+            _ => *levels.entry(mesh.chunk).or_insert_with(|| out.hold(geometry.clone())),
+        };
+        for instance in resident::instances(index, &geometry, drawn) {
             let (held, cluster) = match instance.cluster {
                 ClusterRef::Own(cluster) => (Some(own), cluster),
                 ClusterRef::Shared { chunk, cluster } => {

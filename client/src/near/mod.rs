@@ -54,7 +54,10 @@ use crate::{
     resident::Resident,
 };
 use gather::Gathered;
-use ldi_protocol::{OutputCamera, Pose, index::Index};
+use ldi_protocol::{
+    OutputCamera, Pose,
+    index::{DrawnCell, Index},
+};
 use rayon::prelude::*;
 
 /// Largest picture side, pixels: the records of the rasterizer keep columns and rows in 16 bits.
@@ -87,7 +90,7 @@ impl Rasterizer {
         &mut self,
         index: &Index,
         resident: &dyn Resident,
-        cells: &[u32],
+        cells: &[DrawnCell],
         camera: &OutputCamera,
         pose: &Pose,
         frame: &mut Frame,

@@ -16,8 +16,8 @@ use std::sync::Arc;
 const CAMERA: OutputCamera = OutputCamera { width: 96, height: 72, fov_deg: 60.0 };
 const AHEAD: Pose = Pose { position: DVec3::ZERO, yaw_deg: 0.0, pitch_deg: 0.0 };
 
-fn all_cells(index: &Index) -> Vec<u32> {
-    (0..index.cells.len() as u32).collect()
+fn all_cells(index: &Index) -> Vec<DrawnCell> {
+    DrawnCell::all_full(0..index.cells.len() as u32)
 }
 
 fn draw(index: &Index, memory: &Memory, camera: &OutputCamera, pose: &Pose) -> (Frame, Vec<u32>, NearStats) {
@@ -269,7 +269,7 @@ fn levels_that_no_pixel_shows_make_no_difference() {
         let away = 0.3 + 10.0 * random(0);
         let position = DVec3::new(away * (random(1) - 0.5), away * (random(2) - 0.5), away);
         let pose = Pose { position, yaw_deg: 50.0 * (random(3) - 0.5), pitch_deg: 30.0 * (random(1) - 0.5) };
-        let needed = need::needed(&index, &[], &[0], &[], &need::Sight::new(&pose, &CAMERA, 1));
+        let needed = need::needed(&index, &[], &[DrawnCell::full(0)], &[], &need::Sight::new(&pose, &CAMERA, 1));
         let finest = (needed.now.iter().chain(&needed.fine)).filter(|c| **c >= first).map(|c| c - first).min();
         let finest = finest.expect("the coarsest level") as usize;
         let all = with(whole.clone(), &pose);
@@ -459,7 +459,7 @@ fn what_is_hidden_makes_no_difference() {
         rasterizer.draw(&index, &memory, &[cell], &CAMERA, &AHEAD, &mut one);
         for (best, (d, id)) in best.iter_mut().zip(one.disparity.iter().zip(&rasterizer.ids)) {
             if *id != triangle_setup::NO_TRIANGLE && *d > best.0 {
-                *best = (*d, cell << 8 | id & 255);
+                *best = (*d, cell.cell << 8 | id & 255);
             }
         }
     }

@@ -4,7 +4,7 @@
 use crate::{
     Aabb,
     codec::{CodecError, texture::TextureLevels},
-    index::{Index, TextureChunk, TextureEntry},
+    index::{ChunkKind, DrawnCell, Index, TextureChunk, TextureEntry},
     ldi::Ldi,
     mesh::{CellGeometry, Cluster, ClusterRef},
 };
@@ -43,6 +43,23 @@ pub fn check_bundle(index: &Index, geometry: &CellGeometry) -> Result<(), CodecE
     check_materials(index, geometry)
 }
 
+/// Checks a chunk of levels of detail: materials exist, and shared clusters lie in bundles.
+///
+/// # Errors
+/// What contradicts the index.
+pub fn check_levels(index: &Index, geometry: &CellGeometry) -> Result<(), CodecError> {
+    check_materials(index, geometry)?;
+    let is_bundle = |chunk: u32| index.chunks.get(chunk as usize).is_some_and(|c| c.kind == ChunkKind::Bundle);
+    for instance in &geometry.instances {
+        if let ClusterRef::Shared { chunk, .. } = instance.cluster
+            && !is_bundle(chunk)
+        {
+            return Err(CodecError::range("bundles", chunk, "the index has no such bundle"));
+        }
+    }
+    Ok(())
+}
+
 fn check_materials(index: &Index, geometry: &CellGeometry) -> Result<(), CodecError> {
     match geometry.clusters.iter().find(|c| c.material as usize >= index.materials.len()) {
         Some(c) => Err(CodecError::range("material", c.material, "the index has no such material")),
@@ -50,23 +67,34 @@ fn check_materials(index: &Index, geometry: &CellGeometry) -> Result<(), CodecEr
     }
 }
 
-/// Checks what a cell draws once its bundles are at hand: shared clusters exist, the triangles are
-/// as many as the index says and lie within the cell's bounds. `bundle` gives a bundle by chunk
+/// Checks what a cell draws at a level once its bundles are at hand: shared clusters exist and lie
+/// in bundles that the level lists, the triangles are as many as the index says and lie within the
+/// cell's bounds. `geometry` is the content of the level's chunk; `bundle` gives a bundle by chunk
 /// number.
 ///
 /// # Errors
 /// What contradicts the index.
 pub fn check_cell_content<'a>(
     index: &Index,
-    cell: u32,
+    cell: DrawnCell,
     geometry: &'a CellGeometry,
     bundle: impl Fn(u32) -> Option<&'a CellGeometry>,
 ) -> Result<(), CodecError> {
-    check_cell(index, cell, geometry)?;
-    let entry = &index.cells[cell as usize];
+    let (Some(entry), Some(mesh)) = (index.cells.get(cell.cell as usize), index.mesh_of(cell)) else {
+        return Err(CodecError::range("cell", cell.cell, "the index has no such cell or level of it"));
+    };
+    let range = mesh.instances.map_or(0..geometry.instances.len(), |r| r.start as usize..r.end as usize);
+    let Some(instances) = geometry.instances.get(range.clone()) else {
+        return Err(CodecError::range("instances", range.end, "the chunk has fewer"));
+    };
     let mut triangles = 0u64;
     let mut bounds = Aabb::EMPTY;
-    for instance in &geometry.instances {
+    for instance in instances {
+        if let ClusterRef::Shared { chunk, .. } = instance.cluster
+            && mesh.bundles.binary_search(&chunk).is_err()
+        {
+            return Err(CodecError::range("bundles", chunk, "the cell does not list this bundle"));
+        }
         let cluster: Option<&Cluster> = match instance.cluster {
             ClusterRef::Own(k) => geometry.clusters.get(k as usize),
             ClusterRef::Shared { chunk, cluster } => bundle(chunk).and_then(|b| b.clusters.get(cluster as usize)),
@@ -78,8 +106,8 @@ pub fn check_cell_content<'a>(
             bounds = bounds.grown_to(instance.world_from_mesh.transform_point3(cluster.origin + p.as_dvec3()));
         }
     }
-    if triangles != u64::from(entry.triangles) {
-        return Err(CodecError::mismatch("triangles", format!("{triangles}, but the index says {}", entry.triangles)));
+    if triangles != u64::from(mesh.triangles) {
+        return Err(CodecError::mismatch("triangles", format!("{triangles}, but the index says {}", mesh.triangles)));
     }
     let allowed = entry.bounds.inflated(BOUNDS_MARGIN_M + 1e-6 * entry.bounds.max_distance(DVec3::ZERO));
     let within = bounds.is_empty() || (allowed.contains(bounds.min) && allowed.contains(bounds.max));

@@ -4,7 +4,8 @@ use super::*;
 use crate::{
     Aabb, CellRuns, OutputCamera, ViewBasis,
     index::{
-        AngularRange, CellEntry, ChunkEntry, ChunkKind, GridPoint, ImageEntry, Placement, TextureChunk, TextureEntry,
+        AngularRange, CellEntry, CellLevel, ChunkEntry, ChunkKind, GridPoint, ImageEntry, Placement, TextureChunk,
+        TextureEntry,
     },
     mesh::{Alpha, Material, Wrap},
     room_index::{BuiltImages, RoomIndex, SideImages},
@@ -29,9 +30,12 @@ fn index(n: usize) -> Index {
         1 => ChunkKind::Texture,
         i if i < n + 2 => ChunkKind::Cell,
         i if i < 2 + 3 * n => ChunkKind::Ldi,
-        _ => ChunkKind::Tree,
+        i if i < 2 + 3 * n + 2 => ChunkKind::Tree,
+        _ => ChunkKind::Levels,
     };
-    let chunks = (0..2 + 3 * n + 2)
+    // The last two hold levels of detail.
+    let level_chunk = |k: usize| (2 + 3 * n + 2 + k) as u32;
+    let chunks = (0..2 + 3 * n + 4)
         .map(|i| ChunkEntry {
             hash: hash(i),
             stored_bytes: 100 + i as u32,
@@ -48,6 +52,7 @@ fn index(n: usize) -> Index {
             optimize_budget: 900,
             camera: OutputCamera { width: 1280, height: 720, fov_deg: 60.0 },
             max_footprint_px: 2.0,
+            max_deviation_px: 0.5,
             pitch_deg: 60.0,
             density: 1.0,
             colour: "high".into(),
@@ -66,6 +71,15 @@ fn index(n: usize) -> Index {
                 bundles: if i % 2 == 0 { vec![0] } else { vec![] },
                 materials: vec![0, 1],
                 texel_density: vec![-3, 40],
+                levels: (0..(17 * i).min(i % 4))
+                    .map(|k| CellLevel {
+                        deviation_m: f64::from((k + 1) as f32 * 0.1),
+                        triangles: (17 * i - k - 1) as u32,
+                        chunk: level_chunk(k % 2),
+                        instances: (i * k) as u32..(i * k + 3) as u32,
+                        bundles: if k == 1 { vec![0] } else { vec![] },
+                    })
+                    .collect(),
             })
             .collect(),
         materials: vec![
@@ -310,13 +324,19 @@ fn bounds_that_are_not_f32_are_refused() {
 #[test]
 fn every_broken_rule_is_named() {
     type Break = fn(&mut Index);
-    let breaks: [(&str, Break); 40] = [
+    let breaks: [(&str, Break); 46] = [
         ("chunk", |i| i.chunks[3].kind = ChunkKind::Page),
         ("cell", |i| i.cells[1].chunk = 0),
         ("tree", |i| i.tree.as_mut().unwrap().root_chunk = 0),
         ("tree", |i| i.tree.as_mut().unwrap().nodes[2].level = 7),
         ("cell", |i| i.cells[1].chunk = 9999),
         ("cell", |i| i.cells[0].bundles = vec![2]),
+        ("cell", |i| i.cells[3].levels[0].chunk = 0),
+        ("cell", |i| i.cells[3].levels[1].bundles = vec![2]),
+        ("cell", |i| i.cells[3].levels.swap(0, 1)),
+        ("cell", |i| i.cells[3].levels[0].triangles = 51),
+        ("cell", |i| i.cells[3].levels[2].deviation_m = f64::INFINITY),
+        ("cell", |i| i.cells[3].levels[0].instances = std::ops::Range { start: 2, end: 1 }),
         ("cell", |i| i.cells[0].materials = vec![1, 0]),
         ("cell", |i| i.cells[0].materials = vec![2]),
         ("cell", |i| i.cells[0].bounds.min.x = f64::NAN),

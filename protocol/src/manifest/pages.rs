@@ -5,6 +5,7 @@
 //! to the run, length of the run less one. Culled subsets are boxes of Morton-ordered cells, so
 //! their runs are long.
 
+mod levels;
 mod rooms;
 mod tree;
 
@@ -74,8 +75,15 @@ fn charge<T>(decoded: &mut usize, field: &'static str, count: usize) -> Result<(
 
 /// Longest packed material, raw bytes: thirteen fields of at most nine bytes, and their lists.
 const MATERIAL_BYTES: usize = 256;
-const KINDS: [ChunkKind; 6] =
-    [ChunkKind::Page, ChunkKind::Cell, ChunkKind::Bundle, ChunkKind::Ldi, ChunkKind::Texture, ChunkKind::Tree];
+const KINDS: [ChunkKind; 7] = [
+    ChunkKind::Page,
+    ChunkKind::Cell,
+    ChunkKind::Bundle,
+    ChunkKind::Ldi,
+    ChunkKind::Texture,
+    ChunkKind::Tree,
+    ChunkKind::Levels,
+];
 
 /// Entries of [`PageKind::Rooms`].
 pub(super) fn room_count(index: &Index) -> usize {
@@ -301,7 +309,7 @@ fn take_chunks(r: &mut Reader<'_>, n: usize, decoded: &mut usize) -> Result<Vec<
             decoded_bytes: sizes.next("chunk sizes")?,
             kind: *KINDS
                 .get(usize::from(kind))
-                .ok_or_else(|| CodecError::range("chunk kind", kind, "there are six kinds"))?,
+                .ok_or_else(|| CodecError::range("chunk kind", kind, "there are seven kinds"))?,
         });
     }
     sizes.finish("chunk sizes")?;
@@ -330,7 +338,8 @@ fn put_cells(w: &mut Writer, cells: &[CellEntry]) -> Result<(), CodecError> {
         put_ascending(&mut numbers, &c.materials);
         c.texel_density.iter().for_each(|d| put_varint(&mut numbers, d.cast_unsigned().into()));
     }
-    w.section("cells", &numbers)
+    w.section("cells", &numbers)?;
+    levels::put(w, cells)
 }
 
 fn take_cells(r: &mut Reader<'_>, n: usize, decoded: &mut usize) -> Result<Vec<CellEntry>, CodecError> {
@@ -352,9 +361,10 @@ fn take_cells(r: &mut Reader<'_>, n: usize, decoded: &mut usize) -> Result<Vec<C
         };
         let texel_density = materials.iter().map(&mut density).collect::<Result<_, CodecError>>()?;
         let bounds = Aabb { min: corner(0), max: corner(3) };
-        cells.push(CellEntry { bounds, triangles, chunk, bundles, materials, texel_density });
+        cells.push(CellEntry { bounds, triangles, chunk, bundles, materials, texel_density, levels: Vec::new() });
     }
     numbers.finish("cells")?;
+    levels::take(r, &mut cells, decoded)?;
     Ok(cells)
 }
 

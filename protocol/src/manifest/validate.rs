@@ -4,7 +4,7 @@
 use crate::{
     Aabb, ViewBasis,
     codec::{CodecError, texture},
-    index::{BuildSettings, ChunkEntry, ChunkKind, GridPoint, ImageEntry, Index, Placement, TextureEntry},
+    index::{BuildSettings, CellEntry, ChunkEntry, ChunkKind, GridPoint, ImageEntry, Index, Placement, TextureEntry},
     ldi::Ldi,
     mesh::{Alpha, Material},
     texture::level_count,
@@ -36,6 +36,12 @@ pub fn validate(index: &Index) -> Result<(), CodecError> {
         is(c.chunk, ChunkKind::Cell)?;
         ascending("bundles", &c.bundles, index.chunks.len())?;
         c.bundles.iter().try_for_each(|&b| is(b, ChunkKind::Bundle))?;
+        for level in &c.levels {
+            is(level.chunk, ChunkKind::Levels)?;
+            ascending("bundles of a level", &level.bundles, index.chunks.len())?;
+            level.bundles.iter().try_for_each(|&b| is(b, ChunkKind::Bundle))?;
+        }
+        check_levels(c)?;
         if c.texel_density.len() != c.materials.len() {
             return Err("texel densities: there must be one per material".into());
         }
@@ -74,6 +80,19 @@ fn check_scene(index: &Index) -> Result<(), CodecError> {
     let finite = scene.min.is_finite() && scene.max.is_finite();
     if !scene.is_empty() && !finite {
         return Err(CodecError::mismatch("scene bounds", "they are not finite"));
+    }
+    Ok(())
+}
+
+/// Levels grow coarser: `select` looks for the last one that is good enough.
+fn check_levels(c: &CellEntry) -> Result<(), String> {
+    let (mut deviation_m, mut triangles) = (0.0, c.triangles);
+    for level in &c.levels {
+        let is_coarser = level.deviation_m >= deviation_m && level.deviation_m.is_finite();
+        if !is_coarser || level.triangles >= triangles || level.instances.start > level.instances.end {
+            return Err("its levels do not get coarser one by one".into());
+        }
+        (deviation_m, triangles) = (level.deviation_m, level.triangles);
     }
     Ok(())
 }
@@ -145,6 +164,9 @@ fn check_settings(s: &BuildSettings) -> Result<(), CodecError> {
     }
     if !positive(s.max_footprint_px) || !positive(s.density) || !(0.0..=90.0).contains(&s.pitch_deg) {
         return Err(CodecError::mismatch("settings", "footprint and density must be positive, pitch 0 to 90 degrees"));
+    }
+    if !(s.max_deviation_px >= 0.0 && s.max_deviation_px.is_finite()) {
+        return Err(CodecError::range("deviation", s.max_deviation_px, "0 or more, finite"));
     }
     if s.eye_height_m.is_some_and(|h| !h.is_finite()) {
         return Err(CodecError::mismatch("settings", "the eye height is not finite"));

@@ -18,11 +18,11 @@
 //! Where even 1 and 2 exceed the budget, the farthest cells are left out and counted
 //! ([`DrawList::dropped`](super::DrawList::dropped)): the LDI tree shows through there.
 
-use super::{DrawFrusta, DrawList, Selection, images_within, near_to_far, tree_chunks, within_budget};
+use super::{DrawFrusta, DrawList, Selection, images_within, level_at, near_to_far, tree_chunks, within_budget};
 use crate::{
     Pose,
     camera::Frustum,
-    index::Index,
+    index::{DrawnCell, Index},
     portal_view::{Cone, PortalView, VISITS_PER_VIEW, portal_view_within},
     room_index::{PortalImages, RoomIndex, ShowPortals},
     rooms::CellId,
@@ -66,8 +66,8 @@ struct Search<'a> {
 struct State {
     geometry: Vec<bool>,
     view: PortalView,
-    /// Distance and number.
-    cells: Vec<(f64, u32)>,
+    /// With their distances.
+    cells: Vec<(f64, DrawnCell)>,
     triangles: u64,
 }
 
@@ -199,10 +199,9 @@ impl<'a> Search<'a> {
                 let seen = |cone: &Cone| cone.may_intersect(&entry.bounds);
                 if !taken[cell as usize] && self.frusta.admit(&entry.bounds) && room.cones.iter().any(seen) {
                     taken[cell as usize] = true;
-                    triangles += u64::from(entry.triangles);
-                    let eye = self.pose.position;
-                    let apart = eye.clamp(entry.bounds.min, entry.bounds.max) - eye;
-                    cells.push((apart.length_squared(), cell));
+                    let level = level_at(self.index, cell, self.pose.position);
+                    triangles += u64::from(entry.triangles_at(level));
+                    cells.push((entry.bounds.distance(self.pose.position), DrawnCell { cell, level }));
                 }
             }
         }

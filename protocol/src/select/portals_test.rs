@@ -28,6 +28,7 @@ fn index(budget: u64, served: &[usize]) -> Index {
             bundles: vec![],
             materials: vec![],
             texel_density: vec![],
+            levels: Vec::new(),
         }
     };
     let room = |k: usize| Cell {
@@ -83,6 +84,7 @@ fn index(budget: u64, served: &[usize]) -> Index {
             optimize_budget: budget,
             camera: OutputCamera { width: 64, height: 64, fov_deg: 90.0 },
             max_footprint_px: 2.0,
+            max_deviation_px: 0.5,
             pitch_deg: 60.0,
             density: 1.0,
             colour: "high".into(),
@@ -115,7 +117,7 @@ fn within_the_budget_all_that_is_seen_is_geometry() {
     let list = draw_list(&index, &pose(-0.5, 0.0), SQUARE);
     // The first door leaves a cone of slope 1 / 3.5, which reaches room 1's cells 1.5 m aside; the
     // second one of 1 / 7.5, which does not reach room 2's.
-    assert_eq!((list.cells.as_slice(), list.triangles), (&[0, 1, 2, 3][..], 400));
+    assert_eq!((list.cell_numbers().as_slice(), list.triangles), (&[0, 1, 2, 3][..], 400));
     assert!(list.portals.is_empty() && list.images.is_empty());
     assert_eq!(list.rooms, (0..5).map(Some).collect::<Vec<_>>());
     let back = draw_list(&index, &pose(-0.5, 180.0), SQUARE);
@@ -125,7 +127,7 @@ fn within_the_budget_all_that_is_seen_is_geometry() {
 #[test]
 fn beyond_the_budget_portals_show_what_is_left() {
     let list = draw_list(&index(399, &[0, 1, 2, 3]), &pose(-0.5, 0.0), SQUARE);
-    assert_eq!((list.cells.as_slice(), list.dropped), (&[0, 1][..], 0));
+    assert_eq!((list.cell_numbers().as_slice(), list.dropped), (&[0, 1][..], 0));
     assert_eq!(list.rooms, [Some(0)]);
     let shown: Vec<_> = list.portals.iter().map(|p| (p.portal, p.side, p.placement)).collect();
     assert_eq!((shown, list.images), (vec![(0, 0, 0)], vec![0]));
@@ -141,7 +143,7 @@ fn nearer_than_its_eyes_an_image_gives_way_to_geometry() {
     // Half a metre before the first door room 1 must be geometry, for which its own door has an
     // image.
     let list = draw_list(&index(399, &[0, 1, 2, 3]), &pose(-3.5, 0.0), SQUARE);
-    assert_eq!(list.cells, [2, 3]);
+    assert_eq!(list.cell_numbers(), [2, 3]);
     assert_eq!(list.portals.iter().map(|p| p.portal).collect::<Vec<_>>(), [1]);
     // Without one for it the next is looked for, and so on.
     let fewer = draw_list(&index(399, &[0, 2]), &pose(-3.5, 0.0), SQUARE);
@@ -185,7 +187,7 @@ fn where_rooms_are_too_much_the_grid_takes_over_for_its_eyes_alone() {
     // 400 triangles are seen from the first room, with no image at its door.
     let list = draw_list(&with_grid(399), &pose(-0.5, 0.0), SQUARE);
     assert_eq!((list.selection.grid_point, list.selection.placement), (Some(0), Some(0)));
-    assert_eq!((list.cells.as_slice(), list.images.as_slice(), list.dropped), (&[0, 1][..], &[0][..], 0));
+    assert_eq!((list.cell_numbers().as_slice(), list.images.as_slice(), list.dropped), (&[0, 1][..], &[0][..], 0));
     assert!(list.rooms.is_empty() && list.portals.is_empty());
     // Within the budget it is the rooms'.
     let list = draw_list(&with_grid(400), &pose(-0.5, 0.0), SQUARE);
@@ -264,7 +266,7 @@ fn each_kind_of_image_is_the_one_that_was_asked_for() {
         let (portals, of_view, cells) = shown(images, x, true);
         assert_eq!(portals, [(1, placement, second)], "{images:?} at {x}");
         assert_eq!(of_view, [Some(placement), second].into_iter().flatten().collect::<Vec<_>>());
-        assert!(cells.iter().all(|c| [2, 3].contains(c)), "the room of the eye alone: {cells:?}");
+        assert!(cells.iter().all(|c| [2, 3].contains(&c.cell)), "the room of the eye alone: {cells:?}");
     }
     // What fits is geometry unless images are wanted everywhere; and what was not built is not
     // shown.
@@ -304,7 +306,7 @@ proptest! {
         prop_assert!(list.triangles <= budget);
         // What has to be geometry fits, or cells are left out.
         prop_assert_eq!(least_by_rooms(&index, &pose, SQUARE).is_some_and(|t| t > budget), list.dropped > 0);
-        let drawn: u64 = list.cells.iter().map(|c| u64::from(index.cells[*c as usize].triangles)).sum();
+        let drawn: u64 = list.cells.iter().map(|c| u64::from(index.cells[c.cell as usize].triangles)).sum();
         prop_assert_eq!(drawn, list.triangles);
         if list.dropped > 0 {
             return Ok(());
@@ -322,7 +324,7 @@ proptest! {
                 // Sampled: the slab test is what the renderer's own tests use.
                 let hit = (0..=400).map(|k| position + ray * (from + (to - from) * f64::from(k) / 400.0));
                 if hit.into_iter().any(|p| b.contains(p)) {
-                    prop_assert!(list.cells.contains(&(cell as u32)), "cell {cell} of {list:?}");
+                    prop_assert!(list.cell_numbers().contains(&(cell as u32)), "cell {cell} of {list:?}");
                 }
             }
             let through = position + ray * to;
@@ -350,7 +352,7 @@ fn rooms_of_the_grid_are_served_by_it_where_it_was_made() {
     assert_eq!([first, second].map(|p| by(&index, &p)), [None; 2], "all of it fits the budget");
     index.rooms.as_mut().unwrap().by_grid = vec![true; ROOMS + 1];
     assert_eq!(by(&index, &first), Some(0));
-    assert_eq!(draw_list(&index, &first, SQUARE).cells, [0, 1]);
+    assert_eq!(draw_list(&index, &first, SQUARE).cell_numbers(), [0, 1]);
     assert_eq!(by(&index, &second), None, "not among the placement's eyes");
     let zones = ShowPortals { images: PortalImages::Zones, ..ShowPortals::default() };
     let asked = draw_list_showing(&index, &first, SQUARE, Show { portals: zones, ..Show::default() });

@@ -3,7 +3,7 @@
 use super::*;
 use crate::{
     OutputCamera, ViewBasis,
-    index::{BuildSettings, CellEntry, GridPoint, ImageEntry, SceneInfo},
+    index::{BuildSettings, CellEntry, CellLevel, GridPoint, ImageEntry, SceneInfo},
 };
 
 /// Ten cells of 100 triangles along -Z, one per metre from 2 m on; a grid point at the origin
@@ -19,6 +19,7 @@ fn index(grid: &str, budget: u64) -> Index {
         bundles: vec![],
         materials: vec![],
         texel_density: vec![],
+        levels: Vec::new(),
     };
     let point = |z: f64, placement| GridPoint {
         position: DVec3::new(0.0, 0.0, z),
@@ -42,6 +43,7 @@ fn index(grid: &str, budget: u64) -> Index {
             optimize_budget: budget,
             camera: OutputCamera { width: 64, height: 36, fov_deg: 60.0 },
             max_footprint_px: 2.0,
+            max_deviation_px: 0.5,
             pitch_deg: 30.0,
             density: 1.0,
             colour: "high".into(),
@@ -129,12 +131,16 @@ fn nobody_is_shown_images_that_were_made_for_others() {
     index.placements[0].users = Aabb { min: DVec3::splat(-0.4), max: DVec3::splat(0.4) };
     assert_eq!(planned(&index, -0.5), (0, false), "beyond the users");
     let list = draw_list(&index, &pose(-0.5, 0.0), (0.577, 0.32));
-    assert_eq!((list.cells.as_slice(), list.triangles), (&[0, 1, 2][..], 300), "the nearest cells within the budget");
+    assert_eq!(
+        (list.cell_numbers().as_slice(), list.triangles),
+        (&[0, 1, 2][..], 300),
+        "the nearest cells within the budget"
+    );
     assert_eq!(planned(&index, -0.3), (2, true));
     // Nothing was made of it in time.
     index.placements[0].images = 0..0;
     assert_eq!(planned(&index, -0.3), (0, false));
-    assert_eq!(draw_list(&index, &pose(-0.3, 0.0), (0.577, 0.32)).cells, [0, 1, 2]);
+    assert_eq!(draw_list(&index, &pose(-0.3, 0.0), (0.577, 0.32)).cell_numbers(), [0, 1, 2]);
 }
 
 #[test]
@@ -155,7 +161,7 @@ fn placements_change_between_the_directions_named_and_nowhere_else() {
 #[test]
 fn what_the_placement_replaces_is_not_drawn() {
     let list = draw_list(&index("paper", 1000), &pose(-0.5, 0.0), (0.577, 0.32));
-    assert_eq!((list.cells.as_slice(), list.triangles, list.dropped), (&[0, 1, 2, 3, 4][..], 500, 0));
+    assert_eq!((list.cell_numbers().as_slice(), list.triangles, list.dropped), (&[0, 1, 2, 3, 4][..], 500, 0));
     let beside = draw_list(&index("paper", 1000), &pose(-0.5, 20.0), (0.577, 0.32));
     assert_eq!(beside.selection.placement, None, "another angular range");
     assert_eq!(beside.cells.len(), 10);
@@ -200,10 +206,43 @@ fn groups_of_cells_change_nothing_but_the_time() {
     }
 }
 
+/// Far cells are drawn at the coarsest level that deviates by half a pixel at most, and count as
+/// such; where all is geometry in full they are not.
+#[test]
+fn cells_are_as_coarse_as_their_distance_allows() {
+    let mut index = index("paper", 1000);
+    // Half a pixel of 64 over 60 degrees: 1 : 160 with the picture's corners.
+    let per_metre = index.settings.deviation_per_metre();
+    let at_corner = index.settings.camera.displacement_px(per_metre * 7.0, 7.0);
+    assert!((at_corner - 0.5).abs() < 1e-12 && (1.0 / per_metre - 159.5).abs() < 1.0, "{}", 1.0 / per_metre);
+    let level = |distance_m: f64, triangles| CellLevel {
+        deviation_m: distance_m * per_metre,
+        triangles,
+        chunk: 0,
+        instances: 0..1,
+        bundles: vec![],
+    };
+    for cell in &mut index.cells {
+        cell.levels = vec![level(2.9, 40), level(2.95, 30), level(5.0, 10)];
+    }
+    // Bounds begin at 1.5, 2.5, 3.5 m and so on before the eye.
+    let list = draw_list(&index, &pose(-0.5, 20.0), (0.577, 0.32));
+    let levels: Vec<u8> = list.cells.iter().map(|c| c.level).collect();
+    assert_eq!((levels, list.triangles), (vec![0, 0, 2, 2, 3, 3, 3, 3, 3, 3], 200 + 60 + 60));
+    assert!(list.cells.iter().all(|c| level_at(&index, c.cell, pose(-0.5, 0.0).position) == c.level));
+    let show = |far| draw_list_showing(&index, &pose(-0.5, 20.0), (0.577, 0.32), Show { far, ..Show::default() });
+    assert_eq!((show(FarBy::Levels).triangles, show(FarBy::Geometry).triangles), (320, 1000));
+    // The budget goes farther.
+    index.settings.budget = 320;
+    assert_eq!(draw_list(&index, &pose(-0.5, 20.0), (0.577, 0.32)).dropped, 0);
+    index.settings.max_deviation_px = 0.0;
+    assert_eq!(draw_list(&index, &pose(-0.5, 20.0), (0.577, 0.32)).cell_numbers(), [0, 1]);
+}
+
 #[test]
 fn beyond_the_budget_the_farthest_cells_go() {
     let list = draw_list(&index("paper", 250), &pose(-0.5, 0.0), (0.577, 0.32));
-    assert_eq!((list.cells.as_slice(), list.triangles, list.dropped), (&[0, 1][..], 200, 3));
+    assert_eq!((list.cell_numbers().as_slice(), list.triangles, list.dropped), (&[0, 1][..], 200, 3));
     assert_eq!(list.complete_m, 0.0, "images show some of it");
     // Cell 2 is the nearest that goes.
     let beside = draw_list(&index("paper", 250), &pose(-0.5, 20.0), (0.577, 0.32));
@@ -220,7 +259,7 @@ fn wide_cells_in_the_background_stay_within_the_budget() {
     let hill = Aabb { min: DVec3::new(-50.0, -10.0, -200.0), max: DVec3::new(50.0, 40.0, -150.0) };
     index.cells.push(CellEntry { bounds: hill, triangles: 50, ..index.cells[0].clone() });
     let list = draw_list(&index, &pose(-0.5, 20.0), (0.577, 0.32));
-    assert_eq!((list.cells.as_slice(), list.triangles, list.dropped), (&[0, 1, 2, 3, 10][..], 450, 6));
+    assert_eq!((list.cell_numbers().as_slice(), list.triangles, list.dropped), (&[0, 1, 2, 3, 10][..], 450, 6));
     assert!((list.complete_m - 5.5).abs() < 0.1, "{} m", list.complete_m);
 }
 
@@ -240,7 +279,7 @@ fn a_larger_share_of_the_budget_goes_on_farther() {
     let index = index("paper", 260);
     let of = |share| cells_before_tree(&index, &CellGroups::of(&index.cells), &pose(-0.5, 0.0), (0.577, 0.32), share);
     assert_eq!(of(1.0), draw_list(&index, &pose(-0.5, 0.0), (0.577, 0.32)).cells);
-    assert_eq!([1.0, 1.3].map(of), [vec![0, 1], vec![0, 1, 2]]);
+    assert_eq!([1.0, 1.3].map(of), [DrawnCell::all_full(0..2), DrawnCell::all_full(0..3)]);
 }
 
 #[test]

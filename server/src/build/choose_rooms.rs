@@ -9,6 +9,7 @@
 use super::choose::{ImageBytes, megabytes, pixels_of};
 use super::rooms::{self, PortalOptions, RoomPlan, Site};
 use super::{AUDITED_POSES, BuildError, BuildOptions, Progress, draft_index, place, planned_camera};
+use crate::levels::Levels;
 use crate::octree::Octree;
 use crate::placement::{self, AuditReport, PlacementPlan, PlacementResult};
 use crate::render::Caster;
@@ -283,6 +284,7 @@ pub(super) struct Ground<'a> {
     pub caster: &'a Caster,
     pub scene: &'a Scene,
     pub octree: &'a Octree,
+    pub levels: &'a Levels,
     pub settings: &'a BuildSettings,
     pub cells: &'a [CellEntry],
     pub chunks: &'a [ChunkEntry],
@@ -329,10 +331,10 @@ impl Ground<'_> {
         portals: &PortalOptions,
         by_grid: Vec<bool>,
     ) -> Result<(PlacementResult, RoomPlan), BuildError> {
-        let Self { options, caster, scene, octree, settings, progress, .. } = *self;
+        let Self { options, caster, scene, octree, levels, settings, progress, .. } = *self;
         let nothing = PlacementResult { points: Vec::new(), plans: Vec::new(), ..plan.clone() };
         let draft = draft_index(options, scene, settings, &nothing, self.cells.to_vec(), None);
-        let grid = |volume| place((scene, octree, settings), caster, volume, progress);
+        let grid = |volume| place(scene, (octree, levels), settings, caster, volume, progress);
         let share = rooms::Share { by_grid, before: Some(by_rooms) };
         let (mut mixed, found) = rooms::plan_rooms(caster, site, portals, draft, share, &grid, progress)?;
         mixed.statistics.skipped.clone_from(&plan.statistics.skipped);
@@ -398,7 +400,7 @@ mod tests {
         let p = super::super::plan(&options, &mut Default::default(), &()).unwrap();
         let plan = &p.plan;
         assert_eq!(p.settings.budget, p.scene.triangles() * 3 / 10);
-        let geometry = crate::pack::pack_geometry(&p.scene, &p.clusters, &p.octree, 0).unwrap();
+        let geometry = crate::pack::pack_geometry(&p.scene, &p.clusters, &p.octree, &p.levels, 0).unwrap();
         let index = Index {
             chunks: geometry.chunks.iter().map(super::super::chunk_entry).collect(),
             ..draft_index(&options, &p.scene, &p.settings, plan, geometry.cells.clone(), None)

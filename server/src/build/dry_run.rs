@@ -107,8 +107,9 @@ pub fn dry_run(
 /// As [`super::build`]; also if a triangle is in no cell, in two, or outside of its cell.
 pub fn draft(options: &BuildOptions, progress: &dyn Progress) -> Result<Draft, BuildError> {
     let mut clock = Clock::default();
-    let Planned { scene, clusters, octree, settings, plan, walk, rooms, .. } = plan(options, &mut clock, progress)?;
-    let geometry = pack::pack_geometry(&scene, &clusters, &octree, 0)?;
+    let Planned { scene, clusters, octree, levels, settings, plan, walk, rooms, .. } =
+        plan(options, &mut clock, progress)?;
+    let geometry = pack::pack_geometry(&scene, &clusters, &octree, &levels, 0)?;
     let ranges: Vec<_> = (0..octree.cells.len()).map(|c| octree.ranges(&scene, &clusters, c)).collect();
     let bounds: Vec<_> = geometry.cells.iter().map(|c| c.bounds).collect();
     let counts = octree::recount(&scene, &ranges, &bounds)?;

@@ -106,6 +106,7 @@ mod tests {
                 optimize_budget: 0,
                 camera: OutputCamera { width: 64, height: 36, fov_deg: 60.0 },
                 max_footprint_px: 2.0,
+                max_deviation_px: 0.5,
                 pitch_deg: 60.0,
                 density: 1.0,
                 colour: "high".into(),

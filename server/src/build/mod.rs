@@ -35,6 +35,7 @@ pub use report::{images_per_grid_point, report_json};
 pub use rooms::{GridUnderRooms, PortalOptions, RoomFigures, RoomSource};
 
 use crate::construct::ConstructError;
+use crate::levels::{self, Levels};
 use crate::octree::{Clusters, Octree, RecountError};
 use crate::pack::{self, PackError};
 use crate::placement::{
@@ -49,7 +50,7 @@ use crate::walk_volume::{self, Corridor, WalkError, WalkOptions, WalkReport};
 use glam::DVec3;
 use ldi_protocol::codec::ColourProfile;
 use ldi_protocol::index::{
-    BuildSettings, CellEntry, ChunkEntry, ChunkHash, ImageEntry, Index, Placement, SceneInfo, TextureEntry,
+    BuildSettings, CellEntry, CellLevel, ChunkEntry, ChunkHash, ImageEntry, Index, Placement, SceneInfo, TextureEntry,
 };
 use ldi_protocol::ldi::LdiCamera;
 use ldi_protocol::room_index::{BuiltImages, RoomIndex};
@@ -242,6 +243,7 @@ struct Planned {
     scene: Arc<Scene>,
     clusters: Clusters,
     octree: Octree,
+    levels: Levels,
     /// With the optimization budget filled in.
     settings: BuildSettings,
     plan: PlacementResult,
@@ -262,18 +264,22 @@ fn sees(caster: &Caster, from: DVec3, to: DVec3) -> bool {
 
 /// Plans the grid for the eyes of a volume.
 fn place(
-    (scene, octree, settings): (&Scene, &Octree, &BuildSettings),
+    scene: &Scene,
+    cells: (&Octree, &Levels),
+    settings: &BuildSettings,
     caster: &Caster,
     volume: WalkVolume,
     progress: &dyn Progress,
 ) -> Result<PlacementResult, PlacementError> {
     let in_sight = |a, b| sees(caster, a, b);
     let eyes = (&placement::Parameters::default(), volume);
-    placement::plan_placements(scene, octree, settings, eyes, Sees(&in_sight), &|what| progress.note(what))
+    placement::plan_placements(scene, cells, settings, eyes, Sees(&in_sight), &|what| progress.note(what))
 }
 
 fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> Result<Planned, BuildError> {
     let (scene, clusters, octree, settings) = read(options, clock, progress)?;
+    let levels = levels_of(&settings, (&scene, &clusters, &octree), progress);
+    clock.lap("levels");
     let caster = Caster::new(Arc::clone(&scene), &clusters, &octree);
     clock.lap("caster");
     let (volume, walk) = walked(options, &caster, &clusters, &octree, &settings, progress)?;
@@ -281,7 +287,7 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
     progress.stage("grid and placement", 0);
     let place = |budget: u64, volume: WalkVolume| {
         let settings = BuildSettings { budget, ..settings.clone() };
-        place((&scene, &octree, &settings), &caster, volume, progress)
+        place(&scene, (&octree, &levels), &settings, &caster, volume, progress)
     };
     let within_budget = scene.triangles() <= settings.budget;
     // Nothing to place: what remains of a plan is the walk volume.
@@ -321,15 +327,16 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
                 grid_alone = Some(place(settings.budget, volume.clone())?);
                 clock.lap("placement of the grid alone");
             }
-            let entry = |c: &crate::octree::Cell| CellEntry {
+            let entry = |(c, levels): (&crate::octree::Cell, &Vec<levels::Level>)| CellEntry {
                 bounds: c.bounds,
                 triangles: c.triangles,
                 chunk: 0,
                 bundles: Vec::new(),
                 materials: Vec::new(),
                 texel_density: Vec::new(),
+                levels: levels.iter().map(draft_level).collect(),
             };
-            let cells = octree.cells.iter().map(entry).collect();
+            let cells = octree.cells.iter().zip(&levels.cells).map(entry).collect();
             let (parts, nothing) = ((cells, Vec::new()), (Vec::new(), Vec::new(), None));
             let draft = index_of(options, &scene, settings.clone(), ground()?, parts, Vec::new(), nothing);
             let grid = |volume| place(settings.budget, volume);
@@ -342,7 +349,26 @@ fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
         None => place(settings.budget, volume.clone())?,
     };
     clock.lap("placement");
-    Ok(Planned { walk, rooms, grid_alone, no_rooms, scene, clusters, octree, settings, plan, caster })
+    Ok(Planned { walk, rooms, grid_alone, no_rooms, scene, clusters, octree, levels, settings, plan, caster })
+}
+
+/// A level as far as counting goes.
+fn draft_level(level: &levels::Level) -> CellLevel {
+    let levels::Level { deviation_m, triangles, .. } = *level;
+    CellLevel { deviation_m, triangles, chunk: 0, instances: 0..0, bundles: Vec::new() }
+}
+
+/// Levels of detail, if the settings ask for any.
+fn levels_of(
+    settings: &BuildSettings,
+    (scene, clusters, octree): (&Scene, &Clusters, &Octree),
+    progress: &dyn Progress,
+) -> Levels {
+    if settings.max_deviation_px == 0.0 {
+        return Levels::none(clusters, octree);
+    }
+    progress.stage("levels of detail", 0);
+    Levels::build(scene, clusters, octree)
 }
 
 /// Where people walk; what is told of it goes to `progress`.
@@ -372,10 +398,11 @@ pub fn compare_searches(
     comparison: &SearchComparison,
 ) -> Result<(Vec<SearchCase>, Vec<Groupings>), BuildError> {
     let (scene, clusters, octree, settings) = read(options, &mut Clock::default(), &())?;
+    let levels = levels_of(&settings, (&scene, &clusters, &octree), &());
     let caster = Caster::new(Arc::clone(&scene), &clusters, &octree);
     let (volume, _) = walked(options, &caster, &clusters, &octree, &settings, &())?;
     let in_sight = |a, b| sees(&caster, a, b);
-    Ok(placement::compare_searches(&scene, &octree, &settings, &volume, Sees(&in_sight), comparison)?)
+    Ok(placement::compare_searches(&scene, (&octree, &levels), &settings, &volume, Sees(&in_sight), comparison)?)
 }
 
 /// A scene in clusters and cells, and the settings with the optimization budget filled in.
@@ -507,7 +534,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         );
     }
     let planned = plan(options, &mut clock, progress);
-    let Planned { scene, clusters, octree, settings, mut plan, walk, caster, rooms, grid_alone, no_rooms } =
+    let Planned { scene, clusters, octree, levels, settings, mut plan, walk, caster, rooms, grid_alone, no_rooms } =
         match planned {
             Ok(planned) => planned,
             Err(e) => {
@@ -517,7 +544,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         };
 
     progress.stage("near geometry and textures", 0);
-    let geometry = pack::pack_geometry(&scene, &clusters, &octree, 0)?;
+    let geometry = pack::pack_geometry(&scene, &clusters, &octree, &levels, 0)?;
     let textures = pack::pack_textures(&scene, options.colour.of_textures(), geometry.chunks.len() as u32)?;
     let mut chunks = geometry.chunks;
     chunks.extend(textures.chunks);
@@ -535,6 +562,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
                 caster: &caster,
                 scene: &scene,
                 octree: &octree,
+                levels: &levels,
                 settings: &settings,
                 cells: &geometry.cells,
                 chunks: &chunks.iter().map(chunk_entry).collect::<Vec<_>>(),

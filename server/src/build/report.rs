@@ -13,7 +13,8 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
     };
     let (ldi, textures) = (bytes(ChunkKind::Ldi), bytes(ChunkKind::Texture));
     let tree = bytes(ChunkKind::Tree);
-    let geometry = bytes(ChunkKind::Cell) + bytes(ChunkKind::Bundle);
+    let levels = bytes(ChunkKind::Levels);
+    let geometry = bytes(ChunkKind::Cell) + bytes(ChunkKind::Bundle) + levels;
     let samples: u64 = f.images.samples_by_layer.iter().sum();
     json!({
         "scene": {
@@ -49,7 +50,7 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
         "bytes": {
             // What lies on the disk: equal chunks are stored once.
             "total": written.total_bytes(),
-            "ldi": ldi, "geometry": geometry, "textures": textures, "tree": tree, "manifest": written.manifest_bytes,
+            "ldi": ldi, "geometry": geometry, "levels": levels, "textures": textures, "tree": tree, "manifest": written.manifest_bytes,
         },
         "tree": f.tree,
         "weighing": f.weighing,

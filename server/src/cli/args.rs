@@ -54,7 +54,7 @@ Examples:
   ldi-server rooms builtin:house --auto --check 1000      found, compared with the scene's own rooms, and judged by rays
 The file of corrections is described in docs/user/rooms.md.")]
     Rooms(RoomsArgs),
-    /// Check every hash and every bound of a dataset; with --guarantee, audit both promises over
+    /// Check every hash and every bound of a dataset; with --guarantee, audit all promises over
     /// many poses.
     #[command(after_help = "\
 Examples:
@@ -154,6 +154,10 @@ pub struct BuildArgs {
     /// Largest sample footprint, output pixels.
     #[arg(long, default_value_t = 2.0)]
     pub max_footprint: f64,
+    /// Farthest that near geometry may lie from where it is, output pixels: what is far enough is
+    /// drawn with fewer triangles. 0: always in full.
+    #[arg(long, default_value_t = 0.5, value_parser = deviation)]
+    pub max_deviation: f64,
     /// Free look up and down, degrees.
     #[arg(long, default_value_t = 60.0)]
     pub pitch: f64,
@@ -444,6 +448,11 @@ fn http_address(s: &str) -> Result<HttpAt, String> {
 }
 
 /// A time as 90, 90s, 20m or 3h.
+fn deviation(s: &str) -> Result<f64, String> {
+    let px: f64 = s.parse().map_err(|_| format!("not a number of pixels: {s}"))?;
+    if px >= 0.0 && px.is_finite() { Ok(px) } else { Err("0 or more pixels".into()) }
+}
+
 fn duration(s: &str) -> Result<Duration, String> {
     let (number, unit) = match s.char_indices().next_back() {
         Some((at, 's')) => (&s[..at], 1.0),

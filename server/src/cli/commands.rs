@@ -142,6 +142,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
             optimize_budget: a.optimize_budget.unwrap_or(0),
             camera: OutputCamera { width: a.size.0, height: a.size.1, fov_deg: a.fov },
             max_footprint_px: a.max_footprint,
+            max_deviation_px: a.max_deviation,
             pitch_deg: a.pitch,
             density: a.density,
             colour: a.colour,
@@ -337,8 +338,19 @@ fn verify(a: &VerifyArgs) -> Result<(), Failure> {
         let first = *index.images.get(image as usize)?.chunks.first()?;
         ldi_protocol::codec::ldi::decode_first(&dataset.chunk(first).ok()?).ok().map(|ldi| ldi.camera)
     };
-    let report = placement::audit(index, &counts, &camera_of, audit_size(a.poses, a.adversarial), a.seed);
-    let json = serde_json::to_value(&report).map_err(Failure::permanent)?;
+    let size = audit_size(a.poses, a.adversarial);
+    let mut report = placement::audit(index, &counts, &camera_of, size, a.seed);
+    let geometry = |chunk: u32| ldi_protocol::codec::cell::decode(&dataset.chunk(chunk).ok()?).ok();
+    let levels = placement::audit_levels(index, &geometry, size.random, a.seed);
+    report.violations += levels.violations;
+    let mut json = serde_json::to_value(&report).map_err(Failure::permanent)?;
+    json["levels"] = serde_json::to_value(&levels).map_err(Failure::permanent)?;
+    eprintln!(
+        "{} levels of detail lie where they say at all of {} points, {} do not",
+        levels.levels - levels.violations,
+        levels.points,
+        levels.violations
+    );
     match &a.json {
         Some(file) => write_json(file, &json)?,
         None => print(&serde_json::to_string_pretty(&json).map_err(Failure::permanent)?)?,
@@ -354,7 +366,7 @@ fn audit_size(random: u64, adversarial: Option<u64>) -> placement::AuditSize {
 /// Whether all promises were kept; says so.
 fn promises_kept(audit: &placement::AuditReport) -> Result<(), Failure> {
     eprintln!(
-        "both promises, triangles and footprints, hold in {} of {} poses",
+        "all promises, triangles, footprints and deviations, hold in {} of {} poses",
         audit.all_poses() - audit.violations.min(audit.all_poses()),
         audit.all_poses()
     );

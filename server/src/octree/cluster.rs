@@ -55,7 +55,7 @@ impl Clusters {
                 m.primitives.iter().enumerate().flat_map(cut).collect()
             })
             .collect();
-        let mut clusters = Self::default();
+        let mut clusters = Self { extent_m: extent_world_m, ..Self::default() };
         for of_mesh in per_mesh {
             let start = clusters.clusters.len() as u32;
             clusters.clusters.extend(of_mesh);

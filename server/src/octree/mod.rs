@@ -21,6 +21,7 @@ pub use check::OctreeFault;
 pub use model::{Cell, Clusters, Octree, SourceCluster};
 pub use ranges::SourceRange;
 pub use recount::{RecountError, recount};
+pub(crate) use tree::up_to_f32;
 
 #[cfg(test)]
 mod tests;

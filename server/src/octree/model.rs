@@ -22,6 +22,8 @@ pub struct Clusters {
     pub clusters: Vec<SourceCluster>,
     /// Per mesh, the range of its clusters.
     pub of_mesh: Vec<std::ops::Range<u32>>,
+    /// Clusters of triangles that are not larger themselves stay within this in the world, metres.
+    pub extent_m: f64,
 }
 
 /// A cell that holds cluster instances.

@@ -73,7 +73,10 @@ proptest! {
         prop_assert_eq!(octree.cells.iter().map(|c| u64::from(c.triangles)).sum::<u64>(), scene.triangles());
         for cell in &octree.cells {
             let limit = leaf_limit(budget) as u32;
-            prop_assert!(cell.triangles <= limit || cell.content.len() == 1, "{} of {limit}", cell.triangles);
+            let together = cell.content.iter().all(|c| c.0 == cell.content[0].0)
+                && u64::from(cell.triangles) <= tree::together_limit(budget);
+            let is_one = cell.content.len() == 1 || together;
+            prop_assert!(cell.triangles <= limit || is_one, "{} of {limit}", cell.triangles);
         }
     }
 

@@ -2,6 +2,11 @@
 //!
 //! In: clusters and where their instances stand. Out: cells.
 //!
+//! Clusters of one instance stay together where all of it is no larger than a cluster may be and
+//! has few triangles for the budget: a mesh that lies in one cell is simplified as a whole
+//! ([`levels`](crate::levels)), one that is split keeps its vertices where the parts meet. What is
+//! said of clusters below holds for such groups.
+//!
 //! The root is the cube around the scene. A cluster instance belongs to the node that contains its
 //! centre, at the deepest level whose edge is at least its extent (longest edge of its box), so
 //! that a node's content reaches at most half an edge out of it. A node is cut as long as its
@@ -22,6 +27,9 @@ use glam::{BVec3, DVec3};
 use ldi_protocol::Aabb;
 use rayon::prelude::*;
 
+/// Budget over triangles of an instance whose clusters stay together. Smaller: more meshes are
+/// simplified as a whole; larger: cells follow what is near more closely.
+const TOGETHER_PER_BUDGET: u64 = 24;
 /// Nodes are not cut below this depth: 1/4096 of the scene.
 const MAX_DEPTH: u8 = 12;
 /// Budget over triangles in a pseudo-leaf (see the module's text).
@@ -29,11 +37,12 @@ const CELLS_PER_BUDGET: u64 = 256;
 /// Pseudo-leaves of fewer triangles cost more in bookkeeping than they save.
 const MIN_LEAF_TRIANGLES: u64 = 64;
 
-/// A cluster instance on its way down.
+/// A cluster instance, or all of one mesh, on its way down.
 #[derive(Clone, Copy)]
 struct Item {
     instance: u32,
-    cluster: u32,
+    /// The first cluster, and the one after the last.
+    clusters: [u32; 2],
     triangles: u32,
     /// Deepest level whose edge is at least the extent.
     level: u8,
@@ -46,11 +55,16 @@ pub(super) fn leaf_limit(budget: u64) -> u64 {
     (budget / CELLS_PER_BUDGET).max(MIN_LEAF_TRIANGLES)
 }
 
+/// Most triangles of an instance whose clusters stay together.
+pub(super) fn together_limit(budget: u64) -> u64 {
+    budget / TOGETHER_PER_BUDGET
+}
+
 impl Octree {
     /// Distributes the cluster instances of a scene to cells for a geometry budget in triangles;
     /// deterministic.
     pub fn build(scene: &Scene, clusters: &Clusters, budget: u64) -> Self {
-        let mut items = items(scene, clusters);
+        let mut items = items(scene, clusters, together_limit(budget));
         let root = items.iter().fold(Aabb::EMPTY, |b, i| b.union(i.bounds));
         let mut octree = Self::default();
         if items.is_empty() {
@@ -75,8 +89,9 @@ impl Octree {
     }
 }
 
-/// All cluster instances with tight world bounds, level 0.
-fn items(scene: &Scene, clusters: &Clusters) -> Vec<Item> {
+/// All cluster instances with tight world bounds, level 0; those of small meshes of at most `most`
+/// triangles together.
+fn items(scene: &Scene, clusters: &Clusters, most: u64) -> Vec<Item> {
     let of_instance = |(number, i): (usize, &crate::scene::Instance)| {
         let mesh = &scene.meshes[i.mesh as usize];
         let world: Vec<Vec<DVec3>> = mesh
@@ -84,7 +99,8 @@ fn items(scene: &Scene, clusters: &Clusters) -> Vec<Item> {
             .iter()
             .map(|p| p.positions.iter().map(|v| i.world_from_mesh.transform_point3(v.as_dvec3())).collect())
             .collect();
-        clusters.of_mesh[i.mesh as usize]
+        let of_mesh = clusters.of_mesh[i.mesh as usize].clone();
+        let each: Vec<Item> = of_mesh
             .clone()
             .map(|c| {
                 let cluster = &clusters.clusters[c as usize];
@@ -93,14 +109,20 @@ fn items(scene: &Scene, clusters: &Clusters) -> Vec<Item> {
                 let bounds = Aabb::from_points(vertices.map(|v| world[cluster.primitive as usize][v as usize]));
                 Item {
                     instance: number as u32,
-                    cluster: c,
+                    clusters: [c, c + 1],
                     triangles: cluster.triangles.len() as u32,
                     level: 0,
                     centre: bounds.centre(),
                     bounds,
                 }
             })
-            .collect::<Vec<_>>()
+            .collect();
+        let bounds = each.iter().fold(Aabb::EMPTY, |b, i| b.union(i.bounds));
+        if each.len() > 1 && total(&each) <= most && extent(&bounds) <= clusters.extent_m {
+            let (clusters, triangles) = ([of_mesh.start, of_mesh.end], total(&each) as u32);
+            return vec![Item { clusters, triangles, centre: bounds.centre(), bounds, ..each[0] }];
+        }
+        each
     };
     let per_instance: Vec<Vec<Item>> = scene.instances.par_iter().enumerate().map(of_instance).collect();
     per_instance.concat()
@@ -154,13 +176,13 @@ impl Builder<'_> {
             self.cells(right, depth);
             return;
         }
-        items.sort_unstable_by_key(|i| (i.instance, i.cluster));
+        items.sort_unstable_by_key(|i| (i.instance, i.clusters));
         let bounds = items.iter().fold(Aabb::EMPTY, |b, i| b.union(i.bounds));
         self.octree.cells.push(Cell {
             bounds: outward_f32(&bounds),
             triangles: triangles as u32,
             depth,
-            content: items.iter().map(|i| (i.instance, i.cluster)).collect(),
+            content: items.iter().flat_map(|i| (i.clusters[0]..i.clusters[1]).map(|c| (i.instance, c))).collect(),
         });
     }
 }
@@ -175,7 +197,7 @@ fn halved(mut items: Vec<Item>) -> (Vec<Item>, Vec<Item>) {
     } else {
         2
     };
-    let key = |i: &Item| (i.instance, i.cluster);
+    let key = |i: &Item| (i.instance, i.clusters);
     items.sort_unstable_by(|a, b| a.centre[axis].total_cmp(&b.centre[axis]).then(key(a).cmp(&key(b))));
     let half = total(&items) / 2;
     let mut sum = 0;
@@ -193,12 +215,14 @@ pub(super) fn outward_f32(b: &Aabb) -> Aabb {
         let r = x as f32;
         f64::from(if f64::from(r) > x { r.next_down() } else { r })
     };
-    let up = |x: f64| {
-        let r = x as f32;
-        f64::from(if f64::from(r) < x { r.next_up() } else { r })
-    };
     Aabb {
         min: DVec3::new(down(b.min.x), down(b.min.y), down(b.min.z)),
-        max: DVec3::new(up(b.max.x), up(b.max.y), up(b.max.z)),
+        max: DVec3::new(up_to_f32(b.max.x), up_to_f32(b.max.y), up_to_f32(b.max.z)),
     }
+}
+
+/// The smallest f32 that is at least `x`.
+pub(crate) fn up_to_f32(x: f64) -> f64 {
+    let r = x as f32;
+    f64::from(if f64::from(r) < x { r.next_up() } else { r })
 }

@@ -3,7 +3,8 @@
 //! In: the scene, its clusters and cells. Out: encoded chunks and the entries that name them. A
 //! cluster that only one cell draws goes into that cell's chunk; one that several draw goes into a
 //! bundle, stored once. Bundles follow the order in which the cells first need their clusters, so
-//! that neighbours in space are neighbours in a bundle.
+//! that neighbours in space are neighbours in a bundle. Levels of detail of neighbouring cells lie
+//! in one chunk, and what several of those place in bundles of their own.
 
 mod clusters;
 mod density;

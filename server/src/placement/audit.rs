@@ -1,20 +1,24 @@
-//! The audit of both promises, and what `plan` answers.
+//! The audit of all promises, and what `plan` answers.
 //!
 //! In: a dataset's index, triangles per cell counted again over the scene, the cameras of its
 //! images, a number of poses. Out: an [`AuditReport`]. Nothing here uses what the planner
 //! computed: cells are tested by another formula (middle and half size against unnormalized
-//! planes, where the renderer takes supports of unit normals), triangles are the caller's own
-//! count, and footprints are measured by finite differences at points of the replaced cells.
+//! planes, where the renderer takes supports of unit normals), levels of detail are chosen by the
+//! deviation that shows in the picture, triangles of cells in full are the caller's own count
+//! (those of levels are the index's, which `verify` compares with their chunks), and footprints are measured by finite differences at points of the replaced cells.
 //!
 //! Poses: random ones, anywhere in the walk volume and looking anywhere within the built pitch;
 //! and adversarial ones, which seek trouble on borders ([`Adversary`]), found by bisection.
 
+mod levels;
 mod rooms;
+
+pub use levels::{LevelAudit, audit_levels};
 
 use glam::DVec3;
 use ldi_protocol::{
     Aabb, Pose, ViewBasis,
-    index::{ImageEntry, Index, Placement},
+    index::{CellEntry, DrawnCell, ImageEntry, Index, Placement},
     ldi::LdiCamera,
     rooms::CellId,
     select::{draw_list, placement_of, select, was_made},
@@ -35,6 +39,8 @@ pub struct AuditReport {
     pub max_triangles: u64,
     /// Largest footprint measured, adversarial poses included, output pixels.
     pub max_footprint_px: f64,
+    /// Largest deviation that a drawn level of detail may show, output pixels.
+    pub max_deviation_px: f64,
     /// Adversarial poses, by name of [`Adversary`].
     pub adversarial: BTreeMap<&'static str, Tally>,
     /// Poses that broke a promise, then those with the most triangles; at most [`WORST`].
@@ -82,6 +88,8 @@ pub struct AuditedPose {
     pub triangles: u64,
     /// Largest footprint measured, output pixels; 0 without an image.
     pub footprint_px: f64,
+    /// Largest deviation that a drawn level of detail may show, output pixels.
+    pub deviation_px: f64,
     /// What is wrong; empty when all promises are kept.
     pub faults: Vec<String>,
 }
@@ -99,6 +107,8 @@ pub struct PlanRow {
     pub culled_cells: Vec<u32>,
     /// Cells drawn as geometry, near to far.
     pub drawn_cells: Vec<u32>,
+    /// Their levels of detail; 0: in full.
+    pub drawn_levels: Vec<u8>,
     /// Triangles in them.
     pub triangles: u64,
     /// The image's footprint bound, output pixels; None without an image.
@@ -128,7 +138,8 @@ pub fn plan_row(index: &Index, number: u64, pose: &Pose) -> PlanRow {
         grid_point: list.selection.grid_point,
         placement: list.selection.placement,
         culled_cells: placement.map(|p| p.culled.iter().collect()).unwrap_or_default(),
-        drawn_cells: list.cells,
+        drawn_levels: list.cells.iter().map(|c| c.level).collect(),
+        drawn_cells: list.cell_numbers(),
         triangles: list.triangles,
         footprint_px: placements.map(|p| p.footprint_px).reduce(f64::max),
         portals: list.portals.iter().map(|p| [p.portal, p.side as u32, p.placement]).collect(),
@@ -250,6 +261,7 @@ pub fn audit(
             report.violations += broken;
             report.max_triangles = report.max_triangles.max(p.triangles);
             report.max_footprint_px = report.max_footprint_px.max(p.footprint_px);
+            report.max_deviation_px = report.max_deviation_px.max(p.deviation_px);
             report.worst_poses.push(p);
         }
         report.worst_poses.sort_by(|a, b| {
@@ -356,10 +368,41 @@ fn border(holds: impl Fn(f64) -> bool) -> [f64; 2] {
     [low, high]
 }
 
-/// Triangles of cells as counted again; as the index says where nobody counted.
-fn triangles_in(index: &Index, recounted: &[u64], cells: &[u32]) -> u64 {
-    let listed = |c: u32| u64::from(index.cells[c as usize].triangles);
-    cells.iter().map(|c| recounted.get(*c as usize).copied().unwrap_or_else(|| listed(*c))).sum()
+/// Triangles of cells as counted again; as the index says of levels, and where nobody counted.
+fn triangles_in(index: &Index, recounted: &[u64], cells: &[DrawnCell]) -> u64 {
+    let counted = |c: &DrawnCell| recounted.get(c.cell as usize).filter(|_| c.level == 0).copied();
+    let listed = |c: &DrawnCell| index.mesh_of(*c).map_or(0, |m| m.triangles.into());
+    cells.iter().map(|c| counted(c).unwrap_or_else(|| listed(c))).sum()
+}
+
+/// The deviation that a level of a cell may show in the picture's corners, output pixels.
+fn deviation_px(index: &Index, entry: &CellEntry, deviation_m: f64, eye: DVec3) -> f64 {
+    let camera = &index.settings.camera;
+    let apart = (eye.max(entry.bounds.min).min(entry.bounds.max)).distance(eye);
+    let corner2 = 1.0 + camera.half_tan_x().powi(2) + camera.half_tan_y().powi(2);
+    if deviation_m == 0.0 { 0.0 } else { deviation_m * camera.focal_px() * corner2 / apart }
+}
+
+/// The coarsest level of a cell that shows no more deviation than is promised.
+fn coarsest(index: &Index, cell: u32, eye: DVec3) -> DrawnCell {
+    let entry = &index.cells[cell as usize];
+    let is_good = |m: f64| deviation_px(index, entry, m, eye) <= index.settings.max_deviation_px * (1.0 - 1e-12);
+    let level = entry.levels.iter().take_while(|l| is_good(l.deviation_m)).count() as u8;
+    DrawnCell { cell, level }
+}
+
+/// The largest deviation that drawn levels may show, output pixels, and whether it is as promised.
+fn check_deviation(index: &Index, cells: &[DrawnCell], eye: DVec3, faults: &mut Vec<String>) -> f64 {
+    let of = |c: &DrawnCell| {
+        let m = index.mesh_of(*c).map_or(0.0, |m| m.deviation_m);
+        deviation_px(index, &index.cells[c.cell as usize], m, eye)
+    };
+    let largest = cells.iter().map(of).fold(0.0, f64::max);
+    let promised = index.settings.max_deviation_px;
+    if largest > promised * (1.0 + 1e-9) {
+        faults.push(format!("a deviation of {largest} px, promised {promised} px"));
+    }
+    largest
 }
 
 /// Checks one pose.
@@ -398,7 +441,7 @@ fn check(
                 && in_view(&entry.bounds, pose.position, &basis, square, square)
                 && !placement.is_some_and(|p| p.culled.contains(cell))
             {
-                triangles += triangles_in(index, recounted, &[cell]);
+                triangles += triangles_in(index, recounted, &[coarsest(index, cell, pose.position)]);
             }
         }
     }
@@ -416,6 +459,7 @@ fn check(
     if list.dropped > 0 && !by_tree {
         faults.push(format!("{} cells dropped", list.dropped));
     }
+    let deviation_px = check_deviation(index, &list.cells, pose.position, &mut faults);
     let mut footprint_px = 0.0;
     if let Some(p) = placement {
         if !p.users.inflated(1e-6).contains(pose.position) {
@@ -454,6 +498,7 @@ fn check(
         placement: selection.placement,
         triangles,
         footprint_px,
+        deviation_px,
         faults,
     }
 }

@@ -8,6 +8,8 @@ use super::{
     bin_planes::{Behind, BinPlanes},
     cell_mask::CellMask,
 };
+use crate::levels::{Level, Levels};
+use crate::octree::{Cell, Octree};
 use glam::DVec3;
 use ldi_protocol::Aabb;
 use std::ops::Range;
@@ -23,14 +25,29 @@ pub(super) struct Cells {
     /// Triangles, instances counted.
     pub triangles: Vec<u32>,
     /// Runs of 16 cells, of 256, and so on; the last level is a single one.
-    levels: Vec<Level>,
+    runs: Vec<Runs>,
     /// Triangles of the cells before each cell, and of all.
     before: Vec<u64>,
+    /// Levels of detail; empty without any.
+    detail: Detail,
 }
+
+/// At which distances cells are drawn with fewer triangles.
+#[derive(Debug, Clone, Default)]
+struct Detail {
+    /// Where the steps of each cell begin, and where the last ones end.
+    first: Vec<u32>,
+    /// (distance of the nearest eye from which on, metres, squared; triangles), near to far.
+    steps: Vec<(f64, u32)>,
+}
+
+/// An eye may be this much nearer to a cell than the box of eyes that it was planned in, metres:
+/// rounding, on both sides.
+const NEARER_M: f64 = 1e-5;
 
 /// Runs of as many cells each.
 #[derive(Debug, Clone)]
-struct Level {
+struct Runs {
     bounds: Vec<Aabb>,
     /// Surface of a run's cells, over that of its own bounds.
     fill: Vec<f64>,
@@ -56,10 +73,10 @@ impl Cells {
     pub fn new(bounds: Vec<Aabb>, triangles: Vec<u32>) -> Self {
         let mut before = vec![0];
         triangles.iter().for_each(|t| before.push(before[before.len() - 1] + u64::from(*t)));
-        let mut levels: Vec<Level> = Vec::new();
+        let mut runs: Vec<Runs> = Vec::new();
         loop {
-            let below = levels.last().map_or(&bounds, |l| &l.bounds);
-            if levels.last().is_some_and(|l| l.bounds.len() <= 1) {
+            let below = runs.last().map_or(&bounds, |l| &l.bounds);
+            if runs.last().is_some_and(|l| l.bounds.len() <= 1) {
                 break;
             }
             let join = |run: &[Aabb]| run.iter().fold(Aabb::EMPTY, |a, b| a.union(*b));
@@ -67,25 +84,57 @@ impl Cells {
             let area = |(b, cells): (&Aabb, &[Aabb])| {
                 cells.iter().map(half_area).sum::<f64>() / half_area(b).max(f64::MIN_POSITIVE)
             };
-            let fill = of.iter().zip(bounds.chunks(1 << (RUN_BITS * (levels.len() + 1)))).map(area).collect();
-            levels.push(Level { bounds: of, fill });
+            let fill = of.iter().zip(bounds.chunks(1 << (RUN_BITS * (runs.len() + 1)))).map(area).collect();
+            runs.push(Runs { bounds: of, fill });
         }
-        Self { bounds, triangles, levels, before }
+        Self { bounds, triangles, runs, before, detail: Detail::default() }
+    }
+
+    /// The cells of an octree, drawn at levels of detail with `deviation_per_metre` of distance.
+    pub fn of_octree(octree: &Octree, levels: &Levels, deviation_per_metre: f64) -> Self {
+        let of = |f: fn(&Cell) -> u32| octree.cells.iter().map(f).collect();
+        let mut cells = Self::new(octree.cells.iter().map(|c| c.bounds).collect(), of(|c| c.triangles));
+        let step = |l: &Level| ((l.deviation_m / deviation_per_metre + NEARER_M).powi(2), l.triangles);
+        if deviation_per_metre > 0.0 && levels.cells.iter().any(|l| !l.is_empty()) {
+            let mut detail = Detail { first: vec![0], steps: Vec::new() };
+            for of_cell in &levels.cells {
+                detail.steps.extend(of_cell.iter().map(step));
+                detail.first.push(detail.steps.len() as u32);
+            }
+            cells.detail = detail;
+        }
+        cells
+    }
+
+    /// Most triangles with which any eye of a box draws a cell.
+    #[inline(always)]
+    fn triangles_from(&self, cell: usize, eyes: &Aabb) -> u32 {
+        let full = self.triangles[cell];
+        let Some(&[first, end]) = self.detail.first.get(cell..cell + 2).and_then(|r| r.first_chunk::<2>()) else {
+            return full;
+        };
+        if first == end {
+            return full;
+        }
+        let b = &self.bounds[cell];
+        let apart = (b.min - eyes.max).max(eyes.min - b.max).max(DVec3::ZERO).length_squared();
+        let steps = &self.detail.steps[first as usize..end as usize];
+        steps.iter().take_while(|s| s.0 <= apart).last().map_or(full, |s| s.1)
     }
 
     /// The node that holds all cells, in a list of those to be looked at.
     fn root(&self) -> Vec<Node> {
         // Nodes of every level wait beside the one that is looked at.
-        let mut open = Vec::with_capacity((self.levels.len() << RUN_BITS) + 1);
+        let mut open = Vec::with_capacity((self.runs.len() << RUN_BITS) + 1);
         if !self.bounds.is_empty() {
-            open.push((self.levels.len(), 0));
+            open.push((self.runs.len(), 0));
         }
         open
     }
 
     #[inline(always)]
     fn bounds_of(&self, (level, number): Node) -> &Aabb {
-        if level == 0 { &self.bounds[number] } else { &self.levels[level - 1].bounds[number] }
+        if level == 0 { &self.bounds[number] } else { &self.runs[level - 1].bounds[number] }
     }
 
     /// The cells of a node.
@@ -98,7 +147,7 @@ impl Cells {
     /// Adds the parts of a run so that the first is looked at first.
     #[inline(always)]
     fn open(&self, (level, number): Node, open: &mut Vec<Node>) {
-        let below = if level == 1 { self.bounds.len() } else { self.levels[level - 2].bounds.len() };
+        let below = if level == 1 { self.bounds.len() } else { self.runs[level - 2].bounds.len() };
         let parts = number << RUN_BITS..((number + 1) << RUN_BITS).min(below);
         open.extend(parts.rev().map(|part| (level - 1, part)));
     }
@@ -171,7 +220,7 @@ impl Cells {
         out
     }
 
-    /// Triangles of those cells `among` these (None: all) that some eye in the box may draw in some
+    /// Triangles, at the levels of the nearest eye, of those cells `among` these (None: all) that some eye in the box may draw in some
     /// direction of a bin; None if they are more than `most`.
     pub fn count(&self, planes: &BinPlanes, eyes: &Aabb, among: Option<&CellMask>, most: u64) -> Option<u64> {
         #[cfg(target_arch = "x86_64")]
@@ -213,13 +262,16 @@ impl Cells {
                         let cell = cells.start + bits.trailing_zeros() as usize;
                         bits &= bits - 1;
                         if planes.show(eyes, &self.bounds[cell]) != Behind::Never {
-                            triangles += u64::from(self.triangles[cell]);
+                            triangles += u64::from(self.triangles_from(cell, eyes));
                         }
                     }
                 }
+                (Behind::Always, None) if !self.detail.steps.is_empty() => {
+                    cells.for_each(|c| triangles += u64::from(self.triangles_from(c, eyes)));
+                }
                 (Behind::Always, None) => triangles += self.before[cells.end] - self.before[cells.start],
                 (Behind::Always, Some(among)) => {
-                    among.iter_in(cells).for_each(|c| triangles += u64::from(self.triangles[c as usize]));
+                    among.iter_in(cells).for_each(|c| triangles += u64::from(self.triangles_from(c as usize, eyes)));
                 }
             }
             if triangles > most {
@@ -243,7 +295,7 @@ impl Cells {
                 (0, _) => found(b, 1.0),
                 (level, run) if held > 1 && b.size().max_element() <= compact * b.distance(eye) => {
                     // The cells of a run that are not among these count as like those that are.
-                    found(b, self.levels[level - 1].fill[run] * f64::from(held) / cells.len() as f64);
+                    found(b, self.runs[level - 1].fill[run] * f64::from(held) / cells.len() as f64);
                 }
                 _ => self.open(node, &mut open),
             }

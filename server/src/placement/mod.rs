@@ -53,7 +53,9 @@ mod subset;
 pub(crate) mod test_scenes;
 mod view;
 
-pub use audit::{Adversary, AuditReport, AuditSize, AuditedPose, PlanRow, Tally, audit, plan_row};
+pub use audit::{
+    Adversary, AuditReport, AuditSize, AuditedPose, LevelAudit, PlanRow, Tally, audit, audit_levels, plan_row,
+};
 pub use error::PlacementError;
 pub(crate) use footprint::{Footprint, SCALES};
 pub use gaze::Gaze;

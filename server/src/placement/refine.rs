@@ -467,6 +467,7 @@ pub(super) fn timed<T>(statistics: &mut PlacementStatistics, step: &str, f: impl
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::levels::Levels;
     use crate::octree::{Clusters, Octree};
     use crate::placement::{
         CostBenefit, Parameters, PlacementError,
@@ -506,7 +507,8 @@ mod tests {
         let clusters = Clusters::build(&scene);
         let octree = Octree::build(&scene, &clusters, budget);
         let eyes = (&Parameters::default(), walked(&scene, &clusters, &octree));
-        let result = plan_placements(&scene, &octree, &settings, eyes, NOTHING_BETWEEN, &|_| ()).unwrap();
+        let result =
+            plan_placements(&scene, (&octree, &Levels::default()), &settings, eyes, NOTHING_BETWEEN, &|_| ()).unwrap();
         assert!(result.statistics.coverage_certified && !result.plans.is_empty());
         assert!(result.statistics.max_triangles <= budget);
     }
@@ -520,7 +522,7 @@ mod tests {
             let settings = settings(budget);
             let no_grid = |what: &str| panic!("{what}");
             let eyes = (&Parameters::default(), walked(&scene, &clusters, &octree));
-            match plan_placements(&scene, &octree, &settings, eyes, NOTHING_BETWEEN, &no_grid) {
+            match plan_placements(&scene, (&octree, &Levels::default()), &settings, eyes, NOTHING_BETWEEN, &no_grid) {
                 Err(PlacementError::Infeasible { budget: given, needed, .. }) => {
                     assert!(given == budget && needed > budget, "{needed} for {budget}");
                     needed

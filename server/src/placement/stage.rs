@@ -13,7 +13,7 @@ use super::{
     search::{Found, Search, search},
     subset::CostBenefit,
 };
-use crate::{octree::Octree, scene::Scene};
+use crate::{levels::Levels, octree::Octree, scene::Scene};
 use ldi_protocol::{
     Aabb,
     index::{AngularRange, BuildSettings, GridPoint},
@@ -45,7 +45,7 @@ pub struct Parameters {
 /// Settings out of range, or a budget that no image can meet somewhere.
 pub fn plan_placements(
     scene: &Scene,
-    octree: &Octree,
+    (octree, levels): (&Octree, &Levels),
     settings: &BuildSettings,
     (parameters, volume): (&Parameters, WalkVolume),
     sees: Sees<'_>,
@@ -71,7 +71,7 @@ pub fn plan_placements(
     }
     refined(
         scene,
-        octree,
+        (octree, levels),
         settings,
         (parameters, sees),
         &volume,
@@ -111,7 +111,7 @@ pub struct SearchComparison<'a> {
 /// As [`plan_placements`]. A scene within its budget has no groups.
 pub fn compare_searches(
     scene: &Scene,
-    octree: &Octree,
+    (octree, levels): (&Octree, &Levels),
     settings: &BuildSettings,
     volume: &WalkVolume,
     sees: Sees<'_>,
@@ -123,34 +123,43 @@ pub fn compare_searches(
     if triangles(octree) <= settings.budget {
         return Ok(Default::default());
     }
-    refined(scene, octree, settings, (&parameters, sees), volume, (&mut statistics, &|_| ()), |ctx, refined, _| {
-        let mut groups = refined.groups;
-        let members: Vec<&Member> = groups.iter().flatten().filter(|m| !m.units.is_empty()).collect();
-        // The neighbours of view cells that are spread over the plan.
-        let middle = |m: &Member| m.eyes.centre();
-        let every = members.len().div_ceil(comparison.cases.max(1)).max(1);
-        let around = |first: &&Member| {
-            let mut near = members.clone();
-            near.sort_by(|a, b| {
-                let distance = |m: &Member| middle(m).distance_squared(middle(first));
-                distance(a).total_cmp(&distance(b))
-            });
-            groups::compare(ctx, &near.into_iter().take(comparison.together).cloned().collect::<Vec<_>>())
-        };
-        let groupings = members.iter().step_by(every).filter_map(around).collect();
-        groups.sort_by_key(Vec::len);
-        groups.truncate(comparison.cases);
-        let case = |group: &Vec<Member>| {
-            let members: Vec<&Member> = group.iter().collect();
-            let fit = Fit::new(ctx, &members, 0.0);
-            let one = |by: &Search| {
-                let start = std::time::Instant::now();
-                search(&fit, *by, comparison.steps, comparison.most).map(|f| (*by, f, start.elapsed().as_secs_f64()))
+    refined(
+        scene,
+        (octree, levels),
+        settings,
+        (&parameters, sees),
+        volume,
+        (&mut statistics, &|_| ()),
+        |ctx, refined, _| {
+            let mut groups = refined.groups;
+            let members: Vec<&Member> = groups.iter().flatten().filter(|m| !m.units.is_empty()).collect();
+            // The neighbours of view cells that are spread over the plan.
+            let middle = |m: &Member| m.eyes.centre();
+            let every = members.len().div_ceil(comparison.cases.max(1)).max(1);
+            let around = |first: &&Member| {
+                let mut near = members.clone();
+                near.sort_by(|a, b| {
+                    let distance = |m: &Member| middle(m).distance_squared(middle(first));
+                    distance(a).total_cmp(&distance(b))
+                });
+                groups::compare(ctx, &near.into_iter().take(comparison.together).cloned().collect::<Vec<_>>())
             };
-            SearchCase { members: group.len(), found: comparison.searches.iter().filter_map(one).collect() }
-        };
-        (groups.par_iter().with_max_len(1).map(case).collect(), groupings)
-    })
+            let groupings = members.iter().step_by(every).filter_map(around).collect();
+            groups.sort_by_key(Vec::len);
+            groups.truncate(comparison.cases);
+            let case = |group: &Vec<Member>| {
+                let members: Vec<&Member> = group.iter().collect();
+                let fit = Fit::new(ctx, &members, 0.0);
+                let one = |by: &Search| {
+                    let start = std::time::Instant::now();
+                    search(&fit, *by, comparison.steps, comparison.most)
+                        .map(|f| (*by, f, start.elapsed().as_secs_f64()))
+                };
+                SearchCase { members: group.len(), found: comparison.searches.iter().filter_map(one).collect() }
+            };
+            (groups.par_iter().with_max_len(1).map(case).collect(), groupings)
+        },
+    )
 }
 
 /// Triangles of all cells.
@@ -161,15 +170,14 @@ fn triangles(octree: &Octree) -> u64 {
 /// Refines the grid of a scene that exceeds its budget, and hands it on.
 fn refined<T>(
     scene: &Scene,
-    octree: &Octree,
+    (octree, levels): (&Octree, &Levels),
     settings: &BuildSettings,
     (parameters, sees): (&Parameters, Sees<'_>),
     volume: &WalkVolume,
     (statistics, heard): (&mut PlacementStatistics, &dyn Fn(&str)),
     then: impl FnOnce(&Context, Refined, PlacementStatistics) -> T,
 ) -> Result<T, PlacementError> {
-    let cells =
-        Cells::new(octree.cells.iter().map(|c| c.bounds).collect(), octree.cells.iter().map(|c| c.triangles).collect());
+    let cells = Cells::of_octree(octree, levels, settings.deviation_per_metre());
     let directions = Directions::new(settings.pitch_deg);
     let tree = timed(statistics, "walk volume", || EyeTree::new(volume));
     let bounds = scene.bounds();

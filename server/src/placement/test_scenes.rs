@@ -66,6 +66,7 @@ pub(crate) fn settings(budget: u64) -> BuildSettings {
         optimize_budget: budget,
         camera: OutputCamera { width: 1280, height: 720, fov_deg: 60.0 },
         max_footprint_px: 2.0,
+        max_deviation_px: 0.5,
         pitch_deg: 60.0,
         density: 1.0,
         colour: "high".into(),

@@ -175,6 +175,7 @@ mod tests {
             bundles: vec![],
             materials: vec![],
             texel_density: vec![],
+            levels: Vec::new(),
         };
         let cut = boxed([-8.0, 0.0, 0.0], [8.0, 3.0, 8.0]);
         let runs = vec![vec![[0, 9]]; 32 * 16];

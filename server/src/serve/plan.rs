@@ -22,6 +22,7 @@ pub(super) fn to_json(served: &Served) -> Vec<u8> {
     let kinds: Vec<Value> = [
         ("cells", ChunkKind::Cell),
         ("bundles", ChunkKind::Bundle),
+        ("levels of detail", ChunkKind::Levels),
         ("LDI layers", ChunkKind::Ldi),
         ("textures", ChunkKind::Texture),
         ("LDI tree", ChunkKind::Tree),

@@ -53,11 +53,13 @@ pub fn inspect(dataset: &Dataset, per_cell: bool) -> Result<Value, StoreError> {
         "chunks": {
             "cell": kind_json(kind_sizes(dataset, ChunkKind::Cell)),
             "bundle": kind_json(kind_sizes(dataset, ChunkKind::Bundle)),
+            "levels": kind_json(kind_sizes(dataset, ChunkKind::Levels)),
             "ldi": kind_json(ldi),
             "texture": kind_json(kind_sizes(dataset, ChunkKind::Texture)),
             "tree": kind_json(kind_sizes(dataset, ChunkKind::Tree)),
         },
         "cell_count": index.cells.len(),
+        "cell_levels": index.cells.iter().map(|c| c.levels.len()).sum::<usize>(),
         "cell_triangles": index.cells.iter().map(|c| u64::from(c.triangles)).sum::<u64>(),
         "materials": index.materials.len(),
         "textures": index.textures.len(),

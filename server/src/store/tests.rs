@@ -130,6 +130,7 @@ fn sample() -> Sample {
         bundles: vec![0],
         materials: vec![0],
         texel_density: vec![12],
+        levels: Vec::new(),
     };
     let bounds = Aabb { min: DVec3::ZERO, max: DVec3::new(8.0, 1.0, 0.5) };
     let index = Index {
@@ -139,6 +140,7 @@ fn sample() -> Sample {
             optimize_budget: 3,
             camera: OutputCamera { width: 64, height: 36, fov_deg: 60.0 },
             max_footprint_px: 2.0,
+            max_deviation_px: 0.5,
             pitch_deg: 60.0,
             density: 1.0,
             colour: "high".into(),

@@ -15,7 +15,7 @@ use super::{
 };
 use ldi_protocol::{
     codec::{self, CodecError},
-    index::{ChunkHash, ChunkKind, Index},
+    index::{ChunkHash, ChunkKind, DrawnCell, Index},
     manifest::{
         self, Root,
         layout::{Layout, Location},
@@ -258,6 +258,10 @@ impl Places<'_> {
             .filter(|k| self.index.cells[*k as usize].bundles.iter().all(|b| good.contains_key(b)))
             .collect();
         check(cells.len(), cells.par_iter().map(|&k| self.check_cell(k, &good)).collect());
+        let levels = of_kind(ChunkKind::Levels);
+        let of_chunk = self.levels_by_chunk(&good);
+        let results = levels.par_iter().map(|c| self.check_levels(*c, of_chunk.get(c).map_or(&[][..], |l| l), &good));
+        check(levels.len(), results.collect());
         let images: Vec<u32> = (0..self.index.images.len() as u32)
             .filter(|k| self.index.images[*k as usize].chunks.iter().all(is_intact))
             .collect();
@@ -293,9 +297,37 @@ impl Places<'_> {
         let check = || {
             let geometry = codec::cell::decode(&self.bytes(chunk))?;
             manifest::check_decoded_bytes(self.index, chunk, codec::cell::decoded_bytes(&geometry))?;
-            manifest::check_cell_content(self.index, cell, &geometry, |b| bundles.get(&b))
+            manifest::check_cell_content(self.index, DrawnCell::full(cell), &geometry, |b| bundles.get(&b))
         };
         check().map_err(|e| self.fault(chunk as usize, format!("cell {cell}: {e}")))
+    }
+
+    /// Levels of detail of cells by their chunks, those whose bundles are there.
+    fn levels_by_chunk(&self, bundles: &BTreeMap<u32, CellGeometry>) -> BTreeMap<u32, Vec<DrawnCell>> {
+        let mut of_chunk = BTreeMap::<u32, Vec<DrawnCell>>::new();
+        for (cell, entry) in (0u32..).zip(&self.index.cells) {
+            for (level, l) in (1u8..).zip(&entry.levels) {
+                if l.bundles.iter().all(|b| bundles.contains_key(b)) {
+                    of_chunk.entry(l.chunk).or_default().push(DrawnCell { cell, level });
+                }
+            }
+        }
+        of_chunk
+    }
+
+    fn check_levels(
+        &self,
+        chunk: u32,
+        drawn: &[DrawnCell],
+        bundles: &BTreeMap<u32, CellGeometry>,
+    ) -> Result<(), Fault> {
+        let check = || {
+            let geometry = codec::cell::decode(&self.bytes(chunk))?;
+            manifest::check_levels(self.index, &geometry)?;
+            manifest::check_decoded_bytes(self.index, chunk, codec::cell::decoded_bytes(&geometry))?;
+            drawn.iter().try_for_each(|c| manifest::check_cell_content(self.index, *c, &geometry, |b| bundles.get(&b)))
+        };
+        check().map_err(|e| self.fault(chunk as usize, format!("levels of detail: {e}")))
     }
 
     fn check_image(&self, image: u32) -> Result<(), Fault> {

@@ -106,7 +106,7 @@ fn parts(index: &Index) -> Vec<Part> {
     }
     for (chunk, entry) in index.chunks.iter().enumerate() {
         let kind = match entry.kind {
-            ChunkKind::Cell | ChunkKind::Bundle => "geometry",
+            ChunkKind::Cell | ChunkKind::Bundle | ChunkKind::Levels => "geometry",
             ChunkKind::Texture => "texture",
             ChunkKind::Ldi | ChunkKind::Tree | ChunkKind::Page => continue,
         };

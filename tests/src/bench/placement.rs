@@ -138,6 +138,7 @@ fn options(
             optimize_budget: 0,
             camera: OutputCamera { width, height, fov_deg: 60.0 },
             max_footprint_px: 2.0,
+            max_deviation_px: 0.5,
             pitch_deg,
             density: 1.0,
             colour: "lossless".into(),

@@ -37,8 +37,15 @@ pub(in crate::load) fn index(chunks: u32) -> Arc<Index> {
         decoded_bytes: 4 * BYTES,
         kind: ChunkKind::Cell,
     };
-    let cell =
-        |chunk| CellEntry { bounds, triangles: 1, chunk, bundles: vec![], materials: vec![], texel_density: vec![] };
+    let cell = |chunk| CellEntry {
+        bounds,
+        triangles: 1,
+        chunk,
+        bundles: vec![],
+        materials: vec![],
+        texel_density: vec![],
+        levels: Vec::new(),
+    };
     Arc::new(Index {
         scene: SceneInfo { name: "street".into(), triangles: 1, unique_triangles: 1, instances: 1, bounds },
         settings: BuildSettings {
@@ -46,6 +53,7 @@ pub(in crate::load) fn index(chunks: u32) -> Arc<Index> {
             optimize_budget: 1,
             camera: OutputCamera { width: 64, height: 48, fov_deg: 60.0 },
             max_footprint_px: 2.0,
+            max_deviation_px: 0.5,
             pitch_deg: 60.0,
             density: 1.0,
             colour: "high".into(),

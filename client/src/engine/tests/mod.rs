@@ -15,8 +15,8 @@ use glam::{DVec3, Vec3};
 use ldi_protocol::{
     Aabb, OutputCamera, Pose, ViewBasis,
     index::{
-        AngularRange, ChunkEntry, ChunkHash, ChunkKind, EVERY_LEVEL, GridPoint, ImageEntry, Index, Placement,
-        TextureChunk, TextureEntry,
+        AngularRange, ChunkEntry, ChunkHash, ChunkKind, DrawnCell, EVERY_LEVEL, GridPoint, ImageEntry, Index,
+        Placement, TextureChunk, TextureEntry,
     },
     ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiCamera, LdiLayer, Segment},
     mesh::{CellGeometry, Material},
@@ -300,7 +300,10 @@ fn near_and_far_come_together() {
         let options = WalkOptions { supersample, ..options(Pace::Wait) };
         let (frame, frame_stats, view) = render(&data, &ahead, &options);
         assert_eq!((frame.width, frame.height), (CAMERA.width, CAMERA.height));
-        assert_eq!((view.selection.placement, &view.cells, view.triangles_in_frustum), (Some(0), &vec![0], 4));
+        assert_eq!(
+            (view.selection.placement, view.cells, view.triangles_in_frustum),
+            (Some(0), DrawnCell::all_full([0]), 4)
+        );
         assert_eq!((frame_stats.triangles, frame_stats.missing_chunks.len()), (2, 0));
         // The image is blue where the geometry is green: what is blue came from the warp.
         assert_eq!(
@@ -311,7 +314,7 @@ fn near_and_far_come_together() {
     }
     let geometry = WalkOptions { method: Method::Geometry, ..options(Pace::Wait) };
     let (frame, frame_stats, view) = render(&data, &ahead, &geometry);
-    assert_eq!((view.selection.placement, view.cells, frame_stats.triangles), (None, vec![0, 1], 4));
+    assert_eq!((view.selection.placement, view.cells, frame_stats.triangles), (None, DrawnCell::all_full(0..2), 4));
     assert_eq!((colour_at(&frame, 18, 24), frame_stats.warp.is_none()), ([0, 255, 0], true));
 }
 

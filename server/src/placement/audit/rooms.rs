@@ -6,7 +6,7 @@
 //! is not must have an image for this eye, whose window holds what is beyond, at a footprint
 //! within its bound.
 
-use super::{AuditedPose, Random, footprint, holds, triangles_in};
+use super::{AuditedPose, Random, check_deviation, footprint, holds, triangles_in};
 use glam::DVec3;
 use ldi_protocol::{Aabb, Pose, index::Index, ldi::LdiCamera, room_index::RoomIndex, rooms::CellId, select::DrawList};
 use std::collections::BTreeSet;
@@ -42,6 +42,7 @@ pub(super) fn check(
             list.dropped
         ));
     }
+    let deviation_px = check_deviation(index, &list.cells, pose.position, &mut faults);
     let mut audit = Walk { index, rooms, cameras, pose, list, footprint_px: 0.0, faults: BTreeSet::new() };
     let basis = pose.basis();
     for _ in 0..RAYS {
@@ -63,6 +64,7 @@ pub(super) fn check(
         placement: list.portals.first().map(|p| p.placement),
         triangles,
         footprint_px,
+        deviation_px,
         faults,
     }
 }
@@ -111,7 +113,7 @@ impl Walk<'_> {
     fn meets(&mut self, room: CellId, ray: DVec3, [from, to]: [f64; 2]) {
         for cell in self.rooms.cells(room) {
             let b = &self.index.cells[*cell as usize].bounds;
-            if is_met(b, self.pose.position, ray, [from, to]) && !self.list.cells.contains(cell) {
+            if is_met(b, self.pose.position, ray, [from, to]) && !self.list.cells.iter().any(|c| c.cell == *cell) {
                 self.faults.insert(format!(
                     "cell {cell} of room {} is in the picture and not drawn",
                     self.rooms.rooms.name(room)

@@ -119,7 +119,10 @@ impl Foresight for Forecast {
         let poses: Vec<Pose> = guesses.iter().map(|g| g.pose).collect();
         for (g, lacking) in guesses.iter().zip(self.views.lacking(&poses, absent)) {
             for chunk in lacking {
-                let geometry = matches!(self.index.chunks[chunk as usize].kind, ChunkKind::Cell | ChunkKind::Bundle);
+                let geometry = matches!(
+                    self.index.chunks[chunk as usize].kind,
+                    ChunkKind::Cell | ChunkKind::Levels | ChunkKind::Bundle
+                );
                 let in_s = if g.turned && geometry { 0.0 } else { g.in_s };
                 if in_s > within_s {
                     continue;

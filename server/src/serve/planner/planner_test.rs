@@ -32,6 +32,7 @@ fn index() -> Arc<Index> {
             optimize_budget: 1,
             camera: OutputCamera { width: 64, height: 48, fov_deg: 60.0 },
             max_footprint_px: 2.0,
+            max_deviation_px: 0.5,
             pitch_deg: 60.0,
             density: 1.0,
             colour: "high".into(),
@@ -54,6 +55,7 @@ fn index() -> Arc<Index> {
                 bundles: vec![],
                 materials: vec![],
                 texel_density: vec![],
+                levels: Vec::new(),
             })
             .collect(),
         materials: vec![],

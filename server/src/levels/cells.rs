@@ -1,0 +1,144 @@
+//! Levels of cells from the chains of their parts.
+//!
+//! A level is a threshold: every part is drawn by the coarsest mesh of its chain whose deviation,
+//! in the world, is at most that. Thresholds are chosen so that each level has about half the
+//! triangles of the one before.
+
+use super::{Level, Levels, Piece, largest_stretch, parts::Parts, position_steps, simplify};
+use crate::octree::{Clusters, Octree, up_to_f32};
+use crate::scene::Scene;
+use ldi_protocol::{Aabb, mesh::MAX_CLUSTER_TRIANGLES};
+use rayon::prelude::*;
+use simplify::Coarse;
+use std::borrow::Cow;
+use std::ops::Range;
+
+/// A level has at most this share of the triangles of the one before.
+const SHARE: f64 = 0.55;
+/// And so many fewer. Smaller: entries of levels cost more than they save.
+const FEWER: u64 = 24;
+
+/// Joins chains to levels.
+pub(super) fn assemble(
+    scene: &Scene,
+    clusters: &Clusters,
+    octree: &Octree,
+    parts: &Parts,
+    chains: Vec<Vec<Coarse>>,
+) -> Levels {
+    let steps = position_steps(scene);
+    let of_cell: Vec<Vec<Chosen>> =
+        parts.of_cell.par_iter().map(|drawn| thresholds(scene, clusters, parts, &chains, &steps, drawn)).collect();
+    // Meshes that some level uses, cut into pieces.
+    let mut is_used: Vec<Vec<bool>> = chains.iter().map(|c| vec![false; c.len()]).collect();
+    for (drawn, chosen) in parts.of_cell.iter().zip(&of_cell) {
+        for level in chosen {
+            for ((_, part), k) in drawn.iter().zip(&level.meshes) {
+                if let Some(k) = k.checked_sub(1) {
+                    is_used[*part as usize][usize::from(k)] = true;
+                }
+            }
+        }
+    }
+    let mut levels = Levels { clusters: clusters.clusters.len() as u32, ..Levels::default() };
+    let mut numbers: Vec<Vec<Range<u32>>> = Vec::with_capacity(chains.len());
+    for ((part, chain), is_used) in parts.parts.iter().zip(chains).zip(is_used) {
+        let of = chain.into_iter().zip(is_used).map(|(coarse, is_used)| {
+            let first = levels.clusters + levels.pieces.len() as u32;
+            if is_used {
+                let mut triangles = coarse.triangles;
+                if triangles.len() > MAX_CLUSTER_TRIANGLES {
+                    sort_along_longest_axis(scene, (part.mesh, part.primitive), &mut triangles);
+                }
+                levels.pieces.extend(triangles.chunks(MAX_CLUSTER_TRIANGLES).map(|of| Piece {
+                    mesh: part.mesh,
+                    primitive: part.primitive,
+                    triangles: Cow::Owned(of.to_vec()),
+                }));
+            }
+            first..levels.clusters + levels.pieces.len() as u32
+        });
+        numbers.push(of.collect());
+    }
+    let with_pieces = |(drawn, chosen): (&Vec<(u32, u32)>, Vec<Chosen>)| -> Vec<Level> {
+        let level = |c: Chosen| {
+            let mut content = Vec::new();
+            for ((instance, part), k) in drawn.iter().zip(&c.meshes) {
+                match k.checked_sub(1) {
+                    None => content.extend(parts.parts[*part as usize].clusters.iter().map(|c| (*instance, *c))),
+                    Some(k) => content.extend(numbers[*part as usize][usize::from(k)].clone().map(|p| (*instance, p))),
+                }
+            }
+            Level { deviation_m: c.deviation_m, triangles: c.triangles, content }
+        };
+        chosen.into_iter().map(level).collect()
+    };
+    levels.cells = parts.of_cell.par_iter().zip(of_cell).map(with_pieces).collect();
+    debug_assert_eq!(levels.cells.len(), octree.cells.len());
+    levels
+}
+
+/// A level before its pieces are known.
+struct Chosen {
+    deviation_m: f64,
+    triangles: u32,
+    /// Per part that the cell draws: 0: in full; k: number k - 1 of its chain.
+    meshes: Vec<u8>,
+}
+
+/// The levels of one cell.
+fn thresholds(
+    scene: &Scene,
+    clusters: &Clusters,
+    parts: &Parts,
+    chains: &[Vec<Coarse>],
+    steps: &[i8],
+    drawn: &[(u32, u32)],
+) -> Vec<Chosen> {
+    // (deviation in the world, part drawn, mesh of its chain, triangles fewer)
+    let mut events: Vec<(f64, usize, u8, u64)> = Vec::new();
+    let mut triangles = 0u64;
+    // Vertices are rounded, whichever level is drawn.
+    let mut rounding_m = 0.0f64;
+    for (at, (instance, part)) in drawn.iter().enumerate() {
+        let scale = largest_stretch(&scene.instances[*instance as usize].world_from_mesh.matrix3);
+        let part_entry = &parts.parts[*part as usize];
+        let full: u64 = part_entry.clusters.iter().map(|c| clusters.clusters[*c as usize].triangles.len() as u64).sum();
+        triangles += full;
+        let mut before = full;
+        let step = 2f64.powi(steps[part_entry.mesh as usize].into());
+        rounding_m = rounding_m.max(0.5 * 3f64.sqrt() * step * scale);
+        for (k, coarse) in (1u8..).zip(chains[*part as usize].iter().take(usize::from(u8::MAX) - 1)) {
+            let fewer = before.saturating_sub(coarse.triangles.len() as u64);
+            before = coarse.triangles.len() as u64;
+            events.push((coarse.deviation * scale, at, k, fewer));
+        }
+    }
+    events.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    let mut meshes = vec![0u8; drawn.len()];
+    let mut levels: Vec<Chosen> = Vec::new();
+    let mut last = triangles;
+    for (number, (deviation_m, at, k, fewer)) in events.iter().enumerate() {
+        meshes[*at] = *k;
+        triangles -= fewer;
+        let is_last = number + 1 == events.len();
+        let next_is_farther = events.get(number + 1).is_none_or(|next| next.0 > *deviation_m);
+        let share = if is_last { 0.5 * (1.0 + SHARE) } else { SHARE };
+        if next_is_farther && triangles as f64 <= share * last as f64 && triangles + FEWER <= last {
+            let deviation_m = up_to_f32(deviation_m + rounding_m);
+            if let Ok(count) = u32::try_from(triangles) {
+                levels.push(Chosen { deviation_m, triangles: count, meshes: meshes.clone() });
+                last = triangles;
+            }
+        }
+    }
+    levels
+}
+
+/// So that pieces are compact.
+fn sort_along_longest_axis(scene: &Scene, (mesh, primitive): (u32, u32), triangles: &mut [[u32; 3]]) {
+    let p = &scene.meshes[mesh as usize].primitives[primitive as usize];
+    let size = Aabb::from_points(triangles.iter().map(|t| simplify::centre(p, t))).size();
+    let axis = size.max_position();
+    triangles.sort_by(|a, b| simplify::centre(p, a)[axis].total_cmp(&simplify::centre(p, b)[axis]));
+}

@@ -1,0 +1,302 @@
+//! Chains of simplified meshes of every part.
+//!
+//! Vertices that agree in position, and in texture coordinates and colour where these count, are
+//! one while a part is simplified; afterwards every corner takes that of them whose normal agrees
+//! best with its triangle. So creases do not stop simplification, and stay creases. Simplified
+//! meshes use vertices of the primitive, none is new.
+
+use super::{
+    deviation::{self, Corners},
+    parts::Part,
+};
+use crate::octree::Clusters;
+use crate::scene::{Mesh, Primitive, Scene};
+use glam::{DVec3, Vec3};
+use ldi_protocol::{Aabb, mesh::Alpha};
+use meshopt::{SimplifyOptions, VertexDataAdapter};
+use rayon::prelude::*;
+use std::collections::{HashMap, HashSet};
+
+/// A part is halved down to this many triangles.
+const FEWEST: usize = 4;
+/// A mesh joins the chain if it has at most this share of the triangles of the one before.
+const WORTH: f64 = 0.75;
+/// Where topology stops simplification, vertices within cells of a grid become one, in meshes that
+/// are at most this many deviations in size. Faces may turn over by that, which shows in nothing
+/// but their light, as both sides are drawn.
+const SLOPPY_SIZE: f64 = 64.0;
+/// What texture coordinates and colours count beside positions, both relative to their extent.
+const ATTRIBUTE_WEIGHT: f32 = 1.0;
+/// Deviations are told apart down to this share of what the library estimates ...
+const FLOOR_SHARE: f64 = 0.25;
+/// ... and of the part's size: a flat surface in other triangles is not looked at more closely.
+const FLOOR_SIZE: f64 = 1e-4;
+
+/// A simplified mesh of a part.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Coarse {
+    /// Bound on how far it lies from the part, in mesh units; grows along the chain.
+    pub deviation: f64,
+    /// Vertex numbers of the primitive.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// The chain of every part, fine to coarse, without the part itself.
+pub(super) fn chains(scene: &Scene, clusters: &Clusters, parts: &[Part]) -> Vec<Vec<Coarse>> {
+    let mut of_mesh: Vec<Vec<u32>> = vec![Vec::new(); scene.meshes.len()];
+    parts.iter().zip(0u32..).for_each(|(part, number)| of_mesh[part.mesh as usize].push(number));
+    let mut chains = vec![Vec::new(); parts.len()];
+    let made: Vec<Vec<Vec<Coarse>>> = of_mesh
+        .par_iter()
+        .zip(&scene.meshes)
+        .map(|(of, mesh)| {
+            let borders = Borders::of(mesh, clusters, of.iter().map(|p| &parts[*p as usize]));
+            of.par_iter().map(|p| chain(scene, clusters, &parts[*p as usize], &borders)).collect()
+        })
+        .collect();
+    for (of, made) in of_mesh.into_iter().zip(made) {
+        of.into_iter().zip(made).for_each(|(part, chain)| chains[part as usize] = chain);
+    }
+    chains
+}
+
+/// A position by its bits; both zeros are one.
+fn place(v: Vec3) -> [u32; 3] {
+    v.to_array().map(|x| (x + 0.0).to_bits())
+}
+
+/// Where clusters of a mesh meet.
+struct Borders {
+    /// Clusters that use a position, for positions that several use.
+    shared: HashMap<[u32; 3], Vec<u32>>,
+}
+
+impl Borders {
+    fn of<'a>(mesh: &Mesh, clusters: &Clusters, parts: impl Iterator<Item = &'a Part>) -> Self {
+        let of_mesh = parts.map(|p| p.mesh).next().map(|m| clusters.of_mesh[m as usize].clone()).unwrap_or_default();
+        let mut shared = HashMap::new();
+        if of_mesh.len() > 1 {
+            let mut users: HashMap<[u32; 3], Vec<u32>> = HashMap::new();
+            for number in of_mesh {
+                let cluster = &clusters.clusters[number as usize];
+                let primitive = &mesh.primitives[cluster.primitive as usize];
+                for t in &cluster.triangles {
+                    for v in primitive.triangles[*t as usize] {
+                        let of = users.entry(place(primitive.positions[v as usize])).or_default();
+                        // Clusters come one after the other.
+                        if of.last() != Some(&number) {
+                            of.push(number);
+                        }
+                    }
+                }
+            }
+            shared = users.into_iter().filter(|(_, of)| of.len() > 1).collect();
+        }
+        Self { shared }
+    }
+
+    /// Whether something else than the part meets it there.
+    fn meets(&self, part: &Part, place: &[u32; 3]) -> bool {
+        let others = |of: &Vec<u32>| of.iter().any(|c| part.clusters.binary_search(c).is_err());
+        self.shared.get(place).is_some_and(others)
+    }
+}
+
+/// Vertices of a part, welded.
+struct Welded {
+    /// Per welded vertex, the vertices of the primitive that it stands for.
+    wedges: Vec<Vec<u32>>,
+    positions: Vec<[f32; 3]>,
+    /// Texture coordinates and colours, `attribute_count` numbers per vertex.
+    attributes: Vec<f32>,
+    attribute_count: usize,
+    locked: Vec<bool>,
+    /// Three per triangle.
+    indices: Vec<u32>,
+}
+
+impl Welded {
+    fn of(p: &Primitive, triangles: &[[u32; 3]], textured: bool, locked: impl Fn(&[u32; 3]) -> bool) -> Self {
+        let mut number: HashMap<([u32; 3], [u32; 5]), u32> = HashMap::new();
+        let colours = !p.colours.is_empty();
+        let attribute_count = if textured { 2 } else { 0 } + if colours { 3 } else { 0 };
+        let mut w = Self {
+            wedges: Vec::new(),
+            positions: Vec::new(),
+            attributes: Vec::new(),
+            attribute_count,
+            locked: Vec::new(),
+            indices: Vec::with_capacity(triangles.len() * 3),
+        };
+        // Relative to the part, so that single precision is enough far from zero.
+        let origin = triangles.first().map_or(Vec3::ZERO, |t| p.positions[t[0] as usize]);
+        for &v in triangles.as_flattened() {
+            let at = v as usize;
+            let mut values = [0.0f32; 5];
+            if textured {
+                values[..2].copy_from_slice(&p.uvs[at].to_array());
+            }
+            if colours {
+                values[2..].copy_from_slice(&p.colours[at]);
+            }
+            let place = place(p.positions[at]);
+            let new = *number.entry((place, values.map(f32::to_bits))).or_insert_with(|| {
+                w.positions.push((p.positions[at] - origin).to_array());
+                w.attributes.extend(&values[if textured { 0 } else { 2 }..if colours { 5 } else { 2 }]);
+                w.locked.push(locked(&place));
+                w.wedges.push(Vec::new());
+                w.wedges.len() as u32 - 1
+            });
+            let wedges = &mut w.wedges[new as usize];
+            if !wedges.contains(&v) {
+                wedges.push(v);
+            }
+            w.indices.push(new);
+        }
+        w.level_attributes();
+        w
+    }
+
+    /// Brings every attribute to an extent of 1.
+    fn level_attributes(&mut self) {
+        for k in 0..self.attribute_count {
+            let values = || self.attributes.iter().skip(k).step_by(self.attribute_count).copied();
+            let (low, high) = values().fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
+            let scale = if high > low { 1.0 / (high - low) } else { 0.0 };
+            let of = self.attributes.iter_mut().skip(k).step_by(self.attribute_count);
+            of.for_each(|x| *x = (*x - low) * scale);
+        }
+    }
+
+    fn adapter(&self) -> Option<VertexDataAdapter<'_>> {
+        VertexDataAdapter::new(bytemuck::cast_slice(&self.positions), 12, 0).ok()
+    }
+
+    /// About `target` triangles that lie near all of these, and the library's estimate of how
+    /// near, in mesh units.
+    fn simplified(&self, target: usize) -> Option<(Vec<u32>, f64)> {
+        let vertices = self.adapter()?;
+        let mut error = 0.0f32;
+        let indices = meshopt::simplify_with_attributes_and_locks(
+            &self.indices,
+            &vertices,
+            &self.attributes,
+            &[ATTRIBUTE_WEIGHT; 5][..self.attribute_count],
+            self.attribute_count * size_of::<f32>(),
+            &self.locked,
+            target * 3,
+            f32::MAX,
+            SimplifyOptions::ErrorAbsolute,
+            Some(&mut error),
+        );
+        Some((indices, f64::from(error)))
+    }
+
+    /// The same, whatever happens to topology.
+    fn clustered(&self, target: usize) -> Option<(Vec<u32>, f64)> {
+        let vertices = self.adapter()?;
+        let mut error = 0.0f32;
+        let indices = meshopt::simplify_sloppy_with_locks(
+            &self.indices,
+            &vertices,
+            &self.locked,
+            target * 3,
+            f32::MAX,
+            Some(&mut error),
+        );
+        let scale = meshopt::simplify_scale(&vertices);
+        Some((indices, f64::from(error * scale)))
+    }
+
+    /// Triangles of welded vertices as triangles of the primitive's.
+    fn unwelded(&self, p: &Primitive, indices: &[u32]) -> Vec<[u32; 3]> {
+        let corner = |v: u32| Vec3::from_array(self.positions[v as usize]).as_dvec3();
+        let triangle = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(corner);
+            let normal = (b - a).cross(c - a).normalize_or_zero();
+            t.map(|v| {
+                let agrees = |v: &u32| p.normals[*v as usize].as_dvec3().dot(normal);
+                // The first of equals.
+                let of = self.wedges[v as usize].iter();
+                of.copied().reduce(|a, b| if agrees(&b) > agrees(&a) { b } else { a }).unwrap_or(0)
+            })
+        };
+        let (triangles, _) = indices.as_chunks::<3>();
+        triangles.iter().filter(|[a, b, c]| a != b && b != c && c != a).map(triangle).collect()
+    }
+}
+
+fn corners(p: &Primitive, t: &[u32; 3]) -> Corners {
+    t.map(|v| p.positions[v as usize].as_dvec3())
+}
+
+fn chain(scene: &Scene, clusters: &Clusters, part: &Part, borders: &Borders) -> Vec<Coarse> {
+    let p = &scene.meshes[part.mesh as usize].primitives[part.primitive as usize];
+    let material = &scene.materials[p.material as usize];
+    if material.alpha != Alpha::Opaque {
+        return Vec::new();
+    }
+    let of_part = part.clusters.iter().flat_map(|c| &clusters.clusters[*c as usize].triangles);
+    let full: Vec<[u32; 3]> = of_part.map(|t| p.triangles[*t as usize]).collect();
+    if full.len() < 2 * FEWEST {
+        return Vec::new();
+    }
+    let textured = material.texture.is_some() && !p.uvs.is_empty();
+    let welded = Welded::of(p, &full, textured, |place| borders.meets(part, place));
+    let full_corners: Vec<Corners> = full.iter().map(|t| corners(p, t)).collect();
+    let size = Aabb::from_points(full_corners.iter().flatten().copied()).size().length();
+    let mut chain: Vec<Coarse> = Vec::new();
+    let (mut last, mut deviation, mut target) = (full.len(), 0.0f64, full.len() / 2);
+    while target >= FEWEST {
+        let few = |triangles: &Vec<[u32; 3]>| triangles.len() as f64 <= WORTH * last as f64;
+        let measure = |triangles: Vec<[u32; 3]>, estimate: f64| {
+            let floor = (FLOOR_SHARE * estimate).max(FLOOR_SIZE * size).max(deviation);
+            let bound = bound(p, &full, &full_corners, &triangles, floor);
+            Coarse { deviation: bound.max(estimate), triangles }
+        };
+        let found = welded.simplified(target).map(|(i, e)| (welded.unwelded(p, &i), e)).filter(|f| few(&f.0));
+        let found = found.map(|(triangles, estimate)| measure(triangles, estimate)).or_else(|| {
+            let (indices, estimate) = welded.clustered(target)?;
+            let triangles = Some(welded.unwelded(p, &indices)).filter(|t| few(t) && !t.is_empty())?;
+            Some(measure(triangles, estimate)).filter(|c| size <= SLOPPY_SIZE * c.deviation)
+        });
+        let Some(coarse) = found.filter(|c| !c.triangles.is_empty() && c.deviation < size) else {
+            target /= 2;
+            continue;
+        };
+        // A finer mesh that is no nearer is of no use.
+        while chain.last().is_some_and(|c| c.deviation >= coarse.deviation) {
+            chain.pop();
+        }
+        last = coarse.triangles.len();
+        deviation = deviation.max(coarse.deviation);
+        target = last.min(target) / 2;
+        chain.push(coarse);
+    }
+    chain
+}
+
+/// Bound on how far the meshes lie apart. Triangles that are in both need no look.
+fn bound(p: &Primitive, full: &[[u32; 3]], full_corners: &[Corners], coarse: &[[u32; 3]], floor: f64) -> f64 {
+    let places = |t: &[u32; 3]| {
+        let mut of = t.map(|v| place(p.positions[v as usize]));
+        of.sort_unstable();
+        of
+    };
+    let in_full: HashSet<_> = full.iter().map(places).collect();
+    let in_coarse: HashSet<_> = coarse.iter().map(places).collect();
+    let coarse_corners: Vec<Corners> = coarse.iter().map(|t| corners(p, t)).collect();
+    let pick = |of: &[[u32; 3]], corners: &[Corners], other: &HashSet<_>| -> Vec<Corners> {
+        of.iter().zip(corners).filter(|(t, _)| !other.contains(&places(t))).map(|(_, c)| *c).collect()
+    };
+    let gone = pick(full, full_corners, &in_coarse);
+    let new = pick(coarse, &coarse_corners, &in_full);
+    let to = deviation::one_way(&gone, &deviation::SurfaceTree::new(&coarse_corners), floor);
+    deviation::one_way(&new, &deviation::SurfaceTree::new(full_corners), floor.max(to)).max(to)
+}
+
+/// Centre of a triangle, for the order of pieces.
+pub(super) fn centre(p: &Primitive, t: &[u32; 3]) -> DVec3 {
+    let [a, b, c] = corners(p, t);
+    (a + b + c) / 3.0
+}
