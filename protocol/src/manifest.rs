@@ -37,7 +37,7 @@ use crate::{
 
 /// Version of root and pages. Raised with every change that an older reader would misunderstand.
 /// 10: sections of all chunks and pages may be coded by rANS.
-pub const VERSION: u8 = 14;
+pub const VERSION: u8 = 15;
 /// Stored bytes of all pages of a manifest together: what a reader holds of them before it decodes
 /// them.
 pub const MAX_PAGE_BYTES: u64 = 64 << 20;
