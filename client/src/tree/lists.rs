@@ -1,8 +1,8 @@
 //! The reference: depth lists per pixel (Chang, Bishop, Lastra 1999, section 3.3).
 //!
-//! Every splat adds an entry to the list of each pixel that its wide form reaches. The nearest entry
-//! that covers the pixel is the surface that shows; entries within their merge threshold of it are
-//! of this surface, and their weighted mean is its colour. Slow, and without a z-buffer.
+//! Every splat adds an entry to the list of each pixel that its wide form reaches. The nearest
+//! entry that covers the pixel is the surface that shows; entries within their merge threshold of
+//! it are of this surface, and their weighted mean is its colour. Slow, and without a z-buffer.
 
 use super::{
     TreeOptions,

@@ -280,7 +280,7 @@ mod tests {
 
     #[test]
     fn a_mask_without_its_rim_keeps_what_lies_within() {
-        // Whole; a half, a corner and a line that go on beyond the pixel; a bar and a dot within it.
+        // Whole; a half, a corner and a line that go on beyond the pixel; a bar and a dot within.
         for (mask, within) in
             [(0xffff, 0xffff), (0x3333, 0x1111), (0x0077, 0x0003), (0x0f00, 0), (0x6666, 0), (0x0660, 0)]
         {

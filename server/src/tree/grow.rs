@@ -211,7 +211,8 @@ impl Forest {
         self.pitch_m / f64::from(1u32 << level)
     }
 
-    /// Filters every level into the one above, deepest first. Layers that cover nothing are dropped.
+    /// Filters every level into the one above, deepest first. Layers that cover nothing are
+    /// dropped.
     pub fn filter(mut self, caster: &Caster) -> Grown {
         for level in (0..=self.max_level).rev() {
             let range = usize::from(level) * SHARDS..(usize::from(level) + 1) * SHARDS;
