@@ -39,8 +39,10 @@ pub const DEPTH_STEPS: u32 = 64;
 pub const MAX_LEVEL: u8 = 14;
 /// Most samples of one pixel of one face: a column of surfaces one merge threshold apart.
 pub const MAX_LAYERS: usize = 2 * SIDE as usize;
-/// Units of [`TreeSample::alpha`] that are full coverage.
-pub const OPAQUE: u8 = 15;
+/// Parts along each side of a pixel's coverage mask.
+pub const PARTS: u32 = 4;
+/// The coverage mask of a pixel that its surface covers whole.
+pub const WHOLE: u16 = u16::MAX;
 
 /// The two axes of a face's columns and rows.
 pub const fn across(axis: usize) -> [usize; 2] {
@@ -56,8 +58,9 @@ pub struct TreeSample {
     pub column: u8,
     /// Below [`SIDE`].
     pub row: u8,
-    /// How much of the pixel the surface covers, 1 to [`OPAQUE`].
-    pub alpha: u8,
+    /// Which of the pixel's [`PARTS`] x [`PARTS`] parts the surface covers, never 0: row by row,
+    /// the lowest bit first.
+    pub covers: u16,
     /// Along the face's axis from the cell's smallest corner, below `SIDE * DEPTH_STEPS`.
     pub depth: u16,
     /// How depth grows per column and per row, in steps: 64 is 45 degrees.
@@ -66,6 +69,13 @@ pub struct TreeSample {
     pub rgb: [u8; 3],
     /// Whether samples of nodes below have part in it.
     pub filtered: bool,
+}
+
+impl TreeSample {
+    /// Share of the pixel that the surface covers, above 0 and up to 1.
+    pub fn coverage(&self) -> f32 {
+        self.covers.count_ones() as f32 / (PARTS * PARTS) as f32
+    }
 }
 
 /// The LDI of one node: samples by face, row, column, depth.

@@ -10,7 +10,7 @@ use ldi_protocol::{
     ldi::{DisparityCodes, Ldi, LdiCamera, LdiLayer, Segment},
     mesh::{Alpha, CellGeometry, Cluster, ClusterInstance, ClusterRef, Material, Wrap},
     texture::{MipLevel, Texture},
-    tree::{Brood, NodeSamples, OPAQUE, Tree, TreeNode, TreeSample},
+    tree::{Brood, NodeSamples, Tree, TreeNode, TreeSample, WHOLE},
 };
 
 /// Index and stored chunks.
@@ -149,7 +149,7 @@ impl Street {
             face: 5,
             column: 3,
             row: 4,
-            alpha: OPAQUE,
+            covers: WHOLE,
             depth: 9,
             slope: [0; 2],
             rgb: [200, 100, 50],

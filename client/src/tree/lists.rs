@@ -1,10 +1,14 @@
 //! The reference: depth lists per pixel (Chang, Bishop, Lastra 1999, section 3.3).
 //!
-//! Every splat adds an entry to the list of each pixel that its wide form covers. A list is sorted
-//! by depth; entries within the coarser one's merge threshold of the first are one surface, whose
-//! weights add up; surfaces are blended front to back. Slow, and without a z-buffer.
+//! Every splat adds an entry to the list of each pixel that its wide form reaches. The nearest
+//! entry that covers the pixel is the surface that shows; entries within their merge threshold of
+//! it are of this surface, and their weighted mean is its colour. Slow, and without a z-buffer.
 
-use super::{TreeOptions, pixel_mask::PixelMask, splat_projection::SplatProjection};
+use super::{
+    TreeOptions,
+    pixel_mask::PixelMask,
+    splat_projection::{Drawn, SplatProjection},
+};
 use crate::{frame::pack_rgb, resident::Resident, warp::FarFrame};
 use ldi_protocol::{
     OutputCamera, Pose,
@@ -18,6 +22,7 @@ struct Entry {
     depth_m: f32,
     merge_m: f32,
     weight: f32,
+    covers: bool,
     colour: [f32; 3],
 }
 
@@ -38,7 +43,8 @@ pub fn draw(
         let Some(brood) = resident.brood(n.home.0) else { continue };
         let mut found = Vec::new();
         let samples = &brood.nodes[usize::from(n.home.1)].samples;
-        view.splats(tree, &tree.nodes[n.node as usize], n.filtered, samples, &wanted, &mut found);
+        let drawn = Drawn { filtered: n.filtered, within: false };
+        view.splats(tree, &tree.nodes[n.node as usize], drawn, samples, &wanted, &mut found);
         for splat in &found {
             for row in splat.rows[0]..=splat.rows[1] {
                 for column in splat.columns[0]..=splat.columns[1] {
@@ -46,7 +52,8 @@ pub fn draw(
                     lists[row as usize * camera.width as usize + column as usize].push(Entry {
                         depth_m: 1.0 / disparity,
                         merge_m: splat.merge_m,
-                        weight: (1.0 - s.abs()) * (1.0 - t.abs()) * splat.alpha,
+                        weight: (1.0 - s.abs()) * (1.0 - t.abs()) * splat.coverage(),
+                        covers: splat.covers(s, t),
                         colour: splat.rgb.map(|c| linear[usize::from(c)]),
                     });
                 }
@@ -56,7 +63,7 @@ pub fn draw(
     let mut out = FarFrame::new(camera.width, camera.height);
     out.clear();
     let (mut entries, mut filled) = (0usize, 0usize);
-    for (packed, list) in out.packed.iter_mut().zip(&mut lists) {
+    for (packed, list) in out.packed.iter_mut().zip(&lists) {
         entries += list.len();
         filled += usize::from(!list.is_empty());
         if let Some((rgb, depth_m)) = blend(list) {
@@ -66,30 +73,13 @@ pub fn draw(
     (out, entries as f64 / filled.max(1) as f64)
 }
 
-/// The blended colour of a list, and the depth of the surface with the largest weight; None if
-/// hardly anything covers the pixel.
-fn blend(list: &mut [Entry]) -> Option<([f32; 3], f32)> {
-    list.sort_by(|a, b| a.depth_m.total_cmp(&b.depth_m));
-    let (mut colour, mut left) = ([0.0f32; 3], 1.0f32);
-    let (mut most, mut depth_m) = (0.0, 0.0);
-    let mut at = 0;
-    while at < list.len() && left > 1e-3 {
-        let first = list[at];
-        let (mut weight, mut sum) = (0.0, [0.0f32; 3]);
-        while let Some(e) = list.get(at).filter(|e| e.depth_m - first.depth_m <= first.merge_m.max(e.merge_m)) {
-            weight += e.weight;
-            sum = std::array::from_fn(|k| sum[k] + e.colour[k] * e.weight);
-            at += 1;
-        }
-        let share = left * weight.min(1.0);
-        if weight > 0.0 {
-            colour = std::array::from_fn(|k| colour[k] + sum[k] / weight * share);
-        }
-        left -= share;
-        if share > most {
-            (most, depth_m) = (share, first.depth_m);
-        }
+/// Colour and depth of the surface that a list shows; None if no entry covers the pixel.
+fn blend(list: &[Entry]) -> Option<([f32; 3], f32)> {
+    let front = list.iter().filter(|e| e.covers).map(|e| e.depth_m).min_by(f32::total_cmp)?;
+    let (mut sum, mut weight) = ([0.0f32; 3], 0.0);
+    for e in list.iter().filter(|e| (e.depth_m - front).abs() <= e.merge_m) {
+        weight += e.weight;
+        sum = std::array::from_fn(|k| sum[k] + e.colour[k] * e.weight);
     }
-    let covered = 1.0 - left;
-    (covered > 0.25).then(|| (colour.map(|c| c / covered), depth_m))
+    Some((sum.map(|c| c / weight), front))
 }

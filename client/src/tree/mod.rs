@@ -5,12 +5,12 @@
 //!
 //! 1. `splat_projection`: every sample is a parallelogram on its surface, one pitch wide, projected
 //!    as a quadrilateral with the plane's disparity at every pixel.
-//! 2. `splat`: opaque splats into a z-buffer; then all splats again, twice as wide and with
-//!    bilinear weights, within a merge threshold of the z-buffer. Colours are interpolated between
-//!    samples, and partly covered pixels are blended with what lies behind.
+//! 2. `splat`: the parts of splats that their surfaces cover into a z-buffer; then all splats
+//!    again, twice as wide and with bilinear weights, within a merge threshold of the z-buffer:
+//!    outlines are as fine as coverage masks, colours are interpolated between samples.
 //! 3. Gap filling (section 3.5): pixels that nothing reached are drawn again from coarser cuts,
-//!    including filtered samples. Gaps that remain are wider than a few samples: there is no
-//!    surface.
+//!    including filtered samples, without the rims of surfaces. Gaps that remain are wider than a
+//!    few samples: there is no surface.
 //! 4. While the eye rests (section 3.4), `progressive` keeps the picture: a finer one is drawn over
 //!    several frames (`pass`) and shown when it is finished.
 //!
@@ -93,7 +93,7 @@ impl TreePainter {
             return stats;
         }
         let view = TreeView { tree, resident, pose, camera };
-        self.pass.begin(view.cut(&options.cut));
+        self.pass.begin(view.cut(&options.cut), false);
         self.pass.advance(&view, u64::MAX, wanted, out, &mut self.painting, &mut stats);
         self.finish(&view, options, wanted, no_gap, out, &mut stats);
         stats
@@ -122,7 +122,7 @@ impl TreePainter {
                 break;
             }
             stamp_px = if pass == ALL_GAP_PASSES { f64::INFINITY } else { stamp_px * GAP_STEP };
-            self.pass.begin(view.cut(&CutOptions { stamp_px, ..options.cut }));
+            self.pass.begin(view.cut(&CutOptions { stamp_px, ..options.cut }), true);
             self.pass.advance(view, u64::MAX, wanted, out, &mut self.painting, stats);
             stats.gaps_filled += wanted.settle(out);
         }

@@ -4,7 +4,7 @@
 use super::{
     pixel_mask::{BLOCK, PixelMask},
     splat::SplatBuffers,
-    splat_projection::{Splat, SplatProjection},
+    splat_projection::{Drawn, Splat, SplatProjection},
     view::TreeView,
 };
 use crate::warp::FarFrame;
@@ -23,6 +23,8 @@ const HIDDEN_MARGIN: f32 = 0.1;
 pub struct Pass {
     /// What is drawn.
     pub cut: Cut,
+    /// Whether the pass fills gaps of finer ones.
+    fills_gaps: bool,
     /// The first node not drawn into the z-buffer yet.
     next_node: usize,
     /// The first row without blended colours.
@@ -33,10 +35,10 @@ pub struct Pass {
 
 impl Pass {
     /// Starts a cut. The caller clears the picture.
-    pub fn begin(&mut self, cut: Cut) {
+    pub fn begin(&mut self, cut: Cut, fills_gaps: bool) {
         self.splats.iter_mut().for_each(Vec::clear);
         self.splats.resize_with(cut.nodes.len().max(self.splats.len()), Vec::new);
-        (self.cut, self.next_node, self.next_row) = (cut, 0, 0);
+        (self.cut, self.fills_gaps, self.next_node, self.next_row) = (cut, fills_gaps, 0, 0);
     }
 
     /// Continues near to far, until about `max_samples` more are visited, or rows are blended in
@@ -66,13 +68,15 @@ impl Pass {
             });
             let of_wave = self.next_node..self.next_node + wave.count();
             let seen = &*wanted;
+            let within = self.fills_gaps;
             let draw = |(list, n): (&mut Vec<Splat>, &ldi_protocol::tree::CutNode)| {
                 list.clear();
                 let node = &view.tree.nodes[n.node as usize];
                 let brood = view.resident.brood(n.home.0);
                 match brood.as_ref().and_then(|b| b.nodes.get(usize::from(n.home.1))) {
                     Some(s) if eye.sees(&view.tree.bounds_of(node).inflated(view.tree.pitch_of(node.level)), seen) => {
-                        eye.splats(view.tree, node, n.filtered, &s.samples, seen, list);
+                        let drawn = Drawn { filtered: n.filtered, within };
+                        eye.splats(view.tree, node, drawn, &s.samples, seen, list);
                         s.samples.len() as u64
                     }
                     _ => 0,

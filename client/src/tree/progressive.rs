@@ -107,7 +107,7 @@ impl ProgressivePainter {
                 ..CutOptions::default()
             };
             let mut pass = Pass::default();
-            pass.begin(view.cut(&options));
+            pass.begin(view.cut(&options), false);
             let mut picture = FarFrame::default();
             picture.reset(view.camera.width, view.camera.height);
             picture.clear();

@@ -3,7 +3,7 @@
 use super::*;
 use crate::{frame::unpack_rgb, test_support::Memory};
 use glam::DVec3;
-use ldi_protocol::tree::{Brood, DEPTH_STEPS, NodeSamples, OPAQUE, SIDE, TreeNode, TreeSample};
+use ldi_protocol::tree::{Brood, DEPTH_STEPS, NodeSamples, SIDE, TreeNode, TreeSample, WHOLE};
 use std::sync::Arc;
 
 /// Narrow, and far enough off that the root's samples are smaller than eight pixels: coarser ones
@@ -26,7 +26,7 @@ fn wall() -> (Tree, Memory) {
         let made = places.map(|(row, column)| {
             let at = |k: u8, c: f64| c + (f64::from(k) + 0.5) * pitch;
             let rgb = wave(at(column, corner.x), at(row, corner.y));
-            TreeSample { face: 5, column, row, alpha: OPAQUE, depth, slope: [0, 0], rgb, filtered: level + 1 < LEVELS }
+            TreeSample { face: 5, column, row, covers: WHOLE, depth, slope: [0, 0], rgb, filtered: level + 1 < LEVELS }
         });
         NodeSamples { samples: made.collect() }
     };

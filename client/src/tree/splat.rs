@@ -1,4 +1,4 @@
-//! Splats to pixels: a z-buffer of opaque splats, then weighted colours of the splats on it.
+//! Splats to pixels: a z-buffer of what splats cover, then weighted colours of the splats on it.
 
 use super::{pixel_mask::PixelMask, splat_projection::Splat};
 use crate::{frame::pack_rgb, warp::FarFrame};
@@ -9,11 +9,6 @@ use ldi_protocol::{
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Coverage of a pixel from which a sample hides what lies behind. Lower: foliage becomes too
-/// dense; higher: surfaces become transparent at borders.
-const OPAQUE_FROM: f32 = 0.4;
-/// Marks a packed colour that hides nothing, in its unused highest byte.
-const THIN: u32 = 1 << 24;
 /// Pixels with less weight take the z-buffer's colour.
 const LEAST_WEIGHT: f32 = 0.02;
 /// Bands of rows per thread, for balance.
@@ -27,7 +22,7 @@ pub struct SplatBuffers {
 }
 
 impl SplatBuffers {
-    /// First pass: the z-buffer of opaque splats, in wanted pixels of `out` that are empty.
+    /// First pass: the z-buffer of what splats cover, in wanted pixels of `out` that are empty.
     pub fn cover(&mut self, splats: &[Vec<Splat>], camera: &OutputCamera, wanted: &PixelMask, out: &mut FarFrame) {
         let rows = 0..camera.height as usize;
         self.bands(camera, rows, wanted, out, |band| splats.iter().flatten().for_each(|t| band.cover(t)));
@@ -44,7 +39,6 @@ impl SplatBuffers {
     ) {
         self.bands(camera, rows, wanted, out, |band| {
             band.spans().for_each(|span| band.sums[span].fill([0.0; 4]));
-            splats.iter().flatten().for_each(|t| band.cover_thinly(t));
             splats.iter().flatten().for_each(|t| band.mix(t));
             band.resolve();
         });
@@ -108,32 +102,13 @@ impl<'a> Band<'a> {
         }
     }
 
-    /// First pass: opaque splats by depth.
+    /// First pass: what splats cover, by depth.
     fn cover(&mut self, splat: &Splat) {
-        if splat.alpha < OPAQUE_FROM {
-            return;
-        }
-        let half = Splat::half_width();
         let colour = pack_rgb(splat.rgb);
         self.each(splat, |band, at, (disparity, s, t)| {
-            if s.abs() <= half && t.abs() <= half {
+            if splat.covers(s, t) {
                 let packed = FarFrame::pack(disparity, colour);
                 band.packed[at] = band.packed[at].max(packed);
-            }
-        });
-    }
-
-    /// Between the passes: pixels without an opaque splat take the nearest partial one.
-    fn cover_thinly(&mut self, splat: &Splat) {
-        if splat.alpha >= OPAQUE_FROM {
-            return;
-        }
-        let half = Splat::half_width();
-        let colour = pack_rgb(splat.rgb) | THIN;
-        self.each(splat, |band, at, (disparity, s, t)| {
-            let there = band.packed[at];
-            if s.abs() <= half && t.abs() <= half && (there == 0 || there as u32 & THIN != 0) {
-                band.packed[at] = there.max(FarFrame::pack(disparity, colour));
             }
         });
     }
@@ -142,14 +117,14 @@ impl<'a> Band<'a> {
     fn mix(&mut self, splat: &Splat) {
         let linear = linear_from_srgb8_table();
         let colour = splat.rgb.map(|c| linear[usize::from(c)]);
+        let coverage = splat.coverage();
         self.each(splat, |band, at, (disparity, s, t)| {
-            if let Some((_, front)) = FarFrame::unpack(band.packed[at]) {
-                // Hidden: behind the front by more than a merge threshold.
-                if front > disparity && 1.0 / disparity - 1.0 / front > splat.merge_m {
-                    return;
-                }
+            let Some((_, front)) = FarFrame::unpack(band.packed[at]) else { return };
+            // Another surface: hidden by the front, or before it beside what it covers.
+            if (1.0 / disparity - 1.0 / front).abs() > splat.merge_m {
+                return;
             }
-            let weight = (1.0 - s.abs()) * (1.0 - t.abs()) * splat.alpha;
+            let weight = (1.0 - s.abs()) * (1.0 - t.abs()) * coverage;
             let sum = &mut band.sums[at];
             for (sum, c) in sum.iter_mut().zip(colour) {
                 *sum += c * weight;
@@ -161,8 +136,7 @@ impl<'a> Band<'a> {
     fn resolve(&mut self) {
         for at in self.spans().flatten() {
             let (packed, sum) = (&mut self.packed[at], &self.sums[at]);
-            let Some((colour, disparity)) = FarFrame::unpack(*packed) else { continue };
-            *packed = FarFrame::pack(disparity, colour & !THIN);
+            let Some((_, disparity)) = FarFrame::unpack(*packed) else { continue };
             if sum[3] > LEAST_WEIGHT {
                 let rgb = std::array::from_fn(|k| srgb8_from_linear(sum[k] / sum[3]));
                 *packed = FarFrame::pack(disparity, pack_rgb(rgb));

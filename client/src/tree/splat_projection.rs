@@ -4,7 +4,7 @@ use super::pixel_mask::PixelMask;
 use glam::{DVec3, Vec3};
 use ldi_protocol::{
     Aabb, OutputCamera, Pose,
-    tree::{DEPTH_STEPS, Tree, TreeNode, TreeSample, across},
+    tree::{DEPTH_STEPS, PARTS, Tree, TreeNode, TreeSample, across},
 };
 
 /// Near plane, metres.
@@ -39,9 +39,19 @@ pub struct Splat {
     pub disparity: [f32; 3],
     /// Distance in depth within which splats are one surface, metres.
     pub merge_m: f32,
-    /// Opacity, 0 to 1.
-    pub alpha: f32,
+    /// Parts of the pixel that the surface covers ([`TreeSample::covers`]).
+    pub covers: u16,
     pub rgb: [u8; 3],
+}
+
+/// Which samples a projection draws.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Drawn {
+    /// Filtered samples too.
+    pub filtered: bool,
+    /// Only parts that lie within the surface, not those at its rim: coarse samples that fill gaps
+    /// must not widen outlines.
+    pub within: bool,
 }
 
 /// The camera of a projection.
@@ -76,7 +86,7 @@ impl SplatProjection {
         &self,
         tree: &Tree,
         node: &TreeNode,
-        filtered: bool,
+        drawn: Drawn,
         samples: &[TreeSample],
         wanted: &PixelMask,
         out: &mut Vec<Splat>,
@@ -94,18 +104,22 @@ impl SplatProjection {
             };
             let (column, row, depth) = (unit(a), unit(b), unit(axis) / DEPTH_STEPS as f32);
             let outward = unit(axis) * if of_face[0].face % 2 == 1 { 1.0 } else { -1.0 };
-            for s in of_face.iter().filter(|s| filtered || !s.filtered) {
+            for s in of_face.iter().filter(|s| drawn.filtered || !s.filtered) {
+                let covers = if drawn.within { without_rim(s.covers) } else { s.covers };
                 let middle = corner
                     + column * (f32::from(s.column) + 0.5)
                     + row * (f32::from(s.row) + 0.5)
                     + depth * (f32::from(s.depth) + 0.5);
                 // Most samples are hidden or not wanted: they are rejected before their splat is
                 // computed.
-                if !wanted.reaches(middle.length(), pitch as f32) || !self.may_show(middle, pitch as f32, wanted) {
+                if covers == 0
+                    || !wanted.reaches(middle.length(), pitch as f32)
+                    || !self.may_show(middle, pitch as f32, wanted)
+                {
                     continue;
                 }
                 let sides = [column + depth * f32::from(s.slope[0]), row + depth * f32::from(s.slope[1])];
-                if let Some(splat) = self.splat(middle, sides, outward, pitch as f32, s)
+                if let Some(splat) = self.splat(middle, sides, outward, pitch as f32, (covers, s.rgb))
                     && wanted.any(splat.columns, splat.rows, splat.disparity[2])
                 {
                     out.push(splat);
@@ -154,7 +168,14 @@ impl SplatProjection {
 
     /// The splat around `middle` with these sides (eye space, metres). None if it is behind the
     /// eye, faces away, or is outside of the picture.
-    fn splat(&self, middle: Vec3, sides: [Vec3; 2], outward: Vec3, pitch: f32, s: &TreeSample) -> Option<Splat> {
+    fn splat(
+        &self,
+        middle: Vec3,
+        sides: [Vec3; 2],
+        outward: Vec3,
+        pitch: f32,
+        (covers, rgb): (u16, [u8; 3]),
+    ) -> Option<Splat> {
         if middle.z < NEAR_M {
             return None;
         }
@@ -210,8 +231,8 @@ impl SplatProjection {
             along,
             disparity: [1.0 / middle.z, 1.0 / farthest, 1.0 / nearest],
             merge_m: MERGE_PITCHES * pitch,
-            alpha: f32::from(s.alpha) / f32::from(ldi_protocol::tree::OPAQUE),
-            rgb: s.rgb,
+            covers,
+            rgb,
         })
     }
 }
@@ -229,8 +250,41 @@ impl Splat {
         (s.abs() < 1.0 && t.abs() < 1.0).then_some((disparity.clamp(self.disparity[1], self.disparity[2]), s, t))
     }
 
-    /// Half the width of an opaque splat, in pitches.
-    pub const fn half_width() -> f32 {
-        0.5 * OVERLAP
+    /// Whether the surface covers a position on the splat. Parts at the pixel's border reach a
+    /// little beyond it.
+    pub fn covers(&self, s: f32, t: f32) -> bool {
+        let part = |v: f32| ((v + 0.5) * PARTS as f32).clamp(0.0, PARTS as f32 - 1.0) as u32;
+        s.abs().max(t.abs()) <= 0.5 * OVERLAP && self.covers >> (part(t) * PARTS + part(s)) & 1 == 1
+    }
+
+    /// Share of the pixel that is covered.
+    pub fn coverage(&self) -> f32 {
+        self.covers.count_ones() as f32 / (PARTS * PARTS) as f32
+    }
+}
+
+/// The parts of a mask whose four neighbours in it are covered, too. What lies beyond the pixel is
+/// taken to be as at its border.
+fn without_rim(mask: u16) -> u16 {
+    // First and last columns, first and last rows.
+    const COLUMNS: [u16; 2] = [0x1111, 0x8888];
+    const ROWS: [u16; 2] = [0x000f, 0xf000];
+    let beside = [mask << 1 & !COLUMNS[0] | mask & COLUMNS[0], mask >> 1 & !COLUMNS[1] | mask & COLUMNS[1]];
+    let above_below = [mask << PARTS | mask & ROWS[0], mask >> PARTS | mask & ROWS[1]];
+    beside.into_iter().chain(above_below).fold(mask, |left, moved| left & moved)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mask_without_its_rim_keeps_what_lies_within() {
+        // Whole; a half, a corner and a line that go on beyond the pixel; a bar and a dot within.
+        for (mask, within) in
+            [(0xffff, 0xffff), (0x3333, 0x1111), (0x0077, 0x0003), (0x0f00, 0), (0x6666, 0), (0x0660, 0)]
+        {
+            assert_eq!(without_rim(mask), within, "{mask:04x}");
+        }
     }
 }

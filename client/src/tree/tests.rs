@@ -3,7 +3,7 @@
 use super::*;
 use crate::{frame::unpack_rgb, test_support::Memory};
 use glam::DVec3;
-use ldi_protocol::tree::{Brood, DEPTH_STEPS, NodeSamples, OPAQUE, SIDE, TreeNode, TreeSample};
+use ldi_protocol::tree::{Brood, DEPTH_STEPS, NodeSamples, SIDE, TreeNode, TreeSample, WHOLE};
 use std::sync::Arc;
 
 const CAMERA: OutputCamera = OutputCamera { width: 160, height: 120, fov_deg: 60.0 };
@@ -58,7 +58,7 @@ fn wall(depth: f64, slope: [i8; 2], colour: impl Fn(u8, u8) -> [u8; 3]) -> Vec<T
                     face: 5,
                     column,
                     row,
-                    alpha: OPAQUE,
+                    covers: WHOLE,
                     depth: at as u16,
                     slope,
                     rgb,
@@ -120,7 +120,7 @@ fn the_fast_path_shows_what_lists_show() {
         wall(2000.0, [0, 0], |_, _| [240, 240, 0])
             .into_iter()
             .filter(|s| s.column < 12)
-            .map(|s| TreeSample { alpha: 5, ..s }),
+            .map(|s| TreeSample { covers: 0x0f33, ..s }),
     );
     let made = Made::new(10.0, samples);
     for pose in [ahead(14.0), Pose { yaw_deg: 15.0, pitch_deg: -6.0, position: DVec3::new(2.0, 1.0, 12.0) }] {
@@ -193,6 +193,59 @@ fn gaps_are_filled_from_filtered_samples_and_only_there() {
     let open = |f: &FarFrame| f.packed.iter().filter(|p| FarFrame::unpack(**p).is_none()).count();
     let (all, _) = made.draw(&near, &TreeOptions { gap_passes: ALL_GAP_PASSES, ..ONCE });
     assert!(open(&bare) > open(&all), "{} pixels open, {} of them after all passes", open(&bare), open(&all));
+}
+
+/// World x of the pixels of the middle row on the plane z = 0, seen from z = 12.
+fn across_the_middle(picture: &FarFrame) -> impl Iterator<Item = (f64, Option<u32>)> + '_ {
+    let width = CAMERA.width as usize;
+    let first = CAMERA.height as usize / 2 * width;
+    let x = move |column: usize| (column as f64 + 0.5 - width as f64 / 2.0) / CAMERA.focal_px() * 12.0;
+    (0..width).map(move |column| (x(column), picture.get(first + column).map(|(colour, _)| colour)))
+}
+
+#[test]
+fn outlines_are_as_fine_as_coverage_masks() {
+    // The left half of a wall before another one; its last column of samples covers a quarter.
+    let before = wall(2048.0, [0, 0], |_, _| [200, 50, 50]).into_iter().filter(|s| s.column < 32);
+    let rim = |s: TreeSample| TreeSample { covers: if s.column == 31 { 0x1111 } else { WHOLE }, ..s };
+    let behind = wall(1000.0, [0, 0], |_, _| [40, 60, 200]);
+    let pitch = 10.0 / 64.0;
+    let edge = -5.0 + 31.25 * pitch;
+    for backed in [true, false] {
+        let samples = behind.iter().copied().filter(|_| backed).chain(before.clone().map(rim)).collect();
+        let (picture, _) = Made::new(10.0, samples).draw(&ahead(12.0), &ONCE);
+        let (mut on, mut off) = (0, 0);
+        for (x, colour) in across_the_middle(&picture).filter(|(x, _)| x.abs() < 4.0 && (x - edge).abs() > 0.01) {
+            let expected = match (x < edge, backed) {
+                (true, _) => Some([200, 50, 50]),
+                (false, true) => Some([40, 60, 200]),
+                (false, false) => None,
+            };
+            assert_eq!(colour.map(unpack_rgb), expected, "at {x}, the edge is at {edge}");
+            *if x < edge { &mut on } else { &mut off } += 1;
+        }
+        assert!(on > 30 && off > 30, "{on} and {off} pixels");
+    }
+}
+
+#[test]
+fn gaps_are_not_filled_beyond_outlines() {
+    // Only the root has samples, of which its child lacks all: its last column covers a half.
+    let half = |s: TreeSample| TreeSample { covers: if s.column == 31 { 0x3333 } else { WHOLE }, filtered: true, ..s };
+    let coarse = wall(2048.0, [0, 0], |_, _| [100, 100, 100]).into_iter().filter(|s| s.column < 32).map(half);
+    let mut made = Made::new(10.0, coarse.collect());
+    made.tree.nodes[0] = TreeNode { first_child: 1, children: 1, chunk: 1, ..made.tree.nodes[0] };
+    let child = TreeNode { level: 1, cell: [1; 3], samples: 0, unfiltered: 0, first_child: 0, children: 0, chunk: 0 };
+    made.tree.nodes.push(child);
+    made.memory.broods.insert(1, Arc::new(Brood { nodes: vec![NodeSamples::default()] }));
+    let (bare, _) = made.draw(&ahead(12.0), &ONCE);
+    assert_eq!(bare.painted(), 0, "filtered samples give way");
+    let (filled, _) = made.draw(&ahead(12.0), &TreeOptions { gap_passes: GAP_PASSES, ..ONCE });
+    let pitch = 10.0 / 64.0;
+    let last = across_the_middle(&filled).filter(|(_, c)| c.is_some()).map(|(x, _)| x).fold(f64::MIN, f64::max);
+    // The rim's parts are left out: within the half, a quarter.
+    let edge = -5.0 + 31.25 * pitch;
+    assert!((edge - last).abs() < 0.1 && last < edge, "filled up to {last}, not {edge}");
 }
 
 #[test]

@@ -15,11 +15,10 @@ use super::{
     bytes::{Reader, Writer},
     residual::{Coder, Decoder, Encoder, median_edge},
 };
-use crate::tree::{Brood, DEPTH_STEPS, MAX_LAYERS, NodeSamples, OPAQUE, SIDE, TreeSample};
+use crate::tree::{Brood, DEPTH_STEPS, MAX_LAYERS, NodeSamples, PARTS, SIDE, TreeSample, WHOLE};
 
 const MAGIC: [u8; 3] = *b"LDO";
-/// 2: neighbours on two sides, contexts.
-const VERSION: u8 = 3;
+const VERSION: u8 = 4;
 /// Pixels of a face.
 const PIXELS: usize = (SIDE * SIDE) as usize;
 /// Most samples of a chunk: eight nodes with every pixel of every face twice.
@@ -32,17 +31,26 @@ const DEPTHS: usize = 8;
 const SLOPES: usize = 5;
 /// Contexts of coverage: absent, full or partial, on the left and above.
 const COVERAGES: usize = 9;
+/// Contexts of the rows of a coverage mask: the first row; the row above it empty, full, other.
+const MASK_ROWS: usize = 4;
 /// Contexts of each of G, R and B: how far the greens of left and above disagree (4), one of them,
 /// neither.
 const COLOURS: usize = 6;
 /// Streams of [`walk`].
-const STREAMS: usize = DEPTHS + 2 * SLOPES + COVERAGES + 3 * COLOURS;
-/// Residuals of a sample.
-const VALUES: usize = 7;
+const STREAMS: usize = DEPTHS + 2 * SLOPES + COVERAGES + MASK_ROWS + 3 * COLOURS;
+/// Most residuals of a sample: depth, slopes, form and rows of the mask, colour.
+const MOST_VALUES: usize = 3 + 1 + PARTS as usize + 3;
+
+/// Forms of a coverage mask.
+const WHOLE_PIXEL: i32 = 0;
+/// The mask of the neighbour on the left, or else above, that is partial.
+const AS_BESIDE: i32 = 1;
+/// Its rows follow.
+const BY_ROWS: i32 = 2;
 
 /// What stands where nothing predicts.
 const NOTHING: TreeSample =
-    TreeSample { face: 0, column: 0, row: 0, alpha: OPAQUE, depth: 0, slope: [0; 2], rgb: [128; 3], filtered: true };
+    TreeSample { face: 0, column: 0, row: 0, covers: WHOLE, depth: 0, slope: [0; 2], rgb: [128; 3], filtered: true };
 
 /// First sample and number of samples of a pixel.
 type Pixel = (usize, usize);
@@ -108,10 +116,8 @@ fn code(
         s.slope[axis] = coder.byte::<true>(stream + context, 1, predicted, actual).1 as u8 as i8;
         stream += SLOPES;
     }
-    let covered = |q: Option<&TreeSample>| q.map_or(0, |q| if q.alpha == OPAQUE { 1 } else { 2 });
-    let context = stream + 3 * covered(around.left) + covered(around.up);
-    s.alpha = coder.byte::<true>(context, 1, i32::from(OPAQUE), i32::from(s.alpha)).1 as u8;
-    stream += COVERAGES;
+    s.covers = code_mask(&around, s.covers, stream, coder);
+    stream += COVERAGES + MASK_ROWS;
 
     let green = |q: &TreeSample| i32::from(q.rgb[1]);
     let context = match around.apart(green) {
@@ -127,6 +133,36 @@ fn code(
         s.rgb[k] = coder.byte::<true>(stream + context, 1, predicted, i32::from(s.rgb[k])).1 as u8;
     }
     s
+}
+
+/// Codes a coverage mask, in streams from `stream` on.
+fn code_mask(around: &Around<'_>, mask: u16, stream: usize, coder: &mut impl Coder) -> u16 {
+    let kind = |q: Option<&TreeSample>| q.map_or(0, |q| if q.covers == WHOLE { 1 } else { 2 });
+    let context = stream + 3 * kind(around.left) + kind(around.up);
+    let partial = |q: Option<&TreeSample>| q.map(|q| q.covers).filter(|covers| *covers != WHOLE);
+    let beside = partial(around.left).or(partial(around.up)).unwrap_or(WHOLE);
+    let form = match mask {
+        WHOLE => WHOLE_PIXEL,
+        _ if mask == beside => AS_BESIDE,
+        _ => BY_ROWS,
+    };
+    match coder.byte::<true>(context, 1, 0, form).1 {
+        WHOLE_PIXEL => return WHOLE,
+        AS_BESIDE => return beside,
+        _ => {}
+    }
+    let full = (1 << PARTS) - 1;
+    let (mut out, mut context) = (0, 0);
+    for shift in (0..PARTS * PARTS).step_by(PARTS as usize) {
+        let row = coder.byte::<true>(stream + COVERAGES + context, 1, 0, i32::from(mask >> shift) & full).1;
+        context = match row & full {
+            0 => 1,
+            row if row == full => 2,
+            _ => 3,
+        };
+        out |= ((row & full) as u16) << shift;
+    }
+    out
 }
 
 /// What continues a sample's surface on the left, above and in the corner between, as far as its
@@ -225,7 +261,7 @@ fn fits(s: &TreeSample) -> bool {
         && u32::from(s.column) < SIDE
         && u32::from(s.row) < SIDE
         && u32::from(s.depth) < SIDE * DEPTH_STEPS
-        && (1..=OPAQUE).contains(&s.alpha)
+        && s.covers != 0
 }
 
 /// Decodes a brood. `nodes` are the numbers of samples and of unfiltered samples that the index
@@ -262,7 +298,7 @@ pub fn decode(bytes: &[u8], nodes: &[(u32, u32)]) -> Result<Brood, CodecError> {
     {
         return Err(CodecError::mismatch("tree layers", "they do not add up to the samples, or a pixel has too many"));
     }
-    let mut residuals = Decoder::new(&mut r, "tree samples", STREAMS, total * VALUES)?;
+    let mut residuals = Decoder::of_at_most(&mut r, "tree samples", STREAMS, total * MOST_VALUES)?;
     let flags = r.section_of("tree filtered", total.div_ceil(8))?;
     r.finish("tree chunk")?;
 

@@ -190,7 +190,7 @@ fn brood() -> Brood {
                             face,
                             column,
                             row,
-                            alpha: if kind == 0 { OPAQUE } else { 1 + random(15) as u8 },
+                            covers: if kind == 0 { WHOLE } else { 1 + random(0xffff) as u16 },
                             depth,
                             slope: if kind == 0 { [20, 0] } else { [random(256) as u8 as i8, random(256) as u8 as i8] },
                             rgb: if kind == 0 { [200, 190, 180] } else { [random(256) as u8; 3] },

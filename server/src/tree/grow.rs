@@ -3,11 +3,17 @@
 //! Every level is one grid of pixels per face over the whole root cube; a node is what lies in its
 //! part of it. A pixel holds layers: samples of surfaces more than [`MERGE`] pitches apart. What
 //! is merged is moved along its own surface to the pixel's centre first, so that a slope does not
-//! part into layers.
+//! part into layers. How much of its pixel a layer covers is not counted from what was merged, but
+//! measured when its level is complete (`coverage`): pixels of references are too irregular to tell
+//! the edge of a surface from a sparse place on it.
 
-use super::reference::{Point, Reference};
+use super::{
+    coverage::{self, Patch},
+    reference::{Point, Reference},
+};
+use crate::render::Caster;
 use glam::{DVec3, Vec3};
-use ldi_protocol::tree::{SIDE, across};
+use ldi_protocol::tree::{PARTS, SIDE, across};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -19,8 +25,6 @@ const STEEPEST: f64 = 1.9;
 /// Parts of a level that are filled at the same time. More: better balance; each costs some memory
 /// in every batch.
 const SHARDS: usize = 64;
-/// The tag of filtered contributions; references count from 0.
-const FILTERED: u32 = u32::MAX;
 /// Weights below this are not worth a sample: they would be lost in coding, and divided by when
 /// samples are normalized.
 const LEAST_WEIGHT: f32 = 1e-4;
@@ -82,22 +86,12 @@ pub struct Layer {
     pub colour: [f32; 3],
     /// Whether nodes below have part in it.
     pub filtered: bool,
+    /// Coverage mask ([`ldi_protocol::tree::TreeSample::covers`]), once the level is complete.
+    pub covers: u16,
     /// Sum of weights.
     weight: f32,
-    /// The most that one source covers of the pixel, before the last one.
-    covered: f32,
-    /// What the last source covers, and which it is.
-    covers: f32,
-    source: u32,
     /// Position of the pixel's next layer; `u32::MAX` ends.
     next: u32,
-}
-
-impl Layer {
-    /// How much of the pixel is covered, 0 to 1.
-    pub fn coverage(&self) -> f32 {
-        self.covered.max(self.covers).min(1.0)
-    }
 }
 
 /// What a surface adds to one pixel.
@@ -108,7 +102,7 @@ struct Part {
     slope: [f32; 2],
     colour: [f32; 3],
     weight: f32,
-    source: u32,
+    filtered: bool,
 }
 
 /// Some of a level's pixels.
@@ -136,10 +130,9 @@ impl Shard {
             if let Some(last) = last {
                 self.layers[last as usize].next = next_layer;
             }
-            let Part { pixel, depth, slope, colour, weight, source } = *p;
-            let filtered = source == FILTERED;
-            let (covered, covers, next) = (0.0, weight, u32::MAX);
-            self.layers.push(Layer { pixel, depth, slope, colour, filtered, weight, covered, covers, source, next });
+            let Part { pixel, depth, slope, colour, weight, filtered } = *p;
+            let (covers, next) = (0, u32::MAX);
+            self.layers.push(Layer { pixel, depth, slope, colour, filtered, covers, weight, next });
             return;
         };
         let l = &mut self.layers[at as usize];
@@ -150,13 +143,7 @@ impl Shard {
         l.depth = mix(l.depth, p.depth);
         l.slope = std::array::from_fn(|k| mix(l.slope[k], p.slope[k]));
         l.colour = std::array::from_fn(|k| mix(l.colour[k], p.colour[k]));
-        l.filtered |= p.source == FILTERED;
-        if l.source == p.source {
-            l.covers += p.weight;
-        } else {
-            l.covered = l.covered.max(l.covers);
-            (l.source, l.covers) = (p.source, p.weight);
-        }
+        l.filtered |= p.filtered;
     }
 }
 
@@ -185,17 +172,17 @@ impl Forest {
         Self { origin, pitch_m: edge_m / f64::from(SIDE), max_level, shards }
     }
 
-    /// Adds references; `first` is the number of the first.
-    pub fn splat(&mut self, references: &[Reference], first: usize) {
-        let split = |(k, r): (usize, &Reference)| -> Sorted {
+    /// Adds references.
+    pub fn splat(&mut self, references: &[Reference]) {
+        let split = |r: &Reference| -> Sorted {
             let mut sorted: Sorted = vec![Vec::new(); self.shards.len()];
             for p in &r.points {
                 let level = self.level_of(f64::from(p.stamp_m));
-                self.parts_of_point(p, level, (first + k) as u32, &mut sorted);
+                self.parts_of_point(p, level, &mut sorted);
             }
             sorted
         };
-        let parts: Vec<Sorted> = references.par_iter().enumerate().map(split).collect();
+        let parts: Vec<Sorted> = references.par_iter().map(split).collect();
         self.take(&parts);
     }
 
@@ -211,19 +198,34 @@ impl Forest {
         level.clamp(0.0, f64::from(self.max_level)) as u8
     }
 
-    fn parts_of_point(&self, p: &Point, level: u8, source: u32, out: &mut [Vec<Part>]) {
-        let pitch = self.pitch_m / f64::from(1u32 << level);
+    fn parts_of_point(&self, p: &Point, level: u8, out: &mut [Vec<Part>]) {
+        let pitch = self.pitch_of(level);
         let axis = p.normal.abs().max_position();
         // The part of a pixel of the face that the area covers.
         let covers = f64::from(p.area_m2 * p.normal[axis].abs()) / (pitch * pitch);
         let place = (p.position - self.origin) / pitch;
-        splat(level, place, p.normal, covers as f32, p.colour, source, out);
+        splat(level, place, p.normal, covers as f32, p.colour, false, out);
     }
 
-    /// Filters every level into the one above, deepest first.
-    pub fn filter(mut self) -> Grown {
-        for level in (1..=self.max_level).rev() {
+    fn pitch_of(&self, level: u8) -> f64 {
+        self.pitch_m / f64::from(1u32 << level)
+    }
+
+    /// Filters every level into the one above, deepest first. Layers that cover nothing are
+    /// dropped.
+    pub fn filter(mut self, caster: &Caster) -> Grown {
+        for level in (0..=self.max_level).rev() {
             let range = usize::from(level) * SHARDS..(usize::from(level) + 1) * SHARDS;
+            let (origin, pitch_m) = (self.origin, self.pitch_of(level));
+            self.shards[range.clone()].par_iter_mut().for_each(|shard| {
+                // Nothing is added to this level any more.
+                shard.first = HashMap::new();
+                shard.layers.iter_mut().for_each(|l| l.covers = coverage::measure(caster, &patch(l, origin, pitch_m)));
+                shard.layers.retain(|l| l.covers != 0);
+            });
+            if level == 0 {
+                break;
+            }
             let total = self.shards.len();
             let up = |shard: &Shard| -> Sorted {
                 let mut sorted: Sorted = vec![Vec::new(); total];
@@ -241,26 +243,38 @@ impl Forest {
     }
 }
 
-/// The copy of a layer in the level above: a quarter of a pixel of it.
-fn copy_up(l: &Layer, out: &mut [Vec<Part>]) {
+/// Where a layer crosses the middle of its pixel, pitches from the root's corner.
+fn place_of(l: &Layer) -> DVec3 {
     let axis = l.pixel.face() / 2;
     let [a, b] = across(axis);
     let mut place = DVec3::ZERO;
     place[axis] = f64::from(l.pixel.depth_cell() * SIDE) + f64::from(l.depth);
     (place[a], place[b]) = (f64::from(l.pixel.column()) + 0.5, f64::from(l.pixel.row()) + 0.5);
+    place
+}
+
+fn patch(l: &Layer, origin: DVec3, pitch_m: f64) -> Patch {
+    Patch { middle: origin + place_of(l) * pitch_m, face: l.pixel.face(), slope: l.slope, pitch_m }
+}
+
+/// The copy of a layer in the level above: a quarter of a pixel of it.
+fn copy_up(l: &Layer, out: &mut [Vec<Part>]) {
+    let axis = l.pixel.face() / 2;
+    let [a, b] = across(axis);
     // A normal with these slopes, of any length: the axis is the largest as long as slopes stay
     // below 1, which `splat` must not judge anew.
     let sign = if l.pixel.face() % 2 == 1 { 1.0 } else { -1.0 };
     let mut normal = Vec3::ZERO;
     normal[axis] = sign;
     (normal[a], normal[b]) = (-l.slope[0] * sign, -l.slope[1] * sign);
-    splat_on(l.pixel.level() - 1, place * 0.5, axis, normal, l.coverage() * 0.25, l.colour, FILTERED, out);
+    let weight = l.covers.count_ones() as f32 / (PARTS * PARTS) as f32 * 0.25;
+    splat_on(l.pixel.level() - 1, place_of(l) * 0.5, axis, normal, weight, l.colour, true, out);
 }
 
 /// Bilinear splat of a surface at `place` (pitches from the root's corner) that covers so much of
 /// a pixel: equations (3a), (3b) with a stamp of at most a pitch.
-fn splat(level: u8, place: DVec3, normal: Vec3, covers: f32, colour: [f32; 3], source: u32, out: &mut [Vec<Part>]) {
-    splat_on(level, place, normal.abs().max_position(), normal, covers, colour, source, out);
+fn splat(level: u8, place: DVec3, normal: Vec3, covers: f32, colour: [f32; 3], filtered: bool, out: &mut [Vec<Part>]) {
+    splat_on(level, place, normal.abs().max_position(), normal, covers, colour, filtered, out);
 }
 
 #[expect(clippy::too_many_arguments, reason = "a splat is all of these")]
@@ -271,7 +285,7 @@ fn splat_on(
     normal: Vec3,
     covers: f32,
     colour: [f32; 3],
-    source: u32,
+    filtered: bool,
     out: &mut [Vec<Part>],
 ) {
     let [a, b] = across(axis);
@@ -297,7 +311,7 @@ fn splat_on(
             slope: slope.map(|s| s as f32),
             colour,
             weight,
-            source,
+            filtered,
         });
     }
 }

@@ -8,15 +8,17 @@
 //!    normal, the colour and the stamp.
 //! 3. [`grow`]: each pixel goes to the level whose pitch matches its stamp (section 3.1),
 //!    bilinearly; filtered copies go up, level by level.
-//! 4. [`shape`]: what was grown, as nodes and chunks.
-//! 5. [`probe`]: how fine it has to be, and is, where random eyes look.
+//! 4. [`coverage`]: which parts of its pixel every sample covers, by rays of its own.
+//! 5. [`shape`]: what was grown, as nodes and chunks.
+//! 6. [`probe`]: how fine it has to be, and is, where random eyes look.
 //!
 //! Where it differs from the paper: six faces per node instead of one (see
 //! [`ldi_protocol::tree`]); the stamp is measured along the surface, not across the ray, so that
 //! floors seen at a grazing angle do not fall apart; a pixel's filtered copies come from the level
-//! below and not from the pixel itself, which is the same sum in another order; what several
-//! references cover is covered once.
+//! below and not from the pixel itself, which is the same sum in another order; a sample's coverage
+//! is measured, not summed.
 
+mod coverage;
 mod grow;
 mod places;
 mod probe;
@@ -155,7 +157,7 @@ pub fn build_tree(
     if grower.reference_pixels == 0 {
         return Ok(None);
     }
-    let mut built = grower.finish(first_chunk)?;
+    let mut built = grower.finish(caster, first_chunk)?;
     built.figures = TreeFigures {
         references: chosen.positions.len(),
         references_outside: chosen.outside.len(),
@@ -173,7 +175,6 @@ pub struct Grower {
     forest: Forest,
     origin: DVec3,
     edge_m: f64,
-    taken: usize,
     reference_pixels: u64,
     rays: u64,
 }
@@ -184,7 +185,7 @@ impl Grower {
     pub fn new(bounds: &Aabb, pitch_m: f64) -> Self {
         let (origin, edge_m) = cube(bounds);
         let max_level = (0..=MAX_LEVEL).find(|l| pitch_of(edge_m, *l) <= pitch_m).unwrap_or(MAX_LEVEL);
-        Self { forest: Forest::new(origin, edge_m, max_level), origin, edge_m, taken: 0, reference_pixels: 0, rays: 0 }
+        Self { forest: Forest::new(origin, edge_m, max_level), origin, edge_m, reference_pixels: 0, rays: 0 }
     }
 
     /// Adds images of 90 degrees, `side` pixels wide: places and faces (0 to 5: -x, +x, -y, +y,
@@ -201,8 +202,7 @@ impl Grower {
             Reference::take(caster, images[0].0, &faces, side)
         };
         let references: Vec<Reference> = places.par_iter().map(take).collect();
-        self.forest.splat(&references, self.taken);
-        self.taken += references.len();
+        self.forest.splat(&references);
         self.reference_pixels += references.iter().map(|r| r.points.len() as u64).sum::<u64>();
         self.rays += references.iter().map(|r| r.rays).sum::<u64>();
     }
@@ -216,8 +216,8 @@ impl Grower {
     ///
     /// # Errors
     /// If a chunk cannot be encoded.
-    pub fn finish(self, first_chunk: u32) -> Result<BuiltTree, PackError> {
-        let mut built = shape::shape(self.forest.filter(), self.origin, self.edge_m, first_chunk)?;
+    pub fn finish(self, caster: &Caster, first_chunk: u32) -> Result<BuiltTree, PackError> {
+        let mut built = shape::shape(self.forest.filter(caster), self.origin, self.edge_m, first_chunk)?;
         let figures = &mut built.figures;
         let samples: u64 = figures.samples_by_level.iter().sum();
         figures.reference_pixels = self.reference_pixels;

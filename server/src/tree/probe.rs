@@ -14,7 +14,7 @@ use ldi_protocol::{
     codec::CodecError,
     index::{BuildSettings, CellEntry},
     select::nearest_cells,
-    tree::{CutOptions, DEPTH_STEPS, Lens, NodeSamples, OPAQUE, Tree, TreeNode, TreeSample, across, cut},
+    tree::{CutOptions, DEPTH_STEPS, Lens, NodeSamples, Tree, TreeNode, TreeSample, across, cut},
     volume::WalkVolume,
 };
 use rayon::prelude::*;
@@ -28,7 +28,7 @@ const ENOUGH: usize = 25_000;
 const RAYS: [u32; 2] = [48, 27];
 /// Nothing nearer than this is seen, metres: the near plane.
 const NEAR_M: f64 = 0.02;
-/// A point is covered from so much coverage on, as in the client's first pass.
+/// A point is covered from so much coverage on. Higher: points near rims count as not covered.
 const COVERED_FROM: f64 = 0.4;
 /// Samples that look away by more than this cosine are not drawn.
 const TURNED_AWAY: f64 = 0.2;
@@ -207,7 +207,7 @@ fn covers(tree: &Tree, node: &TreeNode, samples: &NodeSamples, p: &FarPoint) -> 
                 if (there - place[axis]).abs() > SAME_SURFACE || normal.dot(p.towards) < -TURNED_AWAY {
                     continue;
                 }
-                coverage += weight * f64::from(s.alpha) / f64::from(OPAQUE);
+                coverage += weight * f64::from(s.coverage());
                 for side in [along_a, along_b] {
                     extent = extent.max((side - p.towards * side.dot(p.towards)).length());
                 }

@@ -7,16 +7,13 @@ use ldi_protocol::{
     codec,
     index::ChunkKind,
     shade::srgb8_from_linear,
-    tree::{Brood, DEPTH_STEPS, NodeSamples, OPAQUE, SIDE, Tree, TreeNode, TreeSample},
+    tree::{Brood, DEPTH_STEPS, NodeSamples, SIDE, Tree, TreeNode, TreeSample},
 };
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// zstd level of chunks.
 const LEVEL: i32 = 9;
-/// Samples that cover less than this of their pixel are left out: half a unit of the coded
-/// coverage.
-const LEAST_COVERAGE: f32 = 0.5 / OPAQUE as f32;
 
 /// Samples by cell of one level.
 type Cells = BTreeMap<[u16; 3], Vec<TreeSample>>;
@@ -96,21 +93,21 @@ pub fn shape(grown: Grown, origin: DVec3, edge_m: f64, first_chunk: u32) -> Resu
 /// The samples of a level's cells, in the order of the format.
 fn cells_of(layers: Vec<super::grow::Layer>) -> Cells {
     let mut cells = Cells::new();
-    for l in layers.iter().filter(|l| l.coverage() >= LEAST_COVERAGE) {
+    for l in &layers {
         let steps = (l.depth * DEPTH_STEPS as f32).floor().clamp(0.0, (SIDE * DEPTH_STEPS - 1) as f32);
         let slope = l.slope.map(|s| (s * DEPTH_STEPS as f32).round().clamp(-127.0, 127.0) as i8);
         cells.entry(l.pixel.cell()).or_default().push(TreeSample {
             face: l.pixel.face() as u8,
             column: (l.pixel.column() % SIDE) as u8,
             row: (l.pixel.row() % SIDE) as u8,
-            alpha: (l.coverage() * f32::from(OPAQUE)).round().clamp(1.0, f32::from(OPAQUE)) as u8,
+            covers: l.covers,
             depth: steps as u16,
             slope,
             rgb: l.colour.map(srgb8_from_linear),
             filtered: l.filtered,
         });
     }
-    let key = |s: &TreeSample| (s.face, s.row, s.column, s.depth, s.rgb, s.slope, s.alpha);
+    let key = |s: &TreeSample| (s.face, s.row, s.column, s.depth, s.rgb, s.slope, s.covers);
     cells.values_mut().for_each(|samples| samples.sort_unstable_by_key(key));
     cells
 }

@@ -6,7 +6,7 @@ use crate::render::test_scenes::{plain, quad, scene, soup};
 use crate::scene::Scene;
 use glam::Vec3;
 use ldi_protocol::{
-    tree::{Brood, OPAQUE, TreeSample, across},
+    tree::{Brood, PARTS, TreeSample, WHOLE, across},
     volume::WalkVolume,
 };
 use std::sync::Arc;
@@ -21,8 +21,8 @@ fn built(scene: Scene, places: &[DVec3], side: u32, max_level: u8) -> (BuiltTree
     let mut forest = Forest::new(origin, edge_m, max_level);
     let references: Vec<Reference> =
         places.iter().map(|p| Reference::take(&caster, *p, &[0, 1, 2, 3, 4, 5], side)).collect();
-    forest.splat(&references, 0);
-    let tree = shape::shape(forest.filter(), origin, edge_m, 0).expect("it can be encoded");
+    forest.splat(&references);
+    let tree = shape::shape(forest.filter(&caster), origin, edge_m, 0).expect("it can be encoded");
     tree.tree.check().expect("a good tree");
     (tree, references)
 }
@@ -70,7 +70,7 @@ fn a_wall_is_covered_once_on_every_level_down_to_its_stamp() {
         let pitch = tree.tree.pitch_of(level);
         let inner = |p: &DVec3| p.x.abs().max(p.y.abs()) < 2.0 - pitch;
         if level == 0 {
-            let covered = of_level.iter().filter(|(_, s, p)| inner(p) && s.alpha >= OPAQUE - 1).count() as f64;
+            let covered = of_level.iter().filter(|(_, s, p)| inner(p) && s.covers == WHOLE).count() as f64;
             let pixels = (4.0 - 2.0 * pitch).powi(2) / pitch.powi(2);
             assert!((covered / pixels - 1.0).abs() < 0.05, "{covered} of {pixels}");
         }
@@ -86,6 +86,48 @@ fn a_wall_is_covered_once_on_every_level_down_to_its_stamp() {
     assert!(found.iter().filter(|f| usize::from(f.0) + 1 == levels).all(|(_, s, _)| !s.filtered));
     assert!(found.iter().any(|(l, s, _)| *l == 0 && s.filtered) || levels == 1);
     assert!(references[0].points.len() > 1000);
+}
+
+/// The middles of the parts that a tree's samples of a level and a face cover.
+fn covered(built: &BuiltTree, level: u8, face: u8) -> Vec<DVec3> {
+    let part = built.tree.pitch_of(level) / f64::from(PARTS);
+    let of_sample = |(_, s, middle): (u8, TreeSample, DVec3)| {
+        let [a, b] = across(usize::from(s.face / 2));
+        (0..PARTS * PARTS).filter(move |k| s.covers >> k & 1 == 1).map(move |k| {
+            let mut p = middle;
+            p[a] += (f64::from(k % PARTS) - 1.5) * part;
+            p[b] += (f64::from(k / PARTS) - 1.5) * part;
+            p
+        })
+    };
+    let all = samples(built).into_iter().filter(|(l, s, _)| *l == level && s.face == face);
+    all.flat_map(of_sample).collect()
+}
+
+/// Outlines of walls end where the walls end, and what is thinner than a pixel does not fill it,
+/// on every level.
+#[test]
+fn samples_cover_what_surfaces_cover() {
+    let post = quad(Vec3::new(0.1, 1.5, -2.0), Vec3::X * 0.03, Vec3::NEG_Y * 3.0);
+    let wall = quad(Vec3::new(-2.0, 2.0, -2.0), Vec3::X * 1.7, Vec3::NEG_Y * 4.0);
+    let scene = scene(vec![(post, plain([0.1; 4])), (wall, plain([0.9; 4]))], Vec::new());
+    let (tree, _) = built(scene, &[DVec3::new(-0.2, 0.1, -1.2)], 128, 6);
+    let levels = tree.figures.samples_by_level.len() as u8;
+    assert!(levels >= 2, "{:?}", tree.figures.samples_by_level);
+    let parts = covered(&tree, 0, 5);
+    let part_m = tree.tree.pitch_of(0) / f64::from(PARTS);
+    // The middle of a covered part may lie beyond a rim by a quarter of the part.
+    let within = |v: f64, first: f64, last: f64| (first - 0.26 * part_m..=last + 0.26 * part_m).contains(&v);
+    let on_wall = |p: &DVec3| within(p.x, -2.0, -0.3) && within(p.y, -2.0, 2.0);
+    let on_post = |p: &DVec3| within(p.x, 0.1, 0.13) && within(p.y, -1.5, 1.5);
+    let on = |p: &DVec3| on_wall(p) || on_post(p);
+    let off: Vec<&DVec3> = parts.iter().filter(|p| !on(p)).collect();
+    assert!(off.is_empty(), "{} of {} parts are off the surfaces, as {:?}", off.len(), parts.len(), off[0]);
+    let area_m2 = |on: &dyn Fn(&DVec3) -> bool| parts.iter().filter(|p| on(p)).count() as f64 * part_m.powi(2);
+    let (wall_m2, post_m2) = (area_m2(&on_wall), area_m2(&on_post));
+    assert!((wall_m2 / (1.7 * 4.0) - 1.0).abs() < 0.03, "{wall_m2} m² of the wall");
+    // A part is 16 mm wide, the post 30 mm; a whole pixel is 65 mm.
+    assert!((0.5..1.7).contains(&(post_m2 / (0.03 * 3.0))), "{post_m2} m² of the post");
 }
 
 /// The pixel of every reference is near a sample on each level from its own up to the root,
@@ -150,7 +192,7 @@ fn a_wall_on_a_border_of_cells_is_one_wall() {
     let (mut count, mut cover) = (0, 0.0);
     for (_, s, p) in on_root.filter(|(_, _, p)| p.x.abs().max(p.y.abs()) < 2.0 - pitch) {
         count += 1;
-        cover += f64::from(s.alpha) / f64::from(OPAQUE);
+        cover += f64::from(s.coverage());
         assert!((p.z - f64::from(border)).abs() < pitch / 32.0);
     }
     let pixels = (4.0 - 2.0 * pitch).powi(2) / pitch.powi(2);
@@ -210,7 +252,7 @@ fn probed_samples_are_those_of_the_finest_level_that_covers_the_point() {
             let pitch = tree.tree.pitch_of(level);
             let weight = |at: &DVec3, s: &TreeSample| {
                 let [x, y] = [0, 1].map(|k| (1.0 - (at[k] - p.position[k]).abs() / pitch).max(0.0));
-                x * y * f64::from(s.alpha) / f64::from(OPAQUE)
+                x * y * f64::from(s.coverage())
             };
             all.iter().filter(|(l, ..)| *l == level).map(|(_, s, at)| weight(at, s)).sum::<f64>() >= 0.4
         };

@@ -148,16 +148,3 @@ fn people_walk_where_a_camera_stands() {
     assert!(platform(DVec3::new(62.0, 7.8, 2.0)));
     assert!(!platform(DVec3::new(62.0, 30.0, 2.0)), "a camera in the air names no floor");
 }
-
-/// A hall under the sky with goods in it, and a stack amid it that sees over all of them.
-#[test]
-fn people_do_not_begin_on_a_stack_that_sees_everything() {
-    let mut boxes = vec![([0.0, -0.2, 0.0], [24.0, 0.0, 24.0]), ([11.0, 0.0, 11.0], [13.2, 2.7, 13.2])];
-    for k in 0..60 {
-        let (x, z) = (1.0 + f64::from(k % 10) * 2.3, 1.0 + f64::from(k / 10) * 4.0);
-        boxes.push(([x, 0.0, z], [x + 0.3, 0.3, z + 0.3]));
-    }
-    let report = walked(&boxes, &on_foot()).unwrap().1;
-    let first = report.regions.iter().find(|r| r.why == Verdict::MostDetail.words()).expect("a first region");
-    assert!(first.kept && first.area_m2 > 200.0 && first.place[1] < 0.5, "{report:?}");
-}

@@ -188,7 +188,7 @@ pub fn run(study: &Study, mut heard: impl FnMut(&Row)) -> Result<Vec<Row>> {
             grower.add(&caster, batch, study.side);
         }
         let reference_pixels = grower.reference_pixels();
-        let built = grower.finish(0)?;
+        let built = grower.finish(&caster, 0)?;
         let build_s = start.elapsed().as_secs_f64();
         let stored_bytes = built.chunks.iter().map(|c| c.bytes.len() as u64).sum();
         let samples = built.figures.samples_by_level.iter().sum();

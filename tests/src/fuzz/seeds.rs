@@ -16,7 +16,7 @@ use ldi_protocol::{
     room_index::{BuiltImages, RoomIndex},
     rooms::{Cell, Portal, PortalKind, Rooms},
     texture::MipLevel,
-    tree::{Brood, NodeSamples, OPAQUE, TreeSample},
+    tree::{Brood, NodeSamples, TreeSample, WHOLE},
     volume::WalkVolume,
     wire::{
         self, Answer, ClientMessage, Hello, Other, Picture, PoseDatagram, RefusalCode, Request, ServerMessage,
@@ -157,7 +157,7 @@ pub(super) fn tree() -> Vec<Vec<u8>> {
         face: (k / 64) as u8,
         row: (k % 64 / 8) as u8,
         column: (k % 8) as u8,
-        alpha: if k.is_multiple_of(7) { 3 } else { OPAQUE },
+        covers: if k.is_multiple_of(7) { 0x3330 } else { WHOLE },
         depth: (40 + k % 8) as u16,
         slope: [1, -1],
         rgb: [(k * 5) as u8, 90, (k / 3) as u8],
