@@ -3,8 +3,9 @@
 //! The distance of a point from a mesh changes no faster than the point moves, and its distance
 //! from one triangle is convex. So over a triangle it is at most that of its centroid plus the
 //! distance to the farthest corner, and at most the largest of its corners' from any one triangle.
-//! A triangle whose better bound is not close to what was found already is halved across its
-//! longest edge.
+//! A triangle whose better bound is not close to what was found already is cut along the edges of
+//! the triangle that lies nearest, so that each part lies over one, or halved across its longest
+//! edge.
 
 use glam::DVec3;
 use ldi_protocol::Aabb;
@@ -15,8 +16,14 @@ pub(crate) type Corners = [DVec3; 3];
 /// A bound may exceed the largest distance that was found by this share. Smaller: more triangles
 /// are halved.
 const TOLERANCE: f64 = 0.1;
-/// Halvings of one triangle, one within the other, before its bound is taken as it is.
-const MOST_HALVINGS: u32 = 12;
+/// Cuts of one triangle, one within the other, before its bound is taken as it is; a half counts
+/// as two cuts.
+const MOST_CUTS: u32 = 26;
+/// Parts of one triangle that are looked at before bounds are taken as they are: what keeps hard
+/// cases from taking long.
+const MOST_PARTS: u32 = 4096;
+/// Cuts leave at least this share of a triangle's size on either side.
+const LEAST_SIDE: f64 = 1e-3;
 /// Triangles in a leaf of the tree.
 const LEAF: usize = 4;
 
@@ -34,22 +41,28 @@ pub(super) fn one_way(triangles: &[Corners], tree: &SurfaceTree, floor: f64) -> 
     let mut open: Vec<(Corners, u32)> = Vec::new();
     for t in triangles {
         open.push((*t, 0));
-        while let Some((t, halvings)) = open.pop() {
+        let mut parts = 0;
+        while let Some((t, cuts)) = open.pop() {
+            parts += 1;
             let centroid = (t[0] + t[1] + t[2]) / 3.0;
             let (distance, nearest) = tree.nearest(centroid);
             found = found.max(distance);
             let radius = t.iter().map(|c| c.distance(centroid)).fold(0.0, f64::max);
-            let allowed = (found * (1.0 + TOLERANCE)).max(floor);
+            let allowed = |found: f64| (found * (1.0 + TOLERANCE)).max(floor);
             let mut here = distance + radius;
-            if here > allowed {
-                let same = &tree.triangles[nearest as usize];
+            let same = &tree.triangles[nearest as usize];
+            if here > allowed(found) {
+                found = t.iter().map(|c| tree.nearest(*c).0).fold(found, f64::max);
                 here = here.min(t.iter().map(|c| c.distance(closest_point(*c, same))).fold(0.0, f64::max));
             }
-            if here <= allowed || halvings == MOST_HALVINGS {
+            if here <= allowed(found) || cuts >= MOST_CUTS || parts >= MOST_PARTS {
                 bound = bound.max(here);
                 continue;
             }
-            open.extend(halves(&t).map(|half| (half, halvings + 1)));
+            match cut(&t, same, LEAST_SIDE * radius) {
+                Some(parts) => open.extend(parts.map(|part| (part, cuts + 1))),
+                None => open.extend(halves(&t).map(|half| (half, cuts + 2))),
+            }
         }
     }
     bound
@@ -62,6 +75,29 @@ fn halves(t: &Corners) -> [Corners; 2] {
     let (a, b, c) = (t[k], t[(k + 1) % 3], t[(k + 2) % 3]);
     let middle = (a + b) * 0.5;
     [[a, middle, c], [middle, b, c]]
+}
+
+/// A triangle cut along the edge of another, in the direction of that one's normal, that leaves
+/// most of it on both sides; None if one side would be at most `least` wide.
+fn cut(t: &Corners, along: &Corners, least: f64) -> Option<[Corners; 3]> {
+    let normal = (along[1] - along[0]).cross(along[2] - along[0]);
+    let mut best: Option<(f64, [f64; 3])> = None;
+    for k in 0..3 {
+        let outward = (along[(k + 1) % 3] - along[k]).cross(normal).normalize_or_zero();
+        let sides = t.map(|c| (c - along[k]).dot(outward));
+        let both = sides.into_iter().fold(f64::NEG_INFINITY, f64::max).min(-sides.into_iter().fold(0.0, f64::min));
+        if both > least && best.is_none_or(|(b, _)| both > b) {
+            best = Some((both, sides));
+        }
+    }
+    let (_, sides) = best?;
+    // The corner that is alone on its side.
+    let out = sides.map(|s| s > 0.0);
+    let k = (0..3).find(|k| out[*k] != out[(k + 1) % 3] && out[*k] != out[(k + 2) % 3])?;
+    let (i, j) = ((k + 1) % 3, (k + 2) % 3);
+    let at = |to: usize| t[k] + (t[to] - t[k]) * (sides[k] / (sides[k] - sides[to]));
+    let (p, q) = (at(i), at(j));
+    Some([[t[k], p, q], [p, t[i], t[j]], [p, t[j], q]])
 }
 
 /// The point of a triangle that is closest to `p` (Ericson, Real-Time Collision Detection, 5.1.5).
