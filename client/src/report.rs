@@ -48,7 +48,7 @@ pub struct FrameReport {
     pub placement: Option<u32>,
     /// Near triangles submitted.
     pub triangles: u64,
-    /// Of them, those of coarser levels of detail.
+    /// Near triangles of cells that are not drawn in full.
     pub level_triangles: u64,
     /// Largest deviation that a level of detail may show, output pixels.
     pub deviation_px: f64,

@@ -40,14 +40,14 @@ pub fn instances<'a>(index: &Index, geometry: &'a CellGeometry, drawn: DrawnCell
     geometry.instances.get(range).unwrap_or_default()
 }
 
-/// Whether all of a cell's geometry at a level is resident.
+/// True if the chunk of a cell at a level is resident, with all its bundles.
 pub fn has_mesh(index: &Index, resident: &dyn Resident, drawn: DrawnCell) -> bool {
     let has_bundles = || index.mesh_of(drawn).is_some_and(|m| m.bundles.iter().all(|b| resident.bundle(*b).is_some()));
     mesh(index, resident, drawn).is_some() && has_bundles()
 }
 
-/// Calls `found` with the resident clusters of a cell at its finest resident level, and where they
-/// stand.
+/// Calls `found` with the resident clusters of a cell at its finest resident level, each with its
+/// placement in the world.
 pub fn each_cluster(index: &Index, resident: &dyn Resident, cell: u32, mut found: impl FnMut(&Cluster, &DAffine3)) {
     let levels = index.cells.get(cell as usize).map_or(0, |c| c.levels.len() as u8);
     let mut finest = (0..=levels).map(|level| DrawnCell { cell, level });

@@ -69,7 +69,8 @@ pub struct BuildSettings {
     pub camera: OutputCamera,
     /// Largest sample footprint, output pixels.
     pub max_footprint_px: f64,
-    /// Farthest that near geometry may lie from where it is, output pixels; 0: no levels of detail.
+    /// Farthest that near geometry may lie from where it is, output pixels; 0: there are no levels
+    /// of detail.
     pub max_deviation_px: f64,
     /// Free look up and down, degrees.
     pub pitch_deg: f64,
@@ -128,9 +129,13 @@ pub struct CellEntry {
     /// mean square over directions. [`EVERY_LEVEL`] where all levels of the texture count at any
     /// distance.
     pub texel_density: Vec<i8>,
-    /// Coarser meshes of what it draws: fewer triangles and larger deviations each time.
+    /// Coarser meshes of what it draws, at most [`MOST_LEVELS`]: fewer triangles and larger
+    /// deviations each time.
     pub levels: Vec<CellLevel>,
 }
+
+/// Most coarser meshes of a cell.
+pub const MOST_LEVELS: usize = 32;
 
 /// A coarser mesh of what a cell draws.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

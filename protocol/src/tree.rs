@@ -74,8 +74,13 @@ pub struct TreeSample {
 impl TreeSample {
     /// Share of the pixel that the surface covers, above 0 and up to 1.
     pub fn coverage(&self) -> f32 {
-        self.covers.count_ones() as f32 / (PARTS * PARTS) as f32
+        share_covered(self.covers)
     }
+}
+
+/// Share of a pixel that a coverage mask ([`TreeSample::covers`]) covers, up to 1.
+pub fn share_covered(mask: u16) -> f32 {
+    mask.count_ones() as f32 / (PARTS * PARTS) as f32
 }
 
 /// The LDI of one node: samples by face, row, column, depth.

@@ -1,9 +1,9 @@
 //! The server: builds datasets from scenes and serves them.
 //!
 //! Folders are stages; a module imports only from stages before it: [`scene`] -> [`octree`] ->
-//! [`levels`] -> [`render`] -> [`walk_volume`] -> [`placement`] -> [`portal`] -> [`construct`] -> [`pack`] ->
-//! [`tree`] -> [`store`] -> [`plan`] -> [`serve`]; [`build`] joins them, [`cli`] is the command
-//! line.
+//! [`levels`] -> [`render`] -> [`walk_volume`] -> [`placement`] -> [`portal`] -> [`construct`] ->
+//! [`pack`] -> [`tree`] -> [`store`] -> [`plan`] -> [`serve`]; [`build`] joins them, [`cli`] is the
+//! command line.
 
 pub mod build;
 pub mod cli;

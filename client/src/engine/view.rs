@@ -118,7 +118,7 @@ pub struct LevelStats {
 }
 
 impl LevelStats {
-    /// Of cells as seen by a camera.
+    /// Counts the levels of these cells, and how far they may deviate as a camera sees them.
     pub(super) fn of(index: &Index, cells: &[DrawnCell], camera: &OutputCamera, pose: &Pose) -> Self {
         let mut stats = Self::default();
         for drawn in cells.iter().filter(|d| d.level > 0) {

@@ -23,7 +23,7 @@ const HIDDEN_MARGIN: f32 = 0.1;
 pub struct Pass {
     /// What is drawn.
     pub cut: Cut,
-    /// Whether the pass fills gaps of finer ones.
+    /// True for passes that fill gaps which finer ones left.
     fills_gaps: bool,
     /// The first node not drawn into the z-buffer yet.
     next_node: usize,

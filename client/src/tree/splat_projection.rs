@@ -4,7 +4,7 @@ use super::pixel_mask::PixelMask;
 use glam::{DVec3, Vec3};
 use ldi_protocol::{
     Aabb, OutputCamera, Pose,
-    tree::{DEPTH_STEPS, PARTS, Tree, TreeNode, TreeSample, across},
+    tree::{DEPTH_STEPS, PARTS, Tree, TreeNode, TreeSample, across, share_covered},
 };
 
 /// Near plane, metres.
@@ -47,7 +47,7 @@ pub struct Splat {
 /// Which samples a projection draws.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Drawn {
-    /// Filtered samples too.
+    /// Filtered samples are drawn beside unfiltered ones.
     pub filtered: bool,
     /// Only parts that lie within the surface, not those at its rim: coarse samples that fill gaps
     /// must not widen outlines.
@@ -250,8 +250,8 @@ impl Splat {
         (s.abs() < 1.0 && t.abs() < 1.0).then_some((disparity.clamp(self.disparity[1], self.disparity[2]), s, t))
     }
 
-    /// Whether the surface covers a position on the splat. Parts at the pixel's border reach a
-    /// little beyond it.
+    /// True where the surface covers a position on the splat. Parts at the border of the pixel reach
+    /// beyond it by a twentieth or so, as neighbouring splats overlap.
     pub fn covers(&self, s: f32, t: f32) -> bool {
         let part = |v: f32| ((v + 0.5) * PARTS as f32).clamp(0.0, PARTS as f32 - 1.0) as u32;
         s.abs().max(t.abs()) <= 0.5 * OVERLAP && self.covers >> (part(t) * PARTS + part(s)) & 1 == 1
@@ -259,7 +259,7 @@ impl Splat {
 
     /// Share of the pixel that is covered.
     pub fn coverage(&self) -> f32 {
-        self.covers.count_ones() as f32 / (PARTS * PARTS) as f32
+        share_covered(self.covers)
     }
 }
 

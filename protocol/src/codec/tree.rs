@@ -45,7 +45,7 @@ const MOST_VALUES: usize = 3 + 1 + PARTS as usize + 3;
 const WHOLE_PIXEL: i32 = 0;
 /// The mask of the neighbour on the left, or else above, that is partial.
 const AS_BESIDE: i32 = 1;
-/// Its rows follow.
+/// None of these: the rows of the mask follow.
 const BY_ROWS: i32 = 2;
 
 /// What stands where nothing predicts.

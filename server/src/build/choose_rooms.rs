@@ -7,8 +7,9 @@
 //! 3. What breaks no promise and brings the least is taken.
 
 use super::choose::{ImageBytes, megabytes, pixels_of};
+use super::planning::{place, sees};
 use super::rooms::{self, PortalOptions, RoomPlan, Site};
-use super::{AUDITED_POSES, BuildError, BuildOptions, Progress, draft_index, place, planned_camera};
+use super::{AUDITED_POSES, BuildError, BuildOptions, Progress, draft_index, planned_camera};
 use crate::levels::Levels;
 use crate::octree::Octree;
 use crate::placement::{self, AuditReport, PlacementPlan, PlacementResult};
@@ -46,7 +47,7 @@ struct Walks(Vec<Vec<Pose>>);
 impl Walks {
     /// Always the same ones for the same scene.
     fn take(caster: &Caster, volume: &WalkVolume) -> Self {
-        let free = |from, to| super::sees(caster, from, to);
+        let free = |from, to| sees(caster, from, to);
         let walk = |stream| {
             let poses = stroll(volume, &mut Random::new(1, stream), (WALK_S * FPS) as usize, free);
             poses.into_iter().step_by(POSES_APART).collect()

@@ -16,6 +16,7 @@ mod forecast;
 mod images;
 mod kept_tree;
 mod key;
+mod planning;
 mod references;
 mod report;
 mod rooms;
@@ -23,44 +24,37 @@ mod rooms;
 mod stop_test;
 
 use images::Indexed;
-use rooms::{RoomPlan, Site};
+use planning::{Planned, plan};
 
 pub use choose::Weighing;
 pub use choose_rooms::{Mixed, RoomWeighing, Weight};
 pub use dry_run::{Draft, DryRun, draft, dry_run};
 pub use forecast::Forecast;
 pub use images::{IMAGE_LEVEL, ImageFigures};
+pub use planning::compare_searches;
 pub use references::ReferenceFigures;
 pub use report::{images_per_grid_point, report_json};
 pub use rooms::{GridUnderRooms, PortalOptions, RoomFigures, RoomSource};
 
 use crate::construct::ConstructError;
-use crate::levels::{self, Levels};
-use crate::octree::{Clusters, Octree, RecountError};
+use crate::octree::RecountError;
 use crate::pack::{self, PackError};
-use crate::placement::{
-    self, AuditReport, AuditSize, Groupings, ImagePlan, PlacementError, PlacementResult, PlacementStatistics,
-    SearchCase, SearchComparison, Sees,
-};
-use crate::render::{Caster, CellSet, Ray};
+use crate::placement::{self, AuditReport, AuditSize, ImagePlan, PlacementError, PlacementResult, PlacementStatistics};
 use crate::scene::{self, Note, Scene, SceneError};
 use crate::store::{Dataset, DatasetWriter, StoreError, Written};
 use crate::tree::{self, BuiltTree, Depth, TreeFigures};
-use crate::walk_volume::{self, Corridor, WalkError, WalkOptions, WalkReport};
+use crate::walk_volume::{Corridor, WalkError, WalkReport};
 use glam::DVec3;
 use ldi_protocol::codec::ColourProfile;
 use ldi_protocol::index::{
-    BuildSettings, CellEntry, CellLevel, ChunkEntry, ChunkHash, ImageEntry, Index, Placement, SceneInfo, TextureEntry,
+    BuildSettings, CellEntry, ChunkEntry, ChunkHash, ImageEntry, Index, Placement, SceneInfo, TextureEntry,
 };
 use ldi_protocol::ldi::LdiCamera;
 use ldi_protocol::room_index::{BuiltImages, RoomIndex};
-use ldi_protocol::select::CELLS;
 use ldi_protocol::tree::Tree;
-use ldi_protocol::volume::WalkVolume;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// What to build.
@@ -236,210 +230,6 @@ pub struct Built {
     pub report: serde_json::Value,
     /// Of what `skipped` of the report lists, so many entries, the first ones, are of the scene.
     pub of_scene: usize,
-}
-
-/// A scene with its plan.
-struct Planned {
-    scene: Arc<Scene>,
-    clusters: Clusters,
-    octree: Octree,
-    levels: Levels,
-    /// With the optimization budget filled in.
-    settings: BuildSettings,
-    plan: PlacementResult,
-    walk: WalkReport,
-    caster: Caster,
-    rooms: Option<(RoomPlan, Site)>,
-    /// The grid's alone, to be weighed against a plan by rooms.
-    grid_alone: Option<PlacementResult>,
-    /// Why there is nothing to weigh it against, though rooms were welcome.
-    no_rooms: Option<String>,
-}
-
-/// Whether nothing lies between two places.
-fn sees(caster: &Caster, from: DVec3, to: DVec3) -> bool {
-    let ray = Ray { origin: from, direction: to - from, t_min: 0.0, t_max: 1.0 };
-    !caster.occluded(&ray, &CellSet::all())
-}
-
-/// Plans the grid for the eyes of a volume.
-fn place(
-    scene: &Scene,
-    cells: (&Octree, &Levels),
-    settings: &BuildSettings,
-    caster: &Caster,
-    volume: WalkVolume,
-    progress: &dyn Progress,
-) -> Result<PlacementResult, PlacementError> {
-    let in_sight = |a, b| sees(caster, a, b);
-    let eyes = (&placement::Parameters::default(), volume);
-    placement::plan_placements(scene, cells, settings, eyes, Sees(&in_sight), &|what| progress.note(what))
-}
-
-fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> Result<Planned, BuildError> {
-    let (scene, clusters, octree, settings) = read(options, clock, progress)?;
-    let levels = levels_of(&settings, (&scene, &clusters, &octree), progress);
-    clock.lap("levels");
-    let caster = Caster::new(Arc::clone(&scene), &clusters, &octree);
-    clock.lap("caster");
-    let (volume, walk) = walked(options, &caster, &clusters, &octree, &settings, progress)?;
-    clock.lap("walk volume");
-    progress.stage("grid and placement", 0);
-    let place = |budget: u64, volume: WalkVolume| {
-        let settings = BuildSettings { budget, ..settings.clone() };
-        place(&scene, (&octree, &levels), &settings, &caster, volume, progress)
-    };
-    let within_budget = scene.triangles() <= settings.budget;
-    // Nothing to place: what remains of a plan is the walk volume.
-    let ground = || place(settings.budget.max(scene.triangles()), volume.clone());
-    let (mut rooms, mut grid_alone, mut no_rooms) = (None, None, None);
-    let automatic = matches!(options.represent, Represent::Auto { .. });
-    let known = match &options.represent {
-        _ if within_budget => None,
-        Represent::Auto { rooms, .. } if !rooms::are_given(&scene, rooms) => {
-            no_rooms = Some(rooms::NONE_GIVEN.to_string());
-            None
-        }
-        Represent::Portals { rooms, portals } | Represent::Auto { rooms, portals } => {
-            progress.stage("rooms", 0);
-            let found = rooms::rooms_of(&caster, rooms, &walk_volume::surroundings(&volume, &scene.bounds()));
-            clock.lap("rooms");
-            match found {
-                // What no room holds is the grid's, and where there are none, that is everything.
-                Err(BuildError::NoRooms { why }) if automatic || !matches!(rooms, RoomSource::File(_)) => {
-                    progress.note(&format!("grid: {why}"));
-                    if !automatic {
-                        tracing::warn!("all of the scene is left to the grid, as there are no rooms to walk by: {why}");
-                    }
-                    no_rooms = Some(why);
-                    None
-                }
-                known => Some((known?, portals)),
-            }
-        }
-        _ => None,
-    };
-    let plan = match known {
-        _ if matches!(options.represent, Represent::Tree { .. } | Represent::Cache) => ground()?,
-        Some((known, portals)) => {
-            if automatic {
-                progress.stage("grid and placement", 0);
-                grid_alone = Some(place(settings.budget, volume.clone())?);
-                clock.lap("placement of the grid alone");
-            }
-            let entry = |(c, levels): (&crate::octree::Cell, &Vec<levels::Level>)| CellEntry {
-                bounds: c.bounds,
-                triangles: c.triangles,
-                chunk: 0,
-                bundles: Vec::new(),
-                materials: Vec::new(),
-                texel_density: Vec::new(),
-                levels: levels.iter().map(draft_level).collect(),
-            };
-            let cells = octree.cells.iter().zip(&levels.cells).map(entry).collect();
-            let (parts, nothing) = ((cells, Vec::new()), (Vec::new(), Vec::new(), None));
-            let draft = index_of(options, &scene, settings.clone(), ground()?, parts, Vec::new(), nothing);
-            let grid = |volume| place(settings.budget, volume);
-            let site = Site::of(&caster, known, draft.cells.len(), progress);
-            let (plan, found) =
-                rooms::plan_rooms(&caster, &site, portals, draft, rooms::Share::default(), &grid, progress)?;
-            rooms = Some((found, site));
-            plan
-        }
-        None => place(settings.budget, volume.clone())?,
-    };
-    clock.lap("placement");
-    Ok(Planned { walk, rooms, grid_alone, no_rooms, scene, clusters, octree, levels, settings, plan, caster })
-}
-
-/// A level as far as counting goes.
-fn draft_level(level: &levels::Level) -> CellLevel {
-    let levels::Level { deviation_m, triangles, .. } = *level;
-    CellLevel { deviation_m, triangles, chunk: 0, instances: 0..0, bundles: Vec::new() }
-}
-
-/// Levels of detail, if the settings ask for any.
-fn levels_of(
-    settings: &BuildSettings,
-    (scene, clusters, octree): (&Scene, &Clusters, &Octree),
-    progress: &dyn Progress,
-) -> Levels {
-    if settings.max_deviation_px == 0.0 {
-        return Levels::none(clusters, octree);
-    }
-    progress.stage("levels of detail", 0);
-    Levels::build(scene, clusters, octree)
-}
-
-/// Where people walk; what is told of it goes to `progress`.
-fn walked(
-    options: &BuildOptions,
-    caster: &Caster,
-    clusters: &Clusters,
-    octree: &Octree,
-    settings: &BuildSettings,
-    progress: &dyn Progress,
-) -> Result<(WalkVolume, WalkReport), WalkError> {
-    progress.stage("walk volume", 0);
-    let along = options.along.clone();
-    let walk = WalkOptions { eye_height_m: settings.eye_height_m, starts: options.starts.clone(), along };
-    let (volume, report) = walk_volume::walk_volume(caster, clusters, octree, &walk)?;
-    progress.note(&report.lines().join("; "));
-    report.warnings.iter().for_each(|warning| tracing::warn!("walk volume: {warning}"));
-    Ok((volume, report))
-}
-
-/// Compares ways to search for the near boxes of a build; nothing is written.
-///
-/// # Errors
-/// As [`build`].
-pub fn compare_searches(
-    options: &BuildOptions,
-    comparison: &SearchComparison,
-) -> Result<(Vec<SearchCase>, Vec<Groupings>), BuildError> {
-    let (scene, clusters, octree, settings) = read(options, &mut Clock::default(), &())?;
-    let levels = levels_of(&settings, (&scene, &clusters, &octree), &());
-    let caster = Caster::new(Arc::clone(&scene), &clusters, &octree);
-    let (volume, _) = walked(options, &caster, &clusters, &octree, &settings, &())?;
-    let in_sight = |a, b| sees(&caster, a, b);
-    Ok(placement::compare_searches(&scene, (&octree, &levels), &settings, &volume, Sees(&in_sight), comparison)?)
-}
-
-/// A scene in clusters and cells, and the settings with the optimization budget filled in.
-type Read = (Arc<Scene>, Clusters, Octree, BuildSettings);
-
-fn read(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> Result<Read, BuildError> {
-    // Of a share of the scene's triangles nothing is known yet.
-    let asked = BuildSettings { budget: options.settings.budget.max(1), ..options.settings.clone() };
-    placement::check_settings(&asked)?;
-    progress.stage("reading the scene", 0);
-    let scene = Arc::new(scene::load(&options.scene)?);
-    // A wrong unit or axis shows here.
-    let [x, y, z] = scene.bounds().size().to_array().map(|m| format!("{m:.1}"));
-    progress.note(&format!("{} triangles, {x} x {y} x {z} m, Y up", scene.triangles()));
-    if let Some(doubt) = scene::unit_doubt(scene.bounds().size().max_element()) {
-        tracing::warn!("{}: {doubt}", options.scene);
-    }
-    clock.lap("scene");
-
-    progress.stage("clusters and octree", 0);
-    let mut settings = options.settings.clone();
-    if let Some(share) = options.budget_share {
-        settings.budget = ((scene.triangles() as f64 * share) as u64).max(1);
-        progress.note(&format!("budget: {} of {} triangles", settings.budget, scene.triangles()));
-    }
-    let clusters = Clusters::build(&scene);
-    let octree = Octree::build(&scene, &clusters, settings.budget);
-    if settings.optimize_budget == 0 && settings.grid == CELLS {
-        // A box takes what P allows, to the triangle; aiming lower costs pixels
-        // (docs/adr/0008-near-boxes.md).
-        settings.optimize_budget = settings.budget;
-    } else if settings.optimize_budget == 0 {
-        let slack = (settings.budget / 10).max(2 * u64::from(octree.largest_cell()));
-        settings.optimize_budget = settings.budget.saturating_sub(slack).max(1);
-    }
-    clock.lap("octree");
-    Ok((scene, clusters, octree, settings))
 }
 
 /// Joins what the stages made.

@@ -182,7 +182,7 @@ pub(super) fn plan_rooms(
     }
     let (mut sides, mut on_semicircle) = (Vec::new(), None);
     if images.offer(PortalImages::Layered) {
-        let sees = |a, b| super::sees(caster, a, b);
+        let sees = |a, b| super::planning::sees(caster, a, b);
         let (planned, found) = portal::plan_semicircles(rooms, &volume, &draft.settings, near_m, &semicircle, &sees);
         (sides, on_semicircle) = (planned, Some((semicircle, found)));
     }

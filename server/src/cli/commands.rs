@@ -339,23 +339,25 @@ fn verify(a: &VerifyArgs) -> Result<(), Failure> {
         ldi_protocol::codec::ldi::decode_first(&dataset.chunk(first).ok()?).ok().map(|ldi| ldi.camera)
     };
     let size = audit_size(a.poses, a.adversarial);
-    let mut report = placement::audit(index, &counts, &camera_of, size, a.seed);
+    let report = placement::audit(index, &counts, &camera_of, size, a.seed);
     let geometry = |chunk: u32| ldi_protocol::codec::cell::decode(&dataset.chunk(chunk).ok()?).ok();
     let levels = placement::audit_levels(index, &geometry, size.random, a.seed);
-    report.violations += levels.violations;
     let mut json = serde_json::to_value(&report).map_err(Failure::permanent)?;
+    json["violations"] = (report.violations + levels.violations).into();
     json["levels"] = serde_json::to_value(&levels).map_err(Failure::permanent)?;
-    eprintln!(
-        "{} levels of detail lie where they say at all of {} points, {} do not",
-        levels.levels - levels.violations,
-        levels.points,
-        levels.violations
-    );
     match &a.json {
         Some(file) => write_json(file, &json)?,
         None => print(&serde_json::to_string_pretty(&json).map_err(Failure::permanent)?)?,
     }
-    promises_kept(&report)
+    promises_kept(&report)?;
+    eprintln!(
+        "{} of {} levels of detail lie farther from the cells in full than the dataset says, of {} points",
+        levels.violations, levels.levels, levels.points
+    );
+    if levels.violations > 0 {
+        return Err(Failure::permanent(anyhow!("{} levels of detail deviate too far", levels.violations)));
+    }
+    Ok(())
 }
 
 /// A tenth as many adversarial poses as random ones, unless their number is given.

@@ -4,29 +4,26 @@
 //! in the world, is at most that. Thresholds are chosen so that each level has about half the
 //! triangles of the one before.
 
-use super::{Level, Levels, Piece, largest_stretch, parts::Parts, position_steps, simplify};
-use crate::octree::{Clusters, Octree, up_to_f32};
+use super::{Level, Levels, Piece, largest_stretch, parts::Parts, position_steps_log2, simplify};
+use crate::octree::{Clusters, up_to_f32};
 use crate::scene::Scene;
-use ldi_protocol::{Aabb, mesh::MAX_CLUSTER_TRIANGLES};
+use ldi_protocol::{Aabb, index::MOST_LEVELS, mesh::MAX_CLUSTER_TRIANGLES};
 use rayon::prelude::*;
 use simplify::Coarse;
 use std::borrow::Cow;
 use std::ops::Range;
 
-/// A level has at most this share of the triangles of the one before.
+/// A level has at most this share of the triangles of the one before. A little more than a half,
+/// as chains halve a little less than that.
 const SHARE: f64 = 0.55;
+/// The same of the last one, after which nothing coarser comes.
+const LAST_SHARE: f64 = 0.775;
 /// And so many fewer. Smaller: entries of levels cost more than they save.
 const FEWER: u64 = 24;
 
 /// Joins chains to levels.
-pub(super) fn assemble(
-    scene: &Scene,
-    clusters: &Clusters,
-    octree: &Octree,
-    parts: &Parts,
-    chains: Vec<Vec<Coarse>>,
-) -> Levels {
-    let steps = position_steps(scene);
+pub(super) fn assemble(scene: &Scene, clusters: &Clusters, parts: &Parts, chains: Vec<Vec<Coarse>>) -> Levels {
+    let steps = position_steps_log2(scene);
     let of_cell: Vec<Vec<Chosen>> =
         parts.of_cell.par_iter().map(|drawn| thresholds(scene, clusters, parts, &chains, &steps, drawn)).collect();
     // Meshes that some level uses, cut into pieces.
@@ -40,23 +37,24 @@ pub(super) fn assemble(
             }
         }
     }
-    let mut levels = Levels { clusters: clusters.clusters.len() as u32, ..Levels::default() };
+    let mut pieces: Vec<Piece<'static>> = Vec::new();
+    let next = |pieces: &Vec<Piece<'_>>| (clusters.clusters.len() + pieces.len()) as u32;
     let mut numbers: Vec<Vec<Range<u32>>> = Vec::with_capacity(chains.len());
     for ((part, chain), is_used) in parts.parts.iter().zip(chains).zip(is_used) {
         let of = chain.into_iter().zip(is_used).map(|(coarse, is_used)| {
-            let first = levels.clusters + levels.pieces.len() as u32;
+            let first = next(&pieces);
             if is_used {
                 let mut triangles = coarse.triangles;
                 if triangles.len() > MAX_CLUSTER_TRIANGLES {
                     sort_along_longest_axis(scene, (part.mesh, part.primitive), &mut triangles);
                 }
-                levels.pieces.extend(triangles.chunks(MAX_CLUSTER_TRIANGLES).map(|of| Piece {
+                pieces.extend(triangles.chunks(MAX_CLUSTER_TRIANGLES).map(|of| Piece {
                     mesh: part.mesh,
                     primitive: part.primitive,
                     triangles: Cow::Owned(of.to_vec()),
                 }));
             }
-            first..levels.clusters + levels.pieces.len() as u32
+            first..next(&pieces)
         });
         numbers.push(of.collect());
     }
@@ -73,9 +71,8 @@ pub(super) fn assemble(
         };
         chosen.into_iter().map(level).collect()
     };
-    levels.cells = parts.of_cell.par_iter().zip(of_cell).map(with_pieces).collect();
-    debug_assert_eq!(levels.cells.len(), octree.cells.len());
-    levels
+    let cells = parts.of_cell.par_iter().zip(of_cell).map(with_pieces).collect();
+    Levels { pieces, cells, position_steps_log2: steps }
 }
 
 /// A level before its pieces are known.
@@ -123,8 +120,9 @@ fn thresholds(
         triangles -= fewer;
         let is_last = number + 1 == events.len();
         let next_is_farther = events.get(number + 1).is_none_or(|next| next.0 > *deviation_m);
-        let share = if is_last { 0.5 * (1.0 + SHARE) } else { SHARE };
-        if next_is_farther && triangles as f64 <= share * last as f64 && triangles + FEWER <= last {
+        let share = if is_last { LAST_SHARE } else { SHARE };
+        let is_worth = triangles as f64 <= share * last as f64 && triangles + FEWER <= last;
+        if next_is_farther && is_worth && levels.len() < MOST_LEVELS {
             let deviation_m = up_to_f32(deviation_m + rounding_m);
             if let Ok(count) = u32::try_from(triangles) {
                 levels.push(Chosen { deviation_m, triangles: count, meshes: meshes.clone() });

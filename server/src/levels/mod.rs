@@ -47,20 +47,20 @@ pub struct Level {
     pub deviation_m: f64,
     /// Triangles, instances counted.
     pub triangles: u32,
-    /// (instance in `Scene::instances`, piece): pieces below the number of clusters are clusters,
-    /// the others are [`Levels::pieces`].
+    /// (instance in `Scene::instances`, number of a piece: see [`Levels::piece`]).
     pub content: Vec<(u32, u32)>,
 }
 
 /// Levels of detail of all cells.
 #[derive(Debug, Clone, Default)]
 pub struct Levels {
-    /// Clusters of the scene: numbers of pieces begin behind them.
-    pub clusters: u32,
-    /// Simplified pieces.
+    /// Simplified pieces; their numbers go on from those of the clusters.
     pub pieces: Vec<Piece<'static>>,
     /// Per cell, fine to coarse.
     pub cells: Vec<Vec<Level>>,
+    /// Position step of each mesh, as a power of two: the same for all its pieces, so that
+    /// neighbours meet without cracks.
+    pub position_steps_log2: Vec<i8>,
 }
 
 impl Levels {
@@ -68,18 +68,18 @@ impl Levels {
     pub fn build(scene: &Scene, clusters: &Clusters, octree: &Octree) -> Self {
         let parts = parts::find(clusters, octree);
         let chains = simplify::chains(scene, clusters, &parts.parts);
-        cells::assemble(scene, clusters, octree, &parts, chains)
+        cells::assemble(scene, clusters, &parts, chains)
     }
 
     /// No levels: every cell is drawn in full.
-    pub fn none(clusters: &Clusters, octree: &Octree) -> Self {
-        let count = clusters.clusters.len() as u32;
-        Self { clusters: count, cells: vec![Vec::new(); octree.cells.len()], ..Self::default() }
+    pub fn none(scene: &Scene, octree: &Octree) -> Self {
+        let cells = vec![Vec::new(); octree.cells.len()];
+        Self { pieces: Vec::new(), cells, position_steps_log2: position_steps_log2(scene) }
     }
 
-    /// A piece by its number.
+    /// A piece by its number: clusters come first, then [`Levels::pieces`].
     pub fn piece<'a>(&'a self, clusters: &Clusters, scene: &Scene, number: u32) -> Piece<'a> {
-        if let Some(simplified) = number.checked_sub(self.clusters) {
+        if let Some(simplified) = number.checked_sub(clusters.clusters.len() as u32) {
             let Piece { mesh, primitive, triangles } = &self.pieces[simplified as usize];
             return Piece { mesh: *mesh, primitive: *primitive, triangles: Cow::Borrowed(triangles) };
         }
@@ -98,9 +98,8 @@ fn largest_stretch(m: &DMat3) -> f64 {
     row(0).max(row(1)).max(row(2)).sqrt()
 }
 
-/// Position step per mesh, as a power of two: the same for all its pieces, so that neighbours meet
-/// without cracks.
-pub fn position_steps(scene: &Scene) -> Vec<i8> {
+/// See [`Levels::position_steps_log2`].
+fn position_steps_log2(scene: &Scene) -> Vec<i8> {
     let mut scales = vec![0.0f64; scene.meshes.len()];
     for i in &scene.instances {
         let m = &i.world_from_mesh.matrix3;

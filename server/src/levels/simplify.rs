@@ -72,10 +72,12 @@ struct Borders {
 }
 
 impl Borders {
-    fn of<'a>(mesh: &Mesh, clusters: &Clusters, parts: impl Iterator<Item = &'a Part>) -> Self {
-        let of_mesh = parts.map(|p| p.mesh).next().map(|m| clusters.of_mesh[m as usize].clone()).unwrap_or_default();
+    /// Of a mesh and its parts. None where every part is the whole mesh.
+    fn of<'a>(mesh: &Mesh, clusters: &Clusters, mut parts: impl Iterator<Item = &'a Part> + Clone) -> Self {
+        let number = parts.clone().next().map(|p| p.mesh as usize);
+        let of_mesh = number.map(|m| clusters.of_mesh[m].clone()).unwrap_or_default();
         let mut shared = HashMap::new();
-        if of_mesh.len() > 1 {
+        if !parts.all(|p| p.clusters.len() == of_mesh.len()) {
             let mut users: HashMap<[u32; 3], Vec<u32>> = HashMap::new();
             for number in of_mesh {
                 let cluster = &clusters.clusters[number as usize];

@@ -1,8 +1,8 @@
 use super::*;
 use crate::placement::test_scenes::Random;
-use crate::scene::{Instance, Mesh, Primitive, builtin};
+use crate::scene::{Instance, Mesh, Primitive, WHITE, builtin};
 use glam::{DAffine3, DVec3, Vec3};
-use ldi_protocol::mesh::{Alpha, Material, Wrap};
+use ldi_protocol::mesh::Alpha;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// World corners of what a cell places.
@@ -77,14 +77,7 @@ fn hills(side: u32) -> Scene {
     Scene {
         meshes: vec![Mesh { name: "hills".into(), primitives: vec![primitive] }],
         instances: vec![Instance { node: 0, mesh: 0, world_from_mesh: DAffine3::IDENTITY }],
-        materials: vec![Material {
-            base_colour: [1.0; 4],
-            texture: None,
-            alpha: Alpha::Opaque,
-            unlit: false,
-            double_sided: true,
-            wrap: [Wrap::Repeat; 2],
-        }],
+        materials: vec![WHITE],
         ..Scene::default()
     }
 }

@@ -4,8 +4,8 @@
 //!
 //! Clusters of one instance stay together where all of it is no larger than a cluster may be and
 //! has few triangles for the budget: levels of detail simplify a mesh that lies in one cell as a
-//! whole, while one that is split keeps its vertices where the parts meet. What is said of clusters
-//! below holds for such groups.
+//! whole, while one that is split keeps its vertices where the parts meet. What is said below of
+//! clusters holds for such groups.
 //!
 //! The root is the cube around the scene. A cluster instance belongs to the node that contains its
 //! centre, at the deepest level whose edge is at least its extent (longest edge of its box), so

@@ -2,7 +2,7 @@
 //! them.
 
 use super::{Chunk, PackError, density};
-use crate::levels::{Level, Levels, Piece, position_steps};
+use crate::levels::{Level, Levels, Piece};
 use crate::octree::{Clusters, Octree};
 use crate::scene::Scene;
 use glam::DVec3;
@@ -50,7 +50,7 @@ pub fn pack_geometry(
     levels: &Levels,
     first_chunk: u32,
 ) -> Result<PackedGeometry, PackError> {
-    let packer = Packer { scene, clusters, levels, steps: position_steps(scene) };
+    let packer = Packer { scene, clusters, levels };
     let full: Vec<&Content> = octree.cells.iter().map(|c| &c.content[..]).collect();
     let cell_name = |k: usize| format!("the cell around {}", octree.cells[k].bounds.centre());
     let cells = packer.pack(&full, first_chunk, ChunkKind::Cell, cell_name)?;
@@ -146,8 +146,6 @@ struct Packer<'a> {
     scene: &'a Scene,
     clusters: &'a Clusters,
     levels: &'a Levels,
-    /// Position step per mesh.
-    steps: Vec<i8>,
 }
 
 impl Packer<'_> {
@@ -212,15 +210,16 @@ impl Packer<'_> {
     fn convert(&self, pieces: &[u32]) -> (Vec<Cluster>, Vec<ClusterSteps>) {
         let of = |n: &u32| {
             let piece = self.levels.piece(self.clusters, self.scene, *n);
-            (wire_cluster(self.scene, &piece), cluster_steps(self.scene, &piece, &self.steps))
+            (wire_cluster(self.scene, &piece), cluster_steps(self.scene, &piece, &self.levels.position_steps_log2))
         };
         pieces.iter().map(of).unzip()
     }
 
     fn triangles(&self, piece: u32) -> usize {
-        match piece.checked_sub(self.levels.clusters) {
-            None => self.clusters.clusters[piece as usize].triangles.len(),
-            Some(simplified) => self.levels.pieces[simplified as usize].triangles.len(),
+        let number = piece as usize;
+        match number.checked_sub(self.clusters.clusters.len()) {
+            None => self.clusters.clusters[number].triangles.len(),
+            Some(simplified) => self.levels.pieces[simplified].triangles.len(),
         }
     }
 
@@ -361,8 +360,7 @@ mod tests {
         let clusters = Clusters::build(&scene);
         let octree = Octree::build(&scene, &clusters, 6_000);
         let first = 5;
-        let packed =
-            pack_geometry(&scene, &clusters, &octree, &Levels::none(&clusters, &octree), first).expect("packs");
+        let packed = pack_geometry(&scene, &clusters, &octree, &Levels::none(&scene, &octree), first).expect("packs");
         let decode = |chunk: u32| cell::decode(&packed.chunks[(chunk - first) as usize].bytes).expect("decodes");
         assert!(packed.shared_clusters > 0, "the plant has instances in many cells");
         for (entry, source) in packed.cells.iter().zip(&octree.cells) {

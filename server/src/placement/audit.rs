@@ -4,8 +4,9 @@
 //! images, a number of poses. Out: an [`AuditReport`]. Nothing here uses what the planner
 //! computed: cells are tested by another formula (middle and half size against unnormalized
 //! planes, where the renderer takes supports of unit normals), levels of detail are chosen by the
-//! deviation that shows in the picture, triangles of cells in full are the caller's own count
-//! (those of levels are the index's, which `verify` compares with their chunks), and footprints are measured by finite differences at points of the replaced cells.
+//! deviation that shows in the picture, and footprints are measured by finite differences at
+//! points of the replaced cells. Triangles of cells in full are the caller's own count, those of
+//! levels the index's, which `verify` compares with their chunks.
 //!
 //! Poses: random ones, anywhere in the walk volume and looking anywhere within the built pitch;
 //! and adversarial ones, which seek trouble on borders ([`Adversary`]), found by bisection.

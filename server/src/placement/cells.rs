@@ -220,8 +220,8 @@ impl Cells {
         out
     }
 
-    /// Triangles, at the levels of the nearest eye, of those cells `among` these (None: all) that some eye in the box may draw in some
-    /// direction of a bin; None if they are more than `most`.
+    /// Triangles, at the levels of the nearest eye, of those cells `among` these (None: all) that
+    /// some eye in the box may draw in some direction of a bin; None if they are more than `most`.
     pub fn count(&self, planes: &BinPlanes, eyes: &Aabb, among: Option<&CellMask>, most: u64) -> Option<u64> {
         #[cfg(target_arch = "x86_64")]
         {
@@ -389,6 +389,58 @@ mod tests {
             }
             assert!(unit % 36 != 0 || drawn > 0 || pitch[0] > 20.0 || pitch[1] < -20.0);
         }
+    }
+
+    /// Whatever eye of a box draws at the levels that its own distances allow is no more than what
+    /// was counted for the box, and the count is less than that of cells in full.
+    #[test]
+    fn no_eye_draws_more_than_what_was_counted_at_levels_of_detail() {
+        const PER_METRE: f64 = 1e-3;
+        let mut random = Random::new(6);
+        let (mut octree, mut levels) = (Octree::default(), Levels::default());
+        for i in 0..700u32 {
+            let at =
+                DVec3::new(f64::from(i % 26), random.unit(), f64::from(i / 26)) * 2.0 - DVec3::new(26.0, 3.0, 26.0);
+            let bounds = Aabb { min: at, max: at + DVec3::new(random.unit(), random.unit(), random.unit()) * 3.0 };
+            octree.cells.push(Cell { bounds, triangles: 400 + i, depth: 0, content: Vec::new() });
+            // Levels from so many metres on.
+            let level =
+                |metres: f64, triangles| Level { deviation_m: metres * PER_METRE, triangles, content: Vec::new() };
+            let first = 1.0 + 8.0 * random.unit();
+            let of_cell = vec![level(first, 200 + i / 2), level(first * 2.0, 100), level(first * 2.5, 30)];
+            levels.cells.push(of_cell.into_iter().take(i as usize % 4).collect());
+        }
+        let cells = Cells::of_octree(&octree, &levels, PER_METRE);
+        let full = Cells::of_octree(&octree, &levels, 0.0);
+        let eyes = Aabb { min: DVec3::splat(-1.0), max: DVec3::new(1.0, 0.5, 2.0) };
+        let everything = CellMask::of(700, &(0..700).collect::<Vec<_>>());
+        let directions = Directions::new(60.0);
+        let (mut fewer, mut closest) = (0, 0.0f64);
+        for unit in (0..directions.units()).step_by(5) {
+            let (yaw, pitch) = directions.unit(unit);
+            let planes = BinPlanes::new(yaw, pitch, T, T);
+            let counted = cells.count(&planes, &eyes, None, u64::MAX).unwrap();
+            assert_eq!(cells.count(&planes, &eyes, Some(&everything), u64::MAX), Some(counted));
+            fewer += usize::from(counted * 3 < full.count(&planes, &eyes, None, u64::MAX).unwrap() * 2);
+            for _ in 0..40 {
+                let d = ViewBasis::from_yaw_pitch(yaw[0] + 10.0 * random.unit(), pitch[0] + 10.0 * random.unit());
+                let eye = eyes.min + eyes.size() * DVec3::new(random.unit(), random.unit(), random.unit());
+                let frustum = Frustum::new(eye, &d, T, T);
+                let drawn: u64 = octree
+                    .cells
+                    .iter()
+                    .zip(&levels.cells)
+                    .filter(|(c, _)| frustum.may_intersect(&c.bounds))
+                    .map(|(c, levels)| {
+                        let allowed = |l: &&Level| l.deviation_m <= c.bounds.distance(eye) * PER_METRE;
+                        u64::from(levels.iter().take_while(allowed).last().map_or(c.triangles, |l| l.triangles))
+                    })
+                    .sum();
+                assert!(drawn <= counted, "unit {unit}: {drawn} drawn, {counted} counted");
+                closest = closest.max(drawn as f64 / counted as f64);
+            }
+        }
+        assert!(fewer > 20 && closest > 0.5, "{fewer} units, at most {closest} of what was counted");
     }
 
     #[test]

@@ -37,6 +37,8 @@ use std::path::Path;
 pub use annotations::{CellExtra, OUTSIDE, PortalExtra, SceneExtras};
 pub use error::SceneError;
 pub use limits::{LIMITS, Limits};
+#[cfg(test)]
+pub(crate) use model::WHITE;
 pub use model::{Instance, Mesh, Note, PortalAnnotation, Primitive, RoomAnnotation, Scene, SceneTexture};
 pub use spec::{BuiltinSpec, FileSpec, unit_doubt};
 

@@ -31,7 +31,7 @@ pub struct Scene {
 }
 
 /// What is drawn where a file names no material.
-pub(super) const WHITE: Material = Material {
+pub(crate) const WHITE: Material = Material {
     base_colour: [1.0; 4],
     texture: None,
     alpha: Alpha::Opaque,

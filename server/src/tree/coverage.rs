@@ -2,9 +2,9 @@
 //!
 //! In: a caster and a patch, the surface of one sample continued over its pixel. Out: the coverage
 //! mask, measured by rays along the face's axis. So the mask depends on the scene alone, not on
-//! which references saw the surface and how finely: a wall ends at its rim, a pipe thinner than the
-//! pixel covers a part of it, and a sample that bilinear weights spread beyond a rim covers
-//! nothing.
+//! which references saw the surface and how finely: a wall ends at its rim, a pipe that is thinner
+//! than the pixel covers a part of it, and a sample that bilinear weights spread beyond a rim
+//! covers nothing.
 
 use crate::render::{Caster, CellSet, Ray};
 use glam::DVec3;

@@ -4,8 +4,8 @@
 //! part of it. A pixel holds layers: samples of surfaces more than [`MERGE`] pitches apart. What
 //! is merged is moved along its own surface to the pixel's centre first, so that a slope does not
 //! part into layers. How much of its pixel a layer covers is not counted from what was merged, but
-//! measured when its level is complete (`coverage`): pixels of references are too irregular to tell
-//! the edge of a surface from a sparse place on it.
+//! measured when its level is complete (`coverage`): pixels of references are too irregular to
+//! tell the edge of a surface from a sparse place on it.
 
 use super::{
     coverage::{self, Patch},
@@ -13,7 +13,7 @@ use super::{
 };
 use crate::render::Caster;
 use glam::{DVec3, Vec3};
-use ldi_protocol::tree::{PARTS, SIDE, across};
+use ldi_protocol::tree::{SIDE, across, share_covered};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -267,7 +267,7 @@ fn copy_up(l: &Layer, out: &mut [Vec<Part>]) {
     let mut normal = Vec3::ZERO;
     normal[axis] = sign;
     (normal[a], normal[b]) = (-l.slope[0] * sign, -l.slope[1] * sign);
-    let weight = l.covers.count_ones() as f32 / (PARTS * PARTS) as f32 * 0.25;
+    let weight = share_covered(l.covers) * 0.25;
     splat_on(l.pixel.level() - 1, place_of(l) * 0.5, axis, normal, weight, l.colour, true, out);
 }
 

@@ -15,8 +15,8 @@
 //! Where it differs from the paper: six faces per node instead of one (see
 //! [`ldi_protocol::tree`]); the stamp is measured along the surface, not across the ray, so that
 //! floors seen at a grazing angle do not fall apart; a pixel's filtered copies come from the level
-//! below and not from the pixel itself, which is the same sum in another order; a sample's coverage
-//! is measured, not summed.
+//! below and not from the pixel itself, which is the same sum in another order; the coverage of a
+//! sample is measured, not summed.
 
 mod coverage;
 mod grow;

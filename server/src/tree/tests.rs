@@ -279,7 +279,7 @@ fn probes_look_beyond_what_the_budget_draws() {
     let clusters = Clusters::build(&scene);
     let octree = Octree::build(&scene, &clusters, 1000);
     let caster = Caster::new(Arc::clone(&scene), &clusters, &octree);
-    let levels = crate::levels::Levels::none(&clusters, &octree);
+    let levels = crate::levels::Levels::none(&scene, &octree);
     let cells = crate::pack::pack_geometry(&scene, &clusters, &octree, &levels, 0).expect("it can be packed").cells;
     let volume = WalkVolume::of_box(&Aabb::from_points([DVec3::new(-1.0, -1.0, -1.0), DVec3::new(1.0, 1.0, 1.0)]));
     let volume = volume.expect("a volume");

@@ -9,16 +9,16 @@ use crate::{
         CodecError,
         bytes::{Reader, Writer, put_varint, unzigzag, zigzag},
     },
-    index::{CellEntry, CellLevel},
+    index::{CellEntry, CellLevel, MOST_LEVELS},
 };
-
-/// Most levels of a cell.
-const MAX_LEVELS: usize = 32;
 
 pub(super) fn put(w: &mut Writer, cells: &[CellEntry]) -> Result<(), CodecError> {
     let (mut numbers, mut deviations) = (Vec::new(), Vec::new());
     let mut before = LevelBefore::default();
     for c in cells {
+        if c.levels.len() > MOST_LEVELS {
+            return Err(CodecError::range("levels", c.levels.len(), "a cell has at most 32"));
+        }
         put_varint(&mut numbers, c.levels.len() as u64);
         for (k, level) in c.levels.iter().enumerate() {
             let stored = level.deviation_m as f32;
@@ -44,7 +44,7 @@ pub(super) fn take(r: &mut Reader<'_>, cells: &mut [CellEntry], decoded: &mut us
     let mut numbers = Numbers::take(r, "levels")?;
     let mut before = LevelBefore::default();
     for c in &mut *cells {
-        let count = numbers.count("levels", MAX_LEVELS)?;
+        let count = numbers.count("levels", MOST_LEVELS)?;
         charge::<CellLevel>(decoded, "levels", count)?;
         c.levels.reserve_exact(count);
         for k in 0..count {
@@ -78,11 +78,11 @@ fn moved(from: u32, by: u32, field: &'static str) -> Result<u32, CodecError> {
 
 /// Chunk and end of instances of the last cell with such a level, level by level.
 #[derive(Default)]
-struct LevelBefore([(u32, u32); MAX_LEVELS]);
+struct LevelBefore([(u32, u32); MOST_LEVELS]);
 
 impl LevelBefore {
     fn of(&mut self, level: usize) -> (&mut u32, &mut u32) {
-        let (chunk, next) = &mut self.0[level.min(MAX_LEVELS - 1)];
+        let (chunk, next) = &mut self.0[level.min(MOST_LEVELS - 1)];
         (chunk, next)
     }
 }

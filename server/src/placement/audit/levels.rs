@@ -1,8 +1,8 @@
 //! The audit of deviations: stored levels of detail against the stored cells in full.
 //!
 //! In: the index and decoded chunks. Out: [`LevelAudit`]. Points are drawn at random over both
-//! surfaces, by area; the distance of each from the other surface is at most what the index says of
-//! the level. Nothing that the build computed is used but that number.
+//! surfaces, by area; the distance of each from the other surface is at most what the index says
+//! of the level. Nothing that the build computed is used but that number.
 
 use super::Random;
 use crate::levels::SurfaceTree;
