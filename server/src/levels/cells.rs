@@ -1,8 +1,8 @@
 //! Levels of cells from the chains of their parts.
 //!
 //! A level is a threshold: every part is drawn by the coarsest mesh of its chain whose deviation,
-//! in the world, is at most that. Thresholds are chosen so that each level has about half the
-//! triangles of the one before.
+//! in the world, is at most that. Thresholds are chosen so that each level has clearly fewer
+//! triangles than the one before.
 
 use super::{Level, Levels, Piece, largest_stretch, parts::Parts, position_steps_log2, simplify};
 use crate::octree::{Clusters, up_to_f32};
@@ -13,11 +13,11 @@ use simplify::Coarse;
 use std::borrow::Cow;
 use std::ops::Range;
 
-/// A level has at most this share of the triangles of the one before. A little more than a half,
-/// as chains halve a little less than that.
-const SHARE: f64 = 0.55;
+/// A level has at most this share of the triangles of the one before. Larger: more levels, of which
+/// the one that is drawn is the closer to what may be drawn.
+const SHARE: f64 = 0.7;
 /// The same of the last one, after which nothing coarser comes.
-const LAST_SHARE: f64 = 0.775;
+const LAST_SHARE: f64 = 0.85;
 /// And so many fewer. Smaller: entries of levels cost more than they save.
 const FEWER: u64 = 24;
 

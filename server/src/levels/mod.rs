@@ -9,9 +9,9 @@
 //! stay, so that neighbours meet whichever levels they are drawn at.
 //!
 //! ```text
-//! cell -> parts -> chains of about half the triangles each (`simplify`)
+//! cell -> parts -> chains of meshes that may err by ever more (`simplify`)
 //!                  each with a bound on how far it lies from the full part (`deviation`)
-//!      -> levels: thresholds of deviation that about halve the cell's triangles (`cells`)
+//!      -> levels: thresholds of deviation, each worth its triangles (`cells`)
 //! ```
 //!
 //! Parts with alpha masks stay in full: a simplified leaf covers other pixels.

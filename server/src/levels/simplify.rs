@@ -17,10 +17,15 @@ use meshopt::{SimplifyOptions, VertexDataAdapter};
 use rayon::prelude::*;
 use std::collections::{HashMap, HashSet};
 
-/// A part is halved down to this many triangles.
-const FEWEST: usize = 4;
+/// Parts of fewer triangles stay as they are.
+const FEWEST: usize = 8;
+/// The library may err by this share of the part's size for the first mesh of a chain ...
+const FIRST_ERROR: f64 = 1.0 / 1024.0;
+/// ... and by this many times as much for each that follows. Smaller: a cell takes fewer triangles
+/// for what it may deviate, and more of them are stored.
+const ERROR_STEP: f64 = 1.5;
 /// A mesh joins the chain if it has at most this share of the triangles of the one before.
-const WORTH: f64 = 0.75;
+const WORTH: f64 = 0.8;
 /// Where topology stops simplification, vertices within cells of a grid become one, in meshes that
 /// are at most this many deviations in size. Faces may turn over by that, which shows in nothing
 /// but their light, as both sides are drawn.
@@ -174,11 +179,11 @@ impl Welded {
         VertexDataAdapter::new(bytemuck::cast_slice(&self.positions), 12, 0).ok()
     }
 
-    /// About `target` triangles that lie near all of these, and the library's estimate of how
-    /// near, in mesh units.
-    fn simplified(&self, target: usize) -> Option<(Vec<u32>, f64)> {
+    /// The fewest triangles that lie within about `error` of all of these, in mesh units, and the
+    /// library's estimate of how near.
+    fn simplified(&self, error: f64) -> Option<(Vec<u32>, f64)> {
         let vertices = self.adapter()?;
-        let mut error = 0.0f32;
+        let mut estimate = 0.0f32;
         let indices = meshopt::simplify_with_attributes_and_locks(
             &self.indices,
             &vertices,
@@ -186,28 +191,28 @@ impl Welded {
             &[ATTRIBUTE_WEIGHT; 5][..self.attribute_count],
             self.attribute_count * size_of::<f32>(),
             &self.locked,
-            target * 3,
-            f32::MAX,
+            0,
+            error as f32,
             SimplifyOptions::ErrorAbsolute,
-            Some(&mut error),
+            Some(&mut estimate),
         );
-        Some((indices, f64::from(error)))
+        Some((indices, f64::from(estimate)))
     }
 
     /// The same, whatever happens to topology.
-    fn clustered(&self, target: usize) -> Option<(Vec<u32>, f64)> {
+    fn clustered(&self, error: f64) -> Option<(Vec<u32>, f64)> {
         let vertices = self.adapter()?;
-        let mut error = 0.0f32;
+        let scale = f64::from(meshopt::simplify_scale(&vertices));
+        let mut estimate = 0.0f32;
         let indices = meshopt::simplify_sloppy_with_locks(
             &self.indices,
             &vertices,
             &self.locked,
-            target * 3,
-            f32::MAX,
-            Some(&mut error),
+            0,
+            (error / scale) as f32,
+            Some(&mut estimate),
         );
-        let scale = meshopt::simplify_scale(&vertices);
-        Some((indices, f64::from(error * scale)))
+        Some((indices, f64::from(estimate) * scale))
     }
 
     /// Triangles of welded vertices as triangles of the primitive's.
@@ -240,7 +245,7 @@ fn chain(scene: &Scene, clusters: &Clusters, part: &Part, borders: &Borders) -> 
     }
     let of_part = part.clusters.iter().flat_map(|c| &clusters.clusters[*c as usize].triangles);
     let full: Vec<[u32; 3]> = of_part.map(|t| p.triangles[*t as usize]).collect();
-    if full.len() < 2 * FEWEST {
+    if full.len() < FEWEST {
         return Vec::new();
     }
     let textured = material.texture.is_some() && !p.uvs.is_empty();
@@ -248,31 +253,29 @@ fn chain(scene: &Scene, clusters: &Clusters, part: &Part, borders: &Borders) -> 
     let full_corners: Vec<Corners> = full.iter().map(|t| corners(p, t)).collect();
     let size = Aabb::from_points(full_corners.iter().flatten().copied()).size().length();
     let mut chain: Vec<Coarse> = Vec::new();
-    let (mut last, mut deviation, mut target) = (full.len(), 0.0f64, full.len() / 2);
-    while target >= FEWEST {
-        let few = |triangles: &Vec<[u32; 3]>| triangles.len() as f64 <= WORTH * last as f64;
+    let (mut last, mut deviation) = (full.len(), 0.0f64);
+    let mut error = FIRST_ERROR * size;
+    while error < size && last > 1 {
+        let few = |triangles: &Vec<[u32; 3]>| !triangles.is_empty() && triangles.len() as f64 <= WORTH * last as f64;
         let measure = |triangles: Vec<[u32; 3]>, estimate: f64| {
             let floor = (FLOOR_SHARE * estimate).max(FLOOR_SIZE * size).max(deviation);
             let bound = bound(p, &full, &full_corners, &triangles, floor);
             Coarse { deviation: bound.max(estimate), triangles }
         };
-        let found = welded.simplified(target).map(|(i, e)| (welded.unwelded(p, &i), e)).filter(|f| few(&f.0));
+        let found = welded.simplified(error).map(|(i, e)| (welded.unwelded(p, &i), e)).filter(|f| few(&f.0));
         let found = found.map(|(triangles, estimate)| measure(triangles, estimate)).or_else(|| {
-            let (indices, estimate) = welded.clustered(target)?;
-            let triangles = Some(welded.unwelded(p, &indices)).filter(|t| few(t) && !t.is_empty())?;
+            let (indices, estimate) = welded.clustered(error)?;
+            let triangles = Some(welded.unwelded(p, &indices)).filter(few)?;
             Some(measure(triangles, estimate)).filter(|c| size <= SLOPPY_SIZE * c.deviation)
         });
-        let Some(coarse) = found.filter(|c| !c.triangles.is_empty() && c.deviation < size) else {
-            target /= 2;
-            continue;
-        };
+        error *= ERROR_STEP;
+        let Some(coarse) = found.filter(|c| c.deviation < size) else { continue };
         // A finer mesh that is no nearer is of no use.
         while chain.last().is_some_and(|c| c.deviation >= coarse.deviation) {
             chain.pop();
         }
         last = coarse.triangles.len();
         deviation = deviation.max(coarse.deviation);
-        target = last.min(target) / 2;
         chain.push(coarse);
     }
     chain

@@ -2,10 +2,10 @@
 //!
 //! In: clusters and where their instances stand. Out: cells.
 //!
-//! Clusters of one instance stay together where all of it is no larger than a cluster may be and
-//! has few triangles for the budget: levels of detail simplify a mesh that lies in one cell as a
-//! whole, while one that is split keeps its vertices where the parts meet. What is said below of
-//! clusters holds for such groups.
+//! Clusters of one instance stay together where all of it is no larger than a cluster may be, or
+//! hardly longer than its longest one, and has few triangles for the budget: levels of detail
+//! simplify a mesh that lies in one cell as a whole, while one that is split keeps its vertices
+//! where the parts meet. What is said below of clusters holds for such groups.
 //!
 //! The root is the cube around the scene. A cluster instance belongs to the node that contains its
 //! centre, at the deepest level whose edge is at least its extent (longest edge of its box), so
@@ -30,6 +30,9 @@ use rayon::prelude::*;
 /// Budget over triangles of an instance whose clusters stay together. Smaller: more meshes are
 /// simplified as a whole; larger: cells follow what is near more closely.
 const TOGETHER_PER_BUDGET: u64 = 24;
+/// Clusters also stay together where all of them are at most this many times as long as the longest
+/// and fit into a leaf: a profile's ends stay with its sides.
+const LONGER: f64 = 2.0;
 /// Nodes are not cut below this depth: 1/4096 of the scene.
 const MAX_DEPTH: u8 = 12;
 /// Budget over triangles in a pseudo-leaf (see the module's text).
@@ -64,7 +67,7 @@ impl Octree {
     /// Distributes the cluster instances of a scene to cells for a geometry budget in triangles;
     /// deterministic.
     pub fn build(scene: &Scene, clusters: &Clusters, budget: u64) -> Self {
-        let mut items = items(scene, clusters, together_limit(budget));
+        let mut items = items(scene, clusters, together_limit(budget), leaf_limit(budget));
         let root = items.iter().fold(Aabb::EMPTY, |b, i| b.union(i.bounds));
         let mut octree = Self::default();
         if items.is_empty() {
@@ -89,9 +92,10 @@ impl Octree {
     }
 }
 
-/// All cluster instances with tight world bounds, level 0; those of small meshes of at most `most`
-/// triangles together.
-fn items(scene: &Scene, clusters: &Clusters, most: u64) -> Vec<Item> {
+/// All cluster instances with tight world bounds, level 0; together those of small meshes of at
+/// most `most` triangles, and of meshes of a leaf's triangles that are hardly longer than one of
+/// their clusters.
+fn items(scene: &Scene, clusters: &Clusters, most: u64, leaf_limit: u64) -> Vec<Item> {
     let of_instance = |(number, i): (usize, &crate::scene::Instance)| {
         let mesh = &scene.meshes[i.mesh as usize];
         let world: Vec<Vec<DVec3>> = mesh
@@ -118,7 +122,10 @@ fn items(scene: &Scene, clusters: &Clusters, most: u64) -> Vec<Item> {
             })
             .collect();
         let bounds = each.iter().fold(Aabb::EMPTY, |b, i| b.union(i.bounds));
-        if each.len() > 1 && total(&each) <= most && extent(&bounds) <= clusters.extent_m {
+        let longest = each.iter().map(|i| extent(&i.bounds)).fold(0.0, f64::max);
+        let is_small = total(&each) <= most && extent(&bounds) <= clusters.extent_m;
+        let is_long_anyway = total(&each) <= leaf_limit && extent(&bounds) <= LONGER * longest;
+        if each.len() > 1 && (is_small || is_long_anyway) {
             let (clusters, triangles) = ([of_mesh.start, of_mesh.end], total(&each) as u32);
             return vec![Item { clusters, triangles, centre: bounds.centre(), bounds, ..each[0] }];
         }

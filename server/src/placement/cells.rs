@@ -12,7 +12,7 @@ use crate::levels::{Level, Levels};
 use crate::octree::{Cell, Octree};
 use glam::DVec3;
 use ldi_protocol::Aabb;
-use std::ops::Range;
+use std::{ops::Range, sync::Arc};
 
 /// Cells in a run of the lowest level, and runs of a level in one of the next, as a power of 2.
 const RUN_BITS: usize = 4;
@@ -26,8 +26,8 @@ pub(super) struct Cells {
     pub triangles: Vec<u32>,
     /// Runs of 16 cells, of 256, and so on; the last level is a single one.
     runs: Vec<Runs>,
-    /// Triangles of the cells before each cell, and of all.
-    before: Vec<u64>,
+    /// Triangles of the runs, no cell at a level of detail.
+    full: RunSums,
     /// Levels of detail; empty without any.
     detail: Detail,
 }
@@ -44,6 +44,22 @@ struct Detail {
 /// An eye may be this much nearer to a cell than the box of eyes that it was planned in, metres:
 /// rounding, on both sides.
 const NEARER_M: f64 = 1e-5;
+
+/// Triangles of every run of cells as the eyes of a box draw them at most, per level of runs.
+#[derive(Debug, Clone, Default)]
+pub(super) struct RunSums(Arc<Vec<Vec<u64>>>);
+
+impl RunSums {
+    fn new(cells: impl Iterator<Item = u32>) -> Self {
+        let mut below: Vec<u64> = cells.map(u64::from).collect();
+        let mut levels = Vec::new();
+        while levels.is_empty() || below.len() > 1 {
+            below = below.chunks(1 << RUN_BITS).map(|run| run.iter().sum()).collect();
+            levels.push(below.clone());
+        }
+        Self(Arc::new(levels))
+    }
+}
 
 /// Runs of as many cells each.
 #[derive(Debug, Clone)]
@@ -71,8 +87,7 @@ fn half_area(b: &Aabb) -> f64 {
 impl Cells {
     /// Cells from their bounds and triangles, in the octree's order.
     pub fn new(bounds: Vec<Aabb>, triangles: Vec<u32>) -> Self {
-        let mut before = vec![0];
-        triangles.iter().for_each(|t| before.push(before[before.len() - 1] + u64::from(*t)));
+        let full = RunSums::new(triangles.iter().copied());
         let mut runs: Vec<Runs> = Vec::new();
         loop {
             let below = runs.last().map_or(&bounds, |l| &l.bounds);
@@ -87,7 +102,7 @@ impl Cells {
             let fill = of.iter().zip(bounds.chunks(1 << (RUN_BITS * (runs.len() + 1)))).map(area).collect();
             runs.push(Runs { bounds: of, fill });
         }
-        Self { bounds, triangles, runs, before, detail: Detail::default() }
+        Self { bounds, triangles, runs, full, detail: Detail::default() }
     }
 
     /// The cells of an octree, drawn at levels of detail with `deviation_per_metre` of distance.
@@ -120,6 +135,15 @@ impl Cells {
         let apart = (b.min - eyes.max).max(eyes.min - b.max).max(DVec3::ZERO).length_squared();
         let steps = &self.detail.steps[first as usize..end as usize];
         steps.iter().take_while(|s| s.0 <= apart).last().map_or(full, |s| s.1)
+    }
+
+    /// Most triangles with which any eye of a box draws each run of cells. A pass over all cells:
+    /// for many counts.
+    pub fn sums_from(&self, eyes: &Aabb) -> RunSums {
+        if self.detail.steps.is_empty() {
+            return self.full.clone();
+        }
+        RunSums::new((0..self.bounds.len()).map(|c| self.triangles_from(c, eyes)))
     }
 
     /// The node that holds all cells, in a list of those to be looked at.
@@ -222,7 +246,16 @@ impl Cells {
 
     /// Triangles, at the levels of the nearest eye, of those cells `among` these (None: all) that
     /// some eye in the box may draw in some direction of a bin; None if they are more than `most`.
-    pub fn count(&self, planes: &BinPlanes, eyes: &Aabb, among: Option<&CellMask>, most: u64) -> Option<u64> {
+    /// `sums`: of these eyes or of a box around them, which counts more, but need not be made for
+    /// every part of a box.
+    pub fn count(
+        &self,
+        planes: &BinPlanes,
+        eyes: &Aabb,
+        sums: &RunSums,
+        among: Option<&CellMask>,
+        most: u64,
+    ) -> Option<u64> {
         #[cfg(target_arch = "x86_64")]
         {
             #[target_feature(enable = "avx2")]
@@ -230,22 +263,30 @@ impl Cells {
                 cells: &Cells,
                 planes: &BinPlanes,
                 eyes: &Aabb,
+                sums: &RunSums,
                 among: Option<&CellMask>,
                 most: u64,
             ) -> Option<u64> {
-                cells.count_in(planes, eyes, among, most)
+                cells.count_in(planes, eyes, sums, among, most)
             }
             if std::is_x86_feature_detected!("avx2") {
                 // SAFETY: the processor has AVX2.
-                return unsafe { wide(self, planes, eyes, among, most) };
+                return unsafe { wide(self, planes, eyes, sums, among, most) };
             }
         }
-        self.count_in(planes, eyes, among, most)
+        self.count_in(planes, eyes, sums, among, most)
     }
 
     /// [`Cells::count`] with the vectors of whoever calls it.
     #[inline(always)]
-    fn count_in(&self, planes: &BinPlanes, eyes: &Aabb, among: Option<&CellMask>, most: u64) -> Option<u64> {
+    fn count_in(
+        &self,
+        planes: &BinPlanes,
+        eyes: &Aabb,
+        sums: &RunSums,
+        among: Option<&CellMask>,
+        most: u64,
+    ) -> Option<u64> {
         let mut triangles = 0;
         let mut open = self.root();
         while let Some(node) = open.pop() {
@@ -253,25 +294,23 @@ impl Cells {
             if among.is_some_and(|a| !a.has_any(cells.clone())) {
                 continue;
             }
-            match (planes.show(eyes, self.bounds_of(node)), among) {
-                (Behind::Never, _) => {}
-                (Behind::Maybe, _) if node.0 > 1 => self.open(node, &mut open),
-                (Behind::Maybe, _) => {
-                    let mut bits = among.map_or(u64::MAX, |a| a.bits_from(cells.start)) & ones(cells.len());
-                    while bits != 0 {
-                        let cell = cells.start + bits.trailing_zeros() as usize;
-                        bits &= bits - 1;
-                        if planes.show(eyes, &self.bounds[cell]) != Behind::Never {
-                            triangles += u64::from(self.triangles_from(cell, eyes));
-                        }
+            let behind = planes.show(eyes, self.bounds_of(node));
+            let all = behind == Behind::Always;
+            if behind == Behind::Never {
+                continue;
+            }
+            if all && among.is_none_or(|a| a.has_all(cells.clone())) {
+                triangles += sums.0[node.0 - 1][node.1];
+            } else if node.0 > 1 {
+                self.open(node, &mut open);
+            } else {
+                let mut bits = among.map_or(u64::MAX, |a| a.bits_from(cells.start)) & ones(cells.len());
+                while bits != 0 {
+                    let cell = cells.start + bits.trailing_zeros() as usize;
+                    bits &= bits - 1;
+                    if all || planes.show(eyes, &self.bounds[cell]) != Behind::Never {
+                        triangles += u64::from(self.triangles_from(cell, eyes));
                     }
-                }
-                (Behind::Always, None) if !self.detail.steps.is_empty() => {
-                    cells.for_each(|c| triangles += u64::from(self.triangles_from(c, eyes)));
-                }
-                (Behind::Always, None) => triangles += self.before[cells.end] - self.before[cells.start],
-                (Behind::Always, Some(among)) => {
-                    among.iter_in(cells).for_each(|c| triangles += u64::from(self.triangles_from(c as usize, eyes)));
                 }
             }
             if triangles > most {
@@ -369,10 +408,11 @@ mod tests {
             let of_some: u64 =
                 some.iter().filter(|c| set.has(**c)).map(|c| u64::from(cells.triangles[*c as usize])).sum();
             let mask = CellMask::of(700, &some);
-            assert_eq!(cells.count(&planes, &eyes, Some(&mask), of_some), Some(of_some));
-            assert_eq!(cells.count(&planes, &eyes, Some(&mask), of_some.wrapping_sub(1)), (of_some == 0).then_some(0));
+            let count = |among, most| cells.count(&planes, &eyes, &cells.sums_from(&eyes), among, most);
+            assert_eq!(count(Some(&mask), of_some), Some(of_some));
+            assert_eq!(count(Some(&mask), of_some.wrapping_sub(1)), (of_some == 0).then_some(0));
             let of_all = (0..700).filter(|c| has(*c)).map(|c| u64::from(cells.triangles[c])).sum::<u64>();
-            assert_eq!(cells.count(&planes, &eyes, None, u64::MAX), Some(of_all));
+            assert_eq!(count(None, u64::MAX), Some(of_all));
             // What is there already stays, and hides nothing that is not.
             let mut more = mask.clone();
             cells.add_seen(&planes, &eyes, &mut more);
@@ -419,9 +459,17 @@ mod tests {
         for unit in (0..directions.units()).step_by(5) {
             let (yaw, pitch) = directions.unit(unit);
             let planes = BinPlanes::new(yaw, pitch, T, T);
-            let counted = cells.count(&planes, &eyes, None, u64::MAX).unwrap();
-            assert_eq!(cells.count(&planes, &eyes, Some(&everything), u64::MAX), Some(counted));
-            fewer += usize::from(counted * 3 < full.count(&planes, &eyes, None, u64::MAX).unwrap() * 2);
+            let count = |cells: &Cells, around: &Aabb, among| {
+                cells.count(&planes, &eyes, &cells.sums_from(around), among, u64::MAX).unwrap()
+            };
+            let counted = count(&cells, &eyes, None);
+            let by_cell = (0..700)
+                .filter(|c| planes.show(&eyes, &cells.bounds[*c]) != Behind::Never)
+                .map(|c| u64::from(cells.triangles_from(c, &eyes)));
+            assert_eq!(by_cell.sum::<u64>(), counted);
+            assert_eq!(count(&cells, &eyes, Some(&everything)), counted);
+            assert!(count(&cells, &Aabb { min: eyes.min - 1.0, max: eyes.max + 1.0 }, None) >= counted);
+            fewer += usize::from(counted * 3 < count(&full, &eyes, None) * 2);
             for _ in 0..40 {
                 let d = ViewBasis::from_yaw_pitch(yaw[0] + 10.0 * random.unit(), pitch[0] + 10.0 * random.unit());
                 let eye = eyes.min + eyes.size() * DVec3::new(random.unit(), random.unit(), random.unit());

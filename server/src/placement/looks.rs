@@ -9,6 +9,7 @@
 use super::{
     bin_planes::BinPlanes,
     cell_mask::CellMask,
+    cells::RunSums,
     point::{Context, TooNear},
 };
 use ldi_protocol::Aabb;
@@ -24,16 +25,18 @@ const SMALLEST_EYES_M: f64 = 0.25;
 pub(super) struct Look {
     planes: BinPlanes,
     eyes: Aabb,
+    /// Of the box that it is a part of.
+    sums: RunSums,
     yaw_deg: [f64; 2],
     pitch_deg: [f64; 2],
     depth: u8,
 }
 
 impl Look {
-    /// All eyes of a box in all directions of a unit.
-    pub fn new(ctx: &Context, eyes: Aabb, unit: u16) -> Self {
+    /// All eyes of a box, with the sums of cells from it, in all directions of a unit.
+    pub fn new(ctx: &Context, eyes: Aabb, sums: &RunSums, unit: u16) -> Self {
         let (yaw_deg, pitch_deg) = ctx.directions.unit(usize::from(unit));
-        Self { planes: ctx.bins[usize::from(unit)], eyes, yaw_deg, pitch_deg, depth: 0 }
+        Self { planes: ctx.bins[usize::from(unit)], eyes, sums: sums.clone(), yaw_deg, pitch_deg, depth: 0 }
     }
 
     /// The middle of its directions: yaw, pitch, degrees.
@@ -43,13 +46,13 @@ impl Look {
 
     /// A bound on the triangles that any of its frames shows of the cells `among` these.
     pub fn count(&self, ctx: &Context, among: &CellMask) -> u64 {
-        ctx.cells.count(&self.planes, &self.eyes, Some(among), u64::MAX).unwrap_or(u64::MAX)
+        ctx.cells.count(&self.planes, &self.eyes, &self.sums, Some(among), u64::MAX).unwrap_or(u64::MAX)
     }
 
     /// Whether some frame may show more triangles of the cells `among` these (None: all) than the
     /// budget, as far as subdivision can tell.
     pub fn exceeds(&self, ctx: &Context, among: Option<&CellMask>) -> bool {
-        ctx.cells.count(&self.planes, &self.eyes, among, ctx.budget).is_none()
+        ctx.cells.count(&self.planes, &self.eyes, &self.sums, among, ctx.budget).is_none()
             && self.split(ctx).is_none_or(|parts| parts.iter().any(|p| p.exceeds(ctx, among)))
     }
 
@@ -65,6 +68,7 @@ impl Look {
                 BinPlanes::new(yaw_deg, pitch_deg, ctx.half_tan, ctx.half_tan)
             },
             eyes,
+            sums: self.sums.clone(),
             yaw_deg,
             pitch_deg,
             depth: self.depth + 1,
@@ -161,12 +165,13 @@ mod tests {
         let directions = Directions::new(60.0);
         let mut random = Random::new(8);
         let eyes = Aabb { min: DVec3::new(-3.0, 1.0, -2.0), max: DVec3::new(2.0, 2.0, 3.0) };
+        let sums = cells.sums_from(&eyes);
         let near = CellMask::of(900, &(0..900).filter(|c| c % 3 > 0).collect::<Vec<_>>());
         let (mut split, mut refused) = (0, 0);
         for unit in (0..directions.units() as u16).step_by(11) {
             let all =
                 Context::new(&cells, &directions, &settings(u64::MAX), 60.0, CostBenefit::default(), NOTHING_BETWEEN);
-            let whole = Look::new(&all, eyes, unit).count(&all, &near);
+            let whole = Look::new(&all, eyes, &sums, unit).count(&all, &near);
             // The largest frame by sampling is below every bound; a budget between the two is
             // proved by subdivision alone.
             let (yaw, pitch) = directions.unit(usize::from(unit));
@@ -183,10 +188,10 @@ mod tests {
             let budget = (largest + whole) / 2;
             let ctx =
                 Context::new(&cells, &directions, &settings(budget), 60.0, CostBenefit::default(), NOTHING_BETWEEN);
-            match Counts::new(&ctx, std::iter::once(Look::new(&ctx, eyes, unit)), &near, ctx.budget) {
+            match Counts::new(&ctx, std::iter::once(Look::new(&ctx, eyes, &sums, unit)), &near, ctx.budget) {
                 Ok(counts) => {
                     assert!(counts.largest() >= largest && counts.largest() <= budget);
-                    assert!(!Look::new(&ctx, eyes, unit).exceeds(&ctx, Some(&near)));
+                    assert!(!Look::new(&ctx, eyes, &sums, unit).exceeds(&ctx, Some(&near)));
                     split += usize::from(counts.0.len() > 1);
                 }
                 Err(too_near) => {
@@ -203,7 +208,7 @@ mod tests {
                     CostBenefit::default(),
                     NOTHING_BETWEEN,
                 );
-                assert!(Look::new(&less, eyes, unit).exceeds(&less, Some(&near)), "a frame was found that does");
+                assert!(Look::new(&less, eyes, &sums, unit).exceeds(&less, Some(&near)), "a frame was found that does");
             }
         }
         assert!(split > 5, "{split} units were proved by subdivision, {refused} refused");
@@ -216,7 +221,8 @@ mod tests {
         let directions = Directions::new(60.0);
         let ctx = Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default(), NOTHING_BETWEEN);
         let eyes = Aabb { min: DVec3::new(-1.0, 1.0, -1.0), max: DVec3::new(1.0, 2.0, 1.0) };
-        let looks = || (0..directions.units() as u16).map(|u| Look::new(&ctx, eyes, u));
+        let sums = cells.sums_from(&eyes);
+        let looks = || (0..directions.units() as u16).map(|u| Look::new(&ctx, eyes, &sums, u));
         let some = |k: u32| CellMask::of(600, &(0..600).filter(|c| c % 7 < k).collect::<Vec<_>>());
         let mut counts = Counts::new(&ctx, looks(), &some(1), ctx.budget).map_err(|e| e.needed).expect("few triangles");
         let mut grown = 1;

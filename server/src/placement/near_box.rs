@@ -30,6 +30,7 @@
 
 use super::{
     cell_mask::CellMask,
+    cells::RunSums,
     hull::EyeHull,
     looks::{Counts, Look},
     point::{Context, TooNear},
@@ -54,6 +55,8 @@ const SAMPLES_PER_PIXEL: [f64; 2] = [0.05, 0.008];
 /// Of so many replaced cells and fewer the images' windows are found cell by cell. More: planning
 /// of large scenes takes longer; fewer: windows and expected samples are rougher.
 const FEW_CELLS: usize = 16_384;
+/// The same while boxes are compared as they grow.
+const FEW_CELLS_OF_A_MOVE: usize = 1024;
 /// Of more, neighbouring cells count as one where their bounds are at most this share of their
 /// distance in size. Larger: rougher windows.
 const COMPACT: f64 = 0.1;
@@ -73,6 +76,8 @@ pub(super) struct Member {
     pub hull: EyeHull,
     /// The box around them.
     pub eyes: Aabb,
+    /// Triangles of runs of cells from these eyes.
+    pub sums: RunSums,
     /// Units of directions in which some of its eyes see more than P triangles.
     pub units: Vec<u16>,
     /// Cells that any of these eyes sees in any of these directions.
@@ -85,12 +90,14 @@ impl Member {
     /// Counts what the eyes of `hull` see, unit by unit; `closely`: by subdivision, so that no
     /// unit is taken for over the budget that is not.
     pub fn new(ctx: &Context, hull: EyeHull, closely: bool) -> Self {
-        let mut m = Self { hull, eyes: hull.bounds(), units: Vec::new(), seen: ctx.cells.none(), largest: 0 };
+        let eyes = hull.bounds();
+        let sums = ctx.cells.sums_from(&eyes);
+        let mut m = Self { hull, eyes, sums, units: Vec::new(), seen: ctx.cells.none(), largest: 0 };
         for (unit, planes) in (0u16..).zip(&ctx.bins) {
-            match ctx.cells.count(planes, &m.eyes, None, ctx.budget) {
+            match ctx.cells.count(planes, &m.eyes, &m.sums, None, ctx.budget) {
                 Some(triangles) => m.largest = m.largest.max(triangles),
                 // However it is split, no frame of the unit has more than P.
-                None if closely && !Look::new(ctx, m.eyes, unit).exceeds(ctx, None) => m.largest = ctx.budget,
+                None if closely && !Look::new(ctx, m.eyes, &m.sums, unit).exceeds(ctx, None) => m.largest = ctx.budget,
                 None => {
                     m.units.push(unit);
                     ctx.cells.add_seen(planes, &m.eyes, &mut m.seen);
@@ -205,46 +212,64 @@ struct Descent<'a> {
     distance: [f64; 6],
     near: CellMask,
     counts: Counts,
-    images: [Option<FaceImage>; 6],
     cost: f64,
 }
 
 impl<'a> Descent<'a> {
     fn new(fit: Fit<'a>, distance: [f64; 6], near: CellMask, counts: Counts) -> Self {
-        let images = fit.images(&distance, &near);
-        let cost = fit.cost(&images);
-        Self { fit, distance, near, counts, images, cost }
+        let cost = fit.cost(&fit.images_of(&distance, &near, FEW_CELLS_OF_A_MOVE));
+        Self { fit, distance, near, counts, cost }
     }
 
     /// Takes faces `step` times farther, always by the move that saves the most, until none that
-    /// keeps Popt saves anything.
+    /// keeps Popt saves anything. A move saves less and less as the box grows, nearly always; so
+    /// one that saved too little before is not looked at again until its turn comes (Minoux 1978,
+    /// "Accelerated greedy algorithms").
     fn descend(&mut self, step: f64) {
+        /// Where a move leads to.
+        struct Next {
+            cost: f64,
+            distance: [f64; 6],
+            near: CellMask,
+        }
         let fit = &self.fit;
-        let mut stuck = 0u16;
+        // What every move saved when it was looked at last, and where it leads from here.
+        let mut savings = [f64::INFINITY; MOVES.len()];
+        let mut next: [Option<Next>; MOVES.len()] = Default::default();
+        let mut is_stuck = [false; MOVES.len()];
         loop {
-            let mut best: Option<(f64, usize, [f64; 6], CellMask, [Option<FaceImage>; 6])> = None;
-            for (number, moved) in MOVES.iter().enumerate().filter(|(n, _)| stuck >> n & 1 == 0) {
-                let to: [f64; 6] =
-                    std::array::from_fn(|f| self.distance[f] * if moved >> f & 1 == 1 { step } else { 1.0 });
-                let wider = fit.near(&to);
-                let images = fit.images(&to, &wider);
-                let c = fit.cost(&images);
-                if c < self.cost && best.as_ref().is_none_or(|b| c < b.0) {
-                    best = Some((c, number, to, wider, images));
+            let moves = || (0..MOVES.len()).filter(|m| !is_stuck[*m]);
+            // Of equals the first.
+            let best = moves().reduce(|a, b| if savings[b] > savings[a] { b } else { a });
+            // Nothing is known to save anything: those that were not looked at from here may yet.
+            let best = best.filter(|m| savings[*m] > 0.0).or_else(|| moves().find(|m| next[*m].is_none()));
+            let Some(best) = best else { break };
+            match next[best].take() {
+                None => {
+                    let moved = |f: usize| if MOVES[best] >> f & 1 == 1 { step } else { 1.0 };
+                    let distance: [f64; 6] = std::array::from_fn(|f| self.distance[f] * moved(f));
+                    let near = fit.near(&distance);
+                    let cost = fit.cost(&fit.images_of(&distance, &near, FEW_CELLS_OF_A_MOVE));
+                    savings[best] = self.cost - cost;
+                    next[best] = Some(Next { cost, distance, near });
                 }
-            }
-            let Some((c, number, to, wider, images)) = best else { break };
-            if self.counts.grow(fit.ctx, &self.near, &wider, fit.ctx.optimize_budget) {
-                (self.cost, self.distance, self.near, self.images) = (c, to, wider, images);
-            } else {
-                // Counts only grow: what does not fit now never will.
-                stuck |= 1 << number;
+                Some(to) => {
+                    if self.counts.grow(fit.ctx, &self.near, &to.near, fit.ctx.optimize_budget) {
+                        (self.cost, self.distance, self.near) = (to.cost, to.distance, to.near);
+                        next = Default::default();
+                    } else {
+                        // Counts only grow: what does not fit now never will.
+                        is_stuck[best] = true;
+                    }
+                }
             }
         }
     }
 
     fn finish(self) -> NearBox {
-        let Self { fit, distance, near, counts, images, cost } = self;
+        let Self { fit, distance, near, counts, .. } = self;
+        let images = fit.images(&distance, &near);
+        let cost = fit.cost(&images);
         let mut culled = fit.seen;
         culled.remove(&near);
         NearBox { cop: fit.cop, distance, images, culled, cost, max_triangles: counts.largest() }
@@ -297,7 +322,7 @@ impl<'a> Fit<'a> {
 
     /// What stays of `near` in every look of every member. Err: a look that exceeds `limit`.
     fn counts(&self, near: &CellMask, limit: u64) -> Result<Counts, TooNear> {
-        let looks = self.members.iter().flat_map(|m| m.units.iter().map(|u| Look::new(self.ctx, m.eyes, *u)));
+        let looks = self.members.iter().flat_map(|m| m.units.iter().map(|u| Look::new(self.ctx, m.eyes, &m.sums, *u)));
         Counts::new(self.ctx, looks, near, limit)
     }
 

@@ -15,13 +15,15 @@ use basisu::{DecodeFlags, TargetFormat, Transcoder};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbaImage};
 use image_extras::{dds::DdsDecoder, pcx::PCXDecoder};
 use ldi_protocol::codec::texture::PIXELS_PER_BYTE;
+use ldi_protocol::mesh::{Alpha, Material};
+use ldi_protocol::texture::{MipLevel, Texture};
 use rayon::prelude::*;
 
 use super::error::Fault;
 use super::files::Files;
 use super::guard::guarded;
 use super::limits::Limits;
-use super::model::SceneTexture;
+use super::model::{Note, Scene, SceneTexture};
 
 /// Bytes of one decoded pixel while decoding: 16 bits in each of four channels.
 const BYTES_PER_PIXEL: u64 = 8;
@@ -275,9 +277,51 @@ pub(super) fn masked(colour: Option<&SceneTexture>, mask: &SceneTexture) -> Scen
     SceneTexture { name, width, height, rgba, file: Vec::new() }
 }
 
+/// Halves every texture of more than `most` texels, columns times rows, until it has no more.
+/// Gives a note for each.
+pub(super) fn halved_to(scene: &mut Scene, most: usize) -> Vec<Note> {
+    let mut notes = Vec::new();
+    let is_masked = |number: usize| {
+        let shows = |m: &Material| m.texture == Some(number as u32) && m.alpha != Alpha::Opaque;
+        scene.materials.iter().any(shows)
+    };
+    let masked: Vec<bool> = (0..scene.textures.len()).map(is_masked).collect();
+    for (t, masked) in scene.textures.iter_mut().zip(masked) {
+        if t.width as usize * t.height as usize <= most {
+            continue;
+        }
+        let base = MipLevel { width: t.width, height: t.height, rgba: std::mem::take(&mut t.rgba) };
+        let levels = Texture::from_base(base, masked).levels.into_iter().flatten();
+        let fits = |l: &MipLevel| l.width as usize * l.height as usize <= most;
+        if let Some(level) = levels.into_iter().find(fits) {
+            let what = format!("texture {} of {} x {} texels", t.name, t.width, t.height);
+            notes.push(Note { what, why: format!("shown with {} x {}", level.width, level.height) });
+            (t.width, t.height, t.rgba, t.file) = (level.width, level.height, level.rgba, Vec::new());
+        }
+    }
+    notes
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn textures_are_halved_until_they_fit() {
+        let texture = |width: u32, height: u32| SceneTexture {
+            width,
+            height,
+            rgba: vec![[10, 20, 30, 255]; (width * height) as usize],
+            file: vec![1],
+            ..SceneTexture::default()
+        };
+        let mut scene = Scene { textures: vec![texture(8, 8), texture(64, 8), texture(9, 8)], ..Scene::default() };
+        let notes = halved_to(&mut scene, 64);
+        let sizes: Vec<_> = scene.textures.iter().map(|t| (t.width, t.height, t.rgba.len(), t.file.len())).collect();
+        assert_eq!(sizes, [(8, 8, 64, 1), (16, 2, 32, 0), (4, 4, 16, 0)]);
+        assert!(scene.textures.iter().flat_map(|t| &t.rgba).all(|texel| *texel == [10, 20, 30, 255]));
+        assert!(notes.len() == 2 && notes[0].what.contains("64 x 8") && notes[0].why.contains("16 x 2"), "{notes:?}");
+    }
 
     #[test]
     fn masks_give_alpha_by_alpha_or_luminance() {

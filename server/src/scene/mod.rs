@@ -34,6 +34,8 @@ mod unpack;
 
 use std::path::Path;
 
+use ldi_protocol::codec::texture::MAX_TEXELS;
+
 pub use annotations::{CellExtra, OUTSIDE, PortalExtra, SceneExtras};
 pub use error::SceneError;
 pub use limits::{LIMITS, Limits};
@@ -82,6 +84,8 @@ pub fn load_within(spec: &str, limits: &Limits) -> Result<Scene, SceneError> {
     let mut scene = scene.unwrap_or_default();
     world_from_file.iter().for_each(|world| scene.transform(world));
     scene.notes.extend(files.notes());
+    let too_large = images::halved_to(&mut scene, MAX_TEXELS);
+    scene.notes.extend(too_large);
     check::world_within(&scene, limits).map_err(in_file)?;
     Ok(scene)
 }

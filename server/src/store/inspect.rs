@@ -227,7 +227,7 @@ pub fn inspect_text(value: &Value) -> String {
             at("/samples/bytes_per_sample").as_f64().map_or("-".into(), |b| format!("{b:.2}"))
         ),
     );
-    for kind in ["cell", "bundle", "texture", "tree", "ldi"] {
+    for kind in ["cell", "bundle", "levels", "texture", "tree", "ldi"] {
         let n = |field: &str| number(&format!("/chunks/{kind}/{field}"));
         line(
             kind,
