@@ -250,8 +250,8 @@ impl Splat {
         (s.abs() < 1.0 && t.abs() < 1.0).then_some((disparity.clamp(self.disparity[1], self.disparity[2]), s, t))
     }
 
-    /// True where the surface covers a position on the splat. Parts at the border of the pixel reach
-    /// beyond it by a twentieth or so, as neighbouring splats overlap.
+    /// True where the surface covers a position on the splat. Parts at the border of the pixel
+    /// reach beyond it by a twentieth or so, as neighbouring splats overlap.
     pub fn covers(&self, s: f32, t: f32) -> bool {
         let part = |v: f32| ((v + 0.5) * PARTS as f32).clamp(0.0, PARTS as f32 - 1.0) as u32;
         s.abs().max(t.abs()) <= 0.5 * OVERLAP && self.covers >> (part(t) * PARTS + part(s)) & 1 == 1

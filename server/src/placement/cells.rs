@@ -61,6 +61,16 @@ impl RunSums {
     }
 }
 
+/// The eyes of a box, which look in the directions of a bin.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Eyes<'a> {
+    pub planes: &'a BinPlanes,
+    pub eyes: &'a Aabb,
+    /// Of these eyes or of a box around them: that counts more, but need not be made for every
+    /// part of a box.
+    pub sums: &'a RunSums,
+}
+
 /// Runs of as many cells each.
 #[derive(Debug, Clone)]
 struct Runs {
@@ -245,48 +255,26 @@ impl Cells {
     }
 
     /// Triangles, at the levels of the nearest eye, of those cells `among` these (None: all) that
-    /// some eye in the box may draw in some direction of a bin; None if they are more than `most`.
-    /// `sums`: of these eyes or of a box around them, which counts more, but need not be made for
-    /// every part of a box.
-    pub fn count(
-        &self,
-        planes: &BinPlanes,
-        eyes: &Aabb,
-        sums: &RunSums,
-        among: Option<&CellMask>,
-        most: u64,
-    ) -> Option<u64> {
+    /// some eye may draw; None if they are more than `most`.
+    pub fn count(&self, seen_by: Eyes<'_>, among: Option<&CellMask>, most: u64) -> Option<u64> {
         #[cfg(target_arch = "x86_64")]
         {
             #[target_feature(enable = "avx2")]
-            fn wide(
-                cells: &Cells,
-                planes: &BinPlanes,
-                eyes: &Aabb,
-                sums: &RunSums,
-                among: Option<&CellMask>,
-                most: u64,
-            ) -> Option<u64> {
-                cells.count_in(planes, eyes, sums, among, most)
+            fn wide(cells: &Cells, seen_by: Eyes<'_>, among: Option<&CellMask>, most: u64) -> Option<u64> {
+                cells.count_in(seen_by, among, most)
             }
             if std::is_x86_feature_detected!("avx2") {
                 // SAFETY: the processor has AVX2.
-                return unsafe { wide(self, planes, eyes, sums, among, most) };
+                return unsafe { wide(self, seen_by, among, most) };
             }
         }
-        self.count_in(planes, eyes, sums, among, most)
+        self.count_in(seen_by, among, most)
     }
 
     /// [`Cells::count`] with the vectors of whoever calls it.
     #[inline(always)]
-    fn count_in(
-        &self,
-        planes: &BinPlanes,
-        eyes: &Aabb,
-        sums: &RunSums,
-        among: Option<&CellMask>,
-        most: u64,
-    ) -> Option<u64> {
+    fn count_in(&self, seen_by: Eyes<'_>, among: Option<&CellMask>, most: u64) -> Option<u64> {
+        let Eyes { planes, eyes, sums } = seen_by;
         let mut triangles = 0;
         let mut open = self.root();
         while let Some(node) = open.pop() {
@@ -408,7 +396,8 @@ mod tests {
             let of_some: u64 =
                 some.iter().filter(|c| set.has(**c)).map(|c| u64::from(cells.triangles[*c as usize])).sum();
             let mask = CellMask::of(700, &some);
-            let count = |among, most| cells.count(&planes, &eyes, &cells.sums_from(&eyes), among, most);
+            let seen_by = Eyes { planes: &planes, eyes: &eyes, sums: &cells.sums_from(&eyes) };
+            let count = |among, most| cells.count(seen_by, among, most);
             assert_eq!(count(Some(&mask), of_some), Some(of_some));
             assert_eq!(count(Some(&mask), of_some.wrapping_sub(1)), (of_some == 0).then_some(0));
             let of_all = (0..700).filter(|c| has(*c)).map(|c| u64::from(cells.triangles[c])).sum::<u64>();
@@ -460,7 +449,8 @@ mod tests {
             let (yaw, pitch) = directions.unit(unit);
             let planes = BinPlanes::new(yaw, pitch, T, T);
             let count = |cells: &Cells, around: &Aabb, among| {
-                cells.count(&planes, &eyes, &cells.sums_from(around), among, u64::MAX).unwrap()
+                let seen_by = Eyes { planes: &planes, eyes: &eyes, sums: &cells.sums_from(around) };
+                cells.count(seen_by, among, u64::MAX).expect("no more than most")
             };
             let counted = count(&cells, &eyes, None);
             let by_cell = (0..700)

@@ -9,7 +9,7 @@
 use super::{
     bin_planes::BinPlanes,
     cell_mask::CellMask,
-    cells::RunSums,
+    cells::{Eyes, RunSums},
     point::{Context, TooNear},
 };
 use ldi_protocol::Aabb;
@@ -25,7 +25,7 @@ const SMALLEST_EYES_M: f64 = 0.25;
 pub(super) struct Look {
     planes: BinPlanes,
     eyes: Aabb,
-    /// Of the box that it is a part of.
+    /// Triangles of runs of cells from the box that it is a part of.
     sums: RunSums,
     yaw_deg: [f64; 2],
     pitch_deg: [f64; 2],
@@ -39,6 +39,10 @@ impl Look {
         Self { planes: ctx.bins[usize::from(unit)], eyes, sums: sums.clone(), yaw_deg, pitch_deg, depth: 0 }
     }
 
+    fn seen_by(&self) -> Eyes<'_> {
+        Eyes { planes: &self.planes, eyes: &self.eyes, sums: &self.sums }
+    }
+
     /// The middle of its directions: yaw, pitch, degrees.
     fn direction_deg(&self) -> [f64; 2] {
         [self.yaw_deg, self.pitch_deg].map(|r| (r[0] + r[1]) * 0.5)
@@ -46,13 +50,13 @@ impl Look {
 
     /// A bound on the triangles that any of its frames shows of the cells `among` these.
     pub fn count(&self, ctx: &Context, among: &CellMask) -> u64 {
-        ctx.cells.count(&self.planes, &self.eyes, &self.sums, Some(among), u64::MAX).unwrap_or(u64::MAX)
+        ctx.cells.count(self.seen_by(), Some(among), u64::MAX).unwrap_or(u64::MAX)
     }
 
     /// Whether some frame may show more triangles of the cells `among` these (None: all) than the
     /// budget, as far as subdivision can tell.
     pub fn exceeds(&self, ctx: &Context, among: Option<&CellMask>) -> bool {
-        ctx.cells.count(&self.planes, &self.eyes, &self.sums, among, ctx.budget).is_none()
+        ctx.cells.count(self.seen_by(), among, ctx.budget).is_none()
             && self.split(ctx).is_none_or(|parts| parts.iter().any(|p| p.exceeds(ctx, among)))
     }
 

@@ -30,7 +30,7 @@
 
 use super::{
     cell_mask::CellMask,
-    cells::RunSums,
+    cells::{Eyes, RunSums},
     hull::EyeHull,
     looks::{Counts, Look},
     point::{Context, TooNear},
@@ -55,7 +55,8 @@ const SAMPLES_PER_PIXEL: [f64; 2] = [0.05, 0.008];
 /// Of so many replaced cells and fewer the images' windows are found cell by cell. More: planning
 /// of large scenes takes longer; fewer: windows and expected samples are rougher.
 const FEW_CELLS: usize = 16_384;
-/// The same while boxes are compared as they grow.
+/// The same while boxes are compared as they grow, which is most of a plan's time; the box that is
+/// found is looked at anew. By judgement.
 const FEW_CELLS_OF_A_MOVE: usize = 1024;
 /// Of more, neighbouring cells count as one where their bounds are at most this share of their
 /// distance in size. Larger: rougher windows.
@@ -94,7 +95,7 @@ impl Member {
         let sums = ctx.cells.sums_from(&eyes);
         let mut m = Self { hull, eyes, sums, units: Vec::new(), seen: ctx.cells.none(), largest: 0 };
         for (unit, planes) in (0u16..).zip(&ctx.bins) {
-            match ctx.cells.count(planes, &m.eyes, &m.sums, None, ctx.budget) {
+            match ctx.cells.count(Eyes { planes, eyes: &m.eyes, sums: &m.sums }, None, ctx.budget) {
                 Some(triangles) => m.largest = m.largest.max(triangles),
                 // However it is split, no frame of the unit has more than P.
                 None if closely && !Look::new(ctx, m.eyes, &m.sums, unit).exceeds(ctx, None) => m.largest = ctx.budget,
