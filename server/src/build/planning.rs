@@ -173,7 +173,7 @@ fn walked(
 /// Compares ways to search for the near boxes of a build; nothing is written.
 ///
 /// # Errors
-/// As [`build`].
+/// As [`super::build`].
 pub fn compare_searches(
     options: &BuildOptions,
     comparison: &SearchComparison,
