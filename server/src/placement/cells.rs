@@ -82,6 +82,21 @@ struct Runs {
 /// A cell (level 0) or a run of cells.
 type Node = (usize, usize);
 
+/// What frames show of the cells, as far as it was looked at: what holds for the frames of a part
+/// of their eyes and directions follows from it ([`Cells::narrow`]).
+#[derive(Debug, Clone, Default)]
+pub(super) struct Shown {
+    /// A bound on the triangles of any of the frames, without what is still open.
+    pub triangles: u64,
+    /// Triangles of runs that all frames show.
+    sure: u64,
+    /// Of other runs of the lowest level: the run, its cells that all frames show, and those that
+    /// some may.
+    cells: Vec<(u32, u16, u16)>,
+    /// What was not looked at yet.
+    open: Vec<Node>,
+}
+
 /// The lowest `n` bits, at most a run's.
 #[inline(always)]
 fn ones(n: usize) -> u64 {
@@ -274,10 +289,28 @@ impl Cells {
     /// [`Cells::count`] with the vectors of whoever calls it.
     #[inline(always)]
     fn count_in(&self, seen_by: Eyes<'_>, among: Option<&CellMask>, most: u64) -> Option<u64> {
-        let Eyes { planes, eyes, sums } = seen_by;
-        let mut triangles = 0;
-        let mut open = self.root();
-        while let Some(node) = open.pop() {
+        let triangles = self.look(seen_by, among, most, &mut self.root(), 0, |_| (), |_, _, _| ());
+        (triangles <= most).then_some(triangles)
+    }
+
+    /// Adds up the triangles of what some eye may draw of the cells of the nodes `open` until
+    /// they are more than `most`; what is left stays there. Tells which runs all frames show, by
+    /// their triangles, and of each other run of the lowest level the cells that all frames show
+    /// and those that some may.
+    #[inline(always)]
+    fn look(
+        &self,
+        Eyes { planes, eyes, sums }: Eyes<'_>,
+        among: Option<&CellMask>,
+        most: u64,
+        open: &mut Vec<Node>,
+        mut triangles: u64,
+        mut sure: impl FnMut(u64),
+        mut single: impl FnMut(usize, u64, u64),
+    ) -> u64 {
+        while triangles <= most
+            && let Some(node) = open.pop()
+        {
             let cells = self.cells_of(node);
             if among.is_some_and(|a| !a.has_any(cells.clone())) {
                 continue;
@@ -288,24 +321,99 @@ impl Cells {
                 continue;
             }
             if all && among.is_none_or(|a| a.has_all(cells.clone())) {
-                triangles += sums.0[node.0 - 1][node.1];
+                let of_run = sums.0[node.0 - 1][node.1];
+                sure(of_run);
+                triangles += of_run;
             } else if node.0 > 1 {
-                self.open(node, &mut open);
+                self.open(node, open);
             } else {
-                let mut bits = among.map_or(u64::MAX, |a| a.bits_from(cells.start)) & ones(cells.len());
-                while bits != 0 {
-                    let cell = cells.start + bits.trailing_zeros() as usize;
-                    bits &= bits - 1;
-                    if all || planes.show(eyes, &self.bounds[cell]) != Behind::Never {
-                        triangles += u64::from(self.triangles_from(cell, eyes));
-                    }
-                }
-            }
-            if triangles > most {
-                return None;
+                let held = among.map_or(u64::MAX, |a| a.bits_from(cells.start)) & ones(cells.len());
+                let (always, maybe) = if all { (held, 0) } else { self.test(planes, eyes, cells.start, held) };
+                triangles += self.sum_of(cells.start, always | maybe, eyes);
+                single(node.1, always, maybe);
             }
         }
-        Some(triangles)
+        triangles
+    }
+
+    /// Of the cells `bits` from `first` on those that every eye draws in all directions of a bin,
+    /// and others that some eye may draw in some.
+    #[inline(always)]
+    fn test(&self, planes: &BinPlanes, eyes: &Aabb, first: usize, mut bits: u64) -> (u64, u64) {
+        let (mut always, mut maybe) = (0, 0);
+        while bits != 0 {
+            let bit = bits & bits.wrapping_neg();
+            bits ^= bit;
+            match planes.show(eyes, &self.bounds[first + bit.trailing_zeros() as usize]) {
+                Behind::Never => {}
+                Behind::Maybe => maybe |= bit,
+                Behind::Always => always |= bit,
+            }
+        }
+        (always, maybe)
+    }
+
+    /// Most triangles with which any eye of a box draws the cells `bits` from `first` on.
+    #[inline(always)]
+    fn sum_of(&self, first: usize, mut bits: u64, eyes: &Aabb) -> u64 {
+        let mut triangles = 0;
+        while bits != 0 {
+            triangles += u64::from(self.triangles_from(first + bits.trailing_zeros() as usize, eyes));
+            bits &= bits - 1;
+        }
+        triangles
+    }
+
+    /// Before anything was looked at: any of the cells may be shown.
+    pub fn unknown(&self) -> Shown {
+        Shown { open: self.root(), ..Shown::default() }
+    }
+
+    /// What frames show of the cells `among` these (None: all), given what `shown` says of frames
+    /// that they are among: only what is not known of those is looked at. More than `most`
+    /// triangles are not counted to the end.
+    pub fn narrow(&self, seen_by: Eyes<'_>, among: Option<&CellMask>, shown: &Shown, most: u64) -> Shown {
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx2")]
+            fn wide(cells: &Cells, seen_by: Eyes<'_>, among: Option<&CellMask>, shown: &Shown, most: u64) -> Shown {
+                cells.narrow_in(seen_by, among, shown, most)
+            }
+            if std::is_x86_feature_detected!("avx2") {
+                // SAFETY: the processor has AVX2.
+                return unsafe { wide(self, seen_by, among, shown, most) };
+            }
+        }
+        self.narrow_in(seen_by, among, shown, most)
+    }
+
+    /// [`Cells::narrow`] with the vectors of whoever calls it.
+    #[inline(always)]
+    fn narrow_in(&self, seen_by: Eyes<'_>, among: Option<&CellMask>, shown: &Shown, most: u64) -> Shown {
+        let Eyes { planes, eyes, .. } = seen_by;
+        let mut cells = Vec::with_capacity(shown.cells.len());
+        let (mut triangles, mut sure) = (shown.sure, shown.sure);
+        for (i, &(run, always, maybe)) in shown.cells.iter().enumerate() {
+            if triangles > most {
+                cells.extend_from_slice(&shown.cells[i..]);
+                break;
+            }
+            let first = (run as usize) << RUN_BITS;
+            let (more, maybe) = self.test(planes, eyes, first, u64::from(maybe));
+            let always = u64::from(always) | more;
+            if always | maybe != 0 {
+                triangles += self.sum_of(first, always | maybe, eyes);
+                cells.push((run, always as u16, maybe as u16));
+            }
+        }
+        let mut open = shown.open.clone();
+        let single = |run: usize, always: u64, maybe: u64| {
+            if always | maybe != 0 {
+                cells.push((run as u32, always as u16, maybe as u16));
+            }
+        };
+        let triangles = self.look(seen_by, among, most, &mut open, triangles, |of_run| sure += of_run, single);
+        Shown { triangles, sure, cells, open }
     }
 
     /// Calls `found` with boxes around all cells `among` these, each with the surface of its cells

@@ -7,7 +7,7 @@
 
 use super::{
     bin_planes::{Behind, BinPlanes},
-    near_box::{FACES, face_basis},
+    faces::{FACES, face_basis},
 };
 use crate::render::Ray;
 use glam::DVec3;

@@ -9,7 +9,7 @@
 use super::{
     bin_planes::BinPlanes,
     cell_mask::CellMask,
-    cells::{Eyes, RunSums},
+    cells::{Eyes, RunSums, Shown},
     point::{Context, TooNear},
 };
 use ldi_protocol::Aabb;
@@ -56,8 +56,14 @@ impl Look {
     /// Whether some frame may show more triangles of the cells `among` these (None: all) than the
     /// budget, as far as subdivision can tell.
     pub fn exceeds(&self, ctx: &Context, among: Option<&CellMask>) -> bool {
-        ctx.cells.count(self.seen_by(), among, ctx.budget).is_none()
-            && self.split(ctx).is_none_or(|parts| parts.iter().any(|p| p.exceeds(ctx, among)))
+        self.exceeds_among(ctx, among, &ctx.cells.unknown())
+    }
+
+    /// [`Look::exceeds`], given what more frames show.
+    fn exceeds_among(&self, ctx: &Context, among: Option<&CellMask>, shown: &Shown) -> bool {
+        let shown = ctx.cells.narrow(self.seen_by(), among, shown, ctx.budget);
+        shown.triangles > ctx.budget
+            && self.split(ctx).is_none_or(|parts| parts.iter().any(|p| p.exceeds_among(ctx, among, &shown)))
     }
 
     /// Four parts that together hold all its frames; None when it is as small as it gets.
@@ -103,22 +109,25 @@ pub(super) struct Counts(Vec<(Look, u64)>);
 impl Counts {
     /// Counts `looks` over `near`. Err: a look that exceeds `limit` however it is split.
     pub fn new(ctx: &Context, looks: impl Iterator<Item = Look>, near: &CellMask, limit: u64) -> Result<Self, TooNear> {
-        let mut out = Vec::new();
-        let mut open: Vec<Look> = Vec::new();
+        let mut out = Self(Vec::new());
         for look in looks {
-            open.push(look);
-            while let Some(look) = open.pop() {
-                let n = look.count(ctx, near);
-                if n <= limit {
-                    out.push((look, n));
-                } else if let Some(parts) = look.split(ctx) {
-                    open.extend(parts);
-                } else {
-                    return Err(TooNear { direction_deg: look.direction_deg(), needed: n });
-                }
+            match look.count(ctx, near) {
+                n if n <= limit => out.0.push((look, n)),
+                _ => out.add(ctx, look, near, limit, &ctx.cells.unknown())?,
             }
         }
-        Ok(Self(out))
+        Ok(out)
+    }
+
+    /// Counts a look, or its parts, given what more frames show.
+    fn add(&mut self, ctx: &Context, look: Look, near: &CellMask, limit: u64, shown: &Shown) -> Result<(), TooNear> {
+        let shown = ctx.cells.narrow(look.seen_by(), Some(near), shown, u64::MAX);
+        if shown.triangles <= limit {
+            self.0.push((look, shown.triangles));
+            return Ok(());
+        }
+        let too_near = TooNear { direction_deg: look.direction_deg(), needed: shown.triangles };
+        look.split(ctx).ok_or(too_near)?.into_iter().try_for_each(|part| self.add(ctx, part, near, limit, &shown))
     }
 
     /// Adds the cells that `wider` holds beyond `near`, unless some look that sees one of them
@@ -216,6 +225,36 @@ mod tests {
             }
         }
         assert!(split > 5, "{split} units were proved by subdivision, {refused} refused");
+    }
+
+    #[test]
+    fn what_is_known_of_more_frames_narrows_to_what_their_parts_count() {
+        let (bounds, triangles) = strewn(900, 21);
+        let cells = Cells::new(bounds, triangles);
+        let directions = Directions::new(60.0);
+        let ctx = Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default(), NOTHING_BETWEEN);
+        let eyes = Aabb { min: DVec3::new(-3.0, 1.0, -2.0), max: DVec3::new(2.0, 2.0, 3.0) };
+        let sums = cells.sums_from(&eyes);
+        let some = CellMask::of(900, &(0..900).filter(|c| c % 3 > 0).collect::<Vec<_>>());
+        let mut fewer = 0;
+        for unit in (0..directions.units() as u16).step_by(7) {
+            for among in [None, Some(&some)] {
+                let look = Look::new(&ctx, eyes, &sums, unit);
+                let counted = |look: &Look| ctx.cells.count(look.seen_by(), among, u64::MAX).expect("no limit");
+                let whole = ctx.cells.narrow(look.seen_by(), among, &ctx.cells.unknown(), u64::MAX);
+                // What stopped early goes on where it stopped.
+                let begun = ctx.cells.narrow(look.seen_by(), among, &ctx.cells.unknown(), whole.triangles / 3);
+                assert_eq!(whole.triangles, counted(&look));
+                assert!(begun.triangles <= whole.triangles);
+                for part in look.split(&ctx).expect("parts") {
+                    let narrowed = |from| ctx.cells.narrow(part.seen_by(), among, from, u64::MAX).triangles;
+                    assert_eq!(narrowed(&whole), counted(&part));
+                    assert_eq!(narrowed(&begun), counted(&part));
+                    fewer += u32::from(counted(&part) < whole.triangles);
+                }
+            }
+        }
+        assert!(fewer > 100, "{fewer} parts show less than the whole");
     }
 
     #[test]

@@ -34,6 +34,7 @@ mod cells;
 mod coverage;
 mod error;
 mod eye_tree;
+mod faces;
 mod footprint;
 mod gaze;
 mod groups;

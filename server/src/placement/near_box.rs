@@ -31,12 +31,13 @@
 use super::{
     cell_mask::CellMask,
     cells::{Eyes, RunSums},
+    faces::{FACES, Region, Surroundings, Window, face_basis},
     hull::EyeHull,
     looks::{Counts, Look},
     point::{Context, TooNear},
 };
 use glam::DVec3;
-use ldi_protocol::{Aabb, ViewBasis};
+use ldi_protocol::Aabb;
 use std::f64::consts::FRAC_PI_2;
 
 /// All replaced cells lie beyond a face by this much, metres: above the rounding of bounds and of
@@ -64,8 +65,6 @@ const COMPACT: f64 = 0.1;
 /// What a placement costs besides its samples: the rays that find what eyes see, a switch for
 /// whoever walks past. In samples, by judgement.
 pub(super) const PLACEMENT_SAMPLES: f64 = 500_000.0;
-/// Faces, by (axis, side).
-pub(super) const FACES: [(usize, usize); 6] = [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)];
 /// Sets of faces that may move together, as bits of [`FACES`]: all, the walls, floor and ceiling,
 /// each.
 pub(super) const MOVES: [u8; 9] = [0b11_1111, 0b11_0011, 0b00_1100, 1, 2, 4, 8, 16, 32];
@@ -107,15 +106,6 @@ impl Member {
         }
         m
     }
-}
-
-/// The orientation of a face: `forward` is its outward normal.
-pub(super) fn face_basis(face: usize) -> ViewBasis {
-    let (axis, side) = FACES[face];
-    let mut forward = DVec3::ZERO;
-    forward[axis] = if side == 0 { -1.0 } else { 1.0 };
-    let up = if axis == 1 { DVec3::Z } else { DVec3::Y };
-    ViewBasis { right: forward.cross(up), up, forward }
 }
 
 /// A box and what it costs.
@@ -210,6 +200,7 @@ pub(super) fn fill(ctx: &Context, members: &[&Member], near_box: &NearBox) -> Ne
 /// A box while it grows.
 struct Descent<'a> {
     fit: Fit<'a>,
+    surroundings: Surroundings,
     distance: [f64; 6],
     near: CellMask,
     counts: Counts,
@@ -218,8 +209,15 @@ struct Descent<'a> {
 
 impl<'a> Descent<'a> {
     fn new(fit: Fit<'a>, distance: [f64; 6], near: CellMask, counts: Counts) -> Self {
-        let cost = fit.cost(&fit.images_of(&distance, &near, FEW_CELLS_OF_A_MOVE));
-        Self { fit, distance, near, counts, cost }
+        let surroundings = Surroundings::new(&fit.beyond(&near, FEW_CELLS_OF_A_MOVE), &distance);
+        let mut out = Self { fit, surroundings, distance, near, counts, cost: 0.0 };
+        out.cost = out.cost_at(&distance);
+        out
+    }
+
+    /// What a box is expected to cost, quickly.
+    fn cost_at(&self, distance: &[f64; 6]) -> f64 {
+        self.fit.cost(&self.fit.images_of(distance, &self.surroundings.windows(distance, FACE_GAP_M)))
     }
 
     /// Takes faces `step` times farther, always by the move that saves the most, until none that
@@ -231,9 +229,7 @@ impl<'a> Descent<'a> {
         struct Next {
             cost: f64,
             distance: [f64; 6],
-            near: CellMask,
         }
-        let fit = &self.fit;
         // What every move saved when it was looked at last, and where it leads from here.
         let mut savings = [f64::INFINITY; MOVES.len()];
         let mut next: [Option<Next>; MOVES.len()] = Default::default();
@@ -249,14 +245,14 @@ impl<'a> Descent<'a> {
                 None => {
                     let moved = |f: usize| if MOVES[best] >> f & 1 == 1 { step } else { 1.0 };
                     let distance: [f64; 6] = std::array::from_fn(|f| self.distance[f] * moved(f));
-                    let near = fit.near(&distance);
-                    let cost = fit.cost(&fit.images_of(&distance, &near, FEW_CELLS_OF_A_MOVE));
+                    let cost = self.cost_at(&distance);
                     savings[best] = self.cost - cost;
-                    next[best] = Some(Next { cost, distance, near });
+                    next[best] = Some(Next { cost, distance });
                 }
                 Some(to) => {
-                    if self.counts.grow(fit.ctx, &self.near, &to.near, fit.ctx.optimize_budget) {
-                        (self.cost, self.distance, self.near) = (to.cost, to.distance, to.near);
+                    let (ctx, near) = (self.fit.ctx, self.fit.near(&to.distance));
+                    if self.counts.grow(ctx, &self.near, &near, ctx.optimize_budget) {
+                        (self.cost, self.distance, self.near) = (to.cost, to.distance, near);
                         next = Default::default();
                     } else {
                         // Counts only grow: what does not fit now never will.
@@ -348,36 +344,42 @@ impl<'a> Fit<'a> {
 
     /// The images of all faces.
     fn images(&self, distance: &[f64; 6], near: &CellMask) -> [Option<FaceImage>; 6] {
-        self.images_of(distance, near, FEW_CELLS)
-    }
-
-    /// [`Fit::images`], cell by cell where at most `few` are replaced.
-    fn images_of(&self, distance: &[f64; 6], near: &CellMask, few: usize) -> [Option<FaceImage>; 6] {
-        let mut windows = [[f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY]; 6];
-        let mut covered = [0.0; 6];
+        let mut windows = [Window::EMPTY; 6];
         let regions: [Region; 6] = std::array::from_fn(|f| Region::new(f, distance));
-        let mut far = self.seen.clone();
-        far.remove(near);
-        let mut add = |b: &Aabb, fill: f64| {
-            let (low, high) = (b.min - self.cop, b.max - self.cop);
-            for ((region, w), covered) in regions.iter().zip(&mut windows).zip(&mut covered) {
+        for (b, fill) in self.beyond(near, FEW_CELLS) {
+            for (region, window) in regions.iter().zip(&mut windows) {
                 // Most boxes are beyond few of the faces.
-                if region.is_beyond(low, high)
-                    && let Some(t) = region.tangents_of(&region.local(low, high))
+                if region.is_beyond(b.min, b.max)
+                    && let Some(t) = region.tangents_of(&region.local(b.min, b.max))
                 {
-                    *covered += (t[1] - t[0]) * (t[3] - t[2]) * fill;
-                    *w = [w[0].min(t[0]), w[1].max(t[1]), w[2].min(t[2]), w[3].max(t[3])];
+                    window.add(&t, fill);
                 }
             }
-        };
+        }
+        self.images_of(distance, &windows)
+    }
+
+    /// Boxes around all cells that are seen and not `near`, relative to the centre of projection,
+    /// each with the share of its surface that is covered; cell by cell where there are at most
+    /// `few`.
+    fn beyond(&self, near: &CellMask, few: usize) -> Vec<(Aabb, f64)> {
+        let mut far = self.seen.clone();
+        far.remove(near);
         let cells = self.ctx.cells;
+        let mut out = Vec::new();
+        let mut add = |b: &Aabb, fill: f64| out.push((Aabb { min: b.min - self.cop, max: b.max - self.cop }, fill));
         if far.count() <= few {
             far.iter().for_each(|cell| add(&cells.bounds[cell as usize], 1.0));
         } else {
             cells.compacted(&far, self.cop, COMPACT, add);
         }
+        out
+    }
+
+    /// The images of faces with these windows.
+    fn images_of(&self, distance: &[f64; 6], windows: &[Window; 6]) -> [Option<FaceImage>; 6] {
         std::array::from_fn(|f| {
-            let window = windows[f];
+            let Window { tangents: window, covered } = windows[f];
             let (scale, footprint_px) = self
                 .ctx
                 .footprint
@@ -387,7 +389,7 @@ impl<'a> Fit<'a> {
                 scale,
                 footprint_px,
                 window,
-                covered: covered[f],
+                covered,
             })
         })
     }
@@ -399,71 +401,6 @@ impl<'a> Fit<'a> {
             (SAMPLES_PER_PIXEL[0] * (w[1] - w[0]) * (w[3] - w[2]) + SAMPLES_PER_PIXEL[1] * i.covered) * per_unit
         };
         images.iter().flatten().map(samples).sum::<f64>() + PLACEMENT_SAMPLES
-    }
-}
-
-/// The places that belong to a face.
-pub(super) struct Region {
-    /// World axes of right, up and forward, and their signs.
-    axes: [(usize, f64); 3],
-    /// Distance of the face.
-    distance: f64,
-    /// Distances of the faces beside it: left, right, bottom, top.
-    pub beside: [f64; 4],
-}
-
-impl Region {
-    pub fn new(face: usize, distance: &[f64; 6]) -> Self {
-        let basis = face_basis(face);
-        let axes = [basis.right, basis.up, basis.forward].map(|v| {
-            let axis = v.abs().max_position();
-            (axis, v[axis])
-        });
-        let of =
-            |(axis, sign): (usize, f64), positive: bool| distance[axis * 2 + usize::from((sign > 0.0) == positive)];
-        let beside = [of(axes[0], false), of(axes[0], true), of(axes[1], false), of(axes[1], true)];
-        Self { axes, distance: distance[face], beside }
-    }
-
-    /// Whether a box relative to the centre of projection reaches beyond the face.
-    pub fn is_beyond(&self, low: DVec3, high: DVec3) -> bool {
-        let (axis, sign) = self.axes[2];
-        (low[axis] * sign).max(high[axis] * sign) > self.distance
-    }
-
-    /// A box relative to the centre of projection, along right, up, forward.
-    pub fn local(&self, low: DVec3, high: DVec3) -> Aabb {
-        let mut out = Aabb { min: DVec3::ZERO, max: DVec3::ZERO };
-        for (k, (axis, sign)) in self.axes.iter().enumerate() {
-            let (a, b) = (low[*axis] * sign, high[*axis] * sign);
-            (out.min[k], out.max[k]) = (a.min(b), a.max(b));
-        }
-        out
-    }
-
-    /// Tangents (left, right, bottom, top) around the part of a local box that is in the region;
-    /// None if none is.
-    pub fn tangents_of(&self, b: &Aabb) -> Option<[f64; 4]> {
-        let (near, far) = (b.min.z.max(self.distance), b.max.z);
-        if far <= self.distance {
-            return None;
-        }
-        let mut out = [0.0; 4];
-        for k in 0..2 {
-            let [low, high] = [self.beside[2 * k], self.beside[2 * k + 1]];
-            // At depth z the region reaches to the larger of z and the face beside it.
-            if b.min[k] > high.max(far) || b.max[k] < -low.max(far) {
-                return None;
-            }
-            let least = b.min[k] / if b.min[k] < 0.0 { near } else { far };
-            let most = b.max[k] / if b.max[k] > 0.0 { near } else { far };
-            out[2 * k] = least.max(-(low / near).max(1.0));
-            out[2 * k + 1] = most.min((high / near).max(1.0));
-            if out[2 * k] >= out[2 * k + 1] {
-                return None;
-            }
-        }
-        Some(out)
     }
 }
 

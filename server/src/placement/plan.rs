@@ -4,9 +4,10 @@
 use super::{
     bands::YAW_BIN_DEG,
     eye_tree::EyeTree,
+    faces::{Region, face_basis},
     hull::EyeHull,
     model::{DirectionRange, ImagePlan, PlacementPlan},
-    near_box::{Member, NearBox, Region, face_basis},
+    near_box::{Member, NearBox},
     point::{Context, Image, centre, depths, tangents},
 };
 use glam::DVec3;

@@ -124,25 +124,55 @@ fn windows_of_many_cells_hold_those_of_each_and_are_hardly_larger() {
     (0..6400).for_each(|c| fit.seen.insert(c));
     let distance = [8.0, 9.0, 5.0, 5.0, 8.0, 12.0];
     let near = fit.near(&distance);
-    let (exact, joined) = (fit.images_of(&distance, &near, usize::MAX), fit.images_of(&distance, &near, 0));
+    let windows = |few: usize| Surroundings::new(&fit.beyond(&near, few), &distance).windows(&distance, FACE_GAP_M);
+    let (exact, joined) = (windows(usize::MAX), windows(0));
     let mut found = 0;
     let far = (0..6400).filter(|c| !near.has(*c)).count();
     let mut mask = fit.seen.clone();
     mask.remove(&near);
     cells.compacted(&mask, fit.cop, COMPACT, |_, _| found += 1);
     assert!(found * 2 < far, "{found} boxes for {far} cells");
-    for (exact, joined) in exact.iter().zip(&joined) {
-        assert_eq!(exact.is_some(), joined.is_some());
-        let Some((e, j)) = exact.as_ref().zip(joined.as_ref()) else { continue };
+    for (e, j) in exact.iter().zip(&joined) {
+        assert_eq!(*e == Window::EMPTY, *j == Window::EMPTY);
+        if *e == Window::EMPTY {
+            continue;
+        }
         for k in 0..2 {
             let (low, high) = (2 * k, 2 * k + 1);
-            assert!(j.window[low] <= e.window[low] && j.window[high] >= e.window[high]);
-            let grown = (j.window[high] - j.window[low]) / (e.window[high] - e.window[low]);
+            assert!(j.tangents[low] <= e.tangents[low] && j.tangents[high] >= e.tangents[high]);
+            let grown = (j.tangents[high] - j.tangents[low]) / (e.tangents[high] - e.tangents[low]);
             assert!(grown < 1.1, "{grown} times as wide");
         }
         let ratio = j.covered / e.covered;
         assert!((0.7..1.4).contains(&ratio), "{ratio} times as much covered");
     }
+}
+
+#[test]
+fn prepared_surroundings_show_what_each_cell_alone_does() {
+    let (cells, directions) = hall();
+    let ctx = Context::new(&cells, &directions, &settings(9_000), 60.0, CostBenefit::default(), NOTHING_BETWEEN);
+    let members = members(&ctx);
+    let member = [&members[4]];
+    let fit = Fit::new(&ctx, &member, 0.0);
+    let smallest = fit.smallest();
+    let surroundings = Surroundings::new(&fit.beyond(&fit.near(&smallest), usize::MAX), &smallest);
+    let mut random = Random::new(3);
+    let mut shown = 0;
+    for _ in 0..200 {
+        let distance = smallest.map(|d| d * (1.0 + 3.0 * random.unit()));
+        let of_each = fit.images(&distance, &fit.near(&distance));
+        let prepared = fit.images_of(&distance, &surroundings.windows(&distance, FACE_GAP_M));
+        for (a, b) in of_each.iter().zip(&prepared) {
+            let parts = |i: &Option<FaceImage>| i.map(|i| (i.window, i.scale, i.footprint_px));
+            assert_eq!(parts(a), parts(b));
+            if let Some((a, b)) = a.zip(*b) {
+                assert!((a.covered - b.covered).abs() <= 1e-9 * a.covered, "{} {}", a.covered, b.covered);
+                shown += 1;
+            }
+        }
+    }
+    assert!(shown > 600, "{shown} images");
 }
 
 #[test]
