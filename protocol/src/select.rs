@@ -16,7 +16,7 @@ pub use portals::ShownPortal;
 use crate::{
     Aabb, Pose,
     camera::Frustum,
-    index::{AngularRange, BuildSettings, CellEntry, DrawnCell, Index, Placement},
+    index::{AngularRange, BuildSettings, CELLS, CellEntry, DrawnCell, Index, Placement},
     room_index::ShowPortals,
     rooms::CellId,
     tree::{CutOptions, Lens, cut},
@@ -37,10 +37,6 @@ const BESIDE_DEG: f64 = 1e-3;
 
 /// An eye this close to a placement's users is one of them, metres: rounding.
 const USERS_SLACK_M: f64 = 1e-6;
-
-/// Value of `BuildSettings::grid` for view cells: the closest grid point counts, wherever it lies.
-/// Any other value: the paper's scheme, the closest one in the reverse frustum.
-pub const CELLS: &str = "cells";
 
 /// Where a client takes what is far from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
@@ -87,28 +83,30 @@ pub struct Selection {
     pub placement: Option<u32>,
 }
 
-/// The frusta that a cell must touch to be drawn: the planning square and the picture itself.
-/// Testing both makes the drawn cells a subset of those counted at the grid point, plane by plane.
+/// The frusta that a cell must touch to be drawn: the one whose triangles the build counted, and
+/// the picture itself. Testing both makes the drawn cells a subset of those counted, plane by
+/// plane.
 #[derive(Debug, Clone, Copy)]
 pub struct DrawFrusta {
-    square: Frustum,
+    counted: Frustum,
     picture: Frustum,
 }
 
 impl DrawFrusta {
-    /// Frusta of a pose under the build's settings. A picture wider or taller than planned is cut
-    /// to the square.
+    /// Frusta of a pose under the build's settings. A picture wider or taller than the build counts
+    /// with shows more cells than it promises to keep the budget for.
     pub fn new(settings: &BuildSettings, pose: &Pose, picture_half_tan: (f64, f64)) -> Self {
         let basis = pose.basis();
-        let t = settings.square_half_tan();
+        let (across, up) = settings.counted_half_tan();
+        let (across, up) = (across.max(picture_half_tan.0), up.max(picture_half_tan.1));
         Self {
-            square: Frustum::new(pose.position, &basis, t, t),
+            counted: Frustum::new(pose.position, &basis, across, up),
             picture: Frustum::new(pose.position, &basis, picture_half_tan.0, picture_half_tan.1),
         }
     }
     /// Whether a cell with these bounds is drawn (unless it is culled).
     pub fn admit(&self, b: &Aabb) -> bool {
-        self.square.may_intersect(b) && self.picture.may_intersect(b)
+        self.counted.may_intersect(b) && self.picture.may_intersect(b)
     }
 
     /// The images of a placement whose cones beyond their planes the picture may touch, those

@@ -18,10 +18,9 @@ use ldi_client::{
 use ldi_protocol::{
     OutputCamera, Pose,
     codec::ColourProfile,
-    index::{BuildSettings, Index},
+    index::{BuildSettings, CELLS, Index},
     need::Sight,
     path,
-    select::CELLS,
 };
 use ldi_server::{
     build::{self, BuildOptions, Represent},

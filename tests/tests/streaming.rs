@@ -22,9 +22,9 @@ use ldi_client::{
 use ldi_protocol::{
     Pose,
     codec::ColourProfile,
-    index::{BuildSettings, ChunkHash, ChunkKind, Index},
+    index::{BuildSettings, CELLS, ChunkHash, ChunkKind, Index},
     need::{Needed, Sight},
-    select::{CELLS, CellGroups, FarBy, Show, select},
+    select::{CellGroups, FarBy, Show, select},
     wire::{RefusalCode, Request},
 };
 use ldi_server::{

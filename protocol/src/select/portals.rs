@@ -54,7 +54,7 @@ struct Search<'a> {
     rooms: &'a RoomIndex,
     pose: &'a Pose,
     frusta: DrawFrusta,
-    /// The picture, cut to the planning square.
+    /// The picture.
     picture: Frustum,
     start: Vec<CellId>,
     /// What is shown; not [`PortalImages::Offered`].
@@ -110,13 +110,12 @@ pub(super) fn least(index: &Index, rooms: &RoomIndex, pose: &Pose, half_tan: (f6
 
 impl<'a> Search<'a> {
     fn new(index: &'a Index, rooms: &'a RoomIndex, pose: &'a Pose, half_tan: (f64, f64), show: ShowPortals) -> Self {
-        let t = index.settings.square_half_tan();
         Self {
             index,
             rooms,
             pose,
             frusta: DrawFrusta::new(&index.settings, pose, half_tan),
-            picture: Frustum::new(pose.position, &pose.basis(), half_tan.0.min(t), half_tan.1.min(t)),
+            picture: Frustum::new(pose.position, &pose.basis(), half_tan.0, half_tan.1),
             start: rooms.rooms.cells_near(pose.position, rooms.rooms.margin_m()),
             images: rooms.resolve(show.images),
             everywhere: show.everywhere,

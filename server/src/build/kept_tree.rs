@@ -79,7 +79,11 @@ fn unpack(piece: &[u8]) -> Option<BuiltTree> {
 #[cfg(test)]
 mod tests {
     use super::super::{BuildOptions, Progress, Represent, build};
-    use ldi_protocol::{OutputCamera, codec::ColourProfile, index::BuildSettings, select::CELLS};
+    use ldi_protocol::{
+        OutputCamera,
+        codec::ColourProfile,
+        index::{BuildSettings, CELLS},
+    };
     use std::{sync::Mutex, time::Duration};
 
     /// Remembers what it is told.

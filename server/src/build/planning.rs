@@ -14,8 +14,8 @@ use crate::render::{Caster, CellSet, Ray};
 use crate::scene::{self, Scene};
 use crate::walk_volume::{self, WalkError, WalkOptions, WalkReport};
 use glam::DVec3;
+use ldi_protocol::index::CELLS;
 use ldi_protocol::index::{BuildSettings, CellEntry, CellLevel};
-use ldi_protocol::select::CELLS;
 use ldi_protocol::volume::WalkVolume;
 use std::sync::Arc;
 

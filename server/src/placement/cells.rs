@@ -59,6 +59,11 @@ impl RunSums {
         }
         Self(Arc::new(levels))
     }
+
+    /// Whether these are the sums of the same eyes.
+    pub fn is(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
 }
 
 /// The eyes of a box, which look in the directions of a bin.
@@ -451,6 +456,24 @@ impl Cells {
                 _ => self.open(node, &mut open),
             }
         }
+    }
+
+    /// A bound on the triangles of the cells `among` these, by the sums of runs that hold any.
+    pub fn sum_among(&self, among: &CellMask, sums: &RunSums) -> u64 {
+        let mut triangles = 0;
+        let mut open = self.root();
+        while let Some(node) = open.pop() {
+            let cells = self.cells_of(node);
+            if !among.has_any(cells.clone()) {
+                continue;
+            }
+            match node.0 {
+                1 => triangles += sums.0[0][node.1],
+                level if among.has_all(cells) => triangles += sums.0[level - 1][node.1],
+                _ => self.open(node, &mut open),
+            }
+        }
+        triangles
     }
 
     /// Sums the triangles of the cells for which `keep` holds; runs for which `may_keep` does not

@@ -75,7 +75,7 @@ impl Look {
             planes: if (yaw_deg, pitch_deg) == (self.yaw_deg, self.pitch_deg) {
                 self.planes
             } else {
-                BinPlanes::new(yaw_deg, pitch_deg, ctx.half_tan, ctx.half_tan)
+                BinPlanes::new(yaw_deg, pitch_deg, ctx.counted_tan.0, ctx.counted_tan.1)
             },
             eyes,
             sums: self.sums.clone(),
@@ -103,7 +103,7 @@ impl Look {
     }
 }
 
-/// Counts of many looks as the set of cells grows, each kept within the budget.
+/// Bounds on the counts of many looks as the set of cells grows, each kept within the budget.
 pub(super) struct Counts(Vec<(Look, u64)>);
 
 impl Counts {
@@ -131,29 +131,44 @@ impl Counts {
     }
 
     /// Adds the cells that `wider` holds beyond `near`, unless some look that sees one of them
-    /// would exceed `limit` however it is split.
+    /// would exceed `limit` however it is split. What all of them may add to a look is counted
+    /// only where it matters.
     pub fn grow(&mut self, ctx: &Context, near: &CellMask, wider: &CellMask, limit: u64) -> bool {
         let mut added = wider.clone();
         added.remove(near);
-        let mut next = Vec::with_capacity(self.0.len());
+        let mut of_all: Vec<(&RunSums, u64)> = Vec::new();
+        let mut next = Self(Vec::with_capacity(self.0.len()));
+        // Those with the most first: whether it is too much is known early.
+        self.0.sort_by_key(|(_, n)| std::cmp::Reverse(*n));
         for (look, n) in &self.0 {
-            let new = look.count(ctx, &added);
-            if new == 0 || n + new <= limit {
-                next.push((look.clone(), n + new));
-                continue;
-            }
-            match Self::new(ctx, std::iter::once(look.clone()), wider, limit) {
-                Ok(parts) => next.extend(parts.0),
-                Err(_) => return false,
+            let known = of_all.iter().find(|(sums, _)| sums.is(&look.sums)).map(|of| of.1);
+            let most = known.unwrap_or_else(|| {
+                let most = ctx.cells.sum_among(&added, &look.sums);
+                of_all.push((&look.sums, most));
+                most
+            });
+            let new = if n + most <= limit { most } else { look.count(ctx, &added) };
+            if n + new <= limit {
+                next.0.push((look.clone(), n + new));
+            } else if next.add(ctx, look.clone(), wider, limit, &ctx.cells.unknown()).is_err() {
+                return false;
             }
         }
-        self.0 = next;
+        *self = next;
         true
     }
 
-    /// The largest count.
-    pub fn largest(&self) -> u64 {
-        self.0.iter().map(|c| c.1).max().unwrap_or(0)
+    /// The largest count over the cells that were added, `near`.
+    pub fn largest(&mut self, ctx: &Context, near: &CellMask) -> u64 {
+        self.0.sort_by_key(|(_, n)| std::cmp::Reverse(*n));
+        let mut largest = 0;
+        for (look, n) in &self.0 {
+            if *n <= largest {
+                break;
+            }
+            largest = largest.max(look.count(ctx, near));
+        }
+        largest
     }
 }
 
@@ -193,7 +208,7 @@ mod tests {
                 let within = |r: [f64; 2], u: f64| r[0] + (r[1] - r[0]) * u;
                 let d = ViewBasis::from_yaw_pitch(within(yaw, random.unit()), within(pitch, random.unit()));
                 let eye = eyes.min + eyes.size() * DVec3::new(random.unit(), random.unit(), random.unit());
-                let frustum = Frustum::new(eye, &d, all.half_tan, all.half_tan);
+                let frustum = Frustum::new(eye, &d, all.counted_tan.0, all.counted_tan.1);
                 let drawn = near.iter().filter(|c| frustum.may_intersect(&cells.bounds[*c as usize]));
                 largest = largest.max(drawn.map(|c| u64::from(cells.triangles[c as usize])).sum());
             }
@@ -202,8 +217,9 @@ mod tests {
             let ctx =
                 Context::new(&cells, &directions, &settings(budget), 60.0, CostBenefit::default(), NOTHING_BETWEEN);
             match Counts::new(&ctx, std::iter::once(Look::new(&ctx, eyes, &sums, unit)), &near, ctx.budget) {
-                Ok(counts) => {
-                    assert!(counts.largest() >= largest && counts.largest() <= budget);
+                Ok(mut counts) => {
+                    let counted = counts.largest(&ctx, &near);
+                    assert!(counted >= largest && counted <= budget);
                     assert!(!Look::new(&ctx, eyes, &sums, unit).exceeds(&ctx, Some(&near)));
                     split += usize::from(counts.0.len() > 1);
                 }
@@ -274,7 +290,10 @@ mod tests {
             let fits = counts.grow(&ctx, &some(k - 1), &some(k), ctx.budget);
             assert_eq!(fits, anew.is_ok(), "step {k}");
             match anew {
-                Ok(anew) => assert!(counts.largest() <= anew.largest(), "a finer split is never worse"),
+                Ok(mut anew) => {
+                    let [grown, anew] = [&mut counts, &mut anew].map(|c| c.largest(&ctx, &some(k)));
+                    assert!(grown <= anew, "a finer split is never worse");
+                }
                 Err(_) => break,
             }
             grown = k;

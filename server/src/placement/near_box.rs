@@ -87,8 +87,8 @@ pub(super) struct Member {
 }
 
 impl Member {
-    /// Counts what the eyes of `hull` see, unit by unit; `closely`: by subdivision, so that no
-    /// unit is taken for over the budget that is not.
+    /// Counts what the eyes of `hull` see, unit by unit; `closely`: by subdivision until some unit
+    /// exceeds the budget, so that no cell is given images that needs none.
     pub fn new(ctx: &Context, hull: EyeHull, closely: bool) -> Self {
         let eyes = hull.bounds();
         let sums = ctx.cells.sums_from(&eyes);
@@ -97,7 +97,9 @@ impl Member {
             match ctx.cells.count(Eyes { planes, eyes: &m.eyes, sums: &m.sums }, None, ctx.budget) {
                 Some(triangles) => m.largest = m.largest.max(triangles),
                 // However it is split, no frame of the unit has more than P.
-                None if closely && !Look::new(ctx, m.eyes, &m.sums, unit).exceeds(ctx, None) => m.largest = ctx.budget,
+                None if closely && m.units.is_empty() && !Look::new(ctx, m.eyes, &m.sums, unit).exceeds(ctx, None) => {
+                    m.largest = ctx.budget
+                }
                 None => {
                     m.units.push(unit);
                     ctx.cells.add_seen(planes, &m.eyes, &mut m.seen);
@@ -264,12 +266,13 @@ impl<'a> Descent<'a> {
     }
 
     fn finish(self) -> NearBox {
-        let Self { fit, distance, near, counts, .. } = self;
+        let Self { fit, distance, near, mut counts, .. } = self;
+        let max_triangles = counts.largest(fit.ctx, &near);
         let images = fit.images(&distance, &near);
         let cost = fit.cost(&images);
         let mut culled = fit.seen;
         culled.remove(&near);
-        NearBox { cop: fit.cop, distance, images, culled, cost, max_triangles: counts.largest() }
+        NearBox { cop: fit.cop, distance, images, culled, cost, max_triangles }
     }
 }
 

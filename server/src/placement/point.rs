@@ -31,7 +31,11 @@ use super::{
     view::BandView,
 };
 use glam::DVec3;
-use ldi_protocol::{Aabb, ViewBasis, camera::Frustum, index::BuildSettings, select::CELLS};
+use ldi_protocol::{
+    Aabb, ViewBasis,
+    camera::Frustum,
+    index::{BuildSettings, CELLS},
+};
 use std::sync::OnceLock;
 
 /// Largest half extent of an image, as a tangent. Wider images serve more directions, but their
@@ -72,10 +76,11 @@ pub(super) struct Context<'a> {
     pub planes: Vec<BandPlanes>,
     /// Planes per unit of directions.
     pub bins: Vec<BinPlanes>,
-    /// Half tangent of the square planning frustum.
+    /// Half tangent of the square frustum of the paper's grid.
     pub half_tan: f64,
-    /// Half tangents of the picture across and up: what of an image can be seen. Cells are counted
-    /// in the square.
+    /// Half tangents of the frustum in which cells are counted, across and up.
+    pub counted_tan: (f64, f64),
+    /// Half tangents of the picture across and up: what of an image can be seen.
     pub picture_tan: (f64, f64),
     /// Footprint bounds.
     pub footprint: Footprint,
@@ -108,9 +113,10 @@ impl<'a> Context<'a> {
         sees: Sees<'a>,
     ) -> Self {
         let half_tan = settings.square_half_tan();
+        let counted_tan = settings.counted_half_tan();
         let bin = |unit| {
             let (yaw, pitch) = directions.unit(unit);
-            BinPlanes::new(yaw, pitch, half_tan, half_tan)
+            BinPlanes::new(yaw, pitch, counted_tan.0, counted_tan.1)
         };
         Self {
             cells,
@@ -118,6 +124,7 @@ impl<'a> Context<'a> {
             planes: (0..directions.bands()).map(|b| BandPlanes::new(directions.band(b), half_tan)).collect(),
             bins: (0..directions.units()).map(bin).collect(),
             half_tan,
+            counted_tan,
             picture_tan: (settings.camera.half_tan_x().min(half_tan), settings.camera.half_tan_y().min(half_tan)),
             footprint: Footprint::new(&settings.camera, settings.density, settings.max_footprint_px),
             eyes: None,

@@ -6,7 +6,11 @@ use crate::render::Caster;
 use crate::scene::{Instance, Mesh, Primitive, Scene};
 use crate::walk_volume::{WalkOptions, walk_volume};
 use glam::{DAffine3, DVec3, Vec3};
-use ldi_protocol::{Aabb, OutputCamera, index::BuildSettings, select::CELLS, volume::WalkVolume};
+use ldi_protocol::{
+    Aabb, OutputCamera,
+    index::{BuildSettings, CELLS},
+    volume::WalkVolume,
+};
 use std::sync::Arc;
 
 /// SplitMix64 (Steele, Lea and Flood 2014): the same numbers on every machine.

@@ -15,14 +15,13 @@ use glam::{DVec3, Vec3};
 use ldi_protocol::{
     Aabb, OutputCamera, Pose, ViewBasis,
     index::{
-        AngularRange, ChunkEntry, ChunkHash, ChunkKind, DrawnCell, EVERY_LEVEL, GridPoint, ImageEntry, Index,
+        AngularRange, CELLS, ChunkEntry, ChunkHash, ChunkKind, DrawnCell, EVERY_LEVEL, GridPoint, ImageEntry, Index,
         Placement, TextureChunk, TextureEntry,
     },
     ldi::{DisparityCodes, LINK_DOWN, LINK_RIGHT, Ldi, LdiCamera, LdiLayer, Segment},
     mesh::{CellGeometry, Material},
     need::{Needed, Sight},
     path::{self, Walk},
-    select::CELLS,
     texture::{MipLevel, Texture},
     tree::Brood,
 };

@@ -404,7 +404,7 @@ fn geometry_goes_at_once_that_few_directions_draw() {
     let mut index = index();
     let of = Arc::make_mut(&mut index);
     of.chunks[6].kind = ChunkKind::Ldi;
-    of.settings.grid = ldi_protocol::select::CELLS.into();
+    of.settings.grid = ldi_protocol::index::CELLS.into();
     of.pitch_bands_deg = vec![-60.0, 60.0];
     let range = |yaw_start_deg, placement| AngularRange { yaw_start_deg, placement };
     let bands = vec![vec![range(100.0, None), range(104.0, Some(0))]];
