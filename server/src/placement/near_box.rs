@@ -44,10 +44,9 @@ use std::f64::consts::FRAC_PI_2;
 /// the face itself.
 const FACE_GAP_M: f64 = 1e-4;
 /// A move takes faces this much farther. Smaller: fewer pixels, longer planning. By judgement.
-pub(super) const STEP: f64 = 1.25;
-/// The box that a plan uses goes on in steps of these powers of [`STEP`]: 1.12, 1.06, 1.03, 1.01.
-/// The last is below what the edges of cells leave of the budget anyway (70 of the clinic's 71
-/// boxes come within 1% of Popt).
+pub(super) const STEP: f64 = 1.5;
+/// The box that a plan uses goes on in steps of these powers of [`STEP`]: 1.22, 1.11, 1.05, 1.02.
+/// The last is about what the edges of cells leave of the budget anyway.
 const FINER: [f64; 4] = [0.5, 0.25, 0.125, 0.05];
 /// Samples to expect of an image per pixel of its window, and per pixel that the bounds of a
 /// replaced cell cover, cells that overlap counted each. Half of what the clinic's images at a

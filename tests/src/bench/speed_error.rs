@@ -63,12 +63,34 @@ pub struct Job {
     pub stamps: Vec<Stamp>,
 }
 
+/// What shows what is far.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Drawn {
+    /// All of it is drawn as geometry, in full.
+    Geometry,
+    /// All of it is drawn as geometry, at levels of detail.
+    Levels,
+    /// Images, with this reconstruction.
+    Images(Stamp),
+}
+
+impl Drawn {
+    /// What it is called in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Geometry => "geometry",
+            Self::Levels => "levels",
+            Self::Images(stamp) => stamp.name(),
+        }
+    }
+}
+
 /// How a frame is made.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Setting {
-    /// Reconstruction; None draws all geometry instead of images.
-    #[serde(serialize_with = "by_name")]
-    pub stamp: Option<Stamp>,
+    /// What shows what is far.
+    #[serde(rename = "stamp", serialize_with = "by_name")]
+    pub drawn: Drawn,
     /// Painted in occlusion-compatible order instead of by depth.
     pub epipole: bool,
     /// Tiles that cannot reach the picture are drawn as well.
@@ -83,8 +105,8 @@ pub struct Setting {
     pub threads: usize,
 }
 
-fn by_name<S: serde::Serializer>(stamp: &Option<Stamp>, s: S) -> Result<S::Ok, S::Error> {
-    s.serialize_str(stamp.map_or("geometry", Stamp::name))
+fn by_name<S: serde::Serializer>(drawn: &Drawn, s: S) -> Result<S::Ok, S::Error> {
+    s.serialize_str(drawn.name())
 }
 
 /// One setting over all views of a scene.
@@ -160,7 +182,7 @@ pub struct Found {
 
 /// What `ldi-client walk` does unless told otherwise.
 pub(super) const PLAIN: Setting = Setting {
-    stamp: Some(Stamp::Quads),
+    drawn: Drawn::Images(Stamp::Quads),
     epipole: false,
     unclipped: false,
     supersample: 1,
@@ -174,29 +196,31 @@ pub(super) const PLAIN: Setting = Setting {
 fn settings(threads: &[usize], stamps: &[Stamp]) -> Vec<Setting> {
     let most = *threads.last().unwrap_or(&1);
     let plain = Setting { threads: most, ..PLAIN };
-    let mut all = vec![Setting { stamp: None, ..plain }, Setting { stamp: None, supersample: 2, ..plain }];
-    for stamp in stamps.iter().copied().map(Some) {
-        for supersample in [1, 2] {
-            all.push(Setting { stamp, supersample, ..plain });
-        }
-        let small = matches!(stamp, Some(Stamp::OnePixel | Stamp::TwoByTwo));
+    let mut all = Vec::new();
+    for drawn in [Drawn::Geometry, Drawn::Levels] {
+        all.extend([1, 2].map(|supersample| Setting { drawn, supersample, ..plain }));
+    }
+    for stamp in stamps.iter().copied() {
+        let plain = Setting { drawn: Drawn::Images(stamp), ..plain };
+        all.extend([1, 2].map(|supersample| Setting { supersample, ..plain }));
+        let small = matches!(stamp, Stamp::OnePixel | Stamp::TwoByTwo);
         if small {
-            all.push(Setting { stamp, epipole: true, ..plain });
+            all.push(Setting { epipole: true, ..plain });
         }
-        if small || matches!(stamp, Some(Stamp::Footprint | Stamp::Quads)) {
-            all.push(Setting { stamp, smooth: true, ..plain });
+        if small || matches!(stamp, Stamp::Footprint | Stamp::Quads) {
+            all.push(Setting { smooth: true, ..plain });
         }
-        if matches!(stamp, Some(Stamp::TwoByTwo | Stamp::Quads)) {
-            all.push(Setting { stamp, fill: Fill::Off, ..plain });
-            all.push(Setting { stamp, fill: Fill::Last, ..plain });
+        if matches!(stamp, Stamp::TwoByTwo | Stamp::Quads) {
+            all.push(Setting { fill: Fill::Off, ..plain });
+            all.push(Setting { fill: Fill::Last, ..plain });
         }
-        if stamp == Some(Stamp::Quads) {
-            all.push(Setting { stamp, unclipped: true, ..plain });
+        if stamp == Stamp::Quads {
+            all.push(Setting { unclipped: true, ..plain });
         }
         for threads in threads.iter().copied().filter(|t| *t != most) {
-            all.push(Setting { stamp, threads, ..plain });
+            all.push(Setting { threads, ..plain });
             if small {
-                all.push(Setting { stamp, threads, epipole: true, ..plain });
+                all.push(Setting { threads, epipole: true, ..plain });
             }
         }
     }
@@ -206,7 +230,7 @@ fn settings(threads: &[usize], stamps: &[Stamp]) -> Vec<Setting> {
 impl Setting {
     fn warp_options(&self) -> WarpOptions {
         WarpOptions {
-            stamp: self.stamp.unwrap_or_default(),
+            stamp: if let Drawn::Images(stamp) = self.drawn { stamp } else { Stamp::default() },
             order: if self.epipole { Order::Epipole } else { Order::Z },
             keep_all_tiles: self.unclipped,
             ..WarpOptions::default()
@@ -218,7 +242,11 @@ impl Setting {
         WalkOptions {
             width,
             height,
-            method: if self.stamp.is_some() { Method::Auto } else { Method::Geometry },
+            method: match self.drawn {
+                Drawn::Geometry => Method::Geometry,
+                Drawn::Levels => Method::Levels,
+                Drawn::Images(_) => Method::Auto,
+            },
             cache_error_px: 2.0,
             stamp,
             order,
@@ -408,7 +436,7 @@ fn measure(
     for v in views {
         let view = view_of(index, &v.pose, &camera, options.method, &mut StageMs::default());
         let cache = resident(dataset, &view, &Sight::new(&v.pose, &full, 1))?;
-        if setting.stamp.is_some() {
+        if matches!(setting.drawn, Drawn::Images(_)) {
             let images: Vec<PreparedLdi> =
                 view.images.iter().filter_map(|i| cache.ldi(*i)).map(|ldi| PreparedLdi::new(&ldi)).collect();
             let images: Vec<ImageInView<'_>> = images.iter().map(ImageInView::from).collect();
@@ -543,11 +571,11 @@ mod tests {
         let all = settings(&[1, 2], &Stamp::ALL);
         for (i, a) in all.iter().enumerate() {
             assert!(!all[..i].contains(a), "{a:?} twice");
-            assert!(!a.epipole || matches!(a.stamp, Some(Stamp::OnePixel | Stamp::TwoByTwo)));
+            assert!(!a.epipole || matches!(a.drawn, Drawn::Images(Stamp::OnePixel | Stamp::TwoByTwo)));
         }
         for stamp in Stamp::ALL {
             for threads in [1, 2] {
-                assert!(all.iter().any(|s| s.stamp == Some(stamp) && s.threads == threads));
+                assert!(all.iter().any(|s| s.drawn == Drawn::Images(stamp) && s.threads == threads));
             }
         }
     }

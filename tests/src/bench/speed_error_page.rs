@@ -2,7 +2,7 @@
 
 use super::{
     colours::ColourRow,
-    speed_error::{Found, Job, Row},
+    speed_error::{Drawn, Found, Job, Row},
 };
 use crate::page::STYLE;
 use crate::plot::{Dot, Scatter, escape, number};
@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 /// What a setting is called: `quads 2x, smooth`.
 fn name(r: &Row) -> String {
     let s = &r.setting;
-    let mut name = s.stamp.map_or("geometry", |s| s.name()).to_string();
+    let mut name = s.drawn.name().to_string();
     for (on, what) in [
         (s.supersample > 1, " 2x2 supersampled"),
         (s.epipole, ", epipole"),
@@ -132,7 +132,7 @@ pub fn plots(rows: &[Row]) -> Vec<(String, String)> {
             let dots = of_scene
                 .iter()
                 .filter(|r| r.setting.threads == most && !r.setting.unclipped)
-                .filter(|r| kind == "all" || r.setting.stamp.is_some())
+                .filter(|r| kind == "all" || matches!(r.setting.drawn, Drawn::Images(_)))
                 .map(|r| Dot {
                     name: if r.density == 1.0 { name(r) } else { format!("{} at density {}", name(r), r.density) },
                     x: if kind == "all" { r.frame_ms } else { r.warp_ms },
@@ -207,9 +207,9 @@ mod tests {
     use crate::bench::speed_error::Setting;
     use ldi_client::{composite::Fill, warp::Stamp};
 
-    fn row(scene: &str, stamp: Option<Stamp>, warp_ms: f64, flip: f64) -> Row {
+    fn row(scene: &str, drawn: Drawn, warp_ms: f64, flip: f64) -> Row {
         let setting = Setting {
-            stamp,
+            drawn,
             epipole: false,
             unclipped: false,
             supersample: 1,
@@ -246,9 +246,9 @@ mod tests {
     #[test]
     fn every_row_is_in_the_table_and_every_scene_has_its_plots() {
         let rows = [
-            row("a<b", Some(Stamp::OnePixel), 1.0, 0.2),
-            row("a<b", Some(Stamp::Quads), 5.0, 0.05),
-            row("c", None, 4.0, 0.1),
+            row("a<b", Drawn::Images(Stamp::OnePixel), 1.0, 0.2),
+            row("a<b", Drawn::Images(Stamp::Quads), 5.0, 0.05),
+            row("c", Drawn::Levels, 4.0, 0.1),
         ];
         let table = csv(&rows);
         assert_eq!(table.lines().count(), 4);
@@ -286,7 +286,7 @@ mod tests {
         assert!(columns.len() == 2 && columns[0] == columns[1], "{columns:?}");
         let page =
             page(&job, &Found { rows: rows.to_vec(), limits: vec![], colours: vec![profile] }, &plots, "ldi-bench x");
-        assert!(page.contains("a&lt;b") && !page.contains("<h2>a<b") && page.contains("geometry"));
+        assert!(page.contains("a&lt;b") && !page.contains("<h2>a<b") && page.contains("levels"));
         assert_eq!(page.matches("<figure>").count(), 4);
         assert_eq!(page.matches("Colour profiles").count(), 1, "only of the scene that has them");
     }
