@@ -76,6 +76,15 @@ pub(super) struct Eyes<'a> {
     pub sums: &'a RunSums,
 }
 
+/// What was found of a run of cells.
+enum Found {
+    /// All frames show all of it.
+    Run { triangles: u64 },
+    /// Of a run of the lowest level: bits of the cells that all frames show, and of those that some
+    /// may.
+    Cells { run: usize, always: u64, maybe: u64 },
+}
+
 /// Runs of as many cells each.
 #[derive(Debug, Clone)]
 struct Runs {
@@ -294,14 +303,13 @@ impl Cells {
     /// [`Cells::count`] with the vectors of whoever calls it.
     #[inline(always)]
     fn count_in(&self, seen_by: Eyes<'_>, among: Option<&CellMask>, most: u64) -> Option<u64> {
-        let triangles = self.look(seen_by, among, most, &mut self.root(), 0, |_| (), |_, _, _| ());
+        let triangles = self.look(seen_by, among, most, &mut self.root(), 0, |_| ());
         (triangles <= most).then_some(triangles)
     }
 
     /// Adds up the triangles of what some eye may draw of the cells of the nodes `open` until
-    /// they are more than `most`; what is left stays there. Tells which runs all frames show, by
-    /// their triangles, and of each other run of the lowest level the cells that all frames show
-    /// and those that some may.
+    /// they are more than `most`; what is left stays there. Returns `triangles` and these, and
+    /// tells what it found.
     #[inline(always)]
     fn look(
         &self,
@@ -310,8 +318,7 @@ impl Cells {
         most: u64,
         open: &mut Vec<Node>,
         mut triangles: u64,
-        mut sure: impl FnMut(u64),
-        mut single: impl FnMut(usize, u64, u64),
+        mut found: impl FnMut(Found),
     ) -> u64 {
         while triangles <= most
             && let Some(node) = open.pop()
@@ -327,7 +334,7 @@ impl Cells {
             }
             if all && among.is_none_or(|a| a.has_all(cells.clone())) {
                 let of_run = sums.0[node.0 - 1][node.1];
-                sure(of_run);
+                found(Found::Run { triangles: of_run });
                 triangles += of_run;
             } else if node.0 > 1 {
                 self.open(node, open);
@@ -335,7 +342,7 @@ impl Cells {
                 let held = among.map_or(u64::MAX, |a| a.bits_from(cells.start)) & ones(cells.len());
                 let (always, maybe) = if all { (held, 0) } else { self.test(planes, eyes, cells.start, held) };
                 triangles += self.sum_of(cells.start, always | maybe, eyes);
-                single(node.1, always, maybe);
+                found(Found::Cells { run: node.1, always, maybe });
             }
         }
         triangles
@@ -412,12 +419,12 @@ impl Cells {
             }
         }
         let mut open = shown.open.clone();
-        let single = |run: usize, always: u64, maybe: u64| {
-            if always | maybe != 0 {
-                cells.push((run as u32, always as u16, maybe as u16));
-            }
+        let found = |found: Found| match found {
+            Found::Run { triangles } => sure += triangles,
+            Found::Cells { always: 0, maybe: 0, .. } => {}
+            Found::Cells { run, always, maybe } => cells.push((run as u32, always as u16, maybe as u16)),
         };
-        let triangles = self.look(seen_by, among, most, &mut open, triangles, |of_run| sure += of_run, single);
+        let triangles = self.look(seen_by, among, most, &mut open, triangles, found);
         Shown { triangles, sure, cells, open }
     }
 

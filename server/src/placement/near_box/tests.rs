@@ -12,7 +12,7 @@ use crate::placement::{
     search::{Search, search},
     test_scenes::{NOTHING_BETWEEN, Random, settings, strewn},
 };
-use ldi_protocol::{camera::Frustum, index::BuildSettings, volume::WalkVolume};
+use ldi_protocol::{ViewBasis, camera::Frustum, index::BuildSettings, volume::WalkVolume};
 
 fn hall() -> (Cells, Directions) {
     let (mut bounds, triangles) = strewn(1500, 33);
@@ -204,7 +204,7 @@ fn boxes_grow_to_the_optimization_budget() {
         let ctx = Context::new(&cells, &directions, &settings, 60.0, CostBenefit::default(), NOTHING_BETWEEN);
         let members = members(&ctx);
         let near = fit(&ctx, &[&members[4]]).map_err(|e| e.needed).expect("feasible");
-        near.max_triangles
+        fill(&ctx, &[&members[4]], &near).max_triangles
     };
     let all = [6_000, 7_500, 9_000].map(|popt| (popt, largest(popt)));
     assert!(all.iter().all(|(popt, n)| n <= popt && *n > popt / 2), "{all:?}");
