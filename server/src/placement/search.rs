@@ -203,7 +203,7 @@ mod tests {
 
     #[test]
     fn every_way_keeps_the_budget_and_trying_all_is_the_best_there_is() {
-        let step = 1.5625;
+        let step: f64 = 1.5625;
         let mut best = f64::INFINITY;
         let mut allowed = 0;
         for code in 0..9usize.pow(6) {
