@@ -127,8 +127,11 @@ impl Views for SelectViews {
             let texture = index.materials.get(*material as usize).and_then(|m| m.texture);
             texture.is_some_and(|t| textures.get(t as usize) == Some(&true))
         };
+        let lacks_mesh = |chunk: u32, bundles: &[u32]| absent(chunk) || bundles.iter().any(|b| absent(*b));
         let lacks = |cell: &CellEntry| {
-            absent(cell.chunk) || cell.bundles.iter().any(|b| absent(*b)) || cell.materials.iter().any(lacks_texture)
+            lacks_mesh(cell.chunk, &cell.bundles)
+                || cell.levels.iter().any(|level| lacks_mesh(level.chunk, &level.bundles))
+                || cell.materials.iter().any(lacks_texture)
         };
         let cells = self.groups.some(index.cells.len(), |c| lacks(&index.cells[c]));
         let images: Vec<bool> = index.images.iter().map(|i| i.chunks.iter().any(|c| absent(*c))).collect();
