@@ -90,16 +90,25 @@ pub struct Selection {
 pub struct DrawFrusta {
     counted: Frustum,
     picture: Frustum,
+    /// The planned picture, where this one is larger: what images show.
+    planned: Option<Frustum>,
 }
 
+/// A picture is larger than planned if a side of it is so many times as large: images show half of
+/// one of the squares in which directions are planned more than is asked, 16 of 1280 pixels.
+const LARGER: f64 = 1.02;
+
 impl DrawFrusta {
-    /// Frusta of a pose under the build's settings. A picture wider or taller than the build counts
-    /// with shows more cells than it promises to keep the budget for.
+    /// Frusta of a pose under the build's settings. The build promises the budget for pictures that
+    /// are no wider and no taller than planned; others may have more cells in view.
     pub fn new(settings: &BuildSettings, pose: &Pose, picture_half_tan: (f64, f64)) -> Self {
         let basis = pose.basis();
         let (across, up) = settings.counted_half_tan();
         let (across, up) = (across.max(picture_half_tan.0), up.max(picture_half_tan.1));
+        let (x, y) = (settings.camera.half_tan_x(), settings.camera.half_tan_y());
+        let is_larger = picture_half_tan.0 > x * LARGER || picture_half_tan.1 > y * LARGER;
         Self {
+            planned: is_larger.then(|| Frustum::new(pose.position, &basis, x, y)),
             counted: Frustum::new(pose.position, &basis, across, up),
             picture: Frustum::new(pose.position, &basis, picture_half_tan.0, picture_half_tan.1),
         }
@@ -107,6 +116,12 @@ impl DrawFrusta {
     /// Whether a cell with these bounds is drawn (unless it is culled).
     pub fn admit(&self, b: &Aabb) -> bool {
         self.counted.may_intersect(b) && self.picture.may_intersect(b)
+    }
+
+    /// Whether images may lack some of what the picture shows of a cell that they replace: what is
+    /// beside the planned picture they were not made for.
+    fn images_may_lack(&self, b: &Aabb) -> bool {
+        self.planned.is_some_and(|planned| b.corners().iter().any(|corner| !planned.contains(*corner)))
     }
 
     /// The images of a placement whose cones beyond their planes the picture may touch, those
@@ -203,7 +218,8 @@ pub struct DrawList {
     /// Triangles in them; never more than the budget.
     pub triangles: u64,
     /// Cells in view that were left out, farthest first, because the budget was used up. Always 0
-    /// for eyes of the walk volume that look within the built range of pitch.
+    /// for eyes of the walk volume that look within the built range of pitch, in pictures no wider
+    /// and no taller than planned.
     pub dropped: u32,
     /// What lies in view nearer than this is in `cells`, metres from the eye: infinite where
     /// nothing was left out, 0 where images show some of it.
@@ -225,7 +241,8 @@ impl DrawList {
     }
 }
 
-/// The cells that a pose draws: those in view that its placement does not replace.
+/// The cells that a pose draws: those in view that its placement does not replace, and, in pictures
+/// larger than planned, those that its images may show in part.
 /// `picture_half_tan`: tangents of half the picture's horizontal and vertical field of view.
 pub fn draw_list(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> DrawList {
     draw_list_showing(index, pose, picture_half_tan, Show::default())
@@ -322,7 +339,8 @@ fn cells_in_view(
         let (entry, cell) = (&index.cells[cell], cell as u32);
         // Both lists ascend.
         while culled.next_if(|[_, last]| *last < cell).is_some() {}
-        if culled.peek().is_some_and(|[first, _]| *first <= cell) || !frusta.admit(&entry.bounds) {
+        let is_culled = culled.peek().is_some_and(|[first, _]| *first <= cell);
+        if is_culled && !frusta.images_may_lack(&entry.bounds) || !frusta.admit(&entry.bounds) {
             continue;
         }
         let distance_m = entry.bounds.distance(pose.position);
@@ -372,8 +390,9 @@ pub fn draws_among(
         cells,
         |bounds| frusta.admit(bounds),
         |cell| {
+            let bounds = &index.cells[cell].bounds;
             let is_culled = entry.is_some_and(|e| e.culled.contains(cell as u32));
-            if !is_culled && frusta.admit(&index.cells[cell].bounds) {
+            if (!is_culled || frusta.images_may_lack(bounds)) && frusta.admit(bounds) {
                 let level = if far == FarBy::Geometry { 0 } else { level_at(index, cell as u32, pose.position) };
                 drawn.push(DrawnCell { cell: cell as u32, level });
             }

@@ -54,7 +54,7 @@ struct Search<'a> {
     rooms: &'a RoomIndex,
     pose: &'a Pose,
     frusta: DrawFrusta,
-    /// The picture.
+    /// The picture's frustum.
     picture: Frustum,
     start: Vec<CellId>,
     /// What is shown; not [`PortalImages::Offered`].

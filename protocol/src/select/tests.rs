@@ -252,6 +252,39 @@ fn beyond_the_budget_the_farthest_cells_go() {
     assert_eq!((whole.dropped, whole.complete_m), (0, f64::INFINITY));
 }
 
+/// Images are made for pictures of the planned shape: what a larger one shows beside that is drawn,
+/// as far as the budget goes.
+#[test]
+fn larger_pictures_than_planned_draw_what_their_images_may_lack() {
+    let mut index = index("paper", 1200);
+    // Above the planned picture, across its upper border, and in it.
+    for (low, high) in [(4.0, 4.4), (2.0, 2.9), (0.5, 0.9)] {
+        let bounds = Aabb { min: DVec3::new(-0.2, low, -7.4), max: DVec3::new(0.2, high, -7.0) };
+        index.cells.push(CellEntry { bounds, ..index.cells[0].clone() });
+    }
+    index.placements[0].culled = (5..13).collect();
+    let eye = pose(-0.5, 0.0);
+    let drawn = |index: &Index, tan_y: f64| {
+        let list = draw_list(index, &eye, (0.577, tan_y));
+        let images = vec![false; index.images.len()];
+        let groups = CellGroups::of(&index.cells);
+        let all = groups.some(index.cells.len(), |_| true);
+        let among = draws_among(index, &groups, (&all, &images), &eye, (0.577, tan_y), FarBy::Offered);
+        let mut cells = list.cell_numbers();
+        cells.sort_unstable();
+        assert!(list.dropped > 0 || among.0.iter().map(|c| c.cell).eq(cells.iter().copied()));
+        assert_eq!(list.selection.placement, Some(0));
+        (cells, list.dropped)
+    };
+    let near = vec![0, 1, 2, 3, 4];
+    assert_eq!(drawn(&index, 0.32), (near.clone(), 0), "as planned");
+    assert_eq!(drawn(&index, 0.33), (near.clone(), 0), "hardly larger");
+    assert_eq!(drawn(&index, 0.8), ([near, vec![10, 11]].concat(), 0));
+    index.settings.budget = 600;
+    let list = draw_list(&index, &eye, (0.577, 0.8));
+    assert_eq!((list.triangles, list.dropped), (500, 2), "the farthest go");
+}
+
 #[test]
 fn wide_cells_in_the_background_stay_within_the_budget() {
     let mut index = index("paper", 550);

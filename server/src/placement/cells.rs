@@ -60,9 +60,9 @@ impl RunSums {
         Self(Arc::new(levels))
     }
 
-    /// Whether these are the sums of the same eyes.
-    pub fn is(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.0, &other.0)
+    /// A key that sums and their clones share, and no others that exist.
+    pub fn key(&self) -> usize {
+        Arc::as_ptr(&self.0) as usize
     }
 }
 
@@ -76,12 +76,12 @@ pub(super) struct Eyes<'a> {
     pub sums: &'a RunSums,
 }
 
-/// What was found of a run of cells.
+/// A run of cells that some frames may show.
 enum Found {
-    /// All frames show all of it.
+    /// All frames show all its cells.
     Run { triangles: u64 },
-    /// Of a run of the lowest level: bits of the cells that all frames show, and of those that some
-    /// may.
+    /// The bits of cells of a run of the lowest level: all frames show those of `always`, some may
+    /// show those of `maybe`.
     Cells { run: usize, always: u64, maybe: u64 },
 }
 
@@ -104,10 +104,10 @@ pub(super) struct Shown {
     pub triangles: u64,
     /// Triangles of runs that all frames show.
     sure: u64,
-    /// Of other runs of the lowest level: the run, its cells that all frames show, and those that
-    /// some may.
+    /// Other runs of the lowest level, each with the bits of its cells that all frames show, and of
+    /// those that some may show.
     cells: Vec<(u32, u16, u16)>,
-    /// What was not looked at yet.
+    /// Nodes whose cells were not looked at yet.
     open: Vec<Node>,
 }
 
@@ -303,15 +303,15 @@ impl Cells {
     /// [`Cells::count`] with the vectors of whoever calls it.
     #[inline(always)]
     fn count_in(&self, seen_by: Eyes<'_>, among: Option<&CellMask>, most: u64) -> Option<u64> {
-        let triangles = self.look(seen_by, among, most, &mut self.root(), 0, |_| ());
+        let triangles = self.add_up(seen_by, among, most, &mut self.root(), 0, |_| ());
         (triangles <= most).then_some(triangles)
     }
 
     /// Adds up the triangles of what some eye may draw of the cells of the nodes `open` until
-    /// they are more than `most`; what is left stays there. Returns `triangles` and these, and
-    /// tells what it found.
+    /// they are more than `most`; what is left stays there. Returns their sum with `triangles`, and
+    /// calls `found` for the runs that are shown.
     #[inline(always)]
-    fn look(
+    fn add_up(
         &self,
         Eyes { planes, eyes, sums }: Eyes<'_>,
         among: Option<&CellMask>,
@@ -340,7 +340,7 @@ impl Cells {
                 self.open(node, open);
             } else {
                 let held = among.map_or(u64::MAX, |a| a.bits_from(cells.start)) & ones(cells.len());
-                let (always, maybe) = if all { (held, 0) } else { self.test(planes, eyes, cells.start, held) };
+                let (always, maybe) = if all { (held, 0) } else { self.shown_of(planes, eyes, cells.start, held) };
                 triangles += self.sum_of(cells.start, always | maybe, eyes);
                 found(Found::Cells { run: node.1, always, maybe });
             }
@@ -351,7 +351,7 @@ impl Cells {
     /// Of the cells `bits` from `first` on those that every eye draws in all directions of a bin,
     /// and others that some eye may draw in some.
     #[inline(always)]
-    fn test(&self, planes: &BinPlanes, eyes: &Aabb, first: usize, mut bits: u64) -> (u64, u64) {
+    fn shown_of(&self, planes: &BinPlanes, eyes: &Aabb, first: usize, mut bits: u64) -> (u64, u64) {
         let (mut always, mut maybe) = (0, 0);
         while bits != 0 {
             let bit = bits & bits.wrapping_neg();
@@ -411,7 +411,7 @@ impl Cells {
                 break;
             }
             let first = (run as usize) << RUN_BITS;
-            let (more, maybe) = self.test(planes, eyes, first, u64::from(maybe));
+            let (more, maybe) = self.shown_of(planes, eyes, first, u64::from(maybe));
             let always = u64::from(always) | more;
             if always | maybe != 0 {
                 triangles += self.sum_of(first, always | maybe, eyes);
@@ -424,7 +424,7 @@ impl Cells {
             Found::Cells { always: 0, maybe: 0, .. } => {}
             Found::Cells { run, always, maybe } => cells.push((run as u32, always as u16, maybe as u16)),
         };
-        let triangles = self.look(seen_by, among, most, &mut open, triangles, found);
+        let triangles = self.add_up(seen_by, among, most, &mut open, triangles, found);
         Shown { triangles, sure, cells, open }
     }
 

@@ -8,6 +8,7 @@ use ldi_protocol::{Aabb, ViewBasis};
 
 /// Faces, by (axis, side).
 pub(super) const FACES: [(usize, usize); 6] = [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)];
+
 /// The orientation of a face: `forward` is its outward normal.
 pub(super) fn face_basis(face: usize) -> ViewBasis {
     let (axis, side) = FACES[face];
@@ -134,6 +135,7 @@ struct Part {
     number: u32,
     /// Share of it that is covered.
     fill: f64,
+    /// Relative to the centre of projection, along right, up, forward.
     local: Aabb,
     /// Tangents around all of it, where it lies wholly ahead.
     tangents: [f64; 4],
@@ -158,8 +160,8 @@ impl Surroundings {
         Self { nearest: nearest.collect(), faces }
     }
 
-    /// What the faces' images show of the boxes that a near box does not touch; faces farther off
-    /// by `gap` touch none.
+    /// What the faces' images show of the boxes that do not touch a near box with its faces `gap`
+    /// metres farther off. A box around several cells counts as near if it touches: an estimate.
     pub fn windows(&self, distance: &[f64; 6], gap: f64) -> [Window; 6] {
         let is_far = |nearest: &[f64; 6]| (0..6).fold(false, |far, f| far | (nearest[f] > distance[f] + gap));
         let far: Vec<bool> = self.nearest.iter().map(is_far).collect();

@@ -13,6 +13,7 @@ use super::{
     point::{Context, TooNear},
 };
 use ldi_protocol::Aabb;
+use std::collections::BTreeMap;
 
 /// Splits of a look: eyes, directions, then both again. Deeper: tighter counts, longer planning.
 /// By judgement.
@@ -131,23 +132,19 @@ impl Counts {
     }
 
     /// Adds the cells that `wider` holds beyond `near`, unless some look that sees one of them
-    /// would exceed `limit` however it is split. What all of them may add to a look is counted
-    /// only where it matters.
+    /// would exceed `limit` however it is split. What a look shows of them is counted only where
+    /// all of them together would exceed the limit.
     pub fn grow(&mut self, ctx: &Context, near: &CellMask, wider: &CellMask, limit: u64) -> bool {
         let mut added = wider.clone();
         added.remove(near);
-        let mut of_all: Vec<(&RunSums, u64)> = Vec::new();
+        // Triangles of all of them, by the eyes that look.
+        let mut of_all: BTreeMap<usize, u64> = BTreeMap::new();
         let mut next = Self(Vec::with_capacity(self.0.len()));
         // Those with the most first: whether it is too much is known early.
         self.0.sort_by_key(|(_, n)| std::cmp::Reverse(*n));
         for (look, n) in &self.0 {
-            let known = of_all.iter().find(|(sums, _)| sums.is(&look.sums)).map(|of| of.1);
-            let most = known.unwrap_or_else(|| {
-                let most = ctx.cells.sum_among(&added, &look.sums);
-                of_all.push((&look.sums, most));
-                most
-            });
-            let new = if n + most <= limit { most } else { look.count(ctx, &added) };
+            let all = *of_all.entry(look.sums.key()).or_insert_with(|| ctx.cells.sum_among(&added, &look.sums));
+            let new = if n + all <= limit { all } else { look.count(ctx, &added) };
             if n + new <= limit {
                 next.0.push((look.clone(), n + new));
             } else if next.add(ctx, look.clone(), wider, limit, &ctx.cells.unknown()).is_err() {
@@ -158,7 +155,7 @@ impl Counts {
         true
     }
 
-    /// The largest count over the cells that were added, `near`.
+    /// The largest count of a look over `near`, all the cells that were added.
     pub fn largest(&mut self, ctx: &Context, near: &CellMask) -> u64 {
         self.0.sort_by_key(|(_, n)| std::cmp::Reverse(*n));
         let mut largest = 0;
