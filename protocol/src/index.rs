@@ -89,20 +89,9 @@ pub struct BuildSettings {
 }
 
 impl BuildSettings {
-    /// Half tangent of the square frustum in which the paper's grid finds its points: the larger
-    /// field of view both ways.
+    /// Half tangent of the square planning frustum: the larger field of view both ways.
     pub fn square_half_tan(&self) -> f64 {
         self.camera.half_tan_x().max(self.camera.half_tan_y())
-    }
-
-    /// Tangents of half the field of view, across and up, in which the build counted triangles:
-    /// the camera's, or the square of the paper's grid.
-    pub fn counted_half_tan(&self) -> (f64, f64) {
-        if self.grid == CELLS {
-            return (self.camera.half_tan_x(), self.camera.half_tan_y());
-        }
-        let t = self.square_half_tan();
-        (t, t)
     }
 
     /// Farthest that geometry may lie from where it is, metres per metre between it and the eye.

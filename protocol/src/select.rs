@@ -83,12 +83,11 @@ pub struct Selection {
     pub placement: Option<u32>,
 }
 
-/// The frusta that a cell must touch to be drawn: the one whose triangles the build counted, and
-/// the picture itself. Testing both makes the drawn cells a subset of those counted, plane by
-/// plane.
+/// The frusta that a cell must touch to be drawn: the planning square and the picture itself.
+/// Testing both makes the drawn cells a subset of those counted at the grid point, plane by plane.
 #[derive(Debug, Clone, Copy)]
 pub struct DrawFrusta {
-    counted: Frustum,
+    square: Frustum,
     picture: Frustum,
     /// The planned picture, where this one is larger: what images show.
     planned: Option<Frustum>,
@@ -99,23 +98,23 @@ pub struct DrawFrusta {
 const LARGER: f64 = 1.02;
 
 impl DrawFrusta {
-    /// Frusta of a pose under the build's settings. The build promises the budget for pictures that
-    /// are no wider and no taller than planned; others may have more cells in view.
+    /// Frusta of a pose under the build's settings. The build promises the budget for pictures
+    /// within the planning square, which is widened for others.
     pub fn new(settings: &BuildSettings, pose: &Pose, picture_half_tan: (f64, f64)) -> Self {
         let basis = pose.basis();
-        let (across, up) = settings.counted_half_tan();
-        let (across, up) = (across.max(picture_half_tan.0), up.max(picture_half_tan.1));
+        let t = settings.square_half_tan();
+        let (across, up) = (t.max(picture_half_tan.0), t.max(picture_half_tan.1));
         let (x, y) = (settings.camera.half_tan_x(), settings.camera.half_tan_y());
         let is_larger = picture_half_tan.0 > x * LARGER || picture_half_tan.1 > y * LARGER;
         Self {
             planned: is_larger.then(|| Frustum::new(pose.position, &basis, x, y)),
-            counted: Frustum::new(pose.position, &basis, across, up),
+            square: Frustum::new(pose.position, &basis, across, up),
             picture: Frustum::new(pose.position, &basis, picture_half_tan.0, picture_half_tan.1),
         }
     }
     /// Whether a cell with these bounds is drawn (unless it is culled).
     pub fn admit(&self, b: &Aabb) -> bool {
-        self.counted.may_intersect(b) && self.picture.may_intersect(b)
+        self.square.may_intersect(b) && self.picture.may_intersect(b)
     }
 
     /// Whether images may lack some of what the picture shows of a cell that they replace: what is
@@ -218,8 +217,8 @@ pub struct DrawList {
     /// Triangles in them; never more than the budget.
     pub triangles: u64,
     /// Cells in view that were left out, farthest first, because the budget was used up. Always 0
-    /// for eyes of the walk volume that look within the built range of pitch, in pictures no wider
-    /// and no taller than planned.
+    /// for eyes of the walk volume that look within the built range of pitch, in pictures within
+    /// the planning square.
     pub dropped: u32,
     /// What lies in view nearer than this is in `cells`, metres from the eye: infinite where
     /// nothing was left out, 0 where images show some of it.
@@ -241,8 +240,8 @@ impl DrawList {
     }
 }
 
-/// The cells that a pose draws: those in view that its placement does not replace, and, in pictures
-/// larger than planned, those that its images may show in part.
+/// The cells that a pose draws: those in view that its placement does not replace, and in pictures
+/// larger than planned, as far as they fit the budget, those that its images may lack.
 /// `picture_half_tan`: tangents of half the picture's horizontal and vertical field of view.
 pub fn draw_list(index: &Index, pose: &Pose, picture_half_tan: (f64, f64)) -> DrawList {
     draw_list_showing(index, pose, picture_half_tan, Show::default())
@@ -316,7 +315,41 @@ fn grid_list(
     picture_half_tan: (f64, f64),
 ) -> DrawList {
     let detail = index.settings.deviation_per_metre();
-    within_budget(index, pose.position, cells_in_view(index, groups, selection, pose, picture_half_tan, detail))
+    let list = cells_in_view(index, groups, selection, pose, picture_half_tan, detail);
+    let mut list = within_budget(index, pose.position, list);
+    add_what_images_lack(index, groups, &mut list, pose, picture_half_tan);
+    list
+}
+
+/// Adds cells that a placement replaces and its images may lack, the nearest first, as far as they
+/// fit the budget.
+fn add_what_images_lack(
+    index: &Index,
+    groups: &CellGroups,
+    list: &mut DrawList,
+    pose: &Pose,
+    picture_half_tan: (f64, f64),
+) {
+    let frusta = DrawFrusta::new(&index.settings, pose, picture_half_tan);
+    let Some(placement) = list.selection.placement.filter(|_| frusta.planned.is_some()) else { return };
+    let Some(Placement { culled, .. }) = index.placements.get(placement as usize) else { return };
+    let distance_m = |cell: u32| index.cells[cell as usize].bounds.distance(pose.position);
+    let lacking =
+        groups.runs(index.cells.len(), |b| frusta.admit(b)).flatten().map(|cell| cell as u32).filter(|cell| {
+            let bounds = &index.cells[*cell as usize].bounds;
+            culled.contains(*cell) && frusta.admit(bounds) && frusta.images_may_lack(bounds)
+        });
+    let lacking =
+        lacking.map(|cell| (distance_m(cell), DrawnCell { cell, level: level_at(index, cell, pose.position) }));
+    for drawn in near_to_far(lacking.collect()) {
+        let triangles = list.triangles + u64::from(index.cells[drawn.cell as usize].triangles_at(drawn.level));
+        if triangles > index.settings.budget {
+            break;
+        }
+        list.triangles = triangles;
+        list.cells.push(drawn);
+    }
+    list.cells = near_to_far(list.cells.iter().map(|c| (distance_m(c.cell), *c)).collect());
 }
 
 /// The same without the budget: all cells in view that the placement does not replace, each at the
@@ -339,8 +372,7 @@ fn cells_in_view(
         let (entry, cell) = (&index.cells[cell], cell as u32);
         // Both lists ascend.
         while culled.next_if(|[_, last]| *last < cell).is_some() {}
-        let is_culled = culled.peek().is_some_and(|[first, _]| *first <= cell);
-        if is_culled && !frusta.images_may_lack(&entry.bounds) || !frusta.admit(&entry.bounds) {
+        if culled.peek().is_some_and(|[first, _]| *first <= cell) || !frusta.admit(&entry.bounds) {
             continue;
         }
         let distance_m = entry.bounds.distance(pose.position);

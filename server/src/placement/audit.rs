@@ -305,7 +305,7 @@ fn adversarial(
             }
         }
         Adversary::Pole => {
-            let upright = 90.0 - index.settings.counted_half_tan().1.atan().to_degrees();
+            let upright = 90.0 - index.settings.square_half_tan().atan().to_degrees();
             let pitch = if random.unit() < 0.5 { limit } else { upright.min(limit) };
             pose.pitch_deg = if random.unit() < 0.5 { pitch } else { -pitch };
         }
@@ -342,7 +342,7 @@ fn adversarial(
             let to = corners[random.below(corners.len())] - eye;
             let ahead = (-to.x).atan2(-to.z).to_degrees();
             let turn = if random.unit() < 0.5 { 120.0 } else { -120.0 };
-            let t = index.settings.counted_half_tan().0;
+            let t = index.settings.square_half_tan();
             let inside = |yaw: f64| {
                 let basis = ViewBasis::from_yaw_pitch(yaw, pose.pitch_deg);
                 to.dot(basis.right).abs() <= t * to.dot(basis.forward)

@@ -1,7 +1,7 @@
 //! The reverse-frustum test for all directions of a bin and all eyes of a box at once.
 //!
 //! In: a bin of directions, half widths dy (yaw) and dp (pitch), and the vectors w = E - G for E
-//! in a box. Out: whether G lies in the reverse frustum of every (eye, direction), of some,
+//! in a box. Out: whether G lies in the reverse square frustum of every (eye, direction), of some,
 //! or of none. A plane's normal n = S right + U up + t forward (S, U in {-1, 0, 1}, t the half
 //! tangent across or up) turns with the direction; Taylor's theorem about the bin's middle gives,
 //! for every direction in it,

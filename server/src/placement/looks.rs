@@ -76,7 +76,7 @@ impl Look {
             planes: if (yaw_deg, pitch_deg) == (self.yaw_deg, self.pitch_deg) {
                 self.planes
             } else {
-                BinPlanes::new(yaw_deg, pitch_deg, ctx.counted_tan.0, ctx.counted_tan.1)
+                BinPlanes::new(yaw_deg, pitch_deg, ctx.half_tan, ctx.half_tan)
             },
             eyes,
             sums: self.sums.clone(),
@@ -205,7 +205,7 @@ mod tests {
                 let within = |r: [f64; 2], u: f64| r[0] + (r[1] - r[0]) * u;
                 let d = ViewBasis::from_yaw_pitch(within(yaw, random.unit()), within(pitch, random.unit()));
                 let eye = eyes.min + eyes.size() * DVec3::new(random.unit(), random.unit(), random.unit());
-                let frustum = Frustum::new(eye, &d, all.counted_tan.0, all.counted_tan.1);
+                let frustum = Frustum::new(eye, &d, all.half_tan, all.half_tan);
                 let drawn = near.iter().filter(|c| frustum.may_intersect(&cells.bounds[*c as usize]));
                 largest = largest.max(drawn.map(|c| u64::from(cells.triangles[c as usize])).sum());
             }

@@ -76,11 +76,10 @@ pub(super) struct Context<'a> {
     pub planes: Vec<BandPlanes>,
     /// Planes per unit of directions.
     pub bins: Vec<BinPlanes>,
-    /// Half tangent of the square frustum of the paper's grid.
+    /// Half tangent of the square planning frustum.
     pub half_tan: f64,
-    /// Half tangents of the frustum in which cells are counted, across and up.
-    pub counted_tan: (f64, f64),
-    /// Half tangents of the picture across and up: what of an image can be seen.
+    /// Half tangents of the picture across and up: what of an image can be seen. Cells are counted
+    /// in the square.
     pub picture_tan: (f64, f64),
     /// Footprint bounds.
     pub footprint: Footprint,
@@ -113,10 +112,9 @@ impl<'a> Context<'a> {
         sees: Sees<'a>,
     ) -> Self {
         let half_tan = settings.square_half_tan();
-        let counted_tan = settings.counted_half_tan();
         let bin = |unit| {
             let (yaw, pitch) = directions.unit(unit);
-            BinPlanes::new(yaw, pitch, counted_tan.0, counted_tan.1)
+            BinPlanes::new(yaw, pitch, half_tan, half_tan)
         };
         Self {
             cells,
@@ -124,7 +122,6 @@ impl<'a> Context<'a> {
             planes: (0..directions.bands()).map(|b| BandPlanes::new(directions.band(b), half_tan)).collect(),
             bins: (0..directions.units()).map(bin).collect(),
             half_tan,
-            counted_tan,
             picture_tan: (settings.camera.half_tan_x().min(half_tan), settings.camera.half_tan_y().min(half_tan)),
             footprint: Footprint::new(&settings.camera, settings.density, settings.max_footprint_px),
             eyes: None,

@@ -73,13 +73,11 @@ fn groups_keep_the_budget_and_show_all_that_they_replace() {
         let (yaw, pitch) = directions.unit(unit);
         let d = ViewBasis::from_yaw_pitch(within(yaw, random.unit()), within(pitch, random.unit()));
         let eye = m.eyes.min + m.eyes.size() * DVec3::new(random.unit(), random.unit(), random.unit());
-        let counted = Frustum::new(eye, &d, ctx.counted_tan.0, ctx.counted_tan.1);
+        let square = Frustum::new(eye, &d, ctx.half_tan, ctx.half_tan);
         let plan = m.units.binary_search(&(unit as u16)).ok().map(|_| &plans[of[k]]);
         let culled = plan.map(|p| &p.culled);
         let drawn: u64 = (0..1500u32)
-            .filter(|c| {
-                !culled.is_some_and(|all| all.contains(*c)) && counted.may_intersect(&cells.bounds[*c as usize])
-            })
+            .filter(|c| !culled.is_some_and(|all| all.contains(*c)) && square.may_intersect(&cells.bounds[*c as usize]))
             .map(|c| u64::from(cells.triangles[c as usize]))
             .sum();
         assert!(drawn <= ctx.budget, "{drawn} triangles");
