@@ -69,7 +69,7 @@ enum Command {
 
 #[derive(Args)]
 struct WalkArgs {
-    /// HOST or HOST:PORT of the server.
+    /// `HOST[:PORT]` of the server; `HOST[:PORT]/NAME` where it serves several datasets.
     server: String,
     /// Fingerprint of the server's certificate, as the server prints it; two with a comma between
     /// them while the certificate changes.

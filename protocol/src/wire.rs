@@ -34,7 +34,7 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 /// chunks and manifests may be coded by rANS, and tree chunks are of version 2. 2: clients say how
 /// far behind their decoding is ([`ClientMessage::Decoding`]) and which manifests they have
 /// ([`Hello::manifests`]).
-pub const VERSION: u16 = 4;
+pub const VERSION: u16 = 5;
 /// The application protocol that TLS agrees on.
 pub const ALPN: &[u8] = b"ldi/1";
 /// The port that a client tries when none is given.
@@ -141,6 +141,9 @@ pub struct Hello {
     /// does not know of it sends what the dataset offers, and the client asks for the rest.
     #[serde(default)]
     pub far: FarBy,
+    /// Name of the dataset to walk in; None: the only one.
+    #[serde(default)]
+    pub dataset: Option<String>,
     /// The walk begins before the whole manifest is there: until [`ClientMessage::Whole`] only the
     /// LDI tree's coarse levels are sent beside it. A server that does not know of it sends the
     /// pages first.
@@ -196,8 +199,14 @@ pub enum ClientMessage {
         /// Numbers of chunks, at most [`MAX_LIST`].
         chunks: Vec<u32>,
     },
-    /// These chunks are no longer held (evicted, or arrived damaged).
+    /// These chunks are no longer held: evicted.
     Drop {
+        /// Numbers of chunks, at most [`MAX_LIST`].
+        chunks: Vec<u32>,
+    },
+    /// These chunks arrived with bytes that do not match their hash, or cannot be decoded although
+    /// they do: the server checks and logs it.
+    Damaged {
         /// Numbers of chunks, at most [`MAX_LIST`].
         chunks: Vec<u32>,
     },
@@ -231,7 +240,9 @@ impl ClientMessage {
     /// How many chunks it lists.
     pub fn listed(&self) -> usize {
         match self {
-            Self::Want { chunks } | Self::Drop { chunks } | Self::Have { chunks } => chunks.len(),
+            Self::Want { chunks } | Self::Drop { chunks } | Self::Damaged { chunks } | Self::Have { chunks } => {
+                chunks.len()
+            }
             Self::Hello(_) | Self::Decoding { .. } | Self::Whole | Self::Others { .. } | Self::Bye => 0,
         }
     }
@@ -276,6 +287,8 @@ pub enum RefusalCode {
     Protocol = 4,
     /// Messages faster than the server accepts.
     Rate = 5,
+    /// No dataset of the name that was asked for, or several and no name.
+    Dataset = 6,
 }
 
 /// Application codes with which streams and connections end, beyond [`RefusalCode`].
@@ -376,9 +389,10 @@ impl Message for ClientMessage {
                 in_range("prefetch_m", h.prefetch_m, 0.0..=1e9)?;
                 in_range("token bytes", h.token.as_ref().map_or(0, String::len) as f64, 0.0..=MAX_TEXT as f64)?;
                 in_range("name bytes", h.name.len() as f64, 0.0..=MAX_TEXT as f64)?;
+                in_range("dataset bytes", h.dataset.as_ref().map_or(0, String::len) as f64, 0.0..=MAX_TEXT as f64)?;
                 in_range("manifests", h.manifests.len() as f64, 0.0..=MAX_MANIFESTS as f64)
             }
-            Self::Want { chunks } | Self::Drop { chunks } | Self::Have { chunks } => {
+            Self::Want { chunks } | Self::Drop { chunks } | Self::Damaged { chunks } | Self::Have { chunks } => {
                 in_range("chunks", chunks.len() as f64, 0.0..=MAX_LIST as f64)
             }
             // Any numbers will do: they only shift what is sent ahead, within bounds of the

@@ -10,5 +10,6 @@ pub mod load;
 pub mod namespace;
 pub mod page;
 pub mod plot;
+pub mod poses;
 pub mod run;
 pub mod zoo;

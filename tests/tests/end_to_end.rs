@@ -158,6 +158,36 @@ fn a_walk_over_a_bad_link_draws_the_same_frames() {
     assert!(code == Some(2) && said.contains("for example rate=20mbit,delay=20ms"), "{code:?} {said}");
 }
 
+#[test]
+fn a_folder_of_datasets_is_served_by_name() {
+    let f = fixture();
+    let out = folder("folder");
+    let both = out.join("datasets");
+    copy_dataset(&f.dataset, &both.join("house"));
+    copy_dataset(&f.dataset, &both.join("annex"));
+    // Neither of these is one.
+    std::fs::create_dir_all(both.join("notes")).expect("writable");
+    std::fs::write(both.join("readme.txt"), "plans of the house").expect("writable");
+    let checked = server(&["serve", "--check"]).arg(&both).output().expect("runs");
+    let said = String::from_utf8_lossy(&checked.stdout).into_owned();
+    assert!(checked.status.success() && said.lines().count() == 2 && said.contains("annex: can be served"), "{said}");
+    let served = Server::start(&both).expect("serves");
+    let walk = |address: &str, report: &Path| {
+        let mut c = run::command("ldi-client").expect("built");
+        c.args(["walk", address, "--fingerprint", &served.fingerprint, "--size", SIZE, "--pace", "wait"]);
+        c.args(["--every", "4"]).arg("--path").arg(&f.poses).arg("-o").arg(out.join("frames"));
+        outcome(&c.arg("--report").arg(report).output().expect("runs"))
+    };
+    let (code, said) = walk(&served.quic, &out.join("none.json"));
+    assert!(code == Some(42) && said.contains("annex, house"), "{code:?} {said}");
+    let (code, said) = walk(&format!("{}/cellar", served.quic), &out.join("none.json"));
+    assert!(code == Some(42) && said.contains("'cellar'") && said.contains("annex, house"), "{code:?} {said}");
+    let report = out.join("walk.json");
+    let (code, said) = walk(&format!("{}/house", served.quic), &report);
+    assert_eq!(code, Some(0), "{said}");
+    assert_eq!(json(&report)["summary"]["frames_incomplete"], 0);
+}
+
 /// The server ends in the middle of a walk and comes back at the same address: the walk waits for
 /// it, and is sent the rest.
 #[test]
@@ -335,6 +365,61 @@ fn a_build_without_memory_says_so() {
         let (code, said) = outcome(&c.output().expect("a shell"));
         assert_eq!(code, Some(42), "{kib} KiB: {said}");
         assert!(said.contains("out of memory") && said.contains("ulimit -v"), "{kib} KiB: {said}");
+    }
+}
+
+/// A control group with less memory than the scene takes: no kill without a word.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_build_that_its_control_group_would_kill_says_so() {
+    let out = folder("control-group");
+    let Some(group) = ControlGroup::new(200 << 20) else {
+        return eprintln!("skipped: no control group with a limit can be made here");
+    };
+    let build = run::show(server(&["build", "builtin:island?triangles=4000000", "--threads", "2"]).arg("-o"));
+    let program = run::bin_dir().expect("known").join("ldi-server");
+    let build = build.replacen("ldi-server", &program.display().to_string(), 1);
+    let mut c = Command::new("sh");
+    let join = group.folder.join("cgroup.procs");
+    c.arg("-c").arg(format!("echo $$ > {} && exec {build} {}", join.display(), out.join("dataset").display()));
+    let (code, said) = outcome(&c.output().expect("a shell"));
+    assert_eq!(code, Some(42), "{said}");
+    assert!(said.contains("of the control group") && said.contains("--memory-limit"), "{said}");
+}
+
+/// A control group of its own, removed at the end.
+#[cfg(target_os = "linux")]
+struct ControlGroup {
+    folder: PathBuf,
+}
+
+#[cfg(target_os = "linux")]
+impl ControlGroup {
+    /// None: nothing may be made or limited here.
+    fn new(bytes: u64) -> Option<Self> {
+        let roots = [("/sys/fs/cgroup/memory", "memory.limit_in_bytes"), ("/sys/fs/cgroup", "memory.max")];
+        roots.into_iter().find_map(|(root, limit)| {
+            let folder = Path::new(root).join(format!("ldi-test-{}", std::process::id()));
+            std::fs::create_dir(&folder).ok()?;
+            let group = Self { folder };
+            std::fs::write(group.folder.join(limit), bytes.to_string()).ok()?;
+            // No escape by swapping; not there without swap.
+            let _ = std::fs::write(group.folder.join("memory.swap.max"), "0");
+            Some(group)
+        })
+    }
+}
+
+#[cfg(target_os = "linux")]
+impl Drop for ControlGroup {
+    fn drop(&mut self) {
+        // Its last process may take a moment to be gone.
+        for _ in 0..50 {
+            if std::fs::remove_dir(&self.folder).is_ok() {
+                return;
+            }
+            std::thread::sleep(std::time::Duration::from_millis(20));
+        }
     }
 }
 

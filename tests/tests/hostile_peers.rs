@@ -9,15 +9,21 @@ mod fixture;
 mod host;
 
 use fixture::{FIRST_CELL, street};
-use host::{Host, Memory, folder};
-use ldi_client::stream::{ConnectConfig, ConnectError, Connection};
-use ldi_protocol::wire::{RefusalCode, Request};
-use ldi_server::serve::ServeConfig;
+use host::{Host, Memory, PATIENCE, PICTURE, folder};
+use ldi_client::{
+    cache::Incomplete,
+    stream::{ConnectConfig, ConnectError, Connection},
+};
+use ldi_protocol::{
+    Pose,
+    wire::{RefusalCode, Request},
+};
+use ldi_server::serve::{SelectViews, ServeConfig, planner::Views as _};
 use ldi_tests::load::stranger::{self, Initials};
 use std::{
     io::{Read, Write},
     net::{IpAddr, TcpStream, UdpSocket},
-    sync::{Arc, Mutex},
+    sync::{Mutex, OnceLock},
     time::Duration,
 };
 
@@ -83,12 +89,41 @@ fn holders_of_the_token_come_in_beside_those_who_have_none() {
 /// A name that would forge a line of a log and clear a terminal.
 const FORGED: &str = "guest\n2026-01-01 INFO access: admin came in\u{1b}[2J\u{202e}";
 
+/// All that is logged, by any test of this file.
+fn log() -> &'static Mutex<Vec<u8>> {
+    static LOG: OnceLock<Mutex<Vec<u8>>> = OnceLock::new();
+    LOG.get_or_init(|| {
+        tracing_subscriber::fmt().with_writer(|| Log).with_ansi(false).try_init().expect("the only one here");
+        Mutex::default()
+    })
+}
+
+#[test]
+fn a_chunk_that_a_client_reports_as_damaged_is_checked_and_logged_once() {
+    let log = log();
+    let mut street = street(2, 16);
+    *street.chunks[FIRST_CELL as usize].last_mut().unwrap() ^= 1;
+    let host = Host::start("reported", Memory::new(street));
+    let connection = Connection::connect(ConnectConfig { name: "inspector".into(), ..host.config() }).unwrap();
+    let index = connection.index().clone();
+    let here = Pose { position: glam::DVec3::ZERO, yaw_deg: 0.0, pitch_deg: 0.0 };
+    let camera = PICTURE.camera(&index.settings);
+    connection.update_view(&here, &SelectViews::new(index, &camera).needed(&here));
+    let end = connection.wait_until_complete(&[FIRST_CELL], PATIENCE);
+    assert_eq!(end, Err(Incomplete::Damaged(vec![FIRST_CELL])), "as often as it was asked for");
+    drop(connection);
+    drop(host);
+    let log = String::from_utf8(log.lock().unwrap().clone()).unwrap();
+    let reports: Vec<&str> =
+        log.lines().filter(|l| l.contains("reported a damaged chunk") && l.contains("inspector")).collect();
+    assert_eq!(reports.len(), 1, "{log}");
+    let chunk = format!("chunk={FIRST_CELL} ");
+    assert!(reports[0].contains(&chunk) && reports[0].contains("it is damaged here, too"), "{reports:?}");
+}
+
 #[test]
 fn a_name_stays_on_its_line() {
-    let log = Arc::new(Mutex::new(Vec::new()));
-    let writer = log.clone();
-    let make = move || Log(writer.clone());
-    tracing_subscriber::fmt().with_writer(make).with_ansi(false).try_init().expect("the only one here");
+    let log = log();
     let host = Host::start("names", Memory::new(street(2, 16)));
     let connection = Connection::connect(ConnectConfig { name: FORGED.into(), ..host.config() }).unwrap();
     let walkers: serde_json::Value = serde_json::from_str(&host.get("/walkers.json").1).unwrap();
@@ -103,11 +138,11 @@ fn a_name_stays_on_its_line() {
 }
 
 /// Keeps what is logged.
-struct Log(Arc<Mutex<Vec<u8>>>);
+struct Log;
 
 impl Write for Log {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.0.lock().unwrap().write(bytes)
+        log().lock().unwrap().write(bytes)
     }
     fn flush(&mut self) -> std::io::Result<()> {
         Ok(())

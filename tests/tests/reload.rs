@@ -11,15 +11,31 @@ use fixture::{FIRST_CELL, street};
 use host::{Host, Memory, PATIENCE, PICTURE, folder};
 use ldi_client::stream::{ConnectConfig, ConnectError, Connection, Fingerprint, KnownHosts};
 use ldi_protocol::wire::Request;
-use ldi_server::serve::{ChunkSource, Identity, ServeConfig};
+use ldi_server::serve::{ChunkSource, Datasets, Identity, NamedSources, ServeConfig};
 use std::{
     net::SocketAddr,
     sync::{
         Arc,
-        atomic::{AtomicU32, Ordering::SeqCst},
+        atomic::{AtomicU32, AtomicU64, Ordering::SeqCst},
     },
-    time::Instant,
+    time::{Duration, Instant},
 };
+
+/// A street of so many cells, as if on disk.
+struct Changing {
+    cells: AtomicU32,
+    stamp: AtomicU64,
+}
+
+impl Datasets for Changing {
+    fn open(&self) -> Result<NamedSources, String> {
+        let dataset = Memory::new(street(self.cells.load(SeqCst), 16));
+        Ok([("street".to_owned(), Arc::new(dataset) as Arc<dyn ChunkSource>)].into())
+    }
+    fn stamp(&self) -> u64 {
+        self.stamp.load(SeqCst)
+    }
+}
 
 fn walks(config: &ConnectConfig) -> Connection {
     let connection = Connection::connect(config.clone()).expect("let in");
@@ -92,14 +108,9 @@ fn sighup_reloads_and_sigterm_stops() {
         identity: Some(identity.clone()),
         ..Default::default()
     };
-    let cells = Arc::new(AtomicU32::new(2));
-    let made = cells.clone();
-    let open = move || {
-        let dataset = Memory::new(street(made.load(SeqCst), 16));
-        Ok(Arc::new(dataset) as Arc<dyn ChunkSource>)
-    };
+    let street = Arc::new(Changing { cells: AtomicU32::new(2), stamp: AtomicU64::new(0) });
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
-    let serving = runtime.spawn(ldi_server::serve::serve(open().unwrap(), Arc::new(open), settings));
+    let serving = runtime.spawn(ldi_server::serve::serve(street.clone(), (0, street.open().unwrap()), settings));
     let begin = Instant::now();
     let connect = || {
         let mut config = ConnectConfig::new(free.to_string(), PICTURE);
@@ -116,12 +127,24 @@ fn sighup_reloads_and_sigterm_stops() {
         assert!(sent.unwrap().success());
     };
     let inside = connect();
-    cells.store(3, SeqCst);
+    street.cells.store(3, SeqCst);
     signal("-HUP");
-    while connect().dataset() == inside.dataset() {
+    let newcomer = loop {
+        let newcomer = connect();
+        if newcomer.dataset() != inside.dataset() {
+            break newcomer;
+        }
         assert!(begin.elapsed() < PATIENCE, "the new dataset is never offered");
-    }
+    };
     goes_on(&inside);
+    // Without a signal, too.
+    street.cells.store(4, SeqCst);
+    street.stamp.store(1, SeqCst);
+    while connect().dataset() == newcomer.dataset() {
+        assert!(begin.elapsed() < PATIENCE, "the change is never seen");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    goes_on(&newcomer);
     signal("-TERM");
     let end = runtime.block_on(async { tokio::time::timeout(PATIENCE, serving).await });
     assert!(end.expect("in time").expect("no panic").is_ok());

@@ -248,6 +248,45 @@ fn a_resumed_walk_streams_nothing_again() {
     assert_eq!((stats.chunks, stats.duplicates), (0, 0), "{new:?} {stats:?}");
 }
 
+#[test]
+fn a_walker_gets_the_dataset_that_it_names() {
+    let memory = |cells| Arc::new(Memory::new(street(cells, 16))) as Arc<dyn ChunkSource>;
+    let mut host = Host::start("several", Memory::new(street(2, 16)));
+    let named = |name: Option<&str>| ConnectConfig { dataset: name.map(str::to_owned), ..host.config() };
+    // One alone needs no name, and has one.
+    let only = Connection::connect(named(None)).unwrap();
+    assert_eq!(Connection::connect(named(Some("street"))).unwrap().index(), only.index());
+    let refusal = |name: Option<&str>, config: ConnectConfig| match Connection::connect(config) {
+        Err(ConnectError::Refused { code: RefusalCode::Dataset, message }) => message,
+        other => panic!("{name:?}: {other:?}"),
+    };
+    let message = refusal(Some("museum"), named(Some("museum\n")));
+    assert!(message.contains(r"'museum\n'") && message.contains("street"), "{message}");
+    host.offer([("house".to_owned(), memory(2)), ("museum".to_owned(), memory(3))].into());
+    let named = |name: Option<&str>| ConnectConfig { dataset: name.map(str::to_owned), ..host.config() };
+    let message = refusal(None, named(None));
+    assert!(message.contains("HOST/NAME") && message.contains("house, museum"), "{message}");
+    let (house, museum) = (named(Some("house")), named(Some("museum")));
+    let (house, museum) = (Connection::connect(house).unwrap(), Connection::connect(museum).unwrap());
+    assert_eq!((house.index().cells.len(), museum.index().cells.len()), (2, 3));
+    // Each has its page, and people meet in one dataset only.
+    stand(&house, &pose(0.0, 0.0)).unwrap();
+    stand(&museum, &pose(0.0, 0.0)).unwrap();
+    let json = |path: &str| serde_json::from_str::<serde_json::Value>(&host.get(path).1).unwrap();
+    assert_eq!(json("/house/walkers.json")[0]["dataset"], "house");
+    assert_eq!(json("/museum/walkers.json").as_array().map(Vec::len), Some(1));
+    assert_eq!(json("/museum/plan.json")["cells"].as_array().map(Vec::len), Some(3));
+    assert_eq!(json("/readyz")["datasets"].as_array().map(Vec::len), Some(2));
+    let listed = json("/datasets.json");
+    assert_eq!((&listed[0]["name"], &listed[1]["name"]), (&"house".into(), &"museum".into()));
+    assert!(host.get("/").1.contains("datasets.json") && host.get("/house/").1.contains("plan.json"));
+    assert!(host.get("/house").0.contains("location: /house/"), "{}", host.get("/house").0);
+    for wrong in ["/plan.json", "/church/", "/church/plan.json"] {
+        let (head, body) = host.get(wrong);
+        assert!(head.starts_with("HTTP/1.1 404") && body.contains("house, museum"), "{wrong}: {head} {body}");
+    }
+}
+
 /// Waits until something is so.
 fn until(what: &str, so: impl Fn() -> bool) {
     let begin = std::time::Instant::now();

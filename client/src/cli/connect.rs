@@ -29,7 +29,7 @@ use std::{
 
 #[derive(Args)]
 pub struct ConnectArgs {
-    /// HOST or HOST:PORT of the server.
+    /// `HOST[:PORT]` of the server; `HOST[:PORT]/NAME` where it serves several datasets.
     server: String,
     /// Fingerprint of the server's certificate, as the server prints it: only this certificate is
     /// trusted, and the list of known servers is not used. Two with a comma between them while the
@@ -188,14 +188,14 @@ fn trust(args: &ConnectArgs, config: &mut ConnectConfig) -> Result<(), Failure> 
         Err(e) => return Err(e.into()),
         Ok(_) => return Err(ConnectError::Protocol("a connection without a certificate".into()).into()),
     };
-    if known.check(&args.server, found)? == Acquaintance::Stranger {
+    if known.check(&config.server, found)? == Acquaintance::Stranger {
         if !args.accept_new {
-            ask(&args.server, found)?;
+            ask(&config.server, found)?;
         }
-        known.remember(&args.server, found)?;
-        eprintln!("ldi-client: {} is known from now on ({})", args.server, known.path().display());
+        known.remember(&config.server, found)?;
+        eprintln!("ldi-client: {} is known from now on ({})", config.server, known.path().display());
     }
-    (config.fingerprint, config.next_fingerprint) = (Some(found), known.other(&args.server, found));
+    (config.fingerprint, config.next_fingerprint) = (Some(found), known.other(&config.server, found));
     config.known_hosts = Some(Arc::new(known));
     Ok(())
 }

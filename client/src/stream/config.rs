@@ -21,6 +21,8 @@ use tokio::sync::mpsc;
 pub struct ConnectConfig {
     /// HOST or HOST:PORT.
     pub server: String,
+    /// Name of the dataset to walk in; None: the only one.
+    pub dataset: Option<String>,
     /// Expected certificate. None ends in
     /// [`ConnectError::UnknownServer`](super::ConnectError::UnknownServer), which names the one
     /// found.
@@ -72,11 +74,17 @@ pub struct ConnectConfig {
 }
 
 impl ConnectConfig {
-    /// Default settings for a server and a picture.
-    pub fn new(server: impl Into<String>, picture: Picture) -> Self {
+    /// Default settings for `HOST[:PORT][/NAME]`, a server and the name of a dataset there, and a
+    /// picture.
+    pub fn new(server: impl AsRef<str>, picture: Picture) -> Self {
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
+        let (server, dataset) = match server.as_ref().split_once('/') {
+            Some((server, name)) => (server, Some(name.trim_end_matches('/'))),
+            None => (server.as_ref(), None),
+        };
         Self {
             server: server.into(),
+            dataset: dataset.filter(|name| !name.is_empty()).map(str::to_owned),
             fingerprint: None,
             next_fingerprint: None,
             known_hosts: None,

@@ -35,13 +35,22 @@ const AHEAD_BYTES: usize = 32 << 20;
 /// Number of chunks sent ahead that are searched for one that the view needs.
 const LOOK_THROUGH: usize = 512;
 
+/// What is wrong with a chunk that arrived.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Damage {
+    /// Its bytes do not match its hash.
+    Bytes(u32),
+    /// They match, but cannot be decoded.
+    Content(u32),
+}
+
 /// The destination of one connection's chunks.
 #[derive(Debug)]
 pub(super) struct DecodeTarget {
     pub cache: Arc<Cache>,
     pub stats: Arc<Collector>,
-    /// Receives numbers of chunks with a wrong hash.
-    pub damaged: mpsc::UnboundedSender<u32>,
+    /// Receives what is wrong with chunks that arrived.
+    pub damaged: mpsc::UnboundedSender<Damage>,
     /// See [`super::ConnectConfig::arrivals`].
     pub arrivals: Option<mpsc::UnboundedSender<(u32, Instant)>>,
     /// Bytes of waiting chunks that were sent ahead.
@@ -260,7 +269,7 @@ fn decode(job: &DecodeJob, chunk_bytes: &[u8]) {
     let bytes = chunk_bytes.len() as u64;
     if blake3::hash(chunk_bytes).as_bytes() != &entry.hash.0 {
         stats.damaged(bytes);
-        let _ = damaged.send(job.chunk);
+        let _ = damaged.send(Damage::Bytes(job.chunk));
         return;
     }
     // Counted before it is visible to those who wait for the chunk.
@@ -282,6 +291,7 @@ fn decode(job: &DecodeJob, chunk_bytes: &[u8]) {
             stats.take_back(entry.stored_bytes);
             stats.damaged(bytes);
             cache.mark_damaged(job.chunk);
+            let _ = damaged.send(Damage::Content(job.chunk));
             tracing::warn!(chunk = job.chunk, "given up: {e}");
         }
     }
@@ -293,7 +303,7 @@ mod tests {
     use crate::cache::fixture::{FIRST_CELL, LDI, street};
 
     /// Chunks of a street whose far half is an image; none of them can be decoded.
-    fn target() -> (Arc<DecodeTarget>, mpsc::UnboundedReceiver<u32>) {
+    fn target() -> (Arc<DecodeTarget>, mpsc::UnboundedReceiver<Damage>) {
         let (damaged, damage) = mpsc::unbounded_channel();
         let cache = Arc::new(Cache::new(Arc::new(street(60, 8).index), 1 << 30));
         let stats = Arc::new(Collector::new());

@@ -96,6 +96,7 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
         manifests: names,
         portals: config.show.portals,
         far: config.show.far,
+        dataset: config.dataset.clone(),
         early: config.early,
     });
     let hello = wire::encode(&hello).map_err(|e| ConnectError::Local(e.to_string()))?;

@@ -4,7 +4,7 @@ use super::{
     ConnectConfig, ConnectError,
     chunk_stream::{self, StreamError},
     decode_backlog::DecodeBacklog,
-    decoder::{DecodeJob, DecodePool, DecodeTarget},
+    decoder::{Damage, DecodeJob, DecodePool, DecodeTarget},
     disk::DiskCache,
     disk_chunks::DiskChunks,
     disk_loader::DiskLoader,
@@ -194,7 +194,7 @@ impl Session {
         recv: RecvStream,
         poses: Arc<PoseUpdates>,
         mut commands: mpsc::UnboundedReceiver<Command>,
-        mut damage: mpsc::UnboundedReceiver<u32>,
+        mut damage: mpsc::UnboundedReceiver<Damage>,
     ) -> Result<(), ConnectError> {
         match self.rest {
             None => self.send_whole().await?,
@@ -232,7 +232,7 @@ impl Session {
                 Some((number, bytes)) = pages.recv() => self.on_page(number, bytes),
                 index = assembled(&mut self.assembling) => self.on_whole_index(index?).await?,
                 Some(message) = received_messages.recv() => self.on_message(message?),
-                Some(chunk) = damage.recv() => self.retry_damaged(chunk).await?,
+                Some(damage) = damage.recv() => self.on_damage(damage).await?,
                 _ = tick.tick() => self.sample(poses.newest()).await?,
                 Some(_) = tasks.join_next() => {}
             }
@@ -314,6 +314,16 @@ impl Session {
             ServerMessage::Others { walkers } => self.others.set(walkers),
             // Handshake messages have no meaning here.
             ServerMessage::Welcome(_) | ServerMessage::Refused { .. } => {}
+        }
+    }
+
+    /// Tells the server, which checks and logs it.
+    async fn on_damage(&mut self, damage: Damage) -> Result<(), ConnectError> {
+        let (Damage::Bytes(chunk) | Damage::Content(chunk)) = damage;
+        self.send_list(vec![chunk], |chunks| ClientMessage::Damaged { chunks }).await?;
+        match damage {
+            Damage::Bytes(chunk) => self.retry_damaged(chunk).await,
+            Damage::Content(_) => Ok(()),
         }
     }
 

@@ -16,6 +16,7 @@ fn hello() -> Hello {
         manifests: vec![ChunkHash([3; 32]); MAX_MANIFESTS],
         portals: ShowPortals { images: PortalImages::TwoReferences, everywhere: true },
         far: FarBy::Tree,
+        dataset: Some("house".into()),
         early: true,
     }
 }
@@ -38,6 +39,7 @@ fn trip<M: Message + PartialEq + std::fmt::Debug>(m: M) {
 fn messages_survive_the_trip() {
     trip(ClientMessage::Hello(hello()));
     trip(ClientMessage::Want { chunks: vec![0, 7, u32::MAX] });
+    trip(ClientMessage::Damaged { chunks: vec![3] });
     trip(ClientMessage::Drop { chunks: vec![] });
     trip(ClientMessage::Decoding { waiting_bytes: u32::MAX, bytes_per_s: 0 });
     trip(ClientMessage::Whole);
@@ -82,6 +84,7 @@ fn a_wish_may_be_absent_and_an_unknown_one_is_refused() {
     };
     assert_eq!(without(b"portals"), Hello { portals: ShowPortals::default(), ..hello() });
     assert_eq!(without(b"far"), Hello { far: FarBy::default(), ..hello() });
+    assert_eq!(without(b"dataset"), Hello { dataset: None, ..hello() });
 }
 
 #[test]

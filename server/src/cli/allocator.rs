@@ -5,8 +5,11 @@
 //! do.
 
 use super::file_memory::{FileMemory, PAGE};
+#[cfg(target_os = "linux")]
+use super::memory_watch;
 use std::{
     alloc::{GlobalAlloc, Layout, System},
+    fmt,
     io::{self, Write},
     path::Path,
     sync::OnceLock,
@@ -34,6 +37,20 @@ pub(super) fn limit_memory(bytes: u64, folder: &Path) -> io::Result<()> {
         memory.watch();
     }
     Ok(())
+}
+
+/// From now on the program ends with a message where the kernel would soon kill it for want of
+/// memory.
+///
+/// # Errors
+/// No thread can be started.
+#[cfg(target_os = "linux")]
+pub(super) fn watch_memory() -> io::Result<()> {
+    memory_watch::watch(|shortage| {
+        end(format_args!(
+            "{shortage}; give --memory-limit, raise what the group may have, or stop what else runs; the same build goes on where it was"
+        ))
+    })
 }
 
 /// What allocations of this layout come from if not from the system.
@@ -100,33 +117,31 @@ unsafe impl GlobalAlloc for ExitingAllocator {
 /// A block of the file, or the end of the program.
 fn taken(memory: &FileMemory, bytes: usize) -> (*mut u8, bool) {
     memory.take(bytes).unwrap_or_else(|| {
-        end(
-            bytes,
-            "on the disk for what is beyond --memory-limit; free space beside the output, or raise the limit; the same \
-             build goes on where it was",
-        )
+        end(format_args!(
+            "{bytes} bytes more are not to be had on the disk for what is beyond --memory-limit; free space beside the \
+             output, or raise the limit; the same build goes on where it was"
+        ))
     })
 }
 
 fn checked(at: *mut u8, bytes: usize) -> *mut u8 {
     if at.is_null() {
-        end(
-            bytes,
-            "of the system: raise the limit of the process (ulimit -v), give --memory-limit, or take a machine with more; the same \
-             build goes on where it was",
-        );
+        end(format_args!(
+            "{bytes} bytes more are not to be had of the system: raise the limit of the process (ulimit -v), give \
+             --memory-limit, or take a machine with more; the same build goes on where it was"
+        ));
     }
     at
 }
 
 /// Says that there is no memory, without any, and ends the program.
 #[cold]
-fn end(bytes: usize, remedy: &str) -> ! {
+fn end(what: fmt::Arguments<'_>) -> ! {
     static SAID: AtomicBool = AtomicBool::new(false);
     if !SAID.swap(true, Ordering::Relaxed) {
-        let mut text = [0; 320];
+        let mut text = [0; 640];
         let mut left = &mut text[..];
-        let _ = writeln!(left, "ldi-server: out of memory: {bytes} bytes more are not to be had {remedy}");
+        let _ = writeln!(left, "ldi-server: out of memory: {what}");
         let free = left.len();
         let _ = rustix::io::write(rustix::stdio::stderr(), &text[..text.len() - free]);
     }

@@ -374,7 +374,7 @@ pub struct RenderArgs {
 /// `ldi-server serve`.
 #[derive(Debug, Args)]
 pub struct ServeArgs {
-    /// Dataset directory.
+    /// Dataset, or a folder of datasets, which are served by the names of their folders.
     pub dataset: PathBuf,
     /// QUIC address or name, with port [default: 127.0.0.1:4433]; port 0 picks a free one.
     #[arg(long, value_name = "HOST:PORT", value_parser = address)]

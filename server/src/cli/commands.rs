@@ -4,6 +4,7 @@ use super::Failure;
 use super::args::{
     Budget, BuildArgs, Command, IdentityArgs, InspectArgs, PlanArgs, RenderArgs, SceneArgs, ServeArgs, VerifyArgs,
 };
+use super::datasets::OnDisk;
 use super::progress::Stderr;
 use crate::build::{self, BuildError, BuildOptions, PortalOptions, Progress as _, Represent, RoomSource};
 use crate::octree;
@@ -11,7 +12,7 @@ use crate::placement::{self, PlacementError};
 use crate::plan as floor_plan;
 use crate::render::{self, Caster};
 use crate::scene::{self, builtin};
-use crate::serve::{self, ChunkSource, Identity, IdentityError, OpenDataset, ServeConfig, ServeError};
+use crate::serve::{self, Datasets as _, Identity, IdentityError, ServeConfig, ServeError};
 use crate::store::{self, Dataset};
 use crate::walk_volume::{Corridor, WalkReport};
 use anyhow::{Context as _, anyhow};
@@ -399,6 +400,9 @@ fn plan(a: &PlanArgs) -> Result<(), Failure> {
 /// Keeps the process to a limit by a file in the first folder above `output` that is there; the
 /// system's folder for such files without an output.
 fn limit_memory(bytes: Option<u64>, output: Option<&Path>) -> Result<(), Failure> {
+    // Without it the kernel ends the program, without a word.
+    #[cfg(target_os = "linux")]
+    super::allocator::watch_memory().context("no thread can be started").map_err(|e| Failure::of(false, e))?;
     let Some(bytes) = bytes else { return Ok(()) };
     let beside = |output: &Path| {
         let full = std::path::absolute(output).ok()?;
@@ -455,19 +459,18 @@ fn serve(a: ServeArgs) -> Result<(), Failure> {
         (config.certificate, config.key) = (a.certificate, a.key);
     }
     let failed = |e: ServeError| Failure::of(!matches!(e, ServeError::Bind { .. } | ServeError::Stdout(_)), e);
-    let dataset: Arc<dyn ChunkSource> = Arc::new(open(&a.dataset)?);
+    let datasets = OnDisk::new(a.dataset);
+    let stamp = datasets.stamp();
+    let opened = datasets.open_checked(a.check)?;
     if a.check {
-        let fingerprint = serve::check(dataset, &config).map_err(failed)?;
-        println!("{}: can be served; fingerprint={fingerprint}", a.dataset.display());
+        let names: Vec<String> = opened.keys().cloned().collect();
+        let fingerprint = serve::check(opened, &config).map_err(failed)?;
+        names.iter().for_each(|name| println!("{name}: can be served; fingerprint={fingerprint}"));
         return Ok(());
     }
-    let reopen: OpenDataset = Arc::new(move || match Dataset::open(&a.dataset) {
-        Ok(dataset) => Ok(Arc::new(dataset) as Arc<dyn ChunkSource>),
-        Err(e) => Err(said(&e)),
-    });
     let runtime =
         tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(|e| Failure::of(false, e))?;
-    runtime.block_on(serve::serve(dataset, reopen, config)).map_err(failed)
+    runtime.block_on(serve::serve(Arc::new(datasets), (stamp, opened), config)).map_err(failed)
 }
 
 fn identity(a: &IdentityArgs) -> Result<(), Failure> {

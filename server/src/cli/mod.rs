@@ -4,7 +4,10 @@
 mod allocator;
 mod args;
 mod commands;
+mod datasets;
 mod file_memory;
+#[cfg(target_os = "linux")]
+mod memory_watch;
 mod progress;
 mod rooms;
 

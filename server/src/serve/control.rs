@@ -2,11 +2,14 @@
 
 use super::{
     limits::{Allowance, TokenBucket},
-    offer::Offer,
+    offer::{Offer, Offers},
 };
 use ldi_protocol::wire::{self, ClientMessage, Hello, Message, RefusalCode, ServerMessage, WireError};
 use quinn::{RecvStream, SendStream};
-use std::time::{Duration, Instant};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 use tokio::{
     sync::mpsc,
     time::{sleep_until, timeout},
@@ -36,8 +39,8 @@ impl From<WireError> for SessionError {
     }
 }
 
-/// Checks version and token.
-pub(super) fn admit(offer: &Offer, first: ClientMessage) -> Result<Hello, SessionError> {
+/// Checks version and token, and finds the dataset.
+pub(super) fn admit(offers: &Offers, first: ClientMessage) -> Result<(Hello, Arc<Offer>), SessionError> {
     let refused = |code, message: String| Err(SessionError::Refused { code, message });
     let ClientMessage::Hello(hello) = first else {
         return refused(RefusalCode::Protocol, "the first message must be Hello".into());
@@ -50,10 +53,13 @@ pub(super) fn admit(offer: &Offer, first: ClientMessage) -> Result<Hello, Sessio
         );
         return refused(RefusalCode::Version, message);
     }
-    if !offer.admits(hello.token.as_ref().map(String::as_bytes)) {
+    if !offers.admits(hello.token.as_ref().map(String::as_bytes)) {
         return refused(RefusalCode::Token, "wrong or missing token; pass the server's with --token-file".into());
     }
-    Ok(hello)
+    match offers.of(hello.dataset.as_deref()) {
+        Ok(offer) => Ok((hello, offer)),
+        Err(e) => refused(RefusalCode::Dataset, e.to_string()),
+    }
 }
 
 /// Says why, and gives the client a moment to read it.

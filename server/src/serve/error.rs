@@ -25,14 +25,16 @@ pub enum ServeError {
     #[error("TLS refuses the certificate or its key: {0}; the two must belong together")]
     Tls(String),
     /// The manifest's root does not fit the protocol.
-    #[error("the dataset's manifest root has {bytes} bytes, at most {limit} can be sent; build the dataset again")]
+    #[error("{name}: its manifest root has {bytes} bytes, at most {limit} can be sent; build the dataset again")]
     RootTooLong {
+        /// Of the dataset.
+        name: String,
         /// Its length.
         bytes: usize,
         /// What the protocol allows.
         limit: usize,
     },
-    /// The dataset cannot be opened again.
+    /// No dataset can be opened.
     #[error("{0}")]
     Dataset(String),
     /// The ready line could not be written.

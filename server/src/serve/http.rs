@@ -7,19 +7,19 @@
 
 use super::{
     admission::Peer,
-    offer::Offer,
+    offer::{Offer, Offers},
     session::{ACCESS, Shared, stopped},
 };
 use axum::{
     Extension, Json, Router,
-    extract::{Request, State},
+    extract::{Path, Request, State},
     http::{
         HeaderMap, HeaderValue, StatusCode,
         header::{self, CACHE_CONTROL, CONTENT_TYPE},
-        uri::Authority,
+        uri::{Authority, Uri},
     },
     middleware::{self, Next},
-    response::{Html, IntoResponse, Response},
+    response::{Html, IntoResponse, Redirect, Response},
     routing::get,
 };
 use base64::Engine as _;
@@ -42,7 +42,10 @@ use tokio::{
     time::{sleep, timeout},
 };
 
+/// The page of a dataset.
 const PAGE: &str = include_str!("page.html");
+/// The page that lists several.
+const DATASETS_PAGE: &str = include_str!("datasets.html");
 /// How often the recorder folds what it has gathered, so that it stays small while nobody asks.
 const UPKEEP: Duration = Duration::from_secs(5);
 /// Borders of the planning time's histogram, seconds.
@@ -79,6 +82,8 @@ const HEADERS: [(header::HeaderName, &str); 5] = [
 
 struct Site {
     shared: Arc<Shared>,
+    /// Of QUIC.
+    port: u16,
     names: Vec<String>,
     metrics: Option<PrometheusHandle>,
 }
@@ -122,14 +127,15 @@ fn describe() {
     describe_histogram!("ldi_plan_seconds", "Time to decide what to send next");
 }
 
-/// Answers until `stop` turns true. `names`: those of the server, beside `localhost` and addresses.
+/// Answers until `stop` turns true. `port`: that of QUIC; `names`: those of the server, beside
+/// `localhost` and addresses.
 pub(super) async fn answer(
     listener: TcpListener,
-    shared: Arc<Shared>,
+    (shared, port): (Arc<Shared>, u16),
     names: Vec<String>,
     mut stop: watch::Receiver<bool>,
 ) {
-    let site = Arc::new(Site { shared, names, metrics: recorder() });
+    let site = Arc::new(Site { shared, port, names, metrics: recorder() });
     let upkeep = site.metrics.clone().map(|m| {
         tokio::spawn(async move {
             loop {
@@ -139,9 +145,14 @@ pub(super) async fn answer(
         })
     });
     let router = Router::new()
-        .route("/", get(|| async { Html(PAGE) }))
-        .route("/plan.json", get(plan_json))
+        .route("/", get(front_page))
+        .route("/datasets.json", get(datasets))
+        .route("/plan.json", get(only_plan))
         .route("/walkers.json", get(walkers))
+        .route("/{dataset}", get(to_dataset_page))
+        .route("/{dataset}/", get(dataset_page))
+        .route("/{dataset}/plan.json", get(plan_of))
+        .route("/{dataset}/walkers.json", get(walkers_of))
         .route("/healthz", get(|| async { "ok\n" }))
         .route("/readyz", get(ready))
         .route("/metrics", get(metrics_text))
@@ -262,8 +273,7 @@ async fn refusal(site: &Site, address: SocketAddr, path: &str, headers: &HeaderM
         return Some((StatusCode::MISDIRECTED_REQUEST, text).into_response());
     }
     let is_for_all = matches!(path, "/healthz" | "/readyz");
-    let offer = site.shared.offer();
-    if is_for_all || is_admitted(&offer, headers) {
+    if is_for_all || is_admitted(&site.shared.offers(), headers) {
         return None;
     }
     if headers.contains_key(header::AUTHORIZATION) {
@@ -286,7 +296,7 @@ fn is_own_name(host: &HeaderValue, names: &[String]) -> bool {
 }
 
 /// Whether the token is shown: `Bearer TOKEN`, or `Basic` with any user and the token as password.
-fn is_admitted(offer: &Offer, headers: &HeaderMap) -> bool {
+fn is_admitted(offers: &Offers, headers: &HeaderMap) -> bool {
     let shown = headers.get(header::AUTHORIZATION).and_then(|value| {
         let (scheme, value) = value.to_str().ok()?.split_once(' ')?;
         if scheme.eq_ignore_ascii_case("bearer") {
@@ -296,27 +306,88 @@ fn is_admitted(offer: &Offer, headers: &HeaderMap) -> bool {
         let colon = pair.iter().position(|b| *b == b':')?;
         scheme.eq_ignore_ascii_case("basic").then(|| pair[colon + 1..].to_vec())
     });
-    offer.admits(shown.as_deref())
+    offers.admits(shown.as_deref())
 }
 
-/// The dataset that newcomers get, and since when.
+/// The datasets that newcomers get, and since when; of a single one beside the others' list, too.
 async fn ready(State(site): State<Arc<Site>>) -> impl IntoResponse {
-    let offer = site.shared.offer();
-    let ready = offer.is_readable();
+    let offers = site.shared.offers();
+    let state = |offer: &Arc<Offer>| {
+        let dataset = offer.served.hash().to_string();
+        serde_json::json!({
+            "name": offer.name, "ready": offer.is_readable(), "dataset": dataset, "age_s": offer.age_s()
+        })
+    };
+    let datasets: Vec<serde_json::Value> = offers.all().map(state).collect();
+    let ready = datasets.iter().all(|d| d["ready"] == true);
     let status = if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
-    let dataset = offer.served.hash().to_string();
-    (status, Json(serde_json::json!({ "ready": ready, "dataset": dataset, "age_s": offer.age_s() })))
+    let only = if let [only] = &datasets[..] { only.clone() } else { serde_json::json!({}) };
+    let (dataset, age_s) = (&only["dataset"], &only["age_s"]);
+    (status, Json(serde_json::json!({ "ready": ready, "dataset": dataset, "age_s": age_s, "datasets": datasets })))
 }
 
-async fn plan_json(State(site): State<Arc<Site>>) -> impl IntoResponse {
-    let offer = site.shared.offer();
+/// The page of the only dataset, or the list.
+async fn front_page(State(site): State<Arc<Site>>) -> Html<&'static str> {
+    Html(if site.shared.offers().only().is_some() { PAGE } else { DATASETS_PAGE })
+}
+
+/// What the list shows.
+async fn datasets(State(site): State<Arc<Site>>) -> impl IntoResponse {
+    let of = |offer: &Arc<Offer>| {
+        let index = offer.served.index();
+        serde_json::json!({
+            "name": offer.name,
+            "triangles": index.scene.triangles,
+            "bytes": index.chunks.iter().map(|c| u64::from(c.stored_bytes)).sum::<u64>(),
+            "walkers": site.shared.walkers.views(Some(&offer.name)).len(),
+            "port": site.port,
+        })
+    };
+    let all: Vec<serde_json::Value> = site.shared.offers().all().map(of).collect();
+    ([(CACHE_CONTROL, "no-store")], Json(all))
+}
+
+/// The dataset of a name, or an answer that says what there is.
+fn offer_of(site: &Site, name: Option<&str>) -> Result<Arc<Offer>, (StatusCode, String)> {
+    site.shared.offers().of(name).map_err(|e| (StatusCode::NOT_FOUND, format!("{e}\n")))
+}
+
+/// The page asks for files beside it, so its address ends with a slash.
+async fn to_dataset_page(
+    State(site): State<Arc<Site>>,
+    Path(name): Path<String>,
+    uri: Uri,
+) -> Result<Redirect, (StatusCode, String)> {
+    offer_of(&site, Some(&name)).map(|_| Redirect::permanent(&format!("{}/", uri.path())))
+}
+
+async fn dataset_page(
+    State(site): State<Arc<Site>>,
+    Path(name): Path<String>,
+) -> Result<Html<&'static str>, (StatusCode, String)> {
+    offer_of(&site, Some(&name)).map(|_| Html(PAGE))
+}
+
+async fn only_plan(State(site): State<Arc<Site>>) -> Result<Response, (StatusCode, String)> {
+    Ok(plan(offer_of(&site, None)?).await)
+}
+
+async fn plan_of(State(site): State<Arc<Site>>, Path(name): Path<String>) -> Result<Response, (StatusCode, String)> {
+    Ok(plan(offer_of(&site, Some(&name))?).await)
+}
+
+async fn plan(offer: Arc<Offer>) -> Response {
     // Large scenes have thousands of placements: not on a thread that serves walkers.
     let made = tokio::task::spawn_blocking(move || offer.plan()).await;
-    ([(CONTENT_TYPE, "application/json")], made.unwrap_or_default())
+    ([(CONTENT_TYPE, "application/json")], made.unwrap_or_default()).into_response()
 }
 
 async fn walkers(State(site): State<Arc<Site>>) -> impl IntoResponse {
-    ([(CACHE_CONTROL, "no-store")], Json(site.shared.walkers.views()))
+    ([(CACHE_CONTROL, "no-store")], Json(site.shared.walkers.views(None)))
+}
+
+async fn walkers_of(State(site): State<Arc<Site>>, Path(name): Path<String>) -> impl IntoResponse {
+    ([(CACHE_CONTROL, "no-store")], Json(site.shared.walkers.views(Some(&name))))
 }
 
 async fn metrics_text(State(site): State<Arc<Site>>) -> impl IntoResponse {

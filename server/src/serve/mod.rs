@@ -1,6 +1,6 @@
 //! `ldi-server serve`: streams a dataset to walkers over QUIC and shows its plan over HTTP.
 //!
-//! In: a dataset ([`ChunkSource`]) and settings ([`ServeConfig`]). Out: to each walker, chunks in
+//! In: datasets by name ([`ChunkSource`]) and settings ([`ServeConfig`]). Out: to each walker, chunks in
 //! the order in which it will need them; to a browser, health, metrics and a page with the plan
 //! from above.
 //!
@@ -40,7 +40,8 @@ pub use config::{ConfigError, Congestion, HttpAt, ServeConfig};
 pub use error::ServeError;
 pub use identity::{Identity, IdentityError, state_folder};
 pub use meter::Meter;
+pub use offer::NamedSources;
 pub use push::{FINISH_BELOW, send_window};
-pub use server::{OpenDataset, Server, check, serve};
+pub use server::{Datasets, Server, check, serve};
 pub use source::ChunkSource;
 pub use views::{GUESSED_FINER, SelectViews};

@@ -7,17 +7,16 @@ use super::{
     http,
     identity::Identity,
     limits::Allowance,
-    offer::Offer,
+    offer::{NamedSources, Offers},
     requests::{ANSWERED_PER_SECOND, ANSWERS_BURST},
     session::{self, ACCESS, Entrance, Shared},
-    source::{ChunkSource, Served},
     transport,
 };
 use ldi_protocol::{index::ChunkHash, wire::MAX_ROOT_BYTES};
 use quinn::{Endpoint, VarInt};
 use std::{
     io::Write,
-    net::SocketAddr,
+    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr},
     sync::{Arc, RwLock},
     time::{Duration, Instant, SystemTime},
 };
@@ -28,18 +27,20 @@ const GOODBYE: Duration = Duration::from_secs(2);
 
 /// All that a server needs before it opens a socket.
 struct Prepared {
-    offer: Offer,
+    offers: Offers,
     settings: quinn::ServerConfig,
     fingerprint: String,
 }
 
 impl Prepared {
-    fn new(dataset: Arc<dyn ChunkSource>, config: &ServeConfig) -> Result<Self, ServeError> {
+    fn new(datasets: NamedSources, config: &ServeConfig) -> Result<Self, ServeError> {
         config.validate()?;
         let token = config.token()?;
-        let bytes = dataset.root().len();
-        if bytes > MAX_ROOT_BYTES {
-            return Err(ServeError::RootTooLong { bytes, limit: MAX_ROOT_BYTES });
+        for (name, dataset) in &datasets {
+            let bytes = dataset.root().len();
+            if bytes > MAX_ROOT_BYTES {
+                return Err(ServeError::RootTooLong { name: name.clone(), bytes, limit: MAX_ROOT_BYTES });
+            }
         }
         let identity = match (&config.certificate, &config.key) {
             (Some(certificate), Some(key)) => Identity::from_files(certificate, key)?,
@@ -47,8 +48,8 @@ impl Prepared {
         };
         identity.warn_of_its_end(SystemTime::now());
         let settings = transport::settings(config, &identity)?;
-        let offer = Offer::new(Served::new(dataset), token.as_deref(), identity.next);
-        Ok(Self { offer, settings, fingerprint: identity.fingerprint() })
+        let offers = Offers::new(datasets, token.as_deref(), identity.next);
+        Ok(Self { offers, settings, fingerprint: identity.fingerprint() })
     }
 }
 
@@ -57,8 +58,8 @@ impl Prepared {
 ///
 /// # Errors
 /// As [`Server::start`].
-pub fn check(dataset: Arc<dyn ChunkSource>, config: &ServeConfig) -> Result<String, ServeError> {
-    Ok(Prepared::new(dataset, config)?.fingerprint)
+pub fn check(datasets: NamedSources, config: &ServeConfig) -> Result<String, ServeError> {
+    Ok(Prepared::new(datasets, config)?.fingerprint)
 }
 
 /// A running server. Dropping it without [`Server::shutdown`] stops it without a goodbye.
@@ -80,11 +81,11 @@ impl Server {
     /// # Errors
     /// Settings, identity or addresses that cannot be used, or a manifest root longer than the
     /// protocol allows.
-    pub async fn start(dataset: Arc<dyn ChunkSource>, config: &ServeConfig) -> Result<Self, ServeError> {
-        let Prepared { offer, settings, fingerprint } = Prepared::new(dataset, config)?;
+    pub async fn start(datasets: NamedSources, config: &ServeConfig) -> Result<Self, ServeError> {
+        let Prepared { offers, settings, fingerprint } = Prepared::new(datasets, config)?;
         let (stop, stopping) = watch::channel(false);
         let shared = Arc::new(Shared {
-            offer: RwLock::new(Arc::new(offer)),
+            offers: RwLock::new(Arc::new(offers)),
             walkers: Arc::default(),
             admission: Admission::new(
                 config.max_connections,
@@ -111,21 +112,22 @@ impl Server {
         let http = listener.as_ref().map(|(address, _)| *address);
         let (endpoint, quic) = transport::open(config, settings)?;
         let answering = listener.map(|(_, listener)| {
-            tokio::spawn(http::answer(listener, shared.clone(), config.http_names.clone(), stopping))
+            let (shared, names) = (shared.clone(), config.http_names.clone());
+            tokio::spawn(http::answer(listener, (shared, quic.port()), names, stopping))
         });
         let accepting = tokio::spawn(accept(endpoint.clone(), shared.clone()));
         Ok(Self { quic, http, fingerprint, endpoint, shared, stop, accepting, answering })
     }
 
-    /// Offers newcomers a dataset, and the token and certificate as they lie on disk now. Walkers
+    /// Offers newcomers these datasets, and the token and certificate as they lie on disk now. Walkers
     /// inside keep theirs.
     ///
     /// # Errors
     /// As [`Server::start`]; then everything stays as it was.
-    pub fn reload(&mut self, dataset: Arc<dyn ChunkSource>, config: &ServeConfig) -> Result<(), ServeError> {
-        let Prepared { offer, settings, fingerprint } = Prepared::new(dataset, config)?;
+    pub fn reload(&mut self, datasets: NamedSources, config: &ServeConfig) -> Result<(), ServeError> {
+        let Prepared { offers, settings, fingerprint } = Prepared::new(datasets, config)?;
         self.endpoint.set_server_config(Some(settings));
-        self.shared.set_offer(offer);
+        self.shared.set_offers(offers);
         self.fingerprint = fingerprint;
         Ok(())
     }
@@ -142,9 +144,22 @@ impl Server {
     pub fn fingerprint(&self) -> &str {
         &self.fingerprint
     }
-    /// Name of the dataset that newcomers are offered.
-    pub fn dataset(&self) -> ChunkHash {
-        self.shared.offer().served.hash()
+    /// Names and hashes of the datasets that newcomers are offered.
+    pub fn datasets(&self) -> Vec<(String, ChunkHash)> {
+        self.shared.offers().all().map(|offer| (offer.name.clone(), offer.served.hash())).collect()
+    }
+
+    /// Logs what is served, and how to walk in it.
+    fn log(&self, what: &str) {
+        let datasets = self.datasets();
+        for (name, hash) in &datasets {
+            let fingerprint = self.fingerprint();
+            tracing::info!(target: ACCESS, name = name.as_str(), dataset = %hash, %fingerprint, "{what}");
+            let name = if datasets.len() == 1 { String::new() } else { format!("/{name}") };
+            for address in addresses_to_type(self.quic) {
+                tracing::info!(target: ACCESS, "walk in it with: ldi-client connect {address}{name}");
+            }
+        }
     }
 
     /// Tells every client, then closes; takes at most a few seconds.
@@ -188,45 +203,92 @@ async fn accept(endpoint: Endpoint, shared: Arc<Shared>) {
     }
 }
 
-/// Opens the dataset that is served, at the start and for each reload.
-pub type OpenDataset = Arc<dyn Fn() -> Result<Arc<dyn ChunkSource>, String> + Send + Sync>;
+/// The datasets that are served, as they lie on disk.
+pub trait Datasets: Send + Sync + 'static {
+    /// Opens them: for each reload, and when they changed.
+    ///
+    /// # Errors
+    /// None can be opened, in words.
+    fn open(&self) -> Result<NamedSources, String>;
+    /// A value that changes when a dataset was replaced, came or went; cheap.
+    fn stamp(&self) -> u64;
+}
 
-/// Serves until SIGINT or SIGTERM; SIGHUP reloads dataset, token and certificate. Prints
-/// `listening quic=ADDR http=ADDR fingerprint=HEX` to standard output when ready.
+/// How often datasets are looked at for changes.
+const CHANGES_EVERY: Duration = Duration::from_secs(2);
+
+/// Serves what was opened, with its stamp, until SIGINT or SIGTERM; SIGHUP reloads datasets, token and certificate, and so does a
+/// change of the datasets. Prints `listening quic=ADDR http=ADDR fingerprint=HEX` to standard
+/// output when ready.
 ///
 /// # Errors
 /// As [`Server::start`].
-pub async fn serve(dataset: Arc<dyn ChunkSource>, open: OpenDataset, config: ServeConfig) -> Result<(), ServeError> {
+pub async fn serve(
+    datasets: Arc<dyn Datasets>,
+    (mut served, opened): (u64, NamedSources),
+    config: ServeConfig,
+) -> Result<(), ServeError> {
     // Before the ready line: whoever reads it may send a signal at once.
     let asked_to_stop = stop_signal();
     let mut hangup = Hangup::new();
-    let mut server = Server::start(dataset, &config).await?;
+    let mut server = Server::start(opened, &config).await?;
     let http = server.http().map_or("off".into(), |a| a.to_string());
     let (quic, fingerprint) = (server.quic(), server.fingerprint());
     let line = format!("listening quic={quic} http={http} fingerprint={fingerprint}\n");
     print_at_once(&line).map_err(ServeError::Stdout)?;
-    tracing::info!(target: ACCESS, dataset = %server.dataset(), "serving");
+    server.log("serving");
     let mut asked_to_stop = std::pin::pin!(asked_to_stop);
+    let mut changes = tokio::time::interval(CHANGES_EVERY);
+    changes.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    // While a dataset is written it changes again and again.
+    let mut changing = served;
     loop {
         tokio::select! {
             () = &mut asked_to_stop => break,
-            () = hangup.next() => {
-                let open = open.clone();
-                let opened = tokio::task::spawn_blocking(move || open()).await;
-                let opened = opened.unwrap_or_else(|e| Err(e.to_string())).map_err(ServeError::Dataset);
-                match opened.and_then(|dataset| server.reload(dataset, &config)) {
-                    Ok(()) => {
-                        let (dataset, fingerprint) = (server.dataset(), server.fingerprint());
-                        tracing::info!(target: ACCESS, %dataset, %fingerprint, "reloaded");
-                    }
-                    Err(e) => tracing::error!("not reloaded, everything stays as it was: {e}"),
+            () = hangup.next() => {}
+            _ = changes.tick() => {
+                let now = datasets.stamp();
+                let is_settled = now == std::mem::replace(&mut changing, now);
+                if now == served || !is_settled {
+                    continue;
                 }
             }
+        }
+        served = datasets.stamp();
+        let opening = datasets.clone();
+        let opened = tokio::task::spawn_blocking(move || opening.open()).await;
+        let opened = opened.unwrap_or_else(|e| Err(e.to_string())).map_err(ServeError::Dataset);
+        match opened.and_then(|datasets| server.reload(datasets, &config)) {
+            Ok(()) => server.log("reloaded"),
+            Err(e) => tracing::error!("not reloaded, everything stays as it was: {e}"),
         }
     }
     tracing::info!(target: ACCESS, "stopping");
     server.shutdown().await;
     Ok(())
+}
+
+/// What clients connect to: the address itself, or those of this machine where it listens on all.
+/// Which of them the network uses is asked of the system; no packet is sent.
+fn addresses_to_type(listening: SocketAddr) -> Vec<SocketAddr> {
+    if !listening.ip().is_unspecified() {
+        return vec![listening];
+    }
+    // Addresses for documentation (RFC 5737 and 3849): on no network, so by the usual way out.
+    let ways: [(IpAddr, SocketAddr); 2] = [
+        (Ipv4Addr::UNSPECIFIED.into(), (Ipv4Addr::new(192, 0, 2, 1), 9).into()),
+        (Ipv6Addr::UNSPECIFIED.into(), (Ipv6Addr::new(0x2001, 0xdb8, 0, 0, 0, 0, 0, 1), 9).into()),
+    ];
+    let own = ways.into_iter().filter(|(from, _)| listening.is_ipv6() || from.is_ipv4()).filter_map(|(from, to)| {
+        let socket = std::net::UdpSocket::bind((from, 0)).ok()?;
+        socket.connect(to).ok()?;
+        socket.local_addr().ok()
+    });
+    let found: Vec<SocketAddr> = own.map(|own| (own.ip(), listening.port()).into()).collect();
+    match found.is_empty() {
+        true => vec![(Ipv4Addr::LOCALHOST, listening.port()).into()],
+        false => found,
+    }
 }
 
 fn print_at_once(line: &str) -> std::io::Result<()> {

@@ -9,7 +9,7 @@ use super::{
     control::{self, SessionError, admit, read_message, refuse, tell},
     limits::{Allowance, TokenBucket},
     meter::Metered,
-    offer::Offer,
+    offer::{Offer, Offers},
     planner::{Capacity, Order, Planner, PlannerConfig, Turn},
     push::{Ended, Outlet, Task, carry, push_beside, push_through},
     requests,
@@ -27,6 +27,7 @@ use ldi_protocol::{
 };
 use quinn::{Connection, RecvStream, SendStream, VarInt};
 use std::{
+    collections::BTreeSet,
     sync::{Arc, PoisonError, RwLock},
     time::{Duration, Instant},
 };
@@ -52,6 +53,9 @@ const OTHERS_EVERY: Duration = Duration::from_millis(500);
 /// Poses per second beyond which a client is thrown out: a client sends at most 100.
 const POSES_PER_SECOND: f64 = 250.0;
 
+/// Reports of damaged chunks that are checked and logged per walker: each reads and hashes a chunk.
+const CHECKED_REPORTS: usize = 64;
+
 /// Longest reason in a closing frame, bytes. QUIC cuts what does not fit one packet.
 const MAX_REASON: usize = 256;
 
@@ -61,8 +65,8 @@ pub const ACCESS: &str = "access";
 /// What all sessions share.
 #[derive(Debug)]
 pub struct Shared {
-    /// The offer to newcomers; replaced by a reload.
-    pub offer: RwLock<Arc<Offer>>,
+    /// The offers to newcomers; replaced by a reload.
+    pub offers: RwLock<Arc<Offers>>,
     /// Who is connected.
     pub walkers: Arc<Walkers>,
     /// Who is let in.
@@ -84,14 +88,14 @@ pub struct Shared {
 }
 
 impl Shared {
-    /// The offer to newcomers.
-    pub fn offer(&self) -> Arc<Offer> {
-        self.offer.read().unwrap_or_else(PoisonError::into_inner).clone()
+    /// The offers to newcomers.
+    pub fn offers(&self) -> Arc<Offers> {
+        self.offers.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Replaces the offer to newcomers.
-    pub fn set_offer(&self, offer: Offer) {
-        *self.offer.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(offer);
+    /// Replaces the offers to newcomers.
+    pub fn set_offers(&self, offers: Offers) {
+        *self.offers.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(offers);
     }
 }
 
@@ -180,6 +184,7 @@ async fn shake_hands(
 /// A walker that was let in, with its control stream.
 struct Introduced {
     offer: Arc<Offer>,
+    next_certificate: Option<ChunkHash>,
     hello: Hello,
     place: Place,
     send: SendStream,
@@ -193,13 +198,13 @@ async fn introduce(
     candidate: Candidate,
     deadline: tokio::time::Instant,
 ) -> Result<Introduced, SessionError> {
-    let offer = shared.offer();
+    let offers = shared.offers();
     let opening = async {
         let (mut send, mut recv) = connection.accept_bi().await?;
         let first = read_message::<ClientMessage>(&mut recv).await;
-        let hello = first.map_err(SessionError::from).and_then(|m| admit(&offer, m));
-        if let Err(SessionError::Refused { code, message }) = &hello {
-            if *code != RefusalCode::Version {
+        let admitted = first.map_err(SessionError::from).and_then(|m| admit(&offers, m));
+        if let Err(SessionError::Refused { code, message }) = &admitted {
+            if !matches!(code, RefusalCode::Version | RefusalCode::Dataset) {
                 candidate.failed(shared.epoch.elapsed());
             }
             if *code == RefusalCode::Token {
@@ -207,7 +212,7 @@ async fn introduce(
             }
             refuse(&mut send, *code, message).await;
         }
-        Ok((hello?, send, recv))
+        Ok((admitted?, send, recv))
     };
     let opened = tokio::select! {
         opened = timeout_at(deadline, opening) => opened.unwrap_or_else(|_| {
@@ -219,9 +224,12 @@ async fn introduce(
             message: "gave way to a newcomer before the first message came".into(),
         }),
     };
-    let (hello, mut send, recv) = opened?;
+    let ((hello, offer), mut send, recv) = opened?;
     match candidate.admit(shared.epoch.elapsed()) {
-        Ok(place) => Ok(Introduced { offer, hello, place, send, recv }),
+        Ok(place) => {
+            let next_certificate = offers.next_certificate;
+            Ok(Introduced { offer, next_certificate, hello, place, send, recv })
+        }
         Err(closed) => {
             let (code, message) = (RefusalCode::Busy, closed.to_string());
             refuse(&mut send, code, &message).await;
@@ -234,19 +242,19 @@ async fn introduce(
 async fn converse(
     shared: &Arc<Shared>,
     connection: &Connection,
-    Introduced { offer, hello, place, mut send, recv }: Introduced,
+    Introduced { offer, next_certificate, hello, place, mut send, recv }: Introduced,
 ) -> Result<(), SessionError> {
     let allowance = place.allowance.clone();
     let outlet = Outlet { connection: connection.clone(), allowance, epoch: shared.epoch };
-    let walker = shared.walkers.enter(&hello.name);
+    let walker = shared.walkers.enter(&hello.name, &offer.name);
     let (address, began) = (connection.remote_address(), Instant::now());
     let (id, name, counters) = (walker.id, walker.name.clone(), walker.counters.clone());
-    tracing::info!(target: ACCESS, %address, walker = id, name = name.as_str(), "came in");
+    tracing::info!(target: ACCESS, %address, walker = id, name = name.as_str(), dataset = offer.name.as_str(), "came in");
     let (tasks, given) = mpsc::unbounded_channel();
     let (ended, done) = mpsc::unbounded_channel();
     let mut carrier = JoinSet::new();
     carrier.spawn(carry(outlet.clone(), shared.send_window, given, ended, walker.counters.clone()));
-    let session = Session::new(shared.clone(), offer, outlet, &hello, walker, tasks);
+    let session = Session::new(shared.clone(), (offer, next_certificate), outlet, &hello, walker, tasks);
     let end = session.run(&mut send, recv, done).await;
     if let Err(SessionError::Refused { code, message }) = &end {
         if place.strike(shared.epoch.elapsed()) {
@@ -266,6 +274,8 @@ struct Session {
     shared: Arc<Shared>,
     /// As it was when the walker came in.
     offer: Arc<Offer>,
+    /// The same.
+    next_certificate: Option<ChunkHash>,
     outlet: Outlet,
     walker: Entry,
     planner: Planner,
@@ -275,6 +285,8 @@ struct Session {
     tasks: mpsc::UnboundedSender<Task>,
     /// Chunks that exist but cannot be read, to be told.
     unreadable: Vec<u32>,
+    /// Chunks that the client reported as damaged, at most [`CHECKED_REPORTS`].
+    reported: BTreeSet<u32>,
     link_at: Duration,
     /// As the client said it last.
     capacity: Capacity,
@@ -297,7 +309,7 @@ struct Told {
 impl Session {
     fn new(
         shared: Arc<Shared>,
-        offer: Arc<Offer>,
+        (offer, next_certificate): (Arc<Offer>, Option<ChunkHash>),
         outlet: Outlet,
         hello: &Hello,
         walker: Entry,
@@ -320,11 +332,13 @@ impl Session {
             early: hello.early,
             shared,
             offer,
+            next_certificate,
             outlet,
             walker,
             started: Instant::now(),
             tasks,
             unreadable: Vec::new(),
+            reported: BTreeSet::new(),
             link_at: Duration::ZERO,
             capacity: Capacity::default(),
             manifests: hello.manifests.clone(),
@@ -400,7 +414,7 @@ impl Session {
             pages: (first.len() + rest.len()) as u32,
             walker: self.walker.id,
             others: self.shared.show_walkers,
-            next_certificate: self.offer.next_certificate,
+            next_certificate: self.next_certificate,
         });
         let mut opening = wire::encode(&welcome)?;
         if !known {
@@ -469,6 +483,7 @@ impl Session {
                 }
             }
             ClientMessage::Drop { chunks } => self.planner.dropped(&chunks),
+            ClientMessage::Damaged { chunks } => chunks.into_iter().for_each(|chunk| self.check_reported(chunk)),
             ClientMessage::Have { chunks } => self.planner.have(&chunks),
             ClientMessage::Decoding { waiting_bytes, bytes_per_s } => {
                 self.capacity.waiting_bytes = u64::from(waiting_bytes);
@@ -494,6 +509,20 @@ impl Session {
             ClientMessage::Bye => {}
         }
         Ok(())
+    }
+
+    /// Checks a chunk that the client reported as damaged, and logs where the damage is.
+    fn check_reported(&mut self, chunk: u32) {
+        if self.reported.len() >= CHECKED_REPORTS || !self.reported.insert(chunk) {
+            return;
+        }
+        metrics::counter!("ldi_reported_damaged_total").increment(1);
+        let found = match self.offer.served.is_intact(chunk) {
+            true => "its bytes are intact here: the client cannot decode them, or they change on the way",
+            false => "it is damaged here, too: run `ldi-server verify` and build the dataset again",
+        };
+        let (walker, name) = (self.walker.id, self.walker.name.as_str());
+        tracing::warn!(target: ACCESS, walker, name, chunk, found, "reported a damaged chunk");
     }
 
     /// Where the others are, if that changed.

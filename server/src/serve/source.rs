@@ -103,6 +103,11 @@ impl Served {
     pub fn chunk(&self, number: u32) -> Option<Bytes> {
         self.source.chunk(number).map_err(|e| self.log_unreadable((false, number), &e)).ok()
     }
+    /// Whether a chunk exists and its bytes match its hash.
+    pub fn is_intact(&self, number: u32) -> bool {
+        let entry = self.index().chunks.get(number as usize);
+        entry.zip(self.chunk(number)).is_some_and(|(entry, bytes)| blake3::hash(&bytes).as_bytes() == &entry.hash.0)
+    }
     /// A page's bytes; None as with chunks.
     pub fn page(&self, number: u32) -> Option<Bytes> {
         self.source.page(number).map_err(|e| self.log_unreadable((true, number), &e)).ok()

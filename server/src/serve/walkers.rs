@@ -51,6 +51,8 @@ pub struct WalkerView {
     pub id: u64,
     /// The name that it gave, escaped and cut.
     pub name: String,
+    /// The name of the dataset that it walks in.
+    pub dataset: String,
     /// World position, metres; None before the first pose.
     pub position: Option<[f64; 3]>,
     /// Degrees.
@@ -70,6 +72,7 @@ pub struct WalkerView {
 #[derive(Debug)]
 struct Walker {
     name: String,
+    dataset: String,
     pose: Option<Pose>,
     rtt_ms: f64,
     counters: Arc<Counters>,
@@ -95,24 +98,27 @@ pub struct Entry {
 }
 
 impl Walkers {
-    /// A walker came in.
-    pub fn enter(self: &Arc<Self>, name: &str) -> Entry {
+    /// A walker came into a dataset.
+    pub fn enter(self: &Arc<Self>, name: &str, dataset: &str) -> Entry {
         let id = self.next.fetch_add(1, Relaxed) + 1;
         let counters = Arc::<Counters>::default();
         let name: String = escaped(name).chars().take(MAX_NAME_CHARS).collect();
-        let walker = Walker { name: name.clone(), pose: None, rtt_ms: 0.0, counters: counters.clone() };
+        let (dataset, counters_kept) = (dataset.to_owned(), counters.clone());
+        let walker = Walker { name: name.clone(), dataset, pose: None, rtt_ms: 0.0, counters: counters_kept };
         self.connected.lock().unwrap_or_else(PoisonError::into_inner).insert(id, walker);
         metrics::gauge!("ldi_walkers").increment(1.0);
         Entry { walkers: self.clone(), id, name, counters }
     }
-    /// Everyone, by number.
-    pub fn views(&self) -> Vec<WalkerView> {
+    /// Everyone in a dataset, or in any, by number.
+    pub fn views(&self, dataset: Option<&str>) -> Vec<WalkerView> {
         let connected = self.connected.lock().unwrap_or_else(PoisonError::into_inner);
         connected
             .iter()
+            .filter(|(_, w)| dataset.is_none_or(|d| d == w.dataset))
             .map(|(&id, w)| WalkerView {
                 id,
                 name: w.name.clone(),
+                dataset: w.dataset.clone(),
                 position: w.pose.map(|p| p.position.to_array()),
                 yaw_deg: w.pose.map_or(0.0, |p| p.yaw_deg),
                 pitch_deg: w.pose.map_or(0.0, |p| p.pitch_deg),
@@ -123,12 +129,14 @@ impl Walkers {
             })
             .collect()
     }
-    /// Where all but one are, those nearest to it: at most [`MAX_OTHERS`], by number.
+    /// Where all others in a walker's dataset are, those nearest to it: at most [`MAX_OTHERS`], by
+    /// number.
     pub fn others(&self, than: u64) -> Vec<Other> {
         let connected = self.connected.lock().unwrap_or_else(PoisonError::into_inner);
-        let here = connected.get(&than).and_then(|w| w.pose).map(|p| p.position);
+        let Some(own) = connected.get(&than) else { return Vec::new() };
+        let here = own.pose.map(|p| p.position);
         let far = |p: &Pose| here.map_or(0.0, |h| h.distance_squared(p.position));
-        let rest = connected.iter().filter(|(id, _)| **id != than);
+        let rest = connected.iter().filter(|(id, w)| **id != than && w.dataset == own.dataset);
         let mut rest: Vec<(u64, &str, Pose)> =
             rest.filter_map(|(id, w)| w.pose.map(|p| (*id, w.name.as_str(), p))).collect();
         rest.sort_by(|a, b| far(&a.2).total_cmp(&far(&b.2)));
@@ -174,7 +182,9 @@ mod tests {
     fn the_nearest_others_are_told_by_number_and_never_oneself() {
         let all = Arc::<Walkers>::default();
         let at = |x: f64| Pose { position: DVec3::new(x, 0.0, 0.0), yaw_deg: 10.0, pitch_deg: 0.0 };
-        let entries: Vec<Entry> = (0..MAX_OTHERS + 3).map(|i| all.enter(&format!("{i}\n"))).collect();
+        let entries: Vec<Entry> = (0..MAX_OTHERS + 3).map(|i| all.enter(&format!("{i}\n"), "house")).collect();
+        let elsewhere = all.enter("elsewhere", "museum");
+        elsewhere.moved(at(-1.0), 1.0);
         let me = entries[0].id;
         assert!(all.others(me).is_empty(), "nobody has said yet where it is");
         // The later, the nearer, but for the last, which does not say.
@@ -187,10 +197,12 @@ mod tests {
         assert_eq!((told[0].name.as_str(), told[0].position, told[0].yaw_deg), (r"2\n", [63.0, 0.0, 0.0], 10.0));
         // Whatever finite pose and name somebody has, the others' message can be sent.
         entries[5].moved(Pose { yaw_deg: -1e300, ..at(0.5) }, 1.0);
-        let long = all.enter(&"\u{10348}".repeat(1_000));
+        let long = all.enter(&"\u{10348}".repeat(1_000), "house");
         long.moved(at(0.0), 1.0);
         assert!(wire::encode(&wire::ServerMessage::Others { walkers: all.others(me) }).is_ok());
+        let datasets = |d: Option<&str>| all.views(d).len();
+        assert_eq!((datasets(Some("museum")), datasets(None)), (1, MAX_OTHERS + 5));
         drop((entries, long));
-        assert!(all.others(me).is_empty());
+        assert!(all.others(elsewhere.id).is_empty());
     }
 }

@@ -10,6 +10,7 @@ use super::{
 use ldi_protocol::manifest::MAX_ROOT_BYTES;
 use std::{
     fs::{self, File},
+    hash::{DefaultHasher, Hash as _, Hasher as _},
     io::Write,
     path::{Path, PathBuf},
 };
@@ -74,6 +75,22 @@ impl DatasetFolder {
 /// Whether a folder holds the marker.
 pub(super) fn is_marked(folder: &Path) -> Result<bool, StoreError> {
     Ok(read_marker(folder)?.is_some_and(|text| text == TEXT.as_bytes()))
+}
+
+/// Whether a folder holds a dataset, or is known as one of a build that has not ended.
+pub fn is_dataset(folder: &Path) -> bool {
+    folder.join(files::MANIFEST).is_file() || is_marked(folder).unwrap_or(false)
+}
+
+/// A value that changes when a folder's dataset is replaced; None without a manifest. Nothing is
+/// read: by its file's number, length and time.
+pub fn manifest_stamp(folder: &Path) -> Option<u64> {
+    let found = fs::metadata(folder.join(files::MANIFEST)).ok()?;
+    let mut hasher = DefaultHasher::new();
+    (found.len(), found.modified().ok()).hash(&mut hasher);
+    #[cfg(unix)]
+    std::os::unix::fs::MetadataExt::ino(&found).hash(&mut hasher);
+    Some(hasher.finish())
 }
 
 /// The content of the marker file; None if there is none, or something else of that name.

@@ -44,6 +44,7 @@ mod writer;
 pub use dataset::Dataset;
 pub(crate) use error::REPLACE;
 pub use error::StoreError;
+pub use folder::{is_dataset, manifest_stamp};
 pub use inspect::{inspect, inspect_text};
 pub use verify::{Fault, Verification, verify};
 pub use writer::{DatasetWriter, Written};

@@ -4,6 +4,8 @@
 pub mod colours;
 pub mod decode;
 pub mod docs;
+pub mod matrix;
+pub mod matrix_page;
 pub mod numerics;
 pub mod numerics_page;
 pub mod occlusion;

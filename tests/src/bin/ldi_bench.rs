@@ -11,8 +11,8 @@ use ldi_server::placement::AuditSize;
 use ldi_server::serve::planner::PlannerConfig;
 use ldi_tests::args::percent;
 use ldi_tests::bench::{
-    decode, docs, numerics, numerics_page, occlusion, placement, placement_page, portals, portals_page, searches,
-    speed_error, speed_error_page, streaming, tree, video,
+    decode, docs, matrix, matrix_page, numerics, numerics_page, occlusion, placement, placement_page, portals,
+    portals_page, searches, speed_error, speed_error_page, streaming, tree, video,
 };
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -88,6 +88,13 @@ Examples:
   ldi-bench occlusion clinic.ldi --path clinic.path.json -o out/occlusion
   ldi-bench occlusion clinic.ldi --path clinic.path.json --leaves 16,1024 --views 40 -o out/occlusion")]
     Occlusion(OcclusionArgs),
+    /// Every scene with default settings and with each single method: seconds, memory and bytes of
+    /// the build; time, error, holes and bytes of a walk. Says where the default is dominated.
+    #[command(after_help = "\
+Examples:
+  ldi-bench matrix clinic.glb small_house.glb -o out/matrix
+  ldi-bench matrix clinic.glb 'builtin:plant?triangles=2000000' --build=--time-limit=5min --frames 12 -o out/matrix")]
+    Matrix(MatrixArgs),
     /// The frames of a walk as video, as a server that renders every frame would stream them: bits
     /// per second against error. Needs ffmpeg.
     #[command(after_help = "\
@@ -113,6 +120,28 @@ struct DocsArgs {
     /// Write nothing; fail if a page is not up to date.
     #[arg(long)]
     check: bool,
+}
+
+#[derive(Debug, clap::Args)]
+struct MatrixArgs {
+    /// Scenes, as for `ldi-server build`; beside NAME.glb the path NAME.path.json is walked.
+    #[arg(required = true)]
+    scenes: Vec<String>,
+    /// Folder for what is left, datasets and pictures included.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Single methods beside the default.
+    #[arg(long, value_enum, value_delimiter = ',', default_values = ["grid", "portals", "tree", "cache", "levels", "geometry"])]
+    methods: Vec<matrix::Setting>,
+    /// Output size.
+    #[arg(long, default_value = "1280x720", value_parser = size)]
+    size: (u32, u32),
+    /// Frames, evenly spaced over each path.
+    #[arg(long, default_value_t = 24, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    frames: u64,
+    /// An option of all builds; give it again for another one.
+    #[arg(long, value_name = "OPTION")]
+    build: Vec<String>,
 }
 
 #[derive(Debug, clap::Args)]
@@ -382,9 +411,36 @@ fn run(command: Command) -> Result<()> {
         Command::Decode(a) => decode_of(&a),
         Command::Portals(a) => portals_of(a),
         Command::Occlusion(a) => occlusion_of(&a),
+        Command::Matrix(a) => matrix_of(a),
         Command::Video(a) => video_of(a),
         Command::Docs(a) => docs_of(&a),
     }
+}
+
+fn matrix_of(a: MatrixArgs) -> Result<()> {
+    let study = matrix::Matrix {
+        scenes: a.scenes,
+        settings: a.methods,
+        size: format!("{}x{}", a.size.0, a.size.1),
+        frames: a.frames,
+        build: a.build,
+        output: a.output,
+    };
+    let rows = matrix::run(&study, |row| eprintln!("{}", matrix_page::line(row)))?;
+    let dominated = matrix::dominated(&rows);
+    let options: String = study.build.iter().map(|o| format!(" --build={o}")).collect();
+    let (scenes, size, frames) = (study.scenes.join(" "), &study.size, study.frames);
+    let command = format!("ldi-bench matrix {scenes} --size {size} --frames {frames}{options}");
+    let json = serde_json::json!({ "command": command, "dominated": dominated, "rows": rows });
+    write(&study.output.join("matrix.json"), &serde_json::to_string_pretty(&json)?)?;
+    write(&study.output.join("matrix.csv"), &matrix_page::csv(&rows))?;
+    write(&study.output.join("index.html"), &matrix_page::html(&rows, &command))?;
+    dominated.iter().for_each(|d| println!("{}", matrix_page::sentence(d)));
+    if dominated.is_empty() {
+        println!("no default is dominated");
+    }
+    println!("look at {}", study.output.join("index.html").display());
+    Ok(())
 }
 
 fn docs_of(a: &DocsArgs) -> Result<()> {

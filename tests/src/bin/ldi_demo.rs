@@ -5,8 +5,9 @@ use anyhow::{Context as _, Result};
 use clap::Parser;
 use ldi_tests::args::percent;
 use ldi_tests::page::Page;
+use ldi_tests::poses;
 use ldi_tests::run::{self, Server};
-use serde_json::{Value, json};
+use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
@@ -84,8 +85,8 @@ fn main() -> Result<()> {
             (out("house.glb"), out("house.path.json"))
         }
     };
-    let poses = out("poses.json");
-    let n = write_poses(&path, o.frames, &poses)?;
+    let poses_file = out("poses.json");
+    let n = poses::spread(&path, o.frames, &poses_file)?;
     println!("walking {n} poses, evenly spaced over {}", path.display());
 
     let budget = (count_triangles(&scene)? * o.budget_percent / 100.0).ceil() as u64;
@@ -97,7 +98,7 @@ fn main() -> Result<()> {
     steps.run(c)?;
     for (samples, folder) in [("16", "truth"), ("1", "baseline")] {
         let mut c = run::command("ldi-server")?;
-        c.arg("render").arg(&scene).arg("--path").arg(&poses).args(["--size", &o.size, "--samples", samples]);
+        c.arg("render").arg(&scene).arg("--path").arg(&poses_file).args(["--size", &o.size, "--samples", samples]);
         c.arg(if samples == "1" { "--mips" } else { "--depth" }).arg("-o").arg(out(folder));
         steps.run(c)?;
     }
@@ -105,7 +106,7 @@ fn main() -> Result<()> {
     let server = Server::start(&out("dataset"))?;
     println!("serving on {}, plan on http://{}/", server.quic, server.http);
     let mut c = run::command("ldi-client")?;
-    c.args(["walk", &server.quic, "--fingerprint", &server.fingerprint, "--path"]).arg(&poses);
+    c.args(["walk", &server.quic, "--fingerprint", &server.fingerprint, "--path"]).arg(&poses_file);
     c.args(["--size", &o.size, "--pace", "wait", "--debug-views", "--truth"]).arg(out("truth"));
     c.arg("--baseline").arg(out("baseline")).arg("-o").arg(out("frames")).arg("--report").arg(out("walk.json"));
     steps.run(c)?;
@@ -122,20 +123,6 @@ fn main() -> Result<()> {
         .with_context(|| format!("cannot write {}", out("index.html").display()))?;
     println!("look at {}", out("index.html").display());
     Ok(())
-}
-
-/// Writes `frames` poses, evenly spaced over a path; says how many.
-fn write_poses(path: &Path, frames: u64, to: &Path) -> Result<usize> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let walk = ldi_protocol::path::parse(&text).with_context(|| format!("{}", path.display()))?;
-    let all = walk.poses.len();
-    let picked: Vec<Value> = (0..(frames as usize).min(all))
-        .map(|i| &walk.poses[i * all / (frames as usize).min(all)])
-        .map(|p| json!({ "t": p.t_s, "position": p.pose.position.to_array(), "yaw": p.pose.yaw_deg, "pitch": p.pose.pitch_deg }))
-        .collect();
-    let file = json!({ "fps": walk.fps, "speed": walk.speed, "poses": picked });
-    std::fs::write(to, file.to_string()).with_context(|| format!("cannot write {}", to.display()))?;
-    Ok(picked.len())
 }
 
 fn count_triangles(scene: &Path) -> Result<f64> {

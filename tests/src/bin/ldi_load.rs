@@ -42,7 +42,7 @@ Examples:
 A walker looks 60 times per second what of its view is missing. Exit codes: 0 done, 2 wrong usage, 1 a retry may help, 42 a retry will not help."
 )]
 struct Cli {
-    /// HOST or HOST:PORT of the server.
+    /// `HOST[:PORT]` of the server; `HOST[:PORT]/NAME` where it serves several datasets.
     server: String,
     /// How many walkers; 0 with --hostile: only those.
     #[arg(long, value_parser = clap::value_parser!(u32).range(0..=MAX_WALKERS))]

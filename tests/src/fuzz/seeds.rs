@@ -265,6 +265,7 @@ pub(super) fn client_message() -> Vec<Vec<u8>> {
         manifests: vec![ChunkHash([7; 32])],
         portals: Default::default(),
         far: Default::default(),
+        dataset: Some("house".into()),
         early: true,
     };
     let all = [

@@ -108,6 +108,7 @@ pub fn hello(version: u16, token: Option<String>, picture: Picture) -> ClientMes
         manifests: vec![],
         portals: ShowPortals::default(),
         far: FarBy::default(),
+        dataset: None,
         early: false,
     })
 }

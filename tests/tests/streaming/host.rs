@@ -4,7 +4,7 @@ use crate::fixture::Street;
 use bytes::Bytes;
 use ldi_client::stream::{ConnectConfig, Connection};
 use ldi_protocol::{index::Index, manifest, wire::Picture};
-use ldi_server::serve::{ChunkSource, ServeConfig, Server};
+use ldi_server::serve::{ChunkSource, NamedSources, ServeConfig, Server};
 use ldi_server::store::StoreError;
 use std::{
     io::{Read, Write},
@@ -52,6 +52,11 @@ impl ChunkSource for Memory {
     }
 }
 
+/// A dataset alone, under the name that all have here.
+fn named(dataset: impl ChunkSource) -> NamedSources {
+    NamedSources::from([("street".to_owned(), Arc::new(dataset) as Arc<dyn ChunkSource>)])
+}
+
 /// A server on free ports, with a runtime and an identity of its own.
 pub struct Host {
     pub runtime: Runtime,
@@ -70,14 +75,19 @@ impl Host {
         let any = SocketAddr::from(([127, 0, 0, 1], 0));
         let config = ServeConfig { listen: any, http: any.into(), identity: Some(folder.join("identity")), ..config };
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
-        let server = runtime.block_on(Server::start(Arc::new(dataset), &config)).unwrap();
+        let server = runtime.block_on(Server::start(named(dataset), &config)).unwrap();
         Self { runtime, server: Some(server), settings: config, folder }
+    }
+
+    /// Offers newcomers these datasets instead.
+    pub fn offer(&mut self, datasets: NamedSources) {
+        self.server.as_mut().unwrap().reload(datasets, &self.settings).unwrap();
     }
 
     /// Offers newcomers another dataset, and token and certificate as they are on disk now.
     pub fn reload(&mut self, dataset: Memory) {
         let server = self.server.as_mut().unwrap();
-        server.reload(Arc::new(dataset), &self.settings).unwrap();
+        server.reload(named(dataset), &self.settings).unwrap();
     }
 
     /// Folder of the server's identity.
