@@ -8,6 +8,10 @@ use crate::plot::{Plot, Series, escape, number};
 use serde_json::Value;
 use std::fmt::Write as _;
 
+/// Bytes of a triangle in a file without instances: half a vertex of position, normal and texture
+/// coordinates, 32 bytes, and three indices of 4 bytes.
+const BYTES_PER_TRIANGLE: u32 = 28;
+
 /// What the page shows.
 pub struct Page<'a> {
     /// Heading: the scene's name.
@@ -16,6 +20,10 @@ pub struct Page<'a> {
     pub build: &'a Value,
     /// Report of `ldi-client walk`.
     pub walk: &'a Value,
+    /// The same with `--method levels`; null: not walked so.
+    pub levels: &'a Value,
+    /// Bytes of the scene's file.
+    pub scene_bytes: u64,
     /// The commands that were run, as typed, and their seconds.
     pub commands: &'a [(String, f64)],
 }
@@ -25,8 +33,7 @@ impl Page<'_> {
     pub fn html(&self) -> String {
         let summary = &self.walk["summary"];
         let frames = self.walk["frames"].as_array().map(Vec::as_slice).unwrap_or_default();
-        let get = |v: &Value, path: &str| path.split('.').fold(v.clone(), |v, key| v[key].clone());
-        let f = |path: &str| get(summary, path).as_f64().unwrap_or(f64::NAN);
+        let f = |path: &str| at(summary, path).as_f64().unwrap_or(f64::NAN);
         let mut h = String::from(
             "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">",
         );
@@ -36,31 +43,80 @@ impl Page<'_> {
             escape(self.scene),
             STYLE
         );
+        self.comparison(&mut h, frames);
+        self.figures(&mut h, &f);
+        viewer(&mut h, frames);
+        self.plots(&mut h, frames, f("budget_triangles"));
+        self.build_table(&mut h);
+        h.push_str("<h2>How to run it again</h2><pre>");
+        for (command, seconds) in self.commands {
+            let _ = writeln!(h, "{}   <i># {seconds:.1} s</i>", escape(command));
+        }
+        let _ = write!(h, "</pre></main><script>{SCRIPT}</script></html>");
+        h
+    }
+
+    /// One picture to drag between geometry, images and truth.
+    fn comparison(&self, h: &mut String, frames: &[Value]) {
+        let Some(frame) = frames.get(most_of_both(frames)) else { return };
+        let file = file_of(frame);
         let _ = write!(
             h,
-            "<p class=\"lead\">{} triangles, drawn with at most {} per frame: near cells as geometry, the rest warped from layered depth images that were streamed over QUIC.</p>",
-            number(f("scene_triangles")),
-            number(f("budget_triangles"))
+            "<p class=\"lead\">Drag the two borders: left what is drawn as geometry, in the middle what is warped from \
+             layered depth images that came over the network, right the truth by 16 rays per pixel.</p>\
+             <div class=\"compare\" id=\"compare\"><img src=\"truth/{file}.png\" alt=\"truth\">\
+             <img class=\"far\" src=\"frames/{file}.far.png\" alt=\"what is warped from images\">\
+             <img class=\"near\" src=\"frames/{file}.near.png\" alt=\"what is drawn as geometry\">\
+             <span>geometry</span><span>images</span><span>truth</span></div>\
+             <p class=\"borders\"><label>geometry up to <input id=\"a\" type=\"range\" min=\"0\" max=\"100\" value=\"33\"></label>\
+             <label>images up to <input id=\"b\" type=\"range\" min=\"0\" max=\"100\" value=\"67\"></label></p>"
         );
+    }
 
+    /// Four figures, and then the error.
+    fn figures(&self, h: &mut String, f: &dyn Fn(&str) -> f64) {
         h.push_str("<section class=\"tiles\">");
-        let tile = |h: &mut String, value: String, name: &str, note: String| {
-            let _ = write!(
-                h,
-                "<div><b>{}</b><span>{}</span><small>{}</small></div>",
-                escape(&value),
-                escape(name),
-                escape(&note)
-            );
+        let mut tile = |value: String, name: &str, note: String| {
+            let (value, name, note) = (escape(&value), escape(name), escape(&note));
+            let _ = write!(h, "<div><b>{value}</b><span>{name}</span><small>{note}</small></div>");
         };
+        let instances = self.build["scene"]["instances"].as_f64().unwrap_or(f64::NAN);
+        tile(number(f("scene_triangles")), "triangles in the scene", format!("in {} instances", number(instances)));
         tile(
-            &mut h,
             number(f("max_triangles")),
             "triangles in the worst frame",
-            format!("budget {}, {} violations", number(f("budget_triangles")), number(f("budget_violations"))),
+            format!("budget {}, exceeded in {} frames", number(f("budget_triangles")), number(f("budget_violations"))),
+        );
+        let levels = |path: &str| at(&self.levels["summary"], path).as_f64();
+        let alone = levels("frame_ms.p50").map_or(String::new(), |ms| {
+            let most = levels("max_triangles").map_or("-".into(), number);
+            format!("; levels of detail alone: {ms:.0} ms with up to {most} triangles")
+        });
+        tile(
+            format!("{:.0} ms", f("frame_ms.p50")),
+            "per frame, without a graphics card",
+            format!(
+                "drawing everything in view: {:.0} ms, {:.1} times as long{alone}",
+                f("all_geometry_frame_ms.p50"),
+                f("speedup")
+            ),
         );
         tile(
-            &mut h,
+            format!("{:.1} MB", f("bytes_total") / 1e6),
+            "received for the walk",
+            format!(
+                "the scene's file has {:.1} MB, and {} MB with its instances written out ({BYTES_PER_TRIANGLE} bytes per triangle)",
+                self.scene_bytes as f64 / 1e6,
+                number(f("scene_triangles") * f64::from(BYTES_PER_TRIANGLE) / 1e6)
+            ),
+        );
+        h.push_str("</section><section class=\"tiles\">");
+        let mut tile = |value: String, name: &str, note: String| {
+            let (value, name, note) = (escape(&value), escape(name), escape(&note));
+            let _ = write!(h, "<div><b>{value}</b><span>{name}</span><small>{note}</small></div>");
+        };
+        let summary = &self.walk["summary"];
+        tile(
             format!("{:.4}", f("mean_flip")),
             "mean FLIP against truth",
             match summary["flip_over_baseline"].as_object() {
@@ -78,7 +134,11 @@ impl Page<'_> {
             },
         );
         tile(
-            &mut h,
+            format!("{:.0}%", 100.0 * f("far_fraction_mean")),
+            "of the pixels from images",
+            format!("{} samples warped per frame", number(f("samples_warped_mean"))),
+        );
+        tile(
             format!("{:.3}%", 100.0 * f("hole_fraction_max")),
             "holes, worst frame",
             format!(
@@ -87,72 +147,7 @@ impl Page<'_> {
                 100.0 * f("hole_before_fill_mean")
             ),
         );
-        tile(
-            &mut h,
-            format!("{:.1} ms", f("frame_ms.p50")),
-            "per frame, CPU only",
-            format!("p99 {:.1} ms; {:.1} times as fast as drawing everything", f("frame_ms.p99"), f("speedup")),
-        );
-        tile(
-            &mut h,
-            format!("{} MB", number(f("bytes_total") / 1e6)),
-            "received",
-            format!("all geometry would be {} MB", number(f("all_geometry_bytes") / 1e6)),
-        );
-        tile(
-            &mut h,
-            format!("{}", frames.len()),
-            "frames",
-            format!(
-                "{} incomplete, {} outside the walk volume",
-                number(f("frames_incomplete")),
-                number(f("frames_outside_volume"))
-            ),
-        );
         h.push_str("</section>");
-
-        self.viewer(&mut h, frames);
-        self.plots(&mut h, frames, f("budget_triangles"));
-        self.build_table(&mut h);
-        h.push_str("<h2>How to run it again</h2><pre>");
-        for (command, seconds) in self.commands {
-            let _ = writeln!(h, "{}   <i># {seconds:.1} s</i>", escape(command));
-        }
-        let _ = write!(h, "</pre></main><script>{SCRIPT}</script></html>");
-        h
-    }
-
-    fn viewer(&self, h: &mut String, frames: &[Value]) {
-        let rows: Vec<Value> = frames
-            .iter()
-            .map(|f| {
-                let file = format!("frame_{:05}", f["index"].as_u64().unwrap_or_default());
-                let note = format!(
-                    "pose {}: {} triangles, {} samples warped, FLIP {} (all geometry at one sample per pixel: {}), footprint at most {} px",
-                    f["index"],
-                    number(f["triangles"].as_f64().unwrap_or(f64::NAN)),
-                    number(f["samples_warped"].as_f64().unwrap_or(0.0)),
-                    fixed(f["flip"].as_f64()),
-                    fixed(f["flip_baseline"].as_f64()),
-                    fixed(f["footprint_max_px"].as_f64()),
-                );
-                serde_json::json!({ "file": file, "note": note })
-            })
-            .collect();
-        let json = Value::from(rows).to_string().replace('<', "\\u003c");
-        // Begin where images show most.
-        let far = |i: &usize| frames[*i]["far_fraction"].as_f64().unwrap_or(0.0);
-        let first = (0..frames.len()).rev().max_by(|a, b| far(a).total_cmp(&far(b))).unwrap_or(0);
-        let _ = write!(
-            h,
-            "<h2>Frames</h2><p><input id=\"at\" type=\"range\" min=\"0\" max=\"{}\" value=\"{first}\" aria-label=\"frame\"><output id=\"note\"></output></p><div class=\"views\">\
-             <figure><img id=\"ours\" alt=\"our frame\"><figcaption>What the walker sees</figcaption></figure>\
-             <figure><img id=\"truth\" alt=\"truth\"><figcaption>Truth: every triangle, 16 rays per pixel</figcaption></figure>\
-             <figure><img id=\"near\" alt=\"geometry\"><figcaption>Drawn as geometry</figcaption></figure>\
-             <figure><img id=\"far\" alt=\"images\"><figcaption>Warped from layered depth images</figcaption></figure></div>\
-             <script>const frames={json};</script>",
-            frames.len().saturating_sub(1)
-        );
     }
 
     fn plots(&self, h: &mut String, frames: &[Value], budget: f64) {
@@ -245,6 +240,55 @@ impl Page<'_> {
     }
 }
 
+fn viewer(h: &mut String, frames: &[Value]) {
+    let rows: Vec<Value> = frames
+        .iter()
+        .map(|f| {
+            let file = file_of(f);
+            let note = format!(
+                "pose {}: {} triangles, {} samples warped, FLIP {} (all geometry at one sample per pixel: {}), footprint at most {} px",
+                f["index"],
+                number(f["triangles"].as_f64().unwrap_or(f64::NAN)),
+                number(f["samples_warped"].as_f64().unwrap_or(0.0)),
+                fixed(f["flip"].as_f64()),
+                fixed(f["flip_baseline"].as_f64()),
+                fixed(f["footprint_max_px"].as_f64()),
+            );
+            serde_json::json!({ "file": file, "note": note })
+        })
+        .collect();
+    let json = Value::from(rows).to_string().replace('<', "\\u003c");
+    let first = most_of_both(frames);
+    let _ = write!(
+        h,
+        "<h2>Frames</h2><p><input id=\"at\" type=\"range\" min=\"0\" max=\"{}\" value=\"{first}\" aria-label=\"frame\"><output id=\"note\"></output></p><div class=\"views\">\
+         <figure><img id=\"ours\" alt=\"our frame\"><figcaption>What the walker sees</figcaption></figure>\
+         <figure><img id=\"truth\" alt=\"truth\"><figcaption>Truth: every triangle, 16 rays per pixel</figcaption></figure>\
+         <figure><img id=\"near\" alt=\"geometry\"><figcaption>Drawn as geometry</figcaption></figure>\
+         <figure><img id=\"far\" alt=\"images\"><figcaption>Warped from layered depth images</figcaption></figure></div>\
+         <script>const frames={json};</script>",
+        frames.len().saturating_sub(1)
+    );
+}
+
+/// The frame where geometry and images both show most: the first whose lesser part is the largest.
+fn most_of_both(frames: &[Value]) -> usize {
+    let lesser = |i: &usize| {
+        let far = frames[*i]["far_fraction"].as_f64().unwrap_or(0.0);
+        far.min(1.0 - far)
+    };
+    (0..frames.len()).rev().max_by(|a, b| lesser(a).total_cmp(&lesser(b))).unwrap_or(0)
+}
+
+fn file_of(frame: &Value) -> String {
+    format!("frame_{:05}", frame["index"].as_u64().unwrap_or_default())
+}
+
+/// A value by a path with dots.
+fn at(value: &Value, path: &str) -> Value {
+    path.split('.').fold(value.clone(), |v, key| v[key].clone())
+}
+
 fn fixed(v: Option<f64>) -> String {
     v.map_or("-".into(), |v| format!("{v:.3}"))
 }
@@ -258,6 +302,12 @@ h1{margin:0 0 4px;font-size:28px}h2{margin:36px 0 10px;font-size:19px}.lead{colo
 .tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(180px,1fr));gap:12px}.tiles div{background:var(--card);border:1px solid var(--line);border-radius:8px;padding:12px 14px;display:flex;flex-direction:column}\
 .tiles b{font-size:22px}.tiles small{color:var(--dim)}.views,.plots{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,480px),1fr));gap:14px}\
 figure{margin:0;background:var(--card);border:1px solid var(--line);border-radius:8px;overflow:hidden}figcaption{padding:6px 12px;color:var(--dim);font-size:14px}img{display:block;width:100%;background:#8884}\
+.compare{position:relative;border-radius:8px;overflow:hidden;cursor:ew-resize;touch-action:pan-y;user-select:none}.compare img{pointer-events:none}.compare .far,.compare .near{position:absolute;inset:0;height:100%;background:#000}\
+.compare .near{clip-path:inset(0 calc(100% - var(--a)) 0 0);background:var(--bg)}.compare .far{clip-path:inset(0 calc(100% - var(--b)) 0 0)}.compare{--a:33%;--b:67%}\
+.compare span{position:absolute;top:8px;padding:2px 10px;border-radius:999px;background:#000a;color:#fff;font-size:14px;transform:translateX(-50%)}\
+.compare span:nth-of-type(1){left:calc(var(--a)/2)}.compare span:nth-of-type(2){left:calc((var(--a) + var(--b))/2)}.compare span:nth-of-type(3){left:calc((var(--b) + 100%)/2)}\
+.compare::before,.compare::after{content:'';position:absolute;z-index:1;top:0;bottom:0;width:3px;margin-left:-1px;background:#fff;box-shadow:0 0 4px #000}.compare::before{left:var(--a)}.compare::after{left:var(--b)}\
+.borders{display:flex;flex-wrap:wrap;gap:4px 24px;color:var(--dim);font-size:14px}.tiles+.tiles{margin-top:12px}\
 input[type=range]{width:min(100%,480px);vertical-align:middle;margin-right:12px}output{color:var(--dim);font-size:14px}\
 svg.plot{display:block;padding:10px;width:calc(100% - 20px)}svg text{fill:var(--dim);font:12px system-ui,sans-serif}svg .title{fill:var(--fg);font-weight:600;font-size:13px}\
 svg .grid{stroke:var(--line)}svg path,svg line.s0,svg line.s1,svg line.s2,svg line.s3{fill:none;stroke-width:1.8}.s0{stroke:var(--s0);color:var(--s0)}.s1{stroke:var(--s1);color:var(--s1)}.s2{stroke:var(--s2);color:var(--s2)}.s3{stroke:var(--s3);color:var(--s3)}\
@@ -268,7 +318,14 @@ pre{overflow-x:auto;background:var(--card);border:1px solid var(--line);border-r
 const SCRIPT: &str = "\
 const at=document.getElementById('at');function show(){const f=frames[+at.value];if(!f)return;\
 for(const[id,src]of[['ours','frames/'+f.file+'.png'],['truth','truth/'+f.file+'.png'],['near','frames/'+f.file+'.near.png'],['far','frames/'+f.file+'.far.png']])document.getElementById(id).src=src;\
-document.getElementById('note').textContent=f.note}at.addEventListener('input',show);show();";
+document.getElementById('note').textContent=f.note}at.addEventListener('input',show);show();\
+const box=document.getElementById('compare'),[a,b]=['a','b'].map(id=>document.getElementById(id));if(box){let held=null;\
+const place=()=>{box.style.setProperty('--a',a.value+'%');box.style.setProperty('--b',b.value+'%')};\
+const drag=e=>{if(!held)return;const r=box.getBoundingClientRect();held.value=100*(e.clientX-r.left)/r.width;keep(held)};\
+const keep=moved=>{if(+a.value>+b.value)(moved===a?b:a).value=moved.value;place()};\
+box.addEventListener('pointerdown',e=>{const r=box.getBoundingClientRect(),x=100*(e.clientX-r.left)/r.width;held=Math.abs(x-a.value)<=Math.abs(x-b.value)&&!(x>+b.value)?a:b;box.setPointerCapture(e.pointerId);drag(e)});\
+box.addEventListener('pointermove',drag);box.addEventListener('pointerup',()=>held=null);box.addEventListener('pointercancel',()=>held=null);\
+for(const i of[a,b])i.addEventListener('input',()=>keep(i));place()}";
 
 #[cfg(test)]
 mod tests {
@@ -280,7 +337,9 @@ mod tests {
         let frame = |t: f64, bytes: u64| json!({ "index": t, "t_s": t, "bytes_received": bytes });
         let walk =
             json!({ "summary": {}, "frames": [frame(0.0, 9_000_000), frame(1.0, 9_500_000), frame(2.0, 9_900_000)] });
-        let html = Page { scene: "s", build: &json!({}), walk: &walk, commands: &[] }.html();
+        let html =
+            Page { scene: "s", build: &json!({}), walk: &walk, levels: &Value::Null, scene_bytes: 0, commands: &[] }
+                .html();
         let plot = html
             .split("aria-label=\"Received over the walk\"")
             .nth(1)
@@ -298,11 +357,20 @@ mod tests {
             },
             "frames": [ { "index": 0, "triangles": 10, "flip": 0.05 }, { "index": 7, "triangles": 20, "flip": null, "far_fraction": 0.1 } ]
         });
-        let page = Page { scene: "a<b", build: &json!({}), walk: &walk, commands: &[("ldi-server x".into(), 1.0)] };
+        let page = Page {
+            scene: "a<b",
+            build: &json!({ "scene": { "instances": 3 } }),
+            walk: &walk,
+            levels: &json!({ "summary": { "frame_ms": { "p50": 77.0 }, "max_triangles": 9 } }),
+            scene_bytes: 2_000_000,
+            commands: &[("ldi-server x".into(), 1.0)],
+        };
         let html = page.html();
         assert!(html.contains("frame_00000") && html.contains("frame_00007"));
         assert!(html.contains("a&lt;b") && !html.contains("a<b"));
-        assert!(html.contains("1.25 times"));
+        assert!(html.contains("1.25 times") && html.contains("levels of detail alone: 77 ms"));
+        assert!(html.contains("in 3 instances") && html.contains("file has 2.0 MB"));
+        assert!(html.contains("frames/frame_00007.near.png"), "where both geometry and images show");
         assert!(html.contains("value=\"1\" aria-label=\"frame\""), "it begins with the frame that shows an image");
     }
 }

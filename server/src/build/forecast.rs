@@ -3,7 +3,7 @@
 //! In: the placements of a plan. Out: a [`Forecast`]. The placements that are made for it are kept
 //! like all others, so that nothing is done twice.
 
-use super::{BuildError, choose::pixels_of, images};
+use super::{BuildError, Progress, choose::pixels_of, images};
 use crate::placement::PlacementPlan;
 use crate::render::Caster;
 use crate::store::DatasetWriter;
@@ -25,6 +25,7 @@ pub(super) struct Work<'a> {
     pub scene_key: &'a [u8; 32],
     pub writer: &'a DatasetWriter,
     pub deadline: Option<Instant>,
+    pub progress: &'a dyn Progress,
 }
 
 /// What the images of a plan are expected to take.
@@ -55,8 +56,9 @@ impl Forecast {
         // The middle of each of as many equal parts.
         let sampled: Vec<PlacementPlan> =
             (0..SAMPLED).map(|k| by_size[(2 * k + 1) * plans.len() / (2 * SAMPLED)].clone()).collect();
-        let Work { caster, settings, colour, scene_key, writer, deadline } = *work;
-        let made = images::construct_all(caster, &sampled, settings, colour, scene_key, writer, deadline, &())?;
+        let Work { caster, settings, colour, scene_key, writer, deadline, progress } = *work;
+        progress.stage("what the images will take, by placement", sampled.len() as u64);
+        let made = images::construct_all(caster, &sampled, settings, colour, scene_key, writer, deadline, progress)?;
         let figures = &made.figures;
         if figures.made < figures.images || figures.unmade > 0 {
             return Ok(None);

@@ -406,7 +406,6 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     let deadline = options.time_limit.map(|limit| clock.start + limit);
     let forecast = match plan.plans.is_empty() {
         false => {
-            progress.stage("what the images will take", 0);
             let work = forecast::Work {
                 caster: &caster,
                 settings: &settings,
@@ -414,6 +413,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
                 scene_key: &scene_key,
                 writer: &writer,
                 deadline,
+                progress,
             };
             let found = Forecast::of(&work, &plan.plans)?;
             if let Some(found) = &found {

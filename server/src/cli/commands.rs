@@ -23,7 +23,7 @@ use ldi_protocol::index::{BuildSettings, Index};
 use ldi_protocol::path::{PathError, Walk};
 use ldi_protocol::room_index::BuiltImages;
 use ldi_protocol::rooms::Rooms;
-use ldi_protocol::said::{is_lasting, said};
+use ldi_protocol::said::is_lasting;
 use std::io::{BufWriter, Write as _};
 use std::path::Path;
 use std::sync::Arc;

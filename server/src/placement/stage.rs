@@ -256,6 +256,12 @@ fn result(ctx: &Context, refined: Refined, volume: WalkVolume, mut statistics: P
             needed + needed / 2,
         );
     }
+    if plans.is_empty() && beyond_budget.is_empty() {
+        statistics.nothing_to_do = Some(format!(
+            "geometry with its levels of detail stays within the budget of {} triangles from everywhere: {} at most",
+            ctx.budget, statistics.max_triangles
+        ));
+    }
     let pitch_bands_deg = ctx.directions.bands_deg.clone();
     PlacementResult { points, plans, pitch_bands_deg, volume: kept, beyond_budget, statistics }
 }

@@ -3,7 +3,6 @@
 
 use anyhow::{Context as _, Result};
 use clap::Parser;
-use ldi_tests::args::percent;
 use ldi_tests::page::Page;
 use ldi_tests::poses;
 use ldi_tests::run::{self, Server};
@@ -21,10 +20,11 @@ use std::time::Instant;
     after_help = "\
 Examples:
   deploy/demo.sh
-  deploy/demo.sh clinic.glb clinic.path.json --budget-percent 2 --frames 40 -o out/clinic"
+  deploy/demo.sh --open
+  deploy/demo.sh clinic.glb clinic.path.json --budget 2% --frames 40 -o out/clinic"
 )]
 struct Options {
-    /// Scene: .glb, .gltf, .obj or .ply [default: the built-in house].
+    /// Scene, as for `ldi-server build` [default: the built-in house].
     #[arg(requires = "path")]
     scene: Option<PathBuf>,
     /// Path file to walk along.
@@ -32,9 +32,9 @@ struct Options {
     /// Folder for everything the demo leaves.
     #[arg(short, long, default_value = "out/demo")]
     output: PathBuf,
-    /// Geometry budget as a share of the scene's triangles.
-    #[arg(long, default_value_t = 8.0, value_parser = percent)]
-    budget_percent: f64,
+    /// Geometry budget: triangles, or a share of the scene's such as `2%`.
+    #[arg(long, default_value = "8%")]
+    budget: String,
     /// Frames, evenly spaced over the path.
     #[arg(long, default_value_t = 24, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     frames: u64,
@@ -47,6 +47,9 @@ struct Options {
     /// A small and fast run, for tests.
     #[arg(long)]
     quick: bool,
+    /// Open the window on the dataset at the end.
+    #[arg(long)]
+    open: bool,
 }
 
 /// Runs commands one after the other, shows them as one would type them, and remembers them with
@@ -69,7 +72,7 @@ fn main() -> Result<()> {
     let mut o = Options::parse();
     if o.quick {
         (o.frames, o.size, o.triangles) = (o.frames.min(4), "320x180".into(), o.triangles.min(25_000));
-        o.budget_percent = o.budget_percent.max(40.0);
+        o.budget = "40%".into();
     }
     std::fs::create_dir_all(&o.output).with_context(|| format!("cannot make {}", o.output.display()))?;
     let out = |name: &str| o.output.join(name);
@@ -89,10 +92,9 @@ fn main() -> Result<()> {
     let n = poses::spread(&path, o.frames, &poses_file)?;
     println!("walking {n} poses, evenly spaced over {}", path.display());
 
-    let budget = (count_triangles(&scene)? * o.budget_percent / 100.0).ceil() as u64;
     let mut c = run::command("ldi-server")?;
     c.arg("build").arg(&scene).arg("-o").arg(out("dataset"));
-    c.args(["--budget", &budget.max(1).to_string(), "--size", &o.size, "--report"]).arg(out("build.json"));
+    c.args(["--budget", &o.budget, "--size", &o.size, "--report"]).arg(out("build.json"));
     // Images of what is far, and only those that the walk can meet.
     c.args(["--represent", "grid", "--along"]).arg(&path);
     steps.run(c)?;
@@ -110,23 +112,34 @@ fn main() -> Result<()> {
     c.args(["--size", &o.size, "--pace", "wait", "--debug-views", "--truth"]).arg(out("truth"));
     c.arg("--baseline").arg(out("baseline")).arg("-o").arg(out("frames")).arg("--report").arg(out("walk.json"));
     steps.run(c)?;
-    drop(server);
+    // The opponent: levels of detail of all that is in view, without images.
+    let mut c = run::command("ldi-client")?;
+    c.args(["walk", &server.quic, "--fingerprint", &server.fingerprint, "--path"]).arg(&poses_file);
+    c.args(["--size", &o.size, "--pace", "wait", "--method", "levels", "-o"]).arg(out("levels"));
+    c.arg("--report").arg(out("levels.json"));
+    steps.run(c)?;
 
+    let levels = read_json(&out("levels.json"))?;
     let (build, walk) = (read_json(&out("build.json"))?, read_json(&out("walk.json"))?);
     let page = Page {
         scene: &scene.file_stem().unwrap_or_default().to_string_lossy(),
         build: &build,
         walk: &walk,
+        levels: &levels,
+        scene_bytes: scene.metadata().with_context(|| format!("cannot read {}", scene.display()))?.len(),
         commands: &steps.0,
     };
     std::fs::write(out("index.html"), page.html())
         .with_context(|| format!("cannot write {}", out("index.html").display()))?;
     println!("look at {}", out("index.html").display());
+    if o.open {
+        let mut c = run::command("ldi-client")?;
+        c.args(["connect", &server.quic, "--fingerprint", &server.fingerprint]);
+        println!("$ {}", run::show(&c));
+        let closed = c.status().context("cannot open the window")?;
+        anyhow::ensure!(closed.success(), "the window ended with {closed}");
+    }
     Ok(())
-}
-
-fn count_triangles(scene: &Path) -> Result<f64> {
-    Ok(ldi_server::scene::load(&scene.to_string_lossy())?.triangles() as f64)
 }
 
 fn read_json(path: &Path) -> Result<Value> {
