@@ -21,6 +21,8 @@ mod references;
 mod report;
 mod rooms;
 #[cfg(test)]
+mod several_test;
+#[cfg(test)]
 mod stop_test;
 
 use images::Indexed;

@@ -70,11 +70,11 @@ pub fn load_within(spec: &str, limits: &Limits) -> Result<Scene, SceneError> {
     if let Some(builtin) = BuiltinSpec::parse(spec) {
         return load_builtin(&builtin?);
     }
-    let FileSpec { path, world_from_file, lenient } = FileSpec::parse(spec)?;
+    let FileSpec { path, world_from_file, lenient, spaces_are_rooms } = FileSpec::parse(spec)?;
     let path = Path::new(&path);
     let in_file = |fault: Fault| fault.in_file(&path.display().to_string());
     let (mut files, bytes) = Files::open(path, limits.file_bytes)?;
-    files.lenient = lenient;
+    (files.lenient, files.spaces_are_rooms) = (lenient, spaces_are_rooms);
     let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
     let (name, bytes) = files.unpacked(&name, bytes).map_err(in_file)?;
     let imported = import(&name, &bytes, &mut files, limits);
@@ -131,7 +131,7 @@ fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limits) -> Resul
     }
     #[cfg(feature = "ifc")]
     if from_ifc::is_ifc(bytes) {
-        return from_ifc::import(name, bytes, limits);
+        return from_ifc::import(name, bytes, files, limits);
     }
     if let Some(fault) = recognise::foreign(name, bytes) {
         return Err(fault);

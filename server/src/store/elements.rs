@@ -46,7 +46,7 @@ fn decode(bytes: &[u8]) -> Result<Vec<SceneElement>, &'static str> {
     if &head[..4] != MAGIC {
         return Err("it is of another kind or version");
     }
-    let raw_bytes = head[4..].iter().rev().fold(0u64, |n, b| n << 8 | u64::from(*b));
+    let raw_bytes = head[4..].iter().rev().fold(0u64, |n, b| (n << 8) | u64::from(*b));
     if raw_bytes > MAX_BYTES {
         return Err("it claims more than it can hold");
     }

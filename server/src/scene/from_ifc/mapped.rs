@@ -118,7 +118,8 @@ impl Mapped {
         Ok(out)
     }
 
-    /// Bytes of the text of all items, each as often as it is placed. Ends, since [`Self::sum`] did.
+    /// Bytes of the text of all items, each as often as it is placed. It ends, since [`Self::sum`]
+    /// did.
     fn weight(&self, representation: u32, weights: &mut Weights) -> u64 {
         if let Some(weight) = weights.of_representations.get(&representation) {
             return *weight;

@@ -3,7 +3,8 @@
 //! In: the bytes of an `.ifc` file. Out: a [`Scene`] in metres, Y up, in the file's world frame, so
 //! that several files of one project fit together: a mesh per item of a product's body, shared by
 //! products that place the same item ([`products`]); the colours of styles and materials; rooms of
-//! `IfcSpace` and openings of `IfcDoor` ([`rooms`]); and what each node is ([`SceneElement`]).
+//! `IfcSpace` and the openings between them where the user asks for them ([`rooms`]); and what each
+//! node is ([`SceneElement`]).
 //!
 //! Read by the crates `ifc-lite-core` (records) and `ifc-lite-processing` (shapes, openings cut out
 //! of walls, styles). They run on threads with large stacks, since shapes nest, and behind
@@ -21,7 +22,7 @@ use glam::{DAffine3, DMat3, DVec3};
 use ifc_lite_processing::{Batching, Features, ProcessingRequest, ProcessingResult, geometry_pool_builder, process};
 
 use super::error::Fault;
-use super::files::listed;
+use super::files::{Files, listed};
 use super::guard::guarded;
 use super::limits::Limits;
 use super::model::{Note, Scene};
@@ -42,7 +43,7 @@ pub(super) fn is_ifc(bytes: &[u8]) -> bool {
 }
 
 /// Reads an IFC file.
-pub(super) fn import(name: &str, bytes: &[u8], limits: &Limits) -> Result<Scene, Fault> {
+pub(super) fn import(name: &str, bytes: &[u8], files: &Files, limits: &Limits) -> Result<Scene, Fault> {
     guarded("data", || text::check(bytes, limits))?;
     let (products, result) = guarded("file", || triangulated(bytes, limits))?;
     if let Some(record) = result.metadata.length_unit_refused {
@@ -70,7 +71,10 @@ pub(super) fn import(name: &str, bytes: &[u8], limits: &Limits) -> Result<Scene,
     note(unread.iter().map(|k| k.count).sum(), &format!("items of bodies: {}", listed(&kinds)), "not read, or broken");
     note(failed_cuts, "openings or clippings that could not be cut", "the uncut shape, or a part of the cut, is drawn");
     note(collected.undrawn, "shapes of openings, annotations and the like", "they are no surfaces");
-    let found = rooms::of(&collected.volumes, limits);
+    let found = match files.spaces_are_rooms {
+        true => rooms::of(&collected.volumes, limits),
+        false => rooms::none_of(&collected.volumes),
+    };
     scene.rooms = found.rooms;
     scene.portals = found.portals;
     scene.notes.extend(found.notes);

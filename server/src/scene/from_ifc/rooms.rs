@@ -4,6 +4,10 @@
 //! the outside. Every hole in a wall or slab (`IfcOpeningElement`) that touches a room becomes a
 //! portal: a rectangle in the middle of the hole's depth, between the rooms before and behind it;
 //! doors and windows that stand in no such hole as well.
+//!
+//! Spaces end at plaster, ceilings and where a drawing needs them to. What lies between two of them
+//! is the outside to culling, and an opening that is no hole, such as a missing wall, is no portal.
+//! So rooms are made of spaces only where the user asks for them, and can be judged by rays.
 
 use std::collections::BTreeSet;
 
@@ -51,6 +55,16 @@ const BOX_SHARE: f64 = 0.97;
 const BEFORE_M: f64 = 0.2;
 /// Shortest side of an opening that is a portal, metres; less are holes for pipes.
 const LEAST_M: f64 = 0.05;
+
+/// No rooms, and a note of how to have them.
+pub(super) fn none_of(volumes: &Volumes) -> Found {
+    let mut found = Found::default();
+    if !volumes.spaces.is_empty() {
+        let what = format!("{} spaces", volumes.spaces.len());
+        found.notes.push(Note { what, why: "no rooms are made of them without FILE?rooms=spaces".into() });
+    }
+    found
+}
 
 /// Rooms of spaces that are upright boxes, and portals between them.
 pub(super) fn of(volumes: &Volumes, limits: &Limits) -> Found {

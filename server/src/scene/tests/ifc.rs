@@ -12,8 +12,17 @@ use super::Folder;
 use super::ifc_text::{MILLI, WALL_GUID, box_records, building, columns, doorway, file, spaces, wall};
 
 fn scene(text: &str) -> Scene {
+    scene_of(text, "")
+}
+
+/// The scene of a file with spaces as rooms.
+fn with_rooms(text: &str) -> Scene {
+    scene_of(text, "?rooms=spaces")
+}
+
+fn scene_of(text: &str, query: &str) -> Scene {
     let folder = Folder::new();
-    let scene = load(&folder.write("a.ifc", text)).expect("loads");
+    let scene = load(&(folder.write("a.ifc", text) + query)).expect("loads");
     scene.check().expect("is sound");
     scene
 }
@@ -191,7 +200,10 @@ fn the_order_of_threads_changes_nothing() {
 
 #[test]
 fn spaces_are_rooms_and_holes_lead_from_one_to_the_other() {
-    let s = scene(&file(&(wall() + &doorway() + &spaces())));
+    let text = file(&(wall() + &doorway() + &spaces()));
+    let s = scene(&text);
+    assert!(s.rooms.is_empty() && s.notes.iter().any(|n| n.why.contains("?rooms=spaces")), "{:?}", s.notes);
+    let s = with_rooms(&text);
     let names: Vec<_> = s.rooms.iter().map(|r| r.name.as_str()).collect();
     assert_eq!(names, ["hall", "yard"]);
     near(&s.rooms[0].bounds, [0.0, 0.0, -3.2], [4.0, 3.0, -0.2]);
@@ -203,7 +215,7 @@ fn spaces_are_rooms_and_holes_lead_from_one_to_the_other() {
     near(&opening, [1.5, 0.0, -0.1], [2.5, 2.1, -0.1]);
     // Without the yard the hole leads outside.
     let one = file(&(wall() + &doorway() + &spaces())).replace("=IFCSPACE('7", "=IFCSPATIALZONE('7");
-    let s = scene(&one);
+    let s = with_rooms(&one);
     assert_eq!(s.rooms.len(), 1);
     assert!(s.portals[0].rooms.contains(&OUTSIDE.to_owned()));
 }
@@ -214,7 +226,8 @@ fn looks_elements_and_rooms_stay_with_their_file() {
     let painted = "mtllib a.mtl\nusemtl blue\nv 5 0 0\nv 6 0 0\nv 6 2 0\nf 1 2 3\n";
     folder.write("a.mtl", "newmtl blue\nKd 0 0 1\n");
     let paths = [("a.obj", painted), ("b.ifc", &building()), ("c.ifc", &building())].map(|(n, t)| folder.write(n, t));
-    let s = load_all(&paths).expect("loads");
+    let [a, b, c] = &paths;
+    let s = load_all(&[a.clone(), format!("{b}?rooms=spaces"), format!("{c}?rooms=spaces")]).expect("loads");
     s.check().expect("is sound");
     let nodes: BTreeSet<u32> = s.instances.iter().map(|i| i.node).collect();
     assert_eq!(nodes.len(), 1 + 4 + 4);
