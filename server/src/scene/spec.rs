@@ -169,7 +169,7 @@ mod tests {
             "a.obj?scale=2",
             "a.obj?missing=",
             "a.obj?up",
-            "a.ifc?rooms=all",
+            "a.obj?rooms=all",
         ] {
             let said = FileSpec::parse(text).unwrap_err().to_string();
             assert!(said.starts_with("a.obj: ?") && said.contains("FILE?up"), "{said}");
