@@ -106,8 +106,8 @@ pub struct SceneArgs {
 // So that what is wrong with a negative number is said by whoever takes it.
 #[command(allow_negative_numbers = true)]
 pub struct BuildArgs {
-    /// .gltf, .glb, .obj, .ply, .stl, .ifc (FILE?up=z&unit=mm&missing=plain where it is not in metres
-    /// with Y up, units m, cm, mm, in, ft, or pictures are missing), or
+    /// .gltf, .glb, .obj, .ply, .stl, .ifc (FILE?up=z&unit=mm&missing=plain where it is not in
+    /// metres with Y up, units m, cm, mm, in, ft, or pictures are missing), or
     /// builtin:NAME[?triangles=N&seed=S]. Several are one scene: models of one project.
     #[arg(required = true, value_name = "SCENE")]
     pub scenes: Vec<String>,

@@ -53,8 +53,8 @@ use files::Files;
 /// Below this, in linear light, all of a material's colour is dark, and emission shows instead.
 const DARK: f32 = 0.04;
 
-/// Loads a scene from a `.gltf`, `.glb`, `.obj`, `.ply`, `.stl` or `.ifc` file ([`FileSpec`]), or builds
-/// `builtin:NAME[?triangles=N&seed=S]`.
+/// Loads a scene from a `.gltf`, `.glb`, `.obj`, `.ply`, `.stl` or `.ifc` file ([`FileSpec`]), or
+/// builds `builtin:NAME[?triangles=N&seed=S]`.
 ///
 /// # Errors
 /// A [`SceneError`] that names the file, the place in it and the remedy. No input makes this panic.
