@@ -58,7 +58,7 @@ static SCENE: LazyLock<Vec<View>> = LazyLock::new(|| {
 fn house() -> PathBuf {
     let output = Path::new(env!("CARGO_TARGET_TMPDIR")).join("bench-house");
     let options = BuildOptions {
-        scene: "builtin:house?triangles=100000".into(),
+        scenes: vec!["builtin:house?triangles=100000".into()],
         output: output.clone(),
         settings: BuildSettings {
             budget: 10_000,

@@ -109,7 +109,7 @@ fn who_shows_no_images_is_sent_none() {
 fn what_is_lacking_is_what_is_needed_and_absent() {
     let folder = folder("lacking");
     let options = BuildOptions {
-        scene: "builtin:house?triangles=20000".into(),
+        scenes: vec!["builtin:house?triangles=20000".into()],
         output: folder.join("house"),
         settings: BuildSettings {
             budget: 6_000,

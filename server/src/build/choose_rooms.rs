@@ -393,7 +393,7 @@ mod tests {
             time_limit: None,
             // Of a budget that is told as a share the settings know nothing.
             budget_share: Some(0.3),
-            scene: "builtin:house?triangles=20000".into(),
+            scenes: vec!["builtin:house?triangles=20000".into()],
             output: "".into(),
             settings: placement::test_scenes::settings(0),
             colour: ColourProfile::Lossless,

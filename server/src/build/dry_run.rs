@@ -154,7 +154,7 @@ mod tests {
             along: None,
             time_limit: None,
             budget_share: None,
-            scene: "builtin:house?triangles=20000".into(),
+            scenes: vec!["builtin:house?triangles=20000".into()],
             output: "".into(),
             settings: test_scenes::settings(6_000),
             colour: ColourProfile::Lossless,

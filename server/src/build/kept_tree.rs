@@ -103,7 +103,7 @@ mod tests {
         let output = std::env::temp_dir().join(format!("ldi-kept-tree-{}", std::process::id()));
         let _ = std::fs::remove_dir_all(&output);
         let options = BuildOptions {
-            scene: "builtin:house?triangles=3000&seed=1".into(),
+            scenes: vec!["builtin:house?triangles=3000&seed=1".into()],
             output: output.clone(),
             settings: BuildSettings {
                 budget: 1500,

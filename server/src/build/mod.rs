@@ -21,6 +21,8 @@ mod references;
 mod report;
 mod rooms;
 #[cfg(test)]
+mod several_test;
+#[cfg(test)]
 mod stop_test;
 
 use images::Indexed;
@@ -60,8 +62,8 @@ use std::time::{Duration, Instant};
 /// What to build.
 #[derive(Debug, Clone)]
 pub struct BuildOptions {
-    /// Scene, as [`scene::load`] takes it.
-    pub scene: String,
+    /// Scenes, as [`scene::load_all`] takes them.
+    pub scenes: Vec<String>,
     /// Dataset directory.
     pub output: PathBuf,
     /// Settings; an `optimize_budget` of 0 stands for the default: P with view cells, P - max(10%
@@ -244,7 +246,7 @@ fn index_of(
 ) -> Index {
     Index {
         scene: SceneInfo {
-            name: display_name(&options.scene),
+            name: display_name(&options.scenes),
             triangles: scene.triangles(),
             unique_triangles: scene.unique_triangles(),
             instances: scene.instances.len() as u64,
@@ -541,16 +543,21 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     };
     let mut report = serde_json::Value::Null;
     let is_whole = figures.images.unmade == 0;
-    let written = writer.finish(&figures.index, bytes, &ranges, is_whole, |written| {
-        report = report_json(&figures, written);
-        report.clone()
-    })?;
+    let written =
+        writer.with_elements(scene.elements.clone()).finish(&figures.index, bytes, &ranges, is_whole, |written| {
+            report = report_json(&figures, written);
+            report.clone()
+        })?;
     Ok(Built { written, report, of_scene: scene.notes.len() })
 }
 
-/// The scene's name as reports show it: a file's name without its folder, which is nobody's
+/// The scene's name as reports show it: names of files without their folders, which are nobody's
 /// business.
-fn display_name(spec: &str) -> String {
+fn display_name(specs: &[String]) -> String {
+    specs.iter().map(|s| display_name_of(s)).collect::<Vec<_>>().join(" + ")
+}
+
+fn display_name_of(spec: &str) -> String {
     if spec.starts_with("builtin:") {
         return spec.to_string();
     }

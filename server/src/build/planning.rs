@@ -194,12 +194,12 @@ fn read(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
     let asked = BuildSettings { budget: options.settings.budget.max(1), ..options.settings.clone() };
     placement::check_settings(&asked)?;
     progress.stage("reading the scene", 0);
-    let scene = Arc::new(scene::load(&options.scene)?);
+    let scene = Arc::new(scene::load_all(&options.scenes)?);
     // A wrong unit or axis shows here.
     let [x, y, z] = scene.bounds().size().to_array().map(|m| format!("{m:.1}"));
     progress.note(&format!("{} triangles, {x} x {y} x {z} m, Y up", scene.triangles()));
     if let Some(doubt) = scene::unit_doubt(scene.bounds().size().max_element()) {
-        tracing::warn!("{}: {doubt}", options.scene);
+        tracing::warn!("{}: {doubt}", options.scenes.join(" + "));
     }
     clock.lap("scene");
 

@@ -34,7 +34,7 @@ impl Drop for Folder {
 
 fn options(scene: &Path, output: &Path) -> BuildOptions {
     BuildOptions {
-        scene: scene.display().to_string(),
+        scenes: vec![scene.display().to_string()],
         output: output.to_owned(),
         settings: test_scenes::settings(100),
         budget_share: None,

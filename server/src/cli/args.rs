@@ -39,6 +39,7 @@ pub enum Command {
 Examples:
   ldi-server build clinic.glb -o clinic.ldi --budget 10%
   ldi-server build 'builtin:house?triangles=300000&seed=1' -o house.ldi --budget 30000 --report build.json
+  ldi-server build house.ifc pipes.ifc 'garden.obj?unit=cm' -o site.ldi --budget 10%
   ldi-server build plant.glb -o tour.ldi --budget 100000 --along tour.path.json --within 2
   ldi-server build builtin:house -o rooms.ldi --represent portals --portal-images both --portal-references 13
 A build that was stopped goes on where it was when the same command is given again.")]
@@ -105,10 +106,11 @@ pub struct SceneArgs {
 // So that what is wrong with a negative number is said by whoever takes it.
 #[command(allow_negative_numbers = true)]
 pub struct BuildArgs {
-    /// .gltf, .glb, .obj, .ply, .stl (FILE?up=z&unit=mm&missing=plain where it is not in metres with Y
-    /// up, units m, cm, mm, in, ft, or pictures are missing), or
-    /// builtin:NAME[?triangles=N&seed=S].
-    pub scene: String,
+    /// .gltf, .glb, .obj, .ply, .stl, .ifc (FILE?up=z&unit=mm&missing=plain where it is not in
+    /// metres with Y up, units m, cm, mm, in, ft, or pictures are missing), or
+    /// builtin:NAME[?triangles=N&seed=S]. Several are one scene: models of one project.
+    #[arg(required = true, value_name = "SCENE")]
+    pub scenes: Vec<String>,
     /// Directory to make.
     #[arg(short, long, value_name = "DATASET", required_unless_present = "dry_run")]
     pub output: Option<PathBuf>,
@@ -261,8 +263,9 @@ pub struct InspectArgs {
 /// `ldi-server rooms`.
 #[derive(Debug, Args)]
 pub struct RoomsArgs {
-    /// Scene, as for `build`.
-    pub scene: String,
+    /// Scene, or several, as for `build`.
+    #[arg(required = true, value_name = "SCENE")]
+    pub scenes: Vec<String>,
     /// Draw the plan: storeys below each other, cells coloured and named, portals as lines.
     #[arg(short, long, value_name = "FILE.svg")]
     pub output: Option<PathBuf>,
@@ -303,8 +306,9 @@ pub struct VerifyArgs {
     pub guarantee: bool,
     /// Count the triangles of every cell over this scene, as for `build`, instead of over the
     /// dataset's list of them; a triangle in no cell, in two, or outside of its cell is an error.
-    #[arg(long, requires = "guarantee")]
-    pub scene: Option<String>,
+    /// Given once for each file of a dataset of several, in their order.
+    #[arg(long = "scene", value_name = "SCENE", requires = "guarantee")]
+    pub scenes: Vec<String>,
     /// Random poses of the audit.
     #[arg(long, default_value_t = 100_000, requires = "guarantee")]
     pub poses: u64,
@@ -335,8 +339,9 @@ pub struct PlanArgs {
 /// `ldi-server render`.
 #[derive(Debug, Args)]
 pub struct RenderArgs {
-    /// Scene, as for `build`.
-    pub scene: String,
+    /// Scene, or several, as for `build`.
+    #[arg(required = true, value_name = "SCENE")]
+    pub scenes: Vec<String>,
     /// Path file.
     #[arg(long, value_name = "PATH.json")]
     pub path: PathBuf,

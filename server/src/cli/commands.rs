@@ -130,7 +130,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         _ => Represent::Grid,
     };
     let options = BuildOptions {
-        scene: a.scene,
+        scenes: a.scenes,
         output: a.output.unwrap_or_default(),
         colour,
         represent,
@@ -323,13 +323,14 @@ fn verify(a: &VerifyArgs) -> Result<(), Failure> {
         ))
     })?;
     let index = dataset.index();
-    let counts: Vec<u64> = match &a.scene {
-        None => ranges.iter().map(|cell| cell.iter().map(|r| u64::from(r.count)).sum()).collect(),
-        Some(name) => {
-            let scene = scene::load(name).map_err(|e| Failure::of(e.is_permanent(), e))?;
+    let counts: Vec<u64> = match &a.scenes[..] {
+        [] => ranges.iter().map(|cell| cell.iter().map(|r| u64::from(r.count)).sum()).collect(),
+        names => {
+            let scene = scene::load_all(names).map_err(|e| Failure::of(e.is_permanent(), e))?;
             let bounds: Vec<_> = index.cells.iter().map(|c| c.bounds).collect();
             octree::recount(&scene, &ranges, &bounds)
                 .with_context(|| {
+                    let name = names.join(" + ");
                     format!("{} was not built from {name}, or the scene has changed since", a.dataset.display())
                 })
                 .map_err(Failure::permanent)?
@@ -426,7 +427,7 @@ fn render(a: &RenderArgs) -> Result<(), Failure> {
     };
     options.check().map_err(Failure::usage)?;
     let walk = read_walk(&a.path)?;
-    let scene = scene::load(&a.scene).map_err(|e| Failure::of(e.is_permanent(), e))?;
+    let scene = scene::load_all(&a.scenes).map_err(|e| Failure::of(e.is_permanent(), e))?;
     tell_notes(&scene.notes);
     let bounds = scene.bounds();
     let outside = walk.poses.iter().filter(|p| !bounds.contains(p.pose.position)).count();

@@ -77,9 +77,11 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// Logs to standard error: warnings, and who comes and goes.
+/// Logs to standard error: warnings, and who comes and goes. What the reader of IFC warns of is in
+/// the scene's notes.
 fn start_log(form: args::LogForm) {
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn,access=info".into());
+    const USUAL: &str = "warn,access=info,ifc_lite_geometry=error,ifc_lite_processing=error";
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| USUAL.into());
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
     match form {
         args::LogForm::Plain => log.with_ansi(std::io::stderr().is_terminal()).init(),

@@ -27,7 +27,8 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
     threads(a.threads)?;
     let progress = Stderr::default();
     progress.stage("loading", 0);
-    let scene = Arc::new(scene::load(&a.scene).map_err(|e| Failure::of(e.is_permanent(), e))?);
+    let name = a.scenes.join(" + ");
+    let scene = Arc::new(scene::load_all(&a.scenes).map_err(|e| Failure::of(e.is_permanent(), e))?);
     let annotated = portal::annotated_rooms(&scene).map_err(Failure::permanent)?;
     let compare = annotated.clone().filter(|_| a.auto);
     let needs_rays = a.auto || annotated.is_none() || a.check > 0;
@@ -52,7 +53,7 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
         rooms = portal::apply_overrides(&rooms, file, &text).map_err(Failure::permanent)?;
     }
     if let Some(file) = &a.output {
-        write_file(file, portal::plan_svg(&rooms, &a.scene).as_bytes())?;
+        write_file(file, portal::plan_svg(&rooms, &name).as_bytes())?;
     }
     if let Some(file) = &a.json {
         write_file(file, &serde_json::to_vec(&rooms).map_err(Failure::permanent)?)?;
@@ -68,7 +69,7 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
         portal::check_sight(caster, &cells, &rooms, &members, &poses, &camera, &|| progress.advance(1))
     });
     progress.finish();
-    print(&summary(&a.scene, &rooms, statistics.as_ref()))?;
+    print(&summary(&name, &rooms, statistics.as_ref()))?;
     if let Some(c) = &comparison {
         print(&format!(
             "against the annotation: cells {} found, {} missed, {} invented; portals {} found, {} missed, {} invented; corners within {:.3} m",
@@ -99,7 +100,7 @@ pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
         ))?;
     }
     if let Some(file) = &a.report {
-        let report = json!({ "scene": a.scene, "search": statistics, "comparison": comparison, "check": check });
+        let report = json!({ "scene": name, "search": statistics, "comparison": comparison, "check": check });
         write_json(file, &report)?;
     }
     Ok(())

@@ -51,6 +51,8 @@ pub(super) struct Files {
     limit: u64,
     /// See [`super::FileSpec::lenient`].
     pub(super) lenient: bool,
+    /// See [`super::FileSpec::spaces_are_rooms`].
+    pub(super) spaces_are_rooms: bool,
     missed: Vec<String>,
     faults: Vec<Fault>,
     elsewhere: Vec<String>,
@@ -74,6 +76,7 @@ impl Files {
             bytes_left: limit,
             limit,
             lenient: false,
+            spaces_are_rooms: false,
             missed: Vec::new(),
             faults: Vec::new(),
             elsewhere: Vec::new(),

@@ -11,6 +11,10 @@ pub struct Limits {
     pub json_bytes: u64,
     /// JSON objects (`{`) in a glTF file: bounds the parsed document at about 350 bytes each.
     pub json_objects: u64,
+    /// Bytes of STEP text (IFC). Its records are found by an index in memory.
+    pub step_bytes: u64,
+    /// Records of STEP text: about 40 bytes of index each.
+    pub step_records: u64,
     /// Vertices of all meshes together after unrolling, each mesh once: about 44 bytes each.
     pub vertices: u64,
     /// Triangles of all meshes together, each mesh once: 12 bytes each.
@@ -42,6 +46,8 @@ pub const LIMITS: Limits = Limits {
     file_bytes: 4 << 30,
     json_bytes: 128 << 20,
     json_objects: 4 << 20,
+    step_bytes: 2 << 30,
+    step_records: 32 << 20,
     vertices: 64 << 20,
     unique_triangles: 64 << 20,
     expanded_triangles: 1 << 30,

@@ -1,6 +1,6 @@
 //! Stage 1: a scene, from a file or built in.
 //!
-//! In: a glTF/GLB, OBJ, PLY or STL file, or one of them in a gzip file or zip archive (with
+//! In: a glTF/GLB, OBJ, PLY, STL or IFC file, or one of them in a gzip file or zip archive (with
 //! `?up=z&unit=mm` where it is not in metres with Y up), or `builtin:NAME?triangles=N&seed=S`. Out:
 //! a [`Scene`]: meshes once, instances as references, materials and textures, all validated: finite
 //! values, indices in range, no cycles. What a later stage reads here it may trust.
@@ -15,6 +15,8 @@ mod check;
 mod error;
 mod files;
 mod from_gltf;
+#[cfg(feature = "ifc")]
+mod from_ifc;
 mod from_obj;
 mod from_ply;
 mod from_stl;
@@ -22,6 +24,7 @@ pub mod glb_write;
 mod guard;
 mod images;
 mod limits;
+mod merge;
 mod model;
 mod normals;
 mod origin;
@@ -41,7 +44,7 @@ pub use error::SceneError;
 pub use limits::{LIMITS, Limits};
 #[cfg(test)]
 pub(crate) use model::WHITE;
-pub use model::{Instance, Mesh, Note, PortalAnnotation, Primitive, RoomAnnotation, Scene, SceneTexture};
+pub use model::{Instance, Mesh, Note, PortalAnnotation, Primitive, RoomAnnotation, Scene, SceneElement, SceneTexture};
 pub use spec::{BuiltinSpec, FileSpec, unit_doubt};
 
 use error::Fault;
@@ -50,8 +53,8 @@ use files::Files;
 /// Below this, in linear light, all of a material's colour is dark, and emission shows instead.
 const DARK: f32 = 0.04;
 
-/// Loads a scene from a `.gltf`, `.glb`, `.obj`, `.ply` or `.stl` file ([`FileSpec`]), or builds
-/// `builtin:NAME[?triangles=N&seed=S]`.
+/// Loads a scene from a `.gltf`, `.glb`, `.obj`, `.ply`, `.stl` or `.ifc` file ([`FileSpec`]), or
+/// builds `builtin:NAME[?triangles=N&seed=S]`.
 ///
 /// # Errors
 /// A [`SceneError`] that names the file, the place in it and the remedy. No input makes this panic.
@@ -67,11 +70,11 @@ pub fn load_within(spec: &str, limits: &Limits) -> Result<Scene, SceneError> {
     if let Some(builtin) = BuiltinSpec::parse(spec) {
         return load_builtin(&builtin?);
     }
-    let FileSpec { path, world_from_file, lenient } = FileSpec::parse(spec)?;
+    let FileSpec { path, world_from_file, lenient, spaces_are_rooms } = FileSpec::parse(spec)?;
     let path = Path::new(&path);
     let in_file = |fault: Fault| fault.in_file(&path.display().to_string());
     let (mut files, bytes) = Files::open(path, limits.file_bytes)?;
-    files.lenient = lenient;
+    (files.lenient, files.spaces_are_rooms) = (lenient, spaces_are_rooms);
     let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
     let (name, bytes) = files.unpacked(&name, bytes).map_err(in_file)?;
     let imported = import(&name, &bytes, &mut files, limits);
@@ -90,6 +93,33 @@ pub fn load_within(spec: &str, limits: &Limits) -> Result<Scene, SceneError> {
     Ok(scene)
 }
 
+/// Loads several files, or built-in scenes, as one scene. Each has units and axes of its own; their
+/// world frame is one.
+///
+/// # Errors
+/// As [`load`], of the first that cannot be read or exceeds what is left of the limits.
+pub fn load_all(specs: &[String]) -> Result<Scene, SceneError> {
+    load_all_within(specs, &LIMITS)
+}
+
+/// [`load_all`] with limits of one's own, which hold for all files together.
+///
+/// # Errors
+/// As [`load_all`].
+pub fn load_all_within(specs: &[String], limits: &Limits) -> Result<Scene, SceneError> {
+    let Some((first, others)) = specs.split_first() else {
+        let fault = Fault::invalid("arguments", "no scene is named", "name at least one");
+        return Err(fault.in_file("scenes"));
+    };
+    let mut scene = load_within(first, limits)?;
+    for spec in others {
+        let left = merge::limits_beside(&scene, limits);
+        let more = load_within(spec, &left).map_err(merge::beside_others)?;
+        merge::join(&mut scene, more).map_err(|fault| fault.in_file(spec))?;
+    }
+    Ok(scene)
+}
+
 /// Reads a file by what its first bytes say, else by what its name ends in.
 fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limits) -> Result<Scene, Fault> {
     let extension = name.rsplit_once('.').map(|(_, e)| e.to_ascii_lowercase());
@@ -98,6 +128,10 @@ fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limits) -> Resul
     }
     if from_ply::is_ply(bytes) {
         return from_ply::import(name, bytes, files, limits);
+    }
+    #[cfg(feature = "ifc")]
+    if from_ifc::is_ifc(bytes) {
+        return from_ifc::import(name, bytes, files, limits);
     }
     if let Some(fault) = recognise::foreign(name, bytes) {
         return Err(fault);
@@ -113,7 +147,7 @@ fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limits) -> Resul
         _ => Err(Fault::unsupported(
             "file",
             "is no scene format that is read",
-            "convert it to .gltf, .glb, .obj, .ply or .stl",
+            "convert it to .gltf, .glb, .obj, .ply, .stl or .ifc",
         )),
     }
 }

@@ -24,10 +24,25 @@ pub struct Scene {
     pub rooms: Vec<RoomAnnotation>,
     /// Openings named by the file.
     pub portals: Vec<PortalAnnotation>,
+    /// Building elements that the file names, ascending by node.
+    pub elements: Vec<SceneElement>,
     /// World positions of the file's cameras and spawn points: where its author expects eyes.
     pub viewpoints: Vec<DVec3>,
     /// What was left out or changed on the way in, for the build report.
     pub notes: Vec<Note>,
+}
+
+/// What the file says about the thing that a node shows.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct SceneElement {
+    /// [`Instance::node`] of the instances that show it.
+    pub node: u32,
+    /// Class, for example `IfcDoor`.
+    pub class: String,
+    /// Name; empty where there is none.
+    pub name: String,
+    /// `GlobalId`: 22 characters, the same in every export of the element.
+    pub guid: String,
 }
 
 /// What is drawn where a file names no material.

@@ -86,11 +86,16 @@ pub(super) fn foreign(name: &str, bytes: &[u8]) -> Option<Fault> {
     let fault = |what: &str, remedy: &str| Some(Fault::unsupported("file", format!("it is {what}"), remedy));
     if let Some(k) = KNOWN.iter().find(|k| bytes.starts_with(k.magic)) {
         let head = String::from_utf8_lossy(&bytes[..bytes.len().min(HEAD)]);
+        let named_ifc = name.to_ascii_lowercase().ends_with(".ifc");
         return match k.what {
-            "a STEP file" if head.contains("IFC") => fault(
-                "an IFC file (STEP text)",
-                "convert it to glTF, for example by `IfcConvert file.ifc file.glb` of IfcOpenShell",
-            ),
+            "a STEP file" if cfg!(not(feature = "ifc")) && head.contains("IFC") => {
+                fault("an IFC file", "build ldi-server with its feature `ifc`, or convert the file to glTF (.glb)")
+            }
+            "a STEP file" if named_ifc && !head.contains("FILE_SCHEMA") => Some(Fault::invalid(
+                "header",
+                "names no schema within its first 4096 bytes",
+                "copy the file again, or export it again",
+            )),
             what => fault(what, k.remedy),
         };
     }
@@ -113,7 +118,7 @@ pub(super) fn foreign(name: &str, bytes: &[u8]) -> Option<Fault> {
             t if t.contains("<collada") => fault("a COLLADA file (.dae)", BLENDER),
             t if t.contains("<x3d") => fault("an X3D file", BLENDER),
             t if t.contains("<ifcxml") || t.contains("<ex:iso_10303") => {
-                fault("an IFC file (XML)", "convert it to glTF, for example by IfcConvert of IfcOpenShell")
+                fault("an IFC file (XML)", "export it as STEP text (.ifc)")
             }
             t if t.contains("citygml") || t.contains("citymodel") => {
                 fault("a CityGML file", "convert it to glTF or OBJ, for example by citygml-tools and cjio")
@@ -164,7 +169,7 @@ mod tests {
     fn files_are_known_by_their_bytes() {
         for (name, bytes, says) in [
             ("a", &b"Kaydara FBX Binary  \0"[..], "FBX"),
-            ("a.ifc", b"ISO-10303-21;\nFILE_SCHEMA(('IFC4'));", "IfcConvert"),
+            ("a.ifc", b"ISO-10303-21;\nHEADER;", "no schema"),
             ("a.stp", b"ISO-10303-21;\nFILE_SCHEMA(('AUTOMOTIVE'));", "STEP"),
             ("a.glb", b"<!DOCTYPE html><html>sign in", "HTML"),
             ("a.glb", b"\n<html>", "HTML"),

@@ -1,6 +1,6 @@
 //! `builtin:NAME[?triangles=N&seed=S]`: how a built-in scene is asked for;
-//! `FILE[?up=z&unit=mm&missing=plain]`: a file with other axes or units than metres, Y up, or
-//! whose pictures are not all there.
+//! `FILE[?up=z&unit=mm&missing=plain&rooms=spaces]`: a file with other axes or units than metres,
+//! Y up, whose pictures are not all there, or whose spaces are rooms.
 
 use super::error::SceneError;
 use glam::{DAffine3, DMat3, DVec3};
@@ -67,6 +67,8 @@ pub struct FileSpec {
     /// What cannot be read of pictures and material libraries is drawn in plain colours and noted,
     /// instead of refusing the scene.
     pub lenient: bool,
+    /// Spaces of an IFC file become rooms.
+    pub spaces_are_rooms: bool,
 }
 
 /// Metres of the units that a file may be in.
@@ -80,15 +82,18 @@ impl FileSpec {
     pub fn parse(text: &str) -> Result<Self, SceneError> {
         let (path, query) = match text.rsplit_once('?') {
             Some((path, query)) if !Path::new(text).exists() => (path, query),
-            _ => return Ok(Self { path: text.to_owned(), world_from_file: None, lenient: false }),
+            _ => {
+                let path = text.to_owned();
+                return Ok(Self { path, world_from_file: None, lenient: false, spaces_are_rooms: false });
+            }
         };
         let fault = |problem: String| SceneError::Invalid {
             file: path.to_owned(),
             place: format!("?{query}"),
             problem,
-            remedy: "write FILE?up=y|z&unit=m|cm|mm|in|ft&missing=plain|refuse".into(),
+            remedy: "write FILE?up=y|z&unit=m|cm|mm|in|ft&missing=plain|refuse&rooms=spaces|none".into(),
         };
-        let (mut up, mut unit, mut lenient) = (None, None, None);
+        let (mut up, mut unit, mut lenient, mut rooms) = (None, None, None, None);
         for pair in query.split('&').filter(|p| !p.is_empty()) {
             let (key, value) = pair.split_once('=').unwrap_or((pair, ""));
             let twice = match (key, value) {
@@ -96,6 +101,8 @@ impl FileSpec {
                 // What was up and what was north: Z becomes Y, Y becomes -Z.
                 ("up", "z") => up.replace(DMat3::from_cols(DVec3::X, -DVec3::Z, DVec3::Y)).is_some(),
                 ("missing", "plain") => lenient.replace(true).is_some(),
+                ("rooms", "spaces") => rooms.replace(true).is_some(),
+                ("rooms", "none") => rooms.replace(false).is_some(),
                 ("missing", "refuse") => lenient.replace(false).is_some(),
                 ("unit", name) => match UNITS.iter().find(|u| u.0 == name) {
                     Some((_, metres)) => unit.replace(*metres).is_some(),
@@ -109,7 +116,12 @@ impl FileSpec {
         }
         let matrix = up.unwrap_or(DMat3::IDENTITY) * unit.unwrap_or(1.0);
         let world_from_file = (matrix != DMat3::IDENTITY).then(|| DAffine3::from_mat3(matrix));
-        Ok(Self { path: path.to_owned(), world_from_file, lenient: lenient.unwrap_or(false) })
+        Ok(Self {
+            path: path.to_owned(),
+            world_from_file,
+            lenient: lenient.unwrap_or(false),
+            spaces_are_rooms: rooms.unwrap_or(false),
+        })
     }
 }
 
@@ -141,16 +153,24 @@ mod tests {
     #[test]
     fn files_tell_their_axes_and_units() {
         let spec = |text| FileSpec::parse(text).unwrap();
-        assert_eq!(spec("a/b.obj"), FileSpec { path: "a/b.obj".into(), world_from_file: None, lenient: false });
+        let plain = FileSpec { path: "a/b.obj".into(), world_from_file: None, lenient: false, spaces_are_rooms: false };
+        assert_eq!(spec("a/b.obj"), plain);
+        assert!(spec("b.ifc?rooms=spaces").spaces_are_rooms && !spec("b.ifc?rooms=none").spaces_are_rooms);
         assert_eq!(spec("b.obj?up=y&unit=m").world_from_file, None);
         assert!(spec("b.obj?missing=plain").lenient && !spec("b.obj?missing=refuse").lenient);
         let turned = spec("b.obj?unit=mm&up=z");
         assert_eq!(turned.path, "b.obj");
         let world = turned.world_from_file.unwrap().transform_point3(DVec3::new(1000.0, 2000.0, 3000.0));
         assert!(world.distance(DVec3::new(1.0, 3.0, -2.0)) < 1e-12, "{world}");
-        for text in
-            ["a.obj?up=x", "a.obj?unit=parsec", "a.obj?up=z&up=z", "a.obj?scale=2", "a.obj?missing=", "a.obj?up"]
-        {
+        for text in [
+            "a.obj?up=x",
+            "a.obj?unit=parsec",
+            "a.obj?up=z&up=z",
+            "a.obj?scale=2",
+            "a.obj?missing=",
+            "a.obj?up",
+            "a.obj?rooms=all",
+        ] {
             let said = FileSpec::parse(text).unwrap_err().to_string();
             assert!(said.starts_with("a.obj: ?") && said.contains("FILE?up"), "{said}");
         }

@@ -21,7 +21,7 @@ const RATIO: u64 = 32;
 /// Entries of an archive: its list is kept in memory.
 const MOST_ENTRIES: usize = 65_536;
 /// Endings of scene files.
-const SCENES: [&str; 5] = [".gltf", ".glb", ".obj", ".ply", ".stl"];
+const SCENES: [&str; 6] = [".gltf", ".glb", ".obj", ".ply", ".stl", ".ifc"];
 
 const REMEDY: &str = "unpack the file and name the scene in it";
 
@@ -102,7 +102,6 @@ impl Archive {
             (".usda", "a USDZ file", "open it in Blender, or convert it by usd2gltf, to glTF (.glb)"),
             (".usd", "a USDZ file", "open it in Blender, or convert it by usd2gltf, to glTF (.glb)"),
             (".model", "a 3MF file", "open it in a slicer or MeshLab and export it as STL or OBJ"),
-            (".ifc", "a zip archive with an IFC file", "unpack it and convert it to glTF, for example by IfcConvert"),
             ("document.xml", "a zip archive, as FreeCAD (.FCStd) and offices write", REMEDY),
             (".dae", "a zip archive with a COLLADA file", "unpack it, open it in Blender and export it as glTF (.glb)"),
             (".fbx", "a zip archive with an FBX file", "unpack it, open it in Blender and export it as glTF (.glb)"),

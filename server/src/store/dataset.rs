@@ -1,13 +1,14 @@
 //! A dataset opened for reading.
 
 use super::{
-    StoreError,
+    StoreError, elements,
     files::{self, DataFiles},
     folder,
     packs::{self, Pack},
     report, source,
 };
 use crate::octree::SourceRange;
+use crate::scene::SceneElement;
 use bytes::Bytes;
 use ldi_protocol::{
     index::{ChunkHash, Index},
@@ -148,6 +149,13 @@ impl Dataset {
     /// If the file is damaged.
     pub fn source_ranges(&self) -> Result<Option<Vec<Vec<SourceRange>>>, StoreError> {
         source::read(self.files.source())
+    }
+    /// What the source scene's files say about its nodes; empty when they name none.
+    ///
+    /// # Errors
+    /// If the file is damaged.
+    pub fn elements(&self) -> Result<Vec<SceneElement>, StoreError> {
+        elements::read(&self.files.elements())
     }
     /// The build's report; None when it is missing, damaged, or of another dataset.
     pub fn report(&self) -> Option<serde_json::Value> {

@@ -19,6 +19,7 @@ pub(super) const WORK: &str = ".build";
 /// Folder of the packs of datasets without a marker; and what the names of later ones begin with.
 pub(super) const PACKS: &str = "packs";
 const SOURCE: &str = "source";
+const ELEMENTS: &str = "elements";
 /// Ending of files that are being written.
 const PART: &str = "part";
 /// Hexadecimal digits of the manifest's hash in the name of a folder of packs.
@@ -58,6 +59,9 @@ impl DataFiles {
     pub fn source(&self) -> &Path {
         &self.source
     }
+    pub fn elements(&self) -> PathBuf {
+        self.folder.join(ELEMENTS)
+    }
     pub fn pack(&self, number: usize) -> PathBuf {
         self.folder.join(format!("pack-{number:05}.bin"))
     }
@@ -74,7 +78,9 @@ pub(super) fn is_data_file(name: &OsStr) -> bool {
     let Some(name) = name.to_str() else { return false };
     let whole = without_part(name);
     let number = whole.strip_prefix("pack-").and_then(|n| n.strip_suffix(".bin"));
-    whole == SOURCE || number.is_some_and(|n| n.len() >= 5 && n.bytes().all(|b| b.is_ascii_digit()))
+    whole == SOURCE
+        || whole == ELEMENTS
+        || number.is_some_and(|n| n.len() >= 5 && n.bytes().all(|b| b.is_ascii_digit()))
 }
 
 /// The name of a file without the ending that says it is being written.

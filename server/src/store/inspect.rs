@@ -11,10 +11,10 @@ use serde_json::{Value, json};
 
 /// Everything worth knowing about a dataset. With `per_cell`, `cells` lists for every cell its
 /// bounds, its triangles and its `[node, mesh, primitive, first, count]` ranges into the source
-/// scene.
+/// scene, and `elements` what these nodes are.
 ///
 /// # Errors
-/// If the file of source ranges is damaged or does not fit the cells.
+/// If the file of source ranges or that of elements is damaged or does not fit the cells.
 pub fn inspect(dataset: &Dataset, per_cell: bool) -> Result<Value, StoreError> {
     let index = dataset.index();
     let report = dataset.report();
@@ -94,6 +94,7 @@ pub fn inspect(dataset: &Dataset, per_cell: bool) -> Result<Value, StoreError> {
     });
     if per_cell {
         out["cells"] = cells(dataset)?;
+        out["elements"] = json!(dataset.elements()?);
     }
     Ok(out)
 }

@@ -30,6 +30,7 @@
 //!   to.
 
 mod dataset;
+mod elements;
 mod error;
 mod files;
 mod folder;

@@ -9,6 +9,7 @@
 use super::{
     StoreError,
     dataset::read_root,
+    elements,
     files::{self, DataFiles},
     packs::{self, Pack},
     report, source,
@@ -98,6 +99,13 @@ pub fn verify(path: &Path) -> Result<Verification, StoreError> {
         Ok(None) => out.faults.push(fault_of_file(&source_name, "source", "the file is missing".into())),
         Err(StoreError::Format { source, .. }) => {
             out.faults.push(fault_of_file(&source_name, "source", source.to_string()))
+        }
+        Err(other) => return Err(other),
+    }
+    match elements::read(&files.elements()) {
+        Ok(_) => {}
+        Err(StoreError::Format { path: file, source }) => {
+            out.faults.push(fault_of_file(&name_in(path, &file), "elements", source.to_string()))
         }
         Err(other) => return Err(other),
     }

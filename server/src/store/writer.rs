@@ -1,13 +1,14 @@
 //! Writing a dataset.
 
 use super::{
-    StoreError,
+    StoreError, elements,
     files::{self, DataFiles, PendingFile, SyncedFile},
     folder::DatasetFolder,
     report, source,
     work::WorkDirectory,
 };
 use crate::octree::SourceRange;
+use crate::scene::SceneElement;
 use ldi_protocol::{
     index::{ChunkHash, Index},
     manifest::{self, Encoded, MAX_ROOT_BYTES, Root, layout::Layout},
@@ -23,6 +24,7 @@ const OTHER_BYTES: u64 = 4 << 20;
 pub struct DatasetWriter {
     folder: DatasetFolder,
     work: WorkDirectory,
+    elements: Vec<SceneElement>,
 }
 
 /// What was written.
@@ -34,7 +36,7 @@ pub struct Written {
     pub manifest_bytes: u64,
     /// Bytes of each pack, pages included.
     pub pack_bytes: Vec<u64>,
-    /// Bytes of the manifest's root, and of the file `source`.
+    /// Bytes of the manifest's root, and of the files `source` and `elements`.
     pub other_bytes: u64,
 }
 
@@ -55,7 +57,12 @@ impl DatasetWriter {
     pub fn open(path: &Path) -> Result<Self, StoreError> {
         let folder = DatasetFolder::claim(path)?;
         let work = WorkDirectory::open(folder.path())?;
-        Ok(Self { folder, work })
+        Ok(Self { folder, work, elements: Vec::new() })
+    }
+
+    /// The same, of a scene whose nodes are these elements.
+    pub fn with_elements(self, elements: Vec<SceneElement>) -> Self {
+        Self { elements, ..self }
     }
 
     /// The piece that was stored under this key by this or an earlier run; None if there is none
@@ -106,6 +113,10 @@ impl DatasetWriter {
         let root = manifest::decode_root(&encoded.root).map_err(StoreError::format(&manifest_path))?;
         let new = DataFiles::new(path, &root.hash);
         let source = source::encode(ranges).map_err(StoreError::io(new.source(), "compress it"))?;
+        let elements = match self.elements.is_empty() {
+            true => Vec::new(),
+            false => elements::encode(&self.elements).map_err(StoreError::io(&new.elements(), "compress it"))?,
+        };
 
         let old = files::read_if_there(&manifest_path, MAX_ROOT_BYTES as u64)?;
         let old = old.map(|bytes| DataFiles::new(path, &manifest::dataset_hash(&bytes)));
@@ -115,8 +126,8 @@ impl DatasetWriter {
             // What an earlier run left that was stopped here.
             remove_other_data(path, old.as_slice())?;
         }
-        check_space(path, &root, index, &source)?;
-        let written = self.write_data(&new, (&root, &encoded), (index, chunk), &source);
+        check_space(path, &root, index, source.len() + elements.len())?;
+        let written = self.write_data(&new, (&root, &encoded), (index, chunk), (&source, &elements));
         let written = written.inspect_err(|_| {
             // The next run writes it anew, and needs the room.
             if knows_old && old.as_ref() != Some(&new) {
@@ -142,13 +153,13 @@ impl DatasetWriter {
         Ok(written)
     }
 
-    /// Writes packs and source ranges.
+    /// Writes packs, source ranges and elements.
     fn write_data<'a>(
         &self,
         files: &DataFiles,
         (root, encoded): (&Root, &Encoded),
         (index, mut chunk): (&Index, impl FnMut(&Self, u32) -> Result<Cow<'a, [u8]>, StoreError>),
-        source: &[u8],
+        (source, elements): (&[u8], &[u8]),
     ) -> Result<Written, StoreError> {
         files::make_directory(files.folder())?;
         let mut packs = PackWriter { files, layout: Layout::default(), open: None };
@@ -161,7 +172,10 @@ impl DatasetWriter {
         }
         let pack_bytes = packs.finish()?;
         files::write_file(files.source(), source)?.publish()?;
-        remove_other_packs(files, pack_bytes.len())?;
+        if !elements.is_empty() {
+            files::write_file(&files.elements(), elements)?.publish()?;
+        }
+        remove_other_packs(files, pack_bytes.len(), !elements.is_empty())?;
         files::sync_directory(files.folder())?;
         let pages: u64 = encoded.pages.iter().map(|p| p.len() as u64).sum();
         let root_bytes = encoded.root.len() as u64;
@@ -169,17 +183,17 @@ impl DatasetWriter {
             hash: root.hash,
             manifest_bytes: root_bytes + pages,
             pack_bytes,
-            other_bytes: root_bytes + source.len() as u64,
+            other_bytes: root_bytes + (source.len() + elements.len()) as u64,
         })
     }
 }
 
 /// Asks the disk before anything is written whether there is room.
-fn check_space(dataset: &Path, root: &Root, index: &Index, source: &[u8]) -> Result<(), StoreError> {
+fn check_space(dataset: &Path, root: &Root, index: &Index, beside: usize) -> Result<(), StoreError> {
     let mut layout = Layout::default();
     layout.place_pages(&root.pages);
     layout.place_chunks(&index.chunks);
-    let needed = layout.pack_bytes().iter().sum::<u64>() + source.len() as u64 + OTHER_BYTES;
+    let needed = layout.pack_bytes().iter().sum::<u64>() + beside as u64 + OTHER_BYTES;
     match files::free_bytes(dataset) {
         Some(free) if free < needed => Err(StoreError::NoSpace { path: dataset.to_owned(), needed, free }),
         _ => Ok(()),
@@ -232,8 +246,9 @@ impl PackWriter<'_> {
 }
 
 /// Removes packs beyond the last one, and unfinished files, that an earlier run left.
-fn remove_other_packs(files: &DataFiles, packs: usize) -> Result<(), StoreError> {
-    let kept: Vec<_> = (0..packs).map(|k| files.pack(k)).chain([files.source().to_owned()]).collect();
+fn remove_other_packs(files: &DataFiles, packs: usize, has_elements: bool) -> Result<(), StoreError> {
+    let elements = has_elements.then(|| files.elements());
+    let kept: Vec<_> = (0..packs).map(|k| files.pack(k)).chain([files.source().to_owned()]).chain(elements).collect();
     for entry in files::list(files.folder())? {
         let path = files.folder().join(&entry.name);
         if files::is_data_file(&entry.name) && entry.kind.is_file() && !kept.contains(&path) {

@@ -130,7 +130,7 @@ fn options(
         along: None,
         time_limit: None,
         budget_share: None,
-        scene: scene.into(),
+        scenes: vec![scene.into()],
         output: PathBuf::new(),
         colour: ColourProfile::Lossless,
         settings: BuildSettings {

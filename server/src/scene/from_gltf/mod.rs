@@ -70,6 +70,7 @@ pub(super) fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limit
         portals,
         viewpoints,
         notes,
+        ..Scene::default()
     })
 }
 

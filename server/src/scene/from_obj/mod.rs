@@ -133,10 +133,8 @@ pub(super) fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limit
         instances,
         materials: library.materials,
         textures,
-        rooms: Vec::new(),
-        portals: Vec::new(),
-        viewpoints: Vec::new(),
         notes,
+        ..Scene::default()
     })
 }
 

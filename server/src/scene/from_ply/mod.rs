@@ -154,10 +154,8 @@ pub(super) fn import(name: &str, bytes: &[u8], files: &mut Files, limits: &Limit
         instances: vec![Instance { node: 0, mesh: 0, world_from_mesh: DAffine3::from_translation(origin) }],
         materials,
         textures,
-        rooms: Vec::new(),
-        portals: Vec::new(),
-        viewpoints: Vec::new(),
         notes,
+        ..Scene::default()
     })
 }
 

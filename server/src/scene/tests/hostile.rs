@@ -32,8 +32,14 @@ fn peak_bytes() -> Option<u64> {
 fn every_bad_file_gives_a_clear_error() {
     /// Far above what the small files here need, far below what they claim.
     const MOST_BYTES: u64 = 1 << 30;
-    let cases: Vec<Case> =
-        [hostile_gltf::cases(), hostile_looks::cases(), hostile_text::cases()].into_iter().flatten().collect();
+    let cases = [
+        hostile_gltf::cases(),
+        hostile_looks::cases(),
+        hostile_text::cases(),
+        #[cfg(feature = "ifc")]
+        super::hostile_ifc::cases(),
+    ];
+    let cases: Vec<Case> = cases.into_iter().flatten().collect();
     assert!(cases.len() >= 100, "{} cases", cases.len());
     let before = peak_bytes();
     let mut failures = Vec::new();

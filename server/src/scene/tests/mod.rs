@@ -4,13 +4,20 @@ mod fuzz;
 mod gltf_file;
 mod hostile;
 mod hostile_gltf;
+#[cfg(feature = "ifc")]
+mod hostile_ifc;
 mod hostile_looks;
 mod hostile_text;
+#[cfg(feature = "ifc")]
+mod ifc;
+#[cfg(feature = "ifc")]
+mod ifc_text;
 mod limits;
 mod picture_files;
 mod pictures;
 mod placement;
 mod repaired;
+mod several;
 mod shared_inputs;
 mod shared_scenes;
 mod valid;
