@@ -16,7 +16,7 @@ use ldi_client::{
     app::HeadlessConnection,
     composite::Fill,
     engine::{
-        Cull, DataSource, DisplayMode, FrameRenderer, Method, Pace, Progress, Renderer, WalkJob, WalkOptions,
+        Appearance, Cull, DataSource, DisplayMode, FrameRenderer, Method, Pace, Progress, Renderer, WalkJob, WalkOptions,
         pictures_of, run,
     },
     gpu::{Gpu, WarpOn},
@@ -340,6 +340,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         cache_bytes: args.cache_bytes,
         debug_views: args.debug_views,
         shows: DisplayMode::Scene,
+        appearance: Appearance::default(),
         background_layout: false,
         baseline_frames: args.baseline_frames as usize,
     };

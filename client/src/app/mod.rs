@@ -52,6 +52,8 @@ mod software_upscale;
 mod start_pose;
 mod start_screen;
 mod unique_file;
+mod user_file;
+mod view_link;
 mod walker;
 mod window;
 mod window_state;
@@ -59,6 +61,7 @@ mod window_state;
 pub use gamepad::GamepadAt;
 pub use headless_connection::HeadlessConnection;
 pub use screen::ScreenError;
+pub use view_link::{ViewLink, parse_pose};
 pub use window::run;
 
 use crate::stream::{ConnectConfig, ConnectError};

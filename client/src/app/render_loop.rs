@@ -22,7 +22,7 @@ use super::{
 use crate::{
     composite::Fill,
     engine::{
-        Anticipated, Cull, DisplayMode, FrameRenderer, Method, Pace, RenderError, View, WalkOptions, select_view,
+        Anticipated, Appearance, Cull, DisplayMode, FrameRenderer, Method, Pace, RenderError, View, WalkOptions, select_view,
     },
     frame::Frame,
     near::MAX_SIDE_PX,
@@ -467,6 +467,7 @@ fn options(supersample: u32, shows: DisplayMode) -> WalkOptions {
         cache_bytes: None,
         debug_views: false,
         shows,
+        appearance: Appearance { depth_shading: true, horizon: true },
         background_layout: false,
         baseline_frames: 0,
     }

@@ -252,6 +252,7 @@ fn options(pace: Pace) -> WalkOptions {
         cache_bytes: None,
         debug_views: true,
         shows: DisplayMode::Scene,
+        appearance: Appearance::default(),
         background_layout: false,
         baseline_frames: 2,
     }
