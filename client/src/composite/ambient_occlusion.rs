@@ -21,15 +21,12 @@ use rayon::prelude::*;
 /// Radius of the occlusion, metres. Larger: wide soft shadows that merge; smaller: only a line in
 /// the corner. A judgement.
 const RADIUS_M: f32 = 0.5;
-/// Distances of the pairs as shares of the picture's height. The largest is limited by the cost of
-/// the cache misses, the smallest by the resolution. More: smoother, slower.
-const REACH: [f32; 4] = [1.0 / 360.0, 1.0 / 120.0, 1.0 / 40.0, 1.0 / 15.0];
 /// Slope up to which a nearer side darkens fully. Beyond, the side fades until it counts nothing at
 /// [`CUT`] times the slope: it is another object in front. Larger: dark rims around objects;
 /// smaller: no shadow beside walls that are seen at a grazing angle.
-const STEEPEST: f32 = 4.0;
+const STEEPEST: f32 = 2.5;
 /// See [`STEEPEST`].
-const CUT: f32 = 3.0;
+const CUT: f32 = 2.2;
 /// Slope of a pair that does not darken yet: rounding, and curved surfaces made of flat pieces.
 const BIAS: f32 = 0.04;
 /// Darkness of a right angle, as a share of the largest.
@@ -54,10 +51,7 @@ impl AmbientOcclusion {
     pub fn update(&mut self, disparity: &[f32], width: usize, lens: &DepthLens) {
         let height = disparity.len() / width.max(1);
         (self.width, self.height) = (width.div_ceil(2), height.div_ceil(2));
-        let reach = REACH.map(|share| ((share * height as f32 * 0.5).round() as usize).max(1));
-        let side = self.width.min(self.height);
-        // A reflection needs as many pixels inside as outside.
-        let reach = reach.map(|o| o.min(side.saturating_sub(1)));
+        let reach = lens.reach([width as u32, height as u32]);
         self.border = reach.into_iter().max().unwrap_or(0);
         self.shrink(disparity, width);
         self.darkness.resize(self.width * self.height, 0.0);

@@ -20,7 +20,7 @@ use crate::{
         code_steps, downsample, fill_sky, finish, merge, paint_sky, pixels_for_tree, underlay_tree,
     },
     frame::{Frame, Source, supersampled},
-    gpu::Gpu,
+    gpu::{Finishing, Gpu},
     impostor::{ImpostorStats, Impostors},
     report::StageMs,
     resident::Resident,
@@ -624,10 +624,16 @@ impl FrameRenderer {
         let options = frame.options;
         // False colours have neither sky nor shadows.
         let appearance = if options.shows == DisplayMode::Scene { options.appearance } else { Appearance::default() };
+        let shading = appearance.depth_shading.then(|| {
+            let errors = merged.steps.iter().map(|s| s.error(&frame.full_camera));
+            let noise = errors.fold([0.0f64; 2], |a, b| [a[0].max(b[0]), a[1].max(b[1])]);
+            DepthLens::new(frame.camera, noise.map(|e| e as f32))
+        });
         self.filled_on_card = 0;
         if let Some(open) = merged.open {
             let fill = options.fill == Fill::Surface && merged.stats.is_worth_filling(merged.known);
-            self.filled_on_card = self.backend.finish(&open, &self.full, fill, options.supersample, out)?;
+            let finishing = Finishing { fill, factor: options.supersample, shading };
+            self.filled_on_card = self.backend.finish(&open, &self.full, &finishing, out)?;
             if appearance.horizon {
                 paint_sky(out, frame.pose, frame.camera);
             }
@@ -648,10 +654,8 @@ impl FrameRenderer {
         } else {
             out.clone_from(&self.full);
         }
-        if appearance.depth_shading {
-            let errors = merged.steps.iter().map(|s| s.error(&frame.full_camera));
-            let noise = errors.fold([0.0f64; 2], |a, b| [a[0].max(b[0]), a[1].max(b[1])]);
-            self.shading.shade(out, &DepthLens::new(frame.camera, noise.map(|e| e as f32)));
+        if let Some(lens) = shading {
+            self.shading.shade(out, &lens);
         }
         Ok(())
     }
