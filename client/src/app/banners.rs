@@ -147,8 +147,7 @@ mod tests {
             assert!(line.text.contains(part), "{line:?}");
         }
         assert_eq!(lines.len(), 4);
-        let none =
-            Conditions { connection: &ConnectionState::Up, recording: None, replaying: false, unplanned: false };
+        let none = Conditions { connection: &ConnectionState::Up, recording: None, replaying: false, unplanned: false };
         assert_eq!(none.lines(), []);
     }
 

@@ -54,8 +54,7 @@ impl Bookmarks {
         self.places.insert(digit, pose);
         let poses = self.places.iter().map(|(digit, pose)| path::TimedPose { t_s: f64::from(*digit), pose: *pose });
         let walk = path::Walk { fps: 1.0, speed: 1.4, eye_height: None, poses: poses.collect() };
-        user_file::replace(&self.file, &(walk.to_json() + "\n"))
-            .map_err(|e| format!("the bookmark is not kept: {e}"))
+        user_file::replace(&self.file, &(walk.to_json() + "\n")).map_err(|e| format!("the bookmark is not kept: {e}"))
     }
 }
 

@@ -128,9 +128,7 @@ mod tests {
 
     #[test]
     fn function_keys_need_no_control() {
-        let named = |key, control, shift| {
-            command(&Key::Named(key), &PhysicalKey::Code(KeyCode::F24), control, shift)
-        };
+        let named = |key, control, shift| command(&Key::Named(key), &PhysicalKey::Code(KeyCode::F24), control, shift);
         assert_eq!(named(NamedKey::F11, false, false), Some(Command::FullScreen));
         assert_eq!(named(NamedKey::F2, false, true), Some(Command::NextView { back: true }));
         assert_eq!(named(NamedKey::F11, true, false), None);

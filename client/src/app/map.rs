@@ -6,12 +6,14 @@
 
 use super::{
     floor_plan::{self, STOREY_M},
-    text_block::{self, SHADE, TEXT},
     render_mailbox::Picture,
     server_connection::Scene,
+    text_block::{self, SHADE, TEXT},
     walker,
 };
-use egui::{Align2, Color32, ColorImage, CornerRadius, Pos2, Rect, Shape, Stroke, TextureHandle, TextureOptions, pos2, vec2};
+use egui::{
+    Align2, Color32, ColorImage, CornerRadius, Pos2, Rect, Shape, Stroke, TextureHandle, TextureOptions, pos2, vec2,
+};
 use glam::DVec3;
 use ldi_protocol::{Pose, index::Index, select::Selection, volume::WalkVolume, wire::Other};
 use std::{

@@ -16,13 +16,15 @@ use super::{
     render_mailbox::{Picture, PictureStats, RenderConfig, RenderMailbox, lock},
     screenshot::Screenshots,
     server_connection::{Scene, ServerConnection},
+    settings::has_few_textures,
     start_pose::{MovedStart, StartPoseSearch},
     walker::{self, Intent, WalkSpace, Walker},
 };
 use crate::{
     composite::Fill,
     engine::{
-        Anticipated, Appearance, Cull, DisplayMode, FrameRenderer, Method, Pace, RenderError, View, WalkOptions, select_view,
+        Anticipated, Appearance, Cull, DisplayMode, FrameRenderer, Method, Pace, RenderError, View, WalkOptions,
+        select_view,
     },
     frame::Frame,
     near::MAX_SIDE_PX,
@@ -112,6 +114,8 @@ pub(super) struct RenderLoop {
     scale: DynamicResolution,
     renderer: FrameRenderer,
     scene: Option<Scene>,
+    /// Whether the scene has few textures.
+    few_textures: bool,
     last: Option<Last>,
     began: Option<Instant>,
     still_since: Instant,
@@ -154,6 +158,7 @@ impl RenderLoop {
             scale: DynamicResolution::new(config.settings.frame_ms),
             renderer,
             scene: None,
+            few_textures: false,
             last: None,
             began: None,
             still_since: Instant::now(),
@@ -228,11 +233,13 @@ impl RenderLoop {
             mailbox.walker = Some(walker);
             mailbox.moved = Instant::now();
             self.renderer.forget_scene();
+            self.few_textures = has_few_textures(&scene.index);
             (self.last, self.large_ms, self.collision) = (None, None, None);
             self.scene = Some(scene.clone());
         } else if self.scene.as_ref().is_some_and(|s| !Arc::ptr_eq(&s.index, &scene.index)) {
             // The index is complete now: the same view may need more.
             self.last = None;
+            self.few_textures = has_few_textures(&scene.index);
             self.scene = Some(scene.clone());
         }
         Some(scene)
@@ -289,7 +296,7 @@ impl RenderLoop {
         // The search compares what the scene shows, without what shading adds.
         let appearance = match self.start_search {
             Some(_) => Appearance::default(),
-            None => settings.appearance(&scene.index),
+            None => settings.appearance(self.few_textures),
         };
         let (shows, fov_deg) = (mailbox.shows, settings.fov_deg);
         let inputs = PictureInputs { pose, size, supersample, shows, appearance, fov_deg };

@@ -32,15 +32,9 @@ pub enum Shading {
     Off,
 }
 
-impl Shading {
-    /// Whether pictures of a scene are shaded.
-    pub fn is_on(self, index: &Index) -> bool {
-        match self {
-            Self::Auto => textured_share(index) < FEW_TEXTURES,
-            Self::On => true,
-            Self::Off => false,
-        }
-    }
+/// Whether a scene has few textures. The part of an index that comes first does not tell.
+pub fn has_few_textures(index: &Index) -> bool {
+    index.is_whole() && textured_share(index) < FEW_TEXTURES
 }
 
 /// Share of the triangles that have textures, by the materials of each cell.
@@ -108,10 +102,14 @@ impl UserSettings {
         (-dx * k, if self.inverted { dy * k } else { -dy * k })
     }
 
-    /// Changes of finished pictures of a scene.
-    pub fn appearance(&self, index: &Index) -> Appearance {
-        // The part of an index that comes first knows nothing of textures.
-        Appearance { depth_shading: index.is_whole() && self.shading.is_on(index), horizon: self.horizon }
+    /// Changes of finished pictures of a scene that has few textures, or many.
+    pub fn appearance(&self, few_textures: bool) -> Appearance {
+        let depth_shading = match self.shading {
+            Shading::Auto => few_textures,
+            Shading::On => true,
+            Shading::Off => false,
+        };
+        Appearance { depth_shading, horizon: self.horizon }
     }
 
     /// The settings with every number within its range; a number that is none takes its default.
@@ -241,10 +239,9 @@ mod tests {
         let camera = OutputCamera { width: 64, height: 36, fov_deg: 60.0 };
         let share = |materials, clusters| textured_share(&dataset(camera, materials, clusters).0);
         assert_eq!(share(vec![plain_material()], vec![quad(0)]), 0.0);
-        assert_eq!(share(vec![textured.clone()], vec![quad(0)]), 1.0);
-        let (index, _) = dataset(camera, vec![textured], vec![quad(0)]);
-        assert!(!Shading::Auto.is_on(&index) && Shading::On.is_on(&index));
-        let (index, _) = dataset(camera, vec![plain_material()], vec![quad(0)]);
-        assert!(Shading::Auto.is_on(&index) && !Shading::Off.is_on(&index));
+        assert_eq!(share(vec![textured], vec![quad(0)]), 1.0);
+        let shaded = |shading, few| UserSettings { shading, ..UserSettings::default() }.appearance(few).depth_shading;
+        assert!(shaded(Shading::Auto, true) && !shaded(Shading::Auto, false));
+        assert!(shaded(Shading::On, false) && !shaded(Shading::Off, true));
     }
 }

@@ -127,7 +127,8 @@ impl Walker {
     /// A walker at `pose`, moved into the volume. `flying`: vertical movement is free. The pitch is
     /// limited.
     pub fn new(pose: Pose, volume: Option<&WalkVolume>, flying: bool, pitch_limit_deg: f64) -> Self {
-        let mut w = Self { pose, velocity: DVec3::ZERO, speed_m_per_s: WALK_M_PER_S, flying, pitch_limit_deg, raise_m: 0.0 };
+        let mut w =
+            Self { pose, velocity: DVec3::ZERO, speed_m_per_s: WALK_M_PER_S, flying, pitch_limit_deg, raise_m: 0.0 };
         w.turn(0.0, 0.0);
         w.teleport(pose.position, volume);
         w

@@ -146,24 +146,12 @@ impl WindowState {
         connection: Arc<ServerConnection>,
         proxy: &EventLoopProxy<UserEvent>,
     ) -> Result<Self, AppError> {
-        let (width, height) = config.size;
         let path = config.settings.clone().or_else(SettingsFile::default_path);
         let (mut settings_file, mut settings, unread) = SettingsFile::load(path);
         settings_file.give_frame_ms(config.frame_ms, &mut settings);
-        let attributes = Window::default_attributes()
-            .with_title(format!("ldi-client: {}", config.connect.server))
-            .with_min_inner_size(PhysicalSize::new(160, 120))
-            .with_fullscreen(settings.full_screen.then_some(Fullscreen::Borderless(None)))
-            .with_inner_size(PhysicalSize::new(width, height));
-        let window = event_loop.create_window(attributes).map_err(|e| AppError::no_display(&e))?;
-        let window = Arc::new(window);
+        let window = window(config, &settings, event_loop)?;
         let display = event_loop.owned_display_handle();
         let screen = Screen::open(window.clone(), display.clone())?;
-        let hz = window
-            .current_monitor()
-            .and_then(|m| m.refresh_rate_millihertz())
-            .map_or(DEFAULT_HZ, |mhz| f64::from(mhz) * 1e-3);
-        let hz = if hz > 1.0 { hz } else { DEFAULT_HZ };
         let size = window.inner_size();
         let notify = |what: UserEvent| {
             let proxy = proxy.clone();
@@ -177,7 +165,7 @@ impl WindowState {
             settings: settings.clone(),
             begin: config.begin,
             window_px: [size.width, size.height],
-            interval: Duration::from_secs_f64(1.0 / hz),
+            interval: refresh_interval(&window),
             even: screen.keeps_interface(),
         };
         let render_thread =
@@ -566,6 +554,24 @@ impl WindowState {
             self.announce(described, events);
         }
     }
+}
+
+/// Opens a window.
+fn window(config: &AppConfig, settings: &UserSettings, event_loop: &ActiveEventLoop) -> Result<Arc<Window>, AppError> {
+    let (width, height) = config.size;
+    let attributes = Window::default_attributes()
+        .with_title(format!("ldi-client: {}", config.connect.server))
+        .with_min_inner_size(PhysicalSize::new(160, 120))
+        .with_fullscreen(settings.full_screen.then_some(Fullscreen::Borderless(None)))
+        .with_inner_size(PhysicalSize::new(width, height));
+    event_loop.create_window(attributes).map(Arc::new).map_err(|e| AppError::no_display(&e))
+}
+
+/// The time between two refreshes of a window's display.
+fn refresh_interval(window: &Window) -> Duration {
+    let monitor = window.current_monitor();
+    let hz = monitor.and_then(|m| m.refresh_rate_millihertz()).map_or(DEFAULT_HZ, |mhz| f64::from(mhz) * 1e-3);
+    Duration::from_secs_f64(1.0 / if hz > 1.0 { hz } else { DEFAULT_HZ })
 }
 
 /// The interface's state for a window and its screen.

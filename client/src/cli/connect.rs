@@ -160,7 +160,10 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
         frame_ms: args.frame_ms,
         settings: args.settings.clone(),
         // A replayed walk starts at its own pose.
-        begin: args.start.or(args.server.pose).or_else(|| replay.as_ref().and_then(|walk| walk.poses.first()).map(|p| p.pose)),
+        begin: args
+            .start
+            .or(args.server.pose)
+            .or_else(|| replay.as_ref().and_then(|walk| walk.poses.first()).map(|p| p.pose)),
         screenshots: args.shots.clone(),
         replay,
         gamepad: match &args.gamepad {

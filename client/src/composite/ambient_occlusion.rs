@@ -118,12 +118,7 @@ impl<'a> Ring<'a> {
         let d = ((offset as f32) * std::f32::consts::FRAC_1_SQRT_2).round().max(1.0) as isize;
         let diagonal = d as f32 * std::f32::consts::SQRT_2;
         Self {
-            pairs: [
-                [at(0, -o), at(0, o)],
-                [at(-o, 0), at(o, 0)],
-                [at(-d, -d), at(d, d)],
-                [at(-d, d), at(d, -d)],
-            ],
+            pairs: [[at(0, -o), at(0, o)], [at(-o, 0), at(o, 0)], [at(-d, -d), at(d, d)], [at(-d, d), at(d, -d)]],
             lengths: [o as f32, o as f32, diagonal, diagonal],
         }
     }

@@ -23,8 +23,7 @@ const COLOURS: usize = 512;
 fn colours() -> [u32; COLOURS] {
     std::array::from_fn(|i| {
         let up = 2.0 * (i as f32 + 0.5) / COLOURS as f32 - 1.0;
-        let ([from, to], share) =
-            if up > 0.0 { ([ABOVE, ZENITH], up.sqrt()) } else { ([BELOW, NADIR], (-up).sqrt()) };
+        let ([from, to], share) = if up > 0.0 { ([ABOVE, ZENITH], up.sqrt()) } else { ([BELOW, NADIR], (-up).sqrt()) };
         pack_rgb(std::array::from_fn(|c| (from[c] + (to[c] - from[c]) * share).round() as u8))
     })
 }

@@ -97,10 +97,6 @@ impl DepthShadingPass {
             &[(0, uniform.clone()), (2, nearest.clone()), (3, darkness.clone())],
             [half[0].div_ceil(ACROSS), half[1]],
         );
-        run(
-            &self.shade,
-            &[(0, uniform), (2, nearest), (3, darkness), (4, colours.as_entire_binding())],
-            everywhere,
-        );
+        run(&self.shade, &[(0, uniform), (2, nearest), (3, darkness), (4, colours.as_entire_binding())], everywhere);
     }
 }

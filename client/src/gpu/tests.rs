@@ -409,7 +409,9 @@ fn what_the_card_joins_is_what_the_processor_joins() {
                     (stats.unpainted, from_tree) = (stats.unpainted - given, from_tree + given);
                     let fill = fill && stats.is_worth_filling(true);
                     let mut out = Frame::default();
-                    let filled = gpu.finish(&open, &found, &Finishing { fill, factor, shading: None }, &mut out).expect("finished");
+                    let filled = gpu
+                        .finish(&open, &found, &Finishing { fill, factor, shading: None }, &mut out)
+                        .expect("finished");
                     assert_eq!(filled, full.count(Source::Filled) as u64);
                     filled_in_all += filled;
 

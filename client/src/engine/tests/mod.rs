@@ -339,9 +339,8 @@ const SHADOWS: Appearance = Appearance { depth_shading: true, horizon: false };
 fn pictures_change_their_appearance_only_if_they_are_asked_to() {
     let data = scene();
     let pose = Pose { position: DVec3::new(0.13, 0.0, 0.0), yaw_deg: 4.0, pitch_deg: 0.0 };
-    let rendered = |appearance, shows| {
-        render(&data, &pose, &WalkOptions { appearance, shows, ..options(Pace::Wait) }).0
-    };
+    let rendered =
+        |appearance, shows| render(&data, &pose, &WalkOptions { appearance, shows, ..options(Pace::Wait) }).0;
     let plain = rendered(Appearance::default(), DisplayMode::Scene);
     let shaded = rendered(SHADED, DisplayMode::Scene);
     let sky = |frame: &Frame| (0..frame.len()).filter(|i| frame.colour[*i] == crate::frame::SKY).count();
