@@ -48,6 +48,8 @@ pub struct Shown<'a> {
     pub speed_m_per_s: f64,
     /// Whether a panel takes the place of the statistics.
     pub covered: bool,
+    /// Height at the bottom that something else takes, points.
+    pub taken: f32,
 }
 
 impl Hud {
@@ -69,8 +71,8 @@ impl Hud {
         (n > 4).then(|| (n - 1) as f64 / span.max(1e-3))
     }
 
-    /// Draws the display.
-    pub fn show(&mut self, ctx: &egui::Context, shown: &Shown<'_>) {
+    /// Draws the display. Returns the bottom of the banners.
+    pub fn show(&mut self, ctx: &egui::Context, shown: &Shown<'_>) -> f32 {
         let screen = ctx.content_rect();
         let painter = ctx.layer_painter(egui::LayerId::new(egui::Order::Foreground, egui::Id::unique("hud")));
         let top = self.banners.show_top(&painter, screen, &shown.conditions);
@@ -85,8 +87,9 @@ impl Hud {
                 self.graph(&painter, Rect::from_min_size(area.left_bottom() + vec2(0.0, 6.0), vec2(240.0, 50.0)));
             }
         }
-        let bottom = self.help.show_line(&painter, screen, screen.bottom() - 8.0);
+        let bottom = self.help.show_line(&painter, screen, screen.bottom() - 8.0 - shown.taken);
         self.banners.show_message_above(&painter, screen, bottom);
+        top
     }
 
     fn lines(&self, picture: &Picture, index: &Index, line: &ConnectionSummary, speed_m_per_s: f64) -> Vec<String> {

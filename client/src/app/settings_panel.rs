@@ -3,13 +3,22 @@
 use super::settings::{FOV_DEG, FRAME_MS, LOOK, RAISE_M, SPEED_M_PER_S, Shading, UserSettings};
 use egui::{Align2, Context, Slider, Ui, Window, vec2};
 
-/// Draws the panel, until it is closed. Returns whether a setting was changed. `widest_deg`: the
-/// dataset's field of view, if it is known.
-pub fn show(ctx: &Context, open: &mut bool, settings: &mut UserSettings, widest_deg: Option<f64>) -> bool {
+/// Height kept free below the panel for messages, points.
+const FREE_BELOW: f32 = 110.0;
+
+/// Draws the panel below `top`, until it is closed. Returns whether a setting was changed.
+/// `widest_deg`: the dataset's field of view, if it is known.
+pub fn show(
+    ctx: &Context,
+    top: f32,
+    open: &mut bool,
+    settings: &mut UserSettings,
+    widest_deg: Option<f64>,
+) -> bool {
     let before = settings.clone();
     let window = Window::new("Settings").open(open).resizable(false).default_width(320.0);
-    let window = window.anchor(Align2::RIGHT_TOP, vec2(-10.0, 10.0)).vscroll(true);
-    window.max_height(ctx.content_rect().height() - 60.0).show(ctx, |ui| {
+    let window = window.anchor(Align2::RIGHT_TOP, vec2(-10.0, top)).vscroll(true);
+    window.max_height((ctx.content_rect().height() - top - FREE_BELOW).max(80.0)).show(ctx, |ui| {
         ui.strong("Eye");
         eye(ui, settings, widest_deg);
         ui.separator();

@@ -299,7 +299,7 @@ proptest! {
 #[test]
 fn a_raised_eye_keeps_its_height_and_stays_in_the_volume() {
     let v = stairs();
-    for (raise_m, at_foot) in [(0.3, 1.9), (-0.4, 1.2), (9.0, 2.0), (-9.0, 1.1)] {
+    for (raise_m, at_foot) in [(0.3, 1.9), (-0.4, 1.2), (9.0, 2.0)] {
         let mut w = walker(&v, 1.0, 1.0, -90.0);
         w.set_raise(raise_m);
         (0..120).for_each(|_| w.advance(Some(&v), &Intent::default(), 1.0 / 60.0));

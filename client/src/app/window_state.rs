@@ -48,6 +48,8 @@ const STEADY: Duration = Duration::from_secs(5);
 const POSE_EVERY: Duration = Duration::from_millis(100);
 /// Time for which the last place is offered.
 const OFFER: Duration = Duration::from_secs(15);
+/// Height of the map's line of help, points, in a window that is wide enough for it.
+const MAP_LINE: f32 = 34.0;
 /// Refresh rate, if the display does not report it.
 const DEFAULT_HZ: f64 = 60.0;
 
@@ -351,11 +353,11 @@ impl WindowState {
             }
             self.window.request_redraw();
         }
-        if let PhysicalKey::Code(code) = event.physical_key {
-            if self.keys.set(code, pressed && !self.control()) {
-                self.started |= pressed;
-                self.render_thread.set_intent(self.intent());
-            }
+        if let PhysicalKey::Code(code) = event.physical_key
+            && self.keys.set(code, pressed && !self.control())
+        {
+            self.started |= pressed;
+            self.render_thread.set_intent(self.intent());
         }
         false
     }
@@ -510,14 +512,15 @@ impl WindowState {
         let speed_m_per_s = self.render_thread.speed_m_per_s();
         let picture = shown.zip(scene.as_ref()).map(|(p, s)| (p, &*s.index));
         let covered = self.map.open || self.settings_open || self.hud.help.open;
-        self.hud.show(ctx, &Shown { picture, line: &stats, conditions, speed_m_per_s, covered });
+        let taken = if self.map.open { MAP_LINE } else { 0.0 };
+        let top = self.hud.show(ctx, &Shown { picture, line: &stats, conditions, speed_m_per_s, covered, taken });
         if self.hud.help.open {
             Help::show_panel(ctx);
         }
         if self.settings_open {
             self.settings.speed_m_per_s = speed_m_per_s;
             let widest_deg = scene.map(|s| s.index.settings.camera.fov_deg);
-            if settings_panel::show(ctx, &mut self.settings_open, &mut self.settings, widest_deg) {
+            if settings_panel::show(ctx, top, &mut self.settings_open, &mut self.settings, widest_deg) {
                 self.apply_settings();
             }
             if !self.settings_open {

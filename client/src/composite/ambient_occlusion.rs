@@ -15,7 +15,7 @@
 //! continued by a point reflection, which continues planes. Rows are independent, so that the
 //! result does not depend on the number of threads.
 
-use super::depth_lens::{DepthLens, NOTHING};
+use super::depth_lens::{DepthLens, NOTHING, least, most, share};
 use rayon::prelude::*;
 
 /// Radius of the occlusion, metres. Larger: wide soft shadows that merge; smaller: only a line in
@@ -66,7 +66,7 @@ impl AmbientOcclusion {
                 };
                 sums.begin(at(0, 0));
                 for o in reach.into_iter().filter(|o| *o > 0) {
-                    sums.add(&Ring::new(&at, o), lens);
+                    add(sums, &Ring::new(&at, o), lens);
                 }
                 sums.finish(out);
             },
@@ -124,6 +124,22 @@ impl<'a> Ring<'a> {
     }
 }
 
+/// Adds the pairs at one distance to the sums of a row.
+fn add(sums: &mut Sums<'_>, ring: &Ring<'_>, lens: &DepthLens) {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") {
+        // SAFETY: AVX2 was detected. Twice the lanes of the plain loop, with the same results.
+        return unsafe { add_avx2(sums, ring, lens) };
+    }
+    sums.add(ring, lens);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn add_avx2(sums: &mut Sums<'_>, ring: &Ring<'_>, lens: &DepthLens) {
+    sums.add(ring, lens);
+}
+
 /// Sums over the distances of a row.
 struct Sums<'a> {
     here: &'a [f32],
@@ -148,6 +164,7 @@ impl<'a> Sums<'a> {
     }
 
     /// Adds the pairs at one distance.
+    #[inline(always)]
     fn add(&mut self, ring: &Ring<'_>, lens: &DepthLens) {
         let n = self.here.len();
         let [[l, r], [u, b], [ul, br], [ur, bl]] = ring.pairs.map(|pair| pair.map(|row| &row[..n]));
@@ -167,7 +184,7 @@ impl<'a> Sums<'a> {
                 + pair(ur[x], bl[x], d, z * slope[3], lost);
             // The radius in units of this distance: 1 and more counts fully, a third not at all.
             let within = RADIUS_M * d * slope[0];
-            let w = (1.5 * within - 0.5).max(0.0).min(1.0);
+            let w = share(1.5 * within - 0.5);
             occlusion[x] += w * sum;
             weight[x] += w;
         }
@@ -185,6 +202,7 @@ impl<'a> Sums<'a> {
 /// The occlusion by two opposite samples: half the angle's slope, 0 to 1.
 #[inline(always)]
 fn pair(a: f32, b: f32, d: f32, slope: f32, lost: f32) -> f32 {
-    let side = |s: f32| s.min(((CUT * STEEPEST - s) / (CUT - 1.0)).max(0.0));
-    (0.5 * (side((a - d) * slope) + side((b - d) * slope) - lost)).max(0.0).min(1.0)
+    const FADE: f32 = 1.0 / (CUT - 1.0);
+    let side = |s: f32| least(s, most((CUT * STEEPEST - s) * FADE, 0.0));
+    share(0.5 * (side((a - d) * slope) + side((b - d) * slope) - lost))
 }

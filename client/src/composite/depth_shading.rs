@@ -15,7 +15,7 @@
 
 use super::{
     ambient_occlusion::AmbientOcclusion,
-    depth_lens::{DepthLens, NOTHING},
+    depth_lens::{DepthLens, NOTHING, least, most, share},
 };
 use crate::frame::Frame;
 use rayon::prelude::*;
@@ -53,23 +53,61 @@ impl DepthShading {
         let occlusion = &self.occlusion;
         frame.colour.par_chunks_mut(width).enumerate().with_min_len(ROWS_PER_TASK).for_each_init(
             || [vec![0.0; width], vec![0.0; width]],
-            |[light, change], (y, colours)| {
-                enlarge([occlusion.row(y / 2), occlusion.row(y.div_ceil(2))], light);
+            |[darkness, change], (y, colours)| {
                 let row = |y: usize| &disparity[y * width..(y + 1) * width];
-                let here = row(y);
-                across(here, change);
-                if y > 0 && y + 1 < height {
-                    down([row(y - 1), here, row(y + 1)], change);
-                }
-                draw_lines(here, change, lens, light);
-                darken(light, colours);
+                let beside = (y > 0 && y + 1 < height).then(|| [row(y - 1), row(y + 1)]);
+                let coarse = [occlusion.row(y / 2), occlusion.row(y.div_ceil(2))];
+                shade_row(&Rows { coarse, here: row(y), beside }, lens, [darkness, change], colours);
             },
         );
     }
 }
 
+/// The rows that the shading of a row depends on.
+struct Rows<'a> {
+    /// Darkness at half resolution above and below.
+    coarse: [&'a [f32]; 2],
+    /// Disparities of the row.
+    here: &'a [f32],
+    /// Disparities of the rows above and below, if there are both.
+    beside: Option<[&'a [f32]; 2]>,
+}
+
+/// Shades a row. `buffers`: two rows to work in.
+fn shade_row(rows: &Rows<'_>, lens: &DepthLens, buffers: [&mut [f32]; 2], colours: &mut [u32]) {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") {
+        // SAFETY: AVX2 was detected. Twice the lanes of the plain loops, with the same results.
+        return unsafe { shade_row_avx2(rows, lens, buffers, colours) };
+    }
+    shade_row_plain(rows, lens, buffers, colours);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn shade_row_avx2(rows: &Rows<'_>, lens: &DepthLens, buffers: [&mut [f32]; 2], colours: &mut [u32]) {
+    shade_row_plain(rows, lens, buffers, colours);
+}
+
+#[inline(always)]
+fn shade_row_plain(
+    rows: &Rows<'_>,
+    lens: &DepthLens,
+    [darkness, change]: [&mut [f32]; 2],
+    colours: &mut [u32],
+) {
+    enlarge(rows.coarse, darkness);
+    across(rows.here, change);
+    if let Some([above, below]) = rows.beside {
+        down([above, rows.here, below], change);
+    }
+    draw_lines(rows.here, change, lens, darkness);
+    darken(darkness, colours);
+}
+
 /// The darkness of a row of pixels from those of the rows at half resolution above and below,
 /// bilinear: pixel 2i lies on sample i.
+#[inline(always)]
 fn enlarge([above, below]: [&[f32]; 2], out: &mut [f32]) {
     let mean = |i: usize| 0.5 * (above[i] + below[i]);
     let last = above.len() - 1;
@@ -82,6 +120,7 @@ fn enlarge([above, below]: [&[f32]; 2], out: &mut [f32]) {
 }
 
 /// Second differences along a row.
+#[inline(always)]
 fn across(here: &[f32], out: &mut [f32]) {
     let n = here.len();
     (out[0], out[n - 1]) = (0.0, 0.0);
@@ -92,6 +131,7 @@ fn across(here: &[f32], out: &mut [f32]) {
 }
 
 /// Replaces second differences by those along columns where these are larger.
+#[inline(always)]
 fn down([above, here, below]: [&[f32]; 3], out: &mut [f32]) {
     for (((out, a), d), b) in out.iter_mut().zip(above).zip(here).zip(below) {
         let other = a + b - 2.0 * d;
@@ -100,15 +140,16 @@ fn down([above, here, below]: [&[f32]; 3], out: &mut [f32]) {
 }
 
 /// Adds the darkness of lines.
+#[inline(always)]
 fn draw_lines(here: &[f32], change: &[f32], lens: &DepthLens, darkness: &mut [f32]) {
     let (focal, noise) = (lens.focal_px, lens.noise);
     for ((out, change), d) in darkness.iter_mut().zip(change).zip(here) {
-        let d = d.max(NOTHING);
+        let d = most(*d, NOTHING);
         let slope = change * focal / d;
         let lost = CREASE[0] + 4.0 * focal * (noise[0] / d + noise[1]);
         let convex = -slope - lost;
-        let concave = slope.min(2.0 * BORDER - slope) - lost;
-        let line = (convex.max(concave) * (1.0 / CREASE[1])).max(0.0).min(1.0);
+        let concave = least(slope, 2.0 * BORDER - slope) - lost;
+        let line = share(most(convex, concave) * (1.0 / CREASE[1]));
         // Sky has neither surface nor line.
         let faded = (d - NOTHING) / (d + 1.0 / FADE_M);
         *out += LINE * faded * line * (1.0 - *out);
@@ -116,12 +157,13 @@ fn draw_lines(here: &[f32], change: &[f32], lens: &DepthLens, darkness: &mut [f3
 }
 
 /// Multiplies colours by 1 - darkness, in sRGB codes.
+#[inline(always)]
 fn darken(darkness: &[f32], colours: &mut [u32]) {
     const PAIR: u32 = 0x00ff_00ff;
     for (colour, dark) in colours.iter_mut().zip(darkness) {
         let kept = 256 - (256.0 * dark) as i32 as u32;
-        let red_blue = (*colour & PAIR) * kept >> 8 & PAIR;
-        let green = (*colour >> 8 & 0xff) * kept & 0xff00;
+        let red_blue = ((*colour & PAIR) * kept) >> 8 & PAIR;
+        let green = ((*colour >> 8 & 0xff) * kept) & 0xff00;
         *colour = red_blue | green;
     }
 }
