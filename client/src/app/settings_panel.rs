@@ -8,13 +8,7 @@ const FREE_BELOW: f32 = 110.0;
 
 /// Draws the panel below `top`, until it is closed. Returns whether a setting was changed.
 /// `widest_deg`: the dataset's field of view, if it is known.
-pub fn show(
-    ctx: &Context,
-    top: f32,
-    open: &mut bool,
-    settings: &mut UserSettings,
-    widest_deg: Option<f64>,
-) -> bool {
+pub fn show(ctx: &Context, top: f32, open: &mut bool, settings: &mut UserSettings, widest_deg: Option<f64>) -> bool {
     let before = settings.clone();
     let window = Window::new("Settings").open(open).resizable(false).default_width(320.0);
     let window = window.anchor(Align2::RIGHT_TOP, vec2(-10.0, top)).vscroll(true);

@@ -90,12 +90,7 @@ fn shade_row_avx2(rows: &Rows<'_>, lens: &DepthLens, buffers: [&mut [f32]; 2], c
 }
 
 #[inline(always)]
-fn shade_row_plain(
-    rows: &Rows<'_>,
-    lens: &DepthLens,
-    [darkness, change]: [&mut [f32]; 2],
-    colours: &mut [u32],
-) {
+fn shade_row_plain(rows: &Rows<'_>, lens: &DepthLens, [darkness, change]: [&mut [f32]; 2], colours: &mut [u32]) {
     enlarge(rows.coarse, darkness);
     across(rows.here, change);
     if let Some([above, below]) = rows.beside {
