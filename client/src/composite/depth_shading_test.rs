@@ -86,6 +86,8 @@ fn a_corner_is_darker_than_its_walls() {
         let (middle, wall) = (red(&frame, 80, 45), red(&frame, 3, 45).max(red(&frame, 156, 45)));
         assert!(u32::from(middle) * 100 < 85 * u32::from(WALL[0]), "{turned_deg}: {middle}");
         assert_eq!(wall, WALL[0], "far from the corner");
+        let beside = red(&frame, 77, 45).min(red(&frame, 83, 45));
+        assert!(beside + 2 <= WALL[0], "a shadow, and not the line alone: {beside}");
     }
 }
 
