@@ -16,8 +16,8 @@ use ldi_client::{
     app::HeadlessConnection,
     composite::Fill,
     engine::{
-        Cull, DataSource, DisplayMode, FrameRenderer, Method, Pace, Progress, Renderer, WalkJob, WalkOptions,
-        pictures_of, run,
+        Appearance, Cull, DataSource, DisplayMode, FrameRenderer, Method, Pace, Progress, Renderer, WalkJob,
+        WalkOptions, pictures_of, run,
     },
     gpu::{Gpu, WarpOn},
     report::{DatasetReport, DiskReport, LinkReport, MachineReport, Report, SceneReport},
@@ -59,10 +59,10 @@ enum Command {
     /// Walk freely, in a window.
     #[command(after_help = "Examples:\n  \
         ldi-client connect museum.local\n  \
+        ldi-client connect 'ldi://museum.local/house#1.5,1.6,-2,90,0'\n  \
         ldi-client connect localhost:4433 --fingerprint HEX --shots pictures\n\n\
-        Keys: click looks around (Esc lets the pointer go), W A S D and arrows walk, Q and E sink and rise in --fly datasets, Shift runs, the wheel\n\
-        changes the speed, M shows the map (a click goes there), G opens the walls, F1 shows the figures, F2 other views, F3 settings,\n\
-        R records a walk and P walks it again, Ctrl and a digit keep a place and the digit goes there, F12 takes a picture, Ctrl+Q leaves.\n\n\
+        Keys: click looks around (Esc lets the pointer go), W A S D and arrows walk, Q and E sink and\n\
+        rise in --fly datasets, Shift runs, the wheel changes the speed. H shows all keys.\n\n\
         Exit codes: 0 closed, 2 wrong usage or an unknown server, 1 a retry may help, 42 refused or a changed fingerprint.")]
     Connect(Box<connect::ConnectArgs>),
 }
@@ -340,6 +340,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
         cache_bytes: args.cache_bytes,
         debug_views: args.debug_views,
         shows: DisplayMode::Scene,
+        appearance: Appearance::default(),
         background_layout: false,
         baseline_frames: args.baseline_frames as usize,
     };

@@ -284,7 +284,10 @@ fn views_places_and_walks_are_at_hand() {
     let served = Server::start(&f.dataset).expect("serves");
     let places = dir.join("places").join("house.path.json");
     let file = places.to_str().expect("UTF-8");
-    let more = ["--fingerprint", &served.fingerprint, "--bookmarks", file, BEGIN];
+    let settings = dir.join("settings.json");
+    std::fs::write(&settings, r#"{ "developer": true }"#).expect("writable");
+    let settings = settings.to_str().expect("UTF-8");
+    let more = ["--fingerprint", &served.fingerprint, "--bookmarks", file, "--settings", settings, BEGIN];
     let mut walk = Walk::open(&display, &served.quic, &dir, &more);
     walk.wait_for("first_complete_picture");
     let window = display.hand(&["search", "--name", "house"]);
@@ -339,6 +342,63 @@ fn views_places_and_walks_are_at_hand() {
     assert!(code == Some(2) && !said.contains("cannot be walked"), "{said}");
     let (code, said) = blind(&dir, &[&served.quic, "--replay", "/absent.path.json"]);
     assert!(code == Some(42) && said.contains("/absent.path.json"), "{said}");
+}
+
+/// The window gets the keyboard.
+fn focus(display: &Display) {
+    let window = display.hand(&["search", "--name", "house"]);
+    display.hand(&["windowfocus", window.lines().last().expect("a window")]);
+}
+
+#[test]
+fn settings_links_and_the_last_place_come_back() {
+    let Some(display) = display() else { return };
+    let f = fixture();
+    let dir = folder("back");
+    let served = Server::start(&f.dataset).expect("serves");
+    let trusted = ["--fingerprint", &served.fingerprint];
+    let mut walk = Walk::open(&display, &served.quic, &dir, &[trusted[0], trusted[1], BEGIN]);
+    walk.wait_for("first_complete_picture");
+    focus(&display);
+    display.hand(&["key", "h"]);
+    assert_eq!(walk.wait_for("help")["open"], true);
+    display.hand(&["key", "Escape"]);
+    walk.wait("closed help", |w| (w.last("help")?["open"] == false).then_some(()));
+    // Views for developers are off until the settings say otherwise.
+    display.hand(&["key", "F2"]);
+    display.hand(&["key", "F11"]);
+    assert_eq!(walk.wait_for("full_screen")["on"], true);
+    let kept = std::fs::read_to_string(dir.join(".config/ldi/settings.json")).expect("kept");
+    assert_eq!(serde_json::from_str::<Value>(&kept).expect("JSON")["full_screen"], true);
+    display.hand(&["key", "F11"]);
+    walk.wait("a window", |w| (w.last("full_screen")?["on"] == false).then_some(()));
+    assert_eq!(walk.count("view"), 0, "{:?}", walk.all());
+    display.hand(&["key", "ctrl+c"]);
+    let link = walk.wait_for("link")["text"].as_str().expect("a link").to_owned();
+    assert!(link.starts_with(&format!("ldi://{}#-10.", served.quic)), "{link}");
+    let (place, yaw) = (walk.position(), walk.yaw());
+    assert_eq!(walk.count("last_place"), 0, "a first visit");
+    display.hand(&["key", "ctrl+q"]);
+    assert!(walk.client.wait().expect("ends").success());
+    // The link opens the same view.
+    let mut walk = Walk::open(&display, &link, &dir, &trusted);
+    walk.wait_for("first_complete_picture");
+    assert!(walk.position().distance(place) < 0.05 && (walk.yaw() - yaw).abs() < 0.01, "{:?}", walk.all());
+    assert_eq!(walk.count("start_moved"), 0);
+    drop(walk);
+    // Without a start the last place is offered.
+    let mut walk = Walk::open(&display, &served.quic, &dir, &trusted);
+    walk.wait_for("last_place");
+    focus(&display);
+    display.hand(&["key", "0"]);
+    walk.wait("the last place", |w| (w.position().distance(place) < 0.05).then_some(()));
+    drop(walk);
+    // A start where nobody can stand.
+    let mut walk = Walk::open(&display, &served.quic, &dir, &[trusted[0], trusted[1], "--start=500,1.6,0"]);
+    let moved = walk.wait_for("start_moved");
+    assert!(moved["by_m"].as_f64().is_some_and(|m| m > 400.0), "{moved}");
+    let said = walk.wait("a warning", |w| std::fs::read_to_string(&w.log).ok().filter(|l| l.contains("moved")));
+    assert!(said.contains("nobody can stand"), "{said}");
 }
 
 /// A record of Linux's joystick interface: time, value, kind, number.

@@ -1,23 +1,21 @@
-//! Bookmarked poses: Ctrl and a digit stores one, the digit alone moves the eye there.
+//! Bookmarked poses: Ctrl and a digit stores one, the digit alone moves the eye there. Digit 0 is
+//! the place where the last visit ended.
 //!
 //! One path file per scene holds the poses, with the digits as times, so that it can be rendered or
-//! walked as well. The file is replaced as a whole: written to a temporary file, then renamed.
+//! walked as well.
 
+use super::user_file;
 use ldi_protocol::{Pose, path};
-use std::{
-    collections::BTreeMap,
-    io::Read as _,
-    path::{Path, PathBuf},
-};
+use std::{collections::BTreeMap, path::PathBuf};
 
-/// Largest file that is read. Nine poses need far less.
-const MAX_BYTES: u64 = 64 << 10;
+/// The digit of the place where the last visit ended.
+pub const LAST_PLACE: u8 = 0;
 
 /// The bookmarks of one scene.
 #[derive(Debug)]
 pub struct Bookmarks {
     file: PathBuf,
-    /// Poses by digit, 1 to 9.
+    /// Poses by digit, 0 to 9.
     places: BTreeMap<u8, Pose>,
 }
 
@@ -27,8 +25,7 @@ impl Bookmarks {
     pub fn default_file(scene: &str) -> Option<PathBuf> {
         let letter = |c: char| if c.is_alphanumeric() || c == '-' { c } else { '_' };
         let name: String = scene.chars().map(letter).take(80).collect();
-        let folder = directories::ProjectDirs::from("", "", "ldi")?.config_dir().join("bookmarks");
-        Some(folder.join(format!("{name}.path.json")))
+        user_file::in_configuration(format!("bookmarks/{name}.path.json"))
     }
 
     /// Reads the bookmarks. An absent file holds none.
@@ -36,18 +33,10 @@ impl Bookmarks {
     /// # Errors
     /// If the file is no path file.
     pub fn load(file: PathBuf) -> Result<Self, String> {
+        let Some(text) = user_file::read(&file)? else { return Ok(Self { file, places: BTreeMap::new() }) };
         let described = |e: &dyn std::fmt::Display| format!("{}: {e}; mend or remove it", file.display());
-        let mut text = String::new();
-        match std::fs::File::open(&file) {
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Self { file, places: BTreeMap::new() }),
-            Err(e) => return Err(described(&e)),
-            Ok(open) => open.take(MAX_BYTES + 1).read_to_string(&mut text).map_err(|e| described(&e))?,
-        };
-        if text.len() as u64 > MAX_BYTES {
-            return Err(described(&format!("more than {MAX_BYTES} bytes are too many for bookmarks")));
-        }
         let walk = path::parse(&text).map_err(|e| described(&e))?;
-        let place = |p: &path::TimedPose| (1.0..=9.0).contains(&p.t_s).then_some((p.t_s as u8, p.pose));
+        let place = |p: &path::TimedPose| (0.0..=9.0).contains(&p.t_s).then_some((p.t_s as u8, p.pose));
         let places = walk.poses.iter().filter_map(place).collect();
         Ok(Self { file, places })
     }
@@ -65,17 +54,7 @@ impl Bookmarks {
         self.places.insert(digit, pose);
         let poses = self.places.iter().map(|(digit, pose)| path::TimedPose { t_s: f64::from(*digit), pose: *pose });
         let walk = path::Walk { fps: 1.0, speed: 1.4, eye_height: None, poses: poses.collect() };
-        self.write(&(walk.to_json() + "\n"))
-    }
-
-    fn write(&self, text: &str) -> Result<(), String> {
-        let described = |path: &Path, e: std::io::Error| format!("the bookmark is not kept: {}: {e}", path.display());
-        if let Some(folder) = self.file.parent() {
-            std::fs::create_dir_all(folder).map_err(|e| described(folder, e))?;
-        }
-        let beside = self.file.with_extension(format!("{}.tmp", std::process::id()));
-        std::fs::write(&beside, text).map_err(|e| described(&beside, e))?;
-        std::fs::rename(&beside, &self.file).map_err(|e| described(&self.file, e))
+        user_file::replace(&self.file, &(walk.to_json() + "\n")).map_err(|e| format!("the bookmark is not kept: {e}"))
     }
 }
 

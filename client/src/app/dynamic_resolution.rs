@@ -3,8 +3,9 @@
 //!
 //! In: the milliseconds of each frame. Out: a share of the window's sides. Pure.
 
-/// Smallest share of the window's sides. Smaller pictures are illegible.
-const SMALLEST: f64 = 0.375;
+/// Smallest share of the window's sides, a multiple of [`STEP`]. Smaller: moving pictures fall into
+/// blocks; larger: they stutter on slow machines. A judgement.
+const SMALLEST: f64 = 0.625;
 /// Granularity of shares. Smaller: buffers are allocated again for changes that are not visible.
 const STEP: f64 = 1.0 / 16.0;
 /// A frame above this multiple of the goal is too slow.
@@ -26,9 +27,9 @@ pub struct DynamicResolution {
 }
 
 impl DynamicResolution {
-    /// Starts at half of the window's sides. `goal_ms`: intended frame time.
+    /// Starts at the smallest share of the window's sides. `goal_ms`: intended frame time.
     pub fn new(goal_ms: f64) -> Self {
-        Self { goal_ms, share: 0.5, calm: 0, slow: 0, exhausted: false }
+        Self { goal_ms, share: SMALLEST, calm: 0, slow: 0, exhausted: false }
     }
 
     /// Records the time of a frame at the current size.
@@ -102,8 +103,8 @@ mod tests {
     fn fast_machines_fill_the_window_and_slow_ones_keep_the_time() {
         let mut s = DynamicResolution::new(16.0);
         assert_eq!(settle(&mut s, 2.0, 6.0, 200).last(), Some(&[1280, 720]));
-        settle(&mut s, 4.0, 40.0, 100);
-        let ms = 4.0 + 40.0 * s.share() * s.share();
+        settle(&mut s, 4.0, 20.0, 100);
+        let ms = 4.0 + 20.0 * s.share() * s.share();
         assert!((0.5..=TOO_SLOW).contains(&(ms / 16.0)), "{ms} ms at {}", s.share());
         // If no size is fast enough, the smallest is used.
         settle(&mut s, 100.0, 1.0, 100);

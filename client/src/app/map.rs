@@ -6,12 +6,14 @@
 
 use super::{
     floor_plan::{self, STOREY_M},
-    hud::{SHADE, block, centred},
     render_mailbox::Picture,
     server_connection::Scene,
+    text_block::{self, SHADE, TEXT},
     walker,
 };
-use egui::{Color32, ColorImage, CornerRadius, Pos2, Rect, Shape, Stroke, TextureHandle, TextureOptions, pos2, vec2};
+use egui::{
+    Align2, Color32, ColorImage, CornerRadius, Pos2, Rect, Shape, Stroke, TextureHandle, TextureOptions, pos2, vec2,
+};
 use glam::DVec3;
 use ldi_protocol::{Pose, index::Index, select::Selection, volume::WalkVolume, wire::Other};
 use std::{
@@ -116,7 +118,8 @@ impl Map {
         let screen = ctx.content_rect();
         painter.rect_filled(screen, CornerRadius::ZERO, Color32::from_black_alpha(190));
         let Some(volume) = scene.index.volume.as_ref().filter(|v| !v.is_empty()) else {
-            centred(&painter, screen.center(), "this dataset has no walk volume to show", Color32::WHITE, 16.0, 600.0);
+            let text = "this dataset has no walk volume to show";
+            text_block::line(&painter, (screen.center(), Align2::CENTER_CENTER), text, Color32::WHITE, 16.0, 600.0);
             return None;
         };
         let drawn_map = self.draw(ctx, scene, volume, pose);
@@ -143,7 +146,8 @@ impl Map {
         };
         let text =
             format!("click: go there  |  M or Esc: close{storeys}  |  dots: grid points, orange: in use{others}");
-        block(&painter, pos2(screen.left() + 10.0, screen.top() + 10.0), &text);
+        let at = (pos2(screen.center().x, screen.bottom() - 8.0), Align2::CENTER_BOTTOM);
+        text_block::line(&painter, at, &text, TEXT, 13.0, screen.width() * 0.9 - 20.0);
         self.sheet = Some(sheet);
         let clicked = ctx.input(|i| i.pointer.primary_clicked().then(|| i.pointer.interact_pos()).flatten())?;
         let [x, z] = sheet.area.contains(clicked).then(|| sheet.world(clicked))?;
@@ -274,7 +278,7 @@ fn draw_other_walker(painter: &egui::Painter, sheet: &MapProjection, o: &Other, 
     let name: String = o.name.chars().filter(|c| !c.is_control()).take(LONGEST_NAME).collect();
     let colour = Color32::WHITE.gamma_multiply(dim);
     let text = painter.layout_no_wrap(format!("{} {name}", o.walker), egui::FontId::proportional(12.0), colour);
-    let room = egui::Align2::LEFT_CENTER.anchor_size(at + vec2(12.0, 0.0), text.size() + vec2(8.0, 2.0));
+    let room = Align2::LEFT_CENTER.anchor_size(at + vec2(12.0, 0.0), text.size() + vec2(8.0, 2.0));
     painter.rect_filled(room, CornerRadius::same(3), SHADE.gamma_multiply(dim));
     painter.galley(room.min + vec2(4.0, 1.0), text, colour);
 }

@@ -20,19 +20,23 @@
 //! - `window`: system events; `window_state`: all state of an open window; `screen`: surface and
 //!   presentation with wgpu, opened only with a window; `software_present`, `software_upscale`,
 //!   `overlay`: presentation by the CPU.
-//! - `hud`, `map` with its `floor_plan`, `start_screen`, `settings`: the interface.
+//! - `hud` with `banners`, `help` and `text_block`, `map` with its `floor_plan`, `start_screen`,
+//!   `settings_panel`: the interface. `settings`: what the user has chosen, kept in a `user_file`.
 //! - `recordings_and_bookmarks` with `recording` and `bookmarks`: stored walks and poses.
-//!   `screenshot`, `unique_file`, `events`, `frame_times`: files and figures. `keys`, `gamepad`:
-//!   input.
+//!   `screenshot`, `unique_file`, `events`, `frame_times`: files and figures. `keys`, `commands`,
+//!   `gamepad`: input. `window_commands`: what commands do. `view_link`: links to views.
 
+mod banners;
 mod bookmarks;
 mod collision;
+mod commands;
 mod dynamic_resolution;
 mod events;
 mod floor_plan;
 mod frame_times;
 mod gamepad;
 mod headless_connection;
+mod help;
 mod hud;
 mod interface_pass;
 mod keys;
@@ -47,18 +51,24 @@ mod screen;
 mod screenshot;
 mod server_connection;
 mod settings;
+mod settings_panel;
 mod software_present;
 mod software_upscale;
 mod start_pose;
 mod start_screen;
+mod text_block;
 mod unique_file;
+mod user_file;
+mod view_link;
 mod walker;
 mod window;
+mod window_commands;
 mod window_state;
 
 pub use gamepad::GamepadAt;
 pub use headless_connection::HeadlessConnection;
 pub use screen::ScreenError;
+pub use view_link::{ViewLink, parse_pose};
 pub use window::run;
 
 use crate::stream::{ConnectConfig, ConnectError};
@@ -75,8 +85,10 @@ pub struct AppConfig {
     pub connect: ConnectConfig,
     /// Size of the window, pixels.
     pub size: (u32, u32),
-    /// Intended frame time while moving, milliseconds.
-    pub frame_ms: f64,
+    /// Intended frame time while moving, milliseconds; None for the one in the settings.
+    pub frame_ms: Option<f64>,
+    /// File of the settings; None for the one in the user's configuration folder.
+    pub settings: Option<PathBuf>,
     /// Start pose; None for one chosen by the client.
     pub begin: Option<Pose>,
     /// Folder of the screenshots.

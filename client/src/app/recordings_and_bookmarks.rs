@@ -1,9 +1,18 @@
 //! Recorded walks and bookmarks of the user, and the messages about them.
 
-use super::{AppConfig, bookmarks::Bookmarks, events::fields, recording::Recording};
+use super::{
+    AppConfig,
+    bookmarks::{Bookmarks, LAST_PLACE},
+    events::fields,
+    recording::Recording,
+};
 use ldi_protocol::{Pose, path::Walk};
 use serde_json::{Map, Value};
-use std::{path::PathBuf, sync::Arc, time::Instant};
+use std::{
+    path::PathBuf,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 /// A message for the user, and an event.
 pub(super) struct Announcement {
@@ -22,7 +31,8 @@ impl Announcement {
 /// The user's recordings and bookmarks.
 pub(super) struct RecordingsAndBookmarks {
     folder: PathBuf,
-    recording: Option<Recording>,
+    /// The recording in progress, and when it was started.
+    recording: Option<(Recording, Instant)>,
     /// The walk that P replays.
     walk: Option<Arc<Walk>>,
     bookmarks: Option<Bookmarks>,
@@ -47,20 +57,21 @@ impl RecordingsAndBookmarks {
 
     /// Records the pose of a picture.
     pub fn pose(&mut self, pose: Pose, at: Instant) {
-        if let Some(recording) = &mut self.recording {
+        if let Some((recording, _)) = &mut self.recording {
             recording.pose(pose, at);
         }
     }
 
-    /// Whether a walk is being recorded.
-    pub fn is_recording(&self) -> bool {
-        self.recording.is_some()
+    /// Time since the recording in progress was started.
+    pub fn recording_time(&self) -> Option<Duration> {
+        self.recording.as_ref().map(|(_, since)| since.elapsed())
     }
 
     /// Starts a recording, or ends and saves it.
     pub fn record(&mut self, speed_m_per_s: f64) -> Announcement {
-        let Some(recording) = self.recording.take() else {
-            let recording = self.recording.insert(Recording::new(&self.folder, speed_m_per_s));
+        let Some((recording, _)) = self.recording.take() else {
+            let new = (Recording::new(&self.folder, speed_m_per_s), Instant::now());
+            let (recording, _) = self.recording.insert(new);
             if let Some(e) = recording.trouble() {
                 return Announcement::bad(format!("the walk can be walked again, but not saved: {e}"));
             }
@@ -80,23 +91,51 @@ impl RecordingsAndBookmarks {
         }
     }
 
+    /// The bookmarks of a scene, read at first use.
+    fn bookmarks(&mut self, scene: &str) -> Result<&mut Bookmarks, String> {
+        let bookmarks = match self.bookmarks.take() {
+            Some(bookmarks) => bookmarks,
+            None => {
+                let file = self.bookmarks_file.clone().or_else(|| Bookmarks::default_file(scene));
+                Bookmarks::load(file.ok_or("this user has no home folder: give --bookmarks FILE")?)?
+            }
+        };
+        Ok(self.bookmarks.insert(bookmarks))
+    }
+
+    /// Whether the place where the last visit ended is known.
+    pub fn knows_last_place(&mut self, scene: &str) -> bool {
+        self.bookmarks(scene).is_ok_and(|b| b.get(LAST_PLACE).is_some())
+    }
+
+    /// Keeps the place where a visit ends.
+    pub fn keep_last_place(&mut self, pose: Pose, scene: &str) {
+        if let Err(e) = self.bookmarks(scene).and_then(|b| b.set(LAST_PLACE, pose)) {
+            tracing::warn!("the next visit does not know where this one ended: {e}");
+        }
+    }
+
     /// Stores a pose under a digit, or returns the stored pose.
     pub fn bookmark(&mut self, digit: u8, keep: Option<Pose>, scene: &str) -> (Option<Pose>, Announcement) {
-        if self.bookmarks.is_none() {
-            let file = self.bookmarks_file.clone().or_else(|| Bookmarks::default_file(scene));
-            match file.ok_or("this user has no home folder: give --bookmarks FILE".into()).and_then(Bookmarks::load) {
-                Ok(bookmarks) => self.bookmarks = Some(bookmarks),
-                Err(e) => return (None, Announcement::bad(e)),
-            }
-        }
-        let bookmarks = self.bookmarks.as_mut();
-        let there = bookmarks.as_ref().and_then(|b| b.get(digit));
+        let bookmarks = match self.bookmarks(scene) {
+            Ok(bookmarks) => bookmarks,
+            Err(e) => return (None, Announcement::bad(e)),
+        };
+        let there = bookmarks.get(digit);
         let event = Some(("bookmark", fields! { "digit": digit, "kept": keep.is_some() }));
         match (keep, there) {
-            (Some(pose), _) => match bookmarks.map_or(Ok(()), |b| b.set(digit, pose)) {
+            (Some(pose), _) => match bookmarks.set(digit, pose) {
                 Ok(()) => (None, Announcement { text: format!("place {digit} is kept"), good: true, event }),
                 Err(e) => (None, Announcement::bad(e)),
             },
+            (None, Some(pose)) if digit == LAST_PLACE => {
+                let text = "where the last visit ended".into();
+                (Some(pose), Announcement { text, good: true, event })
+            }
+            (None, None) if digit == LAST_PLACE => {
+                let text = "no earlier visit to this scene is known".into();
+                (None, Announcement { text, good: false, event: None })
+            }
             (None, Some(pose)) => (Some(pose), Announcement { text: format!("place {digit}"), good: true, event }),
             (None, None) => {
                 let text = format!("no place {digit} is kept: Ctrl+{digit} keeps this one");

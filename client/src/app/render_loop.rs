@@ -16,13 +16,15 @@ use super::{
     render_mailbox::{Picture, PictureStats, RenderConfig, RenderMailbox, lock},
     screenshot::Screenshots,
     server_connection::{Scene, ServerConnection},
-    start_pose::StartPoseSearch,
+    settings::has_few_textures,
+    start_pose::{MovedStart, StartPoseSearch},
     walker::{self, Intent, WalkSpace, Walker},
 };
 use crate::{
     composite::Fill,
     engine::{
-        Anticipated, Cull, DisplayMode, FrameRenderer, Method, Pace, RenderError, View, WalkOptions, select_view,
+        Anticipated, Appearance, Cull, DisplayMode, FrameRenderer, Method, Pace, RenderError, View, WalkOptions,
+        select_view,
     },
     frame::Frame,
     near::MAX_SIDE_PX,
@@ -36,8 +38,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Rest after which the picture takes the window's size.
-const REST_LARGE: Duration = Duration::from_millis(120);
+/// Rest after which the picture takes the window's size. Longer: a picture that is sharp again
+/// later than a tenth of a second after the eye has stopped; shorter: a turn by small movements of
+/// the mouse stutters.
+const REST_LARGE: Duration = Duration::from_millis(40);
 /// Rest after which the picture gets four samples per pixel.
 const REST_FINE: Duration = Duration::from_millis(450);
 /// Longest expected time of a picture with four samples per pixel. Larger: a walker who starts
@@ -62,6 +66,8 @@ struct PictureInputs {
     size: [u32; 2],
     supersample: u32,
     shows: DisplayMode,
+    appearance: Appearance,
+    fov_deg: f64,
 }
 
 /// Times at which the future view is predicted, seconds. Long enough for layout and upload. Larger:
@@ -88,6 +94,8 @@ struct Last {
 /// A picture to render.
 struct Job {
     inputs: PictureInputs,
+    /// The eye's place as if it were not raised.
+    nominal_eye: DVec3,
     cache_bytes: u64,
     moving: bool,
     /// Whether a screenshot is taken as well.
@@ -106,6 +114,8 @@ pub(super) struct RenderLoop {
     scale: DynamicResolution,
     renderer: FrameRenderer,
     scene: Option<Scene>,
+    /// Whether the scene has few textures.
+    few_textures: bool,
     last: Option<Last>,
     began: Option<Instant>,
     still_since: Instant,
@@ -145,9 +155,10 @@ impl RenderLoop {
             done,
             interval: config.interval,
             even: config.even,
-            scale: DynamicResolution::new(config.frame_ms),
+            scale: DynamicResolution::new(config.settings.frame_ms),
             renderer,
             scene: None,
+            few_textures: false,
             last: None,
             began: None,
             still_since: Instant::now(),
@@ -187,8 +198,16 @@ impl RenderLoop {
                 return Some((scene, job));
             }
             self.request_if_stuck();
-            mailbox = shared.1.wait_timeout(mailbox, LOOK_EVERY).unwrap_or_else(PoisonError::into_inner).0;
+            let wait = self.next_look();
+            mailbox = shared.1.wait_timeout(mailbox, wait).unwrap_or_else(PoisonError::into_inner).0;
         }
+    }
+
+    /// The time until it has to be looked for changes again: sooner if the eye is about to rest.
+    fn next_look(&self) -> Duration {
+        let rested = self.still_since.elapsed();
+        let until_rest = REST_LARGE.checked_sub(rested).map(|left| left + Duration::from_millis(1));
+        until_rest.map_or(LOOK_EVERY, |left| left.min(LOOK_EVERY))
     }
 
     /// The connection's current scene. A new scene places the walker in its volume.
@@ -197,7 +216,8 @@ impl RenderLoop {
         if !self.scene.as_ref().is_some_and(|s| s.is(&scene)) {
             let index = &scene.index;
             let (volume, flying) = (index.volume.as_ref(), index.settings.eye_height_m.is_none());
-            let begin = mailbox.walker.as_ref().map(Walker::pose).or(mailbox.begin).unwrap_or_else(|| {
+            let given = mailbox.begin.filter(|_| mailbox.walker.is_none());
+            let begin = mailbox.walker.as_ref().map(Walker::pose).or(given).unwrap_or_else(|| {
                 let bounds = volume.map_or(&index.scene.bounds, WalkVolume::bounds);
                 let centre = Pose { position: bounds.centre(), yaw_deg: 0.0, pitch_deg: 0.0 };
                 let Some(volume) = volume.filter(|v| !flying && !v.is_empty()) else { return centre };
@@ -205,14 +225,21 @@ impl RenderLoop {
                 self.start_search = Some(start_search);
                 first.unwrap_or(centre)
             });
-            mailbox.walker = Some(Walker::new(begin, volume, flying, index.settings.pitch_deg));
+            let mut walker = Walker::new(begin, volume, flying, index.settings.pitch_deg);
+            walker.set_speed(mailbox.settings.speed_m_per_s);
+            walker.set_raise(mailbox.settings.raise_m);
+            let place = walker.pose().position;
+            mailbox.moved_start = given.and_then(|g| MovedStart::between(g.position, place, volume));
+            mailbox.walker = Some(walker);
             mailbox.moved = Instant::now();
             self.renderer.forget_scene();
+            self.few_textures = has_few_textures(&scene.index);
             (self.last, self.large_ms, self.collision) = (None, None, None);
             self.scene = Some(scene.clone());
         } else if self.scene.as_ref().is_some_and(|s| !Arc::ptr_eq(&s.index, &scene.index)) {
             // The index is complete now: the same view may need more.
             self.last = None;
+            self.few_textures = has_few_textures(&scene.index);
             self.scene = Some(scene.clone());
         }
         Some(scene)
@@ -247,7 +274,7 @@ impl RenderLoop {
             let collision = self.collision.as_ref().map(|s| &s.collision);
             walker.advance(WalkSpace { volume, collision, walls: !mailbox.ghost }, &intent, dt.as_secs_f64());
         }
-        let pose = walker.pose();
+        let (pose, nominal_eye) = (walker.pose(), walker.nominal_eye());
         if self.last.as_ref().is_none_or(|l| l.inputs.pose != pose) {
             self.still_since = now;
         }
@@ -255,8 +282,9 @@ impl RenderLoop {
         let window = mailbox.window_px.map(|n| n.clamp(1, MAX_SIDE_PX / 2));
         // While data arrives, pictures follow each other quickly and are not refined.
         let complete = scene.index.is_whole() && self.last.as_ref().is_some_and(|l| l.missing.is_empty() && !l.waiting);
-        self.scale.set_goal(mailbox.frame_ms);
-        let fine = mailbox.fine && complete && self.large_ms.is_some_and(|ms| 4.0 * ms < FINE_MS);
+        let settings = &mailbox.settings;
+        self.scale.set_goal(settings.frame_ms);
+        let fine = settings.fine && complete && self.large_ms.is_some_and(|ms| 4.0 * ms < FINE_MS);
         // Layouts depend on the picture's resolution: those in progress are finished first.
         let half_way = self.last.as_ref().is_some_and(|l| l.waiting && l.inputs.size != window);
         let (size, supersample) = match rest {
@@ -265,7 +293,13 @@ impl RenderLoop {
             _ => (window, 2),
         };
         let cache_bytes = scene.cache.usage().bytes;
-        let inputs = PictureInputs { pose, size, supersample, shows: mailbox.shows };
+        // The search compares what the scene shows, without what shading adds.
+        let appearance = match self.start_search {
+            Some(_) => Appearance::default(),
+            None => settings.appearance(self.few_textures),
+        };
+        let (shows, fov_deg) = (mailbox.shows, settings.fov_deg);
+        let inputs = PictureInputs { pose, size, supersample, shows, appearance, fov_deg };
         let shot = std::mem::take(&mut mailbox.shot);
         // Data that a complete picture does not need does not change it.
         let changed = self.last.as_ref().is_none_or(|l| {
@@ -273,27 +307,29 @@ impl RenderLoop {
                 || (l.waiting && self.renderer.has_news())
                 || (!l.missing.is_empty() && l.cache_bytes != cache_bytes)
         });
-        (changed || shot).then_some(Job { inputs, cache_bytes, moving: rest < REST_LARGE, shot, window_px: window })
+        let moving = rest < REST_LARGE;
+        (changed || shot).then_some(Job { inputs, nominal_eye, cache_bytes, moving, shot, window_px: window })
     }
 
     fn draw(&mut self, scene: &Scene, job: Job) {
         let mut frame = lock(&self.mailbox.0).spare.take().unwrap_or_default();
-        let PictureInputs { pose, size, supersample, shows } = job.inputs;
-        let mut options = WalkOptions { background_layout: true, ..options(supersample, shows) };
+        let inputs = job.inputs.clone();
+        let mut options = WalkOptions { background_layout: true, ..options(&inputs) };
         if job.moving {
             options.frame_ms = Some(self.scale.goal_ms());
             if self.scale.is_exhausted() {
                 options.stamp = Stamp::TwoByTwo;
             }
         }
-        let Some((camera, stats)) = self.render(scene, &pose, size, options, &mut frame) else { return };
+        let Some((camera, stats)) = self.render(scene, &inputs, options, &mut frame) else { return };
+        let pose = inputs.pose;
         let ms = stats.frame_stats.ms.total + stats.frame_stats.ms.prepare;
         if job.moving {
             self.scale.record_frame(ms);
-        } else if supersample == 1 {
+        } else if inputs.supersample == 1 {
             self.large_ms = Some(ms);
         }
-        self.update_collision(scene, pose.position, job.cache_bytes);
+        self.update_collision(scene, job.nominal_eye, job.cache_bytes);
         if stats.frame_stats.is_complete() && self.start_search.is_some() {
             self.advance_start_search(scene, &pose, &frame);
         }
@@ -305,7 +341,8 @@ impl RenderLoop {
         let picture = Picture { frame, pose, fov_deg: camera.fov_deg, stats, searching_start, at: Instant::now() };
         if job.shot {
             let mut shot = Frame::default();
-            if let Some((camera, _)) = self.render(scene, &pose, job.window_px, self::options(2, shows), &mut shot) {
+            let inputs = PictureInputs { size: job.window_px, supersample: 2, ..inputs };
+            if let Some((camera, _)) = self.render(scene, &inputs, self::options(&inputs), &mut shot) {
                 self.screenshots.save(shot, pose, camera.fov_deg);
             }
         }
@@ -344,13 +381,13 @@ impl RenderLoop {
     fn render(
         &mut self,
         scene: &Scene,
-        pose: &Pose,
-        [width, height]: [u32; 2],
+        inputs: &PictureInputs,
         options: WalkOptions,
         out: &mut Frame,
     ) -> Option<(OutputCamera, PictureStats)> {
         let index = &*scene.index;
-        let camera = fit(&index.settings.camera, width, height);
+        let (pose, [width, height]) = (&inputs.pose, inputs.size);
+        let camera = fit(&index.settings.camera, width, height, inputs.fov_deg);
         let options = WalkOptions { width, height, ..options };
         let start = Instant::now();
         let view = select_view(index, pose, &camera, Method::Auto);
@@ -431,10 +468,10 @@ impl RenderLoop {
 }
 
 /// The camera of a picture of this size, within the dataset's field of view in both directions:
-/// images contain no more.
-fn fit(made_for: &OutputCamera, width: u32, height: u32) -> OutputCamera {
+/// images contain no more. `wanted_deg`: the widest horizontal field of view that the user wants.
+fn fit(made_for: &OutputCamera, width: u32, height: u32, wanted_deg: f64) -> OutputCamera {
     let across = made_for.half_tan_x().min(made_for.half_tan_y() * f64::from(width) / f64::from(height));
-    OutputCamera { width, height, fov_deg: 2.0 * across.atan().to_degrees() }
+    OutputCamera { width, height, fov_deg: (2.0 * across.atan().to_degrees()).min(wanted_deg) }
 }
 
 /// Moves the walker along a replayed walk. False without one, or after its end.
@@ -449,7 +486,7 @@ fn follow(replay: &mut Option<(Arc<Walk>, Option<Instant>)>, walker: &mut Walker
 }
 
 /// Render options of a resting eye. The size is the camera's.
-fn options(supersample: u32, shows: DisplayMode) -> WalkOptions {
+fn options(inputs: &PictureInputs) -> WalkOptions {
     WalkOptions {
         width: 0,
         height: 0,
@@ -461,12 +498,13 @@ fn options(supersample: u32, shows: DisplayMode) -> WalkOptions {
         fill: Fill::Surface,
         smooth: false,
         frame_ms: None,
-        supersample,
+        supersample: inputs.supersample,
         pace: Pace::Realtime,
         every: 1,
         cache_bytes: None,
         debug_views: false,
-        shows,
+        shows: inputs.shows,
+        appearance: inputs.appearance,
         background_layout: false,
         baseline_frames: 0,
     }
@@ -480,11 +518,12 @@ mod tests {
     fn pictures_show_no_more_than_the_dataset_was_made_for() {
         let made_for = OutputCamera { width: 1280, height: 720, fov_deg: 60.0 };
         for (width, height) in [(1280, 720), (640, 360), (1920, 800), (800, 800), (500, 1200)] {
-            let camera = fit(&made_for, width, height);
+            let camera = fit(&made_for, width, height, 120.0);
             let (x, y) = (camera.half_tan_x() / made_for.half_tan_x(), camera.half_tan_y() / made_for.half_tan_y());
             assert!(x < 1.0 + 1e-9 && y < 1.0 + 1e-9, "{width}x{height}: {x} {y}");
             // The field of view is as large as possible.
             assert!(x.max(y) > 1.0 - 1e-9, "{width}x{height}: {x} {y}");
+            assert_eq!(fit(&made_for, width, height, 35.0).fov_deg, camera.fov_deg.min(35.0));
         }
     }
 }

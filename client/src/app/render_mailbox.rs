@@ -1,7 +1,11 @@
 //! The mailbox between the window's thread and the render thread: input in one direction, finished
 //! pictures in the other.
 
-use super::walker::{Intent, Walker};
+use super::{
+    settings::UserSettings,
+    start_pose::MovedStart,
+    walker::{Intent, Walker},
+};
 use crate::{
     engine::{DisplayMode, FrameStats},
     frame::Frame,
@@ -71,9 +75,9 @@ pub(super) struct RenderMailbox {
     pub place: Option<Pose>,
     /// The replayed walk, and the time it started.
     pub replay: Option<(Arc<Walk>, Option<Instant>)>,
-    pub frame_ms: f64,
-    /// Whether resting pictures get four samples per pixel.
-    pub fine: bool,
+    pub settings: UserSettings,
+    /// The move of a given start pose, until the window takes it.
+    pub moved_start: Option<MovedStart>,
     pub done: Option<Picture>,
     pub spare: Option<Frame>,
     pub stop: bool,
@@ -84,8 +88,8 @@ pub(super) struct RenderMailbox {
 /// Settings of the render thread.
 #[derive(Debug, Clone)]
 pub struct RenderConfig {
-    /// Intended frame time while moving, milliseconds.
-    pub frame_ms: f64,
+    /// The user's settings.
+    pub settings: UserSettings,
     /// Start pose; None for one chosen by the client.
     pub begin: Option<Pose>,
     /// Size of the window, pixels.

@@ -5,7 +5,9 @@ use super::{
     render_mailbox::{Picture, RenderConfig, RenderMailbox, lock},
     screenshot::Screenshots,
     server_connection::ServerConnection,
-    walker::{self, Intent, Walker},
+    settings::UserSettings,
+    start_pose::MovedStart,
+    walker::{Intent, Walker},
 };
 use crate::engine::{DisplayMode, FrameRenderer};
 use glam::DVec3;
@@ -47,8 +49,8 @@ impl RenderThread {
             shows: DisplayMode::default(),
             place: None,
             replay: None,
-            frame_ms: config.frame_ms,
-            fine: true,
+            settings: config.settings.clone(),
+            moved_start: None,
             done: None,
             spare: None,
             stop: false,
@@ -115,10 +117,20 @@ impl RenderThread {
         lock(&self.mailbox.0).replay.is_some()
     }
 
-    /// Sets the intended frame time while moving, and whether resting pictures get four samples per
-    /// pixel.
-    pub fn apply_settings(&self, frame_ms: f64, fine: bool) {
-        self.update(|d| (d.frame_ms, d.fine) = (frame_ms, fine));
+    /// Applies the user's settings.
+    pub fn apply_settings(&self, settings: &UserSettings) {
+        self.update(|d| {
+            d.settings.clone_from(settings);
+            if let Some(walker) = &mut d.walker {
+                walker.set_speed(settings.speed_m_per_s);
+                walker.set_raise(settings.raise_m);
+            }
+        });
+    }
+
+    /// Takes the move of a given start pose, if it was moved.
+    pub fn take_moved_start(&self) -> Option<MovedStart> {
+        lock(&self.mailbox.0).moved_start.take()
     }
 
     /// Sets the window's size.
@@ -142,7 +154,8 @@ impl RenderThread {
 
     /// The chosen speed, m/s.
     pub fn speed_m_per_s(&self) -> f64 {
-        lock(&self.mailbox.0).walker.as_ref().map_or(walker::WALK_M_PER_S, Walker::speed_m_per_s)
+        let mailbox = lock(&self.mailbox.0);
+        mailbox.walker.as_ref().map_or(mailbox.settings.speed_m_per_s, Walker::speed_m_per_s)
     }
 }
 

@@ -6,13 +6,55 @@
 
 use super::walker;
 use crate::frame::Frame;
+use glam::DVec3;
 use ldi_protocol::{Pose, volume::WalkVolume};
+use std::fmt;
 
 /// Number of tones of a picture that shows enough. Smaller: views of a bare wall are accepted;
 /// larger: more candidates are looked at. A judgement.
 const ENOUGH: usize = 12;
 /// A tone counts if one in this many pixels has it, so that edges do not count. A judgement.
 const SHARE: usize = 500;
+
+/// Distance by which a given start may be moved without a word, metres: eyes settle on the floor.
+const UNNOTICED_M: f64 = 0.1;
+
+/// A given start pose that the walker could not take.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MovedStart {
+    /// Distance between both places, metres.
+    pub by_m: f64,
+    /// The place that was taken.
+    pub to: DVec3,
+    /// Why.
+    pub reason: String,
+}
+
+impl MovedStart {
+    /// None if the walker stands at the given place.
+    pub fn between(given: DVec3, to: DVec3, volume: Option<&WalkVolume>) -> Option<Self> {
+        let by_m = given.distance(to);
+        if by_m <= UNNOTICED_M {
+            return None;
+        }
+        let heights: Vec<[f64; 2]> = volume.map(|v| v.heights(given.x, given.z).collect()).unwrap_or_default();
+        let reason = match heights[..] {
+            [] => "nobody can stand at the given place (M shows where)".to_owned(),
+            _ => {
+                let all: Vec<String> = heights.iter().map(|[low, high]| format!("{low:.2} to {high:.2}")).collect();
+                format!("eyes are at heights of {} m there", all.join(", or "))
+            }
+        };
+        Some(Self { by_m, to, reason })
+    }
+}
+
+impl fmt::Display for MovedStart {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let DVec3 { x, y, z } = self.to;
+        write!(f, "the start was moved {:.1} m, to {x:.2},{y:.2},{z:.2}: {}", self.by_m, self.reason)
+    }
+}
 
 /// The search for a start pose.
 pub(super) struct StartPoseSearch {
@@ -78,7 +120,6 @@ fn tones(colour: &[u32]) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::DVec3;
 
     fn picture(tones: u32) -> Frame {
         Frame {
@@ -115,6 +156,21 @@ mod tests {
             assert_eq!(s.on_picture(&at(x, 0.0), &picture(tones), || 0.0), next);
         }
         assert!(s.is_done());
+    }
+
+    #[test]
+    fn a_start_that_was_moved_says_how_far_and_why() {
+        // A floor of 1 x 1 m with eyes at 1.1 to 2.0 m.
+        let cut = ldi_protocol::Aabb { min: DVec3::ZERO, max: DVec3::new(1.0, 0.0, 1.0) };
+        let runs = vec![vec![[11, 20]]; 4];
+        let volume = WalkVolume::new(DVec3::ZERO, 0.5, 0.1, [2, 2], &runs, &cut).expect("a volume");
+        let moved = |given: [f64; 3], to: [f64; 3]| MovedStart::between(given.into(), to.into(), Some(&volume));
+        assert_eq!(moved([0.3, 1.6, 0.3], [0.3, 1.55, 0.3]), None, "settled on the floor");
+        let beside = moved([5.0, 1.6, 0.3], [1.0, 1.6, 0.3]).expect("moved").to_string();
+        assert!(beside.contains("4.0 m") && beside.contains("1.00,1.60,0.30"), "{beside}");
+        assert!(beside.contains("nobody can stand"), "{beside}");
+        let below = moved([0.3, 9.0, 0.3], [0.3, 1.6, 0.3]).expect("moved").to_string();
+        assert!(below.contains("7.4 m") && below.contains("heights of 1."), "{below}");
     }
 
     #[test]

@@ -1,16 +1,17 @@
 //! The start screen: progress of connecting, until the first picture.
 
 use super::{
-    hud::{self, HELP},
+    banners, help,
     render_mailbox::Picture,
     server_connection::{ConnectionState, ServerConnection},
+    text_block,
 };
 use crate::stream::Phase;
 use egui::{Align2, Color32, CornerRadius, FontId, Rect, pos2, vec2};
 use ldi_protocol::said::escaped;
 
 /// Size of the panel, points.
-const CARD: egui::Vec2 = vec2(560.0, 250.0);
+const CARD: egui::Vec2 = vec2(560.0, 230.0);
 const CARD_FILL: Color32 = Color32::from_rgba_unmultiplied_const(24, 28, 34, 235);
 const BAR: Color32 = Color32::from_rgb(90, 160, 220);
 
@@ -54,18 +55,12 @@ pub fn show(ctx: &egui::Context, server: &str, connection: &ServerConnection, pi
         let carried = format!("{:.1} MB received, {:.1} Mbit/s", stats.bytes as f64 * 1e-6, stats.mbit_per_s);
         line(152.0, 13.0, Color32::GRAY, &carried);
     }
-    if let Some(text) = hud::trouble(&connection.state()) {
-        hud::centred(
-            &painter,
-            card.center_bottom() + vec2(0.0, 30.0),
-            &text,
-            Color32::from_rgb(255, 180, 90),
-            15.0,
-            card.width(),
-        );
+    if let Some(text) = banners::trouble(&connection.state()) {
+        let at = (card.center_bottom() + vec2(0.0, 10.0), Align2::CENTER_TOP);
+        text_block::line(&painter, at, &text, Color32::from_rgb(255, 180, 90), 15.0, card.width());
     }
     let help =
-        painter.layout(HELP.to_owned(), FontId::proportional(13.0), Color32::from_gray(190), card.width() - 56.0);
+        painter.layout(help::LINE.to_owned(), FontId::proportional(13.0), Color32::from_gray(190), card.width() - 56.0);
     painter.galley(pos2(card.left() + 28.0, card.top() + 186.0), help, Color32::GRAY);
 }
 

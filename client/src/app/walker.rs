@@ -119,13 +119,16 @@ pub struct Walker {
     speed_m_per_s: f64,
     flying: bool,
     pitch_limit_deg: f64,
+    /// Height of the eye above the nominal one on foot, metres.
+    raise_m: f64,
 }
 
 impl Walker {
     /// A walker at `pose`, moved into the volume. `flying`: vertical movement is free. The pitch is
     /// limited.
     pub fn new(pose: Pose, volume: Option<&WalkVolume>, flying: bool, pitch_limit_deg: f64) -> Self {
-        let mut w = Self { pose, velocity: DVec3::ZERO, speed_m_per_s: WALK_M_PER_S, flying, pitch_limit_deg };
+        let mut w =
+            Self { pose, velocity: DVec3::ZERO, speed_m_per_s: WALK_M_PER_S, flying, pitch_limit_deg, raise_m: 0.0 };
         w.turn(0.0, 0.0);
         w.teleport(pose.position, volume);
         w
@@ -139,6 +142,23 @@ impl Walker {
     /// The chosen speed, without running.
     pub fn speed_m_per_s(&self) -> f64 {
         self.speed_m_per_s
+    }
+
+    /// Sets the speed, without running.
+    pub fn set_speed(&mut self, m_per_s: f64) {
+        self.speed_m_per_s = m_per_s.clamp(*SPEEDS_M_PER_S.start(), *SPEEDS_M_PER_S.end());
+    }
+
+    /// Sets the height of the eye above the nominal one on foot, metres. The eye stays within the
+    /// volume.
+    pub fn set_raise(&mut self, m: f64) {
+        self.raise_m = m;
+    }
+
+    /// The eye's place at the nominal height above the same foot.
+    pub fn nominal_eye(&self) -> DVec3 {
+        let raise_m = if self.flying { 0.0 } else { self.raise_m };
+        self.pose.position - DVec3::Y * raise_m
     }
 
     /// Whether the walker is still moving.
@@ -167,7 +187,9 @@ impl Walker {
             // Sets the height above the floor at once. Twice, as the columns that count depend on
             // the height.
             let ground = WalkSpace::from(Some(v));
-            self.pose.position = settle(&ground, settle(&ground, self.pose.position, f64::INFINITY), f64::INFINITY);
+            let raise_m = self.raise_m;
+            let at_once = |p| settle(&ground, p, raise_m, f64::INFINITY);
+            self.pose.position = at_once(at_once(self.pose.position));
         }
     }
 
@@ -205,7 +227,7 @@ impl Walker {
             self.pose.position = match ground.volume {
                 Some(v) if self.flying => fly(v, self.pose.position, delta),
                 None if self.flying => self.pose.position + delta,
-                _ => settle(ground, slide(ground, self.pose.position, delta), slice_s),
+                _ => settle(ground, slide(ground, self.pose.position, delta), self.raise_m, slice_s),
             };
             self.turn(half_turn_deg, half_tilt_deg);
         }
@@ -313,14 +335,15 @@ fn own_run(v: &WalkVolume, x: f64, z: f64, y: f64) -> Option<[f64; 2]> {
     v.heights(x, z).filter(|h| off(*h) <= STEP_OVER_M).min_by(|a, b| off(*a).total_cmp(&off(*b)))
 }
 
-/// Moves the eye's height toward the one above the floor.
-fn settle(ground: &WalkSpace<'_>, p: DVec3, dt_s: f64) -> DVec3 {
-    let seen = ground.collision.and_then(|s| s.eye_above_floor(p));
+/// Moves the eye's height toward `raise_m` above the nominal one over the floor.
+fn settle(ground: &WalkSpace<'_>, p: DVec3, raise_m: f64, dt_s: f64) -> DVec3 {
+    let raised = |goal: f64| goal + raise_m;
+    let seen = ground.collision.and_then(|s| s.eye_above_floor(p - DVec3::Y * raise_m)).map(raised);
     let run = ground.volume.and_then(|v| own_run(v, p.x, p.z, p.y));
     let goal = match (seen, ground.volume, run) {
         (Some(goal), Some(_), Some([low, high])) => goal.clamp(low, high),
         (Some(goal), None, _) => goal,
-        (None, Some(v), Some(run)) => between_columns(v, p).unwrap_or_else(|| nominal(run)),
+        (None, Some(v), Some(run)) => raised(between_columns(v, p).unwrap_or_else(|| nominal(run))),
         _ => return p,
     };
     let rest = goal - p.y;

@@ -295,3 +295,21 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_raised_eye_keeps_its_height_and_stays_in_the_volume() {
+    let v = stairs();
+    for (raise_m, at_foot) in [(0.3, 1.9), (-0.4, 1.2), (9.0, 2.0)] {
+        let mut w = walker(&v, 1.0, 1.0, -90.0);
+        w.set_raise(raise_m);
+        (0..120).for_each(|_| w.advance(Some(&v), &Intent::default(), 1.0 / 60.0));
+        assert!((w.pose().position.y - at_foot).abs() < 0.01, "{raise_m}: {}", w.pose().position);
+        assert!((w.nominal_eye().y + raise_m - w.pose().position.y).abs() < 1e-9);
+        // Up the stairs, within the volume all the way.
+        for _ in 0..600 {
+            w.advance(Some(&v), &AHEAD, 1.0 / 60.0);
+            assert!(v.contains(w.pose().position), "{raise_m}: {}", w.pose().position);
+        }
+        assert!(w.pose().position.x > 12.0, "{raise_m}: {}", w.pose().position);
+    }
+}

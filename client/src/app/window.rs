@@ -55,7 +55,7 @@ pub fn run(config: AppConfig, renderer: FrameRenderer) -> Result<(), AppError> {
     event_loop.run_app(&mut app).map_err(|e| AppError::no_display(&e))?;
     // The render thread ends before the resources that it uses.
     let walked = app.open.take().map(|mut visit| {
-        visit.close(&mut app.events);
+        visit.close(&app.connection, &mut app.events);
         (visit.frame_times.summary(), visit.counts)
     });
     let (walking, counts) = walked.unwrap_or_default();
@@ -112,7 +112,7 @@ impl ApplicationHandler<UserEvent> for App {
         }
         let Some(open) = &mut self.open else { return };
         match proxy {
-            UserEvent::Picture => open.take(&mut self.events),
+            UserEvent::Picture => open.take(&self.connection, &mut self.events),
             // A gamepad sends hundreds of events per second, which do not require a redraw.
             UserEvent::Pad => return open.pad(&self.connection, &mut self.events),
             UserEvent::Other => {}
@@ -151,7 +151,7 @@ impl ApplicationHandler<UserEvent> for App {
                 MouseScrollDelta::PixelDelta(px) => px.y / PX_PER_NOTCH,
             }),
             WindowEvent::RedrawRequested => {
-                if let Err(e) = open.redraw(&self.config.connect.server, &self.connection, &mut self.events) {
+                if let Err(e) = open.redraw(&self.connection, &mut self.events) {
                     self.failed = Some(e.into());
                     event_loop.exit();
                 }
@@ -192,9 +192,9 @@ impl App {
             ConnectionState::Up => {
                 let scene = self.connection.scene().map(|s| s.index.scene.name.clone()).unwrap_or_default();
                 if let Some(open) = &self.open {
-                    open.window.set_title(&format!("{scene} - {}", self.config.connect.server));
+                    open.window.set_title(&format!("{scene} - {}", self.config.connect.address()));
                 }
-                tracing::info!("connected to {}", self.config.connect.server);
+                tracing::info!("connected to {}", self.config.connect.address());
                 self.events.write("connected", fields! { "scene": scene });
             }
             ConnectionState::Waiting { reason, .. } => {

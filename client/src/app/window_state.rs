@@ -2,25 +2,29 @@
 
 use super::{
     AppConfig, AppError,
+    banners::Conditions,
+    commands,
     events::{Events, fields},
     frame_times::FrameTimes,
     gamepad::{Gamepad, PadPress},
-    hud::Hud,
+    help::Help,
+    hud::{Hud, Shown},
     interface_pass::Interface,
     keys::Keys,
     map::Map,
-    recordings_and_bookmarks::{Announcement, RecordingsAndBookmarks},
+    recordings_and_bookmarks::RecordingsAndBookmarks,
     render_mailbox::{Picture, RenderConfig},
     render_thread::RenderThread,
     screen::{Screen, ScreenError},
     screenshot::{Outcome, Screenshots},
     server_connection::ServerConnection,
-    settings::UserSettings,
-    start_screen,
+    settings::{SettingsFile, UserSettings},
+    settings_panel, start_screen,
     walker::Intent,
 };
 use crate::engine::{DisplayMode, FrameRenderer};
-use ldi_protocol::{Pose, volume::WalkVolume};
+use glam::DVec3;
+use ldi_protocol::Pose;
 use std::{
     sync::{Arc, mpsc},
     time::{Duration, Instant},
@@ -29,8 +33,8 @@ use winit::{
     dpi::PhysicalSize,
     event::{ElementState, KeyEvent},
     event_loop::{ActiveEventLoop, EventLoopProxy, OwnedDisplayHandle},
-    keyboard::{Key, KeyCode, ModifiersState, NamedKey, PhysicalKey},
-    window::{CursorGrabMode, Window},
+    keyboard::{ModifiersState, PhysicalKey},
+    window::{CursorGrabMode, Fullscreen, Window},
 };
 
 /// Interval at which the interface is redrawn without new pictures.
@@ -42,8 +46,10 @@ const WRITE_EVERY: Duration = Duration::from_millis(150);
 const STEADY: Duration = Duration::from_secs(5);
 /// Shortest interval between poses in the event log.
 const POSE_EVERY: Duration = Duration::from_millis(100);
-/// Number of pictures of a moving eye after which the help line disappears.
-const HELP_FOR: u32 = 600;
+/// Time for which the last place is offered.
+const OFFER: Duration = Duration::from_secs(15);
+/// Height of the map's line of help, points, in a window that is wide enough for it.
+const MAP_LINE: f32 = 34.0;
 /// Refresh rate, if the display does not report it.
 const DEFAULT_HZ: f64 = 60.0;
 
@@ -60,6 +66,8 @@ pub(super) enum UserEvent {
 
 /// The state of an open window.
 pub(super) struct WindowState {
+    /// The server's address, as the user gave it.
+    pub server: String,
     pub render_thread: RenderThread,
     /// None only while the screen is being reopened.
     screen: Option<Screen>,
@@ -82,18 +90,24 @@ pub(super) struct WindowState {
     pub capture_again: bool,
     /// Whether the start screen was left.
     pub started: bool,
-    pub moved_pictures: u32,
     pub frame_times: FrameTimes,
     /// Counts of pictures and redraws.
     pub counts: Counts,
     pub last_reported: LastReported,
     pub settings: UserSettings,
-    shows: DisplayMode,
-    kept: RecordingsAndBookmarks,
+    pub settings_file: SettingsFile,
+    /// Whether the panel of the settings is shown.
+    pub settings_open: bool,
+    pub shows: DisplayMode,
+    pub kept: RecordingsAndBookmarks,
+    /// A link to be copied with the next redraw.
+    pub copy: Option<String>,
+    /// Whether the client chose the start.
+    chose_start: bool,
     /// Whether a replay starts with the first complete picture.
     walk_at_once: bool,
     /// Whether a walk is being replayed.
-    replaying: bool,
+    pub replaying: bool,
     pub repaint_at: Instant,
     /// Time of the interface's last redraw; None if its content has changed since.
     written: Option<Instant>,
@@ -118,8 +132,8 @@ pub(super) struct LastReported {
     picture: bool,
     complete: bool,
     pose: Option<(Pose, Instant)>,
-    map: bool,
-    others: Option<usize>,
+    pub map: bool,
+    pub others: Option<usize>,
 }
 
 impl WindowState {
@@ -134,20 +148,12 @@ impl WindowState {
         connection: Arc<ServerConnection>,
         proxy: &EventLoopProxy<UserEvent>,
     ) -> Result<Self, AppError> {
-        let (width, height) = config.size;
-        let attributes = Window::default_attributes()
-            .with_title(format!("ldi-client: {}", config.connect.server))
-            .with_min_inner_size(PhysicalSize::new(160, 120))
-            .with_inner_size(PhysicalSize::new(width, height));
-        let window = event_loop.create_window(attributes).map_err(|e| AppError::no_display(&e))?;
-        let window = Arc::new(window);
+        let path = config.settings.clone().or_else(SettingsFile::default_path);
+        let (mut settings_file, mut settings, unread) = SettingsFile::load(path);
+        settings_file.give_frame_ms(config.frame_ms, &mut settings);
+        let window = window(config, &settings, event_loop)?;
         let display = event_loop.owned_display_handle();
         let screen = Screen::open(window.clone(), display.clone())?;
-        let hz = window
-            .current_monitor()
-            .and_then(|m| m.refresh_rate_millihertz())
-            .map_or(DEFAULT_HZ, |mhz| f64::from(mhz) * 1e-3);
-        let hz = if hz > 1.0 { hz } else { DEFAULT_HZ };
         let size = window.inner_size();
         let notify = |what: UserEvent| {
             let proxy = proxy.clone();
@@ -158,17 +164,23 @@ impl WindowState {
         };
         let (screenshots, outcomes) = Screenshots::new(&config.screenshots, notify(UserEvent::Other));
         let render_config = RenderConfig {
-            frame_ms: config.frame_ms,
+            settings: settings.clone(),
             begin: config.begin,
             window_px: [size.width, size.height],
-            interval: Duration::from_secs_f64(1.0 / hz),
+            interval: refresh_interval(&window),
             even: screen.keeps_interface(),
         };
         let render_thread =
             RenderThread::start(render_config, renderer, connection, screenshots, notify(UserEvent::Picture))
                 .map_err(AppError::Thread)?;
         let egui = interface_of(&window, &display, &screen);
+        let mut hud = Hud::default();
+        if let Some(e) = unread {
+            tracing::warn!("{e}");
+            hud.banners.show_message(e, false);
+        }
         Ok(Self {
+            server: config.connect.address(),
             render_thread,
             screen: Some(screen),
             reopened: None,
@@ -177,7 +189,7 @@ impl WindowState {
             window,
             screenshots: outcomes,
             picture: None,
-            hud: Hud::default(),
+            hud,
             map: Map::default(),
             keys: Keys::default(),
             pad: Gamepad::watch(config.gamepad.clone(), notify(UserEvent::Pad)),
@@ -186,13 +198,16 @@ impl WindowState {
             captured: false,
             capture_again: false,
             started: false,
-            moved_pictures: 0,
             frame_times: FrameTimes::default(),
             counts: Counts::default(),
             last_reported: LastReported::default(),
-            settings: UserSettings::new(config.frame_ms),
+            settings,
+            settings_file,
+            settings_open: false,
             shows: DisplayMode::default(),
             kept: RecordingsAndBookmarks::new(config),
+            copy: None,
+            chose_start: config.begin.is_none(),
             walk_at_once: config.replay.is_some(),
             replaying: false,
             repaint_at: Instant::now(),
@@ -201,12 +216,13 @@ impl WindowState {
     }
 
     /// Takes the newest picture.
-    pub fn take(&mut self, events: &mut Events) {
+    pub fn take(&mut self, connection: &ServerConnection, events: &mut Events) {
         if !self.render_thread.take(&mut self.picture) {
             return;
         }
         let Some(picture) = &self.picture else { return };
-        if let Some(screen) = &mut self.screen {
+        // Places that are only looked at to choose a start are not shown.
+        if let Some(screen) = self.screen.as_mut().filter(|_| self.started || !picture.searching_start) {
             screen.upload(&picture.frame);
         }
         self.counts.pictures += 1;
@@ -236,18 +252,30 @@ impl WindowState {
                 self.render_thread.replay(self.kept.walk());
                 self.started = true;
             }
+            let scene = connection.scene().filter(|_| self.chose_start);
+            if scene.is_some_and(|s| self.kept.knows_last_place(&s.index.scene.name)) {
+                self.hud.banners.show_for("0: go to where your last visit ended".into(), true, OFFER);
+                events.write("last_place", fields! {});
+            }
         }
-        self.kept.pose(picture.pose, picture.at);
+        let (pose, at) = (picture.pose, picture.at);
+        self.report_pose(pose, at, events);
+    }
+
+    /// Records the pose of a picture.
+    fn report_pose(&mut self, pose: Pose, at: Instant, events: &mut Events) {
+        self.kept.pose(pose, at);
         let last_reported = self.last_reported.pose;
-        if last_reported.is_none_or(|(pose, _)| pose != picture.pose) {
-            self.moved_pictures += 1;
-            if self.moved_pictures == HELP_FOR {
-                self.hud.help = false;
-            }
-            if last_reported.is_none_or(|(_, at)| at.elapsed() >= POSE_EVERY) {
-                self.last_reported.pose = Some((picture.pose, Instant::now()));
-                events.write("pose", pose_fields(&picture.pose));
-            }
+        let due = last_reported.is_none_or(|(last, at)| last != pose && at.elapsed() >= POSE_EVERY);
+        if due {
+            self.last_reported.pose = Some((pose, Instant::now()));
+            events.write("pose", pose_fields(&pose));
+        }
+        if let Some(moved) = self.render_thread.take_moved_start() {
+            let text = moved.to_string();
+            tracing::warn!("{text}");
+            events.write("start_moved", fields! { "by_m": moved.by_m, "position": moved.to.to_array() });
+            self.hud.banners.show_for(text, false, OFFER);
         }
     }
 
@@ -258,13 +286,13 @@ impl WindowState {
             Ok(path) => {
                 let path = std::path::absolute(&path).unwrap_or(path);
                 println!("{}", path.display());
-                self.hud.show_message(format!("saved {}", path.display()), true);
+                self.hud.banners.show_message(format!("saved {}", path.display()), true);
                 events.write("screenshot", fields! { "path": path.display().to_string() });
             }
             Err(e) => {
                 tracing::warn!("{e}");
                 events.write("screenshot_failed", fields! { "reason": &e });
-                self.hud.show_message(e, false);
+                self.hud.banners.show_message(e, false);
             }
         }
     }
@@ -317,17 +345,26 @@ impl WindowState {
         let pressed = event.state == ElementState::Pressed;
         // Repeated keys do not change the interface.
         self.written = self.written.filter(|_| event.repeat || !pressed);
-        if pressed && !event.repeat && self.command(event, connection, events) {
-            return true;
-        }
-        if let PhysicalKey::Code(code) = event.physical_key {
-            let control = self.modifiers.control_key() || self.modifiers.super_key();
-            if self.keys.set(code, pressed && !control) {
-                self.started |= pressed;
-                self.render_thread.set_intent(self.intent());
+        if pressed && !event.repeat {
+            let (control, shift) = (self.control(), self.modifiers.shift_key());
+            let command = commands::command(&event.logical_key, &event.physical_key, control, shift);
+            if command.is_some_and(|c| self.command(c, connection, events)) {
+                return true;
             }
+            self.window.request_redraw();
+        }
+        if let PhysicalKey::Code(code) = event.physical_key
+            && self.keys.set(code, pressed && !self.control())
+        {
+            self.started |= pressed;
+            self.render_thread.set_intent(self.intent());
         }
         false
+    }
+
+    /// Whether Control, or the Mac's command key, is down.
+    fn control(&self) -> bool {
+        self.modifiers.control_key() || self.modifiers.super_key()
     }
 
     /// The intent of keyboard and gamepad.
@@ -367,121 +404,19 @@ impl WindowState {
         }
     }
 
-    /// Handles a key with a single action. Returns whether the window is to be closed.
-    fn command(&mut self, event: &KeyEvent, connection: &ServerConnection, events: &mut Events) -> bool {
-        let letter = |wanted: &str| matches!(&event.logical_key, Key::Character(c) if c.eq_ignore_ascii_case(wanted));
-        let control = self.modifiers.control_key() || self.modifiers.super_key();
-        if let Some(digit) = digit(event) {
-            self.bookmark(digit, control, connection, events);
-        }
-        if control {
-            return letter("q") || letter("w");
-        }
-        match &event.logical_key {
-            Key::Named(NamedKey::F2) => {
-                self.shows = self.shows.next(self.modifiers.shift_key());
-                self.render_thread.show(self.shows);
-                self.hud.show_message(self.shows.legend().into(), true);
-                events.write("view", fields! { "shows": self.shows });
-            }
-            Key::Named(NamedKey::F3) => {
-                if self.map.open {
-                    // The map would cover the settings.
-                    self.toggle_map(connection, events);
-                }
-                self.settings.open = !self.settings.open;
-                if self.settings.open {
-                    self.capture(false, events);
-                }
-                events.write("settings", fields! { "open": self.settings.open });
-            }
-            _ if letter("r") => {
-                let described = self.kept.record(self.render_thread.speed_m_per_s());
-                self.announce(described, events);
-            }
-            _ if letter("p") => match self.kept.walk() {
-                _ if self.replaying => self.render_thread.replay(None),
-                Some(walk) => self.render_thread.replay(Some(walk)),
-                None => self.hud.show_message("nothing to walk again yet: R records a walk".into(), false),
-            },
-            Key::Named(NamedKey::Escape) if self.map.open => self.toggle_map(connection, events),
-            Key::Named(NamedKey::Escape) if self.settings.open => {
-                self.settings.open = false;
-                events.write("settings", fields! { "open": false });
-            }
-            Key::Named(NamedKey::Escape) => self.capture(false, events),
-            Key::Named(NamedKey::F1) => {
-                self.hud.figures = !self.hud.figures;
-                self.hud.help = self.hud.figures;
-                events.write("figures", fields! { "shown": self.hud.figures });
-            }
-            Key::Named(NamedKey::F12) => self.render_thread.take_screenshot(),
-            _ if letter("g") => {
-                let closed = self.render_thread.toggle_walls();
-                self.hud.show_message(
-                    if closed { "walls are closed" } else { "walls are open: G closes them" }.into(),
-                    true,
-                );
-                events.write("walls", fields! { "closed": closed });
-            }
-            Key::Named(NamedKey::PageUp) if self.map.open => self.map.change_storey(true),
-            Key::Named(NamedKey::PageDown) if self.map.open => self.map.change_storey(false),
-            _ if letter("m") => self.toggle_map(connection, events),
-            _ => {}
-        }
-        self.window.request_redraw();
-        false
-    }
-
-    /// Shows a message and logs its event.
-    fn announce(&mut self, described: Announcement, events: &mut Events) {
-        self.hud.show_message(described.text, described.good);
-        if let Some((event, more)) = described.event {
-            events.write(event, more);
-        }
-    }
-
-    /// Stores the current pose under a digit, or moves to the stored one.
-    fn bookmark(&mut self, digit: u8, keep: bool, connection: &ServerConnection, events: &mut Events) {
-        let (Some(scene), Some(picture)) = (connection.scene(), &self.picture) else { return };
-        let (there, described) = self.kept.bookmark(digit, keep.then_some(picture.pose), &scene.index.scene.name);
-        if let Some(pose) = there {
-            self.render_thread.place(pose);
-        }
-        self.announce(described, events);
-    }
-
     /// Turns the head by a mouse movement.
     pub fn turn_by_mouse(&self, delta: (f64, f64), deg_per_count: f64) {
         let (yaw_deg, pitch_deg) = self.settings.turn_deg(delta, deg_per_count);
         self.render_thread.turn(yaw_deg, pitch_deg);
     }
 
-    fn toggle_map(&mut self, connection: &ServerConnection, events: &mut Events) {
-        self.started = true;
-        self.map.toggle();
-        connection.others().set_wanted(self.map.open);
-        (self.last_reported.map, self.last_reported.others) = (false, None);
-        if self.map.open {
-            if std::mem::take(&mut self.settings.open) {
-                events.write("settings", fields! { "open": false });
-            }
-            self.capture_again = self.captured;
-            self.capture(false, events);
-        } else {
-            events.write("map", fields! { "open": false });
-            self.capture(self.capture_again, events);
-        }
-    }
-
     /// Reports the start and the end of a replay, of which no picture may tell.
     fn report_replay(&mut self, events: &mut Events) {
         let replaying = self.render_thread.is_replaying();
         if std::mem::replace(&mut self.replaying, replaying) != replaying {
-            self.hud.show_message(
-                if replaying { "walking by itself: P or any step ends it" } else { "the walk is over" }.into(),
-                true,
-            );
+            if !replaying {
+                self.hud.banners.show_message("the walk is over".into(), true);
+            }
             events.write("replay", fields! { "running": replaying });
         }
     }
@@ -499,7 +434,8 @@ impl WindowState {
     fn present(&mut self, interface: Option<Interface>) -> Result<(), ScreenError> {
         self.counts.shown += 1;
         let Some(screen) = &mut self.screen else { return Ok(()) };
-        let Err(e) = screen.present(self.picture.as_ref().map(|p| &p.frame), interface) else { return Ok(()) };
+        let shown = self.picture.as_ref().filter(|p| self.started || !p.searching_start);
+        let Err(e) = screen.present(shown.map(|p| &p.frame), interface) else { return Ok(()) };
         if self.reopened.is_some_and(|at| at.elapsed() < STEADY) {
             return Err(e);
         }
@@ -513,7 +449,7 @@ impl WindowState {
         // The font texture belonged to the old screen.
         self.egui = interface_of(&self.window, &self.display, &screen);
         (self.screen, self.reopened, self.written) = (Some(screen), Some(Instant::now()), None);
-        self.hud.show_message("the graphics driver failed and was started again".into(), false);
+        self.hud.banners.show_message("the graphics driver failed and was started again".into(), false);
         self.window.request_redraw();
         Ok(())
     }
@@ -522,14 +458,9 @@ impl WindowState {
     ///
     /// # Errors
     /// If the driver has failed permanently.
-    pub fn redraw(
-        &mut self,
-        server: &str,
-        connection: &ServerConnection,
-        events: &mut Events,
-    ) -> Result<(), ScreenError> {
+    pub fn redraw(&mut self, connection: &ServerConnection, events: &mut Events) -> Result<(), ScreenError> {
         self.report_replay(events);
-        let to_read_alone = self.started && !self.map.open && !self.settings.open;
+        let to_read_alone = self.started && !self.map.open && !self.settings_open;
         let written = self.written.is_some_and(|at| at.elapsed() < WRITE_EVERY);
         if written && to_read_alone && self.screen.as_ref().is_some_and(Screen::keeps_interface) {
             return self.present(None);
@@ -537,31 +468,8 @@ impl WindowState {
         self.written = Some(Instant::now());
         let input = self.egui.take_egui_input(&self.window);
         let ctx = self.egui.egui_ctx().clone();
-        let (scene, state, stats) = (connection.scene(), connection.state(), connection.summary());
-        let others = connection.others().list();
-        let speed = self.render_thread.speed_m_per_s();
         let mut clicked = None;
-        let output = ctx.run_pass(input, |ctx| {
-            let shown = self.picture.as_ref();
-            if !self.started {
-                start_screen::show(ctx, server, connection, shown);
-                return;
-            }
-            if let (true, Some(scene), Some(p)) = (self.map.open, &scene, shown) {
-                clicked = self.map.show(ctx, scene, p, others.as_deref()).or(clicked);
-            }
-            let shown = shown.zip(scene.as_ref()).map(|(p, s)| (p, &*s.index));
-            let hud_below_map = self.map.open && self.hud.figures;
-            if hud_below_map {
-                // The map takes the place of the statistics; messages stay.
-                self.hud.figures = false;
-            }
-            self.hud.show(ctx, shown, &stats, &state, speed);
-            if self.settings.open && self.settings.show(ctx) {
-                self.render_thread.apply_settings(self.settings.frame_ms, self.settings.fine);
-            }
-            self.hud.figures |= hud_below_map;
-        });
+        let output = ctx.run_pass(input, |ctx| clicked = self.draw_interface(ctx, connection));
         self.egui.handle_platform_output(&self.window, output.platform_output);
         if self.captured {
             // egui shows the pointer whenever it sets its shape.
@@ -573,6 +481,57 @@ impl WindowState {
         let scale = output.pixels_per_point;
         let interface = Interface { primitives, textures: output.textures_delta, scale };
         self.present(Some(interface))?;
+        self.report_map(scale, connection, events);
+        if let Some(p) = clicked {
+            self.go_to_map_place(p, connection, events);
+        }
+        Ok(())
+    }
+
+    /// Draws the interface. Returns the place on the map that was clicked.
+    fn draw_interface(&mut self, ctx: &egui::Context, connection: &ServerConnection) -> Option<DVec3> {
+        if let Some(text) = self.copy.take() {
+            ctx.copy_text(text);
+        }
+        let shown = self.picture.as_ref();
+        if !self.started {
+            start_screen::show(ctx, &self.server, connection, shown);
+            return None;
+        }
+        let (scene, state, stats) = (connection.scene(), connection.state(), connection.summary());
+        let mut clicked = None;
+        if let (true, Some(scene), Some(p)) = (self.map.open, &scene, shown) {
+            clicked = self.map.show(ctx, scene, p, connection.others().list().as_deref());
+        }
+        let conditions = Conditions {
+            connection: &state,
+            recording: self.kept.recording_time(),
+            replaying: self.replaying,
+            unplanned: shown.is_some_and(|p| p.stats.unplanned),
+        };
+        let speed_m_per_s = self.render_thread.speed_m_per_s();
+        let picture = shown.zip(scene.as_ref()).map(|(p, s)| (p, &*s.index));
+        let covered = self.map.open || self.settings_open || self.hud.help.open;
+        let taken = if self.map.open { MAP_LINE } else { 0.0 };
+        let top = self.hud.show(ctx, &Shown { picture, line: &stats, conditions, speed_m_per_s, covered, taken });
+        if self.hud.help.open {
+            Help::show_panel(ctx);
+        }
+        if self.settings_open {
+            self.settings.speed_m_per_s = speed_m_per_s;
+            let widest_deg = scene.map(|s| s.index.settings.camera.fov_deg);
+            if settings_panel::show(ctx, top, &mut self.settings_open, &mut self.settings, widest_deg) {
+                self.apply_settings();
+            }
+            if !self.settings_open {
+                self.save_settings();
+            }
+        }
+        clicked
+    }
+
+    /// Reports the map's place in the window and the walkers on it, once they have changed.
+    fn report_map(&mut self, scale: f32, connection: &ServerConnection, events: &mut Events) {
         if let (Some(sheet), false) = (self.map.sheet, self.last_reported.map) {
             self.last_reported.map = true;
             let a = sheet.area;
@@ -580,29 +539,42 @@ impl WindowState {
             let [x, z] = sheet.corner;
             events.write("map", fields! { "open": true, "area_px": px, "corner": [x, z], "px_per_m": sheet.per_metre * f64::from(scale) });
         }
-        let shown = others.filter(|_| self.map.open).map(|o| o.len());
+        let shown = connection.others().list().filter(|_| self.map.open).map(|o| o.len());
         if shown.is_some() && std::mem::replace(&mut self.last_reported.others, shown) != shown {
             events.write("others", fields! { "shown": shown });
         }
-        if let Some(p) = clicked {
-            self.render_thread.teleport(p);
-            events.write("teleport", fields! { "position": p.to_array() });
-            let is_floor = |v: &WalkVolume| v.heights(p.x, p.z).next().is_some();
-            if connection.scene().is_some_and(|s| s.index.volume.as_ref().is_some_and(|v| !is_floor(v))) {
-                self.hud.show_message("nobody can stand where you clicked: this is the nearest place".into(), true);
-            }
-            self.toggle_map(connection, events);
-        }
-        Ok(())
     }
 
-    /// Closes the window and saves a recording in progress.
-    pub fn close(&mut self, events: &mut Events) {
-        if self.kept.is_recording() {
+    /// Closes the window. Saves the settings, the place and a recording in progress.
+    pub fn close(&mut self, connection: &ServerConnection, events: &mut Events) {
+        self.settings.speed_m_per_s = self.render_thread.speed_m_per_s();
+        self.save_settings();
+        if let (Some(scene), Some(picture), true) = (connection.scene(), &self.picture, self.last_reported.complete) {
+            self.kept.keep_last_place(picture.pose, &scene.index.scene.name);
+        }
+        if self.kept.recording_time().is_some() {
             let described = self.kept.record(self.render_thread.speed_m_per_s());
             self.announce(described, events);
         }
     }
+}
+
+/// Opens a window.
+fn window(config: &AppConfig, settings: &UserSettings, event_loop: &ActiveEventLoop) -> Result<Arc<Window>, AppError> {
+    let (width, height) = config.size;
+    let attributes = Window::default_attributes()
+        .with_title(format!("ldi-client: {}", config.connect.address()))
+        .with_min_inner_size(PhysicalSize::new(160, 120))
+        .with_fullscreen(settings.full_screen.then_some(Fullscreen::Borderless(None)))
+        .with_inner_size(PhysicalSize::new(width, height));
+    event_loop.create_window(attributes).map(Arc::new).map_err(|e| AppError::no_display(&e))
+}
+
+/// The time between two refreshes of a window's display.
+fn refresh_interval(window: &Window) -> Duration {
+    let monitor = window.current_monitor();
+    let hz = monitor.and_then(|m| m.refresh_rate_millihertz()).map_or(DEFAULT_HZ, |mhz| f64::from(mhz) * 1e-3);
+    Duration::from_secs_f64(1.0 / if hz > 1.0 { hz } else { DEFAULT_HZ })
 }
 
 /// The interface's state for a window and its screen.
@@ -615,23 +587,6 @@ fn interface_of(window: &Window, display: &OwnedDisplayHandle, screen: &Screen) 
         None,
         Some(screen.max_side_px() as usize),
     )
-}
-
-/// The digit of a key, by its position: independent of Shift and keyboard layout.
-fn digit(event: &KeyEvent) -> Option<u8> {
-    const DIGITS: [KeyCode; 9] = [
-        KeyCode::Digit1,
-        KeyCode::Digit2,
-        KeyCode::Digit3,
-        KeyCode::Digit4,
-        KeyCode::Digit5,
-        KeyCode::Digit6,
-        KeyCode::Digit7,
-        KeyCode::Digit8,
-        KeyCode::Digit9,
-    ];
-    let PhysicalKey::Code(code) = event.physical_key else { return None };
-    (1u8..).zip(DIGITS).find(|(_, c)| *c == code).map(|(digit, _)| digit)
 }
 
 fn pose_fields(pose: &Pose) -> serde_json::Map<String, serde_json::Value> {

@@ -6,9 +6,8 @@ use super::{
     signals::stop_at_signal,
 };
 use clap::Args;
-use glam::DVec3;
 use ldi_client::{
-    app::{self, AppConfig, AppError, GamepadAt},
+    app::{self, AppConfig, AppError, GamepadAt, ViewLink, parse_pose},
     engine::Renderer,
     gpu::WarpOn,
     stream::{
@@ -29,8 +28,10 @@ use std::{
 
 #[derive(Args)]
 pub struct ConnectArgs {
-    /// `HOST[:PORT]` of the server; `HOST[:PORT]/NAME` where it serves several datasets.
-    server: String,
+    /// `HOST[:PORT]` of the server; `HOST[:PORT]/NAME` where it serves several datasets; or a link
+    /// that Ctrl+C copies in a window: ldi://HOST/NAME#X,Y,Z,YAW,PITCH.
+    #[arg(value_name = "SERVER")]
+    server: ViewLink,
     /// Fingerprint of the server's certificate, as the server prints it: only this certificate is
     /// trusted, and the list of known servers is not used. Two with a comma between them while the
     /// certificate changes.
@@ -61,9 +62,13 @@ pub struct ConnectArgs {
     /// Device that warps images, if a GPU renders.
     #[arg(long, value_enum, default_value = "auto")]
     warp_on: WarpOn,
-    /// Intended frame time while moving, milliseconds: the picture's resolution adapts to it.
-    #[arg(long, value_name = "MS", default_value_t = 16.7)]
-    frame_ms: f64,
+    /// Intended frame time while moving, milliseconds: the picture's resolution adapts to it
+    /// [default: that in the settings, 16.7 at first].
+    #[arg(long, value_name = "MS")]
+    frame_ms: Option<f64>,
+    /// File of the window's settings [default: settings.json in the user's configuration folder].
+    #[arg(long, value_name = "FILE")]
+    settings: Option<PathBuf>,
     /// Start pose: position in metres, yaw and pitch in degrees [default: chosen on the largest
     /// storey].
     #[arg(long, value_name = "X,Y,Z[,YAW[,PITCH]]", value_parser = parse_pose, allow_hyphen_values = true)]
@@ -115,7 +120,7 @@ impl From<KnownHostsError> for Failure {
 
 /// Opens the window and returns when it is closed.
 pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
-    if !(args.frame_ms.is_finite() && args.frame_ms > 0.0) {
+    if args.frame_ms.is_some_and(|ms| !(ms.is_finite() && ms > 0.0)) {
         return Err(Failure::usage("--frame-ms is a positive number of milliseconds"));
     }
     if !(args.prefetch_m.is_finite() && args.prefetch_m >= 0.0) {
@@ -123,7 +128,7 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
     }
     let replay = args.replay.as_deref().map(read_path).transpose()?;
     let (width, height) = args.size;
-    let mut config = ConnectConfig::new(&args.server, Picture { width, height, fov_deg: None });
+    let mut config = ConnectConfig::new(&args.server.server, Picture { width, height, fov_deg: None });
     config.token = token(args.token_file.as_deref())?;
     config.prefetch_m = args.prefetch_m;
     if let Some(name) = &args.name {
@@ -153,8 +158,12 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
         connect: config,
         size: args.size,
         frame_ms: args.frame_ms,
+        settings: args.settings.clone(),
         // A replayed walk starts at its own pose.
-        begin: args.start.or_else(|| replay.as_ref().and_then(|walk| walk.poses.first()).map(|p| p.pose)),
+        begin: args
+            .start
+            .or(args.server.pose)
+            .or_else(|| replay.as_ref().and_then(|walk| walk.poses.first()).map(|p| p.pose)),
         screenshots: args.shots.clone(),
         replay,
         gamepad: match &args.gamepad {
@@ -228,22 +237,6 @@ fn parse_name(text: &str) -> Result<String, String> {
     }
 }
 
-fn parse_pose(text: &str) -> Result<Pose, String> {
-    let numbers: Vec<f64> = text
-        .split(',')
-        .map(|n| n.trim().parse::<f64>().ok().filter(|n| n.is_finite()))
-        .collect::<Option<_>>()
-        .ok_or("give numbers with commas between them, like 1.5,1.6,-2,90")?;
-    match numbers[..] {
-        [x, y, z, ref angles @ ..] if angles.len() <= 2 => Ok(Pose {
-            position: DVec3::new(x, y, z),
-            yaw_deg: angles.first().copied().unwrap_or(0.0),
-            pitch_deg: angles.get(1).copied().unwrap_or(0.0).clamp(-90.0, 90.0),
-        }),
-        _ => Err("give three to five numbers: X,Y,Z[,YAW[,PITCH]]".into()),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -254,15 +247,6 @@ mod tests {
         assert!(parse_name(&"ë".repeat(64)).is_ok());
         for wrong in [String::new(), "a\nb".into(), "x".repeat(65)] {
             assert!(parse_name(&wrong).is_err(), "{wrong}");
-        }
-    }
-
-    #[test]
-    fn poses_are_read() {
-        let pose = parse_pose("1,1.6,-2.5,90").unwrap();
-        assert_eq!((pose.position, pose.yaw_deg, pose.pitch_deg), (DVec3::new(1.0, 1.6, -2.5), 90.0, 0.0));
-        for wrong in ["", "1,2", "1,2,x", "1,2,3,4,5,6", "1,2,inf"] {
-            assert!(parse_pose(wrong).is_err(), "{wrong}");
         }
     }
 }

@@ -20,18 +20,28 @@
 //!    pixels.
 //! 7. **Averaging** ([`downsample()`]): a supersampled frame is averaged in linear light.
 //!
+//! The window then changes the finished picture: [`paint_sky`] gives the sky a horizon before the
+//! averaging, [`DepthShading`] adds ambient occlusion and outlines after it.
+//!
 //! All stages run by rows on the current rayon pool; their results do not depend on its size.
 
+mod ambient_occlusion;
+mod depth_lens;
+mod depth_shading;
 mod downsample;
 mod hole_fill;
 mod seams;
 mod sky_fill;
+mod sky_gradient;
 mod smooth;
 mod tree_underlay;
 
+pub use depth_lens::DepthLens;
+pub use depth_shading::DepthShading;
 pub use downsample::downsample;
 pub use hole_fill::Fill;
 pub use sky_fill::fill_sky;
+pub use sky_gradient::paint_sky;
 pub use tree_underlay::{ImageGaps, pixels_for_tree, underlay_tree};
 
 use crate::{
@@ -386,6 +396,18 @@ pub struct CodeStep {
     pub eye_depth_m: f64,
     /// Step of the codes, 1/m.
     pub step: f64,
+}
+
+impl CodeStep {
+    /// Bounds the error of a disparity d of a picture, 1/m: the first plus the second times d.
+    pub fn error(&self, camera: &OutputCamera) -> [f64; 2] {
+        let [first, per_column, per_row] = self.forward;
+        let (w, h) = (f64::from(camera.width), f64::from(camera.height));
+        let corners = [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]];
+        let forward = corners.map(|[x, y]| (first + per_column * x + per_row * y).abs());
+        // Half a step is the error of a rounded code.
+        [0.5 * self.step * forward.into_iter().fold(0.0, f64::max), 0.5 * self.step * self.eye_depth_m.abs()]
+    }
 }
 
 /// Code steps of the present images.

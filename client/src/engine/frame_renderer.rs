@@ -9,18 +9,18 @@ use super::{
     fallback_view::{FallbackView, absent_chunks},
     image_layouts::{ImageLayout, ImageLayouts, LayoutRequest},
     layout_worker::LayoutWorker,
-    options::{Cull, Method, WalkOptions},
+    options::{Appearance, Cull, Method, WalkOptions},
     render_backend::{RenderBackend, RenderError},
     upload_queue::{Anticipated, PendingUploads, UploadQueue, UploadedOnly, upload_budget_bytes, upload_cells},
     view::{Drawable, LevelStats, View, drawable, ms_since},
 };
 use crate::{
     composite::{
-        CompositeOptions, CompositeStats, Far, FarImage, FarPortal, Fill, ImageGaps, code_steps, downsample, fill_sky,
-        finish, merge, pixels_for_tree, underlay_tree,
+        CodeStep, CompositeOptions, CompositeStats, DepthLens, DepthShading, Far, FarImage, FarPortal, Fill, ImageGaps,
+        code_steps, downsample, fill_sky, finish, merge, paint_sky, pixels_for_tree, underlay_tree,
     },
     frame::{Frame, Source, supersampled},
-    gpu::Gpu,
+    gpu::{Finishing, Gpu},
     impostor::{ImpostorStats, Impostors},
     report::StageMs,
     resident::Resident,
@@ -87,6 +87,7 @@ pub struct FrameRenderer {
     /// Pixels filled by the GPU, which `full` does not show.
     filled_on_card: u64,
     tree: ProgressivePainter,
+    shading: DepthShading,
     /// Measured tree samples per millisecond; 0 before the first measurement.
     tree_rate: f64,
     /// Colours of the previous frame, for [`Fill::Last`].
@@ -168,6 +169,8 @@ struct Merged {
     stats: CompositeStats,
     /// Whether an image or the tree was drawn.
     known: bool,
+    /// Precision of the images' disparities.
+    steps: Vec<CodeStep>,
 }
 
 /// The chunks of an image that are not there.
@@ -559,8 +562,9 @@ impl FrameRenderer {
         // The GPU composites complete frames in scene colours, without options that only the CPU
         // implements.
         let plain = options.shows == DisplayMode::Scene && options.fill != Fill::Last && !options.smooth;
+        let steps = code_steps(&shown, pose, &full_camera);
         let open = match plain && !doubtful {
-            true => self.backend.merge(&code_steps(&shown, pose, &full_camera), &full_camera, &self.far)?,
+            true => self.backend.merge(&steps, &full_camera, &self.far)?,
             false => None,
         };
         frame_stats.on_card = open.is_some();
@@ -587,7 +591,7 @@ impl FrameRenderer {
         if known && all_layers && !doubtful && !view.portal_images.is_paper() {
             fill_sky(&mut self.full, &mut stats);
         }
-        Ok(Merged { open, stats, known })
+        Ok(Merged { open, stats, known, steps })
     }
 
     /// Adds the LDI tree to pixels that are open or doubtful.
@@ -618,10 +622,21 @@ impl FrameRenderer {
         out: &mut Frame,
     ) -> Result<(), RenderError> {
         let options = frame.options;
+        // False colours have neither sky nor shadows.
+        let appearance = if options.shows == DisplayMode::Scene { options.appearance } else { Appearance::default() };
+        let shading = appearance.depth_shading.then(|| {
+            let errors = merged.steps.iter().map(|s| s.error(&frame.full_camera));
+            let noise = errors.fold([0.0f64; 2], |a, b| [a[0].max(b[0]), a[1].max(b[1])]);
+            DepthLens::new(frame.camera, noise.map(|e| e as f32))
+        });
         self.filled_on_card = 0;
         if let Some(open) = merged.open {
             let fill = options.fill == Fill::Surface && merged.stats.is_worth_filling(merged.known);
-            self.filled_on_card = self.backend.finish(&open, &self.full, fill, options.supersample, out)?;
+            let finishing = Finishing { fill, factor: options.supersample, shading };
+            self.filled_on_card = self.backend.finish(&open, &self.full, &finishing, out)?;
+            if appearance.horizon {
+                paint_sky(out, frame.pose, frame.camera);
+            }
             return Ok(());
         }
         let composite_options = CompositeOptions { fill: options.fill, last: &self.last, smooth: options.smooth };
@@ -630,11 +645,17 @@ impl FrameRenderer {
             // No data about these pixels exists: they are drawn as sky.
             self.full.paint_rest_as_sky();
         }
+        if appearance.horizon {
+            paint_sky(&mut self.full, frame.pose, &frame.full_camera);
+        }
         options.shows.recolour(&mut self.full);
         if options.supersample > 1 {
             downsample(&self.full, options.supersample, out);
         } else {
             out.clone_from(&self.full);
+        }
+        if let Some(lens) = shading {
+            self.shading.shade(out, &lens);
         }
         Ok(())
     }

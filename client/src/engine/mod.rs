@@ -39,7 +39,7 @@ pub use data_source::{DataSource, LOST_FOR, Traffic};
 pub use display_mode::DisplayMode;
 pub use evaluation::{EvaluationError, Scores, Truth, pictures_of};
 pub use frame_renderer::{FrameRenderer, FrameStats};
-pub use options::{Cull, Method, Pace, WalkOptions};
+pub use options::{Appearance, Cull, Method, Pace, WalkOptions};
 pub use render_backend::RenderError;
 pub use renderer_choice::Renderer;
 pub(crate) use save::save_rgb;

@@ -96,6 +96,16 @@ pub enum Pace {
     Wait,
 }
 
+/// Changes of a finished picture that make it easier to read. None of them is measured: a walk
+/// without a window has none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Appearance {
+    /// Ambient occlusion and outlines.
+    pub depth_shading: bool,
+    /// A sky with a horizon.
+    pub horizon: bool,
+}
+
 /// Settings of a walk.
 #[derive(Debug, Clone, Serialize)]
 pub struct WalkOptions {
@@ -133,6 +143,9 @@ pub struct WalkOptions {
     pub debug_views: bool,
     /// Colours of the picture.
     pub shows: DisplayMode,
+    /// Changes of the finished picture. Not part of a report, as measured walks have none.
+    #[serde(skip)]
+    pub appearance: Appearance,
     /// Images are laid out by the layout worker, and frames show them when they are ready. Pictures
     /// of at most half the dataset's resolution show images at half resolution, where the footprint
     /// bound still holds. Without this option the frame that needs an image lays it out.

@@ -6,7 +6,7 @@
 use crate::{
     composite::CodeStep,
     frame::Frame,
-    gpu::{Gpu, GpuError, Packed},
+    gpu::{Finishing, Gpu, GpuError, Packed},
     near::{NearStats, Rasterizer},
     resident::Resident,
     warp::{FarFrame, ImageInView, PreparedLdi, WarpError, WarpOptions, WarpStats, warp_images},
@@ -184,12 +184,11 @@ impl RenderBackend {
         &mut self,
         open: &[u32],
         found: &Frame,
-        fill: bool,
-        factor: u32,
+        finishing: &Finishing,
         out: &mut Frame,
     ) -> Result<u64, RenderError> {
         match self.gpu.as_deref_mut() {
-            Some(gpu) => Ok(gpu.finish(open, found, fill, factor, out)?),
+            Some(gpu) => Ok(gpu.finish(open, found, finishing, out)?),
             None => Ok(0),
         }
     }

@@ -8,12 +8,13 @@
 //! pictures.
 
 use super::{
+    depth_shading::DepthShadingPass,
     device::{GpuDevice, GpuError, GrowableBuffer},
     near::COLOUR_CODES,
     read_back::ReadBack,
 };
 use crate::{
-    composite::CodeStep,
+    composite::{CodeStep, DepthLens},
     frame::{Frame, SKY, Source},
     near::NEAR_PLANE_M,
 };
@@ -67,6 +68,17 @@ pub struct DrawnPlanes<'a> {
     pub far: Option<([&'a wgpu::Buffer; 2], u32)>,
 }
 
+/// The second half of a composite.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Finishing {
+    /// Whether holes are filled.
+    pub fill: bool,
+    /// Pixels of the frame along a pixel of the picture.
+    pub factor: u32,
+    /// Shading by depths.
+    pub shading: Option<DepthLens>,
+}
+
 /// Pipelines and buffers of the composite.
 pub struct CompositePass {
     merge: wgpu::ComputePipeline,
@@ -74,6 +86,7 @@ pub struct CompositePass {
     lay_samples: wgpu::ComputePipeline,
     fill: wgpu::ComputePipeline,
     downsample: wgpu::ComputePipeline,
+    shading: DepthShadingPass,
     uniform: GrowableBuffer,
     faces: GrowableBuffer,
     colours: GrowableBuffer,
@@ -89,28 +102,6 @@ pub struct CompositePass {
 /// A colour with its source, in the GPU's encoding.
 const fn sourced(colour: u32, source: Source) -> u32 {
     colour | (source as u32) << 24
-}
-
-/// Dispatches a pass.
-fn run(
-    card: &GpuDevice,
-    encoder: &mut wgpu::CommandEncoder,
-    pipeline: &wgpu::ComputePipeline,
-    resources: &[(u32, wgpu::BindingResource<'_>)],
-    [across, down]: [u32; 2],
-) {
-    let entries: Vec<wgpu::BindGroupEntry<'_>> =
-        resources.iter().map(|(binding, r)| wgpu::BindGroupEntry { binding: *binding, resource: r.clone() }).collect();
-    let group = card.device.create_bind_group(&wgpu::BindGroupDescriptor {
-        label: Some("join"),
-        layout: &pipeline.get_bind_group_layout(0),
-        entries: &entries,
-    });
-    let mut pass =
-        encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("join"), timestamp_writes: None });
-    pass.set_pipeline(pipeline);
-    pass.set_bind_group(0, &group, &[]);
-    pass.dispatch_workgroups(across, down, 1);
 }
 
 impl CompositePass {
@@ -134,6 +125,7 @@ impl CompositePass {
             lay_samples: pipeline("lay_samples"),
             fill: pipeline("fill"),
             downsample: pipeline("downsample"),
+            shading: DepthShadingPass::new(card),
             uniform: GrowableBuffer::new("join", wgpu::BufferUsages::UNIFORM | to),
             faces: GrowableBuffer::new("faces", storage | to),
             colours: GrowableBuffer::new("colours", storage),
@@ -195,7 +187,7 @@ impl CompositePass {
             (7, disparities.as_entire_binding()),
             (8, bits.as_entire_binding()),
         ];
-        run(card, &mut encoder, &self.merge, &resources, [camera.width.div_ceil(ACROSS), camera.height]);
+        card.dispatch(&mut encoder, &self.merge, &resources, [camera.width.div_ceil(ACROSS), camera.height]);
         let copy = |encoder: &mut wgpu::CommandEncoder, to: &wgpu::Buffer| {
             encoder.copy_buffer_to_buffer(bits, 0, to, 0, 4 * words);
         };
@@ -205,19 +197,18 @@ impl CompositePass {
         })
     }
 
-    /// Adds sky and tree samples of `found` to `open` pixels, fills holes if wanted, and averages
-    /// blocks of `factor` pixels into `out`, whose disparities are 0. Returns the number of filled
-    /// pixels.
+    /// Adds sky and tree samples of `found` to `open` pixels, fills holes if wanted, averages blocks
+    /// of pixels into `out`, whose disparities are 0, and shades it if wanted. Returns the number of
+    /// filled pixels.
     pub fn finish(
         &mut self,
         card: &GpuDevice,
         open: &[u32],
         found: &Frame,
-        fill: bool,
-        factor: u32,
+        Finishing { fill, factor, shading }: &Finishing,
         out: &mut Frame,
     ) -> Result<u64, GpuError> {
-        let factor = factor.max(1);
+        let (fill, factor) = (*fill, (*factor).max(1));
         let (width, height) = (found.width / factor, found.height / factor);
         out.reset(width, height);
         if out.is_empty() {
@@ -234,7 +225,7 @@ impl CompositePass {
             let sent_there = self.samples.write(card, bytemuck::cast_slice(sent)).as_entire_binding();
             let resources = [(0, uniform), (6, colours.clone()), (7, disparities.clone()), (10, sent_there)];
             let mut encoder = card.encoder();
-            run(card, &mut encoder, &self.lay_samples, &resources, [(sent.len() as u32).div_ceil(ACROSS), 1]);
+            card.dispatch(&mut encoder, &self.lay_samples, &resources, [(sent.len() as u32).div_ceil(ACROSS), 1]);
             // Submitted before the buffers are written again.
             card.queue.submit([encoder.finish()]);
         }
@@ -244,18 +235,21 @@ impl CompositePass {
         if skies.iter().any(|w| *w != 0) {
             let skies = self.skies.write(card, bytemuck::cast_slice(&skies)).as_entire_binding();
             let resources = [(0, uniform.clone()), (6, colours.clone()), (9, skies)];
-            run(card, &mut encoder, &self.lay_sky, &resources, everywhere);
+            card.dispatch(&mut encoder, &self.lay_sky, &resources, everywhere);
         }
         encoder.clear_buffer(&self.filled, 0, None);
         if fill {
             let filled = self.filled.as_entire_binding();
             let resources = [(0, uniform.clone()), (6, colours.clone()), (7, disparities), (12, filled)];
-            run(card, &mut encoder, &self.fill, &resources, everywhere);
+            card.dispatch(&mut encoder, &self.fill, &resources, everywhere);
         }
         let size = 4 * u64::from(width) * u64::from(height);
         let averaged = self.averaged.allocate(card, size);
         let resources = [(0, uniform), (6, colours), (11, averaged.as_entire_binding())];
-        run(card, &mut encoder, &self.downsample, &resources, [width.div_ceil(ACROSS), height]);
+        card.dispatch(&mut encoder, &self.downsample, &resources, [width.div_ceil(ACROSS), height]);
+        if let Some(lens) = shading {
+            self.shading.record(card, &mut encoder, [planes[1], averaged], ([width, height], factor), lens);
+        }
         let filled = &self.filled;
         let copy = |encoder: &mut wgpu::CommandEncoder, to: &wgpu::Buffer| {
             encoder.copy_buffer_to_buffer(averaged, 0, to, 0, size);

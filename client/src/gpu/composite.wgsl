@@ -203,10 +203,13 @@ fn fill(@builtin(global_invocation_id) id: vec3u) {
     }
     if sky >= SKY_SIDES {
         atomicStore(&shared_colours[at], (join.sky & 0xffffffu) | (FILLED << 24u));
+        disparities[at] = 0.0;
         atomicAdd(&filled, 1u);
     } else if found {
         let colour = atomicLoad(&shared_colours[best]) & 0xffffffu;
         atomicStore(&shared_colours[at], colour | (FILLED << 24u));
+        // Nobody reads the disparity of a pixel that is being filled.
+        disparities[at] = best_disparity;
         atomicAdd(&filled, 1u);
     }
 }

@@ -19,6 +19,7 @@
 mod calibrate;
 mod calibration;
 mod composite;
+mod depth_shading;
 mod device;
 mod geometry;
 mod images;
@@ -32,6 +33,7 @@ mod transfer;
 mod warp;
 
 pub use calibration::{Calibration, WarpOn};
+pub use composite::Finishing;
 pub use device::{Atomics, GpuError};
 pub use images::Packed;
 pub use lru::PATIENCE;
@@ -296,11 +298,10 @@ impl Gpu {
         &mut self,
         open: &[u32],
         found: &Frame,
-        fill: bool,
-        factor: u32,
+        finishing: &Finishing,
         out: &mut Frame,
     ) -> Result<u64, GpuError> {
-        self.composite_pass.finish(&self.card, open, found, fill, factor, out)
+        self.composite_pass.finish(&self.card, open, found, finishing, out)
     }
 
     /// Drops all objects of the scene: the next scene uses the same numbers for others.

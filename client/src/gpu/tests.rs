@@ -49,6 +49,7 @@ fn the_shaders_are_valid() {
     assert_eq!(validate(&wide, C::SHADER_INT64 | C::SHADER_INT64_ATOMIC_MIN_MAX), Ok(1));
     assert!(validate(&wide, C::empty()).is_err(), "what a card must have for it is asked for");
     assert_eq!(validate(include_str!("composite.wgsl"), C::empty()), Ok(5));
+    assert_eq!(validate(include_str!("depth_shading.wgsl"), C::empty()), Ok(3));
 }
 
 /// PSNR of two pictures' colours, dB.
@@ -408,7 +409,9 @@ fn what_the_card_joins_is_what_the_processor_joins() {
                     (stats.unpainted, from_tree) = (stats.unpainted - given, from_tree + given);
                     let fill = fill && stats.is_worth_filling(true);
                     let mut out = Frame::default();
-                    let filled = gpu.finish(&open, &found, fill, factor, &mut out).expect("finished");
+                    let filled = gpu
+                        .finish(&open, &found, &Finishing { fill, factor, shading: None }, &mut out)
+                        .expect("finished");
                     assert_eq!(filled, full.count(Source::Filled) as u64);
                     filled_in_all += filled;
 

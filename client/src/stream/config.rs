@@ -74,6 +74,12 @@ pub struct ConnectConfig {
 }
 
 impl ConnectConfig {
+    /// `HOST[:PORT]`, with `/NAME` where a dataset was named.
+    pub fn address(&self) -> String {
+        let name = self.dataset.as_ref().map_or(String::new(), |name| format!("/{name}"));
+        format!("{}{name}", self.server)
+    }
+
     /// Default settings for `HOST[:PORT][/NAME]`, a server and the name of a dataset there, and a
     /// picture.
     pub fn new(server: impl AsRef<str>, picture: Picture) -> Self {

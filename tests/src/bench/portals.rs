@@ -13,7 +13,7 @@ use anyhow::{Context as _, Result, bail};
 use ldi_client::{
     cache::Cache,
     composite::Fill,
-    engine::{Cull, DisplayMode, FrameRenderer, Method, Pace, Scores, Truth, WalkOptions, view_of},
+    engine::{Appearance, Cull, DisplayMode, FrameRenderer, Method, Pace, Scores, Truth, WalkOptions, view_of},
     frame::Frame,
     report::StageMs,
     warp::{Order, Stamp},
@@ -317,6 +317,7 @@ pub fn walk_by(
         cache_bytes: None,
         debug_views: false,
         shows: DisplayMode::Scene,
+        appearance: Appearance::default(),
         background_layout: false,
         baseline_frames: 0,
     };

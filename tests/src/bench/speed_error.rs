@@ -16,7 +16,7 @@ use anyhow::{Context as _, Result, bail};
 use ldi_client::{
     cache::Cache,
     composite::Fill,
-    engine::{Cull, DisplayMode, FrameRenderer, Method, Pace, Scores, Truth, View, WalkOptions, view_of},
+    engine::{Appearance, Cull, DisplayMode, FrameRenderer, Method, Pace, Scores, Truth, View, WalkOptions, view_of},
     frame::{Frame, Source, supersampled},
     near::Rasterizer,
     report::StageMs,
@@ -260,6 +260,7 @@ impl Setting {
             cache_bytes: None,
             debug_views: false,
             shows: DisplayMode::Scene,
+            appearance: Appearance::default(),
             background_layout: false,
             baseline_frames: 0,
         }

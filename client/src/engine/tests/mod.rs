@@ -252,6 +252,7 @@ fn options(pace: Pace) -> WalkOptions {
         cache_bytes: None,
         debug_views: true,
         shows: DisplayMode::Scene,
+        appearance: Appearance::default(),
         background_layout: false,
         baseline_frames: 2,
     }
@@ -329,6 +330,30 @@ fn on_card() -> Option<FrameRenderer> {
     }
 }
 
+/// All changes of finished pictures.
+const SHADED: Appearance = Appearance { depth_shading: true, horizon: true };
+const SHADOWS: Appearance = Appearance { depth_shading: true, horizon: false };
+
+/// Measured walks have neither shadows nor a horizon; the window has both, in scene colours alone.
+#[test]
+fn pictures_change_their_appearance_only_if_they_are_asked_to() {
+    let data = scene();
+    let pose = Pose { position: DVec3::new(0.13, 0.0, 0.0), yaw_deg: 4.0, pitch_deg: 0.0 };
+    let rendered =
+        |appearance, shows| render(&data, &pose, &WalkOptions { appearance, shows, ..options(Pace::Wait) }).0;
+    let plain = rendered(Appearance::default(), DisplayMode::Scene);
+    let shaded = rendered(SHADED, DisplayMode::Scene);
+    let sky = |frame: &Frame| (0..frame.len()).filter(|i| frame.colour[*i] == crate::frame::SKY).count();
+    assert!(sky(&plain) > 500 && sky(&shaded) < 100, "{} {}", sky(&plain), sky(&shaded));
+    let surfaces = |i: &usize| matches!(plain.source[*i], Source::Near | Source::Far);
+    let darker = (0..plain.len()).filter(surfaces).filter(|i| plain.colour[*i] != shaded.colour[*i]).count();
+    let all = (0..plain.len()).filter(surfaces).count();
+    assert!(darker > 20 && darker < all / 2, "{darker} of {all}: outlines, and not all of a flat square");
+    assert!(plain.disparity == shaded.disparity && plain.source == shaded.source);
+    let depth = |appearance| rendered(appearance, DisplayMode::Depth);
+    assert!(depth(Appearance::default()) == depth(SHADED));
+}
+
 /// How many pixels of two pictures are more than a code apart.
 fn differing(a: &Frame, b: &Frame) -> usize {
     let off = |(a, b): &(&u32, &u32)| {
@@ -349,6 +374,9 @@ fn a_card_joins_what_it_drew() {
         (plain.clone(), true, true),
         (WalkOptions { supersample: 2, ..plain.clone() }, true, true),
         (WalkOptions { fill: Fill::Off, ..plain.clone() }, true, true),
+        (WalkOptions { appearance: SHADED, ..plain.clone() }, true, true),
+        // The card's pictures get their sky after the averaging.
+        (WalkOptions { appearance: SHADOWS, supersample: 2, ..plain.clone() }, true, true),
         (WalkOptions { method: Method::Geometry, ..plain.clone() }, true, true),
         (WalkOptions { fill: Fill::Last, ..plain.clone() }, true, false),
         (WalkOptions { smooth: true, ..plain.clone() }, true, false),
