@@ -30,6 +30,32 @@ pub struct Draft {
     pub seconds: Vec<(&'static str, f64)>,
 }
 
+impl DryRun {
+    /// In words, for people.
+    pub fn said(&self) -> String {
+        let images = match (self.images, &self.no_images) {
+            (0, Some(why)) => format!("no images: {why}"),
+            (images, _) => format!(
+                "{images} images of {:.0} megapixels at {} placements; `build` makes a few of them first and says what \
+                 all will take",
+                self.megapixels, self.placements
+            ),
+        };
+        let promises = match self.audit.violations {
+            0 => "all promises hold".to_owned(),
+            violations => format!("{violations} promises are broken"),
+        };
+        format!(
+            "{} triangles, at most {} of a budget of {} in a frame\n{images}\n{promises} in {} poses; planned in {:.0} s",
+            self.triangles,
+            self.audit.max_triangles,
+            self.budget,
+            self.audit.poses,
+            self.seconds.iter().map(|s| s.1).sum::<f64>()
+        )
+    }
+}
+
 impl Draft {
     /// Audits the plan; poses from seed 1.
     pub fn audit(&self, size: AuditSize) -> AuditReport {
@@ -58,6 +84,9 @@ pub struct DryRun {
     pub images: usize,
     /// Their pixels, millions; what nobody sees of them costs little.
     pub megapixels: f64,
+    /// Why there are none; None if there are, or nothing is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub no_images: Option<String>,
     /// Rooms, and where the grid takes over; None without.
     pub rooms: Option<RoomFigures>,
     /// Where people walk.
@@ -92,6 +121,7 @@ pub fn dry_run(
         placements: draft.index.placements.len(),
         images: draft.images.len(),
         megapixels: draft.pixels() / 1e6,
+        no_images: draft.statistics.nothing_to_do,
         rooms: draft.rooms,
         walk: draft.walk,
         skipped: draft.notes,

@@ -114,10 +114,13 @@ pub struct BuildArgs {
     /// Directory to make.
     #[arg(short, long, value_name = "DATASET", required_unless_present = "dry_run")]
     pub output: Option<PathBuf>,
-    /// Plan and audit only: say what the build would take and whether its promises hold, as JSON;
-    /// write nothing else.
+    /// Plan and audit only: say what the build would take and whether its promises hold, in words
+    /// and, where standard output is no terminal, as JSON; write nothing else.
     #[arg(long)]
     pub dry_run: bool,
+    /// With --dry-run: JSON only, on a terminal too.
+    #[arg(long, requires = "dry_run")]
+    pub json: bool,
     /// With --dry-run: draw the plan, see `ldi-server inspect --help`.
     #[arg(long, value_name = "FILE.svg|.png", requires = "dry_run")]
     pub plan: Option<PathBuf>,

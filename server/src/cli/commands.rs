@@ -24,7 +24,7 @@ use ldi_protocol::path::{PathError, Walk};
 use ldi_protocol::room_index::BuiltImages;
 use ldi_protocol::rooms::Rooms;
 use ldi_protocol::said::is_lasting;
-use std::io::{BufWriter, Write as _};
+use std::io::{BufWriter, IsTerminal as _, Write as _};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::SystemTime;
@@ -177,7 +177,12 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         let json = serde_json::to_value(&found).map_err(Failure::permanent)?;
         match &a.report {
             Some(file) => write_json(file, &json)?,
-            None => print(&format!("{json:#}"))?,
+            // Programs read it; people read words.
+            None if a.json || !std::io::stdout().is_terminal() => print(&format!("{json:#}"))?,
+            None => {}
+        }
+        if !a.json {
+            eprintln!("{}", found.said());
         }
         return promises_kept(&found.audit);
     }

@@ -136,7 +136,7 @@ pub fn html(rows: &[Row], command: &str) -> String {
             }
             h.push_str("</tr>");
         }
-        h.push_str("</table></div>");
+        h.push_str("</table></div><div class=\"plots\">");
         for (x, of) in [
             ("milliseconds per frame", (|f: &Figures| f.frame_ms) as fn(&Figures) -> f64),
             ("megabytes of the walk", |f| f.walk_bytes as f64 / 1e6),
@@ -147,8 +147,10 @@ pub fn html(rows: &[Row], command: &str) -> String {
                 Some(Dot { name: r.setting.name().into(), x: of(f), y: f.flip, series })
             };
             let dots = own.iter().filter_map(dot).collect();
-            h.push_str(&Scatter { title: &format!("{scene}: FLIP over {x}"), x, y: "FLIP", dots }.svg());
+            let plot = Scatter { title: &format!("FLIP over {x}"), x, y: "FLIP", dots };
+            let _ = write!(h, "<figure>{}</figure>", plot.svg());
         }
+        h.push_str("</div>");
     }
     h + "</main></html>\n"
 }
