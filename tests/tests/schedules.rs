@@ -14,11 +14,11 @@ mod fixture;
 mod host;
 
 use fixture::{STEP_M, street};
-use host::{Memory, PICTURE, folder};
+use host::{Memory, PICTURE, folder, named};
 use ldi_client::stream::{ConnectConfig, ConnectError, Connection, LinkSpec, ResumeState};
 use ldi_protocol::Pose;
 use ldi_server::serve::{SelectViews, ServeConfig, Server, planner::Views};
-use std::{collections::BTreeMap, net::SocketAddr, sync::Arc, time::Duration};
+use std::{collections::BTreeMap, net::SocketAddr, time::Duration};
 use tokio::time::{Instant, sleep};
 
 /// Virtual time for one schedule: several times what the worst of them needs.
@@ -149,7 +149,7 @@ fn whatever_the_link_does_every_chunk_arrives_or_an_error_says_why() {
             identity: Some(folder.join("identity")),
             ..Default::default()
         };
-        let server = Server::start(Arc::new(Memory::new(street)), &config).await.unwrap();
+        let server = Server::start(named(Memory::new(street)), &config).await.unwrap();
         let mut connect = ConnectConfig::new(server.quic().to_string(), PICTURE);
         connect.fingerprint = Some(server.fingerprint().parse().unwrap());
         connect.decode_threads = 1;

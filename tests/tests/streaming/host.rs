@@ -53,7 +53,7 @@ impl ChunkSource for Memory {
 }
 
 /// A dataset alone, under the name that all have here.
-fn named(dataset: impl ChunkSource) -> NamedSources {
+pub fn named(dataset: impl ChunkSource) -> NamedSources {
     NamedSources::from([("street".to_owned(), Arc::new(dataset) as Arc<dyn ChunkSource>)])
 }
 
