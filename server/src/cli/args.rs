@@ -106,83 +106,92 @@ pub struct SceneArgs {
 // So that what is wrong with a negative number is said by whoever takes it.
 #[command(allow_negative_numbers = true)]
 pub struct BuildArgs {
-    /// .gltf, .glb, .obj, .ply, .stl, .ifc (FILE?up=z&unit=mm&missing=plain where it is not in
-    /// metres with Y up, units m, cm, mm, in, ft, or pictures are missing), or
-    /// builtin:NAME[?triangles=N&seed=S]. Several are one scene: models of one project.
+    /// .gltf, .glb, .obj, .ply, .stl, .ifc, or builtin:NAME; several are one scene.
+    ///
+    /// FILE?up=z&unit=mm&missing=plain where it is not in metres with Y up (units m, cm, mm, in, ft)
+    /// or pictures are missing; builtin:NAME?triangles=N&seed=S. Several files are models of one
+    /// project.
     #[arg(required = true, value_name = "SCENE")]
     pub scenes: Vec<String>,
     /// Directory to make.
     #[arg(short, long, value_name = "DATASET", required_unless_present = "dry_run")]
     pub output: Option<PathBuf>,
-    /// Plan and audit only: say what the build would take and whether its promises hold, in words
-    /// and, where standard output is no terminal, as JSON; write nothing else.
-    #[arg(long)]
+    /// Plan and audit only: say what the build would take and whether its promises hold.
+    ///
+    /// In words and, where standard output is no terminal, as JSON; nothing else is written.
+    #[arg(long, help_heading = "Dry run")]
     pub dry_run: bool,
     /// With --dry-run: JSON only, on a terminal too.
-    #[arg(long, requires = "dry_run")]
+    #[arg(long, requires = "dry_run", help_heading = "Dry run")]
     pub json: bool,
     /// With --dry-run: draw the plan, see `ldi-server inspect --help`.
-    #[arg(long, value_name = "FILE.svg|.png", requires = "dry_run")]
+    #[arg(long, value_name = "FILE.svg|.png", requires = "dry_run", help_heading = "Dry run")]
     pub plan: Option<PathBuf>,
     /// With --plan: draw this path over it, and say how much of it lies inside.
-    #[arg(long, value_name = "PATH.json", requires = "plan")]
+    #[arg(long, value_name = "PATH.json", requires = "plan", help_heading = "Dry run", hide_short_help = true)]
     pub path: Option<PathBuf>,
     /// Random poses of a dry run's audit.
-    #[arg(long, default_value_t = 10_000, requires = "dry_run")]
+    #[arg(long, default_value_t = 10_000, requires = "dry_run", help_heading = "Dry run", hide_short_help = true)]
     pub poses: u64,
     /// Its adversarial poses, on borders of every kind [default: a tenth of the random ones].
-    #[arg(long, requires = "dry_run")]
+    #[arg(long, requires = "dry_run", help_heading = "Dry run", hide_short_help = true)]
     pub adversarial: Option<u64>,
     /// Geometry budget P: triangles per frame, or a share of the scene's, as 10%.
     #[arg(long, value_name = "N|PERCENT%", default_value = "200000", value_parser = budget)]
     pub budget: Budget,
     /// Optimization budget Popt, what images aim at
     /// [default: P; with --grid paper P - max(10% of P, 2 x the largest pseudo-leaf)].
-    #[arg(long)]
+    #[arg(long, help_heading = "Research", hide_short_help = true)]
     pub optimize_budget: Option<u64>,
     /// LDI samples per output pixel pitch: 1, 1.5 or 2.
-    #[arg(long, default_value_t = 1.0, value_parser = density)]
+    #[arg(long, default_value_t = 1.0, value_parser = density, help_heading = "Quality", hide_short_help = true)]
     pub density: f64,
-    /// Colour coding of images: exact, or exact as long as an image takes at most 0.95 (high) or
-    /// 0.55 (compact) bytes per sample; compact codes textures nearly, too.
-    #[arg(long, default_value = "high", value_parser = ["lossless", "high", "compact"])]
+    /// Colour coding of images.
+    ///
+    /// Exact, or exact as long as an image takes at most 0.95 (high) or 0.55 (compact) bytes per
+    /// sample; compact codes textures nearly, too.
+    #[arg(long, default_value = "high", value_parser = ["lossless", "high", "compact"], help_heading = "Quality")]
     pub colour: String,
     /// How the eyes are covered.
-    #[arg(long, default_value = "cells", value_parser = ["paper", "cells"])]
+    #[arg(long, default_value = "cells", value_parser = ["paper", "cells"], help_heading = "Research", hide_short_help = true)]
     pub grid: String,
     /// Horizontal field of view in degrees, at least 54.
-    #[arg(long, default_value_t = 60.0)]
+    #[arg(long, default_value_t = 60.0, help_heading = "Quality", hide_short_help = true)]
     pub fov: f64,
     /// Output size the dataset is made for.
     #[arg(long, default_value = "1280x720", value_parser = size)]
     pub size: (u32, u32),
     /// Largest sample footprint, output pixels.
-    #[arg(long, default_value_t = 2.0)]
+    #[arg(long, default_value_t = 2.0, help_heading = "Quality", hide_short_help = true)]
     pub max_footprint: f64,
-    /// Farthest that near geometry may lie from where it is, output pixels: what is far enough is
-    /// drawn with fewer triangles. 0: always in full.
-    #[arg(long, default_value_t = 0.5, value_parser = deviation)]
+    /// Farthest that near geometry may lie from where it is, output pixels; 0: always in full.
+    ///
+    /// What is far enough is drawn with fewer triangles.
+    #[arg(long, default_value_t = 0.5, value_parser = deviation, help_heading = "Quality")]
     pub max_deviation: f64,
     /// Free look up and down, degrees.
-    #[arg(long, default_value_t = 60.0)]
+    #[arg(long, default_value_t = 60.0, help_heading = "Quality", hide_short_help = true)]
     pub pitch: f64,
-    /// Walk volume: eyes about this high above any floor, metres.
-    #[arg(long, default_value_t = 1.6, conflicts_with = "fly")]
+    /// Eyes about this high above any floor, metres.
+    #[arg(long, default_value_t = 1.6, conflicts_with = "fly", help_heading = "Where people walk")]
     pub eye_height: f64,
-    /// Walk volume: the whole box of the scene.
-    #[arg(long)]
+    /// The whole box of the scene.
+    #[arg(long, help_heading = "Where people walk")]
     pub fly: bool,
-    /// Walk volume: people start here and walk wherever they get to from there; a place on a floor
-    /// or an eye above it, metres. May be given more than once [default: found].
-    #[arg(long, value_name = "X,Y,Z", conflicts_with_all = ["fly", "along"], value_parser = place, allow_hyphen_values = true)]
+    /// People start here and walk wherever they get to from there, metres [default: found].
+    ///
+    /// A place on a floor or an eye above it. May be given more than once.
+    #[arg(long, value_name = "X,Y,Z", conflicts_with_all = ["fly", "along"], value_parser = place, allow_hyphen_values = true, help_heading = "Where people walk")]
     pub start: Vec<DVec3>,
-    /// Walk volume: only near this path, for guided tours and for trying a large scene.
-    #[arg(long, value_name = "PATH.json", conflicts_with = "fly")]
+    /// Only near this path, for guided tours and for trying a large scene.
+    #[arg(long, value_name = "PATH.json", conflicts_with = "fly", help_heading = "Where people walk")]
     pub along: Option<PathBuf>,
     /// With --along: so far to its sides, up and down, metres.
-    #[arg(long, value_name = "M", default_value_t = 1.0, requires = "along", value_parser = positive)]
+    #[arg(long, value_name = "M", default_value_t = 1.0, requires = "along", value_parser = positive, help_heading = "Where people walk", hide_short_help = true)]
     pub within: f64,
-    /// Representations to build: grid (images of placements, over the coarse levels of an LDI
+    /// Representations to build: auto, grid, portals, tree or cache.
+    ///
+    /// Grid (images of placements, over the coarse levels of an LDI
     /// tree), portals (rooms, with images of what lies beyond their portals, and the grid's where
     /// that exceeds the budget, over the same), tree (the LDI tree alone) or cache (geometry and
     /// the coarse levels of an LDI tree, for clients that make images themselves: --method cache);
@@ -192,54 +201,57 @@ pub struct BuildArgs {
     #[arg(long, default_value = "auto", value_delimiter = ',')]
     pub represent: Vec<String>,
     /// With --represent tree: smallest distance of samples, metres.
-    #[arg(long, value_name = "M", default_value_t = 0.01, value_parser = positive)]
+    #[arg(long, value_name = "M", default_value_t = 0.01, value_parser = positive, help_heading = "Research", hide_short_help = true)]
     pub tree_pitch: f64,
     /// With --represent tree: pixels along a side of each of a reference's six images.
-    #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=2048))]
+    #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=2048), help_heading = "Research", hide_short_help = true)]
     pub tree_reference: u32,
-    /// With --represent portals or auto: rooms as `ldi-server rooms --json` writes them
-    /// [default: the scene's own; with portals else found].
-    #[arg(long, value_name = "FILE")]
+    /// Rooms as `ldi-server rooms --json` writes them.
+    ///
+    /// With --represent portals or auto [default: the scene's own; with portals else found].
+    #[arg(long, value_name = "FILE", help_heading = "Rooms")]
     pub rooms: Option<PathBuf>,
     /// With --represent portals or auto: find rooms even if the scene names its own; where there
     /// are none, auto takes the grid.
-    #[arg(long, conflicts_with = "rooms")]
+    #[arg(long, conflicts_with = "rooms", help_heading = "Rooms", hide_short_help = true)]
     pub find_rooms: bool,
     /// With --represent portals: eyes nearer than this to a portal see geometry beyond it, metres.
-    #[arg(long, value_name = "M", default_value_t = crate::portal::NEAR_M, value_parser = positive)]
+    #[arg(long, value_name = "M", default_value_t = crate::portal::NEAR_M, value_parser = positive, help_heading = "Research", hide_short_help = true)]
     pub portal_near: f64,
     /// With --represent portals: images of what lies beyond portals: ours (for boxes of eyes, with
     /// a bound on their samples' size), paper (reference images from a semicircle before each
     /// portal, and a layered image merged from them, as of 1998), or both.
-    #[arg(long, value_name = "WHICH", default_value = "ours", value_parser = ["ours", "paper", "both"])]
+    #[arg(long, value_name = "WHICH", default_value = "ours", value_parser = ["ours", "paper", "both"], help_heading = "Research", hide_short_help = true)]
     pub portal_images: String,
     /// With --portal-images paper or both: reference images on each side of a portal, an odd
     /// number [default: 13].
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", help_heading = "Research", hide_short_help = true)]
     pub portal_references: Option<usize>,
     /// Likewise: radius of the semicircle, metres from the portal's middle [default: 2].
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", help_heading = "Research", hide_short_help = true)]
     pub portal_radius: Option<f64>,
     /// Likewise: the part of the semicircle that the images are spread over, degrees; eyes more
     /// than 60 degrees off the portal's normal see geometry [default: 120].
-    #[arg(long, value_name = "DEG")]
+    #[arg(long, value_name = "DEG", help_heading = "Research", hide_short_help = true)]
     pub portal_arc: Option<f64>,
     /// Likewise: depths that differ by at most this share are one in merging [default: 0.02].
-    #[arg(long, value_name = "SHARE")]
+    #[arg(long, value_name = "SHARE", help_heading = "Research", hide_short_help = true)]
     pub portal_same_depth: Option<f64>,
-    /// After this time no image is begun any more: the dataset works, what is not made is softer,
-    /// and the same command goes on with it. Seconds, or as 90s, 20m, 3h.
+    /// After this time no image is begun any more. Seconds, or as 90s, 20m, 3h.
+    ///
+    /// The dataset works, what is not made is softer, and the same command goes on with it.
     #[arg(long, value_name = "TIME", value_parser = duration)]
     pub time_limit: Option<Duration>,
-    /// Hold at most so much memory, as 6GB or 800MB; what is not in use lies in a file beside the
-    /// output, and the disk needs room for it [default: no limit].
+    /// Hold at most so much memory, as 6GB or 800MB [default: no limit].
+    ///
+    /// What is not in use lies in a file beside the output, and the disk needs room for it.
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     pub memory_limit: Option<u64>,
     /// Threads [default: all cores].
     #[arg(long)]
     pub threads: Option<usize>,
     /// Build part I of N only (not there yet).
-    #[arg(long, value_name = "I/N")]
+    #[arg(long, value_name = "I/N", help_heading = "Research", hide_short_help = true)]
     pub shard: Option<String>,
     /// Also write the report here; it is always in the dataset as report.json.
     #[arg(long)]
