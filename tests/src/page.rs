@@ -76,13 +76,10 @@ impl Page<'_> {
     /// Four figures, and then the error.
     fn figures(&self, h: &mut String, f: &dyn Fn(&str) -> f64) {
         h.push_str("<section class=\"tiles\">");
-        let mut tile = |value: String, name: &str, note: String| {
-            let (value, name, note) = (escape(&value), escape(name), escape(&note));
-            let _ = write!(h, "<div><b>{value}</b><span>{name}</span><small>{note}</small></div>");
-        };
         let instances = self.build["scene"]["instances"].as_f64().unwrap_or(f64::NAN);
-        tile(number(f("scene_triangles")), "triangles in the scene", format!("in {} instances", number(instances)));
+        tile(h, number(f("scene_triangles")), "triangles in the scene", format!("in {} instances", number(instances)));
         tile(
+            h,
             number(f("max_triangles")),
             "triangles in the worst frame",
             format!("budget {}, exceeded in {} frames", number(f("budget_triangles")), number(f("budget_violations"))),
@@ -93,6 +90,7 @@ impl Page<'_> {
             format!("; levels of detail alone: {ms:.0} ms with up to {most} triangles")
         });
         tile(
+            h,
             format!("{:.0} ms", f("frame_ms.p50")),
             "per frame, without a graphics card",
             format!(
@@ -102,6 +100,7 @@ impl Page<'_> {
             ),
         );
         tile(
+            h,
             format!("{:.1} MB", f("bytes_total") / 1e6),
             "received for the walk",
             format!(
@@ -111,12 +110,9 @@ impl Page<'_> {
             ),
         );
         h.push_str("</section><section class=\"tiles\">");
-        let mut tile = |value: String, name: &str, note: String| {
-            let (value, name, note) = (escape(&value), escape(name), escape(&note));
-            let _ = write!(h, "<div><b>{value}</b><span>{name}</span><small>{note}</small></div>");
-        };
         let summary = &self.walk["summary"];
         tile(
+            h,
             format!("{:.4}", f("mean_flip")),
             "mean FLIP against truth",
             match summary["flip_over_baseline"].as_object() {
@@ -134,11 +130,13 @@ impl Page<'_> {
             },
         );
         tile(
+            h,
             format!("{:.0}%", 100.0 * f("far_fraction_mean")),
             "of the pixels from images",
             format!("{} samples warped per frame", number(f("samples_warped_mean"))),
         );
         tile(
+            h,
             format!("{:.3}%", 100.0 * f("hole_fraction_max")),
             "holes, worst frame",
             format!(
@@ -269,6 +267,12 @@ fn viewer(h: &mut String, frames: &[Value]) {
          <script>const frames={json};</script>",
         frames.len().saturating_sub(1)
     );
+}
+
+/// A figure with its name and a note.
+fn tile(h: &mut String, value: String, name: &str, note: String) {
+    let (value, name, note) = (escape(&value), escape(name), escape(&note));
+    let _ = write!(h, "<div><b>{value}</b><span>{name}</span><small>{note}</small></div>");
 }
 
 /// The frame where geometry and images both show most: the first whose lesser part is the largest.

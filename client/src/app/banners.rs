@@ -28,7 +28,7 @@ struct Line {
     colour: Color32,
 }
 
-/// What the banners tell.
+/// States of the window that have a line at the top.
 #[derive(Debug, Clone, Copy)]
 pub struct Conditions<'a> {
     /// State of the connection.

@@ -23,7 +23,7 @@ pub enum Command {
     Figures,
     /// Show the next view for developers, or the previous one.
     NextView {
-        /// Whether the previous one.
+        /// Whether it is the previous one, not the next.
         back: bool,
     },
     /// Open or close the settings.
@@ -42,7 +42,7 @@ pub enum Command {
     Map,
     /// Show another storey on the map.
     Storey {
-        /// Whether the next one up.
+        /// Whether it is the one above, not the one below.
         up: bool,
     },
     /// Close what is open, or release the pointer.

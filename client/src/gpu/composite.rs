@@ -107,16 +107,7 @@ const fn sourced(colour: u32, source: Source) -> u32 {
 impl CompositePass {
     pub fn new(card: &GpuDevice) -> Self {
         let module = card.shader("composite", include_str!("composite.wgsl"));
-        let pipeline = |entry| {
-            card.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some(entry),
-                layout: None,
-                module: &module,
-                entry_point: Some(entry),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                cache: None,
-            })
-        };
+        let pipeline = |entry| card.pipeline(&module, entry);
         let (storage, to, from) =
             (wgpu::BufferUsages::STORAGE, wgpu::BufferUsages::COPY_DST, wgpu::BufferUsages::COPY_SRC);
         Self {

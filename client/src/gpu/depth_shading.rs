@@ -38,16 +38,7 @@ pub struct DepthShadingPass {
 impl DepthShadingPass {
     pub fn new(card: &GpuDevice) -> Self {
         let module = card.shader("depth shading", include_str!("depth_shading.wgsl"));
-        let pipeline = |entry| {
-            card.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some(entry),
-                layout: None,
-                module: &module,
-                entry_point: Some(entry),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                cache: None,
-            })
-        };
+        let pipeline = |entry| card.pipeline(&module, entry);
         let storage = wgpu::BufferUsages::STORAGE;
         Self {
             shrink: pipeline("shrink"),

@@ -161,6 +161,18 @@ impl GpuDevice {
         })
     }
 
+    /// The compute pipeline of an entry point, whose layout follows from the shader.
+    pub fn pipeline(&self, module: &wgpu::ShaderModule, entry: &str) -> wgpu::ComputePipeline {
+        self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(entry),
+            layout: None,
+            module,
+            entry_point: Some(entry),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            cache: None,
+        })
+    }
+
     /// Submits an encoder and waits for it.
     pub fn run(&self, encoder: wgpu::CommandEncoder) -> Result<(), GpuError> {
         let submission = self.queue.submit([encoder.finish()]);

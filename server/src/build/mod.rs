@@ -23,6 +23,8 @@ mod rooms;
 #[cfg(test)]
 mod several_test;
 #[cfg(test)]
+mod small_builds;
+#[cfg(test)]
 mod stop_test;
 
 use images::Indexed;

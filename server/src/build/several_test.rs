@@ -1,12 +1,15 @@
 //! Builds of several files: what they are kept under, and what their nodes are.
 
-use super::*;
-use crate::placement::test_scenes;
+use super::{
+    small_builds::{Folder, options},
+    *,
+};
 #[cfg(feature = "ifc")]
 use crate::scene::SceneElement;
 #[cfg(feature = "ifc")]
 use crate::store::verify;
-use std::{fs, path::Path};
+#[cfg(feature = "ifc")]
+use std::fs;
 
 /// A floor of four metres.
 const FLOOR: &str = "o floor\nv -2 0 -2\nv 2 0 -2\nv 2 0 2\nv -2 0 2\nf 1 4 3 2\n";
@@ -23,47 +26,9 @@ const WALL: &str = "ISO-10303-21;\nHEADER;\nFILE_SCHEMA(('IFC4'));\nENDSEC;\nDAT
     #25=IFCPRODUCTDEFINITIONSHAPE($,$,(#24));\n\
     #27=IFCWALL('1hOSvn6df7F8_7GcBWlRGQ',$,'north wall',$,$,#15,#25,$,$);\nENDSEC;\nEND-ISO-10303-21;\n";
 
-/// A folder that goes away with the test.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(name: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("ldi-several-{name}-{}", std::process::id()));
-        let _ = fs::remove_dir_all(&path);
-        fs::create_dir_all(&path).unwrap();
-        Self(path)
-    }
-
-    fn write(&self, name: &str, text: &str) -> String {
-        let path = self.0.join(name);
-        fs::write(&path, text).unwrap();
-        path.display().to_string()
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.0);
-    }
-}
-
-fn options(scenes: Vec<String>, output: &Path) -> BuildOptions {
-    BuildOptions {
-        scenes,
-        output: output.to_owned(),
-        settings: test_scenes::settings(100),
-        budget_share: None,
-        colour: ColourProfile::Lossless,
-        represent: Represent::Tree { pitch_m: 0.25, side: 24 },
-        starts: Vec::new(),
-        along: None,
-        time_limit: None,
-    }
-}
-
 #[test]
 fn unfinished_work_is_kept_under_all_files() {
-    let folder = Folder::new("key");
+    let folder = Folder::new("several-key");
     let [floor, tent] = [("a.obj", FLOOR), ("b.obj", TENT)].map(|(n, t)| folder.write(n, t));
     let taller = folder.write("c.obj", &TENT.replace("v 0 1 -1", "v 0 2 -1"));
     let key = |files: &[&String]| {
@@ -79,7 +44,7 @@ fn unfinished_work_is_kept_under_all_files() {
 
 #[test]
 fn a_dataset_names_all_its_files() {
-    let folder = Folder::new("names");
+    let folder = Folder::new("several-names");
     let files = [("a.obj", FLOOR), ("b.obj", TENT)].map(|(n, t)| folder.write(n, t)).to_vec();
     let output = folder.0.join("dataset");
     build(&options(files, &output), &()).unwrap();
@@ -91,7 +56,7 @@ fn a_dataset_names_all_its_files() {
 #[cfg(feature = "ifc")]
 #[test]
 fn a_dataset_tells_what_its_nodes_are() {
-    let folder = Folder::new("elements");
+    let folder = Folder::new("several-elements");
     let files = vec![folder.write("a.obj", FLOOR), folder.write("b.ifc", WALL)];
     let output = folder.0.join("dataset");
     build(&options(files, &output), &()).unwrap();

@@ -1,50 +1,16 @@
 //! Whole builds that stop at a change to the file system: the next run goes on, and the bytes in
 //! the end are those of a build that never stopped.
 
-use super::*;
-use crate::{
-    placement::test_scenes,
-    store::{tests::faults, verify},
+use super::{
+    small_builds::{Folder, options},
+    *,
 };
+use crate::store::{tests::faults, verify};
 use std::{fs, path::Path};
 
 /// A floor of four metres with a tent on it.
 const SCENE: &str = "o floor\nv -2 0 -2\nv 2 0 -2\nv 2 0 2\nv -2 0 2\nf 1 4 3 2\n\
     o tent\nv -1 0 -1\nv 0 1 -1\nv 1 0 -1\nf 5 7 6\n";
-
-/// A folder that goes away with the test; in memory where there is such a place.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new() -> Self {
-        let memory = Path::new("/dev/shm");
-        let parent = if memory.is_dir() { memory.to_owned() } else { std::env::temp_dir() };
-        let path = parent.join(format!("ldi-stop-{}", std::process::id()));
-        let _ = fs::remove_dir_all(&path);
-        fs::create_dir_all(&path).unwrap();
-        Self(path)
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.0);
-    }
-}
-
-fn options(scene: &Path, output: &Path) -> BuildOptions {
-    BuildOptions {
-        scenes: vec![scene.display().to_string()],
-        output: output.to_owned(),
-        settings: test_scenes::settings(100),
-        budget_share: None,
-        colour: ColourProfile::Lossless,
-        represent: Represent::Tree { pitch_m: 0.25, side: 24 },
-        starts: Vec::new(),
-        along: None,
-        time_limit: None,
-    }
-}
 
 /// All files below a folder but the report, which tells how long things took.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
@@ -61,17 +27,16 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 
 #[test]
 fn a_build_that_stops_anywhere_goes_on_to_the_same_bytes() {
-    let folder = Folder::new();
-    let scene = folder.0.join("tent.obj");
-    fs::write(&scene, SCENE).unwrap();
+    let folder = Folder::new("stop");
+    let scene = folder.write("tent.obj", SCENE);
     let straight = folder.0.join("straight");
-    let changes = faults::changes_of(&straight, || drop(build(&options(&scene, &straight), &()).unwrap()));
+    let changes = faults::changes_of(&straight, || drop(build(&options(vec![scene.clone()], &straight), &()).unwrap()));
     let expected = files(&straight);
     assert!(changes >= 40 && expected.len() >= 4, "{changes} changes, {:?}", expected.keys());
     // At each change, as on a full disk and as after a kill.
     for (at, for_good) in (0..changes).flat_map(|at| [(at, false), (at, true)]) {
         let output = folder.0.join("stopped");
-        let stopped = faults::failing_at(&output, at, for_good, || build(&options(&scene, &output), &()));
+        let stopped = faults::failing_at(&output, at, for_good, || build(&options(vec![scene.clone()], &output), &()));
         let place = format!("change {at} of {changes}, for good: {for_good}");
         if let Ok(found) = Dataset::open(&output) {
             assert_eq!(verify(&output).unwrap().faults, [], "{place}");
@@ -80,7 +45,8 @@ fn a_build_that_stops_anywhere_goes_on_to_the_same_bytes() {
             let error = stopped.err().unwrap_or_else(|| panic!("{place}: no dataset, and no error"));
             assert!(error.to_string().contains("stopped"), "{place}: {error} names no file");
         }
-        build(&options(&scene, &output), &()).unwrap_or_else(|e| panic!("{place}: it does not go on: {e}"));
+        build(&options(vec![scene.clone()], &output), &())
+            .unwrap_or_else(|e| panic!("{place}: it does not go on: {e}"));
         assert!(files(&output) == expected, "{place}: other bytes");
         fs::remove_dir_all(&output).unwrap();
     }

@@ -3,7 +3,7 @@
 use super::Failure;
 use crate::serve::{ChunkSource, Datasets, NamedSources};
 use crate::store::{self, Dataset, StoreError};
-use ldi_protocol::said::said;
+use ldi_protocol::said::{escaped, said};
 use ldi_protocol::wire::MAX_NAME_CHARS;
 use std::collections::BTreeSet;
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
@@ -68,7 +68,7 @@ impl OnDisk {
             if !is_name {
                 self.warn_once(format!(
                     "{}: not served: clients ask for a dataset by its folder's name, which has at most \
-                     {MAX_NAME_CHARS} characters and no '#'; rename it",
+                     {MAX_NAME_CHARS} characters, no '#' and none that cannot be shown; rename it",
                     folder.display()
                 ));
             }
@@ -111,12 +111,8 @@ fn named(folder: &Path, dataset: Dataset) -> NamedSources {
     NamedSources::from([(name, Arc::new(dataset) as Arc<dyn ChunkSource>)])
 }
 
-/// Whether clients can ask for a dataset of this name.
+/// Whether clients can ask for a dataset of this name: it is shown as it is, and `#` begins the
+/// pose in links.
 fn is_name(name: &str) -> bool {
-    name.chars().count() <= MAX_NAME_CHARS && !name.contains('#') && said_as_is(name)
-}
-
-/// Whether a name can be shown and typed as it is.
-fn said_as_is(name: &str) -> bool {
-    ldi_protocol::said::escaped(name) == name
+    name.chars().count() <= MAX_NAME_CHARS && !name.contains('#') && escaped(name) == name
 }

@@ -187,14 +187,14 @@ mod tests {
     /// Version 2 with a limit at the outer group.
     fn unified(used: u64, cached: u64, inner_limit: &str) -> [(&'static str, String); 8] {
         [
-            ("proc/self/cgroup", "0::/work/build".into()),
+            ("proc/self/cgroup", "0::/office/house".into()),
             meminfo(64_000, 60_000),
-            ("sys/fs/cgroup/work/memory.max", (1_000 * MB).to_string()),
-            ("sys/fs/cgroup/work/memory.current", used.to_string()),
-            ("sys/fs/cgroup/work/memory.stat", format!("anon 5\ninactive_file {cached}\nactive_file 7\n")),
-            ("sys/fs/cgroup/work/build/memory.max", inner_limit.into()),
-            ("sys/fs/cgroup/work/build/memory.current", used.to_string()),
-            ("sys/fs/cgroup/work/build/memory.stat", String::new()),
+            ("sys/fs/cgroup/office/memory.max", (1_000 * MB).to_string()),
+            ("sys/fs/cgroup/office/memory.current", used.to_string()),
+            ("sys/fs/cgroup/office/memory.stat", format!("anon 5\ninactive_file {cached}\nactive_file 7\n")),
+            ("sys/fs/cgroup/office/house/memory.max", inner_limit.into()),
+            ("sys/fs/cgroup/office/house/memory.current", used.to_string()),
+            ("sys/fs/cgroup/office/house/memory.stat", String::new()),
         ]
     }
 
@@ -205,16 +205,16 @@ mod tests {
         assert!(wait > Duration::from_millis(50) && wait < Duration::from_millis(70), "{wait:?}");
         // The outer group is full, the inner one has no limit.
         let full = system("outer", &unified(990 * MB, 0, "max\n")).look().unwrap_err();
-        assert!(full.group.as_ref().is_some_and(|g| g.ends_with("work")) && full.limit == 1_000 * MB, "{full:?}");
+        assert!(full.group.as_ref().is_some_and(|g| g.ends_with("office")) && full.limit == 1_000 * MB, "{full:?}");
         assert!(full.to_string().starts_with("990 MB of the 1000 MB of the control group /"), "{full}");
         // The inner one is full.
         let full = system("inner", &unified(90 * MB, 0, "100000000\n")).look().unwrap_err();
-        assert!(full.group.is_some_and(|g| g.ends_with("work/build")));
+        assert!(full.group.is_some_and(|g| g.ends_with("office/house")));
         // It could still be swapped out, if it may.
         let mut swapping = unified(990 * MB, 0, "max\n").to_vec();
         swapping[1].1 += "SwapTotal: 900000 kB\nSwapFree: 900000 kB\n";
         assert!(system("swap", &swapping).look().is_ok());
-        swapping.push(("sys/fs/cgroup/work/memory.swap.max", "0\n".into()));
+        swapping.push(("sys/fs/cgroup/office/memory.swap.max", "0\n".into()));
         assert!(system("no-swap", &swapping).look().is_err());
         // What the kernel can take back is free.
         assert!(system("cached", &unified(990 * MB, 400 * MB, "max\n")).look().is_ok());

@@ -309,14 +309,13 @@ fn is_admitted(offers: &Offers, headers: &HeaderMap) -> bool {
     offers.admits(shown.as_deref())
 }
 
-/// The datasets that newcomers get, and since when; of a single one beside the others' list, too.
+/// The datasets that newcomers get, and since when; of the only one, if it is, also beside the list.
+/// Without names: no token is asked for.
 async fn ready(State(site): State<Arc<Site>>) -> impl IntoResponse {
     let offers = site.shared.offers();
     let state = |offer: &Arc<Offer>| {
         let dataset = offer.served.hash().to_string();
-        serde_json::json!({
-            "name": offer.name, "ready": offer.is_readable(), "dataset": dataset, "age_s": offer.age_s()
-        })
+        serde_json::json!({ "ready": offer.is_readable(), "dataset": dataset, "age_s": offer.age_s() })
     };
     let datasets: Vec<serde_json::Value> = offers.all().map(state).collect();
     let ready = datasets.iter().all(|d| d["ready"] == true);

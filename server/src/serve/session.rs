@@ -54,6 +54,7 @@ const OTHERS_EVERY: Duration = Duration::from_millis(500);
 const POSES_PER_SECOND: f64 = 250.0;
 
 /// Reports of damaged chunks that are checked and logged per walker: each reads and hashes a chunk.
+/// More: a hostile client fills the log; fewer: some damage is found by `verify` only. A judgement.
 const CHECKED_REPORTS: usize = 64;
 
 /// Longest reason in a closing frame, bytes. QUIC cuts what does not fit one packet.
@@ -513,7 +514,8 @@ impl Session {
 
     /// Checks a chunk that the client reported as damaged, and logs where the damage is.
     fn check_reported(&mut self, chunk: u32) {
-        if self.reported.len() >= CHECKED_REPORTS || !self.reported.insert(chunk) {
+        let exists = (chunk as usize) < self.offer.served.index().chunks.len();
+        if !exists || self.reported.len() >= CHECKED_REPORTS || !self.reported.insert(chunk) {
             return;
         }
         metrics::counter!("ldi_reported_damaged_total").increment(1);

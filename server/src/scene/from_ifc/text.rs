@@ -13,8 +13,8 @@ const HEAD: usize = 64 << 10;
 /// Bytes at the end in which the file's last words are looked for.
 const TAIL: usize = 4096;
 const COPY: &str = "copy the file again, or export it again";
-/// Schemas that are read, by the beginnings of their names.
-const READ: [&str; 3] = ["IFC2X3", "IFC4", "IFC4X"];
+/// Schemas that are read, by the beginnings of their names; that of IFC 4.3 is IFC4X3.
+const READ: [&str; 2] = ["IFC2X3", "IFC4"];
 
 /// The schema that the header names, if bytes are STEP text.
 pub(super) fn schema(bytes: &[u8]) -> Option<String> {
