@@ -88,7 +88,7 @@ Examples:
 /// `ldi-server scene`.
 #[derive(Debug, Args)]
 pub struct SceneArgs {
-    /// pipes, house, plant, island or church.
+    /// pipes, house, plant, island, church or town.
     pub name: String,
     /// Triangles to aim at, instances counted.
     #[arg(long)]

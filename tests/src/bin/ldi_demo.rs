@@ -24,7 +24,7 @@ Examples:
   deploy/demo.sh clinic.glb clinic.path.json --budget 2% --frames 40 -o out/clinic"
 )]
 struct Options {
-    /// Scene, as for `ldi-server build` [default: the built-in house].
+    /// Scene, as for `ldi-server build` [default: the built-in town].
     #[arg(requires = "path")]
     scene: Option<PathBuf>,
     /// Path file to walk along.
@@ -33,18 +33,18 @@ struct Options {
     #[arg(short, long, default_value = "out/demo")]
     output: PathBuf,
     /// Geometry budget: triangles, or a share of the scene's such as `2%`.
-    #[arg(long, default_value = "8%")]
+    #[arg(long, default_value = "60000")]
     budget: String,
     /// Frames, evenly spaced over the path.
-    #[arg(long, default_value_t = 24, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     frames: u64,
     /// Picture size.
     #[arg(long, default_value = "1280x720")]
     size: String,
-    /// Triangles of the built-in house.
-    #[arg(long, default_value_t = 120_000)]
+    /// Triangles of the built-in town.
+    #[arg(long, default_value_t = 24_000_000)]
     triangles: u64,
-    /// A small and fast run, for tests.
+    /// A small and fast run through the built-in house, for tests.
     #[arg(long)]
     quick: bool,
     /// Open the window on the dataset at the end.
@@ -70,6 +70,7 @@ impl Steps {
 
 fn main() -> Result<()> {
     let mut o = Options::parse();
+    let builtin = if o.quick { "house" } else { "town" };
     if o.quick {
         (o.frames, o.size, o.triangles) = (o.frames.min(4), "320x180".into(), o.triangles.min(25_000));
         o.budget = "40%".into();
@@ -82,10 +83,10 @@ fn main() -> Result<()> {
         (Some(scene), Some(path)) => (scene.clone(), path.clone()),
         _ => {
             let mut c = run::command("ldi-server")?;
-            c.args(["scene", "house", "--seed", "1", "--triangles", &o.triangles.to_string(), "-o"])
-                .arg(out("house.glb"));
+            let scene = out(&format!("{builtin}.glb"));
+            c.args(["scene", builtin, "--seed", "1", "--triangles", &o.triangles.to_string(), "-o"]).arg(&scene);
             steps.run(c)?;
-            (out("house.glb"), out("house.path.json"))
+            (scene, out(&format!("{builtin}.path.json")))
         }
     };
     let poses_file = out("poses.json");

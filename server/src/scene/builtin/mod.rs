@@ -4,7 +4,8 @@
 //! In: a name, a triangle target and a seed. Out: a [`Scene`] and a walk through it. They stand in
 //! for the models of the papers, which cannot be had: `pipes`, `house` and `plant` for Aliaga and
 //! Lastra 1999, `house` for Rafferty et al. 1998 (19 cells, 52 portals), `island` for Shade et al.
-//! 1996 (terrain and 1117 trees), `church` for Chang et al. 1999.
+//! 1996 (terrain and 1117 trees), `church` for Chang et al. 1999. `town` is what the demo walks
+//! through.
 //!
 //! Tessellation is the free parameter: each scene takes a detail level, and [`build`] searches the
 //! level whose triangle count comes closest to the target. Meshes are instanced, so even 40
@@ -18,6 +19,7 @@ pub mod paint;
 mod pipes;
 mod plant;
 mod random;
+mod town;
 
 use super::Scene;
 use glam::DVec3;
@@ -32,14 +34,20 @@ pub struct Builtin {
 }
 
 /// Names and default triangle counts.
-pub const NAMES: [(&str, u64); 5] =
-    [("pipes", 1_000_000), ("house", 1_750_000), ("plant", 2_000_000), ("island", 40_600_982), ("church", 300_000)];
+pub const NAMES: [(&str, u64); 6] = [
+    ("pipes", 1_000_000),
+    ("house", 1_750_000),
+    ("plant", 2_000_000),
+    ("island", 40_600_982),
+    ("church", 300_000),
+    ("town", 24_000_000),
+];
 
 /// Why a built-in scene cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum BuiltinError {
     /// No such scene.
-    #[error("there is no built-in scene '{0}'; there are pipes, house, plant, island and church")]
+    #[error("there is no built-in scene '{0}'; there are pipes, house, plant, island, church and town")]
     Unknown(String),
     /// The target is out of range.
     #[error("builtin:{name} cannot have {triangles} triangles; ask for 1,000 to 100,000,000")]
@@ -70,7 +78,8 @@ pub fn build(name: &str, triangles: Option<u64>, seed: u64) -> Result<Builtin, B
         "house" => &|d| house::build(d, seed),
         "plant" => &|d| plant::build(d, target, seed),
         "island" => &|d| island::build(d, target, seed),
-        _ => &|d| church::build(d, seed),
+        "church" => &|d| church::build(d, seed),
+        _ => &|d| town::build(d, target, seed),
     };
     let mut built = closest(make, target);
     built.scene.name = format!("builtin:{name}?triangles={target}&seed={seed}");

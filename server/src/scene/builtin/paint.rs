@@ -22,6 +22,8 @@ pub enum Pattern {
     Cloth,
     /// Grass.
     Grass,
+    /// Rounded stones with joints.
+    Cobble,
     /// Leaves with holes between (alpha).
     Leaf,
 }
@@ -83,6 +85,14 @@ fn texel(pattern: Pattern, x: u32, y: u32, noise: &Noise) -> [u8; 4] {
         Pattern::Grass => {
             let tone = 0.45 + 0.4 * fine + 0.15 * coarse;
             [0.62 * tone, 0.95 * tone, 0.40 * tone]
+        }
+        Pattern::Cobble => {
+            let row = y / 32;
+            let sx = (x + 16 * (row % 2)) % SIDE;
+            let (u, v) = (f64::from(sx % 32) / 16.0 - 1.0, f64::from(y % 32) / 16.0 - 1.0);
+            let edge = u.powi(4) + v.powi(4);
+            let tone = 0.7 + 0.3 * noise.at((sx / 32) * 32, row * 32, 1) - 0.2 * fine;
+            [tone * (0.72 - 0.3 * edge.min(1.3)); 3]
         }
         Pattern::Leaf => {
             // Four leaves per tile, each an ellipse with a midrib.
