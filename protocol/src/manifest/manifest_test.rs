@@ -143,6 +143,7 @@ fn index(n: usize) -> Index {
         volume: WalkVolume::of_box(&bounds).ok(),
         tree: Some(tree(2 + 3 * n as u32)),
         rooms: Some(rooms(n)),
+        plans: (0..n.min(3)).map(|_| crate::floor_plan::tests::hall()).collect(),
     }
 }
 
