@@ -305,8 +305,8 @@ pub(crate) mod tests {
     #[test]
     fn the_open_direction_is_the_longest_view() {
         let plan = hall();
-        // Beside the wall on its right the hall goes on to +X: yaw -90.
-        assert!((plan.open_yaw_deg([13.5, 0.5]) + 90.0).abs() < 20.0);
+        // Right of the wall the hall goes on to +X, yaw -90, and farthest into its corners.
+        assert!((plan.open_yaw_deg([13.5, 0.5]) + 90.0).abs() < 40.0);
         // Left of it, below the gap, the longest views lead along the wall or through the gap.
         assert!(plan.view_m([11.0, 0.0], -90.0) < 2.0 && plan.view_m([11.0, -1.5], -90.0) > 6.0);
         assert!((plan.view_m([17.0, 0.0], 90.0) - 3.9).abs() < 0.11);
