@@ -21,7 +21,7 @@ const NARROWEST_FLOOR_M: f64 = 0.7;
 const GAP_M: f64 = 0.6;
 /// A space with floor in less than this share of its cells is closed: the walk volume reaches a
 /// little into walls.
-const LEAST_FLOOR: f64 = 0.12;
+const LEAST_FLOOR: f64 = 0.35;
 /// Length of a step to a neighbour and to a diagonal one in the distance transform, thirds of a
 /// cell (Borgefors 1986).
 const STEP: [u16; 2] = [3, 4];
