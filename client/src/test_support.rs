@@ -137,6 +137,7 @@ pub fn dataset(camera: OutputCamera, materials: Vec<Material>, clusters: Vec<Clu
         volume: None,
         tree: None,
         rooms: None,
+        plans: Vec::new(),
         points: Vec::new(),
         placements: Vec::new(),
         images: Vec::new(),

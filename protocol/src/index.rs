@@ -4,8 +4,8 @@
 //! Numbers that name things (`u32`) are positions in the vectors of [`Index`].
 
 use crate::{
-    Aabb, CellRuns, OutputCamera, ViewBasis, mesh::Material, room_index::RoomIndex, sky::SkyMap, tree::Tree,
-    volume::WalkVolume,
+    Aabb, CellRuns, OutputCamera, ViewBasis, floor_plan::FloorPlan, mesh::Material, room_index::RoomIndex, sky::SkyMap,
+    tree::Tree, volume::WalkVolume,
 };
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -352,6 +352,8 @@ pub struct Index {
     pub tree: Option<Tree>,
     /// Rooms and portals, in a dataset that is walked by them.
     pub rooms: Option<RoomIndex>,
+    /// Floor plans, from below to above; empty in a dataset for flying.
+    pub plans: Vec<FloorPlan>,
 }
 
 impl Index {

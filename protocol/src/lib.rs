@@ -17,6 +17,7 @@ pub mod bounds;
 pub mod camera;
 pub mod cell_runs;
 pub mod codec;
+pub mod floor_plan;
 pub mod index;
 pub mod ldi;
 pub mod manifest;

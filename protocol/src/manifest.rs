@@ -39,7 +39,7 @@ use crate::{
 
 /// Version of root and pages. Raised with every change that an older reader would misunderstand.
 /// 10: sections of all chunks and pages may be coded by rANS.
-pub const VERSION: u8 = 15;
+pub const VERSION: u8 = 16;
 /// Stored bytes of all pages of a manifest together: what a reader holds of them before it decodes
 /// them.
 pub const MAX_PAGE_BYTES: u64 = 64 << 20;
@@ -85,11 +85,13 @@ pub enum PageKind {
     Rooms,
     /// Portals.
     Portals,
+    /// Floor plans.
+    Plans,
 }
 
 impl PageKind {
     /// All kinds in the order of the page list.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Chunks,
         Self::Cells,
         Self::Materials,
@@ -101,6 +103,7 @@ impl PageKind {
         Self::TreeNodes,
         Self::Rooms,
         Self::Portals,
+        Self::Plans,
     ];
 }
 
@@ -173,6 +176,7 @@ pub fn encode_at(index: &Index, level: i32) -> Result<Encoded, CodecError> {
         index.tree.as_ref().map_or(0, |t| t.nodes.len()),
         pages::room_count(index),
         index.rooms.as_ref().map_or(0, |r| r.rooms.portals().len()),
+        index.plans.len(),
     ];
     let total: usize = lengths.iter().sum();
     // The page list may need one more page per kind than the division gives.
@@ -253,7 +257,7 @@ pub fn decode_root(bytes: &[u8]) -> Result<Root, CodecError> {
         let kind = r.u8("page kind")?;
         let kind = *PageKind::ALL
             .get(usize::from(kind))
-            .ok_or_else(|| CodecError::range("page kind", kind, "there are eleven kinds, from 0 on"))?;
+            .ok_or_else(|| CodecError::range("page kind", kind, "there are twelve kinds, from 0 on"))?;
         pages.push(PageEntry {
             kind,
             first: r.varint("page first", MAX_ENTRIES)? as u32,
@@ -323,6 +327,7 @@ impl Root {
             volume: None,
             tree: None,
             rooms: None,
+            plans: Vec::new(),
         }
     }
 

@@ -108,6 +108,7 @@ fn row_of_cells() -> Index {
         volume: None,
         tree: None,
         rooms: None,
+        plans: Vec::new(),
         points: vec![point(5.0), point(25.0)],
         placements: vec![placement(5.0, 0..1), placement(25.0, 1..2)],
         images: vec![image(vec![7, 8]), image(vec![9])],

@@ -108,6 +108,7 @@ fn server_stages_import_backward_only() {
             "levels",
             "render",
             "walk_volume",
+            "floor_plans",
             "placement",
             "portal",
             "construct",

@@ -140,6 +140,8 @@ fn bombs() -> Vec<(PageKind, u32, Vec<Vec<u8>>)> {
     let cell = numbers(&[2, 0, 1, 0, 1 << 30, 0]);
     // Level and number of bands, all of them empty.
     let point = [numbers(&[0, 1024]), zeros(1024)].concat();
+    // Two plans with as many cells as all may have.
+    let plans = numbers(&[2048, 2048, 0, 2048, 2048, 0]);
     let ranges = numbers(&[0, 1, 60 << 20]);
     vec![
         (PageKind::Chunks, 1 << 26, vec![zeros(1 << 20)]),
@@ -152,6 +154,8 @@ fn bombs() -> Vec<(PageKind, u32, Vec<Vec<u8>>)> {
         (PageKind::TreeNodes, 7 << 20, vec![zeros(63 << 20)]),
         (PageKind::Rooms, 20 << 20, vec![zeros(16), zeros(60 << 20)]),
         (PageKind::Portals, 1 << 20, vec![zeros(60 << 20)]),
+        (PageKind::Plans, 1 << 20, vec![zeros(48 << 20)]),
+        (PageKind::Plans, 2, vec![zeros(96), plans, zeros(1 << 22), zeros(1 << 22)]),
     ]
 }
 

@@ -276,6 +276,7 @@ fn a_walker_gets_the_dataset_that_it_names() {
     assert_eq!(json("/house/walkers.json")[0]["dataset"], "house");
     assert_eq!(json("/museum/walkers.json").as_array().map(Vec::len), Some(1));
     assert_eq!(json("/museum/plan.json")["cells"].as_array().map(Vec::len), Some(3));
+    assert_eq!(json("/museum/connect.json")["name"], "museum");
     assert_eq!(json("/readyz")["datasets"].as_array().map(Vec::len), Some(2));
     let listed = json("/datasets.json");
     assert_eq!((&listed[0]["name"], &listed[1]["name"]), (&"house".into(), &"museum".into()));
@@ -582,6 +583,12 @@ fn the_page_shows_plan_and_walkers() {
     assert_eq!(plan["points"].as_array().unwrap().len(), 1);
     // The image plane stands 10 m before the centre of projection at z = 5.
     assert_eq!(plan["images"][0][1], -5.0);
+    let connect: serde_json::Value = serde_json::from_str(&host.get("/connect.json").1).unwrap();
+    let address = format!("{}:{}", connect["addresses"][0].as_str().unwrap(), connect["port"]);
+    assert_eq!((address, &connect["token"]), (host.config().server, &false.into()), "{connect}");
+    for part in ["ldi-client connect", "--token-file", "Technical layers", "viewport"] {
+        assert!(page.contains(part), "{part}");
+    }
     let walkers: serde_json::Value = serde_json::from_str(&host.get("/walkers.json").1).unwrap();
     assert_eq!(walkers[0]["name"], "the visitor");
     assert_eq!(walkers[0]["position"][2], -3.0);

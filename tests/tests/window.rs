@@ -7,7 +7,7 @@ mod display;
 use display::Display;
 use glam::DVec3;
 use ldi_client::stream::{ConnectConfig, Connection};
-use ldi_protocol::wire::Picture;
+use ldi_protocol::{floor_plan::FloorPlan, index::Index, wire::Picture};
 use ldi_server::store::Dataset;
 use ldi_tests::{
     fixture::{Fixture, made_once, shared_scene},
@@ -137,6 +137,16 @@ fn far_place(places: impl Iterator<Item = DVec3>, from: DVec3) -> DVec3 {
     places.max_by(|a, b| a.distance(from).total_cmp(&b.distance(from))).expect("a volume")
 }
 
+/// Middles of the walk volume's columns that are clear of walls, on the storey of an eye.
+fn clear_places(index: &Index, eye_y: f64) -> impl Iterator<Item = DVec3> + '_ {
+    let eye_height_m = index.settings.eye_height_m.expect("on foot");
+    let off = move |p: &&FloorPlan| (p.floor_m + eye_height_m - eye_y).abs();
+    let plan = index.plans.iter().min_by(|a, b| off(a).total_cmp(&off(b))).expect("a floor plan");
+    let middles = index.volume.iter().flat_map(|v| v.boxes()).map(|b| b.centre());
+    let is_clear = move |p: &DVec3| plan.place_near([p.x, p.z], 0.0, 0.45, |_| true).is_some();
+    middles.filter(move |p| (p.y - eye_y).abs() < 0.5).filter(is_clear)
+}
+
 /// Clicks on an open map, which goes there: within a pixel or two of it.
 fn click_on_map(display: &Display, walk: &mut Walk, map: &Value, target: DVec3) {
     let number = |v: &Value| v.as_f64().expect("a number");
@@ -206,7 +216,7 @@ fn a_visit_with_keyboard_and_mouse() {
     shown(&mut walk, 1);
     drop(other);
     shown(&mut walk, 0);
-    let target = far_place(volume.boxes().map(|b| b.centre()), walk.position());
+    let target = far_place(clear_places(&index, walk.position().y), walk.position());
     click_on_map(&display, &mut walk, &map, target);
     // Nobody has left the volume.
     for pose in walk.all().iter().filter(|e| e["event"] == "pose") {
@@ -484,12 +494,10 @@ fn three_rooms_of_the_clinic() {
     }
     // Straight through the doors: no wall was slid along, none walked through.
     assert!(poses.iter().all(|p| (p.x + 17.2).abs() < 0.3), "{poses:?}");
-    let volume = Dataset::open(&dataset).expect("opens").index().volume.clone().expect("a volume");
+    let index = Dataset::open(&dataset).expect("opens").index().clone();
     display.hand(&["key", "m"]);
     let map = walk.wait_for("map");
-    // Of this storey, as that is what the map shows.
-    let storey = volume.boxes().map(|b| b.centre()).filter(|c| (c.y - walk.position().y).abs() < 0.3);
-    let target = far_place(storey, walk.position());
+    let target = far_place(clear_places(&index, walk.position().y), walk.position());
     click_on_map(&display, &mut walk, &map, target);
     display.hand(&["key", "F1"]);
     walk.wait_for("figures");

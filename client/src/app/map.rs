@@ -1,286 +1,307 @@
-//! The map (M): floor plan, the walker, other walkers, grid points. A click moves the eye.
+//! The map (M): the floor plan of a storey with the names of its rooms, the walker and the way
+//! here, other walkers, north and a scale.
 //!
-//! The plan ([`floor_plan`]) is drawn on its own thread, and again when more of the scene has
-//! arrived. -Z is up on the map, +X to the right: yaw 0 points up. One storey is bright, the others
-//! dim; Page Up and Page Down change the storey.
+//! The plans come with the dataset. -Z is up on the map, +X to the right: yaw 0 points up. The
+//! wheel zooms, dragging moves, Page Up and Page Down change the storey. The pointer shows where a
+//! click would go, and which way one would look there.
 
 use super::{
-    floor_plan::{self, STOREY_M},
+    map_plan::{self, PlanPicture},
+    map_view::{self, MapProjection},
     render_mailbox::Picture,
     server_connection::Scene,
     text_block::{self, SHADE, TEXT},
     walker,
 };
-use egui::{
-    Align2, Color32, ColorImage, CornerRadius, Pos2, Rect, Shape, Stroke, TextureHandle, TextureOptions, pos2, vec2,
-};
+use egui::{Align2, Color32, CornerRadius, FontId, Painter, Pos2, Rect, Shape, Stroke, pos2, vec2};
 use glam::DVec3;
-use ldi_protocol::{Pose, index::Index, select::Selection, volume::WalkVolume, wire::Other};
-use std::{
-    collections::BTreeMap,
-    sync::mpsc,
-    time::{Duration, Instant},
-};
+use ldi_protocol::{Pose, floor_plan::FloorPlan, index::Index, volume::WalkVolume, wire::Other};
+use std::sync::Arc;
 
-/// Levels below this share of the largest level's area are landings, not storeys.
-const SMALLEST_STOREY: f64 = 0.04;
-/// Interval at which the plan is drawn again while data arrives.
-const AGAIN_AFTER: Duration = Duration::from_secs(2);
-/// Largest number of characters of another walker's name.
-const LONGEST_NAME: usize = 24;
-/// Largest number of grid points drawn.
-const MOST_POINTS: usize = 20_000;
+/// Largest difference in eye height between walkers of one storey, metres.
+const STOREY_M: f64 = 1.5;
+/// Largest number of characters of another walker's or a room's name.
+const LONGEST_NAME: usize = 32;
+/// Distance of the points of the track, metres.
+const TRACK_STEP_M: f64 = 0.3;
+/// Most points of the track; beyond them every other one is dropped.
+const MOST_TRACK: usize = 4096;
+/// Points of the pointer's wheel per doubling of the scale.
+const WHEEL_DOUBLES: f64 = 220.0;
+/// Longest scale bar, points.
+const SCALE_POINTS: f64 = 140.0;
 
-/// The projection from the world to the map.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MapProjection {
-    /// Area of the map on the display, points.
-    pub area: Rect,
-    /// World x and z of its upper left corner, metres.
-    pub corner: [f64; 2],
-    /// Points per metre.
-    pub per_metre: f64,
-}
-
-impl MapProjection {
-    /// The largest projection that fits into `room`.
-    fn fit(volume: &WalkVolume, room: Rect) -> Self {
-        let (b, size) = (volume.bounds(), volume.bounds().size().max(DVec3::splat(0.1)));
-        let per_metre = (f64::from(room.width()) / size.x).min(f64::from(room.height()) / size.z);
-        let area =
-            Rect::from_center_size(room.center(), vec2((size.x * per_metre) as f32, (size.z * per_metre) as f32));
-        Self { area, corner: [b.min.x, b.min.z], per_metre }
-    }
-
-    /// Position of a place on the display.
-    pub fn show(&self, p: DVec3) -> Pos2 {
-        let at = |v: f64, corner: f64| ((v - corner) * self.per_metre) as f32;
-        self.area.min + vec2(at(p.x, self.corner[0]), at(p.z, self.corner[1]))
-    }
-
-    /// World x and z of a position on the display.
-    pub fn world(&self, at: Pos2) -> [f64; 2] {
-        let d = at - self.area.min;
-        [self.corner[0] + f64::from(d.x) / self.per_metre, self.corner[1] + f64::from(d.y) / self.per_metre]
-    }
-}
+const PAPER: Color32 = Color32::from_rgb(196, 202, 207);
+const FLOOR: Color32 = Color32::from_rgb(250, 248, 242);
+const OWN: Color32 = Color32::from_rgb(213, 40, 40);
+const OTHERS: Color32 = Color32::from_rgb(0, 138, 100);
+const THERE: Color32 = Color32::from_rgb(20, 90, 200);
+const NAMES: Color32 = Color32::from_rgb(70, 78, 92);
 
 /// The map's state.
 #[derive(Default)]
 pub struct Map {
     /// Whether it is shown.
     pub open: bool,
-    /// Eye height of the chosen storey; None for the walker's storey.
-    chosen_m: Option<f64>,
-    drawn_map: Option<DrawnMap>,
+    /// The chosen storey; None for the walker's.
+    chosen: Option<usize>,
+    /// The storey shown last.
+    shown: usize,
+    /// Number of storeys.
+    storeys: usize,
+    /// The index of the picture, and the picture of its plan.
+    picture: Option<(Arc<Index>, PlanPicture)>,
     /// The projection used last.
     pub sheet: Option<MapProjection>,
+    /// Places where the walker was.
+    track: Vec<DVec3>,
 }
 
-struct DrawnMap {
-    scene: Scene,
-    storeys_m: Vec<f64>,
-    storey_m: f64,
-    /// The plan requested last: storey, bytes in the cache, time.
-    asked: Option<(f64, u64, Instant)>,
-    /// Receives the plan.
-    coming: Option<mpsc::Receiver<ColorImage>>,
-    texture: Option<TextureHandle>,
+/// What the map shows of a dataset.
+struct Ground<'a> {
+    index: &'a Arc<Index>,
+    volume: &'a WalkVolume,
+    /// None for flying, and until the plans have arrived.
+    plan: Option<&'a FloorPlan>,
+    eye_height_m: f64,
 }
 
 impl Map {
     /// Opens or closes the map.
     pub fn toggle(&mut self) {
         self.open = !self.open;
-        self.chosen_m = None;
+        self.chosen = None;
         self.sheet = None;
     }
 
     /// Chooses the next storey up or down.
     pub fn change_storey(&mut self, up: bool) {
-        let Some(d) = &self.drawn_map else { return };
-        let mut next =
-            d.storeys_m.iter().copied().filter(|s| if up { *s > d.storey_m + 0.1 } else { *s < d.storey_m - 0.1 });
-        self.chosen_m = if up { next.next() } else { next.next_back() }.or(self.chosen_m);
+        let next = if up { Some(self.shown + 1) } else { self.shown.checked_sub(1) };
+        self.chosen = next.filter(|n| *n < self.storeys).or(self.chosen);
     }
 
-    /// Draws the map. `others`: None if the server does not send them. Returns the eye's new
-    /// position after a click.
+    /// Notes a place where the walker is.
+    pub fn track(&mut self, p: DVec3) {
+        if self.track.last().is_some_and(|last| last.distance(p) < TRACK_STEP_M) {
+            return;
+        }
+        if self.track.len() >= MOST_TRACK {
+            let mut odd = false;
+            self.track.retain(|_| {
+                odd = !odd;
+                odd
+            });
+        }
+        self.track.push(p);
+    }
+
+    /// Draws the map. `others`: None if the server does not send them. Returns the pose at the
+    /// place of a click.
     pub fn show(
         &mut self,
         ctx: &egui::Context,
         scene: &Scene,
         picture: &Picture,
         others: Option<&[Other]>,
-    ) -> Option<DVec3> {
-        let (pose, selection) = (&picture.pose, &picture.stats.selection);
+    ) -> Option<Pose> {
+        let pose = &picture.pose;
         let painter = ctx.layer_painter(egui::LayerId::new(egui::Order::Middle, egui::Id::unique("map")));
         let screen = ctx.content_rect();
-        painter.rect_filled(screen, CornerRadius::ZERO, Color32::from_black_alpha(190));
-        let Some(volume) = scene.index.volume.as_ref().filter(|v| !v.is_empty()) else {
+        painter.rect_filled(screen, CornerRadius::ZERO, PAPER);
+        let index = &scene.index;
+        let Some(volume) = index.volume.as_ref().filter(|v| !v.is_empty()) else {
             let text = "this dataset has no walk volume to show";
             text_block::line(&painter, (screen.center(), Align2::CENTER_CENTER), text, Color32::WHITE, 16.0, 600.0);
             return None;
         };
-        let drawn_map = self.draw(ctx, scene, volume, pose);
-        let sheet = MapProjection::fit(volume, screen.shrink2(vec2(40.0, 60.0)));
-        let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
-        if let Some(texture) = &drawn_map.texture {
-            painter.image(texture.id(), sheet.area, whole, Color32::WHITE);
-        }
-        draw_grid_points(&painter, &sheet, &scene.index, drawn_map.storey_m, selection);
-        let storey_m = drawn_map.storey_m;
-        others.unwrap_or_default().iter().for_each(|o| draw_other_walker(&painter, &sheet, o, storey_m));
+        let eye_height_m = index.settings.eye_height_m.unwrap_or(0.0);
+        let storey = map_plan::storey_of(&index.plans, pose.position.y, eye_height_m);
+        self.storeys = index.plans.len();
+        self.shown = self.chosen.filter(|n| *n < self.storeys).unwrap_or(storey);
+        let ground = Ground { index, volume, plan: index.plans.get(self.shown), eye_height_m };
+        let sheet = self.project(ctx, &ground, screen);
+        self.draw_plan(ctx, &painter, &ground, &sheet);
+        let level_m = ground.plan.filter(|p| !p.relief).map(|p| p.floor_m + eye_height_m);
+        draw_track(&painter, &sheet, &self.track, level_m);
+        others.unwrap_or_default().iter().for_each(|o| draw_other_walker(&painter, &sheet, o, level_m));
         draw_walker(&painter, &sheet, pose, picture.fov_deg);
-        let storeys = match drawn_map.storeys_m.len() {
-            0 | 1 => String::new(),
-            n => {
-                let number = drawn_map.storeys_m.iter().filter(|s| **s <= drawn_map.storey_m + 0.1).count();
-                format!("  |  storey {number} of {n}: Page Up, Page Down")
+        draw_north(&painter, sheet.area);
+        draw_scale(&painter, &sheet);
+        self.draw_help(&painter, screen, ground.plan, others);
+        let (pointer, clicked) = ctx.input(|i| (i.pointer.hover_pos(), i.pointer.primary_clicked()));
+        let at = pointer.filter(|at| sheet.area.contains(*at))?;
+        let there = ground.pose_at(sheet.world(at), sheet.per_metre, pose);
+        match &there {
+            Some(there) => draw_there(&painter, &sheet, there),
+            None => {
+                let place = (at + vec2(14.0, 18.0), Align2::LEFT_TOP);
+                text_block::line(&painter, place, "nobody can stand here", TEXT, 13.0, 300.0);
             }
+        }
+        there.filter(|_| clicked)
+    }
+
+    /// The projection after the pointer's drag and wheel.
+    fn project(&mut self, ctx: &egui::Context, ground: &Ground<'_>, screen: Rect) -> MapProjection {
+        let area = map_view::area_in(screen);
+        let b = ground.volume.bounds();
+        let all = ground.plan.map_or([b.min.x, b.min.z, b.max.x, b.max.z], FloorPlan::content);
+        let fit = MapProjection::fit(all, area);
+        let mut sheet = self.sheet.map_or(fit, |s| s.moved_to(area));
+        let (drag, wheel, pinch, at) = ctx.input(|i| {
+            let dragged = i.pointer.primary_down() && i.pointer.is_decidedly_dragging();
+            let drag = if dragged { i.pointer.delta() } else { egui::Vec2::ZERO };
+            (drag, i.smooth_scroll_delta().y, i.zoom_delta(), i.pointer.hover_pos())
+        });
+        sheet.drag(drag);
+        let factor = f64::from(pinch) * (f64::from(wheel) / WHEEL_DOUBLES).exp2();
+        if let Some(at) = at.filter(|_| factor != 1.0) {
+            sheet.zoom(factor, at, &fit);
+        }
+        *self.sheet.insert(sheet)
+    }
+
+    /// Draws the plan and the names of its rooms; without one, the walk volume's box.
+    fn draw_plan(&mut self, ctx: &egui::Context, painter: &Painter, ground: &Ground<'_>, sheet: &MapProjection) {
+        let Some(plan) = ground.plan else {
+            let b = ground.volume.bounds();
+            let area = sheet.show_area([b.min.x, b.min.z, b.max.x, b.max.z]);
+            painter.rect_filled(area, CornerRadius::ZERO, FLOOR);
+            return;
+        };
+        let shown = self.shown;
+        let fits = |(index, picture): &(Arc<Index>, PlanPicture)| {
+            Arc::ptr_eq(index, ground.index) && picture.plan == shown && picture.is_for(plan, sheet.per_metre)
+        };
+        let kept = self.picture.take().filter(fits);
+        let made = || (ground.index.clone(), PlanPicture::of(ctx, (shown, plan), sheet.per_metre));
+        let (_, picture) = self.picture.insert(kept.unwrap_or_else(made));
+        let painter = painter.with_clip_rect(sheet.area);
+        picture.draw(&painter, sheet);
+        for (name, area) in map_plan::room_names(ground.index, plan) {
+            let area = sheet.show_area(area);
+            let name: String = name.chars().filter(|c| !c.is_control()).take(LONGEST_NAME).collect();
+            let text = painter.layout_no_wrap(name, FontId::proportional(12.0), NAMES);
+            if text.size().x <= area.width() + 6.0 && text.size().y <= area.height() + 4.0 {
+                painter.galley(area.center() - text.size() * 0.5, text, NAMES);
+            }
+        }
+    }
+
+    /// Draws the line of help, and the storey.
+    fn draw_help(&self, painter: &Painter, screen: Rect, plan: Option<&FloorPlan>, others: Option<&[Other]>) {
+        let storey = match plan {
+            Some(p) if p.relief => format!("open ground, a contour line every {} m", p.contour_m()),
+            Some(_) if self.storeys > 1 => format!("storey {} of {}: Page Up, Page Down", self.shown + 1, self.storeys),
+            Some(_) => "one storey".into(),
+            None => "no floor plan".into(),
         };
         let others = match others.map_or(0, <[Other]>::len) {
             0 => String::new(),
             1 => "  |  green: another walker".into(),
             n => format!("  |  green: {n} other walkers"),
         };
-        let text =
-            format!("click: go there  |  M or Esc: close{storeys}  |  dots: grid points, orange: in use{others}");
+        let text = format!("click: go there  |  wheel: zoom  |  drag: move  |  {storey}{others}  |  M or Esc: close");
         let at = (pos2(screen.center().x, screen.bottom() - 8.0), Align2::CENTER_BOTTOM);
-        text_block::line(&painter, at, &text, TEXT, 13.0, screen.width() * 0.9 - 20.0);
-        self.sheet = Some(sheet);
-        let clicked = ctx.input(|i| i.pointer.primary_clicked().then(|| i.pointer.interact_pos()).flatten())?;
-        let [x, z] = sheet.area.contains(clicked).then(|| sheet.world(clicked))?;
-        let level_m = if flying(scene) { pose.position.y } else { storey_m };
-        Some(standing_place(volume, x, z, level_m, flying(scene)))
-    }
-
-    /// Updates the plan as far as it has been drawn.
-    fn draw(&mut self, ctx: &egui::Context, scene: &Scene, volume: &WalkVolume, pose: &Pose) -> &DrawnMap {
-        let mut drawn_map = self.drawn_map.take().filter(|d| d.scene.is(scene)).unwrap_or_else(|| DrawnMap {
-            scene: scene.clone(),
-            storeys_m: storeys(volume),
-            storey_m: f64::NAN,
-            asked: None,
-            coming: None,
-            texture: None,
-        });
-        let height = self.chosen_m.unwrap_or(pose.position.y);
-        if flying(scene) {
-            // Flying datasets have a storey at every height, rounded so that small movements do not
-            // redraw the plan.
-            drawn_map.storeys_m = vec![(height * 2.0).round() * 0.5];
-        }
-        let storeys = drawn_map.storeys_m.iter().copied();
-        let storey_m = storeys.min_by(|a, b| (a - height).abs().total_cmp(&(b - height).abs())).unwrap_or(height);
-        if drawn_map.storey_m != storey_m {
-            (drawn_map.storey_m, drawn_map.texture, drawn_map.coming, drawn_map.asked) = (storey_m, None, None, None);
-        }
-        if let Some(picture) = drawn_map.coming.as_ref().and_then(|c| c.try_recv().ok()) {
-            drawn_map.texture = Some(ctx.load_texture("plan", picture, TextureOptions::LINEAR));
-            drawn_map.coming = None;
-        }
-        let bytes = scene.cache.usage().bytes;
-        let stale = drawn_map.asked.is_none_or(|(_, b, at)| b != bytes && at.elapsed() > AGAIN_AFTER);
-        if stale && drawn_map.coming.is_none() {
-            drawn_map.asked = Some((storey_m, bytes, Instant::now()));
-            drawn_map.coming = ask(scene, storey_m);
-        }
-        self.drawn_map.insert(drawn_map)
+        text_block::line(painter, at, &text, TEXT, 13.0, screen.width() * 0.9 - 20.0);
     }
 }
 
-/// Starts drawing a plan. None if the system gives no thread; the map then works without a plan.
-fn ask(scene: &Scene, storey_m: f64) -> Option<mpsc::Receiver<ColorImage>> {
-    let (sender, receiver) = mpsc::channel();
-    let scene = scene.clone();
-    let work = move || {
-        if let Some(volume) = &scene.index.volume {
-            // The map may have been closed.
-            let _ = sender.send(floor_plan::draw(&scene, volume, storey_m));
-        }
-    };
-    std::thread::Builder::new().name("ldi-plan".into()).spawn(work).ok().map(|_| receiver)
-}
-
-/// Whether the dataset is for flying: its volume is one box.
-fn flying(scene: &Scene) -> bool {
-    scene.index.settings.eye_height_m.is_none()
-}
-
-/// The eye position that a click selects: on the displayed storey if possible.
-fn standing_place(volume: &WalkVolume, x: f64, z: f64, storey_m: f64, flying: bool) -> DVec3 {
-    let here = if flying { Vec::new() } else { walker::storeys(volume, x, z) };
-    let y = here.into_iter().min_by(|a, b| (a - storey_m).abs().total_cmp(&(b - storey_m).abs()));
-    let p = DVec3::new(x, y.unwrap_or(storey_m), z);
-    walker::nearest(volume, p).unwrap_or(p)
-}
-
-/// Eye heights of the storeys, ascending.
-fn storeys(volume: &WalkVolume) -> Vec<f64> {
-    let mut area = BTreeMap::<i64, f64>::new();
-    for b in volume.boxes() {
-        let size = b.size();
-        *area.entry((walker::nominal([b.min.y, b.max.y]) * 5.0).round() as i64).or_default() += size.x * size.z;
-    }
-    let most = area.values().copied().fold(0.0, f64::max);
-    let mut by_area: Vec<(f64, f64)> = area.into_iter().map(|(h, a)| (h as f64 * 0.2, a)).collect();
-    by_area.sort_by(|a, b| b.1.total_cmp(&a.1));
-    let mut out: Vec<f64> = Vec::new();
-    for (height, area) in by_area {
-        if area >= SMALLEST_STOREY * most && out.iter().all(|o| (o - height).abs() > 2.0 * STOREY_M) {
-            out.push(height);
+impl Ground<'_> {
+    /// Where one would stand and look after a click.
+    fn pose_at(&self, [x, z]: [f64; 2], per_metre: f64, pose: &Pose) -> Option<Pose> {
+        match self.plan {
+            Some(plan) => map_plan::standing_pose(plan, self.volume, self.eye_height_m, [x, z], per_metre),
+            None => {
+                let position = walker::nearest(self.volume, DVec3::new(x, pose.position.y, z))?;
+                Some(Pose { position, ..*pose })
+            }
         }
     }
-    out.sort_by(f64::total_cmp);
-    out
 }
 
-/// Draws the grid points of the storey, the one in use, and the zone of eyes of its images.
-fn draw_grid_points(
-    painter: &egui::Painter,
-    sheet: &MapProjection,
-    index: &Index,
-    storey_m: f64,
-    selection: &Selection,
-) {
-    let used = selection.grid_point;
-    let near = index.points.iter().filter(|p| (p.position.y - storey_m).abs() <= STOREY_M);
-    for p in near.take(MOST_POINTS) {
-        painter.circle_filled(sheet.show(p.position), 1.5, Color32::from_rgb(90, 140, 190));
+/// Draws the way that the walker came; on other storeys dim.
+fn draw_track(painter: &Painter, sheet: &MapProjection, track: &[DVec3], level_m: Option<f64>) {
+    let painter = painter.with_clip_rect(sheet.area);
+    for pair in track.windows(2) {
+        // A jump is no way.
+        if pair[0].distance(pair[1]) > 10.0 * TRACK_STEP_M {
+            continue;
+        }
+        let strength = if is_on(pair[1].y, level_m) { 0.75 } else { 0.2 };
+        let points = [sheet.show(pair[0]), sheet.show(pair[1])];
+        painter.line_segment(points, Stroke::new(2.0, OWN.gamma_multiply(strength)));
     }
-    let orange = Color32::from_rgb(230, 159, 0);
-    if let Some(placement) = selection.placement.and_then(|p| index.placements.get(p as usize)) {
-        let users = Rect::from_two_pos(sheet.show(placement.users.min), sheet.show(placement.users.max));
-        painter.rect_stroke(users, CornerRadius::ZERO, Stroke::new(1.5, orange), egui::StrokeKind::Outside);
-    }
-    if let Some(p) = used.and_then(|u| index.points.get(u as usize)) {
-        painter.circle_filled(sheet.show(p.position), 3.5, orange);
-    }
+}
+
+/// Whether an eye is on the storey with eyes at `level_m`; None: there are no storeys.
+fn is_on(eye_y: f64, level_m: Option<f64>) -> bool {
+    level_m.is_none_or(|level| (eye_y - level).abs() <= STOREY_M)
 }
 
 /// Draws the walker: field of view, and an arrow.
-fn draw_walker(painter: &egui::Painter, sheet: &MapProjection, pose: &Pose, fov_deg: f64) {
+fn draw_walker(painter: &Painter, sheet: &MapProjection, pose: &Pose, fov_deg: f64) {
     let at = sheet.show(pose.position);
-    let toward = |deg: f64, distance: f32| toward(at, pose.yaw_deg + deg, distance);
-    let red = Color32::from_rgb(213, 40, 40);
-    let view = vec![at, toward(fov_deg / 2.0, 46.0), toward(-fov_deg / 2.0, 46.0)];
-    painter.add(Shape::convex_polygon(view, Color32::from_rgba_unmultiplied(213, 40, 40, 60), Stroke::NONE));
-    painter.add(arrow(at, pose.yaw_deg, 1.0, red));
+    if !sheet.area.contains(at) {
+        return;
+    }
+    draw_view(painter, at, pose.yaw_deg, fov_deg, OWN);
+    painter.add(arrow(at, pose.yaw_deg, 1.0, OWN));
+}
+
+/// Draws where one would stand after a click.
+fn draw_there(painter: &Painter, sheet: &MapProjection, there: &Pose) {
+    let at = sheet.show(there.position);
+    draw_view(painter, at, there.yaw_deg, 50.0, THERE);
+    painter.circle(at, 5.0, THERE, Stroke::new(1.5, Color32::WHITE));
+}
+
+/// Draws a field of view.
+fn draw_view(painter: &Painter, at: Pos2, yaw_deg: f64, fov_deg: f64, colour: Color32) {
+    let view = vec![at, toward(at, yaw_deg + fov_deg / 2.0, 46.0), toward(at, yaw_deg - fov_deg / 2.0, 46.0)];
+    painter.add(Shape::convex_polygon(view, colour.gamma_multiply(0.3), Stroke::NONE));
 }
 
 /// Draws another walker: a smaller arrow with number and name, dim on another storey.
-fn draw_other_walker(painter: &egui::Painter, sheet: &MapProjection, o: &Other, storey_m: f64) {
+fn draw_other_walker(painter: &Painter, sheet: &MapProjection, o: &Other, level_m: Option<f64>) {
     let p = DVec3::from_array(o.position);
     let at = sheet.show(p);
-    let dim = if (p.y - storey_m).abs() <= STOREY_M { 1.0 } else { 0.4 };
-    painter.add(arrow(at, f64::from(o.yaw_deg), 0.75, Color32::from_rgb(0, 158, 115).gamma_multiply(dim)));
+    if !sheet.area.contains(at) {
+        return;
+    }
+    let dim = if is_on(p.y, level_m) { 1.0 } else { 0.4 };
+    painter.add(arrow(at, f64::from(o.yaw_deg), 0.75, OTHERS.gamma_multiply(dim)));
     let name: String = o.name.chars().filter(|c| !c.is_control()).take(LONGEST_NAME).collect();
     let colour = Color32::WHITE.gamma_multiply(dim);
-    let text = painter.layout_no_wrap(format!("{} {name}", o.walker), egui::FontId::proportional(12.0), colour);
+    let text = painter.layout_no_wrap(format!("{} {name}", o.walker), FontId::proportional(12.0), colour);
     let room = Align2::LEFT_CENTER.anchor_size(at + vec2(12.0, 0.0), text.size() + vec2(8.0, 2.0));
     painter.rect_filled(room, CornerRadius::same(3), SHADE.gamma_multiply(dim));
     painter.galley(room.min + vec2(4.0, 1.0), text, colour);
+}
+
+/// Draws the north arrow: yaw 0 points up.
+fn draw_north(painter: &Painter, area: Rect) {
+    let at = area.right_top() + vec2(-22.0, 34.0);
+    painter.circle_filled(at, 20.0, SHADE);
+    let needle = vec![at + vec2(0.0, -9.0), at + vec2(6.0, 12.0), at + vec2(0.0, 8.0), at + vec2(-6.0, 12.0)];
+    painter.add(Shape::Path(egui::epaint::PathShape::convex_polygon(needle, TEXT, Stroke::NONE)));
+    painter.text(at + vec2(0.0, -14.0), Align2::CENTER_CENTER, "N", FontId::proportional(11.0), TEXT);
+}
+
+/// Draws the scale bar.
+fn draw_scale(painter: &Painter, sheet: &MapProjection) {
+    let metres = sheet.scale_m(SCALE_POINTS);
+    let length = (metres * sheet.per_metre) as f32;
+    let left = sheet.area.left_bottom() + vec2(14.0, -14.0);
+    painter.rect_filled(Rect::from_min_size(left + vec2(-8.0, -24.0), vec2(length + 16.0, 32.0)), 4, SHADE);
+    let stroke = Stroke::new(1.5, TEXT);
+    let right = left + vec2(length, 0.0);
+    for [a, b] in [[left, right], [left, left - vec2(0.0, 6.0)], [right, right - vec2(0.0, 6.0)]] {
+        painter.line_segment([a, b], stroke);
+    }
+    let text = if metres >= 1.0 { format!("{metres} m") } else { format!("{:.0} cm", metres * 100.0) };
+    let middle = left + vec2(length * 0.5, -12.0);
+    painter.text(middle, Align2::CENTER_CENTER, text, FontId::proportional(12.0), TEXT);
 }
 
 /// The position at a distance from `at` in a yaw's direction.
@@ -299,38 +320,28 @@ fn arrow(at: Pos2, yaw_deg: f64, size: f32, colour: Color32) -> Shape {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ldi_protocol::Aabb;
 
-    /// Two storeys of 4 x 4 m with eyes at 1.6 and 4.6 m, the upper one above the left half only.
-    fn house() -> WalkVolume {
-        let runs: Vec<Vec<[u16; 2]>> =
-            (0..64).map(|c| if c % 8 < 4 { vec![[11, 20], [41, 50]] } else { vec![[11, 20]] }).collect();
-        let cut = Aabb { min: DVec3::ZERO, max: DVec3::new(4.0, 0.0, 4.0) };
-        WalkVolume::new(DVec3::ZERO, 0.5, 0.1, [8, 8], &runs, &cut).unwrap()
+    #[test]
+    fn the_track_keeps_its_ends_and_its_size() {
+        let mut map = Map::default();
+        for n in 0..20_000 {
+            map.track(DVec3::new(f64::from(n) * 0.1, 1.6, 0.0));
+        }
+        assert!(map.track.len() <= MOST_TRACK && map.track.len() > MOST_TRACK / 4, "{}", map.track.len());
+        assert_eq!(map.track[0], DVec3::new(0.0, 1.6, 0.0));
+        assert!(map.track.last().is_some_and(|p| p.x > 1999.0));
     }
 
     #[test]
-    fn storeys_are_found_and_clicks_stay_on_them() {
-        let v = house();
-        let found = storeys(&v);
-        assert_eq!(found.len(), 2, "{found:?}");
-        assert!((found[0] - 1.6).abs() < 0.11 && (found[1] - 4.6).abs() < 0.11, "{found:?}");
-        let up = standing_place(&v, 1.0, 2.0, found[1], false);
-        assert!((up.y - 4.6).abs() < 0.06 && up.x == 1.0 && v.contains(up), "{up}");
-        // Above the right half there is only the lower one.
-        let down = standing_place(&v, 3.0, 2.0, found[1], false);
-        assert!((down.y - 1.6).abs() < 0.06 && down.x == 3.0 && v.contains(down), "{down}");
-    }
-
-    #[test]
-    fn the_sheet_goes_there_and_back() {
-        let room = Rect::from_min_size(pos2(10.0, 20.0), vec2(800.0, 400.0));
-        let sheet = MapProjection::fit(&house(), room);
-        assert!(room.contains_rect(sheet.area) && (sheet.per_metre - 100.0).abs() < 1e-3);
-        let p = DVec3::new(1.0, 1.6, 3.0);
-        let [x, z] = sheet.world(sheet.show(p));
-        assert!((x - p.x).abs() < 1e-3 && (z - p.z).abs() < 1e-3);
-        // -Z is up.
-        assert!(sheet.show(DVec3::ZERO).y < sheet.show(p).y);
+    fn storeys_change_within_those_there_are() {
+        let mut map = Map { storeys: 3, shown: 1, ..Map::default() };
+        map.change_storey(true);
+        assert_eq!(map.chosen, Some(2));
+        (map.shown, map.storeys) = (2, 3);
+        map.change_storey(true);
+        assert_eq!(map.chosen, Some(2));
+        map.shown = 0;
+        map.change_storey(false);
+        assert_eq!(map.chosen, Some(2), "below the lowest there is none");
     }
 }

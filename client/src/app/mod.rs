@@ -20,7 +20,7 @@
 //! - `window`: system events; `window_state`: all state of an open window; `screen`: surface and
 //!   presentation with wgpu, opened only with a window; `software_present`, `software_upscale`,
 //!   `overlay`: presentation by the CPU.
-//! - `hud` with `banners`, `help` and `text_block`, `map` with its `floor_plan`, `start_screen`,
+//! - `hud` with `banners`, `help` and `text_block`, `map` with its `map_view` and `map_plan`, `start_screen`,
 //!   `settings_panel`: the interface. `settings`: what the user has chosen, kept in a `user_file`.
 //! - `recordings_and_bookmarks` with `recording` and `bookmarks`: stored walks and poses.
 //!   `screenshot`, `unique_file`, `events`, `frame_times`: files and figures. `keys`, `commands`,
@@ -32,7 +32,6 @@ mod collision;
 mod commands;
 mod dynamic_resolution;
 mod events;
-mod floor_plan;
 mod frame_times;
 mod gamepad;
 mod headless_connection;
@@ -41,6 +40,8 @@ mod hud;
 mod interface_pass;
 mod keys;
 mod map;
+mod map_plan;
+mod map_view;
 mod overlay;
 mod recording;
 mod recordings_and_bookmarks;

@@ -250,18 +250,15 @@ impl RenderLoop {
         let now = Instant::now();
         let volume = scene.index.volume.as_ref();
         let turned = std::mem::take(&mut mailbox.turned);
-        let (notches, teleport) = (std::mem::take(&mut mailbox.notches), mailbox.teleport.take());
+        let notches = std::mem::take(&mut mailbox.notches);
         let place = mailbox.place.take();
         let (intent, dt) = (mailbox.intent, now - std::mem::replace(&mut mailbox.moved, now));
         let walker = mailbox.walker.as_mut()?;
         walker.change_speed(notches);
-        if let Some(p) = teleport {
-            walker.teleport(p, volume);
-        }
         if let Some(pose) = &place {
             walker.place(pose, volume);
         }
-        let moved = intent != Intent::default() || turned != (0.0, 0.0) || teleport.is_some() || place.is_some();
+        let moved = intent != Intent::default() || turned != (0.0, 0.0) || place.is_some();
         if moved || mailbox.replay.is_some() {
             (self.start_search, self.sent) = (None, None);
         }

@@ -10,7 +10,6 @@ use crate::{
     engine::{DisplayMode, FrameStats},
     frame::Frame,
 };
-use glam::DVec3;
 use ldi_protocol::{Pose, path::Walk, select::Selection};
 use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
@@ -68,7 +67,6 @@ pub(super) struct RenderMailbox {
     pub notches: f64,
     /// Whether collision is off.
     pub ghost: bool,
-    pub teleport: Option<DVec3>,
     pub window_px: [u32; 2],
     pub shot: bool,
     pub shows: DisplayMode,

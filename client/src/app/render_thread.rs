@@ -10,7 +10,6 @@ use super::{
     walker::{Intent, Walker},
 };
 use crate::engine::{DisplayMode, FrameRenderer};
-use glam::DVec3;
 use ldi_protocol::{Pose, path::Walk};
 use std::{
     sync::{Arc, Condvar, Mutex},
@@ -43,7 +42,6 @@ impl RenderThread {
             turned: (0.0, 0.0),
             notches: 0.0,
             ghost: false,
-            teleport: None,
             window_px: config.window_px,
             shot: false,
             shows: DisplayMode::default(),
@@ -90,11 +88,6 @@ impl RenderThread {
         let mut mailbox = lock(&self.mailbox.0);
         mailbox.ghost = !mailbox.ghost;
         !mailbox.ghost
-    }
-
-    /// Moves the walker to the place of the volume nearest to `p`.
-    pub fn teleport(&self, p: DVec3) {
-        self.update(|d| d.teleport = Some(p));
     }
 
     /// Moves the walker to the place of the volume nearest to a pose, with its direction.

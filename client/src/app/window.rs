@@ -146,6 +146,8 @@ impl ApplicationHandler<UserEvent> for App {
             WindowEvent::MouseInput { state: ElementState::Pressed, button: MouseButton::Left, .. } => {
                 open.click(&mut self.events);
             }
+            // Over the map the wheel zooms.
+            WindowEvent::MouseWheel { .. } if open.map.open => {}
             WindowEvent::MouseWheel { delta, .. } => open.render_thread.change_speed(match delta {
                 MouseScrollDelta::LineDelta(_, lines) => f64::from(lines),
                 MouseScrollDelta::PixelDelta(px) => px.y / PX_PER_NOTCH,

@@ -8,8 +8,7 @@ use super::{
     view_link::ViewLink,
     window_state::WindowState,
 };
-use glam::DVec3;
-use ldi_protocol::volume::WalkVolume;
+use ldi_protocol::Pose;
 use winit::window::Fullscreen;
 
 impl WindowState {
@@ -159,13 +158,10 @@ impl WindowState {
     }
 
     /// Moves to a place on the map, and closes it.
-    pub(super) fn go_to_map_place(&mut self, place: DVec3, connection: &ServerConnection, events: &mut Events) {
-        self.render_thread.teleport(place);
-        events.write("teleport", fields! { "position": place.to_array() });
-        let is_floor = |v: &WalkVolume| v.heights(place.x, place.z).next().is_some();
-        if connection.scene().is_some_and(|s| s.index.volume.as_ref().is_some_and(|v| !is_floor(v))) {
-            self.tell("nobody can stand where you clicked: this is the nearest place", true);
-        }
+    pub(super) fn go_to_map_place(&mut self, there: Pose, connection: &ServerConnection, events: &mut Events) {
+        self.render_thread.place(there);
+        let position = there.position.to_array();
+        events.write("teleport", fields! { "position": position, "yaw_deg": there.yaw_deg });
         self.toggle_map(connection, events);
     }
 }

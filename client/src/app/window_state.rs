@@ -23,7 +23,6 @@ use super::{
     walker::Intent,
 };
 use crate::engine::{DisplayMode, FrameRenderer};
-use glam::DVec3;
 use ldi_protocol::Pose;
 use std::{
     sync::{Arc, mpsc},
@@ -265,6 +264,7 @@ impl WindowState {
     /// Records the pose of a picture.
     fn report_pose(&mut self, pose: Pose, at: Instant, events: &mut Events) {
         self.kept.pose(pose, at);
+        self.map.track(pose.position);
         let last_reported = self.last_reported.pose;
         let due = last_reported.is_none_or(|(last, at)| last != pose && at.elapsed() >= POSE_EVERY);
         if due {
@@ -488,8 +488,8 @@ impl WindowState {
         Ok(())
     }
 
-    /// Draws the interface. Returns the place on the map that was clicked.
-    fn draw_interface(&mut self, ctx: &egui::Context, connection: &ServerConnection) -> Option<DVec3> {
+    /// Draws the interface. Returns the pose at the place on the map that was clicked.
+    fn draw_interface(&mut self, ctx: &egui::Context, connection: &ServerConnection) -> Option<Pose> {
         if let Some(text) = self.copy.take() {
             ctx.copy_text(text);
         }

@@ -138,6 +138,7 @@ pub fn street(cells: u32, side: u32) -> Street {
         volume: None,
         tree: None,
         rooms: None,
+        plans: Vec::new(),
     };
     Street { index, chunks: street.chunks }
 }

@@ -6,6 +6,7 @@
 //! their runs are long.
 
 mod levels;
+mod plans;
 mod rooms;
 mod tree;
 
@@ -110,6 +111,7 @@ pub(super) fn encode(index: &Index, kind: PageKind, range: Range<usize>, level: 
         PageKind::TreeNodes => index.tree.iter().try_for_each(|t| tree::put_nodes(&mut w, &t.nodes[range.clone()]))?,
         PageKind::Rooms => index.rooms.iter().try_for_each(|r| rooms::put_rooms(&mut w, r, range.clone()))?,
         PageKind::Portals => index.rooms.iter().try_for_each(|r| rooms::put_portals(&mut w, r, range.clone()))?,
+        PageKind::Plans => plans::put(&mut w, &index.plans[range])?,
     }
     Ok(w.bytes)
 }
@@ -155,6 +157,7 @@ pub(super) fn decode_into(
         },
         PageKind::Rooms => rooms::take_rooms(&mut r, n, &mut room.rooms, decoded)?,
         PageKind::Portals => rooms::take_portals(&mut r, n, &mut room.rooms, decoded)?,
+        PageKind::Plans => append(&mut index.plans, plans::take(&mut r, n, decoded)?),
     }
     room.bytes = r.room();
     r.finish("manifest page")

@@ -4,6 +4,7 @@
 use crate::{
     Aabb, ViewBasis,
     codec::{CodecError, texture},
+    floor_plan::{FloorPlan, MAX_CELLS, MAX_PLANS},
     index::{BuildSettings, CellEntry, ChunkEntry, ChunkKind, GridPoint, ImageEntry, Index, Placement, TextureEntry},
     ldi::Ldi,
     mesh::{Alpha, Material},
@@ -58,10 +59,21 @@ pub fn validate(index: &Index) -> Result<(), CodecError> {
         check_image(i)?;
         i.chunks.iter().try_for_each(|&c| is(c, ChunkKind::Ldi))
     })?;
+    check_plans(&index.plans)?;
     index.rooms.iter().try_for_each(|r| {
         r.check(index.cells.len(), &index.placements).map_err(|why| CodecError::mismatch("rooms", why))
     })?;
     index.tree.iter().try_for_each(|t| check_tree(index, t, t.broods().map(|(chunk, _)| chunk)))
+}
+
+/// Plans are few, and their cells together too.
+fn check_plans(plans: &[FloorPlan]) -> Result<(), CodecError> {
+    each("floor plan", plans, |p| Ok(p.check()?))?;
+    let cells: usize = plans.iter().map(|p| p.cells.len()).sum();
+    if plans.len() > MAX_PLANS || cells > MAX_CELLS {
+        return Err(CodecError::range("floor plans", plans.len(), "at most 32 with 2^22 cells in all"));
+    }
+    Ok(())
 }
 
 /// The index of a first picture ([`super::early()`]): what it has keeps the rules of [`validate`].

@@ -101,6 +101,7 @@ fn index(budget: u64, served: &[usize]) -> Index {
         images,
         volume: None,
         tree: None,
+        plans: Vec::new(),
         rooms: Some(RoomIndex { rooms, near_m: 0.6, cells_of, placements: ranges, ..Default::default() }),
     }
 }

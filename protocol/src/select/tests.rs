@@ -58,6 +58,7 @@ fn index(grid: &str, budget: u64) -> Index {
         volume: None,
         tree: None,
         rooms: None,
+        plans: Vec::new(),
         points: vec![point(3.0, None), point(0.0, Some(0)), point(-0.9, None)],
         placements: vec![Placement {
             grid_point: Some(1),

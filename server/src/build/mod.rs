@@ -41,6 +41,7 @@ pub use report::{images_per_grid_point, report_json};
 pub use rooms::{GridUnderRooms, PortalOptions, RoomFigures, RoomSource};
 
 use crate::construct::ConstructError;
+use crate::floor_plans;
 use crate::octree::RecountError;
 use crate::pack::{self, PackError};
 use crate::placement::{self, AuditReport, AuditSize, ImagePlan, PlacementError, PlacementResult, PlacementStatistics};
@@ -266,6 +267,7 @@ fn index_of(
         volume: Some(plan.volume),
         tree,
         rooms: None,
+        plans: Vec::new(),
     }
 }
 
@@ -504,6 +506,12 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
     let mut index = index_of(options, &scene, settings, plan, parts, entries, (placements, image_entries, tree));
     let room_figures = rooms.as_ref().map(|r| r.figures.clone());
     index.rooms = rooms.map(|r| r.index_with(sides));
+    if let Some(volume) = &index.volume {
+        progress.stage("floor plans", 0);
+        let eye_height_m = index.settings.eye_height_m;
+        index.plans = floor_plans::floor_plans(&scene, &clusters, &octree, volume, eye_height_m);
+        clock.lap("floor plans");
+    }
     let ranges = (0..octree.cells.len()).map(|c| octree.ranges(&scene, &clusters, c)).collect::<Vec<_>>();
     let counts: Vec<u64> = ranges.iter().map(|cell| cell.iter().map(|r| u64::from(r.count)).sum()).collect();
     let audit = placement::audit(&index, &counts, &|i| cameras.get(i as usize).copied(), AUDITED_POSES, 1);

@@ -266,10 +266,13 @@ pub struct InspectArgs {
     /// JSON, with every cell's bounds, triangles and source ranges.
     #[arg(long)]
     pub json: bool,
-    /// Draw where people walk and where not, rooms and grid points, storey by storey, as SVG or
-    /// PNG.
+    /// Draw the floor plans with the names of rooms, as SVG or PNG.
     #[arg(long, value_name = "FILE.svg|.png")]
     pub plan: Option<PathBuf>,
+    /// With --plan: draw instead where people walk and where not and why, boxes of rooms and grid
+    /// points.
+    #[arg(long, requires = "plan")]
+    pub technical: bool,
     /// With --plan: draw this path over it, and say how much of it lies inside.
     #[arg(long, value_name = "PATH.json", requires = "plan")]
     pub path: Option<PathBuf>,

@@ -19,6 +19,7 @@ use anyhow::{Context as _, anyhow};
 use glam::DVec3;
 use ldi_protocol::OutputCamera;
 use ldi_protocol::codec::ColourProfile;
+use ldi_protocol::floor_plan::FloorPlan;
 use ldi_protocol::index::{BuildSettings, Index};
 use ldi_protocol::path::{PathError, Walk};
 use ldi_protocol::room_index::BuiltImages;
@@ -172,7 +173,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         tell_notes(&found.skipped);
         if let Some(file) = &a.plan {
             let path = a.path.as_deref().map(read_walk).transpose()?;
-            draw_plan(file, &index, (Some(&found.walk), None, path.as_ref()))?;
+            draw_plan(file, &index, &[], (Some(&found.walk), None, path.as_ref()))?;
         }
         let json = serde_json::to_value(&found).map_err(Failure::permanent)?;
         match &a.report {
@@ -258,17 +259,19 @@ fn inspect(a: &InspectArgs) -> Result<(), Failure> {
         let path = a.path.as_deref().map(read_walk).transpose()?;
         let rooms = super::rooms::rooms_of_dataset(&a.dataset, dataset.index())?;
         let report = dataset.report().and_then(|r| serde_json::from_value(r["walk"].clone()).ok());
-        return draw_plan(file, dataset.index(), (report.as_ref(), rooms.as_ref(), path.as_ref()));
+        let plans = if a.technical { &[] } else { &dataset.index().plans[..] };
+        return draw_plan(file, dataset.index(), plans, (report.as_ref(), rooms.as_ref(), path.as_ref()));
     }
     let value = store::inspect(&open(&a.dataset)?, a.json).map_err(|e| Failure::of(e.permanent(), e))?;
     print(&if a.json { format!("{value:#}") } else { store::inspect_text(&value) })
 }
 
 /// Draws the plan of an index, as PNG or SVG by the file's name, and says how much of a path lies
-/// inside.
+/// inside. Without floor plans: where people walk and where not.
 fn draw_plan(
     file: &Path,
     index: &Index,
+    plans: &[FloorPlan],
     (report, rooms, path): (Option<&WalkReport>, Option<&Rooms>, Option<&Walk>),
 ) -> Result<(), Failure> {
     let volume = index.volume.as_ref().ok_or_else(|| {
@@ -283,6 +286,7 @@ fn draw_plan(
         rooms,
         points: &points,
         path,
+        plans,
     };
     let drawn = floor_plan::draw(&subject);
     match file.extension().and_then(|e| e.to_str()) {

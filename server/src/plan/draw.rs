@@ -1,7 +1,10 @@
 //! Shapes on white paper, as SVG and as PNG.
 
+use super::png;
+use base64::Engine as _;
 use font8x8::UnicodeFonts as _;
 use glam::DVec2;
+use ldi_protocol::floor_plan::FloorPlan;
 use std::fmt::Write as _;
 
 /// sRGB colour.
@@ -22,6 +25,13 @@ enum Shape {
         at: DVec2,
         radius: f64,
         ink: Ink,
+    },
+    /// A floor plan whose raster lies between two corners; drawn within a part of it.
+    Picture {
+        low: DVec2,
+        high: DVec2,
+        part: [DVec2; 2],
+        plan: FloorPlan,
     },
     /// Left end of the base line.
     Text {
@@ -69,6 +79,11 @@ impl Drawing {
         self.shapes.push(Shape::Dot { at, radius, ink });
     }
 
+    /// A floor plan between two corners, cut to a part of that.
+    pub fn picture(&mut self, low: DVec2, high: DVec2, part: [DVec2; 2], plan: FloorPlan) {
+        self.shapes.push(Shape::Picture { low, high, part, plan });
+    }
+
     pub fn text(&mut self, at: DVec2, text: &str, ink: Ink) {
         let text = text.chars().filter(|c| !c.is_control()).collect();
         self.shapes.push(Shape::Text { at, text, ink });
@@ -110,6 +125,26 @@ impl Drawing {
                         hex(*ink)
                     )
                 }
+                Shape::Picture { low, high, part: [from, to], plan } => {
+                    let png = png::encode(plan.size, plan.picture().as_flattened()).unwrap_or_default();
+                    // The part as a window onto the whole picture.
+                    let (size, at) = (*to - *from, *low - *from);
+                    writeln!(
+                        out,
+                        "<svg x=\"{:.2}\" y=\"{:.2}\" width=\"{:.2}\" height=\"{:.2}\"><image x=\"{:.2}\" y=\"{:.2}\" \
+                         width=\"{:.2}\" height=\"{:.2}\" preserveAspectRatio=\"none\" \
+                         href=\"data:image/png;base64,{}\"/></svg>",
+                        from.x,
+                        from.y,
+                        size.x,
+                        size.y,
+                        at.x,
+                        at.y,
+                        high.x - low.x,
+                        high.y - low.y,
+                        base64::engine::general_purpose::STANDARD.encode(png)
+                    )
+                }
                 Shape::Text { at, text, ink } => {
                     let text = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
                     writeln!(out, "<text x=\"{:.2}\" y=\"{:.2}\" fill=\"{}\">{text}</text>", at.x, at.y, hex(*ink))
@@ -141,6 +176,24 @@ impl Drawing {
                     fill(DVec2::new(high.x - 1.0, low.y), *high, *ink);
                 }
                 Shape::Dot { at, radius, ink } => fill(*at - *radius, *at + *radius, *ink),
+                Shape::Picture { low, high, part: [from, to], plan } => {
+                    let px_per_cell = (high.x - low.x) / f64::from(plan.size[0].max(1));
+                    // Coarser cells keep thin lines that single samples would miss.
+                    let plan = plan.coarser((1.0 / px_per_cell.max(1e-6)).ceil().min(4096.0) as u32);
+                    let colours = plan.picture();
+                    let cell = (*high - *low) / DVec2::new(f64::from(plan.size[0]), f64::from(plan.size[1]));
+                    for y in from.y.max(0.0) as u32..to.y.max(0.0) as u32 {
+                        for x in from.x.max(0.0) as u32..to.x.max(0.0) as u32 {
+                            let pixel = DVec2::new(f64::from(x), f64::from(y)) + 0.5;
+                            let at = ((pixel - *low) / cell).floor();
+                            let [i, k] = [at.x, at.y].map(|v| v.max(0.0) as u32);
+                            let colour = colours.get((k * plan.size[0] + i) as usize);
+                            if let Some([r, g, b, 255]) = colour.filter(|_| i < plan.size[0]) {
+                                fill(pixel - 0.5, pixel + 0.5, [*r, *g, *b]);
+                            }
+                        }
+                    }
+                }
                 Shape::Text { at, text, ink } => {
                     for (n, letter) in text.chars().enumerate() {
                         let glyph = font8x8::BASIC_FONTS.get(letter).unwrap_or([0; 8]);

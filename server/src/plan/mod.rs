@@ -1,17 +1,19 @@
-//! The plan of a dataset as a picture: where people walk, where they do not and why, rooms, grid
-//! points, and a path.
+//! The plan of a dataset as a picture: its floor plans ([`mod@storeys`]), or where people walk,
+//! where they do not and why, rooms, grid points, and a path.
 //!
 //! In: an index, or a walk volume alone, the [`WalkReport`] of its build, perhaps a path. Out: SVG
-//! or PNG, one sheet below another. A sheet holds floors that do not lie above each other
-//! ([`mod@sheets`]): the storeys of a building, the decks of a bridge.
+//! or PNG. Without floor plans one sheet stands below another. A sheet holds floors that do not lie
+//! above each other ([`mod@sheets`]): the storeys of a building, the decks of a bridge.
 
 mod draw;
+pub(crate) mod png;
 mod sheets;
+mod storeys;
 
 use crate::walk_volume::WalkReport;
 use draw::{Drawing, Ink};
 use glam::{DVec2, DVec3};
-use ldi_protocol::{Aabb, path::Walk, rooms::Rooms, volume::WalkVolume};
+use ldi_protocol::{Aabb, floor_plan::FloorPlan, path::Walk, rooms::Rooms, volume::WalkVolume};
 use sheets::{Sheet, sheets};
 
 /// Border around each sheet, pixels.
@@ -44,6 +46,8 @@ pub struct Subject<'a> {
     pub points: &'a [DVec3],
     /// A path to draw over it.
     pub path: Option<&'a Walk>,
+    /// Floor plans; if there are any, they are drawn instead of what people walk on and why.
+    pub plans: &'a [FloorPlan],
 }
 
 /// A drawn plan.
@@ -91,8 +95,16 @@ fn ink_at(height: f64, [low, high]: [f64; 2]) -> Ink {
     [mix(60.0, 190.0), mix(120.0, 225.0), mix(170.0, 245.0)]
 }
 
+/// Colour of a pose of a path: red outside of the volume.
+fn path_ink(volume: &WalkVolume, p: DVec3) -> Ink {
+    if volume.contains(p) { [0, 130, 40] } else { [220, 0, 0] }
+}
+
 /// Draws a plan; x to the right, z downward.
 pub fn draw(s: &Subject<'_>) -> Plan {
+    if !s.plans.is_empty() {
+        return storeys::draw(s, s.plans);
+    }
     let floor_of = |b: &Aabb| match s.eye_height_m {
         Some(eye_height_m) => b.min.y + 0.5 - eye_height_m,
         None => b.min.y,
@@ -163,8 +175,7 @@ fn draw_sheet(
     for pose in s.path.into_iter().flat_map(|p| &p.poses) {
         let p = pose.pose.position;
         if belongs(p.y - eye_m) {
-            let ink = if s.volume.contains(p) { [0, 130, 40] } else { [220, 0, 0] };
-            out.dot(place(p.x, p.z), 1.5, ink);
+            out.dot(place(p.x, p.z), 1.5, path_ink(s.volume, p));
         }
     }
     let area = sheet.boxes.iter().map(|n| boxes[*n].0.size()).map(|size| size.x * size.z).sum::<f64>();
@@ -226,6 +237,7 @@ fn legend(out: &mut Drawing, s: &Subject<'_>, scale: f64, left_out: usize) {
 mod tests {
     use super::*;
     use crate::walk_volume::RegionReport;
+    use ldi_protocol::floor_plan::{FLOOR, WALL};
 
     fn two_storeys() -> WalkVolume {
         let runs: Vec<Vec<[u16; 2]>> =
@@ -260,6 +272,7 @@ mod tests {
             rooms: None,
             points: &[DVec3::new(5.0, 1.6, 5.0)],
             path: Some(&path),
+            plans: &[],
         };
         let plan = draw(&subject);
         let svg = plan.svg();
@@ -271,5 +284,26 @@ mod tests {
         let has = |ink: Ink| picture.pixels().any(|p| p.0 == ink);
         assert!(has([190, 120, 60]) && has([0, 130, 40]) && has([220, 0, 0]) && has([255, 255, 255]));
         assert!((inside(&volume, &path).0 - 9.0 / 29.0).abs() < 0.01);
+        // With floor plans: a picture of each, walls dark and floors light.
+        let storey = |floor_m| FloorPlan {
+            floor_m,
+            ground_m: floor_m,
+            step_m: 0.1,
+            corner: [0.0; 2],
+            pitch_m: 0.1,
+            size: [100, 100],
+            relief: false,
+            cells: (0..10_000).map(|n| if n % 100 == 50 { WALL } else { FLOOR }).collect(),
+        };
+        let plans = [storey(0.0), storey(3.0)];
+        let plan = draw(&Subject { plans: &plans, ..subject });
+        let svg = plan.svg();
+        for wanted in ["storey 1 of 2, floor at 0.0 m", "storey 2 of 2", "data:image/png;base64,", "m, north is up"] {
+            assert!(svg.contains(wanted), "{wanted} is missing");
+        }
+        let picture = image::load_from_memory(&plan.png().unwrap()).unwrap().to_rgb8();
+        let share = |ink: Ink| picture.pixels().filter(|p| p.0 == ink).count() as f64 / picture.pixels().len() as f64;
+        assert!(share([250, 248, 242]) > 0.5 && share([33, 40, 48]) > 0.003, "{}", share([33, 40, 48]));
+        assert!(picture.pixels().any(|p| p.0 == [220, 0, 0]) && picture.pixels().any(|p| p.0 == [0, 130, 40]));
     }
 }

@@ -199,6 +199,7 @@ mod tests {
             images: vec![],
             volume: Some(volume),
             tree: None,
+            plans: Vec::new(),
             rooms: Some(RoomIndex {
                 rooms,
                 near_m: 1.5,

@@ -6,6 +6,7 @@
 //! every connection has a time to live and a place to take.
 
 use super::{
+    addresses::addresses_to_type,
     admission::Peer,
     offer::{Offer, Offers},
     session::{ACCESS, Shared, stopped},
@@ -71,7 +72,7 @@ const PAUSE: Duration = Duration::from_millis(100);
 const HEADERS: [(header::HeaderName, &str); 5] = [
     (
         header::CONTENT_SECURITY_POLICY,
-        "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; \
+        "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; img-src data:; \
          base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     ),
     (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
@@ -82,8 +83,8 @@ const HEADERS: [(header::HeaderName, &str); 5] = [
 
 struct Site {
     shared: Arc<Shared>,
-    /// Of QUIC.
-    port: u16,
+    /// Where QUIC listens.
+    quic: SocketAddr,
     names: Vec<String>,
     metrics: Option<PrometheusHandle>,
 }
@@ -127,15 +128,15 @@ fn describe() {
     describe_histogram!("ldi_plan_seconds", "Time to decide what to send next");
 }
 
-/// Answers until `stop` turns true. `port`: that of QUIC; `names`: those of the server, beside
+/// Answers until `stop` turns true. `quic`: where QUIC listens; `names`: those of the server, beside
 /// `localhost` and addresses.
 pub(super) async fn answer(
     listener: TcpListener,
-    (shared, port): (Arc<Shared>, u16),
+    (shared, quic): (Arc<Shared>, SocketAddr),
     names: Vec<String>,
     mut stop: watch::Receiver<bool>,
 ) {
-    let site = Arc::new(Site { shared, port, names, metrics: recorder() });
+    let site = Arc::new(Site { shared, quic, names, metrics: recorder() });
     let upkeep = site.metrics.clone().map(|m| {
         tokio::spawn(async move {
             loop {
@@ -149,10 +150,12 @@ pub(super) async fn answer(
         .route("/datasets.json", get(datasets))
         .route("/plan.json", get(only_plan))
         .route("/walkers.json", get(walkers))
+        .route("/connect.json", get(connect))
         .route("/{dataset}", get(to_dataset_page))
         .route("/{dataset}/", get(dataset_page))
         .route("/{dataset}/plan.json", get(plan_of))
         .route("/{dataset}/walkers.json", get(walkers_of))
+        .route("/{dataset}/connect.json", get(connect_of))
         .route("/healthz", get(|| async { "ok\n" }))
         .route("/readyz", get(ready))
         .route("/metrics", get(metrics_text))
@@ -339,7 +342,7 @@ async fn datasets(State(site): State<Arc<Site>>) -> impl IntoResponse {
             "triangles": index.scene.triangles,
             "bytes": index.chunks.iter().map(|c| u64::from(c.stored_bytes)).sum::<u64>(),
             "walkers": site.shared.walkers.views(Some(&offer.name)).len(),
-            "port": site.port,
+            "port": site.quic.port(),
         })
     };
     let all: Vec<serde_json::Value> = site.shared.offers().all().map(of).collect();
@@ -387,6 +390,33 @@ async fn walkers(State(site): State<Arc<Site>>) -> impl IntoResponse {
 
 async fn walkers_of(State(site): State<Arc<Site>>, Path(name): Path<String>) -> impl IntoResponse {
     ([(CACHE_CONTROL, "no-store")], Json(site.shared.walkers.views(Some(&name))))
+}
+
+async fn connect(State(site): State<Arc<Site>>) -> impl IntoResponse {
+    Json(how_to_connect(&site, None))
+}
+
+async fn connect_of(
+    State(site): State<Arc<Site>>,
+    Path(name): Path<String>,
+) -> Result<impl IntoResponse, (StatusCode, String)> {
+    offer_of(&site, Some(&name)).map(|_| Json(how_to_connect(&site, Some(&name))))
+}
+
+/// What the page shows of how to walk in a dataset.
+fn how_to_connect(site: &Site, name: Option<&str>) -> serde_json::Value {
+    let offers = site.shared.offers();
+    // The only dataset needs no name.
+    let name = name.filter(|_| offers.only().is_none());
+    let addresses = addresses_to_type(site.quic);
+    let addresses: Vec<String> = addresses.iter().map(|a| a.ip().to_string()).collect();
+    serde_json::json!({
+        "addresses": addresses,
+        "any_address": site.quic.ip().is_unspecified(),
+        "port": site.quic.port(),
+        "name": name,
+        "token": offers.ask_for_token(),
+    })
 }
 
 async fn metrics_text(State(site): State<Arc<Site>>) -> impl IntoResponse {

@@ -15,6 +15,7 @@
 //!
 //! `docs/reference/protocol.md` describes what travels.
 
+mod addresses;
 mod admission;
 mod config;
 mod control;

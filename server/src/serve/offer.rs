@@ -70,6 +70,11 @@ impl Offers {
         self.token.is_none_or(|token| shown.is_some_and(|s| blake3::hash(s) == token))
     }
 
+    /// Whether newcomers must show a token.
+    pub fn ask_for_token(&self) -> bool {
+        self.token.is_some()
+    }
+
     /// The dataset of a name; without a name the only one.
     ///
     /// # Errors

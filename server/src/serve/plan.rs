@@ -1,11 +1,17 @@
-//! The dataset's plan from above, as JSON for the page: scene bounds, cells, grid points,
-//! placements, counts.
+//! The dataset as JSON for the page: floor plans and rooms, scene bounds, counts, and for the
+//! technical layers cells, grid points and placements.
 //!
 //! Lengths are metres, x to the right and z downward (a right-handed world seen from +Y), rounded
 //! to millimetres.
 
 use super::source::Served;
-use ldi_protocol::index::{ChunkKind, ImageEntry, Placement};
+use crate::plan::png;
+use base64::Engine as _;
+use ldi_protocol::{
+    floor_plan::FloorPlan,
+    index::{ChunkKind, ImageEntry, Placement},
+    rooms::Cell,
+};
 use serde_json::{Value, json};
 
 fn mm(x: f64) -> f64 {
@@ -58,12 +64,39 @@ pub(super) fn to_json(served: &Served) -> Vec<u8> {
             "max": bounds.max.to_array().map(mm),
         },
         "settings": index.settings,
+        "plans": index.plans.iter().map(storey).collect::<Vec<_>>(),
+        "rooms": index.rooms.iter().flat_map(|r| r.rooms.cells()).map(room).collect::<Vec<_>>(),
         "chunks": kinds,
         "cells": cells,
         "points": points,
         "images": images,
     });
     plan.to_string().into_bytes()
+}
+
+/// A floor plan with its picture. Page and picture come in one answer, so that they are of the same
+/// dataset.
+fn storey(plan: &FloorPlan) -> Value {
+    let picture = png::encode(plan.size, plan.picture().as_flattened()).unwrap_or_default();
+    let picture = base64::engine::general_purpose::STANDARD.encode(picture);
+    json!({
+        "floor_m": mm(plan.floor_m),
+        "area": plan.area().map(mm),
+        "content": plan.content().map(mm),
+        "pitch_m": plan.pitch_m,
+        "relief": plan.relief,
+        "contour_m": plan.contour_m(),
+        "picture": format!("data:image/png;base64,{picture}"),
+    })
+}
+
+/// A room: its name and the boxes that it consists of, [x0, z0, x1, z1, y0, y1].
+fn room(room: &Cell) -> Value {
+    let boxes = room.boxes.iter().map(|b| {
+        let (low, high) = (b.min, b.max);
+        [low.x, low.z, high.x, high.z, low.y, high.y].map(mm)
+    });
+    json!({ "name": room.name, "boxes": boxes.collect::<Vec<_>>() })
 }
 
 /// An image as a stroke: where its plane stands on the plan, seen from above.

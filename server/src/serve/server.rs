@@ -1,6 +1,7 @@
 //! Starts and stops a server: endpoint, accept loop, HTTP.
 
 use super::{
+    addresses::addresses_to_type,
     admission::{Admission, Peer},
     config::ServeConfig,
     error::ServeError,
@@ -16,7 +17,7 @@ use ldi_protocol::{index::ChunkHash, wire::MAX_ROOT_BYTES};
 use quinn::{Endpoint, VarInt};
 use std::{
     io::Write,
-    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr},
+    net::SocketAddr,
     sync::{Arc, RwLock},
     time::{Duration, Instant, SystemTime},
 };
@@ -113,7 +114,7 @@ impl Server {
         let (endpoint, quic) = transport::open(config, settings)?;
         let answering = listener.map(|(_, listener)| {
             let (shared, names) = (shared.clone(), config.http_names.clone());
-            tokio::spawn(http::answer(listener, (shared, quic.port()), names, stopping))
+            tokio::spawn(http::answer(listener, (shared, quic), names, stopping))
         });
         let accepting = tokio::spawn(accept(endpoint.clone(), shared.clone()));
         Ok(Self { quic, http, fingerprint, endpoint, shared, stop, accepting, answering })
@@ -266,29 +267,6 @@ pub async fn serve(
     tracing::info!(target: ACCESS, "stopping");
     server.shutdown().await;
     Ok(())
-}
-
-/// What clients connect to: the address itself, or those of this machine where it listens on all.
-/// Which of them the network uses is asked of the system; no packet is sent.
-fn addresses_to_type(listening: SocketAddr) -> Vec<SocketAddr> {
-    if !listening.ip().is_unspecified() {
-        return vec![listening];
-    }
-    // Addresses for documentation (RFC 5737 and 3849): on no network, so by the usual way out.
-    let ways: [(IpAddr, SocketAddr); 2] = [
-        (Ipv4Addr::UNSPECIFIED.into(), (Ipv4Addr::new(192, 0, 2, 1), 9).into()),
-        (Ipv6Addr::UNSPECIFIED.into(), (Ipv6Addr::new(0x2001, 0xdb8, 0, 0, 0, 0, 0, 1), 9).into()),
-    ];
-    let own = ways.into_iter().filter(|(from, _)| listening.is_ipv6() || from.is_ipv4()).filter_map(|(from, to)| {
-        let socket = std::net::UdpSocket::bind((from, 0)).ok()?;
-        socket.connect(to).ok()?;
-        socket.local_addr().ok()
-    });
-    let found: Vec<SocketAddr> = own.map(|own| (own.ip(), listening.port()).into()).collect();
-    match found.is_empty() {
-        true => vec![(Ipv4Addr::LOCALHOST, listening.port()).into()],
-        false => found,
-    }
 }
 
 fn print_at_once(line: &str) -> std::io::Result<()> {

@@ -189,6 +189,7 @@ fn sample() -> Sample {
         volume: None,
         tree: None,
         rooms: None,
+        plans: Vec::new(),
     };
     let range = |node, count| SourceRange { node, mesh: 0, primitive: 1, first: 300, count };
     Sample { index, chunks, ranges: vec![vec![range(1, 2), range(2, 2)], vec![range(70_000, 2)]] }

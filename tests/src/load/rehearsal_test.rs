@@ -68,6 +68,7 @@ pub(in crate::load) fn index(chunks: u32) -> Arc<Index> {
         volume: None,
         tree: None,
         rooms: None,
+        plans: Vec::new(),
         points: vec![],
         placements: vec![],
         images: vec![],

@@ -162,6 +162,7 @@ mod tests {
             volume: None,
             tree: None,
             rooms: None,
+            plans: Vec::new(),
         };
         let chunk = |c: u32| cell::decode(&packed.chunks[c as usize].bytes).ok();
         let kept = audit_levels(&index, &chunk, u64::MAX, 1);

@@ -64,6 +64,7 @@ fn index() -> Arc<Index> {
         volume: None,
         tree: None,
         rooms: None,
+        plans: Vec::new(),
         points: vec![],
         placements: vec![],
         images: vec![],
