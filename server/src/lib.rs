@@ -2,8 +2,8 @@
 //!
 //! Folders are stages; a module imports only from stages before it: [`scene`] -> [`octree`] ->
 //! [`levels`] -> [`render`] -> [`walk_volume`] -> [`placement`] -> [`portal`] -> [`construct`] ->
-//! [`pack`] -> [`tree`] -> [`store`] -> [`plan`] -> [`serve`]; [`build`] joins them, [`cli`] is the
-//! command line.
+//! [`pack`] -> [`tree`] -> [`store`] -> [`tour`] -> [`plan`] -> [`serve`]; [`build`] joins them,
+//! [`cli`] is the command line.
 
 pub mod build;
 pub mod cli;
@@ -18,5 +18,6 @@ pub mod render;
 pub mod scene;
 pub mod serve;
 pub mod store;
+pub mod tour;
 pub mod tree;
 pub mod walk_volume;

@@ -114,6 +114,7 @@ fn server_stages_import_backward_only() {
             "pack",
             "tree",
             "store",
+            "tour",
             "plan",
             "serve",
             "build",
