@@ -10,7 +10,7 @@ use ldi_protocol::path::{self, PathError, Walk};
 use ldi_protocol::volume::WalkVolume;
 use std::path::Path;
 
-/// Reads a path through a dataset. One that would fit with a factor or with other axes is warned of.
+/// Reads a path through a dataset; warns of one that would fit with a factor or with other axes.
 pub(super) fn path_in_dataset(file: &Path, index: &Index) -> Result<Walk, Failure> {
     read(file, |places| path::misfit(places, &index.scene.bounds, index.volume.as_ref())).inspect(|walk| {
         warn_of_misfit(file, walk, &index.scene.bounds, index.volume.as_ref());

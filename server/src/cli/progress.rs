@@ -1,5 +1,5 @@
-//! Progress of long work on stderr: a bar with rate and remaining time, a plain line every so often,
-//! or a JSON object per line.
+//! Progress of long work on stderr: a bar with rate and remaining time, a plain line every so
+//! often, or a JSON object per line.
 
 use super::args::{ProgressArgs, ProgressForm};
 use crate::build::Progress;

@@ -157,8 +157,8 @@ fn reach(ground: &Ground<'_>, from: Spot, most: usize) -> BTreeMap<Spot, (f64, O
     reached
 }
 
-/// How far one sees: the mean of the [`LOOKED`] farthest directions, metres; and the farthest one, as
-/// a yaw in degrees. Where there is only sky nothing is seen.
+/// How far one sees: the mean of the [`LOOKED`] farthest directions, metres; and the farthest one,
+/// as a yaw in degrees. Where there is only sky nothing is seen.
 fn view(ground: &Ground<'_>, eye: DVec3) -> (f64, f64) {
     let toward = |yaw_deg: f64| {
         let (sin, cos) = yaw_deg.to_radians().sin_cos();
