@@ -5,13 +5,14 @@
 mod connect;
 mod failure;
 mod input;
+mod shell;
 mod signals;
 
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand, ValueEnum as _};
 use failure::Failure;
 use indicatif::{ProgressBar, ProgressStyle};
-use input::{disk, parse_size, read_path, token};
+use input::{check_file, check_folder, disk, parse_size, read_path, token};
 use ldi_client::{
     app::HeadlessConnection,
     composite::Fill,
@@ -24,7 +25,12 @@ use ldi_client::{
     stream::{ConnectConfig, Connection, DEFAULT_DISK_BYTES, Fingerprint, LinkSpec},
     warp::{Order, Stamp, WarpOptions},
 };
-use ldi_protocol::{index::Index, said::said, wire::Picture};
+use ldi_protocol::{
+    index::Index,
+    path::{Walk, misfit},
+    said::said,
+    wire::Picture,
+};
 use std::{
     io::IsTerminal,
     path::{Path, PathBuf},
@@ -65,6 +71,21 @@ enum Command {
         rise in --fly datasets, Shift runs, the wheel changes the speed. H shows all keys.\n\n\
         Exit codes: 0 closed, 2 wrong usage or an unknown server, 1 a retry may help, 42 refused or a changed fingerprint.")]
     Connect(Box<connect::ConnectArgs>),
+    /// Print completions for a shell.
+    #[command(
+        after_help = "Example: ldi-client completions bash > ~/.local/share/bash-completion/completions/ldi-client"
+    )]
+    Completions {
+        /// Shell.
+        shell: clap_complete::Shell,
+    },
+    /// Write man pages, one for each command.
+    #[command(after_help = "Example: ldi-client man -o ~/.local/share/man/man1")]
+    Man {
+        /// Folder for the pages.
+        #[arg(short = 'o', long = "out", value_name = "DIR")]
+        out: PathBuf,
+    },
 }
 
 #[derive(Args)]
@@ -188,6 +209,8 @@ pub fn main() -> ExitCode {
     let done = match cli.command {
         Command::Walk(args) => walk(&args),
         Command::Connect(args) => connect::connect(&args),
+        Command::Completions { shell } => shell::completions(shell),
+        Command::Man { out } => shell::man(&out),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -270,6 +293,14 @@ fn check_offer(method: Method, index: &Index) -> Result<(), Failure> {
     }
 }
 
+/// Warns of a path that does not lie in the scene; says with which factor it would.
+fn warn_of_misfit(file: &Path, walk: &Walk, index: &Index) {
+    let places: Vec<_> = walk.poses.iter().map(|p| p.pose.position).collect();
+    if let Some(misfit) = misfit(&places, &index.scene.bounds, index.volume.as_ref()) {
+        tracing::warn!("{}: {misfit}", file.display());
+    }
+}
+
 /// Frames that wait for their own data do not benefit from prefetched data.
 fn prefetch_m(args: &WalkArgs) -> f64 {
     args.prefetch_m.unwrap_or(if matches!(args.pace, Pace::Wait) { 0.0 } else { 10.0 })
@@ -277,6 +308,8 @@ fn prefetch_m(args: &WalkArgs) -> f64 {
 
 fn walk(args: &WalkArgs) -> Result<(), Failure> {
     reject_unsupported(args)?;
+    check_folder(&args.out, "-o")?;
+    check_file(&args.report, "--report")?;
     let path = read_path(&args.path)?;
     let token = token(args.token_file.as_deref())?;
     for (folder, option) in [(&args.truth, "--truth"), (&args.baseline, "--baseline")] {
@@ -319,6 +352,7 @@ fn walk(args: &WalkArgs) -> Result<(), Failure> {
     let report_file = PendingReport::create(&args.report).map_err(Failure::permanent)?;
     let connection = Connection::connect(config.clone())?;
     check_offer(args.method, connection.index())?;
+    warn_of_misfit(&args.path, &path, connection.index());
     let stop = signals::stop_at_signal("ending the walk; once more ends it without a report")
         .map_err(|e| Failure { code: 1, error: e.into() })?;
     let link = HeadlessConnection::new(connection, config, Arc::clone(&stop))

@@ -21,6 +21,10 @@
 //! everywhere, decide positions; headings come from `atan2`, whose last bits differ between
 //! systems, and are therefore rounded to 2^-30 degrees.
 
+mod units;
+
+pub use units::misfit;
+
 use crate::Pose;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -92,6 +96,18 @@ pub enum PathError {
         what: &'static str,
         /// The limit.
         limit: usize,
+    },
+    /// The waypoints are too far apart for the speed.
+    #[error(
+        "path file: {metres:.0} m at `speed` {speed} m/s are more than {MAX_POSES} poses; shorten the path or raise `speed`; if its coordinates are millimetres or centimetres, multiply them by 0.001 or 0.01"
+    )]
+    TooFar {
+        /// Length of the way, metres.
+        metres: f64,
+        /// Speed, metres per second.
+        speed: f64,
+        /// The waypoints.
+        places: Vec<DVec3>,
     },
 }
 
@@ -259,6 +275,10 @@ fn walk(waypoints: &[[f64; 3]], closed: bool, fps: f64, speed: f64) -> Result<Ve
         points.push(points[0]);
     }
     let segments = segments(&points);
+    let metres: f64 = segments.iter().map(|s| s.length_m).sum();
+    if metres * fps / speed > MAX_POSES as f64 {
+        return Err(PathError::TooFar { metres, speed, places: points });
+    }
     let mut walker = Walker { fps, poses: Vec::new() };
     if segments.is_empty() {
         walker.stand(points[0], 0.0)?;

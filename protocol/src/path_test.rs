@@ -153,7 +153,7 @@ fn errors_name_the_field() {
             r#"{"poses": [{"t": 2, "position": [0,0,0], "yaw": 0}, {"t": 1, "position": [0,0,0], "yaw": 0}]}"#,
             "poses[1].t",
         ),
-        (r#"{"waypoints": [[0,0,0],[1e6,0,0]], "speed": 0.01}"#, "number of poses"),
+        (r#"{"waypoints": [[0,0,0],[1e6,0,0]], "speed": 0.01}"#, "multiply them by 0.001"),
         (r#"{"waypoints": [[0,0,1e999]]}"#, "out of range"),
         ("[1,2", "EOF"),
     ] {

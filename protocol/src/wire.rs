@@ -149,6 +149,10 @@ pub struct Hello {
     /// pages first.
     #[serde(default)]
     pub early: bool,
+    /// Whether the client is told by [`ServerMessage::Replaced`] that its dataset was replaced. A
+    /// server that does not know of it says nothing.
+    #[serde(default)]
+    pub replacements: bool,
 }
 
 /// The server's answer to [`Hello`]; a frame with the manifest's root follows it on the control
@@ -271,6 +275,9 @@ pub enum ServerMessage {
         /// The nearest ones, at most [`MAX_OTHERS`].
         walkers: Vec<Other>,
     },
+    /// The dataset of this name was replaced by a new build, which the next connection gets. Only
+    /// to clients with [`Hello::replacements`], once.
+    Replaced,
 }
 
 /// Why a server refuses a client. Also the application code with which it closes the connection.
@@ -419,6 +426,7 @@ impl Message for ServerMessage {
                 }
                 Ok(())
             }
+            Self::Replaced => Ok(()),
         }
     }
 }

@@ -39,6 +39,21 @@ fn the_protocol_is_pure() {
     }
 }
 
+/// The root holds the folders of the workspace, its documents and hidden files.
+#[test]
+fn the_root_holds_nothing_else() {
+    let known = |name: &str| {
+        name.starts_with('.')
+            || ["README.md", "LICENSE-APACHE", "LICENSE-MIT", "CHANGELOG.md", "Cargo.toml", "Cargo.lock"]
+                .contains(&name)
+            || ["server", "client", "protocol", "deploy", "tests", "docs", "target", "out"].contains(&name)
+    };
+    for entry in std::fs::read_dir(root()).expect("readable") {
+        let name = entry.expect("readable").file_name().to_string_lossy().into_owned();
+        assert!(known(&name), "{name} does not belong into the root");
+    }
+}
+
 #[test]
 fn neither_end_depends_on_the_other() {
     assert!(!dependencies("ldi-client").contains("ldi-server"));
@@ -115,6 +130,7 @@ fn server_stages_import_backward_only() {
             "pack",
             "tree",
             "store",
+            "tour",
             "plan",
             "serve",
             "build",

@@ -291,6 +291,35 @@ fn a_build_that_is_killed_goes_on_and_gives_the_same_bytes() {
 }
 
 #[test]
+fn shares_of_a_build_give_the_bytes_of_one() {
+    let f = fixture();
+    let shared = folder("shares").join("dataset");
+    let share = |which: &str| {
+        let mut c = build_command(&f.scene, &shared, &["--shard", which]);
+        c.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts")
+    };
+    // At the same time, in a folder that is not there yet.
+    let ends = ["1/3", "2/3", "3/3"].map(share).map(|child| child.wait_with_output().expect("ends"));
+    let said = ends.each_ref().map(|end| String::from_utf8_lossy(&end.stdout).into_owned());
+    for end in &ends {
+        assert!(end.status.success(), "{}", outcome(end).1);
+    }
+    assert!(said.iter().any(|s| s.contains("all shares are there")), "{said:?}");
+    assert!(!shared.join("manifest").exists(), "nobody has joined them yet");
+    let joined = build_command(&f.scene, &shared, &[]).output().expect("runs");
+    let (code, text) = outcome(&joined);
+    assert_eq!(code, Some(0), "{text}");
+    let images = text.lines().find(|l| l.starts_with("layered depth images")).expect("a stage");
+    let [all, before] = [" (", ", "].map(|at| images.split(at).nth(1).and_then(|t| t.split([',', ' ']).next()));
+    assert!(all.is_some() && all == before, "nothing is made again: {images}");
+    let whole = folder("whole").join("dataset");
+    build(&f.scene, &whole, &[]);
+    assert_same_dataset(&whole, &shared);
+    let (code, text) = outcome(&build_command(&f.scene, &shared, &["--shard", "4/3"]).output().expect("runs"));
+    assert!(code == Some(2) && text.contains("1/4 to 4/4"), "{text}");
+}
+
+#[test]
 fn eyes_that_nobody_planned_for_see_geometry_over_the_tree() {
     let f = fixture();
     let out = folder("unplanned");
@@ -715,6 +744,88 @@ fn exit_codes_tell_usage_from_bad_input() {
     c.args(["walk", &served.quic, "--size", SIZE, "--path"]).arg(&f.poses).arg("-o").arg(out.join("f"));
     c.arg("--report").arg(out.join("r"));
     assert_eq!(code(&mut c).0, Some(2), "an unknown server without a fingerprint");
+    let mut c = run::command("ldi-client").expect("built");
+    c.args(["walk", &served.quic, "--fingerprint", &served.fingerprint, "--size", SIZE, "--path"]).arg(&f.poses);
+    let (status, stderr) = code(c.arg("-o").arg(&bad).arg("--report").arg(out.join("r")));
+    assert!(status == Some(42) && stderr.contains("is a file; name another folder"), "{stderr}");
+}
+
+#[test]
+fn messages_name_the_remedy() {
+    let f = fixture();
+    let out = folder("messages");
+    let code = |c: &mut Command| outcome(&c.output().expect("runs"));
+    let file = out.join("town.glb");
+    std::fs::write(&file, b"glTF").expect("writable");
+    let (status, stderr) = code(server(&["serve"]).arg(&file));
+    let command = format!("ldi-server build {} -o {}", file.display(), out.join("town.ldi").display());
+    assert!(status == Some(42) && stderr.contains(&command), "{stderr}");
+    let in_the_way = format!("{} is a file", file.display());
+    for place in [file.clone(), file.join("below")] {
+        let mut c = server(&["render"]);
+        c.arg(&f.scene).arg("--path").arg(&f.poses).args(["--size", SIZE, "--samples", "1", "-o"]).arg(&place);
+        let (status, stderr) = code(&mut c);
+        assert!(status == Some(42) && stderr.contains(&in_the_way), "{stderr}");
+    }
+    let (status, stderr) = code(&mut build_command(&f.scene, &file.join("below"), &[]));
+    assert!(status == Some(42) && stderr.contains(&format!("{}, in which", file.display())), "{stderr}");
+    // The same path in millimetres.
+    let mut path = json(&f.poses);
+    for pose in path["poses"].as_array_mut().expect("poses") {
+        for metres in pose["position"].as_array_mut().expect("a position") {
+            *metres = (metres.as_f64().expect("a number") * 1e3).into();
+        }
+    }
+    let millimetres = out.join("mm.path.json");
+    std::fs::write(&millimetres, path.to_string()).expect("writable");
+    let planned =
+        |poses: &Path| code(server(&["plan"]).arg(&f.dataset).arg("--poses").arg(poses).arg("-o").arg(out.join("p")));
+    let (status, stderr) = planned(&millimetres);
+    assert!(
+        status == Some(0) && stderr.contains("mm.path.json: 100%") && stderr.contains("multiplied by 0.001"),
+        "{stderr}"
+    );
+    assert!(!planned(&f.poses).1.contains("multiplied"));
+    let mut c = build_command(&f.scene, &out.join("along"), &["--along"]);
+    let (status, stderr) = code(c.arg(&millimetres));
+    assert!(status == Some(42) && stderr.contains("--along") && stderr.contains("multiplied by 0.001"), "{stderr}");
+}
+
+#[test]
+fn a_tour_of_a_dataset_lies_in_its_walk_volume() {
+    let f = fixture();
+    let path = folder("tour").join("tour.path.json");
+    let mut c = server(&["tour", "--quiet", "--seconds", "30"]);
+    c.arg(&f.dataset).arg("-o").arg(&path);
+    let (code, stderr) = outcome(&c.output().expect("runs"));
+    assert!(code == Some(0) && stderr.is_empty(), "{stderr}");
+    let walk = ldi_protocol::path::parse(&std::fs::read_to_string(&path).expect("readable")).expect("a path");
+    let dataset = Dataset::open(&f.dataset).expect("a dataset");
+    let volume = dataset.index().volume.as_ref().expect("a walk volume");
+    assert_eq!(walk.poses.len(), 1800);
+    assert!(walk.poses.iter().all(|p| volume.contains(p.pose.position)));
+    let metres: f64 = walk.poses.windows(2).map(|p| p[0].pose.position.distance(p[1].pose.position)).sum();
+    assert!(metres > 10.0, "{metres}");
+    let (code, stderr) = outcome(&c.arg("--fly").output().expect("runs"));
+    assert!(code == Some(2) && stderr.contains("are for scenes"), "{stderr}");
+}
+
+#[test]
+fn completions_and_man_pages_are_made() {
+    let out = folder("manual");
+    for program in ["ldi-server", "ldi-client"] {
+        for shell in ["bash", "zsh", "fish"] {
+            let mut c = run::command(program).expect("built");
+            let text = c.args(["completions", shell]).output().expect("runs").stdout;
+            let text = String::from_utf8(text).expect("text");
+            assert!(text.contains(program) && text.contains("fingerprint") == (program == "ldi-client"), "{shell}");
+        }
+        let mut c = run::command(program).expect("built");
+        assert!(c.args(["man", "-o"]).arg(&out).status().expect("runs").success());
+        assert!(out.join(format!("{program}.1")).is_file());
+    }
+    let build = std::fs::read_to_string(out.join("ldi-server-build.1")).expect("readable");
+    assert!(build.contains(".TH") && build.contains("max"), "{build}");
 }
 
 #[test]

@@ -9,7 +9,7 @@ mod host;
 
 use fixture::{FIRST_CELL, street};
 use host::{Host, Memory, PATIENCE, PICTURE, folder};
-use ldi_client::stream::{ConnectConfig, ConnectError, Connection, Fingerprint, KnownHosts};
+use ldi_client::stream::{ConnectConfig, ConnectError, ConnectProgress, Connection, Fingerprint, KnownHosts};
 use ldi_protocol::wire::Request;
 use ldi_server::serve::{ChunkSource, Datasets, Identity, NamedSources, ServeConfig};
 use std::{
@@ -70,6 +70,31 @@ fn walkers_inside_stay_and_newcomers_get_what_is_new() {
 }
 
 #[test]
+fn walkers_inside_are_told_of_a_new_build() {
+    let mut host = Host::start("told", Memory::new(street(2, 16)));
+    let with =
+        |progress: &Arc<ConnectProgress>, host: &Host| ConnectConfig { progress: progress.clone(), ..host.config() };
+    let (first, second) = (Arc::<ConnectProgress>::default(), Arc::<ConnectProgress>::default());
+    let inside = walks(&with(&first, &host));
+    host.reload(Memory::new(street(2, 16)));
+    goes_on(&inside);
+    assert!(!first.is_replaced(), "the same build again");
+    host.reload(Memory::new(street(3, 16)));
+    let begin = Instant::now();
+    while !first.is_replaced() {
+        assert!(begin.elapsed() < PATIENCE, "nothing is told");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    goes_on(&inside);
+    let newcomer = walks(&with(&second, &host));
+    assert!(newcomer.dataset() != inside.dataset() && !second.is_replaced());
+    // Whoever connects again has the new build.
+    drop(inside);
+    walks(&with(&first, &host));
+    assert!(!first.is_replaced());
+}
+
+#[test]
 fn a_certificate_is_replaced_without_a_client_that_asks_again() {
     let mut host = Host::start("rotation", Memory::new(street(2, 16)));
     let file = folder("rotation-known").join("known_hosts");
@@ -110,7 +135,8 @@ fn sighup_reloads_and_sigterm_stops() {
     };
     let street = Arc::new(Changing { cells: AtomicU32::new(2), stamp: AtomicU64::new(0) });
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
-    let serving = runtime.spawn(ldi_server::serve::serve(street.clone(), (0, street.open().unwrap()), settings));
+    let serving =
+        runtime.spawn(ldi_server::serve::serve(street.clone(), (0, street.open().unwrap()), settings, &|_, _| {}));
     let begin = Instant::now();
     let connect = || {
         let mut config = ConnectConfig::new(free.to_string(), PICTURE);

@@ -540,7 +540,8 @@ fn strangers_are_asked_about_and_changed_ones_refused() {
     let file = file.to_str().expect("UTF-8");
     let (code, said) = blind(&dir, &[&served.quic, "--known-hosts", file]);
     assert_eq!(code, Some(2), "{said}");
-    assert!(said.contains(&served.fingerprint) && said.contains("--accept-new"), "{said}");
+    let typed = format!("ldi-client connect {} --fingerprint {}", served.quic, served.fingerprint);
+    assert!(said.contains(&typed) && said.contains("--accept-new"), "{said}");
     assert!(!Path::new(file).exists());
     let old = "ab".repeat(32);
     std::fs::write(file, format!("# the hall\n{} {old}\n", served.quic)).expect("writable");
@@ -549,10 +550,14 @@ fn strangers_are_asked_about_and_changed_ones_refused() {
     for part in [file, "line 2", &old, &served.fingerprint] {
         assert!(said.contains(part), "{part}: {said}");
     }
+    let (code, said) = blind(&dir, &[&served.quic, "--known-hosts", file, "--fingerprint", &old]);
+    assert!(code == Some(42) && said.contains("this client refuses the server"), "{said}");
+    let (code, said) = blind(&dir, &["127.0.0.1:9", "--known-hosts", file]);
+    assert!(code == Some(1) && said.contains("ldi-server serve"), "{said}");
     // A fingerprint that was given stands above the file. Then there is only no display.
     let (code, said) = blind(&dir, &[&served.quic, "--known-hosts", file, "--fingerprint", &served.fingerprint]);
-    assert_eq!(code, Some(1), "{said}");
-    assert!(said.contains("display") && said.contains("ldi-client walk") && !said.contains(".rs"), "{said}");
+    assert_eq!(code, Some(42), "{said}");
+    assert!(said.contains("DISPLAY") && said.contains("ldi-client walk") && !said.contains(".rs"), "{said}");
 }
 
 #[test]

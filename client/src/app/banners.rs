@@ -18,6 +18,8 @@ const GAP: f32 = 6.0;
 const GOOD: Color32 = Color32::from_rgb(120, 220, 150);
 const BAD: Color32 = Color32::from_rgb(255, 180, 90);
 const RECORDING: Color32 = Color32::from_rgb(255, 120, 110);
+/// Shown when the server has a new build of the dataset.
+const REPLACED: &str = "A new version of this scene is served: F5 connects again and shows it";
 /// Shown where the dataset has no images for the eye's position.
 const UNPLANNED: &str = "No images were made for this place: what is far away looks softer";
 
@@ -39,6 +41,8 @@ pub struct Conditions<'a> {
     pub replaying: bool,
     /// Whether no image was made for the eye's position.
     pub unplanned: bool,
+    /// Whether the server has a new build of the dataset.
+    pub replaced: bool,
 }
 
 impl Conditions<'_> {
@@ -52,6 +56,7 @@ impl Conditions<'_> {
         let mut lines: Vec<Line> = trouble(self.connection).map(|t| line(t, BAD)).into_iter().collect();
         lines.extend(self.recording.map(recording));
         lines.extend(self.replaying.then(|| line("walking by itself; P or any step ends it".into(), GOOD)));
+        lines.extend(self.replaced.then(|| line(REPLACED.into(), GOOD)));
         lines.extend(self.unplanned.then(|| line(UNPLANNED.into(), TEXT)));
         lines
     }
@@ -140,13 +145,20 @@ mod tests {
             recording: Some(Duration::from_secs(75)),
             replaying: true,
             unplanned: true,
+            replaced: true,
         };
         let lines = all.lines();
-        for (line, part) in lines.iter().zip(["the server stops", "recording 1:15", "by itself", "No images"]) {
+        for (line, part) in lines.iter().zip(["the server stops", "recording 1:15", "by itself", "F5", "No images"]) {
             assert!(line.text.contains(part), "{line:?}");
         }
-        assert_eq!(lines.len(), 4);
-        let none = Conditions { connection: &ConnectionState::Up, recording: None, replaying: false, unplanned: false };
+        assert_eq!(lines.len(), 5);
+        let none = Conditions {
+            connection: &ConnectionState::Up,
+            recording: None,
+            replaying: false,
+            unplanned: false,
+            replaced: false,
+        };
         assert_eq!(none.lines(), []);
     }
 
@@ -154,7 +166,8 @@ mod tests {
     fn areas(size: [f32; 2]) -> Vec<Rect> {
         let waiting = ConnectionState::Waiting { reason: "a long reason ".repeat(9), until: Instant::now() };
         let recording = Some(Duration::from_secs(1));
-        let conditions = Conditions { connection: &waiting, recording, replaying: true, unplanned: true };
+        let conditions =
+            Conditions { connection: &waiting, recording, replaying: true, unplanned: true, replaced: true };
         let mut areas = Vec::new();
         let screen = Rect::from_min_size(pos2(0.0, 0.0), vec2(size[0], size[1]));
         let input = egui::RawInput { screen_rect: Some(screen), ..egui::RawInput::default() };
@@ -179,7 +192,7 @@ mod tests {
     fn no_line_overlaps_another_or_leaves_the_window() {
         for size in [[800.0, 500.0], [640.0, 360.0], [1280.0, 720.0]] {
             let areas = areas(size);
-            assert_eq!(areas.len(), 5);
+            assert_eq!(areas.len(), 6);
             let screen = Rect::from_min_size(pos2(0.0, 0.0), vec2(size[0], size[1]));
             for (i, a) in areas.iter().enumerate() {
                 assert!(screen.contains_rect(*a), "{size:?}: {a:?}");

@@ -28,6 +28,8 @@ pub enum Command {
     },
     /// Open or close the settings.
     Settings,
+    /// Connect again, where the server has a new build of the dataset.
+    Reconnect,
     /// Fill the screen, or stop it.
     FullScreen,
     /// Save a picture.
@@ -75,6 +77,7 @@ pub fn command(logical: &Key, physical: &PhysicalKey, control: bool, shift: bool
             NamedKey::F1 => Some(Command::Figures),
             NamedKey::F2 => Some(Command::NextView { back: shift }),
             NamedKey::F3 => Some(Command::Settings),
+            NamedKey::F5 => Some(Command::Reconnect),
             NamedKey::F11 => Some(Command::FullScreen),
             NamedKey::F12 => Some(Command::Screenshot),
             NamedKey::PageUp => Some(Command::Storey { up: true }),
@@ -131,6 +134,7 @@ mod tests {
         let named = |key, control, shift| command(&Key::Named(key), &PhysicalKey::Code(KeyCode::F24), control, shift);
         assert_eq!(named(NamedKey::F11, false, false), Some(Command::FullScreen));
         assert_eq!(named(NamedKey::F2, false, true), Some(Command::NextView { back: true }));
+        assert_eq!(named(NamedKey::F5, false, false), Some(Command::Reconnect));
         assert_eq!(named(NamedKey::F11, true, false), None);
     }
 }

@@ -12,7 +12,7 @@ const SHOWN: Duration = Duration::from_secs(12);
 const FADE: Duration = Duration::from_secs(2);
 
 /// Keys and what they do, in the order of the panel: two columns of one half each.
-pub const KEYS: [(&str, &str); 24] = [
+pub const KEYS: [(&str, &str); 25] = [
     ("click", "look around with the mouse"),
     ("Esc", "free the pointer, close panels"),
     ("W A S D", "walk"),
@@ -33,6 +33,7 @@ pub const KEYS: [(&str, &str); 24] = [
     ("F1", "figures"),
     ("F2", "views for developers (F3)"),
     ("F3", "settings"),
+    ("F5", "show a newer build of the scene"),
     ("F11", "full screen"),
     ("Ctrl+Q", "leave"),
     ("gamepad", "sticks walk and look, A runs"),

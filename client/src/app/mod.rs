@@ -111,7 +111,9 @@ pub struct AppConfig {
 #[derive(Debug, thiserror::Error)]
 pub enum AppError {
     /// No display.
-    #[error("no window can be opened: {0}; is there a display? Without one, use `ldi-client walk`")]
+    #[error(
+        "no window can be opened: {0}; run this where there is a display, set DISPLAY or WAYLAND_DISPLAY to it (`ssh -X` does), or walk without a window by `ldi-client walk`"
+    )]
     NoDisplay(String),
     /// No driver.
     #[error(transparent)]
@@ -146,7 +148,8 @@ impl AppError {
         match self {
             Self::Connect(e) => e.exit_code(),
             Self::Events { .. } => 2,
-            Self::NoDisplay(_) | Self::Screen(_) | Self::Thread(_) => 1,
+            Self::NoDisplay(_) | Self::Screen(ScreenError::NoAdapter(_)) => 42,
+            Self::Screen(ScreenError::Driver { .. }) | Self::Thread(_) => 1,
         }
     }
 }

@@ -98,6 +98,8 @@ struct Inner {
     before: Stats,
     /// The last pose and its needs, which the next connection sends at once.
     looked: Option<(Pose, Needed)>,
+    /// The connection is to be given up for a new one.
+    reconnect: bool,
 }
 
 impl Inner {
@@ -157,6 +159,7 @@ impl ServerConnection {
             summary: ConnectionSummary::default(),
             before: Stats::default(),
             looked: None,
+            reconnect: false,
         }));
         let (progress, others) = (config.progress.clone(), config.others.clone());
         let (stop, stopped) = mpsc::channel();
@@ -194,6 +197,16 @@ impl ServerConnection {
     /// Progress of connecting: the phase, received and total bytes of the index.
     pub fn progress(&self) -> (Phase, (u64, u64)) {
         (self.progress.phase(), self.progress.index_bytes())
+    }
+
+    /// Whether the server has a new build of the dataset, which the next connection gets.
+    pub fn is_replaced(&self) -> bool {
+        self.progress.is_replaced()
+    }
+
+    /// Gives the connection up for a new one.
+    pub fn reconnect(&self) {
+        lock(&self.inner).reconnect = true;
     }
 
     /// Other walkers, if requested and sent by the server.
@@ -328,6 +341,9 @@ impl ConnectionKeeper {
             };
             if let Some(reason) = cache.disconnected() {
                 break Some(reason);
+            }
+            if std::mem::take(&mut lock(&self.inner).reconnect) {
+                break Some("it is left for the new version".into());
             }
             if now - heard.1 > SILENCE {
                 break Some(format!("the server has not answered for {} s", SILENCE.as_secs()));

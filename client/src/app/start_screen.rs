@@ -6,7 +6,7 @@ use super::{
     server_connection::{ConnectionState, ServerConnection},
     text_block,
 };
-use crate::stream::Phase;
+use crate::stream::{ConnectError, Phase};
 use egui::{Align2, Color32, CornerRadius, FontId, Rect, pos2, vec2};
 use ldi_protocol::said::escaped;
 
@@ -64,6 +64,17 @@ pub fn show(ctx: &egui::Context, server: &str, connection: &ServerConnection, pi
     painter.galley(pos2(card.left() + 28.0, card.top() + 186.0), help, Color32::GRAY);
 }
 
+/// Who refuses whom.
+fn refusal(e: &ConnectError) -> &'static str {
+    match e {
+        ConnectError::Fingerprint { .. } | ConnectError::UnknownServer { .. } => {
+            "this client does not trust the server's certificate"
+        }
+        ConnectError::Refused { .. } | ConnectError::Busy => "the server does not let this client in",
+        _ => "nothing can be walked in here",
+    }
+}
+
 /// The current step, and its progress from 0 to 1.
 fn step(connection: &ServerConnection, picture: Option<&Picture>) -> (String, Option<f32>) {
     let share = |done: u64, all: u64| (all > 0).then(|| done as f32 / all as f32);
@@ -84,12 +95,26 @@ fn step(connection: &ServerConnection, picture: Option<&Picture>) -> (String, Op
         ConnectionState::Up if picture.is_some_and(|p| !p.stats.frame_stats.whole) => index(),
         ConnectionState::Up => picture.map_or(("drawing the first view".into(), None), first_view),
         ConnectionState::Waiting { .. } => ("no connection".into(), None),
-        ConnectionState::Refused(_) => ("the server does not let this client in".into(), None),
+        ConnectionState::Refused(e) => (refusal(&e).into(), None),
         ConnectionState::Connecting { .. } => match connection.progress().0 {
             Phase::Idle | Phase::Dialling => ("looking for the server".into(), None),
             Phase::Asking => ("asking to be let in".into(), None),
             Phase::Index => index(),
             Phase::Assembling => ("putting the index together".into(), Some(1.0)),
         },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ldi_protocol::wire::RefusalCode;
+
+    #[test]
+    fn it_is_said_who_refuses() {
+        let wrong = ConnectError::Fingerprint { expected: "ab".into(), found: "cd".into() };
+        assert!(refusal(&wrong).starts_with("this client"));
+        let token = ConnectError::Refused { code: RefusalCode::Token, message: String::new() };
+        assert!(refusal(&token).starts_with("the server"));
     }
 }

@@ -26,6 +26,8 @@ impl WindowState {
             }
             Command::NextView { back } => self.next_view(back, events),
             Command::Settings => self.toggle_settings(connection, events),
+            Command::Reconnect if connection.is_replaced() => connection.reconnect(),
+            Command::Reconnect => self.tell("the server has no newer build of this scene", true),
             Command::FullScreen => {
                 self.settings.full_screen = !self.settings.full_screen;
                 self.apply_settings();

@@ -508,6 +508,7 @@ impl WindowState {
             recording: self.kept.recording_time(),
             replaying: self.replaying,
             unplanned: shown.is_some_and(|p| p.stats.unplanned),
+            replaced: connection.is_replaced(),
         };
         let speed_m_per_s = self.render_thread.speed_m_per_s();
         let picture = shown.zip(scene.as_ref()).map(|(p, s)| (p, &*s.index));

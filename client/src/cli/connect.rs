@@ -2,7 +2,7 @@
 
 use super::{
     failure::Failure,
-    input::{disk, parse_size, read_path, token},
+    input::{check_folder, disk, parse_size, read_path, token},
     signals::stop_at_signal,
 };
 use clap::Args;
@@ -126,6 +126,7 @@ pub fn connect(args: &ConnectArgs) -> Result<(), Failure> {
     if !(args.prefetch_m.is_finite() && args.prefetch_m >= 0.0) {
         return Err(Failure::usage("--prefetch-m is a number of metres, 0 or more"));
     }
+    check_folder(&args.shots, "--shots")?;
     let replay = args.replay.as_deref().map(read_path).transpose()?;
     let (width, height) = args.size;
     let mut config = ConnectConfig::new(&args.server.server, Picture { width, height, fov_deg: None });
@@ -214,8 +215,11 @@ fn ask(server: &str, found: Fingerprint) -> Result<(), Failure> {
     let stranger = || ConnectError::UnknownServer { fingerprint: found.to_string() };
     if !std::io::stdin().is_terminal() {
         // No user to ask.
-        let e = anyhow::Error::from(stranger()).context("--accept-new trusts a server at first sight");
-        return Err(Failure { code: 2, error: e });
+        return Err(Failure::usage(format!(
+            "{server} is not known here, and there is no terminal to ask on. If the server prints fingerprint={found}, \
+             type\n  ldi-client connect {server} --fingerprint {found}\nor trust whoever answers now, and remember it:\n  \
+             ldi-client connect {server} --accept-new"
+        )));
     }
     eprint!(
         "The server {server} is not known here. Its certificate has the fingerprint\n  {found}\n\

@@ -17,7 +17,10 @@ pub enum ConnectError {
     #[error("\"{0}\" is no fingerprint: 64 hexadecimal digits, as the server prints them")]
     FingerprintText(String),
     /// No server answers.
-    #[error("{address} does not answer: {}; is the server running, and may UDP pass?", escaped(reason))]
+    #[error(
+        "{address} does not answer: {}; start `ldi-server serve DATASET --listen 0.0.0.0:PORT` there, check the address and the port, and let UDP pass the firewall",
+        escaped(reason)
+    )]
     Unreachable {
         /// The address.
         address: String,
@@ -25,13 +28,17 @@ pub enum ConnectError {
         reason: String,
     },
     /// The server answers, but no certificate was given to compare with.
-    #[error("unknown server; if it prints fingerprint={fingerprint}, pass --fingerprint {fingerprint}")]
+    #[error(
+        "the server is not known here; if it prints fingerprint={fingerprint}, add --fingerprint {fingerprint} to this command"
+    )]
     UnknownServer {
         /// Fingerprint of its certificate.
         fingerprint: String,
     },
     /// The server's certificate is not the expected one.
-    #[error("the server's fingerprint is {found}, expected {expected}: another server, or someone in between")]
+    #[error(
+        "this client refuses the server: its certificate has the fingerprint {found}, and {expected} is expected; it is another server, a server with a new certificate, or someone in between; add --fingerprint {found} only if the server prints it"
+    )]
     Fingerprint {
         /// Expected fingerprint.
         expected: String,

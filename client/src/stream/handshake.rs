@@ -98,6 +98,7 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
         far: config.show.far,
         dataset: config.dataset.clone(),
         early: config.early,
+        replacements: true,
     });
     let hello = wire::encode(&hello).map_err(|e| ConnectError::Local(e.to_string()))?;
     config.progress.enter(Phase::Asking);
@@ -106,7 +107,7 @@ async fn converse(config: &ConnectConfig, (endpoint, link, connection): Dialed) 
     let welcome = match step(config, read_message::<ServerMessage>(&mut recv, &connection)).await? {
         ServerMessage::Welcome(w) => w,
         ServerMessage::Refused { code, message } => return Err(ConnectError::refused(code, message)),
-        ServerMessage::Unavailable { .. } | ServerMessage::Others { .. } => {
+        ServerMessage::Unavailable { .. } | ServerMessage::Others { .. } | ServerMessage::Replaced => {
             return Err(ConnectError::Protocol("no welcome".into()));
         }
     };

@@ -1,6 +1,7 @@
-//! Progress of connecting, from the streaming thread to the start screen.
+//! Progress of connecting, and what the server says of the dataset, from the streaming thread to the
+//! window.
 
-use std::sync::atomic::{AtomicU8, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering::Relaxed};
 
 /// Phase of connecting.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -20,15 +21,25 @@ pub enum Phase {
 
 const PHASES: [Phase; 5] = [Phase::Idle, Phase::Dialling, Phase::Asking, Phase::Index, Phase::Assembling];
 
-/// Progress of the current attempt.
+/// Progress of the current connection.
 #[derive(Debug, Default)]
 pub struct ConnectProgress {
     phase: AtomicU8,
     bytes: AtomicU64,
     total: AtomicU64,
+    replaced: AtomicBool,
 }
 
 impl ConnectProgress {
+    /// Whether the server has a new build of the dataset of this connection.
+    pub fn is_replaced(&self) -> bool {
+        self.replaced.load(Relaxed)
+    }
+
+    pub(super) fn set_replaced(&self) {
+        self.replaced.store(true, Relaxed);
+    }
+
     /// The current phase.
     pub fn phase(&self) -> Phase {
         PHASES[usize::from(self.phase.load(Relaxed)) % PHASES.len()]
@@ -44,6 +55,7 @@ impl ConnectProgress {
         if phase == Phase::Dialling {
             self.bytes.store(0, Relaxed);
             self.total.store(0, Relaxed);
+            self.replaced.store(false, Relaxed);
         }
     }
 

@@ -312,6 +312,7 @@ impl Session {
                 chunks.into_iter().for_each(|c| self.cache.mark_damaged(c));
             }
             ServerMessage::Others { walkers } => self.others.set(walkers),
+            ServerMessage::Replaced => self.progress.set_replaced(),
             // Handshake messages have no meaning here.
             ServerMessage::Welcome(_) | ServerMessage::Refused { .. } => {}
         }

@@ -18,6 +18,7 @@ fn hello() -> Hello {
         far: FarBy::Tree,
         dataset: Some("house".into()),
         early: true,
+        replacements: true,
     }
 }
 
@@ -85,6 +86,7 @@ fn a_wish_may_be_absent_and_an_unknown_one_is_refused() {
     assert_eq!(without(b"portals"), Hello { portals: ShowPortals::default(), ..hello() });
     assert_eq!(without(b"far"), Hello { far: FarBy::default(), ..hello() });
     assert_eq!(without(b"dataset"), Hello { dataset: None, ..hello() });
+    assert_eq!(without(b"replacements"), Hello { replacements: false, ..hello() });
 }
 
 #[test]
@@ -109,6 +111,7 @@ fn a_map_full_of_walkers_fits_a_frame_and_walkers_nowhere_are_refused() {
         encode(&ServerMessage::Others { walkers })
     };
     trip(ServerMessage::Others { walkers: vec![other.clone()] });
+    trip(ServerMessage::Replaced);
     assert!(with(&|_| {}).is_ok());
     assert!(with(&|w| w.push(other.clone())).is_err());
     assert!(with(&|w| w[5].position[1] = f64::NAN).is_err());

@@ -22,6 +22,7 @@ mod report;
 mod rooms;
 #[cfg(test)]
 mod several_test;
+mod shard;
 #[cfg(test)]
 mod small_builds;
 #[cfg(test)]
@@ -39,6 +40,7 @@ pub use planning::compare_searches;
 pub use references::ReferenceFigures;
 pub use report::{images_per_grid_point, report_json};
 pub use rooms::{GridUnderRooms, PortalOptions, RoomFigures, RoomSource};
+pub use shard::{Shard, ShardFigures, build_shard};
 
 use crate::construct::ConstructError;
 use crate::floor_plans;
@@ -186,6 +188,12 @@ pub enum BuildError {
     NoRooms {
         /// Why not.
         why: String,
+    },
+    /// The images of a build cannot be shared out.
+    #[error("--shard: {why}; add --represent grid or portals, or leave --shard out")]
+    NoShares {
+        /// Why not.
+        why: &'static str,
     },
     /// Encoding.
     #[error(transparent)]

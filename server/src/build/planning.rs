@@ -198,7 +198,7 @@ fn read(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
     // A wrong unit or axis shows here.
     let [x, y, z] = scene.bounds().size().to_array().map(|m| format!("{m:.1}"));
     progress.note(&format!("{} triangles, {x} x {y} x {z} m, Y up", scene.triangles()));
-    if let Some(doubt) = scene::unit_doubt(scene.bounds().size().max_element()) {
+    for doubt in scene::doubts(&options.scenes, &scene) {
         tracing::warn!("{}: {doubt}", options.scenes.join(" + "));
     }
     clock.lap("scene");

@@ -1,5 +1,6 @@
 //! The command line of `ldi-server`.
 
+use crate::build::Shard;
 use crate::serve::HttpAt;
 use clap::{Args, Parser, Subcommand};
 use glam::DVec3;
@@ -41,6 +42,7 @@ Examples:
   ldi-server build 'builtin:house?triangles=300000&seed=1' -o house.ldi --budget 30000 --report build.json
   ldi-server build house.ifc pipes.ifc 'garden.obj?unit=cm' -o site.ldi --budget 10%
   ldi-server build plant.glb -o tour.ldi --budget 100000 --along tour.path.json --within 2
+  ldi-server build town.glb -o town.ldi --represent grid --shard 1/4     on each of four machines another share, then all of it
   ldi-server build builtin:house -o rooms.ldi --represent portals --portal-images both --portal-references 13
 A build that was stopped goes on where it was when the same command is given again.")]
     Build(Box<BuildArgs>),
@@ -55,6 +57,13 @@ Examples:
   ldi-server rooms builtin:house --auto --check 1000      found, compared with the scene's own rooms, and judged by rays
 The file of corrections is described in docs/user/rooms.md.")]
     Rooms(RoomsArgs),
+    /// Make a walk through a scene or a dataset, as a path file.
+    #[command(after_help = "\
+Examples:
+  ldi-server tour clinic.ldi -o clinic.tour.json
+  ldi-server tour clinic.glb -o clinic.tour.json --seconds 300 --seed 2
+The walk keeps to the walk volume, clear of walls; another seed gives another walk.")]
+    Tour(TourArgs),
     /// Check every hash and every bound of a dataset; with --guarantee, audit all promises over
     /// many poses.
     #[command(after_help = "\
@@ -83,6 +92,42 @@ Examples:
   ldi-server identity --prepare      makes the next certificate; running servers announce it after SIGHUP
   ldi-server identity --switch       takes it, when all clients have met it; then SIGHUP")]
     Identity(IdentityArgs),
+    /// Print completions for a shell.
+    #[command(after_help = "\
+Example: ldi-server completions bash > ~/.local/share/bash-completion/completions/ldi-server")]
+    Completions {
+        /// Shell.
+        shell: clap_complete::Shell,
+    },
+    /// Write man pages, one for each command.
+    #[command(after_help = "Example: ldi-server man -o ~/.local/share/man/man1")]
+    Man {
+        /// Folder for the pages.
+        #[arg(short, long, value_name = "DIR")]
+        output: PathBuf,
+    },
+}
+
+/// Options of commands that show progress.
+#[derive(Debug, Clone, Default, Args)]
+pub struct ProgressArgs {
+    /// Show no progress; warnings and errors are shown.
+    #[arg(short, long, conflicts_with = "progress")]
+    pub quiet: bool,
+    /// Form of the progress on standard error [default: a bar on a terminal, else plain lines].
+    #[arg(long, value_enum, hide_short_help = true, hide_possible_values = true, value_name = "bar|plain|json")]
+    pub progress: Option<ProgressForm>,
+}
+
+/// Form of the progress.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum ProgressForm {
+    /// A bar with rate and remaining time.
+    Bar,
+    /// A line every ten seconds, and one at the end of each stage.
+    Plain,
+    /// A JSON object per line, every second.
+    Json,
 }
 
 /// `ldi-server scene`.
@@ -250,12 +295,16 @@ pub struct BuildArgs {
     /// Threads [default: all cores].
     #[arg(long)]
     pub threads: Option<usize>,
-    /// Build part I of N only (not there yet).
-    #[arg(long, value_name = "I/N", help_heading = "Research", hide_short_help = true)]
-    pub shard: Option<String>,
+    /// Make and keep share I of N of the images only, as another process makes another share in the
+    /// same folder; the same command without it then writes the dataset.
+    #[arg(long, value_name = "I/N", conflicts_with_all = ["dry_run", "report"], hide_short_help = true)]
+    pub shard: Option<Shard>,
     /// Also write the report here; it is always in the dataset as report.json.
     #[arg(long)]
     pub report: Option<PathBuf>,
+    /// Progress.
+    #[command(flatten)]
+    pub progress: ProgressArgs,
 }
 
 /// `ldi-server inspect`.
@@ -312,6 +361,42 @@ pub struct RoomsArgs {
     /// Threads [default: all cores].
     #[arg(long)]
     pub threads: Option<usize>,
+    /// Progress.
+    #[command(flatten)]
+    pub progress: ProgressArgs,
+}
+
+/// `ldi-server tour`.
+#[derive(Debug, Args)]
+#[command(allow_negative_numbers = true)]
+pub struct TourArgs {
+    /// Dataset; or a scene, or several, as for `build`.
+    #[arg(required = true, value_name = "SCENE|DATASET")]
+    pub scenes: Vec<String>,
+    /// Path file to write.
+    #[arg(short, long, value_name = "PATH.json")]
+    pub output: PathBuf,
+    /// Length, seconds.
+    #[arg(long, default_value_t = 60.0, value_parser = tour_length)]
+    pub seconds: f64,
+    /// Another number gives another walk.
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// Of a scene: eyes about this high above any floor, metres [default: 1.6].
+    #[arg(long, value_name = "M", conflicts_with = "fly", value_parser = positive)]
+    pub eye_height: Option<f64>,
+    /// Of a scene: anywhere in its box.
+    #[arg(long)]
+    pub fly: bool,
+    /// Of a scene: people start here, as for `build`; may be given more than once.
+    #[arg(long, value_name = "X,Y,Z", conflicts_with = "fly", value_parser = place, allow_hyphen_values = true)]
+    pub start: Vec<DVec3>,
+    /// Threads [default: all cores].
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// Progress.
+    #[command(flatten)]
+    pub progress: ProgressArgs,
 }
 
 /// `ldi-server verify`.
@@ -339,6 +424,9 @@ pub struct VerifyArgs {
     /// Write the audit here instead of to stdout.
     #[arg(long, requires = "guarantee")]
     pub json: Option<PathBuf>,
+    /// Progress.
+    #[command(flatten)]
+    pub progress: ProgressArgs,
 }
 
 /// `ldi-server plan`.
@@ -392,6 +480,9 @@ pub struct RenderArgs {
     /// Directory for the frames.
     #[arg(short, long, value_name = "DIR")]
     pub output: PathBuf,
+    /// Progress.
+    #[command(flatten)]
+    pub progress: ProgressArgs,
 }
 
 /// `ldi-server serve`.
@@ -409,6 +500,9 @@ pub struct ServeArgs {
     /// TOML file with the same settings and the limits; options given here win.
     #[arg(long)]
     pub config: Option<PathBuf>,
+    /// Print the page's address as a QR code, for a telephone on the same network.
+    #[arg(long)]
+    pub qr: bool,
     /// File with the token that clients must show.
     #[arg(long)]
     pub token_file: Option<PathBuf>,
@@ -506,6 +600,12 @@ fn place(s: &str) -> Result<DVec3, String> {
         (Ok(xyz), 3) => Ok(DVec3::from_array(xyz)),
         _ => Err("three numbers of metres are needed, as 1.5,0,-3".into()),
     }
+}
+
+/// Seconds of a tour: at least one, and no more poses than a path file may have.
+fn tour_length(s: &str) -> Result<f64, String> {
+    let seconds = s.parse().ok().filter(|s: &f64| (1.0..=30_000.0).contains(s));
+    seconds.ok_or_else(|| "a number of seconds from 1 to 30000 is needed".into())
 }
 
 fn positive(s: &str) -> Result<f64, String> {

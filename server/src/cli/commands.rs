@@ -5,6 +5,8 @@ use super::args::{
     Budget, BuildArgs, Command, IdentityArgs, InspectArgs, PlanArgs, RenderArgs, SceneArgs, ServeArgs, VerifyArgs,
 };
 use super::datasets::OnDisk;
+use super::outputs::{cannot_write, check_writable, make_folder, print, write_file, write_json};
+use super::paths::{path_in_dataset, path_in_scene, warn_of_misfit};
 use super::progress::Stderr;
 use crate::build::{self, BuildError, BuildOptions, PortalOptions, Progress as _, Represent, RoomSource};
 use crate::octree;
@@ -14,18 +16,18 @@ use crate::render::{self, Caster};
 use crate::scene::{self, builtin};
 use crate::serve::{self, Datasets as _, Identity, IdentityError, ServeConfig, ServeError};
 use crate::store::{self, Dataset};
-use crate::walk_volume::{Corridor, WalkReport};
+use crate::walk_volume::{Corridor, WalkError, WalkReport};
 use anyhow::{Context as _, anyhow};
 use glam::DVec3;
 use ldi_protocol::OutputCamera;
 use ldi_protocol::codec::ColourProfile;
 use ldi_protocol::floor_plan::FloorPlan;
 use ldi_protocol::index::{BuildSettings, Index};
-use ldi_protocol::path::{PathError, Walk};
+use ldi_protocol::path::Walk;
 use ldi_protocol::room_index::BuiltImages;
 use ldi_protocol::rooms::Rooms;
-use ldi_protocol::said::is_lasting;
 use std::io::{BufWriter, IsTerminal as _, Write as _};
+use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::SystemTime;
@@ -37,11 +39,14 @@ pub fn run(command: Command) -> Result<(), Failure> {
         Command::Build(a) => build_dataset(*a),
         Command::Inspect(a) => inspect(&a),
         Command::Rooms(a) => super::rooms::rooms(&a),
+        Command::Tour(a) => super::tour::tour(&a),
         Command::Verify(a) => verify(&a),
         Command::Plan(a) => plan(&a),
         Command::Render(a) => render(&a),
         Command::Serve(a) => serve(a),
         Command::Identity(a) => identity(&a),
+        Command::Completions { shell } => super::shell::completions(shell),
+        Command::Man { output } => super::shell::man(&output),
     }
 }
 
@@ -68,9 +73,6 @@ fn write_scene(a: &SceneArgs) -> Result<(), Failure> {
 }
 
 fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
-    if a.shard.is_some() {
-        return Err(Failure::absent("--shard"));
-    }
     for r in &a.represent {
         match r.as_str() {
             "auto" | "grid" | "tree" | "portals" | "cache" => {}
@@ -109,7 +111,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
     if along && (portals || a.rooms.is_some() || a.find_rooms) {
         return Err(Failure::absent("--along with rooms"));
     }
-    let walk = a.along.as_deref().map(read_walk).transpose()?;
+    let walk = a.along.as_deref().map(|file| path_in_scene(file, &a.scenes)).transpose()?;
     let portal_options = portal_options(&a, portals)?;
     let rooms = match (a.rooms, a.find_rooms) {
         // A scene within the budget never asks for it.
@@ -155,15 +157,30 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
     if let Some(file) = &a.report {
         check_writable(file)?;
     }
-    let progress = Stderr::default();
-    let failed = |e| match e {
+    let progress = Stderr::new(&a.progress);
+    let failed = |e: BuildError| match e {
+        BuildError::Walk(e @ WalkError::NowhereAlong { .. }) => {
+            let file = a.along.as_ref().map_or_else(String::new, |file| file.display().to_string());
+            Failure::permanent(anyhow::Error::new(e).context(format!("--along {file}")))
+        }
         BuildError::Scene(e) => Failure::of(e.is_permanent(), e),
         BuildError::Store(e) => Failure::of(e.permanent(), e),
         BuildError::Placement(e @ (PlacementError::FieldOfView { .. } | PlacementError::Setting { .. })) => {
             Failure::usage(e)
         }
+        BuildError::NoShares { .. } => Failure::usage(e),
         e => Failure::permanent(e),
     };
+    if let Some(shard) = a.shard {
+        let found = build::build_shard(&options, shard, &progress).map_err(failed)?;
+        progress.finish();
+        let rest = match found.missing {
+            0 => "all shares are there: the same command without --shard writes the dataset".to_owned(),
+            missing => format!("{missing} placements of other shares, or beyond the time limit, are missing"),
+        };
+        let (share, of, output) = (found.share, found.placements, options.output.display());
+        return print(&format!("{output}: share {shard}, {share} of {of} placements; {rest}"));
+    }
     if a.dry_run {
         if only("auto") && !along {
             tracing::warn!("a dry run plans the grid; `build` may take rooms instead, if the scene has any");
@@ -172,7 +189,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         progress.finish();
         tell_notes(&found.skipped);
         if let Some(file) = &a.plan {
-            let path = a.path.as_deref().map(read_walk).transpose()?;
+            let path = a.path.as_deref().map(|path| path_in_dataset(path, &index)).transpose()?;
             draw_plan(file, &index, &[], (Some(&found.walk), None, path.as_ref()))?;
         }
         let json = serde_json::to_value(&found).map_err(Failure::permanent)?;
@@ -256,7 +273,7 @@ fn portal_options(a: &BuildArgs, portals: bool) -> Result<PortalOptions, Failure
 fn inspect(a: &InspectArgs) -> Result<(), Failure> {
     if let Some(file) = &a.plan {
         let dataset = open(&a.dataset)?;
-        let path = a.path.as_deref().map(read_walk).transpose()?;
+        let path = a.path.as_deref().map(|path| path_in_dataset(path, dataset.index())).transpose()?;
         let rooms = super::rooms::rooms_of_dataset(&a.dataset, dataset.index())?;
         let report = dataset.report().and_then(|r| serde_json::from_value(r["walk"].clone()).ok());
         let plans = if a.technical { &[] } else { &dataset.index().plans[..] };
@@ -302,8 +319,12 @@ fn draw_plan(
 }
 
 fn verify(a: &VerifyArgs) -> Result<(), Failure> {
+    let progress = Stderr::new(&a.progress);
     if !a.guarantee {
-        let found = store::verify(&a.dataset).map_err(|e| Failure::of(e.permanent(), e))?;
+        let begin = |chunks: usize| progress.stage("hashing, then decoding", chunks as u64);
+        let found = store::verify_heard(&a.dataset, &begin, &|| progress.advance(1));
+        progress.finish();
+        let found = found.map_err(|e| Failure::of(e.permanent(), e))?;
         for f in &found.faults {
             print(&f.to_string())?;
         }
@@ -350,9 +371,12 @@ fn verify(a: &VerifyArgs) -> Result<(), Failure> {
         ldi_protocol::codec::ldi::decode_first(&dataset.chunk(first).ok()?).ok().map(|ldi| ldi.camera)
     };
     let size = audit_size(a.poses, a.adversarial);
+    progress.stage(&format!("audit of {} poses", size.random + size.adversarial), 0);
     let report = placement::audit(index, &counts, &camera_of, size, a.seed);
     let geometry = |chunk: u32| ldi_protocol::codec::cell::decode(&dataset.chunk(chunk).ok()?).ok();
+    progress.stage("audit of levels of detail", 0);
     let levels = placement::audit_levels(index, &geometry, size.random, a.seed);
+    progress.finish();
     let mut json = serde_json::to_value(&report).map_err(Failure::permanent)?;
     json["violations"] = (report.violations + levels.violations).into();
     json["levels"] = serde_json::to_value(&levels).map_err(Failure::permanent)?;
@@ -391,10 +415,8 @@ fn promises_kept(audit: &placement::AuditReport) -> Result<(), Failure> {
 
 fn plan(a: &PlanArgs) -> Result<(), Failure> {
     let dataset = open(&a.dataset)?;
-    let walk = read_walk(&a.poses)?;
-    let file = std::fs::File::create(&a.output)
-        .with_context(|| format!("cannot write {}", a.output.display()))
-        .map_err(|e| Failure::of(false, e))?;
+    let walk = path_in_dataset(&a.poses, dataset.index())?;
+    let file = std::fs::File::create(&a.output).map_err(|e| cannot_write(&a.output, e))?;
     let mut out = BufWriter::new(file);
     let mut write = || -> anyhow::Result<()> {
         for (index, p) in walk.poses.iter().enumerate() {
@@ -435,20 +457,18 @@ fn render(a: &RenderArgs) -> Result<(), Failure> {
         every: a.every as usize,
     };
     options.check().map_err(Failure::usage)?;
-    let walk = read_walk(&a.path)?;
+    let walk = path_in_scene(&a.path, &a.scenes)?;
     let scene = scene::load_all(&a.scenes).map_err(|e| Failure::of(e.is_permanent(), e))?;
     tell_notes(&scene.notes);
     let bounds = scene.bounds();
     let outside = walk.poses.iter().filter(|p| !bounds.contains(p.pose.position)).count();
-    if outside > 0 {
+    if !warn_of_misfit(&a.path, &walk, &bounds, None) && outside > 0 {
         let of = walk.poses.len();
         let [from, to] = [bounds.min, bounds.max].map(|p| format!("{:.1}, {:.1}, {:.1}", p.x, p.y, p.z));
         tracing::warn!("{outside} of {of} poses lie outside of the scene, which reaches from ({from}) to ({to})");
     }
-    std::fs::create_dir_all(&a.output)
-        .with_context(|| format!("cannot make {}", a.output.display()))
-        .map_err(|e| Failure::of(false, e))?;
-    let progress = Stderr::default();
+    make_folder(&a.output)?;
+    let progress = Stderr::new(&a.progress);
     let caster = Caster::of_scene(Arc::new(scene), a.mips);
     progress.stage("rendering", walk.poses.len().div_ceil(options.every) as u64);
     render::render_path(&caster, &walk, &options, &a.output, &mut |_, _| progress.advance(1))
@@ -469,6 +489,9 @@ fn serve(a: ServeArgs) -> Result<(), Failure> {
         (config.certificate, config.key) = (a.certificate, a.key);
     }
     let failed = |e: ServeError| Failure::of(!matches!(e, ServeError::Bind { .. } | ServeError::Stdout(_)), e);
+    if a.qr && config.http.0.is_none() {
+        return Err(Failure::usage(anyhow!("--qr shows the address of the page: leave out --http off")));
+    }
     let datasets = OnDisk::new(a.dataset);
     let stamp = datasets.stamp();
     let opened = datasets.open_checked(a.check)?;
@@ -480,7 +503,12 @@ fn serve(a: ServeArgs) -> Result<(), Failure> {
     }
     let runtime =
         tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(|e| Failure::of(false, e))?;
-    runtime.block_on(serve::serve(Arc::new(datasets), (stamp, opened), config)).map_err(failed)
+    let page = |http: SocketAddr, reached: &[SocketAddr]| match a.qr.then(|| super::qr::shown(http, reached)) {
+        Some(Ok(text)) => eprintln!("{text}"),
+        Some(Err(e)) => tracing::warn!("--qr: {e:?}"),
+        None => {}
+    };
+    runtime.block_on(serve::serve(Arc::new(datasets), (stamp, opened), config, &page)).map_err(failed)
 }
 
 fn identity(a: &IdentityArgs) -> Result<(), Failure> {
@@ -505,48 +533,10 @@ pub(super) fn open(path: &Path) -> Result<Dataset, Failure> {
     Dataset::open(path).map_err(|e| Failure::of(e.permanent(), e))
 }
 
-fn read_walk(path: &Path) -> Result<Walk, Failure> {
-    std::fs::File::open(path)
-        .map_err(PathError::from)
-        .and_then(|open| ldi_protocol::path::read(open, |told| tracing::warn!("{}: {told}", path.display())))
-        .with_context(|| path.display().to_string())
-        .map_err(Failure::permanent)
-}
-
 pub(super) fn threads(n: Option<usize>) -> Result<(), Failure> {
     match n {
         None => Ok(()),
         Some(0) => Err(Failure::usage(anyhow!("--threads 0: at least one is needed"))),
         Some(n) => rayon::ThreadPoolBuilder::new().num_threads(n).build_global().map_err(|e| Failure::of(false, e)),
-    }
-}
-
-pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    std::fs::write(path, bytes).map_err(|e| cannot_write(path, e))
-}
-
-fn cannot_write(path: &Path, e: std::io::Error) -> Failure {
-    Failure::of(is_lasting(&e), anyhow::Error::new(e).context(format!("cannot write {}", path.display())))
-}
-
-/// Whether a file can be written, found out before the work whose result it is to hold.
-fn check_writable(path: &Path) -> Result<(), Failure> {
-    let is_new = !path.exists();
-    std::fs::OpenOptions::new().create(true).append(true).open(path).map_err(|e| cannot_write(path, e))?;
-    if is_new {
-        let _ = std::fs::remove_file(path);
-    }
-    Ok(())
-}
-
-pub(super) fn write_json(path: &Path, value: &serde_json::Value) -> Result<(), Failure> {
-    write_file(path, format!("{value:#}\n").as_bytes())
-}
-
-/// A line to stdout; a reader that has gone is no failure.
-pub(super) fn print(text: &str) -> Result<(), Failure> {
-    match writeln!(std::io::stdout().lock(), "{text}") {
-        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(Failure::of(false, e)),
-        _ => Ok(()),
     }
 }

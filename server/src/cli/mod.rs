@@ -8,8 +8,13 @@ mod datasets;
 mod file_memory;
 #[cfg(target_os = "linux")]
 mod memory_watch;
+mod outputs;
+mod paths;
 mod progress;
+mod qr;
 mod rooms;
+mod shell;
+mod tour;
 
 pub use allocator::ExitingAllocator;
 pub use args::size;

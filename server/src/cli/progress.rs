@@ -1,8 +1,10 @@
-//! Progress of long work: a bar with rate and remaining time on a terminal, a plain line every so
-//! often elsewhere.
+//! Progress of long work on stderr: a bar with rate and remaining time, a plain line every so
+//! often, or a JSON object per line.
 
+use super::args::{ProgressArgs, ProgressForm};
 use crate::build::Progress;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde_json::{Value, json};
 use std::io::IsTerminal as _;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
@@ -10,16 +12,20 @@ use std::time::{Duration, Instant};
 /// Seconds between plain lines: often enough to see that it lives, rarely enough to keep a log
 /// readable.
 const PLAIN_INTERVAL: Duration = Duration::from_secs(10);
+/// Seconds between JSON lines, for a program that shows them.
+const JSON_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Progress on stderr.
 #[derive(Debug)]
 pub struct Stderr {
-    terminal: bool,
+    /// None: quiet.
+    form: Option<ProgressForm>,
     state: Mutex<State>,
 }
 
 #[derive(Debug)]
 struct State {
+    form: Option<ProgressForm>,
     bar: Option<ProgressBar>,
     name: String,
     steps: u64,
@@ -32,10 +38,17 @@ struct State {
     unsaid: Option<String>,
 }
 
-impl Default for Stderr {
-    fn default() -> Self {
+impl Stderr {
+    /// In the form that was asked for; else a bar on a terminal and plain lines elsewhere.
+    pub fn new(asked: &ProgressArgs) -> Self {
+        let usual = if std::io::stderr().is_terminal() { ProgressForm::Bar } else { ProgressForm::Plain };
+        Self::of((!asked.quiet).then(|| asked.progress.unwrap_or(usual)))
+    }
+
+    fn of(form: Option<ProgressForm>) -> Self {
         let now = Instant::now();
         let state = State {
+            form,
             bar: None,
             name: String::new(),
             steps: 0,
@@ -45,11 +58,9 @@ impl Default for Stderr {
             said: now,
             unsaid: None,
         };
-        Self { terminal: std::io::stderr().is_terminal(), state: Mutex::new(state) }
+        Self { form, state: Mutex::new(state) }
     }
-}
 
-impl Stderr {
     /// Ends the last stage.
     pub fn finish(&self) {
         self.with(|s| s.end());
@@ -66,8 +77,12 @@ impl State {
         if let Some(bar) = self.bar.take() {
             bar.finish_and_clear();
         }
-        if !self.name.is_empty() {
-            eprintln!("{}", self.summary(self.started.elapsed()));
+        let took = self.started.elapsed();
+        match self.form {
+            _ if self.name.is_empty() => {}
+            Some(ProgressForm::Json) => eprintln!("{}", self.summary_json(took)),
+            Some(_) => eprintln!("{}", self.summary(took)),
+            None => {}
         }
         self.name.clear();
     }
@@ -80,10 +95,37 @@ impl State {
                 // Time left is told by what takes time.
                 bar.reset_eta();
             }
-        } else if self.said.elapsed() >= PLAIN_INTERVAL {
+        } else if self.is_time() {
             self.said = Instant::now();
-            eprintln!("{}", self.progress(self.started.elapsed()));
+            let took = self.started.elapsed();
+            match self.form {
+                Some(ProgressForm::Json) => eprintln!("{}", self.progress_json(took)),
+                _ => eprintln!("{}", self.progress(took)),
+            }
         }
+    }
+
+    /// Whether the next line is due.
+    fn is_time(&self) -> bool {
+        let interval = match self.form {
+            Some(ProgressForm::Json) => JSON_INTERVAL,
+            Some(_) => PLAIN_INTERVAL,
+            None => return false,
+        };
+        self.said.elapsed() >= interval
+    }
+
+    fn progress_json(&self, took: Duration) -> Value {
+        let Self { name, done, steps, skipped, .. } = self;
+        let per_s = done.saturating_sub(*skipped) as f64 / took.as_secs_f64();
+        let left_s = (per_s > 0.0).then(|| steps.saturating_sub(*done) as f64 / per_s);
+        json!({ "event": "progress", "stage": name, "done": done, "steps": steps, "skipped": skipped, "left_s": left_s })
+    }
+
+    fn summary_json(&self, took: Duration) -> Value {
+        let Self { name, steps, skipped, unsaid, .. } = self;
+        let seconds = took.as_secs_f64();
+        json!({ "event": "end", "stage": name, "steps": steps, "skipped": skipped, "seconds": seconds, "note": unsaid })
     }
 
     /// How far a stage of known steps is. What an earlier build left tells nothing of the time
@@ -119,7 +161,10 @@ impl Progress for Stderr {
             let now = Instant::now();
             (s.name, s.steps, s.done, s.skipped) = (name.into(), steps, 0, 0);
             (s.started, s.said, s.unsaid) = (now, now, None);
-            if self.terminal {
+            if self.form == Some(ProgressForm::Json) {
+                eprintln!("{}", json!({ "event": "begin", "stage": name, "steps": steps }));
+            }
+            if self.form == Some(ProgressForm::Bar) {
                 let bar = ProgressBar::with_draw_target((steps > 0).then_some(steps), ProgressDrawTarget::stderr());
                 let template = if steps > 0 {
                     "{msg} [{bar:30}] {pos}/{len} {per_sec} {eta} left"
@@ -141,9 +186,14 @@ impl Progress for Stderr {
             s.unsaid = Some(what.into());
             if let Some(bar) = &s.bar {
                 bar.set_message(format!("{}: {what}", s.name));
-            } else if s.said.elapsed() >= PLAIN_INTERVAL {
+            } else if s.is_time() {
                 s.said = Instant::now();
-                eprintln!("{}: {what}", s.name);
+                match s.form {
+                    Some(ProgressForm::Json) => {
+                        eprintln!("{}", json!({ "event": "note", "stage": s.name, "note": what }));
+                    }
+                    _ => eprintln!("{}: {what}", s.name),
+                }
                 s.unsaid = None;
             }
         });
@@ -167,7 +217,7 @@ mod tests {
 
     #[test]
     fn a_stage_that_was_too_short_to_say_what_it_found_says_so_at_its_end() {
-        let progress = Stderr { terminal: false, ..Stderr::default() };
+        let progress = Stderr::of(Some(ProgressForm::Plain));
         let summary = || {
             let mut found = String::new();
             progress.with(|s| found = s.summary(Duration::from_millis(1_230)));
@@ -189,5 +239,34 @@ mod tests {
         progress.with(|s| s.said -= PLAIN_INTERVAL);
         progress.note("round 1");
         assert_eq!(summary(), "grid: 1.2 s", "it was said already");
+    }
+
+    #[test]
+    fn lines_for_programs_are_json() {
+        let progress = Stderr::of(Some(ProgressForm::Json));
+        progress.stage("images", 20);
+        progress.skip(4);
+        progress.advance(6);
+        progress.note("half");
+        let ten_s = Duration::from_secs(12);
+        let (mut there, mut end) = (Value::Null, Value::Null);
+        progress.with(|s| (there, end) = (s.progress_json(ten_s), s.summary_json(ten_s)));
+        let (done, steps, skipped) = (10, 20, 4);
+        assert_eq!(
+            there,
+            json!({ "event": "progress", "stage": "images", "done": done, "steps": steps, "skipped": skipped, "left_s": 20.0 })
+        );
+        assert_eq!((&end["seconds"], &end["note"]), (&json!(12.0), &json!("half")));
+    }
+
+    #[test]
+    fn who_is_quiet_says_nothing() {
+        let quiet = ProgressArgs { quiet: true, progress: None };
+        let progress = Stderr::new(&quiet);
+        progress.stage("images", 20);
+        progress.with(|s| s.said -= PLAIN_INTERVAL);
+        let mut due = true;
+        progress.with(|s| due = s.is_time());
+        assert!(!due && progress.form.is_none());
     }
 }

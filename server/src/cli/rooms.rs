@@ -2,7 +2,8 @@
 
 use super::Failure;
 use super::args::RoomsArgs;
-use super::commands::{print, threads, write_file, write_json};
+use super::commands::threads;
+use super::outputs::{print, write_file, write_json};
 use super::progress::Stderr;
 use crate::build::Progress as _;
 use crate::octree::{Clusters, Octree};
@@ -25,7 +26,7 @@ pub(super) const FILE: &str = "rooms.json";
 
 pub(super) fn rooms(a: &RoomsArgs) -> Result<(), Failure> {
     threads(a.threads)?;
-    let progress = Stderr::default();
+    let progress = Stderr::new(&a.progress);
     progress.stage("loading", 0);
     let name = a.scenes.join(" + ");
     let scene = Arc::new(scene::load_all(&a.scenes).map_err(|e| Failure::of(e.is_permanent(), e))?);

@@ -12,6 +12,7 @@
 mod annotations;
 pub mod builtin;
 mod check;
+mod doubts;
 mod error;
 mod files;
 mod from_gltf;
@@ -40,12 +41,13 @@ use std::path::Path;
 use ldi_protocol::codec::texture::MAX_TEXELS;
 
 pub use annotations::{CellExtra, OUTSIDE, PortalExtra, SceneExtras};
+pub use doubts::doubts;
 pub use error::SceneError;
 pub use limits::{LIMITS, Limits};
 #[cfg(test)]
 pub(crate) use model::WHITE;
 pub use model::{Instance, Mesh, Note, PortalAnnotation, Primitive, RoomAnnotation, Scene, SceneElement, SceneTexture};
-pub use spec::{BuiltinSpec, FileSpec, unit_doubt};
+pub use spec::{BuiltinSpec, FileSpec};
 
 use error::Fault;
 use files::Files;
@@ -70,7 +72,7 @@ pub fn load_within(spec: &str, limits: &Limits) -> Result<Scene, SceneError> {
     if let Some(builtin) = BuiltinSpec::parse(spec) {
         return load_builtin(&builtin?);
     }
-    let FileSpec { path, world_from_file, lenient, spaces_are_rooms } = FileSpec::parse(spec)?;
+    let FileSpec { path, world_from_file, lenient, spaces_are_rooms, .. } = FileSpec::parse(spec)?;
     let path = Path::new(&path);
     let in_file = |fault: Fault| fault.in_file(&path.display().to_string());
     let (mut files, bytes) = Files::open(path, limits.file_bytes)?;

@@ -64,6 +64,10 @@ pub struct FileSpec {
     pub path: String,
     /// World from file; None where they are the same.
     pub world_from_file: Option<DAffine3>,
+    /// Unit, where one is named.
+    pub unit: Option<&'static str>,
+    /// Z is up.
+    pub is_z_up: bool,
     /// What cannot be read of pictures and material libraries is drawn in plain colours and noted,
     /// instead of refusing the scene.
     pub lenient: bool,
@@ -75,6 +79,11 @@ pub struct FileSpec {
 const UNITS: [(&str, f64); 5] = [("m", 1.0), ("cm", 0.01), ("mm", 0.001), ("in", 0.0254), ("ft", 0.3048)];
 
 impl FileSpec {
+    /// A file in metres with Y up.
+    fn plain(path: String) -> Self {
+        Self { path, world_from_file: None, unit: None, is_z_up: false, lenient: false, spaces_are_rooms: false }
+    }
+
     /// Reads `text`; a file whose name holds a question mark is found as it is.
     ///
     /// # Errors
@@ -84,7 +93,7 @@ impl FileSpec {
             Some((path, query)) if !Path::new(text).exists() => (path, query),
             _ => {
                 let path = text.to_owned();
-                return Ok(Self { path, world_from_file: None, lenient: false, spaces_are_rooms: false });
+                return Ok(Self::plain(path));
             }
         };
         let fault = |problem: String| SceneError::Invalid {
@@ -97,15 +106,14 @@ impl FileSpec {
         for pair in query.split('&').filter(|p| !p.is_empty()) {
             let (key, value) = pair.split_once('=').unwrap_or((pair, ""));
             let twice = match (key, value) {
-                ("up", "y") => up.replace(DMat3::IDENTITY).is_some(),
-                // What was up and what was north: Z becomes Y, Y becomes -Z.
-                ("up", "z") => up.replace(DMat3::from_cols(DVec3::X, -DVec3::Z, DVec3::Y)).is_some(),
+                ("up", "y") => up.replace(false).is_some(),
+                ("up", "z") => up.replace(true).is_some(),
                 ("missing", "plain") => lenient.replace(true).is_some(),
                 ("rooms", "spaces") => rooms.replace(true).is_some(),
                 ("rooms", "none") => rooms.replace(false).is_some(),
                 ("missing", "refuse") => lenient.replace(false).is_some(),
                 ("unit", name) => match UNITS.iter().find(|u| u.0 == name) {
-                    Some((_, metres)) => unit.replace(*metres).is_some(),
+                    Some(named) => unit.replace(*named).is_some(),
                     None => return Err(fault(format!("there is no unit \"{name}\""))),
                 },
                 _ => return Err(fault(format!("unknown parameter \"{pair}\""))),
@@ -114,28 +122,20 @@ impl FileSpec {
                 return Err(fault(format!("{key} is given twice")));
             }
         }
-        let matrix = up.unwrap_or(DMat3::IDENTITY) * unit.unwrap_or(1.0);
+        // What was up and what was north: Z becomes Y, Y becomes -Z.
+        let is_z_up = up.unwrap_or(false);
+        let turn = if is_z_up { DMat3::from_cols(DVec3::X, -DVec3::Z, DVec3::Y) } else { DMat3::IDENTITY };
+        let matrix = turn * unit.map_or(1.0, |(_, metres)| metres);
         let world_from_file = (matrix != DMat3::IDENTITY).then(|| DAffine3::from_mat3(matrix));
         Ok(Self {
             path: path.to_owned(),
             world_from_file,
+            unit: unit.map(|(name, _)| name),
+            is_z_up,
             lenient: lenient.unwrap_or(false),
             spaces_are_rooms: rooms.unwrap_or(false),
         })
     }
-}
-
-/// What speaks against metres in a scene's longest side, if anything: towns are smaller than the
-/// larger bound, and nobody walks in less than the smaller one.
-pub fn unit_doubt(longest_m: f64) -> Option<String> {
-    let size = match longest_m {
-        m if m > 5000.0 => format!("{:.0} km", m / 1000.0),
-        m if m > 0.0 && m < 1.0 => format!("{:.0} mm", m * 1000.0),
-        _ => return None,
-    };
-    Some(format!(
-        "the scene is {size} long; if its unit is not the metre, name it as in 'FILE?unit=mm' (or cm, in, ft)"
-    ))
 }
 
 #[cfg(test)]
@@ -143,23 +143,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sizes_that_no_walked_scene_has_are_doubted() {
-        assert_eq!([12.0, 1.0, 5000.0, 0.0].map(unit_doubt), [const { None }; 4]);
-        let doubt = |m| unit_doubt(m).expect("doubted");
-        assert!(doubt(48_300.0).contains("48 km") && doubt(0.31).contains("310 mm"));
-        assert!(doubt(48_300.0).contains("FILE?unit=mm"));
-    }
-
-    #[test]
     fn files_tell_their_axes_and_units() {
         let spec = |text| FileSpec::parse(text).unwrap();
-        let plain = FileSpec { path: "a/b.obj".into(), world_from_file: None, lenient: false, spaces_are_rooms: false };
-        assert_eq!(spec("a/b.obj"), plain);
+        assert_eq!(spec("a/b.obj"), FileSpec::plain("a/b.obj".into()));
         assert!(spec("b.ifc?rooms=spaces").spaces_are_rooms && !spec("b.ifc?rooms=none").spaces_are_rooms);
         assert_eq!(spec("b.obj?up=y&unit=m").world_from_file, None);
         assert!(spec("b.obj?missing=plain").lenient && !spec("b.obj?missing=refuse").lenient);
         let turned = spec("b.obj?unit=mm&up=z");
-        assert_eq!(turned.path, "b.obj");
+        assert_eq!((turned.path.as_str(), turned.unit, turned.is_z_up), ("b.obj", Some("mm"), true));
         let world = turned.world_from_file.unwrap().transform_point3(DVec3::new(1000.0, 2000.0, 3000.0));
         assert!(world.distance(DVec3::new(1.0, 3.0, -2.0)) < 1e-12, "{world}");
         for text in [

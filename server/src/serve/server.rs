@@ -87,6 +87,7 @@ impl Server {
         let (stop, stopping) = watch::channel(false);
         let shared = Arc::new(Shared {
             offers: RwLock::new(Arc::new(offers)),
+            reloads: watch::Sender::new(()),
             walkers: Arc::default(),
             admission: Admission::new(
                 config.max_connections,
@@ -218,9 +219,10 @@ pub trait Datasets: Send + Sync + 'static {
 /// How often datasets are looked at for changes.
 const CHANGES_EVERY: Duration = Duration::from_secs(2);
 
-/// Serves what was opened, with its stamp, until SIGINT or SIGTERM; SIGHUP reloads datasets, token and certificate, and so does a
-/// change of the datasets. Prints `listening quic=ADDR http=ADDR fingerprint=HEX` to standard
-/// output when ready.
+/// Serves what was opened, with its stamp, until SIGINT or SIGTERM; SIGHUP reloads datasets, token
+/// and certificate, and so does a change of the datasets. Prints `listening quic=ADDR http=ADDR
+/// fingerprint=HEX` to standard output when ready, and calls `page` with the address of the page
+/// and those that others type.
 ///
 /// # Errors
 /// As [`Server::start`].
@@ -228,6 +230,7 @@ pub async fn serve(
     datasets: Arc<dyn Datasets>,
     (mut served, opened): (u64, NamedSources),
     config: ServeConfig,
+    page: &(dyn Fn(SocketAddr, &[SocketAddr]) + Sync),
 ) -> Result<(), ServeError> {
     // Before the ready line: whoever reads it may send a signal at once.
     let asked_to_stop = stop_signal();
@@ -238,6 +241,9 @@ pub async fn serve(
     let line = format!("listening quic={quic} http={http} fingerprint={fingerprint}\n");
     print_at_once(&line).map_err(ServeError::Stdout)?;
     server.log("serving");
+    if let Some(http) = server.http() {
+        page(http, &addresses_to_type(http));
+    }
     let mut asked_to_stop = std::pin::pin!(asked_to_stop);
     let mut changes = tokio::time::interval(CHANGES_EVERY);
     changes.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);

@@ -68,6 +68,8 @@ pub const ACCESS: &str = "access";
 pub struct Shared {
     /// The offers to newcomers; replaced by a reload.
     pub offers: RwLock<Arc<Offers>>,
+    /// Changes with each reload.
+    pub reloads: watch::Sender<()>,
     /// Who is connected.
     pub walkers: Arc<Walkers>,
     /// Who is let in.
@@ -97,6 +99,7 @@ impl Shared {
     /// Replaces the offers to newcomers.
     pub fn set_offers(&self, offers: Offers) {
         *self.offers.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(offers);
+        self.reloads.send_replace(());
     }
 }
 
@@ -299,6 +302,8 @@ struct Session {
     poses: TokenBucket,
     /// The client shows where the others are.
     others: Option<Told>,
+    /// The client is told once when its dataset was replaced.
+    tells_replacement: bool,
 }
 
 /// What a client knows of the others.
@@ -345,6 +350,7 @@ impl Session {
             manifests: hello.manifests.clone(),
             poses: TokenBucket::new(POSES_PER_SECOND, POSES_PER_SECOND),
             others: None,
+            tells_replacement: hello.replacements,
         }
     }
 
@@ -370,6 +376,9 @@ impl Session {
             rate,
         ));
         let mut stop = self.shared.stop.clone();
+        let mut reloads = self.shared.reloads.subscribe();
+        // What was reloaded since the walker came in counts, too.
+        reloads.mark_changed();
         loop {
             self.push_next();
             if !self.unreadable.is_empty() {
@@ -388,6 +397,7 @@ impl Session {
                 Some(done) = carried.recv() => self.land(done),
                 Some(Ok(sent)) = pages.join_next() => sent.map_err(|_| SessionError::Silent)??,
                 () = due(&mut self.others) => self.tell_others(send).await?,
+                Ok(()) = reloads.changed() => self.tell_replacement(send).await?,
                 () = sleep_until(wake) => {}
                 () = stopped(&mut stop) => {
                     self.outlet.connection.close(VarInt::from_u32(code::SHUTDOWN), b"the server stops");
@@ -536,6 +546,16 @@ impl Session {
         }
         told.walkers.clone_from(&walkers);
         tell(send, &ServerMessage::Others { walkers }).await
+    }
+
+    /// That newcomers get another build of the dataset, once.
+    async fn tell_replacement(&mut self, send: &mut SendStream) -> Result<(), SessionError> {
+        let offered = self.shared.offers().of(Some(&self.offer.name));
+        let is_replaced = offered.is_ok_and(|offer| offer.served.hash() != self.offer.served.hash());
+        if !is_replaced || !std::mem::take(&mut self.tells_replacement) {
+            return Ok(());
+        }
+        tell(send, &ServerMessage::Replaced).await
     }
 
     /// A datagram that is no pose is ignored: they may be damaged or from a later version.

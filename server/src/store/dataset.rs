@@ -38,9 +38,21 @@ pub struct Dataset {
     chunks: Vec<Location>,
 }
 
+/// What to do with a file that is named where a dataset is needed.
+fn build_first(file: &Path) -> String {
+    let (scene, dataset) = (file.display(), file.with_extension("ldi"));
+    format!(
+        "it is a file; if it is a scene, build a dataset of it first: ldi-server build {scene} -o {}",
+        dataset.display()
+    )
+}
+
 /// Reads the manifest's root.
 pub(super) fn read_root(path: &Path) -> Result<(Vec<u8>, PathBuf), StoreError> {
-    let not = |why| StoreError::NotADataset { path: path.to_owned(), why };
+    let not = |why: &str| StoreError::NotADataset { path: path.to_owned(), why: why.to_owned() };
+    if path.is_file() {
+        return Err(StoreError::NotADataset { path: path.to_owned(), why: build_first(path) });
+    }
     if !path.is_dir() {
         return Err(not("there is no such directory; build one with `ldi-server build SCENE -o DATASET`"));
     }

@@ -1,6 +1,6 @@
 //! What can go wrong with a dataset directory.
 
-use ldi_protocol::codec::CodecError;
+use ldi_protocol::{codec::CodecError, said::is_lasting};
 use std::path::{Path, PathBuf};
 
 /// What to do about a damaged file. Files of a dataset that is served are not to be overwritten:
@@ -16,7 +16,7 @@ pub enum StoreError {
         /// The directory.
         path: PathBuf,
         /// What is missing, and what to do.
-        why: &'static str,
+        why: String,
     },
     /// A build does not write there.
     #[error("{}: not written to: {why}", path.display())]
@@ -122,9 +122,15 @@ impl StoreError {
             | Self::PackLength { .. }
             | Self::NoSuch { .. }
             | Self::Damaged { .. } => true,
-            Self::Io { source, .. } => source.kind() == std::io::ErrorKind::NotFound,
+            Self::Io { source, .. } => is_lasting(source),
             Self::Locked { .. } | Self::NoSpace { .. } | Self::Chunk { .. } => false,
         }
+    }
+
+    /// Whether another process may have made or removed the same file.
+    pub(super) fn is_of_a_race(&self) -> bool {
+        use std::io::ErrorKind as Kind;
+        matches!(self, Self::Io { source, .. } if matches!(source.kind(), Kind::AlreadyExists | Kind::NotFound))
     }
 
     pub(super) fn io<'a>(path: &'a Path, action: &'static str) -> impl FnOnce(std::io::Error) -> Self + 'a {

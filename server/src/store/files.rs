@@ -191,7 +191,11 @@ pub(super) fn make_directory(path: &Path) -> Result<(), StoreError> {
             path: path.to_owned(),
             why: "it is not a folder; remove it, or name another folder".into(),
         }),
-        None => change(path, "create it", || fs::create_dir(path)),
+        None => match change(path, "create it", || fs::create_dir(path)) {
+            // Another thread or process was faster.
+            Err(e) if e.is_of_a_race() && path.is_dir() => Ok(()),
+            made => made,
+        },
     }
 }
 

@@ -13,6 +13,7 @@ use std::{
     hash::{DefaultHasher, Hash as _, Hasher as _},
     io::Write,
     path::{Path, PathBuf},
+    time::Duration,
 };
 
 /// Name of the marker file.
@@ -20,6 +21,11 @@ pub(super) const MARKER: &str = "ldi-dataset";
 /// Its content.
 const TEXT: &str = "ldi-dataset 1\n\
     This folder belongs to `ldi-server build`, which replaces and removes the files that it made here.\n";
+
+/// Attempts to claim a folder that others claim at the same time, and the pause between them.
+const CLAIMS: usize = 20;
+/// See [`CLAIMS`].
+const CLAIM_AGAIN: Duration = Duration::from_millis(20);
 
 /// A folder that a build may write into.
 #[derive(Debug)]
@@ -37,6 +43,11 @@ impl DatasetFolder {
     pub fn claim(path: &Path) -> Result<Self, StoreError> {
         // Without a slash at its end: that would follow a link.
         let path: PathBuf = path.components().collect();
+        let there = path.ancestors().skip(1).find(|above| above.symlink_metadata().is_ok());
+        if let Some(file) = there.filter(|above| !above.is_dir()) {
+            let why = format!("{}, in which it would lie, is a file; name another folder", file.display());
+            return Err(StoreError::NotOurs { path, why });
+        }
         let made = match kind_of(&path)? {
             None => {
                 if let Some(parent) = path.parent() {
@@ -53,6 +64,20 @@ impl DatasetFolder {
             write_marker(&path)?;
         }
         Ok(Self { path, made: (made, !is_marked) })
+    }
+
+    /// The same while other processes do it.
+    ///
+    /// # Errors
+    /// As [`Self::claim`].
+    pub fn claim_beside_others(path: &Path) -> Result<Self, StoreError> {
+        for _ in 0..CLAIMS {
+            match Self::claim(path) {
+                Err(e) if e.is_of_a_race() || is_marked(path).unwrap_or(false) => std::thread::sleep(CLAIM_AGAIN),
+                end => return end,
+            }
+        }
+        Self::claim(path)
     }
 
     pub fn path(&self) -> &Path {

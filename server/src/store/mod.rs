@@ -47,7 +47,7 @@ pub(crate) use error::REPLACE;
 pub use error::StoreError;
 pub use folder::{is_dataset, manifest_stamp};
 pub use inspect::{inspect, inspect_text};
-pub use verify::{Fault, Verification, verify};
+pub use verify::{Fault, Verification, verify, verify_heard};
 pub use writer::{DatasetWriter, Written};
 
 #[cfg(test)]

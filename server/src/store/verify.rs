@@ -82,6 +82,18 @@ pub struct Verification {
 /// # Errors
 /// If there is no dataset, it has another version, or the operating system refuses to read.
 pub fn verify(path: &Path) -> Result<Verification, StoreError> {
+    verify_heard(path, &|_| {}, &|| {})
+}
+
+/// [`verify`], of which progress is heard: first the number of chunks, then each chunk.
+///
+/// # Errors
+/// As [`verify`].
+pub fn verify_heard(
+    path: &Path,
+    begin: &dyn Fn(usize),
+    advance: &(dyn Fn() + Sync),
+) -> Result<Verification, StoreError> {
     let (root_bytes, manifest_path) = read_root(path)?;
     let mut out = Verification { bytes: root_bytes.len() as u64, ..Verification::default() };
     let root = match manifest::decode_root(&root_bytes) {
@@ -124,7 +136,13 @@ pub fn verify(path: &Path) -> Result<Verification, StoreError> {
     let locations = layout.place_chunks(&index.chunks);
     packs.check_lengths(layout.pack_bytes(), &mut out);
     let places = Places { index: &index, packs: &packs, locations: &locations };
-    let hashed: Vec<Option<Fault>> = (0..index.chunks.len()).into_par_iter().map(|k| places.check_hash(k)).collect();
+    begin(index.chunks.len());
+    let check = |k| {
+        let fault = places.check_hash(k);
+        advance();
+        fault
+    };
+    let hashed: Vec<Option<Fault>> = (0..index.chunks.len()).into_par_iter().map(check).collect();
     let read = || locations.iter().filter(|l| packs.reach(l));
     out.chunks = read().count();
     out.bytes += read().map(|l| u64::from(l.bytes)).sum::<u64>();

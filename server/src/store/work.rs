@@ -20,7 +20,7 @@ const MAX_PIECE: u64 = 1 << 32;
 /// Held while a build is under way.
 const LOCK: &str = "lock";
 
-/// `.build`, locked for one process.
+/// `.build`, locked for one process, or for several that share out the pieces.
 #[derive(Debug)]
 pub(super) struct WorkDirectory {
     path: PathBuf,
@@ -31,6 +31,15 @@ pub(super) struct WorkDirectory {
 impl WorkDirectory {
     /// Opens or creates the work directory of a dataset and locks it.
     pub fn open(dataset: &Path) -> Result<Self, StoreError> {
+        Self::open_with(dataset, File::try_lock)
+    }
+
+    /// The same, beside other processes that open it like this.
+    pub fn open_shared(dataset: &Path) -> Result<Self, StoreError> {
+        Self::open_with(dataset, File::try_lock_shared)
+    }
+
+    fn open_with(dataset: &Path, take: fn(&File) -> Result<(), fs::TryLockError>) -> Result<Self, StoreError> {
         let path = dataset.join(files::WORK);
         make_directory(&path)?;
         let lock_path = path.join(LOCK);
@@ -39,7 +48,7 @@ impl WorkDirectory {
         }
         let open = || OpenOptions::new().write(true).create(true).truncate(false).open(&lock_path);
         let lock = change(&lock_path, "create it", open)?;
-        match lock.try_lock() {
+        match take(&lock) {
             Ok(()) => Ok(Self { path, _lock: lock }),
             Err(fs::TryLockError::WouldBlock) => Err(StoreError::Locked { path: dataset.to_owned() }),
             Err(fs::TryLockError::Error(e)) => Err(StoreError::io(&lock_path, "lock it")(e)),
@@ -62,6 +71,11 @@ impl WorkDirectory {
         }
         bytes.truncate(length);
         Some(bytes)
+    }
+
+    /// Whether there is a piece under a key, perhaps a torn one.
+    pub fn holds(&self, key: &[u8; 32]) -> bool {
+        self.piece_path(key).is_file()
     }
 
     /// Stores a piece.

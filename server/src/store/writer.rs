@@ -60,6 +60,22 @@ impl DatasetWriter {
         Ok(Self { folder, work, elements: Vec::new() })
     }
 
+    /// The same beside other processes that store other pieces in the same folder; nothing can be
+    /// finished by it.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_beside_others(path: &Path) -> Result<Self, StoreError> {
+        let folder = DatasetFolder::claim_beside_others(path)?;
+        let work = WorkDirectory::open_shared(folder.path())?;
+        Ok(Self { folder, work, elements: Vec::new() })
+    }
+
+    /// Whether a piece was stored under this key; a torn one counts.
+    pub fn holds(&self, key: &[u8; 32]) -> bool {
+        self.work.holds(key)
+    }
+
     /// The same, of a scene whose nodes are these elements.
     pub fn with_elements(self, elements: Vec<SceneElement>) -> Self {
         Self { elements, ..self }

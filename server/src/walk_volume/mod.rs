@@ -46,7 +46,7 @@ use choose::{Verdict, area_m2};
 use corridor::{Columns, Runs};
 use floors::{Floor, FloorRules, TileFloors, floors_of};
 use glam::{DVec2, DVec3};
-use ldi_protocol::{Aabb, volume::ColumnRuns, volume::WalkVolume};
+use ldi_protocol::{Aabb, path, volume::ColumnRuns, volume::WalkVolume};
 use lines::Raster;
 use rayon::prelude::*;
 use regions::Regions;
@@ -125,7 +125,7 @@ pub enum WalkError {
     },
     /// Nobody can stand near the path.
     #[error(
-        "no eye position within {within_m} m of the path: none of its {poses} poses has a floor below it within {below_m:.1} m; the first is at ({x:.2}, {y:.2}, {z:.2}), the scene spans {low:.1} to {high:.1}; check that path and scene have the same unit and up axis",
+        "no eye position within {within_m} m of the path: none of its {poses} poses has a floor below it within {below_m:.1} m; the first is at ({x:.2}, {y:.2}, {z:.2}), the scene spans {low:.1} to {high:.1}; {remedy}",
         x = first.x, y = first.y, z = first.z
     )]
     NowhereAlong {
@@ -141,6 +141,8 @@ pub enum WalkError {
         low: DVec3,
         /// See `low`.
         high: DVec3,
+        /// Which factor or axes would fit, or what to check.
+        remedy: String,
     },
     /// The walk volume cannot be stored.
     #[error(transparent)]
@@ -245,8 +247,8 @@ impl Site<'_> {
             starts.push(region.ok_or(WalkError::Start { place: *place, below_m })?);
         }
         let mut floating = Vec::new();
-        if let Some(path) = &options.along {
-            for (number, eye) in path.eyes().iter().enumerate() {
+        if let Some(along) = &options.along {
+            for (number, eye) in along.eyes().iter().enumerate() {
                 match below(&all, &raster, eye - DVec3::Y * rules.foot_m, below_m) {
                     Some(region) => starts.push(region),
                     None => floating.push((number, *eye)),
@@ -254,12 +256,14 @@ impl Site<'_> {
             }
             if starts.is_empty() {
                 return Err(WalkError::NowhereAlong {
-                    within_m: path.within_m(),
-                    poses: path.eyes().len(),
-                    first: path.eyes().first().copied().unwrap_or_default(),
+                    within_m: along.within_m(),
+                    poses: along.eyes().len(),
+                    first: along.eyes().first().copied().unwrap_or_default(),
                     below_m,
                     low: self.bounds.min,
                     high: self.bounds.max,
+                    remedy: path::misfit(along.eyes(), &self.bounds, None)
+                        .unwrap_or_else(|| "check that path and scene have the same unit and up axis".into()),
                 });
             }
             starts.sort_unstable();

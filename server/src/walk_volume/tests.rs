@@ -90,7 +90,7 @@ fn what_lies_under_a_path_stays_and_floating_poses_are_named() {
     // A path over a table that is no floor otherwise, and on into the air.
     let boxes = [([0.0, -0.1, 0.0], [16.0, 0.0, 16.0]), ([3.0, 0.7, 3.0], [5.0, 0.8, 5.0])];
     let along = |waypoints: &str| {
-        let walk = ldi_protocol::path::parse(&format!(r#"{{"waypoints": {waypoints}}}"#)).unwrap();
+        let walk = path::parse(&format!(r#"{{"waypoints": {waypoints}}}"#)).unwrap();
         walked(&boxes, &WalkOptions { along: Some(Corridor::around(&walk, 0.5)), ..on_foot() })
     };
     let (v, report) = along("[[3.5, 2.4, 4.0], [4.5, 2.4, 4.0], [4.5, 9.0, 4.0]]").unwrap();

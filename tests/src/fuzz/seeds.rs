@@ -267,6 +267,7 @@ pub(super) fn client_message() -> Vec<Vec<u8>> {
         far: Default::default(),
         dataset: Some("house".into()),
         early: true,
+        replacements: true,
     };
     let all = [
         ClientMessage::Hello(hello),
@@ -297,6 +298,7 @@ pub(super) fn server_message() -> Vec<Vec<u8>> {
         ServerMessage::Refused { code: RefusalCode::Token, message: "wrong token".into() },
         ServerMessage::Unavailable { chunks: vec![4, 5] },
         ServerMessage::Others { walkers: vec![other] },
+        ServerMessage::Replaced,
     ];
     all.iter().map(body).collect()
 }

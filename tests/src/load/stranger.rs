@@ -110,6 +110,7 @@ pub fn hello(version: u16, token: Option<String>, picture: Picture) -> ClientMes
         far: FarBy::default(),
         dataset: None,
         early: false,
+        replacements: false,
     })
 }
 
