@@ -71,14 +71,11 @@ pub fn house(draft: &mut Draft, random: &mut Random, paints: &Paints, detail: u3
         gable(&mut parts, side * WIDTH * 0.5, top, style.rise);
     }
     // A gutter along the eaves, a downpipe, a chimney.
-    let pipe = |s: Shape, by: DAffine3| s.with(Shape::new(paints.iron).tube(0.07, WIDTH, around, 1).moved(by));
-    parts.iron = pipe(
-        parts.iron,
-        DAffine3::from_rotation_translation(
-            DQuat::from_rotation_y(PI * 0.5),
-            DVec3::new(-WIDTH * 0.5, top - 0.05, 0.42),
-        ),
+    let gutter = DAffine3::from_rotation_translation(
+        DQuat::from_rotation_y(PI * 0.5),
+        DVec3::new(-WIDTH * 0.5, top - 0.05, 0.42),
     );
+    parts.iron = parts.iron.with(Shape::new(paints.iron).tube(0.07, WIDTH, around, 1).moved(gutter));
     parts.iron = parts.iron.with(
         Shape::new(paints.iron)
             .lathe(&[(0.05, 0.0), (0.05, top)], around, 1, false)
