@@ -33,7 +33,7 @@ struct Options {
     #[arg(short, long, default_value = "out/demo")]
     output: PathBuf,
     /// Geometry budget: triangles, or a share of the scene's such as `2%`.
-    #[arg(long, default_value = "60000")]
+    #[arg(long, default_value = "100000")]
     budget: String,
     /// Frames, evenly spaced over the path.
     #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u64).range(1..=100_000))]

@@ -27,8 +27,8 @@ fn height(x: f64, z: f64, edge: f64) -> f64 {
     let wave = 0.75 + 0.25 * (x * 0.013).sin() * (z * 0.011).cos() + 0.2 * (x * 0.031 + z * 0.023).sin();
     // The avenue descends evenly.
     let beside = if x < 0.0 { ((z - AVENUE_Z).abs() - AVENUE_HALF).max(0.0) } else { f64::INFINITY };
-    let even = smooth((1.0 - beside / 60.0).clamp(0.0, 1.0));
-    smooth(out) * 85.0 * (wave + (0.85 - wave) * even)
+    let even = smooth((1.0 - beside / 150.0).clamp(0.0, 1.0));
+    smooth(out) * 85.0 * (2.2 * wave + (0.85 - 2.2 * wave) * even)
 }
 
 /// Adds ground, hills, forest and castle.
