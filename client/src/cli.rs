@@ -9,7 +9,7 @@ mod shell;
 mod signals;
 
 use anyhow::Context;
-use clap::{Args, Parser, Subcommand, ValueEnum as _};
+use clap::{Args, CommandFactory as _, Parser, Subcommand, ValueEnum as _};
 use failure::Failure;
 use indicatif::{ProgressBar, ProgressStyle};
 use input::{check_file, check_folder, disk, parse_size, read_path, token};
@@ -209,8 +209,8 @@ pub fn main() -> ExitCode {
     let done = match cli.command {
         Command::Walk(args) => walk(&args),
         Command::Connect(args) => connect::connect(&args),
-        Command::Completions { shell } => shell::completions(shell),
-        Command::Man { out } => shell::man(&out),
+        Command::Completions { shell } => shell::completions(shell, Cli::command()),
+        Command::Man { out } => shell::man(&out, Cli::command()),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
