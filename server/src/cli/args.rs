@@ -315,13 +315,13 @@ pub struct InspectArgs {
     /// JSON, with every cell's bounds, triangles and source ranges.
     #[arg(long)]
     pub json: bool,
-    /// Draw the floor plans with the names of rooms, as SVG or PNG.
+    /// Draw storey by storey where people walk and where not and why, rooms and grid points, as SVG
+    /// or PNG.
     #[arg(long, value_name = "FILE.svg|.png")]
     pub plan: Option<PathBuf>,
-    /// With --plan: draw instead where people walk and where not and why, boxes of rooms and grid
-    /// points.
+    /// With --plan: draw instead the floor plans that the map shows, with the names of rooms.
     #[arg(long, requires = "plan")]
-    pub technical: bool,
+    pub floors: bool,
     /// With --plan: draw this path over it, and say how much of it lies inside.
     #[arg(long, value_name = "PATH.json", requires = "plan")]
     pub path: Option<PathBuf>,

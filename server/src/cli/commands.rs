@@ -276,7 +276,7 @@ fn inspect(a: &InspectArgs) -> Result<(), Failure> {
         let path = a.path.as_deref().map(|path| path_in_dataset(path, dataset.index())).transpose()?;
         let rooms = super::rooms::rooms_of_dataset(&a.dataset, dataset.index())?;
         let report = dataset.report().and_then(|r| serde_json::from_value(r["walk"].clone()).ok());
-        let plans = if a.technical { &[] } else { &dataset.index().plans[..] };
+        let plans = if a.floors { &dataset.index().plans[..] } else { &[] };
         return draw_plan(file, dataset.index(), plans, (report.as_ref(), rooms.as_ref(), path.as_ref()));
     }
     let value = store::inspect(&open(&a.dataset)?, a.json).map_err(|e| Failure::of(e.permanent(), e))?;
