@@ -25,6 +25,17 @@ pub struct Fixture {
     pub dataset: PathBuf,
 }
 
+/// An empty folder of this process below `tmp`.
+///
+/// # Panics
+/// If it cannot be made.
+pub fn empty_folder(tmp: &Path, name: &str) -> PathBuf {
+    let dir = tmp.join(format!("{name}-{}", std::process::id()));
+    let _ = std::fs::remove_dir_all(&dir);
+    std::fs::create_dir_all(&dir).expect("the target folder is writable");
+    dir
+}
+
 /// A folder below `tmp` that `make` filled, once for this very build of the server: each test may
 /// run in a process of its own, and all but the first wait.
 ///

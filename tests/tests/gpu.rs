@@ -37,10 +37,7 @@ fn said(out: &Output) -> String {
 }
 
 fn folder(name: &str) -> PathBuf {
-    let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}-{}", std::process::id()));
-    let _ = std::fs::remove_dir_all(&dir);
-    std::fs::create_dir_all(&dir).expect("the target folder is writable");
-    dir
+    ldi_tests::fixture::empty_folder(Path::new(env!("CARGO_TARGET_TMPDIR")), name)
 }
 
 #[test]

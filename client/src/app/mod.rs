@@ -20,8 +20,9 @@
 //! - `window`: system events; `window_state`: all state of an open window; `screen`: surface and
 //!   presentation with wgpu, opened only with a window; `software_present`, `software_upscale`,
 //!   `overlay`: presentation by the CPU.
-//! - `hud` with `banners`, `help` and `text_block`, `map` with its `map_view` and `map_plan`, `start_screen`,
-//!   `settings_panel`: the interface. `settings`: what the user has chosen, kept in a `user_file`.
+//! - `hud` with `banners`, `help` and `text_block`, `map` with its `map_view` and `map_plan`,
+//!   `start_screen`, `settings_panel`: the interface. `settings`: what the user has chosen, kept in
+//!   a `user_file`.
 //! - `recordings_and_bookmarks` with `recording` and `bookmarks`: stored walks and poses.
 //!   `screenshot`, `unique_file`, `events`, `frame_times`: files and figures. `keys`, `commands`,
 //!   `gamepad`: input. `window_commands`: what commands do. `view_link`: links to views.

@@ -9,7 +9,8 @@ use std::{io::Write as _, path::Path};
 /// Name of the program.
 const NAME: &str = "ldi-client";
 
-/// Writes completions of the program's `command` to standard output; a reader that has gone is no failure.
+/// Writes completions of the program's `command` to standard output; a reader that has gone is no
+/// failure.
 pub fn completions(shell: Shell, mut command: Command) -> Result<(), Failure> {
     let mut text = Vec::new();
     clap_complete::generate(shell, &mut command, NAME, &mut text);

@@ -1,5 +1,5 @@
-//! Progress of connecting, and what the server says of the dataset, from the streaming thread to the
-//! window.
+//! Progress of connecting, and what the server says of the dataset, from the streaming thread to
+//! the window.
 
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering::Relaxed};
 

@@ -53,7 +53,8 @@ mod tests {
         let side = lines[0].len();
         assert!(lines.iter().all(|l| l.len() == side) && lines.len() == side.div_ceil(2));
         assert!(lines[0].iter().all(|c| *c == '\u{2588}') && lines.iter().all(|l| l[0] == '\u{2588}' || side % 2 == 1));
-        // The finder patterns at both ends: seven dark modules, five light ones below them in the same character.
+        // The finder patterns at both ends: seven dark modules, five light ones below them in the
+        // same character.
         for first in [QUIET, side - QUIET - 7] {
             let finder: String = lines[QUIET / 2][first..first + 7].iter().collect();
             assert_eq!(finder, " \u{2584}\u{2584}\u{2584}\u{2584}\u{2584} ");

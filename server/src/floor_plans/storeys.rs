@@ -1,11 +1,10 @@
 //! Storeys of a walk volume: the heights with most floor, and the floor of each as a raster.
 
 use super::Grid;
+use crate::walk_volume::BELOW_M;
 use ldi_protocol::{floor_plan::MAX_PLANS, volume::WalkVolume};
 use std::collections::BTreeMap;
 
-/// How far below the nominal eye height the walk volume begins, metres.
-const BELOW_M: f64 = 0.5;
 /// Height of a bin of the histogram of floors, metres.
 const BIN_M: f64 = 0.1;
 /// Least distance between the floors of two storeys, metres: nobody can stand above another within

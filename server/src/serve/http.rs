@@ -128,8 +128,8 @@ fn describe() {
     describe_histogram!("ldi_plan_seconds", "Time to decide what to send next");
 }
 
-/// Answers until `stop` turns true. `quic`: where QUIC listens; `names`: those of the server, beside
-/// `localhost` and addresses.
+/// Answers until `stop` turns true. `quic`: where QUIC listens; `names`: those of the server,
+/// beside `localhost` and addresses.
 pub(super) async fn answer(
     listener: TcpListener,
     (shared, quic): (Arc<Shared>, SocketAddr),
@@ -312,8 +312,8 @@ fn is_admitted(offers: &Offers, headers: &HeaderMap) -> bool {
     offers.admits(shown.as_deref())
 }
 
-/// The datasets that newcomers get, and since when; of the only one, if it is, also beside the list.
-/// Without names: no token is asked for.
+/// The datasets that newcomers get, and since when; of the only one, if it is, also beside the
+/// list. Without names: no token is asked for.
 async fn ready(State(site): State<Arc<Site>>) -> impl IntoResponse {
     let offers = site.shared.offers();
     let state = |offer: &Arc<Offer>| {

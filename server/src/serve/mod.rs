@@ -1,7 +1,7 @@
 //! `ldi-server serve`: streams a dataset to walkers over QUIC and shows its plan over HTTP.
 //!
-//! In: datasets by name ([`ChunkSource`]) and settings ([`ServeConfig`]). Out: to each walker, chunks in
-//! the order in which it will need them; to a browser, health, metrics and a page with the plan
+//! In: datasets by name ([`ChunkSource`]) and settings ([`ServeConfig`]). Out: to each walker, chunks
+//! in the order in which it will need them; to a browser, health, metrics and a page with the plan
 //! from above.
 //!
 //! - [`planner`]: what to send next; pure, time comes in.

@@ -121,8 +121,8 @@ impl Server {
         Ok(Self { quic, http, fingerprint, endpoint, shared, stop, accepting, answering })
     }
 
-    /// Offers newcomers these datasets, and the token and certificate as they lie on disk now. Walkers
-    /// inside keep theirs.
+    /// Offers newcomers these datasets, and the token and certificate as they lie on disk now.
+    /// Walkers inside keep theirs.
     ///
     /// # Errors
     /// As [`Server::start`]; then everything stays as it was.

@@ -81,7 +81,7 @@ impl<'a> Ground<'a> {
         self.caster.trace(&down, &self.cells).map(|hit| place.y - hit.t)
     }
 
-    /// The volume.
+    /// The walk volume that all spots lie in.
     pub fn volume(&self) -> &WalkVolume {
         self.volume
     }

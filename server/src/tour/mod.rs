@@ -1,7 +1,7 @@
 //! Makes a tour: a walk through the walk volume that visits rooms, storeys and the open.
 //!
-//! In: a [`WalkVolume`], rays at what stands in it, a length and a seed. Out: a [`Walk`] whose poses
-//! all lie in the volume, clear of walls, at eye height.
+//! In: a [`WalkVolume`], rays at what stands in it, a length and a seed. Out: a [`Walk`] whose
+//! poses all lie in the volume, clear of walls, at eye height.
 //!
 //! ```text
 //!   ground    spots half a metre apart where a walker stands; whether a body passes between two

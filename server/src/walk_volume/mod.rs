@@ -55,7 +55,7 @@ use survey::Seen;
 use tiles::{LINES, Wanted};
 
 /// How far below and above the nominal eye height an eye may be, metres.
-const BELOW_M: f64 = 0.5;
+pub(crate) const BELOW_M: f64 = 0.5;
 /// See [`BELOW_M`].
 const ABOVE_M: f64 = 0.4;
 /// An eye keeps this far from the surface above it, metres.
