@@ -18,6 +18,12 @@ use quinn::{Connection, ConnectionError, Endpoint, RecvStream, SendStream};
 use std::{net::SocketAddr, sync::Arc, time::Duration};
 use tokio::time::timeout;
 
+/// How long a busy server is asked again. Longer: a full server is reported later; shorter: a
+/// client that comes together with many others is turned away.
+const BUSY_PATIENCE: Duration = Duration::from_secs(3);
+/// Time between two attempts at a busy server.
+const BUSY_PAUSE: Duration = Duration::from_millis(300);
+
 /// An open connection with its manifest.
 pub(super) struct Opened {
     pub endpoint: Endpoint,
@@ -33,11 +39,24 @@ pub(super) struct Opened {
     pub tells_others: bool,
 }
 
-/// Connects to the first address that answers.
+/// Connects to the first address that answers. A busy server is asked again for [`BUSY_PATIENCE`]:
+/// newcomers at the same time, or strangers who say nothing, keep it busy for a second at most.
 pub(super) async fn open(config: &ConnectConfig) -> Result<Opened, ConnectError> {
-    let mut last = None;
     config.progress.enter(Phase::Dialling);
-    for address in transport::resolve(&config.server)? {
+    let addresses = transport::resolve(&config.server)?;
+    let began = tokio::time::Instant::now();
+    loop {
+        let end = open_once(config, &addresses).await;
+        if !matches!(end, Err(ConnectError::Busy)) || began.elapsed() + BUSY_PAUSE > BUSY_PATIENCE {
+            return end;
+        }
+        tokio::time::sleep(BUSY_PAUSE).await;
+    }
+}
+
+async fn open_once(config: &ConnectConfig, addresses: &[SocketAddr]) -> Result<Opened, ConnectError> {
+    let mut last = None;
+    for &address in addresses {
         match dial(config, address).await {
             Ok(dialed) => return converse(config, dialed).await,
             // Only a missing answer makes another address worth trying.
