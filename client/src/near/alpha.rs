@@ -1,13 +1,15 @@
 //! Alpha tests by blocks: most of a cut-out texture is fully opaque or fully transparent.
 //!
 //! In: a texture. Out: for each block of 4 x 4 texels of its finest level the smallest and largest
-//! alpha of bilinear samples inside. A test reads two bytes, and the texels only where the block
+//! alpha of bilinear samples inside. A test reads one entry, and the texels only where the block
 //! does not decide.
 
+use super::lane_math::{Tap, fold, tap};
+use crate::simd::Lanes;
 use glam::Vec2;
 use ldi_protocol::{
     mesh::Wrap,
-    texture::{MipLevel, Texture, sample_alpha},
+    texture::{MipLevel, Texture},
 };
 
 /// Texels along a side of a block. Larger: decides less often; smaller: reads more memory.
@@ -22,8 +24,8 @@ pub(super) struct AlphaBlocks {
     rows: usize,
     /// Blocks per unit of texture coordinate.
     per_unit: Vec2,
-    /// Least and greatest alpha, 0 to 255, row-major.
-    range: Vec<[u8; 2]>,
+    /// Least and greatest alpha, 0 to 255, then nothing; row-major.
+    range: Vec<[u8; 4]>,
 }
 
 impl AlphaBlocks {
@@ -37,48 +39,79 @@ impl AlphaBlocks {
         Self { columns, rows, per_unit, range }
     }
 
-    /// Whether the texture's alpha at `uv` times `factor` reaches `cutoff`: equals
-    /// [`sample_alpha`], but faster.
-    #[inline]
-    pub fn passes(&self, texture: &Texture, uv: Vec2, wrap: [Wrap; 2], factor: f32, cutoff: f32) -> bool {
-        // Saturating casts: coordinates that are not finite read block 0.
-        let column = ((fold(uv.x, wrap[0]) * self.per_unit.x) as usize).min(self.columns.wrapping_sub(1));
-        let row = ((fold(uv.y, wrap[1]) * self.per_unit.y) as usize).min(self.rows.wrapping_sub(1));
-        if let Some(range) = self.range.get(row.wrapping_mul(self.columns).wrapping_add(column)) {
-            let [least, greatest] = range.map(|a| f32::from(a) * (1.0 / 255.0));
-            if least * factor > cutoff + MARGIN {
-                return true;
-            }
-            if greatest * factor < cutoff - MARGIN {
-                return false;
-            }
+    /// At which of eight points the texture's alpha times a factor reaches a cutoff: the bits of
+    /// `wanted` that stay set. Equals [`ldi_protocol::texture::sample_alpha`], but faster.
+    #[inline(always)]
+    pub fn passes8<L: Lanes>(
+        &self,
+        texture: &Texture,
+        uv: [L::F; 2],
+        wrap: [Wrap; 2],
+        [factor, cutoff]: [f32; 2],
+        wanted: u32,
+    ) -> u32 {
+        let level = texture.level_or_coarser(0).filter(|level| !level.rgba.is_empty());
+        let (Some(level), false) = (level, self.range.is_empty()) else {
+            return if factor >= cutoff { wanted } else { 0 };
+        };
+        let column = block::<L>(uv[0], wrap[0], self.per_unit.x, self.columns);
+        let row = block::<L>(uv[1], wrap[1], self.per_unit.y, self.rows);
+        let at = L::add_int(L::mul_int(row, L::splat_int(self.columns as u32)), column);
+        let range = L::gather_texels(&self.range, at);
+        let byte = L::splat_int(255);
+        let (least, greatest) = (L::and(range, byte), L::and(L::shift_right::<8>(range), byte));
+        let (least, greatest) = (scaled::<L>(least, factor), scaled::<L>(greatest, factor));
+        let passes = L::mask_bits(L::gt(least, L::splat(cutoff + MARGIN)));
+        let fails = L::mask_bits(L::gt(L::splat(cutoff - MARGIN), greatest));
+        let open = wanted & !passes & !fails;
+        if open == 0 {
+            return wanted & passes;
         }
-        sample_alpha(texture, uv, wrap) * factor >= cutoff
+        let alpha = L::mul(alpha8::<L>(level, uv, wrap), L::splat(factor));
+        let sampled = L::mask_bits(L::ge(alpha, L::splat(cutoff)));
+        (wanted & passes) | (open & sampled)
     }
 }
 
-/// A texture coordinate brought into [0, 1], as the sampler does it.
-#[inline]
-fn fold(u: f32, wrap: Wrap) -> f32 {
-    // `floor` is a library call on baseline x86-64.
-    let floor = |x: f32| {
-        let whole = x as i32 as f32;
-        if whole > x { whole - 1.0 } else { whole }
-    };
-    match wrap {
-        Wrap::Repeat => u - floor(u),
-        Wrap::Mirror => {
-            let t = u - 2.0 * floor(u * 0.5);
-            if t > 1.0 { 2.0 - t } else { t }
-        }
-        Wrap::Clamp => u.clamp(0.0, 1.0),
-    }
+/// Numbers of the blocks along an axis. Coordinates that are not finite read block 0.
+#[inline(always)]
+fn block<L: Lanes>(u: L::F, wrap: Wrap, per_unit: f32, count: usize) -> L::I {
+    let at = L::mul(fold::<L>(u, wrap), L::splat(per_unit));
+    L::to_int(L::min(L::max(at, L::splat(0.0)), L::splat(count as f32 - 1.0)))
+}
+
+/// Alpha of 0 to 255 as a share of 1, times a factor.
+#[inline(always)]
+fn scaled<L: Lanes>(alpha: L::I, factor: f32) -> L::F {
+    L::mul(L::mul(L::from_int(alpha), L::splat(1.0 / 255.0)), L::splat(factor))
+}
+
+/// Bilinear alpha of a level that is not empty.
+#[inline(always)]
+fn alpha8<L: Lanes>(level: &MipLevel, [u, v]: [L::F; 2], wrap: [Wrap; 2]) -> L::F {
+    let (x, y) = (tap::<L>(u, level.width, wrap[0]), tap::<L>(v, level.height, wrap[1]));
+    let width = L::splat_int(level.width);
+    let top = along_row::<L>(level, L::mul_int(y.first, width), &x);
+    let bottom = along_row::<L>(level, L::mul_int(y.second, width), &x);
+    L::mul(mix::<L>(top, bottom, y.second_weight), L::splat(1.0 / 255.0))
+}
+
+#[inline(always)]
+fn along_row<L: Lanes>(level: &MipLevel, row: L::I, x: &Tap<L>) -> L::F {
+    let first = L::shift_right::<24>(L::gather_texels(&level.rgba, L::add_int(row, x.first)));
+    let second = L::shift_right::<24>(L::gather_texels(&level.rgba, L::add_int(row, x.second)));
+    mix::<L>(L::from_int(first), L::from_int(second), x.second_weight)
+}
+
+#[inline(always)]
+fn mix<L: Lanes>(first: L::F, second: L::F, second_weight: L::F) -> L::F {
+    L::add(L::mul(first, L::sub(L::splat(1.0), second_weight)), L::mul(second, second_weight))
 }
 
 /// Extremes of a block and the ring around it, which bilinear samples near its border read. At the
 /// texture's border the ring contains the border itself (clamped, mirrored) and the opposite one
 /// (tiled).
-fn block_range(level: &MipLevel, column: usize, row: usize) -> [u8; 2] {
+fn block_range(level: &MipLevel, column: usize, row: usize) -> [u8; 4] {
     let ring = |block: usize, size: u32| {
         let size = size as usize;
         let (first, last) = (block * BLOCK, ((block + 1) * BLOCK).min(size));
@@ -93,12 +126,14 @@ fn block_range(level: &MipLevel, column: usize, row: usize) -> [u8; 2] {
             (least, greatest) = (least.min(alpha), greatest.max(alpha));
         }
     }
-    [least, greatest]
+    [least, greatest, 0, 0]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simd::{LANES, Portable};
+    use ldi_protocol::texture::sample_alpha;
 
     /// Blobs of alpha on an odd-sized texture: every test agrees with the sampler.
     #[test]
@@ -114,31 +149,31 @@ mod tests {
         let blocks = AlphaBlocks::new(&texture);
         let (mut inside, mut decided) = (0, 0);
         for wrap in [Wrap::Repeat, Wrap::Mirror, Wrap::Clamp] {
-            for i in 0..20_000u32 {
-                let h = i.wrapping_mul(2_654_435_761);
-                let uv = Vec2::new((h & 0xFFFF) as f32 / 16_384.0 - 2.0, (h >> 16) as f32 / 16_384.0 - 2.0);
+            for first in (0..20_000u32).step_by(LANES) {
+                let uv: [Vec2; LANES] = std::array::from_fn(|i| {
+                    let h = (first + i as u32).wrapping_mul(2_654_435_761);
+                    Vec2::new((h & 0xFFFF) as f32 / 16_384.0 - 2.0, (h >> 16) as f32 / 16_384.0 - 2.0)
+                });
                 for (factor, cutoff) in [(1.0, 0.5), (0.8, 0.1)] {
-                    let exact = sample_alpha(&texture, uv, [wrap; 2]) * factor >= cutoff;
-                    assert_eq!(
-                        blocks.passes(&texture, uv, [wrap; 2], factor, cutoff),
-                        exact,
-                        "{uv} {wrap:?} {factor} {cutoff}"
-                    );
-                    inside += u32::from(exact);
+                    let lanes = [uv.map(|uv| uv.x), uv.map(|uv| uv.y)];
+                    let passed = blocks.passes8::<Portable>(&texture, lanes, [wrap; 2], [factor, cutoff], 255);
+                    for (i, uv) in uv.into_iter().enumerate() {
+                        let exact = sample_alpha(&texture, uv, [wrap; 2]) * factor >= cutoff;
+                        assert_eq!(passed >> i & 1 == 1, exact, "{uv} {wrap:?} {factor} {cutoff}");
+                        inside += u32::from(exact);
+                    }
                 }
             }
         }
         assert!(inside > 10_000 && inside < 110_000, "{inside}");
-        for [least, greatest] in &blocks.range {
+        for [least, greatest, ..] in &blocks.range {
             decided += u32::from(*least > 127 || *greatest < 128);
         }
         assert!(decided > 3, "some block must decide");
-        assert!(AlphaBlocks::new(&Texture::default()).passes(
-            &Texture::default(),
-            Vec2::ZERO,
-            [Wrap::Clamp; 2],
-            1.0,
-            0.5
-        ));
+        let (none, zero) = (Texture::default(), [[0.0; LANES]; 2]);
+        let of_none = |[alpha, cutoff]: [f32; 2]| {
+            AlphaBlocks::new(&none).passes8::<Portable>(&none, zero, [Wrap::Clamp; 2], [alpha, cutoff], 0b101)
+        };
+        assert_eq!((of_none([1.0, 0.5]), of_none([0.4, 0.5])), (0b101, 0));
     }
 }

@@ -6,8 +6,13 @@
 //! p + u e1 + v e2 = z r). Linear over linear: perspective-correct, and differentiable for the mip
 //! level.
 
-use super::{alpha::AlphaBlocks, gather::Gathered, triangle_setup::Projection};
-use crate::frame::pack_rgb;
+use super::{
+    alpha::AlphaBlocks,
+    gather::Gathered,
+    lane_math::{at, dot, hold, splat3},
+    triangle_setup::Projection,
+};
+use crate::{frame::pack_rgb, simd::Lanes};
 use glam::{Mat3, Vec2, Vec3};
 use ldi_protocol::{
     mesh::Wrap,
@@ -112,19 +117,32 @@ impl<'a> Attributes<'a> {
     }
 
     /// Texture coordinates at a pixel centre.
+    #[cfg(test)]
     pub fn uv_at(&self, projection: &Projection, x: f32, y: f32) -> Vec2 {
         let (u, v, _) = self.weights(Self::ray(projection, x, y));
         self.uv[0] + self.uv[1] * u + self.uv[2] * v
     }
 
-    /// Whether texture alpha times factor at a pixel centre reaches the cutoff.
-    pub fn passes(&self, projection: &Projection, x: f32, y: f32, cutoff: f32) -> bool {
-        match (self.texture, self.blocks) {
-            (Some(texture), Some(blocks)) => {
-                blocks.passes(texture, self.uv_at(projection, x, y), self.wrap, self.alpha, cutoff)
-            }
-            _ => self.alpha >= cutoff,
-        }
+    /// [`weights`](Self::weights) of eight pixels.
+    #[inline(always)]
+    pub fn weights8<L: Lanes>(&self, ray: [L::F; 3]) -> ([L::F; 2], L::F) {
+        let inverse = L::div(L::splat(1.0), dot::<L>(splat3::<L>(self.d), ray));
+        let u = hold::<L>(L::mul(dot::<L>(splat3::<L>(self.a), ray), inverse));
+        let v = hold::<L>(L::mul(dot::<L>(splat3::<L>(self.b), ray), inverse));
+        ([u, v], inverse)
+    }
+
+    /// At which of eight pixel centres texture alpha times factor reaches the cutoff: the bits of
+    /// `wanted` that stay set.
+    #[inline(always)]
+    pub fn passes8<L: Lanes>(&self, ray: [L::F; 3], cutoff: f32, wanted: u32) -> u32 {
+        let (Some(texture), Some(blocks)) = (self.texture, self.blocks) else {
+            return if self.alpha >= cutoff { wanted } else { 0 };
+        };
+        let ([u, v], _) = self.weights8::<L>(ray);
+        let [f, g, h] = self.uv;
+        let uv = [at::<L>(f.x, g.x, h.x, u, v), at::<L>(f.y, g.y, h.y, u, v)];
+        blocks.passes8::<L>(texture, uv, self.wrap, [self.alpha, cutoff], wanted)
     }
 
     /// The colour at a pixel centre.

@@ -37,6 +37,7 @@ mod alpha;
 mod attributes;
 pub(crate) mod gather;
 mod horizon;
+mod lane_math;
 mod raster;
 mod shade;
 mod shade_simd;

@@ -2,12 +2,15 @@
 //!
 //! In a row a triangle covers an interval of columns. Its ends are found in f64 from the edge
 //! functions, so that the loop over the columns contains only the depth test, without branches.
+//! Alpha is tested at eight pixels at a time, where the triangle is nearer.
 
 use super::{
     attributes::Attributes,
     gather::Gathered,
+    lane_math::{centres, ray},
     triangle_setup::{BAND_ROWS, Projection, Task, Triangle},
 };
+use crate::simd::{LANES, Lanes, Portable};
 
 /// One band of the frame's disparity and triangle numbers.
 pub(super) struct Band<'a> {
@@ -43,7 +46,7 @@ impl<'a> Edges<'a> {
     /// evaluates the same expression with every term negated and gets the exact opposite: no gap,
     /// no overlap. The division only estimates where the sign changes; the sign itself is evaluated
     /// near the estimate.
-    #[inline]
+    #[inline(always)]
     fn columns(&self, centre: f64, left: usize, right: usize) -> (usize, usize) {
         let (mut left, mut right) = (left, right);
         for i in 0..3 {
@@ -90,6 +93,13 @@ struct Row {
 }
 
 impl Row {
+    /// [`at`](Self::at) of eight columns by their centres.
+    #[inline(always)]
+    fn at8<L: Lanes>(&self, x: L::F) -> L::F {
+        let d = L::add(L::mul(L::splat(self.slope), x), L::splat(self.at_zero));
+        L::min(L::max(d, L::splat(self.range[0])), L::splat(self.range[1]))
+    }
+
     #[inline(always)]
     fn at(&self, column: usize) -> f32 {
         // Through i32: the conversion from usize does not vectorize on x86-64 before AVX-512.
@@ -110,21 +120,37 @@ impl<'a> Band<'a> {
         if masked && !task.any_masked {
             return;
         }
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: AVX2 was detected.
+            return unsafe { self.draw_avx2(task, masked, scene, projection) };
+        }
+        self.draw_with::<Portable>(task, masked, scene, projection);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn draw_avx2(&mut self, task: &Task, masked: bool, scene: &Gathered<'_>, projection: &Projection) {
+        self.draw_with::<crate::simd::Avx2>(task, masked, scene, projection);
+    }
+
+    #[inline(always)]
+    fn draw_with<L: Lanes>(&mut self, task: &Task, masked: bool, scene: &Gathered<'_>, projection: &Projection) {
         for &i in task.band(self.number) {
             let triangle = &task.triangles[i as usize];
             if (triangle.cutoff >= 0.0) == masked {
-                self.draw_triangle(triangle, scene, projection);
+                self.draw_triangle::<L>(triangle, scene, projection);
             }
         }
     }
 
-    fn draw_triangle(&mut self, t: &Triangle, scene: &Gathered<'_>, projection: &Projection) {
+    #[inline(always)]
+    fn draw_triangle<L: Lanes>(&mut self, t: &Triangle, scene: &Gathered<'_>, projection: &Projection) {
         let rows = self.ids.len() / self.width;
         let first = (t.rows[0] as usize).max(self.first_row);
         let last = (t.rows[1] as usize).min(self.first_row + rows);
         let edges = Edges::new(t);
-        // Attributes are needed only for the alpha test.
-        let masked = (t.cutoff >= 0.0).then(|| Attributes::new(scene, projection, t.id)).flatten();
+        let mut mask = Mask { triangle: t, scene, projection, attributes: None };
         for y in first..last {
             let centre = y as f64 + 0.5;
             let (left, right) = edges.columns(centre, t.columns[0] as usize, t.columns[1] as usize);
@@ -139,18 +165,40 @@ impl<'a> Band<'a> {
             let offset = (y - self.first_row) * self.width;
             let disparity = &mut self.disparity[offset + left..offset + right];
             let ids = &mut self.ids[offset + left..offset + right];
-            match &masked {
-                None => solid_row(&row, left, disparity, ids, t.id),
-                Some(attributes) => masked_row(&row, left, disparity, ids, t.id, |column| {
-                    attributes.passes(projection, column as f32 + 0.5, centre as f32, t.cutoff)
-                }),
+            match t.cutoff >= 0.0 {
+                false => solid_row(&row, left, disparity, ids, t.id),
+                true => masked_row::<L>(&row, (left, centre as f32), disparity, ids, &mut mask),
             }
         }
     }
 }
 
+/// The alpha test of a triangle. Its attributes are found when a pixel needs them.
+struct Mask<'a> {
+    triangle: &'a Triangle,
+    scene: &'a Gathered<'a>,
+    projection: &'a Projection,
+    attributes: Option<Attributes<'a>>,
+}
+
+impl Mask<'_> {
+    /// Which of eight pixels with centres `x` pass, of those whose bits are set in `wanted`.
+    #[inline(always)]
+    fn passes8<L: Lanes>(&mut self, x: L::F, y: f32, wanted: u32) -> u32 {
+        if self.attributes.is_none() {
+            self.attributes = Attributes::new(self.scene, self.projection, self.triangle.id);
+        }
+        match &self.attributes {
+            Some(attributes) => {
+                attributes.passes8::<L>(ray::<L>(self.projection, x, y), self.triangle.cutoff, wanted)
+            }
+            None => 0,
+        }
+    }
+}
+
 /// Writes every pixel where the triangle is nearer.
-#[inline]
+#[inline(always)]
 fn solid_row(row: &Row, left: usize, disparity: &mut [f32], ids: &mut [u32], id: u32) {
     for (i, (d, n)) in disparity.iter_mut().zip(ids).enumerate() {
         let new = row.at(left + i);
@@ -162,11 +210,33 @@ fn solid_row(row: &Row, left: usize, disparity: &mut [f32], ids: &mut [u32], id:
 }
 
 /// As [`solid_row`], for pixels that pass the alpha test.
-fn masked_row(row: &Row, left: usize, disparity: &mut [f32], ids: &mut [u32], id: u32, there: impl Fn(usize) -> bool) {
-    for (i, (d, n)) in disparity.iter_mut().zip(ids).enumerate() {
-        let new = row.at(left + i);
-        if new > *d && there(left + i) {
-            (*d, *n) = (new, id);
+#[inline(always)]
+fn masked_row<L: Lanes>(
+    row: &Row,
+    (left, y): (usize, f32),
+    disparity: &mut [f32],
+    ids: &mut [u32],
+    mask: &mut Mask<'_>,
+) {
+    let columns = (left..).step_by(LANES);
+    for (column, (disparity, ids)) in columns.zip(disparity.chunks_mut(LANES).zip(ids.chunks_mut(LANES))) {
+        let x = centres::<L>(column);
+        let new = row.at8::<L>(x);
+        // Nothing is nearer than what lies beyond the end of a row.
+        let mut old = [f32::INFINITY; LANES];
+        old[..disparity.len()].copy_from_slice(disparity);
+        let nearer = L::mask_bits(L::gt(new, L::load(&old)));
+        if nearer == 0 {
+            continue;
+        }
+        let mut there = mask.passes8::<L>(x, y, nearer);
+        let new = L::array(new);
+        while there != 0 {
+            let i = there.trailing_zeros() as usize & (LANES - 1);
+            there &= there - 1;
+            if let (Some(d), Some(id)) = (disparity.get_mut(i), ids.get_mut(i)) {
+                (*d, *id) = (new[i], mask.triangle.id);
+            }
         }
     }
 }

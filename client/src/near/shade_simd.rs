@@ -10,7 +10,11 @@
 //! The level of detail uses a polynomial instead of the library's logarithm, with an error of at
 //! most 2e-5.
 
-use super::{attributes::Attributes, triangle_setup::Projection};
+use super::{
+    attributes::Attributes,
+    lane_math::{at, at3, centres, dot, hold, ray, splat3, tap, times},
+    triangle_setup::Projection,
+};
 use crate::simd::{LANES, Lanes};
 use glam::{Vec2, Vec3};
 use ldi_protocol::{
@@ -19,55 +23,13 @@ use ldi_protocol::{
     texture::{MipLevel, Texture},
 };
 
-const LANE_NUMBERS: [u32; LANES] = [0, 1, 2, 3, 4, 5, 6, 7];
-
-/// A value at the first corner and its differences to the others, at eight pixels.
-#[inline(always)]
-fn at<L: Lanes>(f: f32, g: f32, h: f32, u: L::F, v: L::F) -> L::F {
-    L::add(L::add(L::splat(f), L::mul(L::splat(g), u)), L::mul(L::splat(h), v))
-}
-
-#[inline(always)]
-fn at3<L: Lanes>([f, g, h]: [Vec3; 3], u: L::F, v: L::F) -> [L::F; 3] {
-    [at::<L>(f.x, g.x, h.x, u, v), at::<L>(f.y, g.y, h.y, u, v), at::<L>(f.z, g.z, h.z, u, v)]
-}
-
-#[inline(always)]
-fn dot<L: Lanes>(a: [L::F; 3], b: [L::F; 3]) -> L::F {
-    L::add(L::add(L::mul(a[0], b[0]), L::mul(a[1], b[1])), L::mul(a[2], b[2]))
-}
-
-#[inline(always)]
-fn splat3<L: Lanes>(v: Vec3) -> [L::F; 3] {
-    [L::splat(v.x), L::splat(v.y), L::splat(v.z)]
-}
-
-#[inline(always)]
-fn times<L: Lanes>(a: [L::F; 3], k: L::F) -> [L::F; 3] {
-    [L::mul(a[0], k), L::mul(a[1], k), L::mul(a[2], k)]
-}
-
-/// Held in [0, 1]; NaN becomes 0.
-#[inline(always)]
-fn hold<L: Lanes>(w: L::F) -> L::F {
-    L::min(L::max(w, L::splat(0.0)), L::splat(1.0))
-}
-
 /// Shades the first `out.len()` of eight pixels from `column` on, in the row whose centre is at
 /// `y`.
 #[inline(always)]
 pub(super) fn shade8<L: Lanes>(t: &Attributes<'_>, projection: &Projection, column: usize, y: f32, out: &mut [u32]) {
     let (zero, one) = (L::splat(0.0), L::splat(1.0));
     let scale = 1.0 / projection.focal_px as f32;
-    let x = L::add(L::from_int(L::load_int(&LANE_NUMBERS)), L::splat(column as f32 + 0.5));
-    let ray = [
-        L::mul(L::sub(x, L::splat(projection.centre_px[0] as f32)), L::splat(scale)),
-        L::splat((projection.centre_px[1] as f32 - y) * scale),
-        one,
-    ];
-    let inverse = L::div(one, dot::<L>(splat3::<L>(t.d), ray));
-    let u = hold::<L>(L::mul(dot::<L>(splat3::<L>(t.a), ray), inverse));
-    let v = hold::<L>(L::mul(dot::<L>(splat3::<L>(t.b), ray), inverse));
+    let ([u, v], inverse) = t.weights8::<L>(ray::<L>(projection, centres::<L>(column), y));
     let mut colour = at3::<L>(t.colour, u, v);
     if let Some(texture) = t.texture {
         let [f, g, h] = t.uv;
@@ -175,7 +137,7 @@ fn bilinear8<L: Lanes>(level: &MipLevel, [u, v]: [L::F; 2], wrap: [Wrap; 2]) -> 
     if rgba.is_empty() {
         return [L::splat(1.0); 3];
     }
-    let (x, y) = (tap8::<L>(u, level.width, wrap[0]), tap8::<L>(v, level.height, wrap[1]));
+    let (x, y) = (tap::<L>(u, level.width, wrap[0]), tap::<L>(v, level.height, wrap[1]));
     let width = L::splat_int(level.width);
     let (top, bottom) = (L::mul_int(y.first, width), L::mul_int(y.second, width));
     let texels = [
@@ -204,37 +166,4 @@ fn channel<L: Lanes, const SHIFT: i32>(table: &[f32; 256], texels: [L::I; 4], we
     let c = L::mul(L::gather(table, L::and(L::shift_right::<SHIFT>(texels[2]), byte)), weights[2]);
     let d = L::mul(L::gather(table, L::and(L::shift_right::<SHIFT>(texels[3]), byte)), weights[3]);
     L::add(L::add(L::add(a, b), c), d)
-}
-
-/// The two texels around a coordinate along one axis, as in `texture`.
-struct Tap8<L: Lanes> {
-    first: L::I,
-    second: L::I,
-    second_weight: L::F,
-}
-
-#[inline(always)]
-fn tap8<L: Lanes>(u: L::F, n: u32, wrap: Wrap) -> Tap8<L> {
-    let (zero, one, last) = (L::splat(0.0), L::splat(1.0), L::splat(n as f32 - 1.0));
-    let folded = match wrap {
-        Wrap::Repeat => L::sub(u, L::floor(u)),
-        Wrap::Mirror => {
-            let t = L::sub(u, L::mul(L::splat(2.0), L::floor(L::mul(u, L::splat(0.5)))));
-            L::select(L::gt(t, one), L::sub(L::splat(2.0), t), t)
-        }
-        Wrap::Clamp => hold::<L>(u),
-    };
-    let x = L::sub(L::mul(folded, L::splat(n as f32)), L::splat(0.5));
-    let below = L::floor(x);
-    let above = L::add(below, one);
-    let (first, second) = match wrap {
-        Wrap::Repeat => (L::select(L::gt(zero, below), last, below), L::select(L::gt(above, last), zero, above)),
-        // At a mirrored border the neighbour of the border texel is itself, as with clamping.
-        Wrap::Mirror | Wrap::Clamp => (below, above),
-    };
-    Tap8 {
-        first: L::to_int(L::min(L::max(first, zero), last)),
-        second: L::to_int(L::min(L::max(second, zero), last)),
-        second_weight: hold::<L>(L::sub(x, below)),
-    }
 }
