@@ -71,6 +71,18 @@ enum Command {
         rise in --fly datasets, Shift runs, the wheel changes the speed. H shows all keys.\n\n\
         Exit codes: 0 closed, 2 wrong usage or an unknown server, 1 a retry may help, 42 refused or a changed fingerprint.")]
     Connect(Box<connect::ConnectArgs>),
+    /// Measure what drawing costs on this machine's processor, for `ldi-server build --for FILE`.
+    #[command(
+        after_help = "Example: ldi-client calibrate -o laptop.json; ldi-server build town.glb -o town.ldi --for laptop.json"
+    )]
+    Calibrate {
+        /// File of the profile.
+        #[arg(short = 'o', long = "out", value_name = "FILE.json")]
+        out: PathBuf,
+        /// Name of the profile [default: the file's].
+        #[arg(long)]
+        name: Option<String>,
+    },
     /// Print completions for a shell.
     #[command(
         after_help = "Example: ldi-client completions bash > ~/.local/share/bash-completion/completions/ldi-client"
@@ -209,6 +221,7 @@ pub fn main() -> ExitCode {
     let done = match cli.command {
         Command::Walk(args) => walk(&args),
         Command::Connect(args) => connect::connect(&args),
+        Command::Calibrate { out, name } => shell::calibrate(&out, name.as_deref()),
         Command::Completions { shell } => shell::completions(shell, Cli::command()),
         Command::Man { out } => shell::man(&out, Cli::command()),
     };

@@ -3,11 +3,13 @@
 
 pub mod app;
 pub mod cache;
+pub mod calibrate;
 pub mod composite;
 pub mod engine;
 pub mod frame;
 pub mod gpu;
 pub mod impostor;
+mod memory;
 pub mod metrics;
 pub mod near;
 pub mod report;

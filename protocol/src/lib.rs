@@ -16,6 +16,7 @@
 pub mod bounds;
 pub mod camera;
 pub mod cell_runs;
+pub mod client_profile;
 pub mod codec;
 pub mod floor_plan;
 pub mod index;

@@ -77,7 +77,7 @@ fn house() -> PathBuf {
         starts: Vec::new(),
         along: None,
         time_limit: None,
-        budget_share: None,
+        budget: build::BudgetRule::Given,
     };
     build::build(&options, &()).expect("the house can be built");
     output

@@ -382,7 +382,9 @@ fn a_build_that_ran_out_of_time_works_and_goes_on_to_the_same_bytes() {
 #[test]
 fn a_build_without_memory_says_so() {
     let out = folder("memory");
-    let build = run::show(server(&["build", "builtin:island?triangles=2000000", "--threads", "2"]).arg("-o"));
+    let build = run::show(
+        server(&["build", "builtin:island?triangles=2000000", "--budget", "200000", "--threads", "2"]).arg("-o"),
+    );
     let program = run::bin_dir().expect("known").join("ldi-server");
     let build = build.replacen("ldi-server", &program.display().to_string(), 1);
     for kib in [300_000, 800_000] {
@@ -402,7 +404,9 @@ fn a_build_that_its_control_group_would_kill_says_so() {
     let Some(group) = ControlGroup::new(200 << 20) else {
         return eprintln!("skipped: no control group with a limit can be made here");
     };
-    let build = run::show(server(&["build", "builtin:island?triangles=4000000", "--threads", "2"]).arg("-o"));
+    let build = run::show(
+        server(&["build", "builtin:island?triangles=4000000", "--budget", "200000", "--threads", "2"]).arg("-o"),
+    );
     let program = run::bin_dir().expect("known").join("ldi-server");
     let build = build.replacen("ldi-server", &program.display().to_string(), 1);
     let mut c = Command::new("sh");

@@ -124,7 +124,7 @@ fn what_is_lacking_is_what_is_needed_and_absent() {
         starts: Vec::new(),
         along: None,
         time_limit: None,
-        budget_share: None,
+        budget: build::BudgetRule::Given,
     };
     build::build(&options, &()).unwrap();
     let index = Dataset::open(&options.output).unwrap().index().clone();

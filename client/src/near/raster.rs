@@ -189,9 +189,7 @@ impl Mask<'_> {
             self.attributes = Attributes::new(self.scene, self.projection, self.triangle.id);
         }
         match &self.attributes {
-            Some(attributes) => {
-                attributes.passes8::<L>(ray::<L>(self.projection, x, y), self.triangle.cutoff, wanted)
-            }
+            Some(attributes) => attributes.passes8::<L>(ray::<L>(self.projection, x, y), self.triangle.cutoff, wanted),
             None => 0,
         }
     }

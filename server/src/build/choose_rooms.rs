@@ -392,7 +392,7 @@ mod tests {
             along: None,
             time_limit: None,
             // Of a budget that is told as a share the settings know nothing.
-            budget_share: Some(0.3),
+            budget: crate::build::BudgetRule::Share(0.3),
             scenes: vec!["builtin:house?triangles=20000".into()],
             output: "".into(),
             settings: placement::test_scenes::settings(0),

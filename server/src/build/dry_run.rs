@@ -1,6 +1,8 @@
 //! What a build would take: the plan and its audit, without an image.
 
-use super::{BuildError, BuildOptions, Clock, Planned, Progress, RoomFigures, draft_index, plan, planned_camera};
+use super::{
+    BudgetChoice, BuildError, BuildOptions, Clock, Planned, Progress, RoomFigures, draft_index, plan, planned_camera,
+};
 use crate::octree;
 use crate::pack;
 use crate::placement::{self, AuditReport, AuditSize, ImagePlan, PlacementStatistics};
@@ -24,6 +26,8 @@ pub struct Draft {
     pub walk: WalkReport,
     /// Rooms; None without.
     pub rooms: Option<RoomFigures>,
+    /// How the budget was found; None if it was given, or nothing was to be placed.
+    pub budget: Option<BudgetChoice>,
     /// What of the scene was left out or changed.
     pub notes: Vec<Note>,
     /// Seconds per stage.
@@ -41,12 +45,13 @@ impl DryRun {
                 self.megapixels, self.placements
             ),
         };
+        let choice = self.budget_choice.iter().map(|c| c.said() + "\n").collect::<String>();
         let promises = match self.audit.violations {
             0 => "all promises hold".to_owned(),
             violations => format!("{violations} promises are broken"),
         };
         format!(
-            "{} triangles, at most {} of a budget of {} in a frame\n{images}\n{promises} in {} poses; planned in {:.0} s",
+            "{choice}{} triangles, at most {} of a budget of {} in a frame\n{images}\n{promises} in {} poses; planned in {:.0} s",
             self.triangles,
             self.audit.max_triangles,
             self.budget,
@@ -89,6 +94,9 @@ pub struct DryRun {
     pub no_images: Option<String>,
     /// Rooms, and where the grid takes over; None without.
     pub rooms: Option<RoomFigures>,
+    /// How the budget was found; None if it was given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub budget_choice: Option<BudgetChoice>,
     /// Where people walk.
     pub walk: WalkReport,
     /// Seconds per stage.
@@ -123,6 +131,7 @@ pub fn dry_run(
         megapixels: draft.pixels() / 1e6,
         no_images: draft.statistics.nothing_to_do,
         rooms: draft.rooms,
+        budget_choice: draft.budget,
         walk: draft.walk,
         skipped: draft.notes,
         seconds,
@@ -137,7 +146,7 @@ pub fn dry_run(
 /// As [`super::build`]; also if a triangle is in no cell, in two, or outside of its cell.
 pub fn draft(options: &BuildOptions, progress: &dyn Progress) -> Result<Draft, BuildError> {
     let mut clock = Clock::default();
-    let Planned { scene, clusters, octree, levels, settings, plan, walk, rooms, .. } =
+    let Planned { scene, clusters, octree, levels, settings, plan, walk, rooms, budget, .. } =
         plan(options, &mut clock, progress)?;
     let geometry = pack::pack_geometry(&scene, &clusters, &octree, &levels, 0)?;
     let ranges: Vec<_> = (0..octree.cells.len()).map(|c| octree.ranges(&scene, &clusters, c)).collect();
@@ -148,7 +157,7 @@ pub fn draft(options: &BuildOptions, progress: &dyn Progress) -> Result<Draft, B
     let statistics = plan.statistics;
     let rooms = rooms.map(|(r, _)| r.figures);
     let notes = scene.notes.clone();
-    Ok(Draft { index, images, counts, statistics, walk, rooms, notes, seconds: clock.laps })
+    Ok(Draft { index, images, counts, statistics, walk, rooms, budget, notes, seconds: clock.laps })
 }
 
 #[cfg(test)]
@@ -170,10 +179,29 @@ mod tests {
             statistics: d.statistics.clone(),
             walk: d.walk.clone(),
             rooms: None,
+            budget: None,
             notes: vec![],
             seconds: vec![],
         };
         d.audit(AuditSize { random: 500, adversarial: 1_400 })
+    }
+
+    #[test]
+    fn a_budget_for_a_client_is_chosen_and_told() {
+        let profile = ldi_protocol::client_profile::ClientProfile::cpu();
+        let scenes = vec!["builtin:house?triangles=20000".into()];
+        let mut options = crate::build::small_builds::options(scenes, std::path::Path::new(""));
+        options.represent = crate::build::Represent::Grid;
+        options.budget = crate::build::BudgetRule::For { profile: profile.clone(), bytes_per_scene_byte: 4.0 };
+        let d = draft(&options, &()).unwrap();
+        let choice = d.budget.expect("it was chosen");
+        let camera = options.settings.camera;
+        let most = profile.most_triangles(f64::from(camera.width) * f64::from(camera.height));
+        assert_eq!((choice.chosen, d.index.settings.budget, d.index.settings.optimize_budget), (most, most, most));
+        assert_eq!((choice.trials.len(), d.images.len()), (1, 0));
+        assert!(choice.most_bytes >= 4 * 28 * d.index.scene.unique_triangles, "{choice:?}");
+        let said = choice.said();
+        assert!(said.contains("cpu") && said.contains("no images; taken"), "{said}");
     }
 
     #[test]
@@ -183,7 +211,7 @@ mod tests {
             starts: Vec::new(),
             along: None,
             time_limit: None,
-            budget_share: None,
+            budget: crate::build::BudgetRule::Given,
             scenes: vec!["builtin:house?triangles=20000".into()],
             output: "".into(),
             settings: test_scenes::settings(6_000),

@@ -117,7 +117,7 @@ mod tests {
                 grid: CELLS.into(),
                 eye_height_m: Some(1.6),
             },
-            budget_share: None,
+            budget: crate::build::BudgetRule::Given,
             colour: ColourProfile::High,
             represent: Represent::Grid,
             starts: Vec::new(),

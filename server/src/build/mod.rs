@@ -10,6 +10,7 @@
 //! finished, so that a stopped build goes on where it was.
 
 mod choose;
+mod choose_budget;
 mod choose_rooms;
 mod dry_run;
 mod forecast;
@@ -32,6 +33,7 @@ use images::Indexed;
 use planning::{Planned, plan};
 
 pub use choose::Weighing;
+pub use choose_budget::{BudgetChoice, BudgetRule, BudgetTrial};
 pub use choose_rooms::{Mixed, RoomWeighing, Weight};
 pub use dry_run::{Draft, DryRun, draft, dry_run};
 pub use forecast::Forecast;
@@ -74,9 +76,8 @@ pub struct BuildOptions {
     /// Settings; an `optimize_budget` of 0 stands for the default: P with view cells, P - max(10%
     /// of P, 2 x the largest cell) with the paper's grid.
     pub settings: BuildSettings,
-    /// Share of the scene's triangles that the budget is, whatever `settings` say; None: it is
-    /// theirs.
-    pub budget_share: Option<f64>,
+    /// How the budget is found; if it is not given, the settings' is not used.
+    pub budget: BudgetRule,
     /// Colour coding; `settings.colour` is its name.
     pub colour: ColourProfile,
     /// Images and a base layer, or the LDI tree alone.
@@ -228,6 +229,8 @@ pub struct BuildFigures {
     pub room_weighing: Option<RoomWeighing>,
     /// Rooms; None without.
     pub rooms: Option<RoomFigures>,
+    /// How the budget was found; None if it was given, or nothing was to be placed.
+    pub budget: Option<BudgetChoice>,
     /// What was skipped or changed.
     pub notes: Vec<Note>,
     /// Seconds per stage.
@@ -241,6 +244,8 @@ pub struct Built {
     pub written: Written,
     /// The report, as in the dataset's `report.json`.
     pub report: serde_json::Value,
+    /// How the budget was found; None if it was given, or nothing was to be placed.
+    pub budget: Option<BudgetChoice>,
     /// Of what `skipped` of the report lists, so many entries, the first ones, are of the scene.
     pub of_scene: usize,
 }
@@ -338,14 +343,26 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         );
     }
     let planned = plan(options, &mut clock, progress);
-    let Planned { scene, clusters, octree, levels, settings, mut plan, walk, caster, rooms, grid_alone, no_rooms } =
-        match planned {
-            Ok(planned) => planned,
-            Err(e) => {
-                writer.give_up();
-                return Err(e);
-            }
-        };
+    let Planned {
+        scene,
+        clusters,
+        octree,
+        levels,
+        settings,
+        mut plan,
+        walk,
+        caster,
+        rooms,
+        grid_alone,
+        no_rooms,
+        budget,
+    } = match planned {
+        Ok(planned) => planned,
+        Err(e) => {
+            writer.give_up();
+            return Err(e);
+        }
+    };
 
     progress.stage("near geometry and textures", 0);
     let geometry = pack::pack_geometry(&scene, &clusters, &octree, &levels, 0)?;
@@ -556,6 +573,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
         weighing,
         room_weighing,
         rooms: room_figures,
+        budget,
         notes,
         seconds,
     };
@@ -566,7 +584,7 @@ pub fn build(options: &BuildOptions, progress: &dyn Progress) -> Result<Built, B
             report = report_json(&figures, written);
             report.clone()
         })?;
-    Ok(Built { written, report, of_scene: scene.notes.len() })
+    Ok(Built { written, report, budget: figures.budget, of_scene: scene.notes.len() })
 }
 
 /// The scene's name as reports show it: names of files without their folders, which are nobody's

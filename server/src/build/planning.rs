@@ -4,7 +4,7 @@
 //! walk, and the plan of images, by grid points or rooms.
 
 use super::{
-    BuildError, BuildOptions, Clock, Progress, Represent, index_of,
+    BudgetChoice, BudgetRule, BuildError, BuildOptions, Clock, Progress, Represent, choose_budget, index_of,
     rooms::{self, RoomPlan, RoomSource, Site},
 };
 use crate::levels::{self, Levels};
@@ -35,6 +35,8 @@ pub(super) struct Planned {
     pub grid_alone: Option<PlacementResult>,
     /// Why there is nothing to weigh it against, though rooms were welcome.
     pub no_rooms: Option<String>,
+    /// How the budget was found; None if it was given, or nothing was to be placed.
+    pub budget: Option<BudgetChoice>,
 }
 
 /// Whether nothing lies between two places.
@@ -58,7 +60,7 @@ pub(super) fn place(
 }
 
 pub(super) fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> Result<Planned, BuildError> {
-    let (scene, clusters, octree, settings) = read(options, clock, progress)?;
+    let (scene, clusters, octree, mut settings) = read(options, clock, progress)?;
     let levels = levels_of(&settings, (&scene, &clusters, &octree), progress);
     clock.lap("levels");
     let caster = Caster::new(Arc::clone(&scene), &clusters, &octree);
@@ -66,6 +68,24 @@ pub(super) fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Pro
     let (volume, walk) = walked(options, &caster, &clusters, &octree, &settings, progress)?;
     clock.lap("walk volume");
     progress.stage("grid and placement", 0);
+    let mut by_choice = None;
+    let is_placed = settings.grid == CELLS && !matches!(options.represent, Represent::Tree { .. } | Represent::Cache);
+    if let (BudgetRule::For { profile, bytes_per_scene_byte }, true) = (&options.budget, is_placed) {
+        let pixels = f64::from(settings.camera.width) * f64::from(settings.camera.height);
+        let most_bytes = (bytes_per_scene_byte * scene_bytes(options, &scene) as f64) as u64;
+        let of_budget = |budget: u64| {
+            let settings = BuildSettings { budget, optimize_budget: budget, ..settings.clone() };
+            let plan = place(&scene, (&octree, &levels), &settings, &caster, volume.clone(), progress)?;
+            let size = choose_budget::Size::of(&plan);
+            Ok((plan, size))
+        };
+        let most = profile.most_triangles(pixels);
+        let (plan, choice) = choose_budget::choose(profile, (most, most_bytes), &of_budget, progress)?;
+        (settings.budget, settings.optimize_budget) = (choice.chosen, choice.chosen);
+        by_choice = Some((plan, choice));
+        clock.lap("budget");
+    }
+    let settings = settings;
     let place = |budget: u64, volume: WalkVolume| {
         let settings = BuildSettings { budget, ..settings.clone() };
         place(&scene, (&octree, &levels), &settings, &caster, volume, progress)
@@ -73,10 +93,14 @@ pub(super) fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Pro
     let within_budget = scene.triangles() <= settings.budget;
     // Nothing to place: what remains of a plan is the walk volume.
     let ground = || place(settings.budget.max(scene.triangles()), volume.clone());
+    let (mut by_grid, choice) = by_choice.unzip();
+    let needs_no_images = by_grid.as_ref().is_some_and(|plan| plan.plans.is_empty());
+    // The grid's plan for all of the volume; once, if the budget's choice has made it.
+    let mut grid = || by_grid.take().map_or_else(|| place(settings.budget, volume.clone()), Ok);
     let (mut rooms, mut grid_alone, mut no_rooms) = (None, None, None);
     let automatic = matches!(options.represent, Represent::Auto { .. });
     let known = match &options.represent {
-        _ if within_budget => None,
+        _ if within_budget || automatic && needs_no_images => None,
         Represent::Auto { rooms, .. } if !rooms::are_given(&scene, rooms) => {
             no_rooms = Some(rooms::NONE_GIVEN.to_string());
             None
@@ -105,7 +129,7 @@ pub(super) fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Pro
         Some((known, portals)) => {
             if automatic {
                 progress.stage("grid and placement", 0);
-                grid_alone = Some(place(settings.budget, volume.clone())?);
+                grid_alone = Some(grid()?);
                 clock.lap("placement of the grid alone");
             }
             let entry = |(c, levels): (&Cell, &Vec<levels::Level>)| CellEntry {
@@ -127,11 +151,33 @@ pub(super) fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Pro
             rooms = Some((found, site));
             plan
         }
-        None => place(settings.budget, volume.clone())?,
+        None => grid()?,
     };
     clock.lap("placement");
-    Ok(Planned { walk, rooms, grid_alone, no_rooms, scene, clusters, octree, levels, settings, plan, caster })
+    Ok(Planned {
+        walk,
+        rooms,
+        grid_alone,
+        no_rooms,
+        scene,
+        clusters,
+        octree,
+        levels,
+        settings,
+        plan,
+        caster,
+        budget: choice,
+    })
 }
+
+/// Bytes of a scene: of its files, or of its unique geometry, if that is more.
+fn scene_bytes(options: &BuildOptions, scene: &Scene) -> u64 {
+    let of_file = |spec: &String| Some(std::fs::metadata(scene::FileSpec::parse(spec).ok()?.path).ok()?.len());
+    options.scenes.iter().filter_map(of_file).sum::<u64>().max(scene.unique_triangles() * BYTES_PER_TRIANGLE)
+}
+
+/// Bytes of a triangle in a file without compression: half a vertex and three indices.
+const BYTES_PER_TRIANGLE: u64 = 28;
 
 /// A level as far as counting goes.
 fn draft_level(level: &levels::Level) -> CellLevel {
@@ -205,7 +251,11 @@ fn read(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
 
     progress.stage("clusters and octree", 0);
     let mut settings = options.settings.clone();
-    if let Some(share) = options.budget_share {
+    // Cells as for the smallest budget that may be chosen.
+    if matches!(options.budget, BudgetRule::For { .. }) {
+        settings.budget = choose_budget::LEAST;
+    }
+    if let BudgetRule::Share(share) = options.budget {
         settings.budget = ((scene.triangles() as f64 * share) as u64).max(1);
         progress.note(&format!("budget: {} of {} triangles", settings.budget, scene.triangles()));
     }

@@ -56,6 +56,7 @@ pub fn report_json(f: &BuildFigures, written: &Written) -> Value {
         "weighing": f.weighing,
         "room_weighing": f.room_weighing,
         "rooms": f.rooms,
+        "budget_choice": f.budget,
         "bytes_per_sample": if samples > 0 { json!(ldi as f64 / samples as f64) } else { Value::Null },
         "guarantee": {
             "budget": index.settings.budget,

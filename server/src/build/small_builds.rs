@@ -42,7 +42,7 @@ pub(super) fn options(scenes: Vec<String>, output: &Path) -> BuildOptions {
         scenes,
         output: output.to_owned(),
         settings: test_scenes::settings(100),
-        budget_share: None,
+        budget: crate::build::BudgetRule::Given,
         colour: ColourProfile::Lossless,
         represent: Represent::Tree { pitch_m: 0.25, side: 24 },
         starts: Vec::new(),

@@ -4,6 +4,8 @@ use crate::build::Shard;
 use crate::serve::HttpAt;
 use clap::{Args, Parser, Subcommand};
 use glam::DVec3;
+use ldi_protocol::client_profile::{self, ClientProfile};
+use std::io::Read as _;
 use std::net::{SocketAddr, ToSocketAddrs as _};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -181,9 +183,18 @@ pub struct BuildArgs {
     /// Its adversarial poses, on borders of every kind [default: a tenth of the random ones].
     #[arg(long, requires = "dry_run", help_heading = "Dry run", hide_short_help = true)]
     pub adversarial: Option<u64>,
-    /// Geometry budget P: triangles per frame, or a share of the scene's, as 10%.
-    #[arg(long, value_name = "N|PERCENT%", default_value = "200000", value_parser = budget)]
-    pub budget: Budget,
+    /// Geometry budget P: triangles per frame, or a share of the scene's, as 10% [default: by --for].
+    #[arg(long, value_name = "N|PERCENT%", value_parser = budget)]
+    pub budget: Option<Budget>,
+    /// The client that the budget is for: cpu, laptop, workstation, or a file by `ldi-client calibrate`.
+    ///
+    /// Where geometry with its levels of detail takes no longer than images would, there are no
+    /// images. `build` says which budgets it tried.
+    #[arg(long = "for", value_name = "CLIENT", default_value = "cpu", conflicts_with = "budget", value_parser = client)]
+    pub client: ClientProfile,
+    /// With --for: bytes of images per byte of the scene, at most; a smaller budget takes more.
+    #[arg(long, value_name = "N", default_value_t = 4.0, conflicts_with = "budget", value_parser = positive, help_heading = "Quality", hide_short_help = true)]
+    pub bytes_per_scene_byte: f64,
     /// Optimization budget Popt, what images aim at
     /// [default: P; with --grid paper P - max(10% of P, 2 x the largest pseudo-leaf)].
     #[arg(long, help_heading = "Research", hide_short_help = true)]
@@ -621,6 +632,20 @@ pub enum Budget {
     Share(f64),
 }
 
+/// A client's profile by name, or from a file.
+fn client(s: &str) -> Result<ClientProfile, String> {
+    if let Some(profile) = ClientProfile::named(s) {
+        return Ok(profile);
+    }
+    let wrong = |e: &dyn std::fmt::Display| {
+        format!("choose cpu, laptop or workstation, or give a file by `ldi-client calibrate -o FILE`; {s}: {e}")
+    };
+    let file = std::fs::File::open(s).map_err(|e| wrong(&e))?;
+    let mut text = String::new();
+    file.take(client_profile::MAX_FILE_BYTES).read_to_string(&mut text).map_err(|e| wrong(&e))?;
+    ClientProfile::from_json(&text).map_err(|e| wrong(&e))
+}
+
 fn budget(s: &str) -> Result<Budget, String> {
     let found = match s.strip_suffix('%') {
         Some(percent) => {
@@ -675,6 +700,22 @@ mod tests {
         for wrong in ["", "1,2", "1,2,3,4", "1,x,3", "1,nan,3", "1,,2,3"] {
             assert!(place(wrong).is_err_and(|e| e.contains("1.5,0,-3")), "{wrong}");
         }
+    }
+
+    #[test]
+    fn clients_are_names_or_files() {
+        assert_eq!(client("laptop").map(|p| p.name), Ok("laptop".into()));
+        let e = client("no/such.json").unwrap_err();
+        assert!(e.contains("choose cpu, laptop or workstation") && e.contains("no/such.json"), "{e}");
+        let file = std::env::temp_dir().join(format!("ldi-client-{}.json", std::process::id()));
+        for (text, fits) in [
+            (r#"{"name": "tablet", "ns_per_triangle": 9, "ns_per_pixel": 2, "ns_per_sample": 30}"#, true),
+            (r#"{"name": "tablet", "ns_per_triangle": 9}"#, false),
+        ] {
+            std::fs::write(&file, text).unwrap();
+            assert_eq!(client(&file.to_string_lossy()).is_ok(), fits, "{text}");
+        }
+        std::fs::remove_file(&file).unwrap();
     }
 
     #[test]

@@ -8,7 +8,7 @@ use super::datasets::OnDisk;
 use super::outputs::{cannot_write, check_writable, make_folder, print, write_file, write_json};
 use super::paths::{path_in_dataset, path_in_scene, warn_of_misfit};
 use super::progress::Stderr;
-use crate::build::{self, BuildError, BuildOptions, PortalOptions, Progress as _, Represent, RoomSource};
+use crate::build::{self, BudgetRule, BuildError, BuildOptions, PortalOptions, Progress as _, Represent, RoomSource};
 use crate::octree;
 use crate::placement::{self, PlacementError};
 use crate::plan as floor_plan;
@@ -87,13 +87,14 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
     threads(a.threads)?;
     let colour = ColourProfile::from_name(&a.colour)
         .ok_or_else(|| Failure::usage(anyhow!("--colour: there is no '{}'", a.colour)))?;
-    let (budget, budget_share) = match a.budget {
-        Budget::Triangles(n) => (n, None),
-        Budget::Share(_) if a.optimize_budget.is_some() => {
+    let (budget, rule) = match a.budget {
+        Some(Budget::Triangles(n)) => (n, BudgetRule::Given),
+        _ if a.optimize_budget.is_some() => {
             return Err(Failure::usage(anyhow!("--optimize-budget needs --budget as a number of triangles")));
         }
-        // Until the scene is read.
-        Budget::Share(share) => (0, Some(share)),
+        // 0 until the scene is read.
+        Some(Budget::Share(share)) => (0, BudgetRule::Share(share)),
+        None => (0, BudgetRule::For { profile: a.client.clone(), bytes_per_scene_byte: a.bytes_per_scene_byte }),
     };
     if let Some(popt) = a.optimize_budget.filter(|p| *p == 0 || *p > budget) {
         return Err(Failure::usage(anyhow!("--optimize-budget {popt} must lie between 1 and the budget, {budget}")));
@@ -140,7 +141,7 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         starts: a.start,
         time_limit: a.time_limit,
         along: walk.map(|walk| Corridor::around(&walk, a.within)),
-        budget_share,
+        budget: rule,
         settings: BuildSettings {
             budget,
             optimize_budget: a.optimize_budget.unwrap_or(0),
@@ -214,6 +215,9 @@ fn build_dataset(a: BuildArgs) -> Result<(), Failure> {
         let [what, why] = ["what", "why"].map(|k| note[k].as_str().unwrap_or_default());
         let of_scene = number < built.of_scene;
         eprintln!("{}: {what} ({why})", if of_scene { "not as in the scene" } else { "not made" });
+    }
+    if let Some(choice) = &built.budget {
+        eprintln!("{}", choice.said());
     }
     println!(
         "{}: {} images for {}, {:.1} MB, hash {}",

@@ -129,7 +129,7 @@ fn options(
         starts: Vec::new(),
         along: None,
         time_limit: None,
-        budget_share: None,
+        budget: build::BudgetRule::Given,
         scenes: vec![scene.into()],
         output: PathBuf::new(),
         colour: ColourProfile::Lossless,

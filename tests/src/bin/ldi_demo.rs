@@ -32,9 +32,10 @@ struct Options {
     /// Folder for everything the demo leaves.
     #[arg(short, long, default_value = "out/demo")]
     output: PathBuf,
-    /// Geometry budget: triangles, or a share of the scene's such as `2%`.
-    #[arg(long, default_value = "100000")]
-    budget: String,
+    /// Geometry budget: triangles, or a share of the scene's such as `2%` [default: 100000 for the
+    /// built-in town; else what `ldi-server build` chooses].
+    #[arg(long)]
+    budget: Option<String>,
     /// Frames, evenly spaced over the path.
     #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     frames: u64,
@@ -73,7 +74,9 @@ fn main() -> Result<()> {
     let builtin = if o.quick { "house" } else { "town" };
     if o.quick {
         (o.frames, o.size, o.triangles) = (o.frames.min(4), "320x180".into(), o.triangles.min(25_000));
-        o.budget = "40%".into();
+        o.budget = Some("40%".into());
+    } else if o.scene.is_none() {
+        o.budget.get_or_insert_with(|| "100000".into());
     }
     std::fs::create_dir_all(&o.output).with_context(|| format!("cannot make {}", o.output.display()))?;
     let out = |name: &str| o.output.join(name);
@@ -95,7 +98,10 @@ fn main() -> Result<()> {
 
     let mut c = run::command("ldi-server")?;
     c.arg("build").arg(&scene).arg("-o").arg(out("dataset"));
-    c.args(["--budget", &o.budget, "--size", &o.size, "--report"]).arg(out("build.json"));
+    c.args(["--size", &o.size, "--report"]).arg(out("build.json"));
+    if let Some(budget) = &o.budget {
+        c.args(["--budget", budget]);
+    }
     // Images of what is far, and only those that the walk can meet.
     c.args(["--represent", "grid", "--along"]).arg(&path);
     steps.run(c)?;
