@@ -1,8 +1,7 @@
-//! Arithmetic of eight neighbouring pixels: vectors, rays, texture coordinates.
+//! Arithmetic of eight neighbouring pixels: vectors, texture coordinates.
 //!
 //! Functions instead of closures, which would be compiled without AVX2.
 
-use super::triangle_setup::Projection;
 use crate::simd::{LANES, Lanes};
 use glam::Vec3;
 use ldi_protocol::mesh::Wrap;
@@ -45,17 +44,6 @@ pub(super) fn hold<L: Lanes>(w: L::F) -> L::F {
 #[inline(always)]
 pub(super) fn centres<L: Lanes>(column: usize) -> L::F {
     L::add(L::from_int(L::load_int(&LANE_NUMBERS)), L::splat(column as f32 + 0.5))
-}
-
-/// The rays of pixel centres in one row, component 1 along forward.
-#[inline(always)]
-pub(super) fn ray<L: Lanes>(projection: &Projection, x: L::F, y: f32) -> [L::F; 3] {
-    let scale = 1.0 / projection.focal_px as f32;
-    [
-        L::mul(L::sub(x, L::splat(projection.centre_px[0] as f32)), L::splat(scale)),
-        L::splat((projection.centre_px[1] as f32 - y) * scale),
-        L::splat(1.0),
-    ]
 }
 
 /// A texture coordinate brought into [0, 1], as the sampler does it.

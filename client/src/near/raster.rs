@@ -7,7 +7,7 @@
 use super::{
     attributes::Attributes,
     gather::Gathered,
-    lane_math::{centres, ray},
+    lane_math::centres,
     triangle_setup::{BAND_ROWS, Projection, Task, Triangle},
 };
 use crate::simd::{LANES, Lanes, Portable};
@@ -189,7 +189,7 @@ impl Mask<'_> {
             self.attributes = Attributes::new(self.scene, self.projection, self.triangle.id);
         }
         match &self.attributes {
-            Some(attributes) => attributes.passes8::<L>(ray::<L>(self.projection, x, y), self.triangle.cutoff, wanted),
+            Some(attributes) => attributes.passes8::<L>(self.projection.rays8::<L>(x, y), self.triangle.cutoff, wanted),
             None => 0,
         }
     }

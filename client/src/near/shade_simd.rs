@@ -12,7 +12,7 @@
 
 use super::{
     attributes::Attributes,
-    lane_math::{at, at3, centres, dot, hold, ray, splat3, tap, times},
+    lane_math::{at, at3, centres, dot, hold, splat3, tap, times},
     triangle_setup::Projection,
 };
 use crate::simd::{LANES, Lanes};
@@ -29,7 +29,7 @@ use ldi_protocol::{
 pub(super) fn shade8<L: Lanes>(t: &Attributes<'_>, projection: &Projection, column: usize, y: f32, out: &mut [u32]) {
     let (zero, one) = (L::splat(0.0), L::splat(1.0));
     let scale = 1.0 / projection.focal_px as f32;
-    let ([u, v], inverse) = t.weights8::<L>(ray::<L>(projection, centres::<L>(column), y));
+    let ([u, v], inverse) = t.weights8::<L>(projection.rays8::<L>(centres::<L>(column), y));
     let mut colour = at3::<L>(t.colour, u, v);
     if let Some(texture) = t.texture {
         let [f, g, h] = t.uv;

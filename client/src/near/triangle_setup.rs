@@ -4,6 +4,7 @@ use super::{
     gather::{Draw, Gathered, Mask},
     horizon::Horizon,
 };
+use crate::simd::Lanes;
 use glam::{DMat3, DVec3};
 use ldi_protocol::{OutputCamera, Pose, mesh::MAX_CLUSTER_TRIANGLES};
 use std::ops::Range;
@@ -60,6 +61,17 @@ impl Projection {
             width: camera.width as usize,
             height: camera.height as usize,
         }
+    }
+
+    /// The rays of eight pixel centres in one row, component 1 along forward.
+    #[inline(always)]
+    pub fn rays8<L: Lanes>(&self, x: L::F, y: f32) -> [L::F; 3] {
+        let scale = 1.0 / self.focal_px as f32;
+        [
+            L::mul(L::sub(x, L::splat(self.centre_px[0] as f32)), L::splat(scale)),
+            L::splat((self.centre_px[1] as f32 - y) * scale),
+            L::splat(1.0),
+        ]
     }
 
     pub fn eye_from_mesh(&self, draw: &Draw) -> EyeFromMesh {
