@@ -1,9 +1,9 @@
 //! What a frame's parts cost on this machine's processor, for `ldi-server build --for FILE`.
 //!
-//! Out: a [`ClientProfile`]. Three synthetic views are drawn again and again: a wall of few
-//! triangles, the same wall of many, and a warped image. What one of them costs per triangle, pixel
-//! or sample is not what real scenes cost, where most triangles are hidden and images have holes;
-//! but this machine is expected to be as many times as fast at real scenes as at these views.
+//! Out: a [`ClientProfile`]. Three synthetic views are drawn repeatedly: a wall of few triangles,
+//! the same wall of many triangles, and a warped image. Real scenes cost something else per
+//! triangle, pixel and sample, as most triangles are hidden and images have holes. Only the ratios
+//! to [`REFERENCE_NS`] count: they scale the profile `cpu`.
 
 use crate::{
     frame::Frame,
@@ -29,8 +29,8 @@ const TIME_EACH: Duration = Duration::from_secs(5);
 const LEAST_DRAWS: usize = 4;
 /// Distance of the wall, metres, and half its extents, which fill the picture.
 const WALL_M: [f32; 3] = [4.0, 2.4, 1.4];
-/// Patches of 16 x 8 cells of two triangles each, along the wall's sides: few, and half a million
-/// triangles.
+/// Patches along the two sides of each wall, of 16 x 8 squares of two triangles: 4 thousand and
+/// half a million triangles in all.
 const PATCHES: [[usize; 2]; 2] = [[4, 4], [50, 40]];
 /// What the views cost on the two cores that the profile `cpu` was measured on, nanoseconds per
 /// triangle, pixel and sample.

@@ -9,8 +9,12 @@ use serde::{Deserialize, Serialize};
 const SAMPLES_PER_PIXEL: f64 = 1.2;
 /// Bytes of a profile's file at most.
 pub const MAX_FILE_BYTES: u64 = 1 << 16;
-/// Budgets stay within these, whatever a profile says, triangles.
-const BUDGETS: [f64; 2] = [200_000.0, 20_000_000.0];
+/// No smaller budget is chosen, whatever a profile says, triangles: scenes that exceed less are few.
+pub const LEAST_BUDGET: u64 = 200_000;
+/// No larger one, triangles: the client holds what it draws in memory.
+const MOST_BUDGET: u64 = 20_000_000;
+/// Characters of a name at most: it stands in reports and on terminals.
+const MAX_NAME: usize = 64;
 
 /// Costs of a client's work, nanoseconds each, above 0 and finite.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -46,10 +50,14 @@ impl ClientProfile {
     /// Reads a profile as `ldi-client calibrate` writes it.
     ///
     /// # Errors
-    /// In words, if it is no such JSON or a cost is no positive number.
+    /// In words, if it is no such JSON, the name is too long or breaks its line, or a cost lies
+    /// outside 1e-6 to 1e9 ns.
     pub fn from_json(text: &str) -> Result<Self, String> {
         let found: Self = serde_json::from_str(text).map_err(|e| e.to_string())?;
         let costs = [found.ns_per_triangle, found.ns_per_pixel, found.ns_per_sample];
+        if found.name.chars().count() > MAX_NAME || found.name.contains(char::is_control) {
+            return Err(format!("the name must have at most {MAX_NAME} characters on one line"));
+        }
         match costs.iter().all(|c| (1e-6..=1e9).contains(c)) {
             true => Ok(found),
             false => Err("costs must be numbers of nanoseconds above 0".into()),
@@ -60,7 +68,7 @@ impl ClientProfile {
     /// nothing. Two digits, for pictures of so many pixels.
     pub fn most_triangles(&self, pixels: f64) -> u64 {
         let most = SAMPLES_PER_PIXEL * pixels * self.ns_per_sample / self.ns_per_triangle;
-        let most = most.clamp(BUDGETS[0], BUDGETS[1]);
+        let most = most.clamp(LEAST_BUDGET as f64, MOST_BUDGET as f64);
         let unit = 10f64.powf(most.log10().floor() - 1.0);
         ((most / unit).floor() * unit) as u64
     }
@@ -101,5 +109,11 @@ mod tests {
         assert!(with("3").is_ok());
         assert!(with("0").is_err() && with("-1").is_err() && with("1e300").is_err() && with("\"3\"").is_err());
         assert!(ClientProfile::from_json("[]").is_err());
+        let named = |name: &str| {
+            let profile = ClientProfile { name: name.into(), ..ClientProfile::cpu() };
+            ClientProfile::from_json(&serde_json::to_string(&profile).unwrap())
+        };
+        assert!(named(&"x".repeat(64)).is_ok());
+        assert!(named(&"x".repeat(65)).is_err() && named("x\u{1b}[2J").is_err() && named("x\ny").is_err());
     }
 }

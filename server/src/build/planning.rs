@@ -14,6 +14,7 @@ use crate::render::{Caster, CellSet, Ray};
 use crate::scene::{self, Scene};
 use crate::walk_volume::{self, WalkError, WalkOptions, WalkReport};
 use glam::DVec3;
+use ldi_protocol::client_profile::LEAST_BUDGET;
 use ldi_protocol::index::CELLS;
 use ldi_protocol::index::{BuildSettings, CellEntry, CellLevel};
 use ldi_protocol::volume::WalkVolume;
@@ -68,14 +69,16 @@ pub(super) fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Pro
     let (volume, walk) = walked(options, &caster, &clusters, &octree, &settings, progress)?;
     clock.lap("walk volume");
     progress.stage("grid and placement", 0);
+    let placed = |settings: BuildSettings, volume: WalkVolume| {
+        place(&scene, (&octree, &levels), &settings, &caster, volume, progress)
+    };
     let mut by_choice = None;
     let is_placed = settings.grid == CELLS && !matches!(options.represent, Represent::Tree { .. } | Represent::Cache);
     if let (BudgetRule::For { profile, bytes_per_scene_byte }, true) = (&options.budget, is_placed) {
         let pixels = f64::from(settings.camera.width) * f64::from(settings.camera.height);
         let most_bytes = (bytes_per_scene_byte * scene_bytes(options, &scene) as f64) as u64;
         let of_budget = |budget: u64| {
-            let settings = BuildSettings { budget, optimize_budget: budget, ..settings.clone() };
-            let plan = place(&scene, (&octree, &levels), &settings, &caster, volume.clone(), progress)?;
+            let plan = placed(BuildSettings { budget, optimize_budget: budget, ..settings.clone() }, volume.clone())?;
             let size = choose_budget::Size::of(&plan);
             Ok((plan, size))
         };
@@ -86,10 +89,7 @@ pub(super) fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Pro
         clock.lap("budget");
     }
     let settings = settings;
-    let place = |budget: u64, volume: WalkVolume| {
-        let settings = BuildSettings { budget, ..settings.clone() };
-        place(&scene, (&octree, &levels), &settings, &caster, volume, progress)
-    };
+    let place = |budget: u64, volume: WalkVolume| placed(BuildSettings { budget, ..settings.clone() }, volume);
     let within_budget = scene.triangles() <= settings.budget;
     // Nothing to place: what remains of a plan is the walk volume.
     let ground = || place(settings.budget.max(scene.triangles()), volume.clone());
@@ -253,7 +253,7 @@ fn read(options: &BuildOptions, clock: &mut Clock, progress: &dyn Progress) -> R
     let mut settings = options.settings.clone();
     // Cells as for the smallest budget that may be chosen.
     if matches!(options.budget, BudgetRule::For { .. }) {
-        settings.budget = choose_budget::LEAST;
+        settings.budget = LEAST_BUDGET;
     }
     if let BudgetRule::Share(share) = options.budget {
         settings.budget = ((scene.triangles() as f64 * share) as u64).max(1);

@@ -183,17 +183,19 @@ pub struct BuildArgs {
     /// Its adversarial poses, on borders of every kind [default: a tenth of the random ones].
     #[arg(long, requires = "dry_run", help_heading = "Dry run", hide_short_help = true)]
     pub adversarial: Option<u64>,
-    /// Geometry budget P: triangles per frame, or a share of the scene's, as 10% [default: by --for].
+    /// Geometry budget P: triangles per frame, or a share of the scene's, as 10%
+    /// [default: by --for].
     #[arg(long, value_name = "N|PERCENT%", value_parser = budget)]
     pub budget: Option<Budget>,
-    /// The client that the budget is for: cpu, laptop, workstation, or a file by `ldi-client calibrate`.
+    /// The client that the budget is for: cpu, laptop, workstation, or a file by `ldi-client
+    /// calibrate`.
     ///
     /// Where geometry with its levels of detail takes no longer than images would, there are no
     /// images. `build` says which budgets it tried.
-    #[arg(long = "for", value_name = "CLIENT", default_value = "cpu", conflicts_with = "budget", value_parser = client)]
+    #[arg(long = "for", value_name = "CLIENT", default_value = "cpu", value_parser = client)]
     pub client: ClientProfile,
     /// With --for: bytes of images per byte of the scene, at most; a smaller budget takes more.
-    #[arg(long, value_name = "N", default_value_t = 4.0, conflicts_with = "budget", value_parser = positive, help_heading = "Quality", hide_short_help = true)]
+    #[arg(long, value_name = "N", default_value_t = 4.0, value_parser = positive, help_heading = "Quality", hide_short_help = true)]
     pub bytes_per_scene_byte: f64,
     /// Optimization budget Popt, what images aim at
     /// [default: P; with --grid paper P - max(10% of P, 2 x the largest pseudo-leaf)].
