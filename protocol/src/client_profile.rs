@@ -73,9 +73,11 @@ impl ClientProfile {
         ((most / unit).floor() * unit) as u64
     }
 
-    /// Milliseconds that a frame is expected to take.
-    pub fn frame_ms(&self, pixels: f64, triangles: f64, samples: f64) -> f64 {
-        (pixels * self.ns_per_pixel + triangles * self.ns_per_triangle + samples * self.ns_per_sample) * 1e-6
+    /// Milliseconds to expect of a frame that draws so many triangles, and images of the whole
+    /// picture if it has any.
+    pub fn frame_ms(&self, pixels: f64, triangles: u64, has_images: bool) -> f64 {
+        let samples = if has_images { SAMPLES_PER_PIXEL * pixels } else { 0.0 };
+        (pixels * self.ns_per_pixel + triangles as f64 * self.ns_per_triangle + samples * self.ns_per_sample) * 1e-6
     }
 }
 
@@ -88,7 +90,7 @@ mod tests {
         let profile = ClientProfile { name: "x".into(), ns_per_triangle: 20.0, ns_per_pixel: 5.0, ns_per_sample: 50.0 };
         let pixels = 1_000_000.0;
         assert_eq!(profile.most_triangles(pixels), 3_000_000);
-        let (triangles, images) = (profile.frame_ms(pixels, 3e6, 0.0), profile.frame_ms(pixels, 0.0, 1.2e6));
+        let (triangles, images) = (profile.frame_ms(pixels, 3_000_000, false), profile.frame_ms(pixels, 0, true));
         assert!((triangles - images).abs() < 1e-9 && (triangles - 65.0).abs() < 1e-9, "{triangles} {images}");
         let slow = ClientProfile { ns_per_triangle: 1e6, ..profile };
         assert_eq!(slow.most_triangles(pixels), 200_000);

@@ -79,6 +79,8 @@ pub struct BudgetChoice {
     pub profile: ClientProfile,
     /// The budget.
     pub chosen: u64,
+    /// Milliseconds that the client is expected to take for a frame that uses it all.
+    pub longest_frame_ms: f64,
     /// Bytes of images that the scene is worth.
     pub most_bytes: u64,
     /// What was planned, largest first.
@@ -88,7 +90,10 @@ pub struct BudgetChoice {
 impl BudgetChoice {
     /// In words: the choice and a line per budget that was planned.
     pub fn said(&self) -> String {
-        let mut lines = vec![format!("budget for a {} client: {} triangles per frame", self.profile.name, self.chosen)];
+        let (client, chosen, ms) = (&self.profile.name, self.chosen, self.longest_frame_ms);
+        let mut lines = vec![format!(
+            "budget for a {client} client: {chosen} triangles per frame; a frame that uses it all takes about {ms:.0} ms"
+        )];
         for t in &self.trials {
             let images = match t.images {
                 0 => "no images".to_owned(),
@@ -103,17 +108,20 @@ impl BudgetChoice {
     }
 }
 
-/// Plans budgets from `most` down by `place`, until one is taken.
+/// Plans budgets by `place`, from the largest for pictures of so many pixels down, until one is
+/// taken.
 ///
 /// # Errors
 /// As `place` for the largest budget; that smaller ones cannot be kept only ends the search.
 pub(super) fn choose<P>(
     profile: &ClientProfile,
-    (most, most_bytes): (u64, u64),
+    (pixels, most_bytes): (f64, u64),
     place: &dyn Fn(u64) -> Result<(P, Size), PlacementError>,
     progress: &dyn Progress,
 ) -> Result<(P, BudgetChoice), BuildError> {
-    let mut choice = BudgetChoice { profile: profile.clone(), chosen: most, most_bytes, trials: Vec::new() };
+    let most = profile.most_triangles(pixels);
+    let mut choice =
+        BudgetChoice { profile: profile.clone(), chosen: most, longest_frame_ms: 0.0, most_bytes, trials: Vec::new() };
     let (mut plan, first) = tried(most, place)?;
     choice.trials.push(first);
     while let Some(last) = choice.trials.last_mut() {
@@ -142,6 +150,8 @@ pub(super) fn choose<P>(
             }
         }
     }
+    let has_images = choice.trials.iter().any(|t| t.budget == choice.chosen && t.images > 0);
+    choice.longest_frame_ms = profile.frame_ms(pixels, choice.chosen, has_images);
     Ok((plan, choice))
 }
 
@@ -224,7 +234,7 @@ mod tests {
 
     fn chosen(most_bytes: u64, place: impl Fn(u64) -> Result<((), Size), PlacementError>) -> BudgetChoice {
         let profile = ClientProfile::cpu();
-        let ((), choice) = choose(&profile, (2_500_000, most_bytes), &place, &()).unwrap();
+        let ((), choice) = choose(&profile, (1280.0 * 720.0, most_bytes), &place, &()).unwrap();
         assert!(choice.trials.iter().all(|t| !t.why.is_empty()), "{choice:?}");
         assert_eq!(choice.trials.iter().filter(|t| t.budget == choice.chosen).count(), 1, "{choice:?}");
         choice
@@ -234,7 +244,9 @@ mod tests {
     fn the_smallest_budget_whose_images_are_worth_it_is_taken() {
         let megabyte = 1_000_000;
         // 2.5 million keep it all.
-        assert_eq!(chosen(megabyte, |_| images(0.0, 1)).trials.len(), 1);
+        let found = chosen(megabyte, |_| images(0.0, 1));
+        assert_eq!((found.chosen, found.trials.len()), (2_500_000, 1));
+        assert_eq!(found.longest_frame_ms, found.profile.frame_ms(1280.0 * 720.0, 2_500_000, false));
         // Images of few places.
         assert_eq!(chosen(megabyte, |_| images(1.0, 9)).trials.len(), 1);
         // More view cells than are planned anew.

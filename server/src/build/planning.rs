@@ -82,8 +82,7 @@ pub(super) fn plan(options: &BuildOptions, clock: &mut Clock, progress: &dyn Pro
             let size = choose_budget::Size::of(&plan);
             Ok((plan, size))
         };
-        let most = profile.most_triangles(pixels);
-        let (plan, choice) = choose_budget::choose(profile, (most, most_bytes), &of_budget, progress)?;
+        let (plan, choice) = choose_budget::choose(profile, (pixels, most_bytes), &of_budget, progress)?;
         (settings.budget, settings.optimize_budget) = (choice.chosen, choice.chosen);
         by_choice = Some((plan, choice));
         clock.lap("budget");
