@@ -9,7 +9,7 @@ use crate::octree::{Clusters, up_to_f32};
 use crate::scene::Scene;
 use ldi_protocol::{Aabb, index::MOST_LEVELS, mesh::MAX_CLUSTER_TRIANGLES};
 use rayon::prelude::*;
-use simplify::Coarse;
+use simplify::{Coarse, CoarseTriangle};
 use std::borrow::Cow;
 use std::ops::Range;
 
@@ -51,7 +51,8 @@ pub(super) fn assemble(scene: &Scene, clusters: &Clusters, parts: &Parts, chains
                 pieces.extend(triangles.chunks(MAX_CLUSTER_TRIANGLES).map(|of| Piece {
                     mesh: part.mesh,
                     primitive: part.primitive,
-                    triangles: Cow::Owned(of.to_vec()),
+                    triangles: Cow::Owned(of.iter().map(|t| t.vertices).collect()),
+                    normals: Cow::Owned(of.iter().map(|t| t.normals).collect()),
                 }));
             }
             first..next(&pieces)
@@ -134,9 +135,10 @@ fn thresholds(
 }
 
 /// So that pieces are compact.
-fn sort_along_longest_axis(scene: &Scene, (mesh, primitive): (u32, u32), triangles: &mut [[u32; 3]]) {
+fn sort_along_longest_axis(scene: &Scene, (mesh, primitive): (u32, u32), triangles: &mut [CoarseTriangle]) {
     let p = &scene.meshes[mesh as usize].primitives[primitive as usize];
-    let size = Aabb::from_points(triangles.iter().map(|t| simplify::centre(p, t))).size();
+    let size = Aabb::from_points(triangles.iter().map(|t| simplify::centre(p, &t.vertices))).size();
     let axis = size.max_position();
-    triangles.sort_by(|a, b| simplify::centre(p, a)[axis].total_cmp(&simplify::centre(p, b)[axis]));
+    let along = |t: &CoarseTriangle| simplify::centre(p, &t.vertices)[axis];
+    triangles.sort_by(|a, b| along(a).total_cmp(&along(b)));
 }

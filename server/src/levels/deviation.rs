@@ -136,6 +136,8 @@ fn closest_point(p: DVec3, [a, b, c]: &Corners) -> DVec3 {
 /// Triangles in a tree of boxes.
 pub(crate) struct SurfaceTree {
     triangles: Vec<Corners>,
+    /// Which of the triangles given each of them is.
+    numbers: Vec<u32>,
     nodes: Vec<Node>,
 }
 
@@ -152,26 +154,29 @@ enum Children {
 
 impl SurfaceTree {
     pub fn new(triangles: &[Corners]) -> Self {
-        let mut tree = Self { triangles: triangles.to_vec(), nodes: Vec::new() };
+        let mut tree = Self { triangles: Vec::new(), numbers: Vec::new(), nodes: Vec::new() };
+        let mut numbered: Vec<(Corners, u32)> = triangles.iter().copied().zip(0..).collect();
         if !triangles.is_empty() {
-            tree.add(0, triangles.len());
+            tree.add(&mut numbered, 0);
         }
+        (tree.triangles, tree.numbers) = numbered.into_iter().unzip();
         tree
     }
 
-    /// Adds the node of a range of triangles, and those below; its number.
-    fn add(&mut self, start: usize, end: usize) -> u32 {
-        let of = &mut self.triangles[start..end];
-        let bounds = Aabb::from_points(of.iter().flatten().copied());
+    /// Adds the node of the triangles from `start` on, and those below; its number.
+    fn add(&mut self, of: &mut [(Corners, u32)], start: usize) -> u32 {
+        let end = start + of.len();
+        let bounds = Aabb::from_points(of.iter().flat_map(|t| t.0));
         let number = self.nodes.len() as u32;
         self.nodes.push(Node { bounds, of: Children::Leaf(start as u32..end as u32) });
         if end - start > LEAF {
-            let middle = |t: &Corners| t[0] + t[1] + t[2];
+            let middle = |(t, _): &(Corners, u32)| t[0] + t[1] + t[2];
             let spread = Aabb::from_points(of.iter().map(middle)).size();
             let axis = spread.max_position();
             let half = (end - start) / 2;
             of.select_nth_unstable_by(half, |a, b| middle(a)[axis].total_cmp(&middle(b)[axis]));
-            let below = [self.add(start, start + half), self.add(start + half, end)];
+            let (left, right) = of.split_at_mut(half);
+            let below = [self.add(left, start), self.add(right, start + half)];
             self.nodes[number as usize].of = Children::Nodes(below);
         }
         number
@@ -180,6 +185,22 @@ impl SurfaceTree {
     /// Distance to the nearest triangle; infinite without any.
     pub fn distance(&self, p: DVec3) -> f64 {
         if self.triangles.is_empty() { f64::INFINITY } else { self.nearest(p).0 }
+    }
+
+    /// The nearest triangle, by its place among those given, and the weights of its corners at the
+    /// point of it that is nearest; None without any, or if that triangle has no area.
+    pub fn surface_at(&self, p: DVec3) -> Option<(u32, [f64; 3])> {
+        if self.triangles.is_empty() {
+            return None;
+        }
+        let (_, nearest) = self.nearest(p);
+        let t = &self.triangles[nearest as usize];
+        let [a, b, c] = *t;
+        let at = closest_point(p, t);
+        let normal = (b - a).cross(c - a);
+        let share = |p: DVec3, q: DVec3| (p - at).cross(q - at).dot(normal) / normal.length_squared();
+        let weights = [share(b, c), share(c, a), share(a, b)];
+        weights.iter().all(|w| w.is_finite()).then(|| (self.numbers[nearest as usize], weights))
     }
 
     /// Distance to the nearest triangle, and its number; the tree is not empty.

@@ -25,7 +25,7 @@ pub(crate) use deviation::SurfaceTree;
 
 use crate::octree::{Clusters, Octree};
 use crate::scene::Scene;
-use glam::DMat3;
+use glam::{DMat3, Vec3};
 use ldi_protocol::{Aabb, codec::cell};
 use std::borrow::Cow;
 
@@ -38,6 +38,8 @@ pub struct Piece<'a> {
     pub primitive: u32,
     /// Vertex numbers of the primitive, three per triangle.
     pub triangles: Cow<'a, [[u32; 3]]>,
+    /// Of the corners of each triangle; empty: the primitive's.
+    pub normals: Cow<'a, [[Vec3; 3]]>,
 }
 
 /// A coarser mesh of a cell.
@@ -80,13 +82,14 @@ impl Levels {
     /// A piece by its number: clusters come first, then [`Levels::pieces`].
     pub fn piece<'a>(&'a self, clusters: &Clusters, scene: &Scene, number: u32) -> Piece<'a> {
         if let Some(simplified) = number.checked_sub(clusters.clusters.len() as u32) {
-            let Piece { mesh, primitive, triangles } = &self.pieces[simplified as usize];
-            return Piece { mesh: *mesh, primitive: *primitive, triangles: Cow::Borrowed(triangles) };
+            let Piece { mesh, primitive, triangles, normals } = &self.pieces[simplified as usize];
+            let (triangles, normals) = (Cow::Borrowed(&**triangles), Cow::Borrowed(&**normals));
+            return Piece { mesh: *mesh, primitive: *primitive, triangles, normals };
         }
         let cluster = &clusters.clusters[number as usize];
         let all = &scene.meshes[cluster.mesh as usize].primitives[cluster.primitive as usize].triangles;
         let triangles = cluster.triangles.iter().map(|t| all[*t as usize]).collect();
-        Piece { mesh: cluster.mesh, primitive: cluster.primitive, triangles }
+        Piece { mesh: cluster.mesh, primitive: cluster.primitive, triangles, normals: Cow::Borrowed(&[]) }
     }
 }
 

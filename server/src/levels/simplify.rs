@@ -3,7 +3,9 @@
 //! Vertices that agree in position, and in texture coordinates and colour where these count, are
 //! one while a part is simplified; afterwards every corner takes that of them whose normal agrees
 //! best with its triangle. So creases do not stop simplification, and stay creases. Simplified
-//! meshes use vertices of the primitive, none is new.
+//! meshes have vertices of the primitive, with its normals; but where these would light a triangle
+//! otherwise than what it stands for, as at the flange of a beam whose fillet is gone, corners have
+//! the normals of the surface beside them.
 
 use super::{
     deviation::{self, Corners},
@@ -33,6 +35,15 @@ const WORTH: f64 = 0.8;
 const SLOPPY_SIZE: f64 = 64.0;
 /// What texture coordinates and colours count beside positions, both relative to their extent.
 const ATTRIBUTE_WEIGHT: f32 = 1.0;
+/// What a mesh covers less than the part counts as deviation: one that covers nothing may be drawn
+/// only from 1 plus so many times as far as its deviation allows. A pipe of one pixel in width lies
+/// within half a pixel of a line, and a row of them would vanish.
+const UNCOVERED_WEIGHT: f64 = 4.0;
+/// Corners keep the primitive's normals where these turn by no more than this from the surface, as
+/// a cosine. Smaller: lights differ; larger: more vertices are stored.
+const SAME_NORMAL: f32 = 0.99;
+/// Where the normal of a corner is compared: this much of the way to the triangle's centre.
+const INSET: f64 = 0.4;
 /// Deviations are told apart down to this share of what the library estimates ...
 const FLOOR_SHARE: f64 = 0.25;
 /// ... and of the part's size: a flat surface in other triangles is not looked at more closely.
@@ -41,10 +52,19 @@ const FLOOR_SIZE: f64 = 1e-4;
 /// A simplified mesh of a part.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Coarse {
-    /// Bound on how far it lies from the part, in mesh units; grows along the chain.
+    /// Bound on how far it lies from the part, in mesh units, more if it covers less than the part;
+    /// grows along the chain.
     pub deviation: f64,
+    pub triangles: Vec<CoarseTriangle>,
+}
+
+/// A triangle of a simplified mesh.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct CoarseTriangle {
     /// Vertex numbers of the primitive.
-    pub triangles: Vec<[u32; 3]>,
+    pub vertices: [u32; 3],
+    /// Of the corners, unit length.
+    pub normals: [Vec3; 3],
 }
 
 /// The chain of every part, fine to coarse, without the part itself.
@@ -253,6 +273,7 @@ fn chain(scene: &Scene, clusters: &Clusters, part: &Part, borders: &Borders) -> 
     let welded = Welded::of(p, &full, textured, |place| borders.meets(part, place));
     let full = Surface::new(p, full);
     let size = Aabb::from_points(full.corners.iter().flatten().copied()).size().length();
+    let full_area = full.area();
     let mut chain: Vec<Coarse> = Vec::new();
     let (mut last, mut deviation) = (full.triangles.len(), 0.0f64);
     let mut error = FIRST_ERROR * size;
@@ -261,25 +282,58 @@ fn chain(scene: &Scene, clusters: &Clusters, part: &Part, borders: &Borders) -> 
         let measure = |triangles: Vec<[u32; 3]>, estimate: f64| {
             let floor = (FLOOR_SHARE * estimate).max(FLOOR_SIZE * size).max(deviation);
             let coarse = Surface::new(p, triangles);
-            Coarse { deviation: bound(&full, &coarse, floor).max(estimate), triangles: coarse.triangles }
+            let uncovered = (1.0 - coarse.area() / full_area).max(0.0);
+            (bound(&full, &coarse, floor).max(estimate), uncovered, coarse.triangles)
         };
         let found = welded.simplified(error).map(|(i, e)| (welded.unwelded(p, &i), e)).filter(|f| few(&f.0));
         let found = found.map(|(triangles, estimate)| measure(triangles, estimate)).or_else(|| {
             let (indices, estimate) = welded.clustered(error)?;
             let triangles = Some(welded.unwelded(p, &indices)).filter(few)?;
-            Some(measure(triangles, estimate)).filter(|c| size <= SLOPPY_SIZE * c.deviation)
+            Some(measure(triangles, estimate)).filter(|(deviation, ..)| size <= SLOPPY_SIZE * deviation)
         });
         error *= ERROR_STEP;
-        let Some(coarse) = found.filter(|c| c.deviation < size) else { continue };
+        let Some((bound, uncovered, triangles)) = found.filter(|(deviation, ..)| *deviation < size) else { continue };
+        let triangles = with_normals(p, &full, &triangles);
+        let coarse = Coarse { deviation: bound * (1.0 + UNCOVERED_WEIGHT * uncovered), triangles };
         // A finer mesh that is no nearer is of no use.
         while chain.last().is_some_and(|c| c.deviation >= coarse.deviation) {
             chain.pop();
         }
         last = coarse.triangles.len();
-        deviation = deviation.max(coarse.deviation);
+        deviation = deviation.max(bound);
         chain.push(coarse);
     }
     chain
+}
+
+/// Triangles of a simplified mesh with the normals of their corners.
+fn with_normals(p: &Primitive, full: &Surface, triangles: &[[u32; 3]]) -> Vec<CoarseTriangle> {
+    // Normals that a vertex got, so that neighbours share them.
+    let mut new: HashMap<u32, Vec<Vec3>> = HashMap::new();
+    let of_triangle = |vertices: &[u32; 3]| {
+        let corners = corners(p, vertices);
+        let centre = (corners[0] + corners[1] + corners[2]) / 3.0;
+        let facing = (corners[1] - corners[0]).cross(corners[2] - corners[0]).as_vec3();
+        let own = vertices.map(|v| p.normals[v as usize].normalize_or_zero());
+        let mean = (own[0] + own[1] + own[2]) / 3.0;
+        let mut normals = own;
+        for k in 0..3 {
+            let Some(surface) = full.normal_at(p, corners[k].lerp(centre, INSET)) else { continue };
+            // What lies nearest may be the other side of a sheet.
+            let surface = if surface.dot(facing) < 0.0 { -surface } else { surface };
+            let is_same = |n: &Vec3| n.dot(surface) >= SAME_NORMAL;
+            if is_same(&own[k].lerp(mean, INSET as f32).normalize_or_zero()) {
+                continue;
+            }
+            let of_vertex = new.entry(vertices[k]).or_default();
+            normals[k] = of_vertex.iter().copied().find(is_same).unwrap_or_else(|| {
+                of_vertex.push(surface);
+                surface
+            });
+        }
+        CoarseTriangle { vertices: *vertices, normals }
+    };
+    triangles.iter().map(of_triangle).collect()
 }
 
 /// Triangles of a primitive, as distances from them need them.
@@ -304,6 +358,20 @@ impl Surface {
         let places: Vec<_> = triangles.iter().map(places_of).collect();
         let (has, tree) = (places.iter().copied().collect(), deviation::SurfaceTree::new(&corners));
         Self { triangles, corners, places, has, tree }
+    }
+
+    /// Unit normal, as it is lit, where the surface lies nearest to a place.
+    fn normal_at(&self, p: &Primitive, place: DVec3) -> Option<Vec3> {
+        let (number, weights) = self.tree.surface_at(place)?;
+        let of = self.triangles[number as usize].map(|v| p.normals[v as usize].as_dvec3());
+        let normal = of[0] * weights[0] + of[1] * weights[1] + of[2] * weights[2];
+        normal.try_normalize().map(|n| n.as_vec3())
+    }
+
+    /// In square mesh units. Over all directions a closed convex surface covers a quarter of it, on
+    /// the mean (Cauchy's formula).
+    fn area(&self) -> f64 {
+        self.corners.iter().map(|[a, b, c]| 0.5 * (*b - *a).cross(*c - *a).length()).sum()
     }
 
     /// The triangles that are not in another.

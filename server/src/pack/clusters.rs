@@ -279,27 +279,26 @@ fn cluster_steps(scene: &Scene, piece: &Piece<'_>, steps: &[i8]) -> ClusterSteps
 fn wire_cluster(scene: &Scene, piece: &Piece<'_>) -> Cluster {
     let p = &scene.meshes[piece.mesh as usize].primitives[piece.primitive as usize];
     let textured = scene.materials[p.material as usize].texture.is_some() && !p.uvs.is_empty();
-    let mut number: BTreeMap<u32, u16> = BTreeMap::new();
-    let mut order = Vec::new();
-    let triangles = piece
-        .triangles
-        .iter()
-        .map(|t| {
-            t.map(|v| {
-                *number.entry(v).or_insert_with(|| {
-                    order.push(v as usize);
-                    (order.len() - 1) as u16
-                })
-            })
+    // By vertex of the primitive and normal.
+    let mut number: BTreeMap<(u32, [u32; 3]), u16> = BTreeMap::new();
+    let (mut order, mut normals) = (Vec::new(), Vec::new());
+    let mut corner = |k: usize, i: usize, v: u32| {
+        let normal = piece.normals.get(k).map_or(p.normals[v as usize], |of| of[i]);
+        *number.entry((v, normal.to_array().map(f32::to_bits))).or_insert_with(|| {
+            order.push(v as usize);
+            normals.push(normal);
+            (order.len() - 1) as u16
         })
-        .collect();
+    };
+    let triangle = |(k, t): (usize, &[u32; 3])| [corner(k, 0, t[0]), corner(k, 1, t[1]), corner(k, 2, t[2])];
+    let triangles = piece.triangles.iter().enumerate().map(triangle).collect();
     let positions = || order.iter().map(|v| p.positions[*v].as_dvec3());
     let origin = positions().next().unwrap_or(DVec3::ZERO);
     Cluster {
         material: p.material,
         positions: positions().map(|v| (v - origin).as_vec3()).collect(),
         origin,
-        normals: order.iter().map(|v| p.normals[*v]).collect(),
+        normals,
         uvs: if textured { order.iter().map(|v| p.uvs[*v]).collect() } else { Vec::new() },
         colours: if p.colours.is_empty() { Vec::new() } else { order.iter().map(|v| p.colours[*v]).collect() },
         triangles,

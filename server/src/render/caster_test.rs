@@ -388,3 +388,41 @@ fn footprints_choose_the_level() {
     assert!((grey(0.125) - 1.0).abs() < 1e-3, "{}", grey(0.125));
     assert!((grey(0.25) - 0.5).abs() < 5e-3, "{}", grey(0.25));
 }
+
+/// Whichever comes first in the file, however they are cut into triangles, and where the placement
+/// mirrors: two quads in one plane, back to back, from both sides.
+#[test]
+fn of_two_faces_in_one_plane_the_one_that_faces_the_ray_is_hit() {
+    // It faces +z; the other, cut along the other diagonal, faces -z.
+    let front = quad(Vec3::new(-1.0, 1.0, 0.3), Vec3::X * 2.0, Vec3::NEG_Y * 2.0);
+    let mut back = quad(Vec3::new(-1.0, 1.0, 0.3), Vec3::X * 2.0, Vec3::NEG_Y * 2.0);
+    back.triangles = vec![[0, 1, 3], [1, 2, 3]];
+    for (parts, front_is) in [([front.clone(), back.clone()], 0), ([back, front], 1)] {
+        for mirrored in [false, true] {
+            let mut s = scene(parts.clone().map(|p| (p, plain([1.0; 4]))).to_vec(), vec![]);
+            for i in &mut s.instances {
+                i.world_from_mesh.translation = DVec3::new(7.0, -3.0, 2.0);
+                i.world_from_mesh.matrix3 *= DMat3::from_rotation_y(0.4);
+                if mirrored {
+                    i.world_from_mesh.matrix3 *= DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0));
+                }
+            }
+            let place = s.instances[0].world_from_mesh;
+            for most_expanded in [0, MOST_EXPANDED] {
+                let c = caster_with(s.clone(), most_expanded);
+                let mut noise = Noise(5);
+                for _ in 0..200 {
+                    let (target, side) = (noise.point(0.9), if noise.next() < 0.5 { -1.0 } else { 1.0 });
+                    let from = noise.point(2.0) + DVec3::Z * (5.0 * side + 0.3);
+                    let target = place.transform_point3(DVec3::new(target.x, target.y, 0.3));
+                    let origin = place.transform_point3(from);
+                    let ray = Ray { origin, direction: target - origin, t_min: 0.0, t_max: 2.0 };
+                    let hit = c.trace(&ray, &CellSet::all()).expect("the quads are in the way");
+                    let seen = c.source(hit.triangle).instance;
+                    assert_eq!(seen == front_is, side > 0.0, "mirrored {mirrored}, {origin}");
+                    assert!((hit.t - 1.0).abs() < 1e-5, "{}", hit.t);
+                }
+            }
+        }
+    }
+}

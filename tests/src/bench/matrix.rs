@@ -6,6 +6,7 @@
 //! the project's own binaries. A default is dominated by a setting that is no worse in time, error
 //! and bytes, and better in one of them.
 
+use super::speed_error::median;
 use crate::{
     poses,
     run::{self, Server},
@@ -88,6 +89,8 @@ pub struct Matrix {
     pub size: String,
     /// Poses, evenly spaced over the path.
     pub frames: u64,
+    /// Walks per setting. Times are medians over them; the settings of a scene take turns.
+    pub repeats: u32,
     /// Options of all builds, such as `--budget 10%`.
     pub build: Vec<String>,
     /// Folder for what is left.
@@ -120,8 +123,11 @@ pub struct Figures {
     pub dataset_bytes: u64,
     /// Milliseconds from connecting to the first useful frame.
     pub first_picture_ms: Option<f64>,
-    /// Median frame time, milliseconds.
+    /// Median frame time, milliseconds: the median of all walks.
     pub frame_ms: f64,
+    /// The same of the fastest walk and of the slowest.
+    #[serde(default)]
+    pub frame_ms_range: [f64; 2],
     /// 99th percentile.
     pub frame_ms_p99: f64,
     /// Mean FLIP against 16 rays per pixel.
@@ -175,6 +181,8 @@ pub fn run(matrix: &Matrix, mut heard: impl FnMut(&Row)) -> Result<Vec<Row>> {
     for spec in &matrix.scenes {
         let site = Site::prepare(matrix, spec).with_context(|| spec.clone())?;
         let mut built: Vec<(Option<&str>, Result<Built, String>)> = Vec::new();
+        let first = rows.len();
+        let mut walked: Vec<(usize, Built, Vec<Times>)> = Vec::new();
         for &setting in &settings {
             let represent = setting.represent();
             let dataset = match built.iter().find(|(made, _)| *made == represent) {
@@ -185,15 +193,30 @@ pub fn run(matrix: &Matrix, mut heard: impl FnMut(&Row)) -> Result<Vec<Row>> {
                     dataset
                 }
             };
-            let measured = dataset.and_then(|d| site.walk(matrix, setting, &d).map_err(|e| format!("{e:#}")));
+            let measured = dataset.and_then(|d| match site.compare(matrix, setting, &d) {
+                Ok((figures, times)) => Ok((figures, times, d)),
+                Err(e) => Err(format!("{e:#}")),
+            });
             let (figures, error) = match measured {
-                Ok(figures) => (Some(figures), None),
+                Ok((figures, times, dataset)) => {
+                    walked.push((rows.len(), dataset, vec![times]));
+                    (Some(figures), None)
+                }
                 Err(e) => (None, Some(e)),
             };
-            let row = Row { scene: site.scene.clone(), setting, figures, error };
-            heard(&row);
-            rows.push(row);
+            rows.push(Row { scene: site.scene.clone(), setting, figures, error });
         }
+        for _ in 1..matrix.repeats {
+            for (row, dataset, times) in &mut walked {
+                times.push(Times::of(&site.walk(matrix, rows[*row].setting, dataset, false)?["summary"])?);
+            }
+        }
+        for (row, _, times) in &walked {
+            if let Some(figures) = &mut rows[*row].figures {
+                Times::put(times, figures);
+            }
+        }
+        rows[first..].iter().for_each(&mut heard);
     }
     Ok(rows)
 }
@@ -228,6 +251,35 @@ struct Built {
     folder: PathBuf,
     seconds: f64,
     report: Value,
+}
+
+/// Times of one walk, milliseconds.
+#[derive(Debug, Clone, Copy)]
+struct Times {
+    first_picture: Option<f64>,
+    p50: f64,
+    p99: f64,
+}
+
+impl Times {
+    /// From a walk's summary.
+    fn of(summary: &Value) -> Result<Self> {
+        let frame = |key: &str| summary["frame_ms"][key].as_f64().context("the report has no frame time");
+        let first_picture = summary["ms_first_useful_frame"].as_f64().or(summary["ms_first_frame"].as_f64());
+        Ok(Self { first_picture, p50: frame("p50")?, p99: frame("p99")? })
+    }
+
+    /// Medians of several walks.
+    fn put(times: &[Self], figures: &mut Figures) {
+        let of = |f: fn(&Self) -> f64| times.iter().map(f).collect::<Vec<f64>>();
+        let p50 = of(|t| t.p50);
+        figures.frame_ms_range =
+            [p50.iter().copied().fold(f64::INFINITY, f64::min), p50.iter().copied().fold(f64::NEG_INFINITY, f64::max)];
+        figures.frame_ms = median(p50);
+        figures.frame_ms_p99 = median(of(|t| t.p99));
+        let first: Vec<f64> = times.iter().filter_map(|t| t.first_picture).collect();
+        figures.first_picture_ms = (!first.is_empty()).then(|| median(first));
+    }
 }
 
 /// A scene with poses and reference pictures, in a folder of its own.
@@ -280,16 +332,26 @@ impl Site {
         Ok(Built { seconds: start.elapsed().as_secs_f64(), report: read_json(&folder.join("report.json"))?, folder })
     }
 
-    fn walk(&self, matrix: &Matrix, setting: Setting, dataset: &Built) -> Result<Figures> {
+    /// Figures of a walk whose pictures are compared, and its times.
+    fn compare(&self, matrix: &Matrix, setting: Setting, dataset: &Built) -> Result<(Figures, Times)> {
+        let report = self.walk(matrix, setting, dataset, true)?;
+        Ok((figures(dataset, &report)?, Times::of(&report["summary"])?))
+    }
+
+    /// The report of a walk.
+    fn walk(&self, matrix: &Matrix, setting: Setting, dataset: &Built, compared: bool) -> Result<Value> {
         let server = Server::start(&dataset.folder)?;
         let at = |what: &str| self.folder.join(format!("{}-{what}", setting.name()));
+        let report = at(if compared { "walk.json" } else { "walk-again.json" });
         let mut c = run::command("ldi-client")?;
         c.args(["walk", &server.quic, "--fingerprint", &server.fingerprint, "--pace", "wait", "--size", &matrix.size]);
-        c.args(["--method", setting.method(), "--path"]).arg(&self.poses).arg("-o").arg(at("frames"));
-        c.arg("--truth").arg(self.folder.join("truth")).arg("--baseline").arg(self.folder.join("baseline"));
-        c.arg("--report").arg(at("walk.json"));
+        c.args(["--method", setting.method(), "--path"]).arg(&self.poses).arg("--report").arg(&report);
+        c.arg("-o").arg(at("frames"));
+        if compared {
+            c.arg("--truth").arg(self.folder.join("truth")).arg("--baseline").arg(self.folder.join("baseline"));
+        }
         run::run(c)?;
-        figures(dataset, &read_json(&at("walk.json"))?)
+        read_json(&report)
     }
 }
 
@@ -325,9 +387,10 @@ fn figures(dataset: &Built, walk: &Value) -> Result<Figures> {
         images: count(&build["ldis"], "images")?,
         budget: count(&s["budget_triangles"], "budget")?,
         dataset_bytes: count(&build["bytes"]["total"], "bytes")?,
-        first_picture_ms: s["ms_first_useful_frame"].as_f64().or(s["ms_first_frame"].as_f64()),
-        frame_ms: number(&s["frame_ms"]["p50"], "frame time")?,
-        frame_ms_p99: number(&s["frame_ms"]["p99"], "frame time")?,
+        first_picture_ms: None,
+        frame_ms: 0.0,
+        frame_ms_range: [0.0; 2],
+        frame_ms_p99: 0.0,
         flip: number(&s["mean_flip"], "FLIP")?,
         flip_ratio: [sum(&own) / sum(&baseline), largest(&own) / largest(&baseline)],
         holes_max: number(&s["hole_fraction_max"], "holes")?,
@@ -355,6 +418,7 @@ pub(super) mod tests {
             dataset_bytes: bytes as u64,
             first_picture_ms: Some(10.0),
             frame_ms,
+            frame_ms_range: [frame_ms; 2],
             frame_ms_p99: frame_ms,
             flip,
             flip_ratio: [1.0, 1.0],
@@ -365,6 +429,15 @@ pub(super) mod tests {
         };
         let scene = SceneFile { name: scene.into(), triangles: 7, bytes: 100 };
         Row { scene, setting, figures: Some(figures), error: None }
+    }
+
+    #[test]
+    fn times_are_medians_over_walks() {
+        let walk = |p50: f64, first_picture| Times { first_picture, p50, p99: 2.0 * p50 };
+        let mut figures = row("hall", Setting::Default, [1.0; 3]).figures.expect("a row with figures");
+        Times::put(&[walk(30.0, None), walk(10.0, Some(5.0)), walk(11.0, Some(7.0))], &mut figures);
+        assert_eq!((figures.frame_ms, figures.frame_ms_range, figures.frame_ms_p99), (11.0, [10.0, 30.0], 22.0));
+        assert_eq!(figures.first_picture_ms, Some(6.0));
     }
 
     #[test]

@@ -7,7 +7,7 @@ use crate::{
 };
 use std::fmt::Write as _;
 
-const COLUMNS: [&str; 17] = [
+const COLUMNS: [&str; 18] = [
     "scene",
     "setting",
     "build, s",
@@ -19,6 +19,7 @@ const COLUMNS: [&str; 17] = [
     "walk, MB",
     "first picture, ms",
     "frame, ms",
+    "walks, ms",
     "p99, ms",
     "FLIP",
     "x baseline",
@@ -46,6 +47,7 @@ fn cells(row: &Row) -> Vec<String> {
         mb(f.walk_bytes),
         f.first_picture_ms.map_or("-".into(), |ms| format!("{ms:.0}")),
         format!("{:.1}", f.frame_ms),
+        format!("{:.1} to {:.1}", f.frame_ms_range[0], f.frame_ms_range[1]),
         format!("{:.1}", f.frame_ms_p99),
         format!("{:.4}", f.flip),
         format!("{:.3}", f.flip_ratio[0]),

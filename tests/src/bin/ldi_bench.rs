@@ -139,6 +139,9 @@ struct MatrixArgs {
     /// Frames, evenly spaced over each path.
     #[arg(long, default_value_t = 24, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     frames: u64,
+    /// Walks per setting, in turns; times are their medians.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    repeats: u32,
     /// An option of all builds; give it again for another one.
     #[arg(long, value_name = "OPTION")]
     build: Vec<String>,
@@ -423,14 +426,18 @@ fn matrix_of(a: MatrixArgs) -> Result<()> {
         settings: a.methods,
         size: format!("{}x{}", a.size.0, a.size.1),
         frames: a.frames,
+        repeats: a.repeats,
         build: a.build,
         output: a.output,
     };
     let rows = matrix::run(&study, |row| eprintln!("{}", matrix_page::line(row)))?;
     let dominated = matrix::dominated(&rows);
-    let options: String = study.build.iter().map(|o| format!(" --build={o}")).collect();
+    let mut options: String = study.build.iter().map(|o| format!(" --build={o}")).collect();
+    let methods = study.settings.iter().filter_map(clap::ValueEnum::to_possible_value);
+    methods.for_each(|m| options += &format!(" --methods {}", m.get_name()));
     let (scenes, size, frames) = (study.scenes.join(" "), &study.size, study.frames);
-    let command = format!("ldi-bench matrix {scenes} --size {size} --frames {frames}{options}");
+    let command =
+        format!("ldi-bench matrix {scenes} --size {size} --frames {frames} --repeats {}{options}", study.repeats);
     let json = serde_json::json!({ "command": command, "dominated": dominated, "rows": rows });
     write(&study.output.join("matrix.json"), &serde_json::to_string_pretty(&json)?)?;
     write(&study.output.join("matrix.csv"), &matrix_page::csv(&rows))?;
