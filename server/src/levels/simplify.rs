@@ -392,3 +392,62 @@ pub(super) fn centre(p: &Primitive, t: &[u32; 3]) -> DVec3 {
     let [a, b, c] = corners(p, t);
     (a + b + c) / 3.0
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A strip of quads along x, all normals up but those of its ends.
+    fn strip(ends: Vec3) -> Primitive {
+        let mut p = Primitive::default();
+        for x in 0..=10u32 {
+            for z in [0.0, 1.0] {
+                p.positions.push(Vec3::new(x as f32, 0.0, z));
+                p.normals.push(if x == 0 || x == 10 { ends } else { Vec3::Y });
+            }
+        }
+        p.triangles =
+            (0..10).flat_map(|x| [[2 * x, 2 * x + 1, 2 * x + 2], [2 * x + 1, 2 * x + 3, 2 * x + 2]]).collect();
+        p
+    }
+
+    #[test]
+    fn corners_take_the_normals_of_the_surface_that_they_stand_for() {
+        // Its ends are lit as a beam's fillets.
+        let p = strip(Vec3::new(1.0, 1.0, 0.0).normalize());
+        let full = Surface::new(&p, p.triangles.clone());
+        let coarse = with_normals(&p, &full, &[[0, 1, 20], [1, 21, 20]]);
+        assert!(coarse.iter().flat_map(|t| t.normals).all(|n| n == Vec3::Y), "{coarse:?}");
+        // Nothing is new where nothing is gained.
+        let p = strip(Vec3::Y);
+        let kept = with_normals(&p, &Surface::new(&p, p.triangles.clone()), &[[0, 1, 20], [1, 21, 20]]);
+        assert!(kept.iter().flat_map(|t| t.normals).all(|n| n == Vec3::Y));
+    }
+
+    #[test]
+    fn round_things_stay_round() {
+        const SIDES: u32 = 48;
+        let mut p = Primitive::default();
+        for i in 0..SIDES {
+            let (sin, cos) = (std::f32::consts::TAU * i as f32 / SIDES as f32).sin_cos();
+            for z in [0.0, 3.0] {
+                p.positions.push(Vec3::new(cos, sin, z));
+                p.normals.push(Vec3::new(cos, sin, 0.0));
+            }
+        }
+        let sides = |step: u32| -> Vec<[u32; 3]> {
+            let quad = |i: u32| {
+                let (a, b) = (2 * i, 2 * ((i + step) % SIDES));
+                [[a, b, a + 1], [b, b + 1, a + 1]]
+            };
+            (0..SIDES).step_by(step as usize).flat_map(quad).collect()
+        };
+        p.triangles = sides(1);
+        let full = Surface::new(&p, p.triangles.clone());
+        for t in with_normals(&p, &full, &sides(6)) {
+            assert_eq!(t.normals, t.vertices.map(|v| p.normals[v as usize].normalize()));
+        }
+        let covered = Surface::new(&p, sides(6)).area() / full.area();
+        assert!((0.97..0.99).contains(&covered), "{covered}");
+    }
+}

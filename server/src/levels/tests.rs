@@ -136,3 +136,44 @@ fn stretch_is_the_largest_singular_value_where_axes_are_square() {
         assert!((m * v).length() <= largest_stretch(&m) + 1e-12);
     }
 }
+
+/// A pipe and the line in it are no farther apart than its radius, but the line covers nothing.
+#[test]
+fn what_covers_less_is_drawn_farther_away() {
+    const SIDES: u32 = 16;
+    const RINGS: u32 = 9;
+    let mut p = Primitive::default();
+    for k in 0..RINGS {
+        for i in 0..SIDES {
+            let (sin, cos) = (std::f32::consts::TAU * i as f32 / SIDES as f32).sin_cos();
+            p.positions.push(Vec3::new(k as f32 * 0.25, 0.01 * cos, 0.01 * sin));
+            p.normals.push(Vec3::new(0.0, cos, sin));
+        }
+    }
+    let at = |k: u32, i: u32| k * SIDES + i % SIDES;
+    let quads = (0..RINGS - 1).flat_map(|k| (0..SIDES).map(move |i| (k, i)));
+    p.triangles = quads
+        .flat_map(|(k, i)| [[at(k, i), at(k, i + 1), at(k + 1, i)], [at(k, i + 1), at(k + 1, i + 1), at(k + 1, i)]])
+        .collect();
+    let scene = Scene {
+        meshes: vec![Mesh { name: String::new(), primitives: vec![p] }],
+        materials: vec![WHITE],
+        instances: vec![Instance { node: 0, mesh: 0, world_from_mesh: DAffine3::IDENTITY }],
+        ..Scene::default()
+    };
+    let clusters = Clusters::build(&scene);
+    let octree = Octree::build(&scene, &clusters, 1_000_000);
+    let levels = Levels::build(&scene, &clusters, &octree);
+    let area = |t: &Vec<[DVec3; 3]>| t.iter().map(|[a, b, c]| 0.5 * (*b - *a).cross(*c - *a).length()).sum::<f64>();
+    let (cell, of_cell) = (&octree.cells[0], &levels.cells[0]);
+    let full = corners(&scene, &clusters, &levels, &cell.content);
+    let mut least = 1.0f64;
+    for level in of_cell {
+        let coarse = corners(&scene, &clusters, &levels, &level.content);
+        let (tree, covered) = (SurfaceTree::new(&coarse), area(&coarse) / area(&full));
+        let apart = full.iter().flatten().map(|c| tree.distance(*c)).fold(0.0, f64::max);
+        assert!(level.deviation_m >= apart * (1.0 + 4.0 * (1.0 - covered)), "{level:?} covers {covered}");
+        least = least.min(covered);
+    }
+    assert!(of_cell.len() > 1 && least < 0.8, "{} levels, the last of which covers {least}", of_cell.len());
+}
