@@ -6,11 +6,6 @@ pub const SKY_SRGB: [u8; 3] = [198, 214, 235];
 /// Where the light comes from: normalize(0.4, 0.8, 0.45).
 pub const LIGHT_FROM: [f32; 3] = [0.399_667_94, 0.799_335_9, 0.449_626_43];
 
-/// Surfaces seen from behind count as farther by this share of their distance, so that of two faces
-/// in one plane the one that faces the eye is seen. Smaller: rounding of depths (about 1e-6)
-/// decides again; larger: backs vanish behind what lies visibly farther.
-pub const BACK_FACE_SHIFT: f32 = 1.0 / 32768.0;
-
 /// Light that a surface with unit normal `n` reflects, in linear light: 0.35 + 0.25 (0.5 + 0.5
 /// n_y) + 0.40 |n . l| with l = normalize(0.4, 0.8, 0.45). The normal is never flipped toward the
 /// eye. Unlit materials take 1 instead.

@@ -178,10 +178,9 @@ fn the_more_an_image_of_a_portal_knows_the_less_it_errs() {
     // is at most five degrees away, but that samples were taken by other cameras. So it errs a
     // little more than the nearest image, and far less than the one image whose camera it has.
     assert!(ldi < 0.8 * textures && ldi < 1.4 * warp1, "layers: {flips:?}");
-    // What the central image alone lacks is filled by the LDI tree, the better the finer that is,
-    // and the better as the tree knows no backs of what stands in one plane with a front.
+    // What the central image alone lacks is filled by the LDI tree, the better the finer that is.
     let central = flip_of_the_central_image(h, &out);
-    assert!(ldi < 0.8 * central, "layers {ldi}, the central image alone {central}");
+    assert!(ldi < 0.7 * central, "layers {ldi}, the central image alone {central}");
     // What was not built is refused with the remedy.
     let refused = walk(&served, h, &out, &["--method", "portals"]).output().expect("runs");
     let text = String::from_utf8_lossy(&refused.stderr).into_owned();

@@ -26,7 +26,6 @@ use ldi_protocol::{
     OutputCamera, Pose,
     index::{DrawnCell, Index},
     mesh::{Material, Wrap},
-    shade::BACK_FACE_SHIFT,
 };
 use rayon::prelude::*;
 
@@ -43,8 +42,7 @@ const PIXEL: u32 = 4;
 struct ViewUniform {
     scale: [f32; 2],
     near_m: f32,
-    back_depth: f32,
-    basis: [[f32; 4]; 3],
+    unused: f32,
 }
 
 /// A placed cluster, as `near.wgsl` reads it.
@@ -216,12 +214,10 @@ impl NearPass {
             self.textures.upload(card, number, texture, budget);
         }
         let (items, placed) = arrange(&scene, pose);
-        let axes = pose.basis();
         let view = ViewUniform {
             scale: [1.0 / camera.half_tan_x() as f32, 1.0 / camera.half_tan_y() as f32],
             near_m: NEAR_PLANE_M as f32,
-            back_depth: 1.0 / (1.0 + BACK_FACE_SHIFT),
-            basis: [axes.right, axes.up, axes.forward].map(|a| a.as_vec3().extend(0.0).to_array()),
+            unused: 0.0,
         };
         card.queue.write_buffer(&self.view, 0, bytemuck::bytes_of(&view));
         self.placed.write(card, bytemuck::cast_slice(&placed));

@@ -7,12 +7,7 @@ struct View {
     // Near plane, metres: with it depth is disparity times this, 1 at the near plane, 0 at
     // infinity.
     near_m: f32,
-    // What depths of faces that turn away are multiplied by.
-    back_depth: f32,
-    // World space from eye space (right, up, forward): columns.
-    right: vec4f,
-    up: vec4f,
-    forward: vec4f,
+    unused: f32,
 }
 
 struct Image {
@@ -68,11 +63,8 @@ fn vertex(corner: Corner, draw: Draw) -> Between {
     let p = vec4f(corner.position, 1.0);
     let eye = vec3f(dot(draw.right, p), dot(draw.up, p), dot(draw.forward, p));
     var out: Between;
+    out.position = vec4f(eye.xy * view.scale, view.near_m, eye.z);
     out.normal = mat3x3f(draw.normal_x, draw.normal_y, draw.normal_z) * corner.normal;
-    // Of two faces in one plane the one that faces the eye is seen.
-    let from_eye = view.right.xyz * eye.x + view.up.xyz * eye.y + view.forward.xyz * eye.z;
-    let depth = view.near_m * select(1.0, view.back_depth, dot(out.normal, from_eye) > 0.0);
-    out.position = vec4f(eye.xy * view.scale, depth, eye.z);
     out.uv = corner.uv;
     out.colour = draw.factor.rgb * corner.colour;
     out.kind = draw.kind;

@@ -31,7 +31,7 @@
 //! on whose left or top side the edge lies. Both triangles of an edge evaluate the same expression
 //! with opposite signs, so a shared edge leaves neither gap nor overlap. Vertices are transformed
 //! in f64 from exact mesh positions, so that clusters of one mesh meet bit for bit. Both faces are
-//! drawn, of two in one plane the one that faces the eye (docs/adr/0058-faces-that-turn-away.md).
+//! drawn.
 
 mod alpha;
 mod attributes;

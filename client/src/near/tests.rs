@@ -203,30 +203,6 @@ fn ties_go_to_one_triangle() {
     assert_eq!(covered, 1);
 }
 
-/// Whichever is drawn first and where the placement mirrors.
-#[test]
-fn of_two_faces_in_one_plane_the_one_that_faces_the_eye_is_seen() {
-    let corner = |x: f32, y: f32| Vec3::new(x, y, -3.0 + 0.3 * x);
-    let [a, b, c, d] = [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];
-    // Against the clock from the eye, and with the clock, along the other diagonal.
-    let front = loose_cluster(0, &[[a, b, c], [a, c, d]]);
-    let back = loose_cluster(0, &[[b, a, d], [b, d, c]]);
-    let mirror = DAffine3::from_scale(DVec3::new(-1.0, 1.0, 1.0));
-    for (cells, front_is) in [(vec![front.clone(), back.clone()], 0), (vec![back, front], 1)] {
-        for mirrored in [false, true] {
-            let (index, mut memory) = dataset(CAMERA, vec![plain_material()], cells.clone());
-            for cell in memory.cells.values_mut().filter(|_| mirrored) {
-                Arc::make_mut(cell).instances[0].world_from_mesh = mirror;
-            }
-            let (_, ids, _) = draw(&index, &memory, &CAMERA, &AHEAD);
-            let seen: Vec<u32> =
-                ids.iter().filter(|id| **id != triangle_setup::NO_TRIANGLE).map(|id| id >> 8).collect();
-            assert!(seen.len() > 500);
-            assert!(seen.iter().all(|draw| *draw == front_is), "mirrored {mirrored}");
-        }
-    }
-}
-
 fn gradient_texture(side: u32) -> Texture {
     let level = |n: u32| MipLevel {
         width: n,

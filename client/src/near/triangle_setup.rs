@@ -6,7 +6,7 @@ use super::{
 };
 use crate::simd::Lanes;
 use glam::{DMat3, DVec3};
-use ldi_protocol::{OutputCamera, Pose, mesh::MAX_CLUSTER_TRIANGLES, shade::BACK_FACE_SHIFT};
+use ldi_protocol::{OutputCamera, Pose, mesh::MAX_CLUSTER_TRIANGLES};
 use std::ops::Range;
 
 /// Distance of the near plane from the eye along the viewing direction, metres. Eyes nearer to a
@@ -135,16 +135,6 @@ pub(super) struct Triangle {
     pub rows: [u16; 2],
 }
 
-/// What the triangles of a draw have in common, and the number of one.
-#[derive(Clone, Copy)]
-struct Drawn {
-    id: u32,
-    /// See [`Triangle::cutoff`].
-    cutoff: f32,
-    /// The placement mirrors, so that corners of front faces run the other way.
-    mirrored: bool,
-}
-
 #[derive(Clone, Copy)]
 struct Vertex {
     eye: DVec3,
@@ -199,7 +189,6 @@ impl Task {
             }
             Mask::Nothing => return,
         };
-        let mirrored = draw.world_from_mesh.matrix3.determinant() < 0.0;
         let to_eye = projection.eye_from_mesh(draw);
         let (mut all_out, mut any_out) = (u8::MAX, 0);
         vertices.clear();
@@ -226,18 +215,18 @@ impl Task {
             if p.out & q.out & r.out != 0 {
                 continue;
             }
-            let drawn = Drawn { id: (number as u32) << 8 | i as u32, cutoff, mirrored };
+            let id = (number as u32) << 8 | i as u32;
             if (p.out | q.out | r.out) & OUT_NEAR == 0 {
-                self.add_triangle(projection, horizon, [p, q, r], drawn);
+                self.add_triangle(projection, horizon, [p, q, r], id, cutoff);
             } else {
-                self.add_clipped(projection, horizon, [p, q, r], drawn);
+                self.add_clipped(projection, horizon, [p, q, r], id, cutoff);
             }
         }
     }
 
     /// Cuts a triangle at the near plane. A cut point is computed from the inner to the outer end,
     /// so that the two triangles of an edge find the same one.
-    fn add_clipped(&mut self, projection: &Projection, horizon: &Horizon, corners: [&Vertex; 3], drawn: Drawn) {
+    fn add_clipped(&mut self, projection: &Projection, horizon: &Horizon, corners: [&Vertex; 3], id: u32, cutoff: f32) {
         let mut polygon = [*corners[0]; 4];
         let mut n = 0;
         for i in 0..3 {
@@ -257,7 +246,7 @@ impl Task {
             }
         }
         for i in 2..n {
-            self.add_triangle(projection, horizon, [&polygon[0], &polygon[i - 1], &polygon[i]], drawn);
+            self.add_triangle(projection, horizon, [&polygon[0], &polygon[i - 1], &polygon[i]], id, cutoff);
         }
     }
 
@@ -266,7 +255,8 @@ impl Task {
         projection: &Projection,
         horizon: &Horizon,
         [p, q, r]: [&Vertex; 3],
-        Drawn { id, cutoff, mirrored }: Drawn,
+        id: u32,
+        cutoff: f32,
     ) {
         let bounds = |axis: usize, size: usize| {
             let (s, t, u) = (p.screen[axis], q.screen[axis], r.screen[axis]);
@@ -296,10 +286,6 @@ impl Task {
         } else {
             return;
         };
-        // Corners of front faces run against the clock, so that their area on rows that count
-        // downwards is negative.
-        let is_back = (area > 0.0) != mirrored;
-        let nearness = if is_back { 1.0 / (1.0 + f64::from(BACK_FACE_SHIFT)) } else { 1.0 };
         let [mut a, mut b, mut c] = [[0.0; 3]; 3];
         for i in 0..3 {
             let ([x0, y0], [x1, y1]) = (corners[i].screen, corners[(i + 1) % 3].screen);
@@ -310,7 +296,7 @@ impl Task {
         // The plane n . X = n . p seen along the ray (x, y, 1) has disparity (n . ray) / (n . p).
         // Edges from p keep their relative precision however far the triangle lies.
         let normal = (q.eye - p.eye).cross(r.eye - p.eye);
-        let scale = nearness / (normal.dot(p.eye) * projection.focal_px);
+        let scale = 1.0 / (normal.dot(p.eye) * projection.focal_px);
         let (da, db) = (normal.x * scale, -normal.y * scale);
         let dc = normal.z * scale * projection.focal_px - da * projection.centre_px[0] - db * projection.centre_px[1];
         if !(da.is_finite() && db.is_finite() && dc.is_finite()) {
@@ -323,7 +309,7 @@ impl Task {
             disparity_a: da as f32,
             disparity_b: db as f32,
             disparity_c: dc,
-            disparity_range: disparity_range.map(|d| d * nearness as f32),
+            disparity_range,
             id,
             cutoff,
             columns: [left as u16, right as u16],

@@ -241,10 +241,7 @@ impl Bvh {
             out.iter_mut().zip(&binary.primitive_indices[range]).for_each(|(o, i)| *o = triangles[*i as usize]);
             out
         };
-        self.world.blocks = leaves
-            .par_iter()
-            .map(|l| Block::new(triangles_of(l), |t| corners(geometry, t), |t| geometry.is_mirrored(t)))
-            .collect();
+        self.world.blocks = leaves.par_iter().map(|l| Block::new(triangles_of(l), |t| corners(geometry, t))).collect();
         if geometry.has_cells() {
             let cell = |t: &u32| if *t == NO_TRIANGLE { u32::MAX } else { geometry.cell_of(*t) };
             self.cells = self.world.blocks.par_iter().map(|b| b.triangles.each_ref().map(cell)).collect();
@@ -347,7 +344,7 @@ impl Branches {
             let mut of_leaf = [NO_TRIANGLE; 4];
             let found = binary.primitive_indices[range].iter().map(|i| triangles[*i as usize]);
             of_leaf.iter_mut().zip(found).for_each(|(o, t)| *o = t);
-            out.blocks.push(Block::new(of_leaf, corners, |_| false));
+            out.blocks.push(Block::new(of_leaf, corners));
             LEAF | (out.blocks.len() as u32 - 1)
         })?;
         Some((out, root))
@@ -355,9 +352,7 @@ impl Branches {
 }
 
 impl Block {
-    /// Of triangles by their corners, and by whether their placement mirrors, so that corners of
-    /// front faces run the other way.
-    fn new(triangles: [u32; 4], corners: impl Fn(u32) -> [Vec3A; 3], is_mirrored: impl Fn(u32) -> bool) -> Self {
+    fn new(triangles: [u32; 4], corners: impl Fn(u32) -> [Vec3A; 3]) -> Self {
         let mut block =
             Self { corners: [[[f32::NAN; 4]; 3]; 3], normal: [[0.0; 4]; 3], triangles, masked: 0, first_mask: 0 };
         for (lane, t) in triangles.into_iter().enumerate().filter(|(_, t)| *t != NO_TRIANGLE) {
@@ -371,7 +366,6 @@ impl Block {
             // tested against.
             let [a, b, c] = local.map(|p| p.as_dvec3());
             let n = (b - a).cross(c - a).normalize_or_zero().as_vec3();
-            let n = if is_mirrored(t) { -n } else { n };
             for (axis, x) in block.normal.iter_mut().zip(n.to_array()) {
                 axis[lane] = x;
             }

@@ -188,11 +188,6 @@ impl Geometry {
         &self.scene.meshes[source.mesh as usize].primitives[source.primitive as usize]
     }
 
-    /// Whether a triangle's placement turns what is right-handed into what is left-handed.
-    pub fn is_mirrored(&self, triangle: u32) -> bool {
-        self.scene.instances[self.source(triangle).instance as usize].world_from_mesh.matrix3.determinant() < 0.0
-    }
-
     /// World corners in f64.
     pub fn corners_world(&self, triangle: u32) -> [DVec3; 3] {
         let source = self.source(triangle);

@@ -4,8 +4,7 @@
 //! [`Octree`](crate::octree::Octree). Out: [`Hit`]s and colours ([`Caster`]); pictures and depth
 //! maps of a walk.
 //!
-//! Nothing is culled: both faces of every triangle are hit, `double_sided` or not, of two in one
-//! plane the one that faces the ray (docs/adr/0058-faces-that-turn-away.md), and normals are
+//! Nothing is culled: both faces of every triangle are hit, `double_sided` or not, and normals are
 //! never flipped, so that every renderer that draws both faces shows the same. Results do not
 //! depend on threads, on the order of rays in a batch, or on the instruction set of the machine.
 //!

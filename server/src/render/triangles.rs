@@ -19,14 +19,10 @@
 //! f64 (`Block::normal`), since weighting the corners' depths by U, V, W is no better than those
 //! for slivers; and no second evaluation in f64 where an edge function is 0.
 //!
-//! Of two triangles in one plane the one that faces the ray is hit: back faces lie farther by
-//! [`BACK_FACE_SHIFT`].
-//!
 //! Single rays and packets run through the same arithmetic in the same order, so they see the same
 //! hits bit by bit.
 
 use super::{bvh::Block, lanes::Lanes, place::Place};
-use ldi_protocol::shade::BACK_FACE_SHIFT;
 
 /// Three coordinates.
 pub(super) type Vec3L<F> = [F; 3];
@@ -138,10 +134,7 @@ pub(super) fn intersect<const N: usize, F: Lanes<N>>(
         return (0, zero);
     }
     // Parallel or without area: infinite or NaN, and every comparison with a limit fails.
-    let along = dot(triangles.normal, rays.direction);
-    // 1 for front faces, more for back faces, without a choice per lane.
-    let shift = along.mul(F::splat(f32::MAX)).min(F::splat(1.0 + BACK_FACE_SHIFT)).max(F::splat(1.0));
-    let t = triangles.distance.div(along).mul(shift);
+    let t = triangles.distance.div(dot(triangles.normal, rays.direction));
     let in_range = F::and(rays.t_min.le(t), t.le(rays.t_max));
     (F::bits(F::and(inside, in_range)), t)
 }
