@@ -9,8 +9,7 @@ use crate::octree::{Clusters, up_to_f32};
 use crate::scene::Scene;
 use ldi_protocol::{Aabb, index::MOST_LEVELS, mesh::MAX_CLUSTER_TRIANGLES};
 use rayon::prelude::*;
-use simplify::{Coarse, CoarseTriangle};
-use std::borrow::Cow;
+use simplify::Coarse;
 use std::ops::Range;
 
 /// A level has at most this share of the triangles of the one before. Larger: more levels, of which
@@ -44,16 +43,7 @@ pub(super) fn assemble(scene: &Scene, clusters: &Clusters, parts: &Parts, chains
         let of = chain.into_iter().zip(is_used).map(|(coarse, is_used)| {
             let first = next(&pieces);
             if is_used {
-                let mut triangles = coarse.triangles;
-                if triangles.len() > MAX_CLUSTER_TRIANGLES {
-                    sort_along_longest_axis(scene, (part.mesh, part.primitive), &mut triangles);
-                }
-                pieces.extend(triangles.chunks(MAX_CLUSTER_TRIANGLES).map(|of| Piece {
-                    mesh: part.mesh,
-                    primitive: part.primitive,
-                    triangles: Cow::Owned(of.iter().map(|t| t.vertices).collect()),
-                    normals: Cow::Owned(of.iter().map(|t| t.normals).collect()),
-                }));
+                pieces.extend(cut(scene, (part.mesh, part.primitive), &coarse));
             }
             first..next(&pieces)
         });
@@ -134,11 +124,27 @@ fn thresholds(
     levels
 }
 
-/// So that pieces are compact.
-fn sort_along_longest_axis(scene: &Scene, (mesh, primitive): (u32, u32), triangles: &mut [CoarseTriangle]) {
+/// A simplified mesh as compact pieces: along its longest axis.
+fn cut(scene: &Scene, (mesh, primitive): (u32, u32), coarse: &Coarse) -> Vec<Piece<'static>> {
     let p = &scene.meshes[mesh as usize].primitives[primitive as usize];
-    let size = Aabb::from_points(triangles.iter().map(|t| simplify::centre(p, &t.vertices))).size();
-    let axis = size.max_position();
-    let along = |t: &CoarseTriangle| simplify::centre(p, &t.vertices)[axis];
-    triangles.sort_by(|a, b| along(a).total_cmp(&along(b)));
+    let mut order: Vec<u32> = (0..coarse.triangles.len() as u32).collect();
+    if order.len() > MAX_CLUSTER_TRIANGLES {
+        let centre = |number: &u32| simplify::centre(p, &coarse.triangles[*number as usize]);
+        let axis = Aabb::from_points(order.iter().map(centre)).size().max_position();
+        order.sort_by(|a, b| centre(a)[axis].total_cmp(&centre(b)[axis]));
+    }
+    let piece = |of: &[u32]| {
+        let turned = (0u32..).zip(of).flat_map(|(new, old)| {
+            let first = coarse.turned.partition_point(|(corner, _)| *corner < 3 * old);
+            let of_triangle = coarse.turned[first..].iter().take_while(move |(corner, _)| *corner < 3 * old + 3);
+            of_triangle.map(move |(corner, normal)| (corner - 3 * old + 3 * new, *normal))
+        });
+        Piece {
+            mesh,
+            primitive,
+            triangles: of.iter().map(|old| coarse.triangles[*old as usize]).collect(),
+            turned: turned.collect(),
+        }
+    };
+    order.chunks(MAX_CLUSTER_TRIANGLES).map(piece).collect()
 }

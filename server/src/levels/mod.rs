@@ -38,8 +38,9 @@ pub struct Piece<'a> {
     pub primitive: u32,
     /// Vertex numbers of the primitive, three per triangle.
     pub triangles: Cow<'a, [[u32; 3]]>,
-    /// Of the corners of each triangle; empty: the primitive's.
-    pub normals: Cow<'a, [[Vec3; 3]]>,
+    /// Corners, numbered through all triangles and ascending, that have another normal than their
+    /// vertex; unit length.
+    pub turned: Cow<'a, [(u32, Vec3)]>,
 }
 
 /// A coarser mesh of a cell.
@@ -82,14 +83,14 @@ impl Levels {
     /// A piece by its number: clusters come first, then [`Levels::pieces`].
     pub fn piece<'a>(&'a self, clusters: &Clusters, scene: &Scene, number: u32) -> Piece<'a> {
         if let Some(simplified) = number.checked_sub(clusters.clusters.len() as u32) {
-            let Piece { mesh, primitive, triangles, normals } = &self.pieces[simplified as usize];
-            let (triangles, normals) = (Cow::Borrowed(&**triangles), Cow::Borrowed(&**normals));
-            return Piece { mesh: *mesh, primitive: *primitive, triangles, normals };
+            let Piece { mesh, primitive, triangles, turned } = &self.pieces[simplified as usize];
+            let (triangles, turned) = (Cow::Borrowed(&**triangles), Cow::Borrowed(&**turned));
+            return Piece { mesh: *mesh, primitive: *primitive, triangles, turned };
         }
         let cluster = &clusters.clusters[number as usize];
         let all = &scene.meshes[cluster.mesh as usize].primitives[cluster.primitive as usize].triangles;
         let triangles = cluster.triangles.iter().map(|t| all[*t as usize]).collect();
-        Piece { mesh: cluster.mesh, primitive: cluster.primitive, triangles, normals: Cow::Borrowed(&[]) }
+        Piece { mesh: cluster.mesh, primitive: cluster.primitive, triangles, turned: Cow::Borrowed(&[]) }
     }
 }
 

@@ -3,9 +3,9 @@
 //! Vertices that agree in position, and in texture coordinates and colour where these count, are
 //! one while a part is simplified; afterwards every corner takes that of them whose normal agrees
 //! best with its triangle. So creases do not stop simplification, and stay creases. Simplified
-//! meshes have vertices of the primitive, with its normals; but where these would light a triangle
-//! otherwise than what it stands for, as at the flange of a beam whose fillet is gone, corners have
-//! the normals of the surface beside them.
+//! meshes have vertices of the primitive, with its normals. Where these would light a triangle
+//! otherwise than what it stands for, as at the flange of a beam whose fillet is gone, corners
+//! have the normals of the surface beside them.
 
 use super::{
     deviation::{self, Corners},
@@ -35,14 +35,16 @@ const WORTH: f64 = 0.8;
 const SLOPPY_SIZE: f64 = 64.0;
 /// What texture coordinates and colours count beside positions, both relative to their extent.
 const ATTRIBUTE_WEIGHT: f32 = 1.0;
-/// What a mesh covers less than the part counts as deviation: one that covers nothing may be drawn
-/// only from 1 plus so many times as far as its deviation allows. A pipe of one pixel in width lies
-/// within half a pixel of a line, and a row of them would vanish.
+/// What a mesh covers less than the part counts as deviation: one that covers nothing is drawn
+/// from 1 plus so many times as far as its deviation allows. A pipe of one pixel in width lies
+/// within half a pixel of a line, and would vanish. Smaller: thin things leave holes; larger: more
+/// triangles are drawn far away.
 const UNCOVERED_WEIGHT: f64 = 4.0;
 /// Corners keep the primitive's normals where these turn by no more than this from the surface, as
 /// a cosine. Smaller: lights differ; larger: more vertices are stored.
 const SAME_NORMAL: f32 = 0.99;
-/// Where the normal of a corner is compared: this much of the way to the triangle's centre.
+/// Where the normal of a corner is compared: this much of the way to the triangle's centre. Smaller:
+/// still on the fillet of a beam; larger: corners of one triangle are no longer told apart.
 const INSET: f64 = 0.4;
 /// Deviations are told apart down to this share of what the library estimates ...
 const FLOOR_SHARE: f64 = 0.25;
@@ -55,16 +57,11 @@ pub(super) struct Coarse {
     /// Bound on how far it lies from the part, in mesh units, more if it covers less than the part;
     /// grows along the chain.
     pub deviation: f64,
-    pub triangles: Vec<CoarseTriangle>,
-}
-
-/// A triangle of a simplified mesh.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct CoarseTriangle {
     /// Vertex numbers of the primitive.
-    pub vertices: [u32; 3],
-    /// Of the corners, unit length.
-    pub normals: [Vec3; 3],
+    pub triangles: Vec<[u32; 3]>,
+    /// Corners, numbered through all triangles and ascending, that have another normal than their
+    /// vertex; unit length.
+    pub turned: Vec<(u32, Vec3)>,
 }
 
 /// The chain of every part, fine to coarse, without the part itself.
@@ -293,8 +290,8 @@ fn chain(scene: &Scene, clusters: &Clusters, part: &Part, borders: &Borders) -> 
         });
         error *= ERROR_STEP;
         let Some((bound, uncovered, triangles)) = found.filter(|(deviation, ..)| *deviation < size) else { continue };
-        let triangles = with_normals(p, &full, &triangles);
-        let coarse = Coarse { deviation: bound * (1.0 + UNCOVERED_WEIGHT * uncovered), triangles };
+        let turned = turned(p, &full, &triangles);
+        let coarse = Coarse { deviation: bound * (1.0 + UNCOVERED_WEIGHT * uncovered), triangles, turned };
         // A finer mesh that is no nearer is of no use.
         while chain.last().is_some_and(|c| c.deviation >= coarse.deviation) {
             chain.pop();
@@ -306,17 +303,18 @@ fn chain(scene: &Scene, clusters: &Clusters, part: &Part, borders: &Borders) -> 
     chain
 }
 
-/// Triangles of a simplified mesh with the normals of their corners.
-fn with_normals(p: &Primitive, full: &Surface, triangles: &[[u32; 3]]) -> Vec<CoarseTriangle> {
+/// Corners of a simplified mesh that their vertices' normals would light otherwise than the surface
+/// is lit beside them, with its normal there; see [`Coarse::turned`].
+fn turned(p: &Primitive, full: &Surface, triangles: &[[u32; 3]]) -> Vec<(u32, Vec3)> {
     // Normals that a vertex got, so that neighbours share them.
     let mut new: HashMap<u32, Vec<Vec3>> = HashMap::new();
-    let of_triangle = |vertices: &[u32; 3]| {
+    let mut out = Vec::new();
+    for (number, vertices) in (0u32..).zip(triangles) {
         let corners = corners(p, vertices);
         let centre = (corners[0] + corners[1] + corners[2]) / 3.0;
         let facing = (corners[1] - corners[0]).cross(corners[2] - corners[0]).as_vec3();
         let own = vertices.map(|v| p.normals[v as usize].normalize_or_zero());
         let mean = (own[0] + own[1] + own[2]) / 3.0;
-        let mut normals = own;
         for k in 0..3 {
             let Some(surface) = full.normal_at(p, corners[k].lerp(centre, INSET)) else { continue };
             // What lies nearest may be the other side of a sheet.
@@ -326,14 +324,14 @@ fn with_normals(p: &Primitive, full: &Surface, triangles: &[[u32; 3]]) -> Vec<Co
                 continue;
             }
             let of_vertex = new.entry(vertices[k]).or_default();
-            normals[k] = of_vertex.iter().copied().find(is_same).unwrap_or_else(|| {
+            let normal = of_vertex.iter().copied().find(is_same).unwrap_or_else(|| {
                 of_vertex.push(surface);
                 surface
             });
+            out.push((3 * number + k as u32, normal));
         }
-        CoarseTriangle { vertices: *vertices, normals }
-    };
-    triangles.iter().map(of_triangle).collect()
+    }
+    out
 }
 
 /// Triangles of a primitive, as distances from them need them.
@@ -416,12 +414,11 @@ mod tests {
         // Its ends are lit as a beam's fillets.
         let p = strip(Vec3::new(1.0, 1.0, 0.0).normalize());
         let full = Surface::new(&p, p.triangles.clone());
-        let coarse = with_normals(&p, &full, &[[0, 1, 20], [1, 21, 20]]);
-        assert!(coarse.iter().flat_map(|t| t.normals).all(|n| n == Vec3::Y), "{coarse:?}");
+        let up: Vec<(u32, Vec3)> = (0..6).map(|corner| (corner, Vec3::Y)).collect();
+        assert_eq!(turned(&p, &full, &[[0, 1, 20], [1, 21, 20]]), up);
         // Nothing is new where nothing is gained.
         let p = strip(Vec3::Y);
-        let kept = with_normals(&p, &Surface::new(&p, p.triangles.clone()), &[[0, 1, 20], [1, 21, 20]]);
-        assert!(kept.iter().flat_map(|t| t.normals).all(|n| n == Vec3::Y));
+        assert_eq!(turned(&p, &Surface::new(&p, p.triangles.clone()), &[[0, 1, 20], [1, 21, 20]]), []);
     }
 
     #[test]
@@ -444,9 +441,7 @@ mod tests {
         };
         p.triangles = sides(1);
         let full = Surface::new(&p, p.triangles.clone());
-        for t in with_normals(&p, &full, &sides(6)) {
-            assert_eq!(t.normals, t.vertices.map(|v| p.normals[v as usize].normalize()));
-        }
+        assert_eq!(turned(&p, &full, &sides(6)), []);
         let covered = Surface::new(&p, sides(6)).area() / full.area();
         assert!((0.97..0.99).contains(&covered), "{covered}");
     }

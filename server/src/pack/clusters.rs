@@ -282,16 +282,20 @@ fn wire_cluster(scene: &Scene, piece: &Piece<'_>) -> Cluster {
     // By vertex of the primitive and normal.
     let mut number: BTreeMap<(u32, [u32; 3]), u16> = BTreeMap::new();
     let (mut order, mut normals) = (Vec::new(), Vec::new());
-    let mut corner = |k: usize, i: usize, v: u32| {
-        let normal = piece.normals.get(k).map_or(p.normals[v as usize], |of| of[i]);
-        *number.entry((v, normal.to_array().map(f32::to_bits))).or_insert_with(|| {
-            order.push(v as usize);
-            normals.push(normal);
-            (order.len() - 1) as u16
-        })
-    };
-    let triangle = |(k, t): (usize, &[u32; 3])| [corner(k, 0, t[0]), corner(k, 1, t[1]), corner(k, 2, t[2])];
-    let triangles = piece.triangles.iter().enumerate().map(triangle).collect();
+    let mut turned = piece.turned.iter().peekable();
+    let mut triangles = Vec::with_capacity(piece.triangles.len());
+    for (k, t) in (0u32..).zip(piece.triangles.iter()) {
+        let mut of = [0; 3];
+        for (corner, (v, of)) in (3 * k..).zip(t.iter().zip(&mut of)) {
+            let normal = turned.next_if(|t| t.0 == corner).map_or(p.normals[*v as usize], |t| t.1);
+            *of = *number.entry((*v, normal.to_array().map(f32::to_bits))).or_insert_with(|| {
+                order.push(*v as usize);
+                normals.push(normal);
+                (order.len() - 1) as u16
+            });
+        }
+        triangles.push(of);
+    }
     let positions = || order.iter().map(|v| p.positions[*v].as_dvec3());
     let origin = positions().next().unwrap_or(DVec3::ZERO);
     Cluster {
