@@ -126,7 +126,6 @@ pub struct Figures {
     /// Median frame time, milliseconds: the median of all walks.
     pub frame_ms: f64,
     /// The same of the fastest walk and of the slowest.
-    #[serde(default)]
     pub frame_ms_range: [f64; 2],
     /// 99th percentile.
     pub frame_ms_p99: f64,
@@ -182,7 +181,8 @@ pub fn run(matrix: &Matrix, mut heard: impl FnMut(&Row)) -> Result<Vec<Row>> {
         let site = Site::prepare(matrix, spec).with_context(|| spec.clone())?;
         let mut built: Vec<(Option<&str>, Result<Built, String>)> = Vec::new();
         let first = rows.len();
-        let mut walked: Vec<(usize, Built, Vec<Times>)> = Vec::new();
+        // Per row that was walked: its dataset, and a report per walk, the first with errors.
+        let mut walked: Vec<(usize, Built, Result<Vec<Value>>)> = Vec::new();
         for &setting in &settings {
             let represent = setting.represent();
             let dataset = match built.iter().find(|(made, _)| *made == represent) {
@@ -193,27 +193,30 @@ pub fn run(matrix: &Matrix, mut heard: impl FnMut(&Row)) -> Result<Vec<Row>> {
                     dataset
                 }
             };
-            let measured = dataset.and_then(|d| match site.compare(matrix, setting, &d) {
-                Ok((figures, times)) => Ok((figures, times, d)),
-                Err(e) => Err(format!("{e:#}")),
-            });
-            let (figures, error) = match measured {
-                Ok((figures, times, dataset)) => {
-                    walked.push((rows.len(), dataset, vec![times]));
-                    (Some(figures), None)
+            let error = match dataset {
+                Ok(dataset) => {
+                    let report = site.walk(matrix, setting, &dataset, true);
+                    walked.push((rows.len(), dataset, report.map(|r| vec![r])));
+                    None
                 }
-                Err(e) => (None, Some(e)),
+                Err(e) => Some(e),
             };
-            rows.push(Row { scene: site.scene.clone(), setting, figures, error });
+            rows.push(Row { scene: site.scene.clone(), setting, figures: None, error });
         }
         for _ in 1..matrix.repeats {
-            for (row, dataset, times) in &mut walked {
-                times.push(Times::of(&site.walk(matrix, rows[*row].setting, dataset, false)?["summary"])?);
+            for (row, dataset, reports) in &mut walked {
+                if let Ok(of_row) = reports {
+                    match site.walk(matrix, rows[*row].setting, dataset, false) {
+                        Ok(report) => of_row.push(report),
+                        Err(e) => *reports = Err(e),
+                    }
+                }
             }
         }
-        for (row, _, times) in &walked {
-            if let Some(figures) = &mut rows[*row].figures {
-                Times::put(times, figures);
+        for (row, dataset, reports) in walked {
+            match reports.and_then(|reports| figures(&dataset, &reports)) {
+                Ok(figures) => rows[row].figures = Some(figures),
+                Err(e) => rows[row].error = Some(format!("{e:#}")),
             }
         }
         rows[first..].iter().for_each(&mut heard);
@@ -251,35 +254,6 @@ struct Built {
     folder: PathBuf,
     seconds: f64,
     report: Value,
-}
-
-/// Times of one walk, milliseconds.
-#[derive(Debug, Clone, Copy)]
-struct Times {
-    first_picture: Option<f64>,
-    p50: f64,
-    p99: f64,
-}
-
-impl Times {
-    /// From a walk's summary.
-    fn of(summary: &Value) -> Result<Self> {
-        let frame = |key: &str| summary["frame_ms"][key].as_f64().context("the report has no frame time");
-        let first_picture = summary["ms_first_useful_frame"].as_f64().or(summary["ms_first_frame"].as_f64());
-        Ok(Self { first_picture, p50: frame("p50")?, p99: frame("p99")? })
-    }
-
-    /// Medians of several walks.
-    fn put(times: &[Self], figures: &mut Figures) {
-        let of = |f: fn(&Self) -> f64| times.iter().map(f).collect::<Vec<f64>>();
-        let p50 = of(|t| t.p50);
-        figures.frame_ms_range =
-            [p50.iter().copied().fold(f64::INFINITY, f64::min), p50.iter().copied().fold(f64::NEG_INFINITY, f64::max)];
-        figures.frame_ms = median(p50);
-        figures.frame_ms_p99 = median(of(|t| t.p99));
-        let first: Vec<f64> = times.iter().filter_map(|t| t.first_picture).collect();
-        figures.first_picture_ms = (!first.is_empty()).then(|| median(first));
-    }
 }
 
 /// A scene with poses and reference pictures, in a folder of its own.
@@ -332,13 +306,7 @@ impl Site {
         Ok(Built { seconds: start.elapsed().as_secs_f64(), report: read_json(&folder.join("report.json"))?, folder })
     }
 
-    /// Figures of a walk whose pictures are compared, and its times.
-    fn compare(&self, matrix: &Matrix, setting: Setting, dataset: &Built) -> Result<(Figures, Times)> {
-        let report = self.walk(matrix, setting, dataset, true)?;
-        Ok((figures(dataset, &report)?, Times::of(&report["summary"])?))
-    }
-
-    /// The report of a walk.
+    /// The report of a walk, whose pictures are compared with truth and baseline or not.
     fn walk(&self, matrix: &Matrix, setting: Setting, dataset: &Built, compared: bool) -> Result<Value> {
         let server = Server::start(&dataset.folder)?;
         let at = |what: &str| self.folder.join(format!("{}-{what}", setting.name()));
@@ -371,8 +339,16 @@ fn made(spec: &str, folder: &Path) -> Result<PathBuf> {
     Ok(file)
 }
 
-fn figures(dataset: &Built, walk: &Value) -> Result<Figures> {
+/// Figures of several walks through a dataset: times are medians, all else is the first walk's.
+fn figures(dataset: &Built, walks: &[Value]) -> Result<Figures> {
+    let walk = walks.first().context("nothing was walked")?;
     let (build, s) = (&dataset.report, &walk["summary"]);
+    let of_walks = |value: &dyn Fn(&Value) -> Option<f64>| walks.iter().filter_map(|w| value(&w["summary"])).collect();
+    let frame_ms: Vec<f64> = of_walks(&|s| s["frame_ms"]["p50"].as_f64());
+    let first_ms: Vec<f64> = of_walks(&|s| s["ms_first_useful_frame"].as_f64().or(s["ms_first_frame"].as_f64()));
+    if frame_ms.len() < walks.len() {
+        bail!("a report has no frame time");
+    }
     let number = |v: &Value, what: &str| v.as_f64().with_context(|| format!("the report has no {what}"));
     let count = |v: &Value, what: &str| v.as_u64().with_context(|| format!("the report has no {what}"));
     // Over all frames: those without images count, too.
@@ -387,10 +363,10 @@ fn figures(dataset: &Built, walk: &Value) -> Result<Figures> {
         images: count(&build["ldis"], "images")?,
         budget: count(&s["budget_triangles"], "budget")?,
         dataset_bytes: count(&build["bytes"]["total"], "bytes")?,
-        first_picture_ms: None,
-        frame_ms: 0.0,
-        frame_ms_range: [0.0; 2],
-        frame_ms_p99: 0.0,
+        first_picture_ms: (!first_ms.is_empty()).then(|| median(first_ms)),
+        frame_ms_range: [frame_ms.iter().copied().fold(f64::INFINITY, f64::min), largest(&frame_ms)],
+        frame_ms: median(frame_ms),
+        frame_ms_p99: median(of_walks(&|s| s["frame_ms"]["p99"].as_f64())),
         flip: number(&s["mean_flip"], "FLIP")?,
         flip_ratio: [sum(&own) / sum(&baseline), largest(&own) / largest(&baseline)],
         holes_max: number(&s["hole_fraction_max"], "holes")?,
@@ -433,11 +409,19 @@ pub(super) mod tests {
 
     #[test]
     fn times_are_medians_over_walks() {
-        let walk = |p50: f64, first_picture| Times { first_picture, p50, p99: 2.0 * p50 };
-        let mut figures = row("hall", Setting::Default, [1.0; 3]).figures.expect("a row with figures");
-        Times::put(&[walk(30.0, None), walk(10.0, Some(5.0)), walk(11.0, Some(7.0))], &mut figures);
-        assert_eq!((figures.frame_ms, figures.frame_ms_range, figures.frame_ms_p99), (11.0, [10.0, 30.0], 22.0));
-        assert_eq!(figures.first_picture_ms, Some(6.0));
+        let walk = |p50: f64, first: Option<f64>, flip: f64| {
+            serde_json::json!({ "frames": [{ "flip": flip, "flip_baseline": 0.5 }], "summary": {
+                "ms_first_useful_frame": first, "frame_ms": { "p50": p50, "p99": 2.0 * p50 }, "budget_triangles": 7,
+                "mean_flip": flip, "hole_fraction_max": 0.0, "budget_violations": 0, "far_fraction_mean": 0.0,
+                "bytes_total": 5,
+            } })
+        };
+        let report = serde_json::json!({ "ldis": { "images": 0 }, "bytes": { "total": 9 } });
+        let built = Built { folder: PathBuf::new(), seconds: 1.0, report };
+        let walks = [walk(30.0, None, 0.25), walk(10.0, Some(5.0), 0.0), walk(11.0, Some(7.0), 0.0)];
+        let found = figures(&built, &walks).expect("figures");
+        assert_eq!((found.frame_ms, found.frame_ms_range, found.frame_ms_p99), (11.0, [10.0, 30.0], 22.0));
+        assert_eq!((found.first_picture_ms, found.flip), (Some(6.0), 0.25));
     }
 
     #[test]
