@@ -416,7 +416,7 @@ pub(super) mod tests {
                 "bytes_total": 5,
             } })
         };
-        let report = serde_json::json!({ "ldis": { "images": 0 }, "bytes": { "total": 9 } });
+        let report = serde_json::json!({ "ldis": 0, "bytes": { "total": 9 } });
         let built = Built { folder: PathBuf::new(), seconds: 1.0, report };
         let walks = [walk(30.0, None, 0.25), walk(10.0, Some(5.0), 0.0), walk(11.0, Some(7.0), 0.0)];
         let found = figures(&built, &walks).expect("figures");
